@@ -44,7 +44,8 @@ pub trait ReachOfPair {
     /// Returns what it can match of a pair.
     fn reach(&self, pair: &PairGeometry) -> Reach;
 
-    /// Returns whether it can match nothing of a pair; faster than [`Self::reach`].
+    /// Returns whether it can match nothing of a pair. May look at a few points first, and take a pair for matched that [`Self::reach`], by all points, finds
+    /// to be refused by little.
     fn refuses(&self, pair: &PairGeometry) -> bool;
 }
 

@@ -31,8 +31,9 @@ const RANGE_PIXELS: f64 = 5.0;
 const MIN_OVERLAP: f64 = 0.03;
 /// Places of the longer side, and disparities of the search range, at which the matcher looks for what both show.
 const OVERLAP_GRID: (f64, u32) = (64.0, 5);
-/// Points of a view, and of a pair, that decide where they leave no doubt.
+/// Points of each view that are looked at before all of them, and those that both must show.
 const FEW: usize = 96;
+const ENOUGH: usize = 32;
 /// An epipole farther away than this times its height is put there.
 const FAR: f64 = 1e6;
 /// Disparities are searched in groups.
@@ -92,26 +93,29 @@ impl KeyView<'_> {
         parallax.overlaps(&self.key, &partner, &searched, MIN_OVERLAP).then_some((parallax, searched))
     }
 
-    /// Returns whether a few points leave no doubt that the pair is not refused: their disparities spread over half of what can be searched at most, and
-    /// the pictures overlap twice as much as they need.
+    /// Returns whether a few points show that the pair is hardly refused: they need at most half of what can be searched, and the pictures overlap twice as
+    /// much as they must. Where 70 % of all points were not in one window, so few would be in half of it by a chance of one in 100,000.
     fn clearly_matches(&self, pair: &PairGeometry) -> bool {
         let partner = Reduced::new(self.scene, pair.partner, self.image_scale);
         let position = |point: &PointIndex| self.scene.points[point.index()];
         let Some(parallax) = Parallax::new(&self.key, &partner, few_of(pair.shared).map(position)) else {
             return false;
         };
-        let others = few_of(self.points.observed_by(pair.partner)).map(position);
-        let disparities = parallax.disparities(&self.key, &partner, &self.few, others);
+        let few = few_of(self.points.observed_by(pair.partner));
+        let others: Vec<_> = few.filter(|point| pair.shared.binary_search(point).is_err()).map(position).collect();
+        let disparities = parallax.disparities(&self.key, &partner, &self.few, others.into_iter());
         let (low, high) = disparities.iter().fold((f64::MAX, f64::MIN), |(low, high), &d| (low.min(d), high.max(d)));
-        disparities.len() >= MIN_SHARED
-            && high - low <= 0.5 * most_disparities(&self.key)
-            && parallax.overlaps(&self.key, &partner, &(low..high), 2.0 * MIN_OVERLAP)
+        let needed = with_margin(low, high);
+        disparities.len() >= ENOUGH
+            && needed.end - needed.start <= 0.5 * most_disparities(&self.key)
+            && parallax.overlaps(&self.key, &partner, &needed, 2.0 * MIN_OVERLAP)
     }
 }
 
-/// Returns [`FEW`] of a view's points, or all if there are not more; evenly from the whole list.
-fn few_of(points: &[PointIndex]) -> impl ExactSizeIterator<Item = &PointIndex> {
-    points.iter().step_by(points.len().div_ceil(FEW).max(1))
+/// Returns [`FEW`] of the points, or all if there are not more; evenly from the whole list.
+fn few_of(points: &[PointIndex]) -> impl Iterator<Item = &PointIndex> {
+    let count = points.len().min(FEW);
+    (0..count).map(move |i| &points[i * points.len() / count])
 }
 
 /// Returns the points of a list that are not in a part of it; both ascend.
@@ -275,6 +279,12 @@ impl Parallax {
     }
 }
 
+/// Returns a range of disparities with the margin that the matcher adds.
+fn with_margin(low: f64, high: f64) -> Range<f64> {
+    let margin = RANGE_MARGIN * (high - low) + RANGE_PIXELS;
+    (low - margin).floor()..(high + margin).ceil()
+}
+
 /// Returns the number of disparities that the matcher can search.
 fn most_disparities(key: &Reduced) -> f64 {
     GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even()
@@ -287,11 +297,9 @@ fn searched(disparities: &mut [f64], key: &Reduced) -> Option<Range<f64>> {
         return None;
     }
     let [low, high] = [0.5, 99.5].map(|percent| quantile(disparities, percent));
-    let margin = RANGE_MARGIN * (high - low) + RANGE_PIXELS;
-    let (low, high) = ((low - margin).floor(), (high + margin).ceil());
-    let room = most_disparities(key);
-    if high - low <= room {
-        return Some(low..high);
+    let (needed, room) = (with_margin(low, high), most_disparities(key));
+    if needed.end - needed.start <= room {
+        return Some(needed);
     }
     disparities.sort_unstable_by(f64::total_cmp);
     let held =
@@ -451,37 +459,88 @@ fn quantile(values: &mut [f64], percent: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::{method::partners::neighbours, method::synthetic::Town};
+    use rand_core::{Rng, SeedableRng};
+    use rand_pcg::Pcg64;
 
-    /// A town; each point on the line to the mean camera, at 1 / (1 + spread x) of its distance, x from 0 to 1.
-    fn scattered(spread: f64) -> Scene {
-        let mut scene = Town::default().scene();
+    use super::*;
+    use crate::{
+        method::{partners::neighbours, synthetic::Town},
+        model::camera::{Camera, CameraModel},
+    };
+
+    /// A town; each point on the line to the mean camera, at 1 / (1 + nearness) of its distance, observed by all views whose images it is in.
+    fn moved(town: &Town, mut nearness: impl FnMut() -> f64) -> Scene {
+        let mut scene = town.scene();
         let centres = scene.views.iter().map(|view| view.cam_from_world.centre().coords);
         let middle = Point3::from(centres.sum::<Vector3<f64>>() / scene.views.len() as f64);
-        for (i, point) in scene.points.iter_mut().enumerate() {
-            let nearness = (i as f64 * 0.618).fract();
-            *point = middle + (*point - middle) / (1.0 + spread * nearness);
+        (scene.track_offsets, scene.track_views) = (vec![0], Vec::new());
+        for i in 0..scene.points.len() {
+            scene.points[i] = middle + (scene.points[i] - middle) / (1.0 + nearness());
+            let observes = |&view: &ViewIndex| {
+                let (pose, camera) = (&scene.view(view).cam_from_world, scene.camera_of(view));
+                let seen = camera.project(&pose.camera_from_world(&scene.points[i]));
+                seen.is_some_and(|pixel| camera.contains(&pixel))
+            };
+            let observers: Vec<ViewIndex> = scene.view_indices().filter(observes).collect();
+            scene.track_views.extend(observers);
+            scene.track_offsets.push(scene.track_views.len());
         }
+        scene.track_pixels = vec![[0.0; 2]; scene.track_views.len()];
         scene
     }
 
-    #[test]
-    fn a_pair_is_refused_exactly_where_nothing_of_it_is_reached() {
-        for (spread, expected) in [(0.0, [true, false]), (1.0, [true, true]), (20.0, [true, true])] {
-            let scene = scattered(spread);
-            let points = scene.view_points();
-            let mut found = [0, 0];
-            for key in scene.view_indices() {
-                let rule = reach(&scene, &points, key, 1.0);
-                for (partner, shared) in neighbours(&scene, &points, key) {
-                    let pair = PairGeometry::new(&scene, key, partner, &shared);
-                    let refused = rule.refuses(&pair);
-                    assert_eq!(refused, rule.reach(&pair).is_nothing(), "spread {spread}, {key:?} with {partner:?}");
-                    found[usize::from(refused)] += 1;
-                }
+    /// Returns the numbers of pairs that are matched and refused; each has to be refused exactly where nothing of it is reached.
+    fn matched_and_refused(scene: &Scene) -> [usize; 2] {
+        let points = scene.view_points();
+        let mut found = [0, 0];
+        for key in scene.view_indices() {
+            let rule = reach(scene, &points, key, 1.0);
+            for (partner, shared) in neighbours(scene, &points, key) {
+                let pair = PairGeometry::new(scene, key, partner, &shared);
+                let refused = rule.refuses(&pair);
+                assert_eq!(refused, rule.reach(&pair).is_nothing(), "{key:?} with {partner:?}");
+                found[usize::from(refused)] += 1;
             }
-            assert_eq!(found.map(|n| n > 100), expected, "matched and refused with spread {spread}: {found:?}");
+        }
+        found
+    }
+
+    #[test]
+    fn pairs_are_refused_where_nothing_of_them_is_reached() {
+        let mut random = Pcg64::seed_from_u64(1);
+        let mut number = move || random.next_u64() as f64 / u64::MAX as f64;
+        let many = |[matched, refused]: [usize; 2]| [matched > 100, refused > 100];
+        assert_eq!(many(matched_and_refused(&Town::default().scene())), [true, false], "flat");
+        let scattered = moved(&Town::default(), || 3.0 * number());
+        assert_eq!(many(matched_and_refused(&scattered)), [true, true], "at all depths");
+    }
+
+    /// From 60 to 78 % of the points far away, the others near: around the 70 % that one window has to hold.
+    #[test]
+    fn pairs_at_two_depths_are_refused_where_neither_holds_enough() {
+        let mut random = Pcg64::seed_from_u64(2);
+        let mut number = move || random.next_u64() as f64 / u64::MAX as f64;
+        let mut found = [0, 0];
+        for far in [0.6, 0.66, 0.72, 0.78] {
+            let scene = moved(&Town::default(), || if number() < far { 0.0 } else { 3.0 });
+            let [matched, refused] = matched_and_refused(&scene);
+            found = [found[0] + matched, found[1] + refused];
+        }
+        assert!(found.iter().all(|&pairs| pairs > 100), "matched and refused: {found:?}");
+    }
+
+    #[test]
+    fn few_points_and_small_images_are_refused_by_the_whole_rule() {
+        let small = |side: u32| {
+            let (width, height) = (f64::from(side), 0.75 * f64::from(side));
+            let parameters = vec![0.85 * width, 0.85 * width, 0.5 * width, 0.5 * height];
+            Town::new(Camera::new(1, CameraModel::Pinhole, side.into(), height as u64, parameters).unwrap())
+        };
+        let [matched, refused] = matched_and_refused(&Town { points: 60, ..Town::default() }.scene());
+        assert!(matched > 20 && refused > 20, "few points: {matched} and {refused}");
+        for side in [12, 40, 80] {
+            let [matched, refused] = matched_and_refused(&small(side).scene());
+            assert!(matched + refused > 100, "{side} pixels: {matched} and {refused}");
         }
     }
 }

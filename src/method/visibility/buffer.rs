@@ -171,13 +171,16 @@ impl Tolerance {
     }
 }
 
+/// Spans that are collected before their pixels are drawn.
+const MOST_SPANS: usize = 2048;
+
 /// The frontmost triangle in each pixel of a face.
 #[derive(Default)]
 pub struct Buffer {
     /// Inverse depth (f32) in the upper half, triangle in the lower half: the larger number is in front, and equal depths are decided by the
     /// triangle, whatever the drawing order. 0: empty.
     pixels: Vec<u64>,
-    /// Spans of the triangles that are drawn together.
+    /// Spans that are not yet in `pixels`: at most [`MOST_SPANS`] and those of a triangle.
     spans: Vec<Span>,
 }
 
@@ -195,15 +198,22 @@ impl Buffer {
         triangles: impl Iterator<Item = (u32, [&'p FacePoint; 3])>,
         covered: &mut [u32],
     ) {
-        // First all spans, then their pixels: so the length of a span is known long before it decides where a loop ends.
-        self.spans.clear();
+        // First the spans, then their pixels: the processor waits less for the length of a span if it was computed long before.
         for ((triangle, corners), covered) in triangles.zip(covered) {
-            for_each_span(face, corners, near, |span| {
+            for_each_span(face, triangle, corners, near, |span| {
                 *covered += span.pixels();
-                self.spans.push(Span { triangle, ..span });
+                self.spans.push(span);
             });
+            if self.spans.len() >= MOST_SPANS {
+                self.put_spans();
+            }
         }
+        self.put_spans();
+    }
+
+    fn put_spans(&mut self) {
         vectorised(Frontmost { spans: &self.spans, pixels: &mut self.pixels });
+        self.spans.clear();
     }
 
     /// Returns the frontmost triangle in each pixel, row by row; `nothing` for empty pixels.
@@ -216,9 +226,9 @@ impl Buffer {
     pub fn free(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> u32 {
         let [a, b, c] = corners.each_ref().map(|corner| face.project(corner));
         let mut free = 0;
-        for_each_span(face, [&a, &b, &c], near, |span| {
+        for_each_span(face, 0, [&a, &b, &c], near, |span| {
             for column in span.first..span.end {
-                let front = inverse_depth(self.pixels[span.row as usize + column as usize]);
+                let front = inverse_depth(self.pixels[span.row + column as usize]);
                 free += u32::from(!tolerance.hides(front.into(), span.inverse_depth(column).into()));
             }
         });
@@ -263,7 +273,7 @@ impl Kernel for Frontmost<'_> {
     fn run(self) {
         for span in self.spans {
             for column in span.first..span.end {
-                let pixel = &mut self.pixels[span.row as usize + column as usize];
+                let pixel = &mut self.pixels[span.row + column as usize];
                 *pixel = (*pixel).max(u64::from(span.inverse_depth(column).to_bits()) << 32 | u64::from(span.triangle));
             }
         }
@@ -274,12 +284,12 @@ fn inverse_depth(code: u64) -> f32 {
     f32::from_bits((code >> 32) as u32)
 }
 
-/// Pixels of a row whose centres a triangle covers. Pixels are 32-bit numbers with a sign here: conversions from and to others take several instructions
+/// Pixels of a row whose centres a triangle covers. Columns are 32-bit numbers with a sign: conversions from and to others take several instructions
 /// each.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     /// Index of the first pixel of the row.
-    row: u32,
+    row: usize,
     triangle: u32,
     /// First column, and the one after the last; not after the first if there is none.
     first: i32,
@@ -305,17 +315,17 @@ impl Span {
     }
 }
 
-/// Calls `visit` with the pixels of each row that a triangle, here without its number, covers.
+/// Calls `visit` with the pixels of each row that a triangle, given by its number and corners, covers.
 #[inline(always)]
-fn for_each_span(face: &Face, [a, b, c]: [&FacePoint; 3], near: f64, mut visit: impl FnMut(Span)) {
+fn for_each_span(face: &Face, triangle: u32, [a, b, c]: [&FacePoint; 3], near: f64, mut visit: impl FnMut(Span)) {
     match [a, b, c].iter().filter(|p| p.place.z > near).count() {
-        3 => fill(face, [a.screen, b.screen, c.screen], &mut visit),
+        3 => fill(face, triangle, [a.screen, b.screen, c.screen], &mut visit),
         0 => {}
         _ => {
             let (polygon, n) = clip([a.place, b.place, c.place], near);
             let screen = polygon.map(|p| face.projected(p).screen);
             for i in 2..n {
-                fill(face, [screen[0], screen[i - 1], screen[i]], &mut visit);
+                fill(face, triangle, [screen[0], screen[i - 1], screen[i]], &mut visit);
             }
         }
     }
@@ -342,10 +352,9 @@ fn clip(triangle: [Vector3<f64>; 3], near: f64) -> ([Vector3<f64>; 4], usize) {
 
 /// Rasterises a triangle whose corners are given as pixel x, y and inverse depth, row by row.
 #[inline(always)]
-fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(Span)) {
+fn fill(face: &Face, triangle: u32, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(Span)) {
     let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
     let (low_y, high_y) = (least(least(a.y, b.y), c.y), most(most(a.y, b.y), c.y));
-    // Also false for NaN.
     if !(area != 0.0 && high_y >= 0.5 && low_y < face.height as f64) {
         return;
     }
@@ -364,8 +373,8 @@ fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(Span))
             right = least(side.right + along, right);
         }
         visit(Span {
-            row: row as u32 * face.width as u32,
-            triangle: 0,
+            row: row as usize * face.width,
+            triangle,
             first: first_centre(left, face.width),
             end: end_centre(right, face.width),
             start: a.z + by_y * (y - a.y) + by_x * (0.5 - a.x),
@@ -400,13 +409,13 @@ impl Side {
     }
 }
 
-/// Returns the smaller number, `b` if `a` is none: a single instruction, which [`f64::min`] is not.
+/// Returns the smaller number, `b` if either is not a number: a single instruction, which [`f64::min`] is not.
 #[inline(always)]
 fn least<T: PartialOrd>(a: T, b: T) -> T {
     if a < b { a } else { b }
 }
 
-/// Returns the larger number, `b` if `a` is none.
+/// Returns the larger number, `b` if either is not a number.
 #[inline(always)]
 fn most<T: PartialOrd>(a: T, b: T) -> T {
     if a > b { a } else { b }

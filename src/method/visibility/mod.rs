@@ -25,6 +25,7 @@ use self::{
 };
 use crate::{
     base::{
+        bits,
         column::{self, Column, ColumnBuilder, DiskError, Storage, TableError},
         progress::{Cancelled, Stage, Watcher},
         rows::Offsets,
@@ -238,7 +239,7 @@ impl RenderedView {
         shown.for_each(|t| in_front[t as usize] += 1);
         candidates.iter_mut().for_each(|candidate| candidate.in_front = in_front[candidate.triangle as usize]);
         // Usually far fewer than pixels.
-        let drawn = drawn.iter().flat_map(|&patch| patches.of(&patches.patches[patch]).0);
+        let drawn = drawn.iter().flat_map(|&patch| patches.numbers(&patches.patches[patch]));
         drawn.for_each(|&t| in_front[t as usize] = 0);
     }
 }
@@ -338,7 +339,7 @@ impl<'a> Estimator<'a> {
                 count += 1;
             }
         }
-        let triangles = take_bits(&mut seen, count);
+        let triangles = bits::take(&mut seen, count);
         picture.seen = seen;
         triangles
     }
@@ -418,19 +419,6 @@ impl<'a> Estimator<'a> {
             }
         }
     }
-}
-
-/// Returns the places of the bits that are set, ascending, and clears them. `count`: their number, as far as it is known.
-pub(crate) fn take_bits(words: &mut [u64], count: usize) -> Vec<u32> {
-    let mut places = Vec::with_capacity(count);
-    for (i, word) in (0..).zip(words) {
-        let mut rest = std::mem::take(word);
-        while rest != 0 {
-            places.push(64 * i + rest.trailing_zeros());
-            rest &= rest - 1;
-        }
-    }
-    places
 }
 
 /// Intersects a ray from the origin with a triangle. Returns the position along `ray` as a share of its length, `None` if they don't meet.

@@ -68,9 +68,9 @@ impl Patches {
         self.triangles[rows].iter().copied().zip(corners)
     }
 
-    /// Returns the triangles of the patch: their indices in the surface, and their corners.
-    pub fn of(&self, patch: &Patch) -> (&[u32], &[[u16; 3]]) {
-        (&self.triangles[patch.triangles.clone()], &self.corners[patch.triangles.clone()])
+    /// Returns the indices of the patch's triangles in the surface.
+    pub fn numbers(&self, patch: &Patch) -> &[u32] {
+        &self.triangles[patch.triangles.clone()]
     }
 
     fn add(&mut self, surface: &Surface, chunk: &[u32]) {

@@ -61,12 +61,3 @@ fn agrees_with_rays_for_all_kinds_of_cameras() {
         assert!(precision >= 0.97 && recall >= 0.97, "{model:?}: {precision} {recall}");
     }
 }
-
-#[test]
-fn bits_are_taken_in_their_order_and_only_once() {
-    let set = [0u32, 1, 63, 64, 130, 191];
-    let mut words = vec![0u64; 3];
-    set.iter().for_each(|&place| words[place as usize / 64] |= 1 << (place % 64));
-    assert_eq!(super::take_bits(&mut words, set.len()), set);
-    assert_eq!((super::take_bits(&mut words, 0), words), (vec![], vec![0; 3]));
-}

@@ -3,11 +3,8 @@
 use nalgebra::Point3;
 
 use crate::{
-    base::column,
-    method::{
-        surface::Surface,
-        visibility::{Visibility, take_bits},
-    },
+    base::{bits, column},
+    method::{surface::Surface, visibility::Visibility},
     model::{georeference::MapFrame, scene::ViewIndex},
 };
 
@@ -24,7 +21,7 @@ fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame:
     for &t in visibility.triangles_seen_by(view) {
         surface.triangles[t as usize].iter().for_each(|&v| seen[v as usize / 64] |= 1 << (v % 64));
     }
-    let points: Vec<Point3<f64>> = take_bits(&mut seen, 0).into_iter().map(|v| surface.vertices[v as usize]).collect();
+    let points: Vec<Point3<f64>> = bits::take(&mut seen, 0).into_iter().map(|v| surface.vertices[v as usize]).collect();
     frame.hull(&points)
 }
 
