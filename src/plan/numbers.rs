@@ -39,13 +39,13 @@ pub struct PlanningNumbers {
 /// Returns a program's rule for the pairs of a key view, matched at a share of the model's size.
 pub type ReachRule = for<'a> fn(&'a Scene, &'a ViewPoints, ViewIndex, f64) -> Box<dyn ReachOfPair + 'a>;
 
-/// What a program can match of the pairs of a key view.
+/// A program's matching limits, applied to pairs with one key view.
 pub trait ReachOfPair {
     /// Returns what it can match of a pair.
     fn reach(&self, pair: &PairGeometry) -> Reach;
 
-    /// Returns whether it can match nothing of a pair. May look at a few points first, and take a pair for matched that [`Self::reach`], by all points, finds
-    /// to be refused by little.
+    /// Returns whether the program refuses the pair. One-sided: may accept, on a sample of the points, a borderline pair for which [`Self::reach`] returns
+    /// [`Reach::Nothing`].
     fn refuses(&self, pair: &PairGeometry) -> bool;
 }
 

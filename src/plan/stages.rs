@@ -363,10 +363,10 @@ fn agreement(
 ) -> Result<Agreement, PlanError> {
     let of_key_view = |key| -> ReachOfPartner {
         let Some(rule) = matcher.numbers.reach else { return Box::new(|_| Reach::Everything) };
-        let reach = rule(geometry.scene, points, key, geometry.image_scale);
+        let pairs = rule(geometry.scene, points, key, geometry.image_scale);
         Box::new(move |partner| {
             let shared = points.shared(key, partner);
-            reach.reach(&PairGeometry::new(geometry.scene, key, partner, &shared))
+            pairs.reach(&PairGeometry::new(geometry.scene, key, partner, &shared))
         })
     };
     let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_key_view: &of_key_view };

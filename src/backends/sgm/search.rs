@@ -31,9 +31,10 @@ const RANGE_PIXELS: f64 = 5.0;
 const MIN_OVERLAP: f64 = 0.03;
 /// Places of the longer side, and disparities of the search range, at which the matcher looks for what both show.
 const OVERLAP_GRID: (f64, u32) = (64.0, 5);
-/// Points of each view that are looked at before all of them, and those that both must show.
-const FEW: usize = 96;
-const ENOUGH: usize = 32;
+/// Size of the sample of points that decides clear cases.
+const SAMPLE: usize = 96;
+/// Least number of sampled points in both images for a clear case.
+const MIN_SAMPLED: usize = 32;
 /// An epipole farther away than this times its height is put there.
 const FAR: f64 = 1e6;
 /// Disparities are searched in groups.
@@ -48,8 +49,8 @@ pub fn reach<'a>(
     image_scale: f64,
 ) -> Box<dyn ReachOfPair + 'a> {
     let (view, observed) = (Reduced::new(scene, key, image_scale), points.observed_by(key));
-    let few = SeenPoints::new(&view, scene, few_of(observed));
-    Box::new(KeyView { scene, points, image_scale, key: view, observed, few, all: OnceCell::new() })
+    let sample = SeenPoints::new(&view, scene, sampled(observed));
+    Box::new(KeyView { scene, points, image_scale, key: view, observed, sample, all: OnceCell::new() })
 }
 
 /// A key view with the points that it observes.
@@ -59,8 +60,8 @@ struct KeyView<'a> {
     image_scale: f64,
     key: Reduced,
     observed: &'a [PointIndex],
-    few: SeenPoints,
-    /// Not needed where a few decide about every pair.
+    sample: SeenPoints,
+    /// Computed for the first pair that the sample does not decide.
     all: OnceCell<SeenPoints>,
 }
 
@@ -93,28 +94,28 @@ impl KeyView<'_> {
         parallax.overlaps(&self.key, &partner, &searched, MIN_OVERLAP).then_some((parallax, searched))
     }
 
-    /// Returns whether a few points show that the pair is hardly refused: they need at most half of what can be searched, and the pictures overlap twice as
-    /// much as they must. Where 70 % of all points were not in one window, so few would be in half of it by a chance of one in 100,000.
+    /// Returns whether a sample of the points shows that the pair is accepted with room to spare: half the search range suffices, and the images overlap by
+    /// twice the minimum. If less than 70 % of all points fit in the window, 32 random ones do with a probability of 0.7^32, 1 in 100,000.
     fn clearly_matches(&self, pair: &PairGeometry) -> bool {
         let partner = Reduced::new(self.scene, pair.partner, self.image_scale);
         let position = |point: &PointIndex| self.scene.points[point.index()];
-        let Some(parallax) = Parallax::new(&self.key, &partner, few_of(pair.shared).map(position)) else {
+        let Some(parallax) = Parallax::new(&self.key, &partner, sampled(pair.shared).map(position)) else {
             return false;
         };
-        let few = few_of(self.points.observed_by(pair.partner));
-        let others: Vec<_> = few.filter(|point| pair.shared.binary_search(point).is_err()).map(position).collect();
-        let disparities = parallax.disparities(&self.key, &partner, &self.few, others.into_iter());
+        let observed = sampled(self.points.observed_by(pair.partner));
+        let others: Vec<_> = observed.filter(|point| pair.shared.binary_search(point).is_err()).map(position).collect();
+        let disparities = parallax.disparities(&self.key, &partner, &self.sample, others.into_iter());
         let (low, high) = disparities.iter().fold((f64::MAX, f64::MIN), |(low, high), &d| (low.min(d), high.max(d)));
         let needed = with_margin(low, high);
-        disparities.len() >= ENOUGH
+        disparities.len() >= MIN_SAMPLED
             && needed.end - needed.start <= 0.5 * most_disparities(&self.key)
             && parallax.overlaps(&self.key, &partner, &needed, 2.0 * MIN_OVERLAP)
     }
 }
 
-/// Returns [`FEW`] of the points, or all if there are not more; evenly from the whole list.
-fn few_of(points: &[PointIndex]) -> impl Iterator<Item = &PointIndex> {
-    let count = points.len().min(FEW);
+/// Returns [`SAMPLE`] points at even steps through the list, or all of a shorter list.
+fn sampled(points: &[PointIndex]) -> impl Iterator<Item = &PointIndex> {
+    let count = points.len().min(SAMPLE);
     (0..count).map(move |i| &points[i * points.len() / count])
 }
 

@@ -171,7 +171,7 @@ impl Tolerance {
     }
 }
 
-/// Spans that are collected before their pixels are drawn.
+/// Spans collected per pass.
 const MOST_SPANS: usize = 2048;
 
 /// The frontmost triangle in each pixel of a face.
@@ -198,7 +198,7 @@ impl Buffer {
         triangles: impl Iterator<Item = (u32, [&'p FacePoint; 3])>,
         covered: &mut [u32],
     ) {
-        // First the spans, then their pixels: the processor waits less for the length of a span if it was computed long before.
+        // In two passes: a span's length is then ready before the inner loop branches on it, and mispredictions cost little.
         for ((triangle, corners), covered) in triangles.zip(covered) {
             for_each_span(face, triangle, corners, near, |span| {
                 *covered += span.pixels();
@@ -291,7 +291,7 @@ struct Span {
     /// Index of the first pixel of the row.
     row: usize,
     triangle: u32,
-    /// First column, and the one after the last; not after the first if there is none.
+    /// First covered column, and one past the last; `end <= first` if the row is empty.
     first: i32,
     end: i32,
     /// Inverse depth of the triangle's plane at column 0, and its change per column.

@@ -239,7 +239,7 @@ impl RenderedView {
         shown.for_each(|t| in_front[t as usize] += 1);
         candidates.iter_mut().for_each(|candidate| candidate.in_front = in_front[candidate.triangle as usize]);
         // Usually far fewer than pixels.
-        let drawn = drawn.iter().flat_map(|&patch| patches.numbers(&patches.patches[patch]));
+        let drawn = drawn.iter().flat_map(|&patch| patches.triangle_indices(&patches.patches[patch]));
         drawn.for_each(|&t| in_front[t as usize] = 0);
     }
 }

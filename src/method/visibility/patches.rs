@@ -69,7 +69,7 @@ impl Patches {
     }
 
     /// Returns the indices of the patch's triangles in the surface.
-    pub fn numbers(&self, patch: &Patch) -> &[u32] {
+    pub fn triangle_indices(&self, patch: &Patch) -> &[u32] {
         &self.triangles[patch.triangles.clone()]
     }
 

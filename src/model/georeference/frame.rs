@@ -18,9 +18,10 @@ const UPRIGHT: f64 = 0.9;
 
 /// Directions in which the extreme point of a hull is taken; also the largest number of its corners.
 const HULL_DIRECTIONS: u32 = 32;
-/// Directions of the polygon within which no corner is looked for, and the points that it is made from: one of so many.
+/// Directions of the inner polygon, which excludes most points before the hull is computed.
 const FEW_DIRECTIONS: u32 = 8;
-const ONE_OF: usize = 8;
+/// Step through the points from which the inner polygon is made.
+const SAMPLE_STEP: usize = 8;
 /// Twice the area between a point and a side of that polygon, over the square of its largest coordinate, that counts as inside.
 const INSIDE: f64 = 1e-9;
 /// Points that are compared with the sides at once.
@@ -141,9 +142,9 @@ impl MapFrame {
     /// closed.
     pub fn hull(&self, points: &[Point3<f64>]) -> Vec<Point3<f64>> {
         let flat: Vec<[f64; 2]> = points.iter().map(|point| self.local(point)).map(|[x, y, _]| [x, y]).collect();
-        // Most points are well inside a polygon of a few.
-        let some: Vec<usize> = (0..flat.len()).step_by(ONE_OF).collect();
-        let few = extremes(&flat, &some, FEW_DIRECTIONS);
+        // Most points are well inside the polygon of a sample.
+        let sample: Vec<usize> = (0..flat.len()).step_by(SAMPLE_STEP).collect();
+        let few = extremes(&flat, &sample, FEW_DIRECTIONS);
         let outer = vectorised(Outer { flat: &flat, sides: &sides(&flat, &few) });
         extremes(&flat, &outer, HULL_DIRECTIONS).into_iter().map(|v| points[v]).collect()
     }
