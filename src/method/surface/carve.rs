@@ -182,22 +182,24 @@ struct Ballot {
 impl Ballot {
     /// Casts all rays of one vertex.
     fn cast_rays(&self, delaunay: &Delaunay, rays: &Rays, vertex: u32) {
-        let at = delaunay.position(vertex);
+        let (at, start) = (delaunay.position(vertex), delaunay.cell_of(vertex));
+        // Rays to cameras are similar, and so are those away from them.
+        let (mut ray, mut behind) = (delaunay.ray(vertex), delaunay.ray(vertex));
         for centre in rays.centres(vertex) {
             let towards = centre - at;
             let length = towards.norm();
             if length == 0.0 {
                 continue;
             }
-            let mut ray = delaunay.ray(vertex, centre);
+            ray.aim(centre, start);
             for crossing in ray.by_ref() {
                 let beyond = delaunay.neighbour(crossing.facet);
                 cast(&self.votes[beyond.cell() as usize].facets[beyond.index()], self.vote(crossing.t * length));
             }
             cast(&self.votes[ray.cell() as usize].source, self.full as u32);
-            ray.aim(&(at - towards * (self.behind_sigma * self.sigma / length)));
-            ray.by_ref().for_each(drop);
-            cast(&self.votes[ray.cell() as usize].sink, self.full as u32);
+            behind.aim(&(at - towards * (self.behind_sigma * self.sigma / length)), ray.first());
+            behind.by_ref().for_each(drop);
+            cast(&self.votes[behind.cell() as usize].sink, self.full as u32);
         }
     }
 

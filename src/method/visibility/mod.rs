@@ -244,6 +244,27 @@ impl RenderedView {
     }
 }
 
+fn is_share(min_share: f64, free: u32, samples: u32) -> bool {
+    f64::from(free) >= min_share * f64::from(samples)
+}
+
+/// Returns whether at least this share (0 to 1) of the points that are sampled is free. `points`: whether each is free, `None` for one that is not sampled.
+/// Stops at the first after which the others cannot change it.
+fn is_share_free(min_share: f64, points: impl ExactSizeIterator<Item = Option<bool>>) -> bool {
+    let (mut samples, mut free) = (0, 0);
+    for (left, point) in (0..points.len() as u32).rev().zip(points) {
+        samples += u32::from(point.is_some());
+        free += u32::from(point == Some(true));
+        if samples > 0 && is_share(min_share, free, samples + left) {
+            return true;
+        }
+        if !is_share(min_share, free + left, samples + left) {
+            return false;
+        }
+    }
+    false
+}
+
 /// A triangle that faces the camera and whose centroid is in the image.
 struct Candidate {
     triangle: u32,
@@ -329,12 +350,11 @@ impl<'a> Estimator<'a> {
         seen.resize(self.surface.triangles.len().div_ceil(64), 0);
         let mut count = 0;
         for candidate in &picture.candidates {
-            let (samples, free) = if candidate.covered < FEW_PIXELS {
-                self.free_points(view, picture, candidate)
-            } else {
-                (candidate.covered, self.free_pixels(view, picture, candidate))
+            let is_free = match candidate.covered {
+                ..FEW_PIXELS => self.is_free_at_points(view, picture, candidate),
+                covered => self.are_enough(self.free_pixels(view, picture, candidate), covered),
             };
-            if samples > 0 && self.are_enough(free, samples) {
+            if is_free {
                 seen[candidate.triangle as usize / 64] |= 1 << (candidate.triangle % 64);
                 count += 1;
             }
@@ -345,10 +365,10 @@ impl<'a> Estimator<'a> {
     }
 
     fn are_enough(&self, free: u32, samples: u32) -> bool {
-        f64::from(free) >= self.min_free_share * f64::from(samples)
+        is_share(self.min_free_share, free, samples)
     }
 
-    /// Returns whether enough of the candidate's pixels are free. Counts exactly only if needed: most triangles are frontmost in most of their
+    /// Returns the number of the candidate's pixels that are free. Counts exactly only if needed: most triangles are frontmost in enough of their
     /// pixels and need no second pass.
     fn free_pixels(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> u32 {
         if self.are_enough(candidate.in_front, candidate.covered) {
@@ -358,20 +378,16 @@ impl<'a> Estimator<'a> {
         faces.map(|(face, buffer)| buffer.free(face, &candidate.corners, self.near, self.tolerance)).sum()
     }
 
-    /// Samples the centroid and the corners, as far as they are in the field.
-    fn free_points(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> (u32, u32) {
+    /// Returns whether enough of the centroid and the corners are free, among those in the field.
+    fn is_free_at_points(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> bool {
         let [a, b, c] = candidate.corners;
         let centroid = Point3::from((a.coords + b.coords + c.coords) / 3.0);
-        let (mut samples, mut free) = (0, 0);
-        for point in [centroid, a, b, c] {
+        let is_free = |point: Point3<f64>| {
             let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
-            let around = faces.find_map(|(face, buffer)| buffer.around(face, &point, self.near));
-            if let Some((pixels, own)) = around {
-                samples += 1;
-                free += u32::from(!self.ray_is_blocked(view, &point, candidate.triangle, &pixels, own));
-            }
-        }
-        (samples, free)
+            let (pixels, own) = faces.find_map(|(face, buffer)| buffer.around(face, &point, self.near))?;
+            Some(!self.ray_is_blocked(view, &point, candidate.triangle, &pixels, own))
+        };
+        is_share_free(self.min_free_share, [centroid, a, b, c].into_iter().map(is_free))
     }
 
     /// Returns whether a triangle in the pixels around a point is in front of it by more than the tolerance.

@@ -61,3 +61,17 @@ fn agrees_with_rays_for_all_kinds_of_cameras() {
         assert!(precision >= 0.97 && recall >= 0.97, "{model:?}: {precision} {recall}");
     }
 }
+
+/// All cases of four points.
+#[test]
+fn a_share_is_free_whatever_is_not_looked_at() {
+    for share in [0.0, 0.25, 1.0 / 3.0, 0.5, 0.75, 0.9, 1.0] {
+        for case in 0..81u32 {
+            let points = [1, 3, 9, 27].map(|digit| [None, Some(false), Some(true)][(case / digit % 3) as usize]);
+            let samples = points.iter().flatten().count() as u32;
+            let free = points.iter().filter(|&&point| point == Some(true)).count() as u32;
+            let expected = samples > 0 && f64::from(free) >= share * f64::from(samples);
+            assert_eq!(is_share_free(share, points.into_iter()), expected, "{share} of {points:?}");
+        }
+    }
+}

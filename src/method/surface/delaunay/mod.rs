@@ -129,6 +129,11 @@ impl Delaunay {
         self.grid.position(&self.sites[vertex as usize])
     }
 
+    /// Returns a finite cell at the vertex.
+    pub fn cell_of(&self, vertex: u32) -> u32 {
+        self.cell_of_vertex[vertex as usize]
+    }
+
     /// Returns the step of the grid, scene units.
     pub fn step(&self) -> f64 {
         self.grid.step

@@ -68,32 +68,36 @@ struct Exit {
 }
 
 impl Delaunay {
-    /// Starts a ray from a vertex towards any world point.
+    /// Returns a ray from a vertex that has ended, until it is aimed.
     ///
     /// # Panics
     /// Below three dimensions, and if the vertex does not exist.
-    pub fn ray(&self, vertex: u32, target: &Point3<f64>) -> Ray<'_> {
-        let cell = self.cell_of_vertex[vertex as usize];
+    pub fn ray(&self, vertex: u32) -> Ray<'_> {
+        let cell = self.cell_of(vertex);
         let direction = Direction { exact: [0; 3], rounded: [0.0; 3], error: 0.0, scale: 0.0 };
-        let exit = Exit::default();
-        let origin = self.sites[vertex as usize];
-        let mut ray = Ray { delaunay: self, vertex, origin, first: cell, cell, direction, ended: true, t: 0.0, exit };
-        ray.aim(target);
-        ray
+        let (origin, exit) = (self.sites[vertex as usize], Exit::default());
+        Ray { delaunay: self, vertex, origin, first: cell, cell, direction, ended: true, t: 0.0, exit }
     }
 }
 
 impl Ray<'_> {
-    /// Restarts from the same vertex towards another target; faster than a new ray if the directions are similar.
-    pub fn aim(&mut self, target: &Point3<f64>) {
+    /// Starts again from the vertex towards any world point; faster if its direction is similar to that of the last one. `start`: a cell at the vertex. What
+    /// the ray was aimed at before has no influence on its cells: where it leaves the hull at once, the infinite cell that it ends in is the one that
+    /// a turn from `start` leads to.
+    pub fn aim(&mut self, target: &Point3<f64>, start: u32) {
         let (direction, stretch) = self.delaunay.grid.vector(&self.origin, target);
         self.direction = Direction::new(direction, stretch);
         self.t = 0.0;
-        self.ended = direction == [0; 3];
-        self.cell = self.first;
-        if !self.ended {
-            self.turn();
+        self.ended = direction == [0; 3] || !self.turn();
+        if self.ended {
+            (self.first, self.cell) = (start, start);
+            self.ended = direction == [0; 3] || !self.turn();
         }
+    }
+
+    /// Returns the cell at the vertex that the ray goes through first; if it leaves the hull at once, the last finite one of its turn.
+    pub fn first(&self) -> u32 {
+        self.first
     }
 
     /// Returns the current cell: incident to the vertex before the first step; it contains the target or is infinite after the last.
@@ -101,9 +105,9 @@ impl Ray<'_> {
         self.cell
     }
 
-    /// Turns about the vertex to the cell that the ray starts in. The link of a vertex is a regular triangulation, so that crossing any facet with the ray
-    /// behind it leads there.
-    fn turn(&mut self) {
+    /// Turns about the vertex to the cell that the ray starts in; false if that is an infinite cell. The link of a vertex is a regular triangulation, so
+    /// that crossing any facet with the ray behind it leads there.
+    fn turn(&mut self) -> bool {
         loop {
             let vertices = self.delaunay.cells[self.first as usize].vertices;
             let index = index_of(&vertices, self.vertex);
@@ -112,14 +116,13 @@ impl Ray<'_> {
             let Some(beyond) = sides.iter().position(|&side| side < 0.0) else {
                 self.cell = self.first;
                 self.exit = Exit { index, corners, sides };
-                return;
+                return true;
             };
             let towards = index_of(&vertices, corners[beyond].vertex);
             let next = self.delaunay.neighbour(Facet::new(self.first, towards)).cell();
             if self.delaunay.is_infinite(next) {
                 self.cell = next;
-                self.ended = true;
-                return;
+                return false;
             }
             self.first = next;
         }

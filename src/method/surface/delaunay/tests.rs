@@ -268,14 +268,21 @@ fn rays_reach_their_targets() {
     targets.extend(cloud.iter().step_by(7).copied());
     targets.push(Point3::new(1e12, -1e12, 3e12));
     for vertex in (0..delaunay.vertex_count() as u32).step_by(5) {
-        let mut again = delaunay.ray(vertex, &targets[0]);
+        let mut again = delaunay.ray(vertex);
         for target in &targets {
-            let mut ray = delaunay.ray(vertex, target);
+            let mut ray = ray_to(&delaunay, vertex, target);
             let crossings = check_ray(&delaunay, vertex, target, &mut ray);
-            again.aim(target);
+            again.aim(target, delaunay.cell_of(vertex));
             assert_eq!(crossings, again.by_ref().collect::<Vec<_>>());
+            assert_eq!((ray.cell(), ray.first()), (again.cell(), again.first()));
         }
     }
+}
+
+fn ray_to<'a>(delaunay: &'a Delaunay, vertex: u32, target: &Point3<f64>) -> Ray<'a> {
+    let mut ray = delaunay.ray(vertex);
+    ray.aim(target, delaunay.cell_of(vertex));
+    ray
 }
 
 fn check_ray(delaunay: &Delaunay, vertex: u32, target: &Point3<f64>, ray: &mut Ray) -> Vec<Crossing> {
@@ -313,7 +320,7 @@ fn distance_outside(delaunay: &Delaunay, cell: u32, p: &Point3<f64>) -> f64 {
 fn rays_meet_the_cells_that_clipping_finds() {
     let delaunay = triangulated(&whole_points(150, 1 << 20, 11));
     for (vertex, target) in (0..150).step_by(10).zip(whole_points(15, 1 << 20, 12)) {
-        let mut ray = delaunay.ray(vertex, &target);
+        let mut ray = ray_to(&delaunay, vertex, &target);
         let mut met = BTreeSet::from([ray.cell()]);
         met.extend(ray.by_ref().map(|crossing| delaunay.neighbour(crossing.facet).cell()));
         let clipped = (0..delaunay.cells.len() as u32)
@@ -358,11 +365,11 @@ fn degenerate_rays_go_on() {
         [60., 60., 60.],
     ] {
         let target = Point3::from(target);
-        let mut ray = delaunay.ray(vertex_at(0, 0, 0), &target);
+        let mut ray = ray_to(&delaunay, vertex_at(0, 0, 0), &target);
         check_ray(&delaunay, vertex_at(0, 0, 0), &target, &mut ray);
     }
     let here = vertex_at(3, 3, 3);
-    let mut ray = delaunay.ray(here, &delaunay.position(here));
+    let mut ray = ray_to(&delaunay, here, &delaunay.position(here));
     assert_eq!((ray.next(), delaunay.is_infinite(ray.cell())), (None, false));
 }
 
