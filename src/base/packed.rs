@@ -88,9 +88,15 @@ pub fn push_gaps(ascending: &[u32], bytes: &mut Vec<u8>) {
     }
 }
 
-/// Reads all numbers of [`push_gaps`]; `None` if one is not below `end` or the bytes are cut off.
-pub fn read_gaps(bytes: &[u8], end: u32) -> Option<Vec<u32>> {
-    let (mut numbers, mut next) = (Vec::with_capacity(bytes.len()), 0u64);
+/// Returns how many numbers [`push_gaps`] wrote.
+pub fn count_gaps(bytes: &[u8]) -> usize {
+    bytes.iter().filter(|&&byte| byte < 0x80).count()
+}
+
+/// Reads all numbers of [`push_gaps`]; `None` if one is not below `end`, the bytes are cut off, or `numbers` does not have the length that
+/// [`count_gaps`] returns.
+pub fn read_gaps(bytes: &[u8], end: u32, numbers: &mut [u32]) -> Option<()> {
+    let (mut numbers, mut next) = (numbers.iter_mut(), 0u64);
     let (mut gap, mut shift) = (0u64, 0);
     for &byte in bytes {
         gap |= u64::from(byte & 0x7f) << shift;
@@ -105,10 +111,10 @@ pub fn read_gaps(bytes: &[u8], end: u32) -> Option<Vec<u32>> {
         if number >= u64::from(end) {
             return None;
         }
-        numbers.push(number as u32);
+        *numbers.next()? = number as u32;
         (next, gap, shift) = (number + 1, 0, 0);
     }
-    (shift == 0).then_some(numbers)
+    (shift == 0 && numbers.next().is_none()).then_some(())
 }
 
 #[cfg(test)]
@@ -119,6 +125,11 @@ mod tests {
 
     use super::*;
 
+    fn all_gaps(bytes: &[u8], end: u32) -> Option<Vec<u32>> {
+        let mut numbers = vec![0; count_gaps(bytes)];
+        read_gaps(bytes, end, &mut numbers).map(|()| numbers)
+    }
+
     proptest! {
         #[test]
         fn gaps_are_read_as_written(numbers in proptest::collection::btree_set(any::<u32>(), 0..200), near in 0u32..300) {
@@ -126,13 +137,15 @@ mod tests {
             let numbers = Vec::from_iter(numbers);
             let mut bytes = Vec::new();
             push_gaps(&numbers, &mut bytes);
-            prop_assert_eq!(read_gaps(&bytes, u32::MAX), Some(numbers.clone()));
-            prop_assert_eq!(read_gaps(&bytes, numbers[numbers.len() - 1]), None);
+            prop_assert_eq!(all_gaps(&bytes, u32::MAX), Some(numbers.clone()));
+            prop_assert_eq!(all_gaps(&bytes, numbers[numbers.len() - 1]), None);
+            prop_assert_eq!(read_gaps(&bytes, u32::MAX, &mut vec![0; numbers.len() + 1]), None);
+            prop_assert_eq!(read_gaps(&bytes, u32::MAX, &mut vec![0; numbers.len() - 1]), None);
         }
 
         #[test]
         fn no_bytes_are_read_as_numbers_beyond_the_end(bytes in proptest::collection::vec(any::<u8>(), 0..40), end in 0u32..1000) {
-            let numbers = read_gaps(&bytes, end).unwrap_or_default();
+            let numbers = all_gaps(&bytes, end).unwrap_or_default();
             prop_assert!(numbers.is_sorted() && numbers.iter().all(|&number| number < end));
         }
 

@@ -41,6 +41,17 @@ impl Offsets {
         self.0[self.0.len() - 1]
     }
 
+    /// Splits a flat array of the table into its rows, for threads that fill them; panics if its length is not [`Self::entries`].
+    pub fn split_mut<'a, T>(&self, mut entries: &'a mut [T]) -> Vec<&'a mut [T]> {
+        assert_eq!(entries.len(), self.entries());
+        let split = |row| {
+            let (own, rest) = std::mem::take(&mut entries).split_at_mut(self.row(row).len());
+            entries = rest;
+            own
+        };
+        (0..self.rows()).map(split).collect()
+    }
+
     /// The rows + 1 offsets, as files store them.
     pub fn as_slice(&self) -> &[usize] {
         &self.0
@@ -57,6 +68,7 @@ mod tests {
         offsets.push(3);
         assert_eq!((0..offsets.rows()).map(|row| offsets.row(row)).collect::<Vec<_>>(), [0..2, 2..2, 2..5]);
         assert_eq!((offsets.entries(), offsets.as_slice()), (5, &[0, 2, 2, 5][..]));
+        assert_eq!(offsets.split_mut(&mut [4, 5, 6, 7, 8]), [&[4, 5][..], &[], &[6, 7, 8]]);
     }
 
     #[test]

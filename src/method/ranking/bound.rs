@@ -56,28 +56,37 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     bound
 }
 
-/// Sums what a map's f are above the prices, times the weights.
+/// A triangle: its weight, and its prices (see [`Dual`]); side by side in memory, because the triangles of a map are scattered.
+#[derive(Clone, Copy, Debug)]
+struct Priced {
+    weight: f64,
+    prices: [f32; 2],
+}
+
+/// Sums what a map's f are above each of the two prices, times the weights.
 struct Surplus<'a> {
     triangles: &'a [u32],
     values: &'a [f32],
-    prices: &'a [f32],
-    weights: &'a [f64],
+    priced: &'a [Priced],
 }
 
 impl Kernel for Surplus<'_> {
-    type Output = f64;
+    type Output = [f64; 2];
 
     #[inline(always)]
-    fn run(self) -> f64 {
+    fn run(self) -> [f64; 2] {
         // Independent sums, which need not wait for each other.
-        let mut sums = [0.0; LANES];
+        let mut sums = [[0.0; 2]; LANES];
         for (triangles, values) in self.triangles.chunks(LANES).zip(self.values.chunks(LANES)) {
-            for ((sum, &t), &f) in sums.iter_mut().zip(triangles).zip(values) {
+            for ((sums, &t), &f) in sums.iter_mut().zip(triangles).zip(values) {
+                let Priced { weight, prices } = self.priced[t as usize];
                 // In f64, where the difference is exact; rounded down in f32, it would no longer be a bound.
-                *sum += self.weights[t as usize] * (f64::from(f) - f64::from(self.prices[t as usize])).max(0.0);
+                sums.iter_mut().zip(prices).for_each(|(sum, price)| {
+                    *sum += weight * (f64::from(f) - f64::from(price)).max(0.0);
+                });
             }
         }
-        sums.iter().sum()
+        [0, 1].map(|price| sums.iter().map(|sums| sums[price]).sum())
     }
 }
 
@@ -97,68 +106,62 @@ fn within(limit: f64, maps: &[u32], work: impl Fn(u32) -> f64) -> (usize, f64) {
 /// Prices at each triangle: one for each of its m largest f, and one for the m-th.
 ///
 /// For every p, the m largest f add up to at most m p + s, and the m-th is at most p + s / m, where s is the sum of max(f - p, 0) over all f.
-struct Dual<'a> {
-    objective: &'a Objective,
-    prices: [Vec<f32>; 2],
-    /// Weight in f_o of a unit of f above each of the two prices.
+struct Dual {
+    priced: Vec<Priced>,
+    support: u32,
+    /// Weight in f_o of a unit of f above each of the two prices; 0 for the second if m is 1.
     shares: [f64; 2],
 }
 
-impl<'a> Dual<'a> {
-    fn new(objective: &'a Objective, start: Vec<f32>) -> Self {
+impl Dual {
+    fn new(objective: &Objective, start: Vec<f32>) -> Self {
         let (m, e) = (f64::from(objective.support), SINGLE_MAP_CREDIT);
         let each = e / (m - 1.0);
-        match objective.support {
-            1 => Self { objective, prices: [start, Vec::new()], shares: [1.0, 0.0] },
-            _ => Self {
-                objective,
-                prices: [start.clone(), start],
-                shares: [each / (1.0 + e), (1.0 - each) / (m * (1.0 + e))],
-            },
-        }
-    }
-
-    fn in_force(&self) -> impl Iterator<Item = (&Vec<f32>, f64)> {
-        self.prices.iter().zip(self.shares).filter(|(_, share)| *share > 0.0)
+        let shares = match objective.support {
+            1 => [1.0, 0.0],
+            _ => [each / (1.0 + e), (1.0 - each) / (m * (1.0 + e))],
+        };
+        let priced = |(&weight, price)| Priced { weight, prices: [price; 2] };
+        Self { priced: objective.weights.iter().zip(start).map(priced).collect(), support: objective.support, shares }
     }
 
     /// Returns the price that m clusters pay at all triangles together.
     fn paid(&self) -> f64 {
-        let m = f64::from(self.objective.support);
-        let of = |(prices, share): (&Vec<f32>, f64)| {
-            let paid: f64 = prices.iter().zip(&self.objective.weights).map(|(&price, w)| w * f64::from(price)).sum();
-            m * share * paid
+        let of = |price: usize| {
+            let paid: f64 = self.priced.iter().map(|at| at.weight * f64::from(at.prices[price])).sum();
+            f64::from(self.support) * self.shares[price] * paid
         };
-        self.in_force().map(of).sum()
+        of(0) + of(1)
     }
 
     /// Returns the surplus of a map over the prices.
     fn gain(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
-        let weights = &self.objective.weights;
-        self.in_force().map(|(prices, share)| share * vectorised(Surplus { triangles, values, prices, weights })).sum()
+        let [first, second] = vectorised(Surplus { triangles, values, priced: &self.priced });
+        self.shares[0] * first + self.shares[1] * second
     }
 
     /// Moves the prices against the subgradient of the bound; per unit of weight it is m minus the number of `best` clusters above the price. `gap`:
     /// target for the decrease of the bound.
     fn improve<'t>(&mut self, best: impl Iterator<Item = (&'t [u32], &'t [f32])>, gap: f64) {
-        let weights = &self.objective.weights;
-        let mut slopes = self.prices.each_ref().map(|prices| vec![self.objective.support as i32; prices.len()]);
+        let mut slopes = vec![[self.support as i32; 2]; self.priced.len()];
         for (triangles, values) in best {
-            for (slopes, prices) in slopes.iter_mut().zip(&self.prices).filter(|(_, prices)| !prices.is_empty()) {
-                for (&t, &f) in triangles.iter().zip(values) {
-                    slopes[t as usize] -= i32::from(f > prices[t as usize]);
-                }
+            for (&t, &f) in triangles.iter().zip(values) {
+                let (slopes, prices) = (&mut slopes[t as usize], self.priced[t as usize].prices);
+                slopes.iter_mut().zip(prices).for_each(|(slope, price)| *slope -= i32::from(f > price));
             }
         }
-        let square = |(slopes, share): (&Vec<i32>, f64)| -> f64 {
-            slopes.iter().zip(weights).map(|(&slope, w)| w * (share * f64::from(slope)).powi(2)).sum()
+        let square = |price: usize| -> f64 {
+            let one = |(at, slopes): (&Priced, &[i32; 2])| {
+                at.weight * (self.shares[price] * f64::from(slopes[price])).powi(2)
+            };
+            self.priced.iter().zip(&slopes).map(one).sum()
         };
-        let squares: f64 = slopes.iter().zip(self.shares).map(square).sum();
+        let squares = square(0) + square(1);
         if !(squares > 0.0 && gap > 0.0) {
             return;
         }
-        for ((prices, slopes), share) in self.prices.iter_mut().zip(&slopes).zip(self.shares) {
-            for (price, &slope) in prices.iter_mut().zip(slopes) {
+        for (at, slopes) in self.priced.iter_mut().zip(&slopes) {
+            for ((price, &slope), share) in at.prices.iter_mut().zip(slopes).zip(self.shares) {
                 let down = gap / squares * share * f64::from(slope);
                 *price = (f64::from(*price) - down).clamp(0.0, 1.0) as f32;
             }

@@ -1,9 +1,12 @@
 //! The view clusters and their fulfilment.
 
+use rayon::prelude::*;
+
 use crate::{
     base::{
         column::Storage,
         packed::{Packed, Packer, Unpacker},
+        rows::Offsets,
     },
     method::{fulfilment::FulfilmentTable, visibility::Visibility},
     model::{cluster::ViewCluster, scene::ViewIndex},
@@ -80,15 +83,53 @@ pub fn unpack(bytes: &[u8], visibility: &Visibility, has_half: bool) -> Option<K
 
 fn unpack_table(lists: &mut Unpacker, clusters: &[ViewCluster], visibility: &Visibility) -> Option<FulfilmentTable> {
     let (mut bits, values) = (lists.bytes()?, lists.list::<f32>()?);
-    let (mut offsets, mut triangles) = (vec![0], Vec::with_capacity(values.len()));
+    let mut rows = Vec::with_capacity(clusters.len());
     for cluster in clusters {
         let seen = visibility.triangles_seen_by(cluster.key);
         let (own, rest) = bits.split_at_checked(seen.len().div_ceil(8))?;
-        let fulfilled = seen.iter().enumerate().filter(|(place, _)| own[place / 8] >> (place % 8) & 1 == 1);
-        triangles.extend(fulfilled.map(|(_, triangle)| *triangle));
-        offsets.push(triangles.len());
+        rows.push((seen, own));
         bits = rest;
     }
-    let fits = bits.is_empty() && triangles.len() == values.len() && values.iter().all(|&f| f > 0.0 && f <= 1.0);
-    fits.then(|| FulfilmentTable { offsets, triangles: triangles.into(), values: values.into() })
+    let lengths = rows.par_iter().map(|(_, bits)| bits.iter().map(|byte| byte.count_ones() as usize).sum());
+    let offsets = Offsets::from_lengths(lengths.collect::<Vec<usize>>());
+    let are_values = values.par_iter().all(|&f| f > 0.0 && f <= 1.0);
+    if !bits.is_empty() || offsets.entries() != values.len() || !are_values {
+        return None;
+    }
+    let mut triangles = vec![0; values.len()];
+    let fill = |((seen, bits), into): ((&[u32], &[u8]), &mut [u32])| {
+        let fulfilled = seen.iter().enumerate().filter(|(place, _)| bits[place / 8] >> (place % 8) & 1 == 1);
+        let filled = into.iter_mut().zip(fulfilled).map(|(into, (_, triangle))| *into = *triangle).count();
+        (filled == into.len()).then_some(())
+    };
+    rows.into_par_iter().zip(offsets.split_mut(&mut triangles)).map(fill).collect::<Option<()>>()?;
+    Some(FulfilmentTable { offsets: offsets.as_slice().to_vec(), triangles: triangles.into(), values: values.into() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A key view that sees two triangles, of which `bits` are fulfilled, with `values`.
+    fn unpacked(bits: u8, values: &[f32]) -> Option<FulfilmentTable> {
+        let (offsets, triangles) = (Offsets::from_lengths([2]), vec![3, 5].into());
+        let visibility = Visibility { offsets, triangles, contradictions: 0 };
+        let clusters = [ViewCluster { key: ViewIndex(0), partners: Vec::new() }];
+        let mut packer = Packer::default();
+        packer.list(&[bits]);
+        packer.list(values);
+        let bytes: Vec<u8> = packer.finish().iter().flat_map(|part| part.as_bytes().to_vec()).collect();
+        unpack_table(&mut Unpacker::new(&bytes), &clusters, &visibility)
+    }
+
+    #[test]
+    fn bits_are_those_of_the_triangles_with_values() {
+        let table = unpacked(0b10, &[0.5]).unwrap();
+        assert_eq!(table.row(0), (&[5][..], &[0.5][..]));
+        let wrong: [(u8, &[f32]); 5] =
+            [(0b11, &[0.5]), (0b01, &[0.5, 0.5]), (0b110, &[0.5, 0.5]), (0b100, &[0.5]), (0b01, &[1.5])];
+        for (bits, values) in wrong {
+            assert!(unpacked(bits, values).is_none(), "{bits:b} {values:?}");
+        }
+    }
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     base::{
         column::{Column, Storage},
-        packed::{Packed, Packer, Unpacker, push_gaps, read_gaps},
+        packed::{Packed, Packer, Unpacker, count_gaps, push_gaps, read_gaps},
         rows::Offsets,
     },
     method::{
@@ -91,9 +91,9 @@ fn rows(lengths: &[u32], mut gaps: &[u8], triangles: u32) -> Option<(Offsets, Co
     if !gaps.is_empty() {
         return None;
     }
-    let rows: Vec<Vec<u32>> = packed.into_par_iter().map(|row| read_gaps(row, triangles)).collect::<Option<_>>()?;
-    let offsets = Offsets::from_lengths(rows.iter().map(Vec::len));
-    let mut all = Vec::with_capacity(offsets.entries());
-    rows.into_iter().for_each(|row| all.extend(row));
+    let offsets = Offsets::from_lengths(packed.par_iter().map(|row| count_gaps(row)).collect::<Vec<_>>());
+    let mut all = vec![0; offsets.entries()];
+    let rows = packed.into_par_iter().zip(offsets.split_mut(&mut all));
+    rows.map(|(row, seen)| read_gaps(row, triangles, seen)).collect::<Option<()>>()?;
     Some((offsets, all.into()))
 }
