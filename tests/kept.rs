@@ -71,7 +71,7 @@ fn written(plan: &Plan, folder: &Path) -> BTreeMap<String, Vec<u8>> {
     all
 }
 
-/// Stages that the plan did not find kept.
+/// Stages that the plan did not find kept, or of which it has more to keep.
 fn computed(plan: &Plan) -> Vec<String> {
     plan.unwritten().into_iter().map(|set| set.name).collect()
 }
@@ -113,6 +113,24 @@ fn what_touches_only_cut_budget_or_region_computes_at_most_the_ranking() {
     assert_eq!(of("fulfilment.alpha = 0.3"), ["clusters", "ranking"]);
     assert_eq!(of("partners.k = 3"), ["candidates", "clusters", "ranking"]);
     assert_eq!(of("target.gsd = 0.2"), ["surface", "shown", "confidence", "clusters", "ranking"]);
+}
+
+/// A longer cut computes what it needs of its further clusters alone, and keeps that as well.
+#[test]
+fn a_longer_cut_adds_to_what_is_kept() {
+    let folder = planned(&town());
+    let [short, long] = ["", "cut.target = '99%'"].map(|text| (text, plan(folder.path(), text)));
+    assert!(short.1.decision.cut.clusters < long.1.decision.cut.clusters);
+    assert_eq!((computed(&short.1), computed(&long.1)), (vec![], vec!["ranking".to_owned()]));
+    write(&long.1, folder.path());
+    let kept = [short, long].map(|(text, _)| (text, plan(folder.path(), text)));
+    fs::remove_dir_all(folder.path().join("viewrank/cache")).unwrap();
+    for (text, kept) in kept {
+        assert_eq!(computed(&kept), Vec::<String>::new(), "{text}");
+        let anew = plan(folder.path(), text);
+        assert!(written(&kept, folder.path()) == written(&anew, folder.path()), "{text}");
+        assert_eq!(kept.points_by_rank(), anew.points_by_rank(), "{text}");
+    }
 }
 
 /// For each setting another value than its default, with what it needs to be in force.
@@ -239,7 +257,7 @@ fn a_made_up_file_with_the_right_hash_is_no_reason_to_fail() {
                 serde_json::json!({ "inputs": head["inputs"], "hash": hash.to_string(), "facts": head["facts"] });
             fs::write(&path, [format!("viewrank cache 1\n{head}\n").as_bytes(), &bad].concat()).unwrap();
             let plan = backends::plan(&open(folder.path()), &settings(""), &NoWatcher);
-            assert!(plan.is_ok(), "{stage} at {place}");
+            assert!(plan.is_ok_and(|plan| files(&plan, &open(folder.path())).is_ok()), "{stage} at {place}");
         }
         fs::write(&path, good).unwrap();
     }

@@ -240,6 +240,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     assert_eq!(keys(&read), keys(&again));
     assert_eq!((read.decision.cut.clusters, read.decision.finished.clusters), (again.decision.cut.clusters, 2));
     assert_eq!(read.decision.views, again.decision.views);
+    assert!(read.unwritten().is_empty(), "what is kept is predicted");
     assert!(read.decision.warnings.starts_with(&again.decision.warnings), "and what writing the plan found");
     let near = |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
     assert!(near(&read.decision.ranking.gains, &again.decision.ranking.gains));

@@ -32,6 +32,35 @@ pub enum Reason {
 }
 
 impl Reason {
+    /// The reasons in the order of their numbers in files, from 1; 0 stands for no reason.
+    pub const NUMBERED: [Self; 11] = [
+        Self::NoSharedPoints,
+        Self::RotationOnly,
+        Self::DuplicateOfBetterView,
+        Self::TooFewCameras,
+        Self::Hidden,
+        Self::TooCoarse,
+        Self::TooInaccurate,
+        Self::NotMatchable,
+        Self::NoGainLeft,
+        Self::OutsideRegion,
+        Self::NoImage,
+    ];
+
+    /// Returns the number of a reason, from 1; 0 for `None`.
+    pub fn number(reason: Option<Self>) -> u8 {
+        let position = reason.and_then(|reason| Self::NUMBERED.iter().position(|&numbered| numbered == reason));
+        position.map_or(0, |i| i as u8 + 1)
+    }
+
+    /// Returns the reason with this [`Self::number`], `Some(None)` for 0, `None` for a number of no reason.
+    pub fn from_number(number: u8) -> Option<Option<Self>> {
+        match number.checked_sub(1) {
+            None => Some(None),
+            Some(i) => Self::NUMBERED.get(i as usize).copied().map(Some),
+        }
+    }
+
     /// A clause that follows "because".
     pub fn words(self) -> &'static str {
         match self {
@@ -47,5 +76,19 @@ impl Reason {
             Self::NoImage => "its image is missing",
             Self::NoGainLeft => "its gain is zero or below the cut",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_has_a_number() {
+        let schema = serde_json::to_value(schemars::schema_for!(Reason)).unwrap();
+        assert_eq!(schema["oneOf"].as_array().unwrap().len(), Reason::NUMBERED.len());
+        let reasons = Reason::NUMBERED.map(Some).into_iter().chain([None]);
+        assert!(reasons.clone().all(|reason| Reason::from_number(Reason::number(reason)) == Some(reason)));
+        assert_eq!(Reason::from_number(reasons.count() as u8), None);
     }
 }

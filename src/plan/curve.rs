@@ -1,6 +1,6 @@
 //! The ranking as a curve: share and cost of each prefix.
 
-use super::{Plan, decision, forecast};
+use super::{Decision, Plan, decision, forecast};
 
 /// The first `clusters` clusters of the ranking together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,9 +24,9 @@ pub struct CurvePoint {
 impl Plan {
     /// Returns the curve of the whole ranking, a point per cluster.
     pub fn curve(&self) -> Vec<CurvePoint> {
-        let ranking = &self.decision.ranking;
+        let Decision { ranking, pixels, finished, .. } = &self.decision;
         let (model, points) = (self.stages.model(), self.points_by_rank());
-        let cost = decision::cost(&self.stages, &model, ranking, &self.decision.finished);
+        let cost = decision::cost(&self.stages, &model, ranking, pixels, finished);
         let start = CurvePoint {
             clusters: 0,
             pairs: 0,

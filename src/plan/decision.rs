@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use super::{
-    Band, Cut, FinishedMaps, Forecast, GivenUp, PlanError, Stages, Timings, ViewStatus, cut, forecast, reasons,
-    warnings,
+    Band, Cut, FinishedMaps, Forecast, GivenUp, PlanError, Stages, Timings, UncutRanking, ViewStatus, cut, forecast,
+    reasons::Reasons, warnings,
 };
 use crate::{
     base::progress::{Stage, Watcher},
     method::{
         fulfilment::Model,
-        ranking::{self, Objective, Ranker, Ranking},
+        ranking::{self, Ranker, Ranking},
     },
     model::{
         cluster::{MapScale, ViewCluster},
@@ -34,6 +34,11 @@ pub struct Decision {
     pub views: Vec<(ViewStatus, Option<Reason>)>,
     /// By triangle, the reason why no cluster fulfils it to 0.1; `None` if one does.
     pub triangle_reasons: Vec<Option<Reason>>,
+    /// By triangle, true at the border of the surveyed site (method 5.3).
+    pub border: Vec<bool>,
+    /// Pixels that the depth map of each of the first clusters is expected to measure at full size; those up to the cut are among them, unless
+    /// `forecast.points_per_map` is set.
+    pub pixels: Vec<f64>,
     pub warnings: Vec<String>,
 }
 
@@ -57,15 +62,16 @@ fn rank_and_cut(
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
     let finished = FinishedMaps { clusters: order.len(), ..finished };
-    let ranking = match &stages.known_ranking {
+    let ranked = match &stages.known_ranking {
         Some(known) if order.is_empty() => known.clone(),
-        _ => rank(stages, &finished, order, watcher)?,
+        _ => UncutRanking::new(stages, rank(stages, &finished, order, watcher)?),
     };
-    let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished))?;
+    let ranking = &ranked.ranking;
+    let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), ranking, &ranked.pixels, &finished))?;
     // Band and what is given up take the clusters in their order, on one thread each.
     let (fulfilment_bound, (reachable_band, given_up)) = rayon::join(
-        || ranking::most_of_any(cut.clusters, &stages.maps(), &stages.objective, &ranking),
-        || rayon::join(|| Band::of_reachable(stages, &ranking), || GivenUp::new(stages, &ranking, cut.clusters)),
+        || ranking::most_of_any(cut.clusters, &stages.maps(), &stages.objective, ranking),
+        || rayon::join(|| Band::of_reachable(stages, ranking), || GivenUp::new(stages, &ranked, cut.clusters)),
     );
     let cut = Cut {
         fulfilment_bound,
@@ -75,7 +81,7 @@ fn rank_and_cut(
         given_up,
         ..cut
     };
-    let decision = decide_as(stages, finished, ranking, cut)?;
+    let decision = decide_as(stages, finished, ranked, cut)?;
     watcher.check()?;
     Ok(decision)
 }
@@ -111,7 +117,7 @@ fn rank(
 /// Returns what makes a plan better than others, in this order: what fusion keeps, up to the target; f_o, unless the target is reached; little work.
 fn merit(stages: &Stages, ranking: &Ranking, finished: &FinishedMaps) -> Result<[f64; 3], PlanError> {
     let (model, settings) = (stages.model(), &stages.settings.cut);
-    let cost = cost(stages, &model, ranking, finished);
+    let cost = cost(stages, &model, ranking, &[], finished);
     let cut = cut::cut(settings, &cost)?;
     let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
     let most = settings.target.map_or(0.0, |target| target.0 * ranking.reachable);
@@ -132,31 +138,25 @@ impl Watcher for Unseen<'_> {
     }
 }
 
-/// Derives forecast, reasons and warnings from a given ranking and cut.
-pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut: Cut) -> Result<Decision, PlanError> {
+/// Derives forecast, reasons of views, and warnings from a given ranking and cut.
+pub fn decide_as(
+    stages: &Stages,
+    finished: FinishedMaps,
+    ranked: UncutRanking,
+    cut: Cut,
+) -> Result<Decision, PlanError> {
     let model = stages.model();
-    let all_reasons = reasons::Reasons {
-        model: &model,
-        viewers: &stages.shown.views,
-        candidates: &stages.candidates,
-        missing_images: &stages.missing_images,
-        clusters: &stages.clusters,
-        fulfilment: &stages.fulfilment,
-        region: stages.region.as_ref(),
-    };
-    let by_area = Objective::by_area(&stages.surface, stages.region.as_ref(), stages.objective.support);
-    // The one takes the clusters in their order, on one thread.
-    let (area_shares, (forecast, views, triangle_reasons)) = rayon::join(
-        || ranking::shares_by(&by_area, &ranking, &stages.maps()),
-        || {
-            let forecast = forecast::forecast(&cost(stages, &model, &ranking, &finished), cut.clusters);
-            let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners);
-            (forecast, views, all_reasons.triangles())
-        },
-    );
-    let views = views?;
+    let UncutRanking { ranking, area_shares, triangle_reasons, border, mut pixels } = ranked;
+    if stages.settings.forecast.points_per_map.is_none() {
+        let more =
+            forecast::full_size_pixels(&cost(stages, &model, &ranking, &pixels, &finished), pixels.len()..cut.clusters);
+        pixels.extend(more);
+    }
+    let forecast = forecast::forecast(&cost(stages, &model, &ranking, &pixels, &finished), cut.clusters);
+    let reasons = Reasons::of(stages, &model);
+    let views = reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
     let warnings = warnings::warnings(stages, &ranking, &cut, &finished);
-    Ok(Decision { ranking, finished, cut, area_shares, forecast, views, triangle_reasons, warnings })
+    Ok(Decision { ranking, finished, cut, area_shares, forecast, views, triangle_reasons, border, pixels, warnings })
 }
 
 fn pairs_beyond_gate(stages: &Stages, chosen: &[u32]) -> usize {
@@ -172,8 +172,9 @@ pub(super) fn cost<'a>(
     stages: &'a Stages,
     model: &'a Model<'a>,
     ranking: &'a Ranking,
+    pixels: &'a [f64],
     finished: &FinishedMaps,
 ) -> forecast::Cost<'a> {
     let settings = &stages.settings.forecast;
-    forecast::Cost { model, stages, ranking, finished: finished.clusters, settings }
+    forecast::Cost { model, stages, ranking, pixels, finished: finished.clusters, settings }
 }

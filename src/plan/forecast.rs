@@ -1,5 +1,7 @@
 //! Methods 5.3 and 5.6: forecasts the cost of the chosen clusters and of all clusters.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -65,6 +67,8 @@ pub(super) struct Cost<'a> {
     pub stages: &'a Stages,
     pub model: &'a Model<'a>,
     pub ranking: &'a Ranking,
+    /// Pixels that the maps of the first clusters will measure at full size, as far as they are known.
+    pub pixels: &'a [f64],
     /// Number of clusters at the start of the ranking that are done and take no more time.
     pub finished: usize,
     pub settings: &'a ForecastSettings,
@@ -101,10 +105,13 @@ impl Cost<'_> {
     }
 
     /// Pixels that the depth map will measure.
-    pub fn points(&self, rank: usize, places: &mut BlockSlots) -> f64 {
-        let reduced = self.ranking.scales[rank].factor().powi(2);
-        let of_full_size = self.settings.points_per_map;
-        reduced * of_full_size.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), places))
+    pub fn points(&self, rank: usize, slots: &mut BlockSlots) -> f64 {
+        let known = self.settings.points_per_map.or(self.pixels.get(rank).copied());
+        self.of_size(rank, known.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), slots)))
+    }
+
+    fn of_size(&self, rank: usize, at_full_size: f64) -> f64 {
+        self.ranking.scales[rank].factor().powi(2) * at_full_size
     }
 }
 
@@ -129,14 +136,26 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
 
 /// Pixels that the depth map of each of the first `clusters` clusters will measure.
 pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
+    let at_full_size = match cost.settings.points_per_map {
+        Some(points) => vec![points; clusters],
+        None => {
+            let known = &cost.pixels[..clusters.min(cost.pixels.len())];
+            [known, &full_size_pixels(cost, known.len()..clusters)].concat()
+        }
+    };
+    at_full_size.into_iter().enumerate().map(|(rank, points)| cost.of_size(rank, points)).collect()
+}
+
+/// Pixels that the depth maps of these ranks are expected to measure at full size.
+pub(super) fn full_size_pixels(cost: &Cost, ranks: Range<usize>) -> Vec<f64> {
     let slots = || BlockSlots::new(cost.model);
-    let ranks: Vec<usize> = (0..clusters).collect();
-    let mut points = Vec::with_capacity(clusters);
-    for batch in ranks.chunks(column::READ_AT_ONCE) {
-        points.par_extend(batch.par_iter().map_init(slots, |slots, &rank| cost.points(rank, slots)));
+    let mut pixels = Vec::with_capacity(ranks.len());
+    for batch in Vec::from_iter(ranks).chunks(column::READ_AT_ONCE) {
+        let of_rank = |slots: &mut BlockSlots, &rank: &usize| expected_pixels(cost.model, cost.cluster(rank), slots);
+        pixels.par_extend(batch.par_iter().map_init(slots, of_rank));
         cost.model.release();
     }
-    points
+    pixels
 }
 
 /// Sums, over the covered triangles, the pixels of the matched image times the chance that they are measured.

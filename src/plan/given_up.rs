@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Stages, border::border};
-use crate::method::ranking::{Ranking, Reached};
+use super::{Stages, UncutRanking};
+use crate::method::ranking::Reached;
 
 /// Weight, over that of the whole surface, that fusion is expected to keep of all clusters, less that of the clusters up to the cut, 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -18,7 +18,7 @@ pub struct GivenUp {
 }
 
 impl GivenUp {
-    pub(super) fn new(stages: &Stages, ranking: &Ranking, clusters: usize) -> Self {
+    pub(super) fn new(stages: &Stages, UncutRanking { ranking, border, .. }: &UncutRanking, clusters: usize) -> Self {
         let (objective, maps) = (&stages.objective, stages.maps());
         let triangles = 0..objective.weights.len() as u32;
         let mut reached = Reached::new(objective);
@@ -31,7 +31,6 @@ impl GivenUp {
             }
         }
         maps.release();
-        let border = border(&stages.surface, &stages.shown.views, &objective.weights);
         let mut given_up = Self::default();
         for t in triangles {
             let (at, weight) = (t as usize, objective.weights[t as usize]);

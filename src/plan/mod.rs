@@ -20,6 +20,7 @@ mod numbers;
 mod reasons;
 mod stages;
 mod timings;
+mod uncut;
 mod warnings;
 
 pub use band::Band;
@@ -37,6 +38,7 @@ pub use numbers::{Matcher, PlanningNumbers, ReachOfPair, WorkPerMap};
 pub use reasons::{Substitute, ViewStatus};
 pub use stages::Stages;
 pub use timings::Timings;
+pub use uncut::UncutRanking;
 pub use warnings::unlikely_gsd;
 
 use crate::{
@@ -109,9 +111,9 @@ impl Plan {
 
     /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {
-        let Decision { ranking, finished, .. } = &self.decision;
+        let Decision { ranking, pixels, finished, .. } = &self.decision;
         let model = self.stages.model();
-        forecast::points(&decision::cost(&self.stages, &model, ranking, finished), ranking.order.len())
+        forecast::points(&decision::cost(&self.stages, &model, ranking, pixels, finished), ranking.order.len())
     }
 
     /// For each cluster, the clusters ranked before it that give more of its own fulfilment than all before them, by rank: the last one within a

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::Stages;
 use crate::{
     base::column::{self, DiskError},
     config::PartnerSettings,
@@ -38,17 +39,30 @@ const DUPLICATE: f64 = 0.9;
 
 /// Inputs of the reasons.
 pub(super) struct Reasons<'a> {
-    pub model: &'a Model<'a>,
+    model: &'a Model<'a>,
     /// Number of views that see each triangle.
-    pub viewers: &'a [u32],
-    pub candidates: &'a Candidates,
-    pub missing_images: &'a [ViewIndex],
-    pub clusters: &'a [ViewCluster],
-    pub fulfilment: &'a FulfilmentTable,
-    pub region: Option<&'a Region>,
+    viewers: &'a [u32],
+    candidates: &'a Candidates,
+    missing_images: &'a [ViewIndex],
+    clusters: &'a [ViewCluster],
+    fulfilment: &'a FulfilmentTable,
+    region: Option<&'a Region>,
 }
 
-impl Reasons<'_> {
+impl<'a> Reasons<'a> {
+    /// `model`: of the same stages.
+    pub fn of(stages: &'a Stages, model: &'a Model<'a>) -> Self {
+        Self {
+            model,
+            viewers: &stages.shown.views,
+            candidates: &stages.candidates,
+            missing_images: &stages.missing_images,
+            clusters: &stages.clusters,
+            fulfilment: &stages.fulfilment,
+            region: stages.region.as_ref(),
+        }
+    }
+
     /// Status of each view; with a reason if it is not a key view, or has fewer than k partners.
     pub fn views(
         &self,

@@ -1,7 +1,7 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
 use super::{
-    Matcher, Memory, PlanError, PlanningNumbers, Timings, WorkPerMap, cut, georeference,
+    Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, cut, georeference,
     kept::{self, Inputs, Kept, KeptSurface, Slot, clusters::KeptClusters},
 };
 use crate::{
@@ -16,7 +16,7 @@ use crate::{
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
-        ranking::{Maps, Objective, Ranking},
+        ranking::{Maps, Objective},
         region::{Region, RegionShape},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::{GSD_MARGIN, Target},
@@ -79,8 +79,8 @@ pub struct Stages {
     pub work: Vec<[f64; 2]>,
     /// Numbers of the backend that `work` is made from.
     pub per_map: WorkPerMap,
-    /// Ranking of the clusters that an earlier plan has found; `None`: to be made.
-    pub known_ranking: Option<Ranking>,
+    /// The ranking that an earlier plan has found, with what follows from it; `None`: to be made.
+    pub known_ranking: Option<UncutRanking>,
     /// Where the results are kept for the next plan.
     pub kept: Kept,
     /// Memory forecast before each stage.
@@ -160,9 +160,11 @@ impl Stages {
         let per_map = numbers.work;
         let work: Vec<_> =
             clusters.iter().map(|cluster| work(&scene, settings.image_scale(), per_map, cluster)).collect();
-        let ranking_file = inputs.ranking(&settings, &clusters_slot.file, &objective, &work);
+        let factors = region.as_ref().map(|region| &region.factors[..]);
+        let ranking_file = inputs.ranking(&settings, &clusters_slot.file, &objective, factors, &work);
+        let triangles = seen.surface.triangles.len();
         let (ranking, known_ranking) =
-            kept::read(ranking_file, |(), bytes| kept::ranking::unpack(bytes, clusters.len()));
+            kept::read(ranking_file, |(), bytes| kept::ranking::unpack(bytes, clusters.len(), triangles));
         watcher.check()?;
         let kept = Kept {
             surface: surface_slot,

@@ -123,9 +123,11 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
     add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
     let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
-    add(views_file(&place), views_geojson(plan, &place));
+    // The surface takes the clusters in their order, on one thread.
+    let (surface, views) = rayon::join(|| surface_ply(plan), || views_geojson(plan, &place));
+    add(views_file(&place), views);
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
-    own.add("viewrank/surface.ply", Contents::Bytes(surface_ply(plan)));
+    own.add("viewrank/surface.ply", Contents::Bytes(surface));
     let exports = exports.into_iter().map(|export| {
         let folder = export.files.root.clone();
         place::set_of_folder(&folder, [export.files], project)

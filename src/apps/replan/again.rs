@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use crate::backends::{self, ExportRecord};
-use crate::plan::{Cut, Decision, FinishedMaps, Plan, PlanError, Stages, decide_as};
+use crate::plan::{Cut, Decision, FinishedMaps, Plan, PlanError, Stages, UncutRanking, decide_as};
 use crate::{
     base::{column::TableError, error::Hint, progress::Watcher},
     io::project::Project,
@@ -28,7 +28,8 @@ pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, 
     Ok((project, Plan { decision: Decision { warnings, ..plan.decision }, ..plan }, recorded.exports))
 }
 
-fn with_ranking(plan: Plan, recorded: &RecordedPlan, watcher: &dyn Watcher) -> Result<Plan, AgainError> {
+fn with_ranking(mut plan: Plan, recorded: &RecordedPlan, watcher: &dyn Watcher) -> Result<Plan, AgainError> {
+    plan.keep_predictions();
     let Plan { stages, timings, .. } = plan;
     let ranked = recorded.ranked(&stages.scene)?;
     let order: Vec<ViewIndex> = ranked.iter().map(|cluster| cluster.key).collect();
@@ -57,7 +58,7 @@ fn with_ranking(plan: Plan, recorded: &RecordedPlan, watcher: &dyn Watcher) -> R
     let finished =
         FinishedMaps { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..FinishedMaps::default() };
     let cut = Cut { clusters: recorded.cut.clusters.min(ranking.order.len()), ..recorded.cut };
-    let mut decision = decide_as(&stages, finished, ranking, cut)?;
+    let mut decision = decide_as(&stages, finished, UncutRanking::new(&stages, ranking), cut)?;
     for written in &recorded.views {
         if let Some(view) = stages.scene.find(&written.name) {
             decision.views[view.index()] = (written.status, written.reason);

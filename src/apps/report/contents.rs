@@ -40,7 +40,7 @@ use crate::{
     plan::{self, Band, Cut, GivenUp, Plan},
     show::{
         manifest::RegionSummary,
-        pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
+        pictures::{RAMP, footprints},
     },
 };
 
@@ -219,7 +219,7 @@ impl Contents {
             warnings: plan.decision.warnings.iter().cloned().chain(left_out).collect(),
             notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
-            reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
+            reasons: Reason::NUMBERED.iter().map(|r| r.words()).collect(),
             forecast: plan.stages.settings.forecast.clone(),
             planning_seconds,
             clusters_total: plan.decision.forecast.all_maps,
@@ -329,7 +329,7 @@ impl ViewData {
             footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
             footprint_offsets: offset_bytes(&Offsets::from_lengths(footprints.iter().map(Vec::len))),
             rank: bytes(&rank),
-            reason: bytes(&plan.decision.views.iter().map(|&(_, reason)| reason_number(reason)).collect::<Vec<_>>()),
+            reason: bytes(&plan.decision.views.iter().map(|&(_, reason)| Reason::number(reason)).collect::<Vec<_>>()),
             likest_offsets: offset_bytes(&Offsets::from_lengths(substitutes.iter().map(Vec::len))),
             likest: bytes(&substitutes.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
             likest_shares: bytes(&substitutes.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
@@ -356,7 +356,7 @@ fn partners(plan: &Plan) -> BTreeMap<u32, String> {
 impl SurfaceData {
     fn new(plan: &Plan, surface: &DrawnSurface, frame: &MapFrame) -> Self {
         let history = History::new(plan, surface);
-        let reason = |&t: &u32| reason_number(plan.decision.triangle_reasons[t as usize]);
+        let reason = |&t: &u32| Reason::number(plan.decision.triangle_reasons[t as usize]);
         Self {
             vertices: bytes(&in_frame(frame, surface.vertices.iter())),
             triangles: bytes(&surface.triangles),
@@ -417,7 +417,7 @@ impl HoleData {
         Self {
             area: *area,
             triangles: *triangles,
-            reason: reason_number(Some(*reason)).into(),
+            reason: Reason::number(Some(*reason)).into(),
             missing: hole.missing(needed),
             advice: hole.advice(needed),
             centre: frame.local(centre),

@@ -9,16 +9,12 @@ use crate::{
     model::{reason::Reason, scene::ViewIndex},
 };
 
-/// Reasons to refuse a pair, by their number in the file. Another one is packed as a number that is not read.
-const REASONS: [Reason; 2] = [Reason::RotationOnly, Reason::NotMatchable];
-
 pub(super) fn pack(candidates: &Candidates) -> Packed {
-    let number = |reason| REASONS.iter().position(|&known| known == reason).unwrap_or(REASONS.len()) as u8;
     let mut packer = Packer::default();
     pack_rows(&mut packer, &candidates.offsets, candidates.views.iter());
     packer.list(&candidates.beyond.iter().map(|&beyond| beyond as u32).collect::<Vec<_>>());
     pack_rows(&mut packer, &candidates.refusal_offsets, candidates.refusals.iter().map(|refusal| &refusal.partner));
-    packer.list(&candidates.refusals.iter().map(|refusal| number(refusal.reason)).collect::<Vec<_>>());
+    packer.list(&candidates.refusals.iter().map(|refusal| Reason::number(Some(refusal.reason))).collect::<Vec<_>>());
     packer.finish()
 }
 
@@ -38,8 +34,10 @@ pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
         && (0..count).all(|view| beyond[view] <= offsets.row(view).len())
         && numbers.len() == refused.len()
         && lists.is_at_end();
-    let refusal =
-        |(partner, &number): (ViewIndex, &u8)| REASONS.get(number as usize).map(|&reason| Refusal { partner, reason });
+    let refusal = |(partner, &number): (ViewIndex, &u8)| match Reason::from_number(number)?? {
+        reason @ (Reason::RotationOnly | Reason::NotMatchable) => Some(Refusal { partner, reason }),
+        _ => None,
+    };
     let refusals = refused.into_iter().zip(numbers).map(refusal).collect::<Option<_>>()?;
     fits.then_some(Candidates { offsets, views, beyond, refusal_offsets, refusals })
 }

@@ -120,20 +120,22 @@ impl<'a> Inputs<'a> {
         CacheFile::new(self.home, "viewrank/cache/clusters.table", inputs())
     }
 
-    /// The ranking without finished depth maps.
+    /// The ranking without finished depth maps, with what follows from it. `region`: factors on the weights of the triangles.
     pub fn ranking(
         &self,
         settings: &Settings,
         clusters: &CacheFile,
         objective: &Objective,
+        region: Option<&[f32]>,
         work: &[[f64; 2]],
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
             // The cut decides on sizes.
             let limits = settings.ranking.has_half().then_some((&settings.cut, &settings.forecast));
-            add(&mut hasher, &(objective.support, limits));
-            Some(add_parts(hasher, &[bytemuck::cast_slice(&objective.weights), bytemuck::cast_slice(work)]))
+            add(&mut hasher, &(objective.support, limits, region.is_some()));
+            let region = bytemuck::cast_slice(region.unwrap_or_default());
+            Some(add_parts(hasher, &[bytemuck::cast_slice(&objective.weights), region, bytemuck::cast_slice(work)]))
         };
         CacheFile::new(self.home, "viewrank/cache/ranking.table", inputs())
     }

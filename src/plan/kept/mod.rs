@@ -1,5 +1,5 @@
-//! Results of the stages, kept in the project for its next plan: one that changes only the cut, the budget or the region, or that is made around
-//! finished depth maps, ranks again and computes nothing else.
+//! Results of the stages, kept in the project for its next plan: one that changes only the cut or the budget computes at most what a longer cut asks of
+//! further clusters; one for another region, or around finished depth maps, ranks again.
 //!
 //! Each stage has a file in `viewrank/cache` ([`crate::io::cache`]) with the fingerprint of all that the stage reads: the sparse model by content, settings,
 //! the results of earlier stages, and the program itself. Tables that were too large for memory are not kept.
@@ -91,13 +91,17 @@ impl Plan {
         if let Some(made) = &kept.made {
             return made.clone();
         }
+        // What a longer cut has asked for is kept as well.
+        let known = stages.known_ranking.as_ref().map_or(0, |known| known.pixels.len());
+        let ranking =
+            Slot { is_kept: kept.ranking.is_kept && self.decision.pixels.len() <= known, ..kept.ranking.clone() };
         [
             kept.surface.set(|| surface::pack(stages)),
             kept.shown.set(|| Some(((), shown::pack(&stages.shown)))),
             kept.candidates.set(|| Some(((), candidates::pack(&stages.candidates)))),
             kept.unary.set(|| unary::pack(stages)),
             kept.clusters.set(|| Some(((), clusters::pack(stages)?))),
-            kept.ranking.set(|| Some(((), ranking::pack(&self.decision.ranking)))),
+            ranking.set(|| Some(((), ranking::pack(&self.decision)))),
         ]
         .into_iter()
         .flatten()

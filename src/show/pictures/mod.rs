@@ -16,4 +16,4 @@ pub use expected::expected_success;
 pub use geojson::{views_file, views_geojson};
 pub use map::footprints;
 pub use overview::map_svg;
-pub use surface::{RAMP, REASON_NUMBERS, TriangleState, for_each_step, reason_number, surface_ply, triangle_states};
+pub use surface::{RAMP, TriangleState, for_each_step, surface_ply, triangle_states};

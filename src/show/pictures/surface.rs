@@ -57,27 +57,6 @@ pub fn for_each_step(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     }
 }
 
-/// The reasons in the order of their numbers in the field `reason`; 0 is "fulfilled by some cluster".
-pub const REASON_NUMBERS: [Reason; 11] = [
-    Reason::NoSharedPoints,
-    Reason::RotationOnly,
-    Reason::DuplicateOfBetterView,
-    Reason::TooFewCameras,
-    Reason::Hidden,
-    Reason::TooCoarse,
-    Reason::TooInaccurate,
-    Reason::NotMatchable,
-    Reason::NoGainLeft,
-    Reason::OutsideRegion,
-    Reason::NoImage,
-];
-
-/// Returns the number of a reason, from 1; 0 for `None`.
-pub fn reason_number(reason: Option<Reason>) -> u8 {
-    let position = reason.and_then(|reason| REASON_NUMBERS.iter().position(|&r| r == reason));
-    position.map_or(0, |i| i as u8 + 1)
-}
-
 /// Colours of a share of 0, 1/2 and 1, pale yellow through green to dark blue: ever darker, distinguishable by the colour-blind and in greyscale.
 pub const RAMP: [[u8; 3]; 3] = [[250, 226, 158], [96, 160, 152], [16, 80, 136]];
 
@@ -88,7 +67,7 @@ pub fn surface_ply(plan: &Plan) -> Vec<u8> {
     let states = triangle_states(plan, plan.decision.cut.clusters);
     let share: Vec<f32> = states.iter().map(TriangleState::share).collect();
     let chosen: Vec<f32> = states.iter().map(|s| f32::from(s.chosen_views)).collect();
-    let reasons: Vec<u8> = plan.decision.triangle_reasons.iter().map(|&reason| reason_number(reason)).collect();
+    let reasons: Vec<u8> = plan.decision.triangle_reasons.iter().map(|&reason| Reason::number(reason)).collect();
     let mut colours: Vec<[u8; 3]> = states.iter().map(colour).collect();
     let region = plan.stages.region.as_ref();
     if let Some(region) = region {
@@ -107,7 +86,7 @@ pub fn surface_ply(plan: &Plan) -> Vec<u8> {
         "reason: why no cluster fulfils the triangle to a tenth; 0: one does".to_string(),
     ];
     comments.extend(region.map(|_| "region: factor on the weight of the triangle; 0 outside".to_string()));
-    comments.extend(REASON_NUMBERS.iter().enumerate().map(|(i, r)| format!("reason {}: {}", i + 1, word(*r))));
+    comments.extend(Reason::NUMBERED.iter().enumerate().map(|(i, r)| format!("reason {}: {}", i + 1, word(*r))));
     ply::write(&plan.stages.surface.vertices, &plan.stages.surface.triangles, &fields, &comments)
 }
 
