@@ -237,6 +237,34 @@ fn no_damaged_file_is_believed() {
     }
 }
 
+#[test]
+fn a_cache_that_cannot_be_written_is_no_reason_to_fail() {
+    let folder = planned(&town());
+    let (cache, text) = (folder.path().join("viewrank/cache"), "cut.target = '50%'");
+    let in_the_way: [&dyn Fn(); 2] =
+        [&|| fs::create_dir(cache.join("ranking.table")).unwrap(), &|| fs::write(&cache, "mine").unwrap()];
+    for (target, block) in ["50%", "60%"].into_iter().zip(in_the_way) {
+        fs::remove_dir_all(&cache).unwrap();
+        if target == "50%" {
+            fs::create_dir(&cache).unwrap();
+        }
+        block();
+        let plan = plan(folder.path(), &text.replace("50%", target));
+        let sets = files(&plan, &open(folder.path())).unwrap().sets;
+        let reports = output::write_all(&sets, &Disk::REAL).unwrap();
+        let failed: Vec<&str> = sets
+            .iter()
+            .zip(&reports)
+            .filter(|(_, report)| report.failed.is_some())
+            .map(|(set, _)| &*set.name)
+            .collect();
+        assert_eq!(failed, ALL, "{target}");
+        let manifest = fs::read(folder.path().join("viewrank/manifest.json")).unwrap();
+        assert!(manifest == written(&plan, folder.path())["viewrank/manifest.json"], "{target}");
+    }
+    assert_eq!(fs::read_to_string(&cache).unwrap(), "mine");
+}
+
 /// Somebody else's project may hold files whose hashes are right and whose numbers are not.
 #[test]
 fn a_made_up_file_with_the_right_hash_is_no_reason_to_fail() {

@@ -186,8 +186,11 @@ impl Plan {
                 return Err(Failure::without_folder());
             }
             let files = files::files(&self.0.plan, &self.0.project)?;
-            output::write_all(&files.sets, &Disk::REAL)?;
-            Ok((self.0.project.output_folder(), files.manifest.warnings))
+            let written = output::write_all(&files.sets, &Disk::REAL)?;
+            let uncached = written.into_iter().find_map(|set| set.failed);
+            let uncached = uncached
+                .map(|why| format!("the next plan will begin anew, because its cache cannot be written: {why}"));
+            Ok((self.0.project.output_folder(), files.manifest.warnings.into_iter().chain(uncached).collect()))
         })
     }
 

@@ -193,7 +193,8 @@ impl<'a> Summary<'a> {
         if fulfilment > 0.0 {
             let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
             let alike = if self.forecast.maps_at_half > 0 { "work" } else { "length" };
-            all + &format!("No choice of the same {alike} is more than {better:.0} % better.\n")
+            let more = if better < 0.5 { "even 0.5".into() } else { format!("more than {better:.0}") };
+            all + &format!("No choice of the same {alike} is {more} % better.\n")
         } else {
             all
         }
@@ -291,8 +292,10 @@ impl<'a> Summary<'a> {
             }
             _ if self.use_of_views.is_some() => return format!("\nPlanning took {planning:.1} s.\n"),
             _ => match self.forecast.break_even(planning) {
-                Some(seconds) => format!("It pays if a depth map takes more than {} s.", rounded(seconds)),
-                None => return format!("\nPlanning took {planning:.1} s.\n"),
+                Some(seconds) if planning >= 0.05 => {
+                    format!("It pays if a depth map takes more than {} s.", rounded(seconds))
+                }
+                _ => return format!("\nPlanning took {planning:.1} s.\n"),
             },
         };
         format!("\nPlanning took {planning:.1} s. {time}\n")

@@ -115,7 +115,7 @@ impl CacheFile {
     /// Returns the set whose writing removes the file, which is of other inputs.
     pub fn no_file(&self) -> FileSet {
         let name = self.path.rsplit('/').next().and_then(|name| name.split('.').next()).unwrap_or(self.path);
-        FileSet::new(&self.home, name)
+        FileSet { is_spare: true, ..FileSet::new(&self.home, name) }
     }
 }
 

@@ -55,6 +55,8 @@ pub struct FileSet {
     /// Name of the set; it replaces an earlier set of the same name below the same root, whose stale files are removed.
     pub name: String,
     pub files: BTreeMap<String, Contents>,
+    /// True for results that can be made again: where they cannot be written, [`write_all`] writes the other sets without them.
+    pub is_spare: bool,
 }
 
 /// Changes made by writing a set; paths relative to the root.
@@ -66,11 +68,14 @@ pub struct WriteReport {
     pub removed: Vec<String>,
     /// New names of the user's files that were in the way.
     pub kept: Vec<String>,
+    /// Why a spare set was not written.
+    #[serde(skip)]
+    pub failed: Option<String>,
 }
 
 impl FileSet {
     pub fn new(root: impl Into<PathBuf>, name: &str) -> Self {
-        Self { root: root.into(), name: name.into(), files: BTreeMap::new() }
+        Self { root: root.into(), name: name.into(), files: BTreeMap::new(), is_spare: false }
     }
 
     pub fn add(&mut self, path: impl Into<String>, contents: Contents) {
@@ -88,7 +93,7 @@ impl FileSet {
     }
 }
 
-/// Writes all sets; those of one root together or not at all. Roots are written in reverse order of first occurrence.
+/// Writes all sets; those of one root together or not at all, but for spare ones. Roots are written in reverse order of first occurrence.
 pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, OutputError> {
     sets.iter().flat_map(|set| set.files.keys()).try_for_each(|path| check_name(path))?;
     let mut roots: Vec<&Path> = Vec::new();
@@ -99,11 +104,21 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
     }
     let mut written = vec![WriteReport::default(); sets.len()];
     for root in roots.into_iter().rev() {
-        let (places, own): (Vec<usize>, Vec<&FileSet>) =
-            sets.iter().enumerate().filter(|(_, set)| set.root == root).unzip();
-        for (place, done) in places.into_iter().zip(transaction::write(root, &own, disk)?) {
-            written[place] = done;
-        }
+        let write = |places: &[usize]| {
+            let own: Vec<&FileSet> = places.iter().map(|&place| &sets[place]).collect();
+            transaction::write(root, &own, disk)
+        };
+        let all: Vec<usize> = (0..sets.len()).filter(|&place| sets[place].root == root).collect();
+        let (spare, needed): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&place| sets[place].is_spare);
+        let (places, done) = match write(&all) {
+            Err(error) if !spare.is_empty() => {
+                spare.iter().for_each(|&place| written[place].failed = Some(error.to_string()));
+                let done = write(&needed)?;
+                (needed, done)
+            }
+            done => (all, done?),
+        };
+        places.into_iter().zip(done).for_each(|(place, done)| written[place] = done);
     }
     Ok(written)
 }

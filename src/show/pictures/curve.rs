@@ -62,8 +62,9 @@ impl FulfilmentCurve {
             return String::new();
         }
         let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
+        let more = if better < 0.5 { "even 0.5".into() } else { format!("more than {better:.0}") };
         format!(
-            "All depth maps give {:.0} % of what is wanted. No other choice of {clusters} has a fulfilment more than {better:.0} % higher.",
+            "All depth maps give {:.0} % of what is wanted. No other choice of {clusters} has a fulfilment {more} % higher.",
             100.0 * reachable
         )
     }

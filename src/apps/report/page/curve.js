@@ -120,7 +120,7 @@ function boundText() {
   const givenUp = lost.border + lost.inside > 0
     ? ` The plan gives up ${part(lost.border)} at the border and ${part(lost.inside)} inside; ${part(lost.single_map)} of it is shown well by one planned map only.` : '';
   const gate = beyond ? ` ${counted(beyond, 'pair')} of the plan exceed the limits of the backend, for want of better partners.` : '';
-  return `Measured, the plan's share will likely be ${range(share)}. All depth maps give ${percent(reachable, 0)} of what is wanted (likely ${range(band)}).${givenUp}${gate} No other choice of ${grouped.format(data.cut)} has a fulfilment more than ${percent(better, 0)} higher than the plan's.`;
+  return `Measured, the plan's share will likely be ${range(share)}. All depth maps give ${percent(reachable, 0)} of what is wanted (likely ${range(band)}).${givenUp}${gate} No other choice of ${grouped.format(data.cut)} has a fulfilment ${better < 0.005 ? 'even 0.5 %' : `more than ${percent(better, 0)}`} higher than the plan's.`;
 }
 
 function fillOver() {
