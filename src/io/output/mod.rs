@@ -55,7 +55,7 @@ pub struct FileSet {
     /// Name of the set; it replaces an earlier set of the same name below the same root, whose stale files are removed.
     pub name: String,
     pub files: BTreeMap<String, Contents>,
-    /// True for results that can be made again: where they cannot be written, [`write_all`] writes the other sets without them.
+    /// True for results that can be made again: where the fault is in their folders, [`write_all`] writes the other sets without them.
     pub is_spare: bool,
 }
 
@@ -111,7 +111,7 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
         let all: Vec<usize> = (0..sets.len()).filter(|&place| sets[place].root == root).collect();
         let (spare, needed): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&place| sets[place].is_spare);
         let (places, done) = match write(&all) {
-            Err(error) if !spare.is_empty() => {
+            Err(error) if spare.iter().any(|&place| error.is_in_folder_of(&sets[place])) => {
                 spare.iter().for_each(|&place| written[place].failed = Some(error.to_string()));
                 let done = write(&needed)?;
                 (needed, done)
@@ -235,6 +235,16 @@ impl OutputError {
             io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => Self::Denied { path, source },
             _ => Self::Io { path, source },
         }
+    }
+}
+
+impl OutputError {
+    /// Returns whether nothing has changed because of something in a folder with files of the set.
+    fn is_in_folder_of(&self, set: &FileSet) -> bool {
+        let folders = set.files.keys().filter_map(|path| Path::new(path).parent());
+        let mut folders = folders.map(|folder| set.root.join(folder));
+        let is_undone = !matches!(self, Self::Interrupted { .. });
+        is_undone && self.path().is_some_and(|path| folders.any(|folder| path.starts_with(folder)))
     }
 }
 
