@@ -186,10 +186,7 @@ impl Plan {
                 return Err(Failure::without_folder());
             }
             let files = files::files(&self.0.plan, &self.0.project)?;
-            let written = output::write_all(&files.sets, &Disk::REAL)?;
-            let uncached = written.into_iter().find_map(|set| set.failed);
-            let uncached = uncached
-                .map(|why| format!("the next plan will begin anew, because its cache cannot be written: {why}"));
+            let uncached = files.write(&Disk::REAL)?;
             Ok((self.0.project.output_folder(), files.manifest.warnings.into_iter().chain(uncached).collect()))
         })
     }

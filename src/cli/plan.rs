@@ -354,11 +354,9 @@ fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progr
             &Disk::REAL,
         )?;
     }
-    let written = output::write_all(&files.sets, &Disk::REAL)?;
+    let uncached = files.write(&Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
-    if let Some(why) = written.iter().find_map(|set| set.failed.as_ref()) {
-        warn(&format!("the next plan will begin anew, because its cache cannot be written: {why}"));
-    }
+    uncached.iter().for_each(|warning| warn(warning));
     Ok(())
 }
 

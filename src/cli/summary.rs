@@ -187,14 +187,12 @@ impl<'a> Summary<'a> {
 
     /// Formats the share of the target that all depth maps reach, and the proven bound on any better choice of equal length (method 5.2).
     fn certificate(&self) -> String {
-        let Cut { reachable, reachable_band, fulfilment, fulfilment_bound, .. } = self.cut;
+        let Cut { reachable, reachable_band, fulfilment, .. } = self.cut;
         let band = range(&reachable_band);
         let all = format!("All together give {:.0} % of what is wanted (likely {band}).\n", 100.0 * reachable);
         if fulfilment > 0.0 {
-            let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
             let alike = if self.forecast.maps_at_half > 0 { "work" } else { "length" };
-            let more = if better < 0.5 { "even 0.5".into() } else { format!("more than {better:.0}") };
-            all + &format!("No choice of the same {alike} is {more} % better.\n")
+            all + &format!("No choice of the same {alike} is {} better.\n", self.cut.more_of_others())
         } else {
             all
         }

@@ -45,6 +45,14 @@ pub struct Cut {
     pub given_up: GivenUp,
 }
 
+impl Cut {
+    /// Returns by how much no other choice of this number of clusters has a higher fulfilment, as the bound proves: "more than 4 %".
+    pub fn more_of_others(&self) -> String {
+        let better = 100.0 * (self.fulfilment_bound / self.fulfilment - 1.0).max(0.0);
+        if better < 0.5 { "even 0.5 %".into() } else { format!("more than {better:.0} %") }
+    }
+}
+
 /// Cuts at the shortest prefix that the settings allow, but not before the end of the finished clusters.
 pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;

@@ -10,7 +10,7 @@ use crate::{
         shell::{command_path, one_after_other},
     },
     io::{
-        output::{self, Contents, FileSet},
+        output::{self, Contents, Disk, FileSet, OutputError},
         project::Project,
     },
     model::georeference::Georeference,
@@ -44,6 +44,17 @@ pub struct PlanFiles {
     pub not_exported: Vec<String>,
     /// Shell command that runs the first backend on its files.
     pub command: Option<String>,
+}
+
+impl PlanFiles {
+    /// Writes all sets; returns a warning if the next plan will find no cache.
+    ///
+    /// # Errors
+    /// Fails like [`output::write_all`].
+    pub fn write(&self, disk: &Disk) -> Result<Option<String>, OutputError> {
+        let uncached = output::write_all(&self.sets, disk)?.into_iter().find_map(|set| set.failed);
+        Ok(uncached.map(|why| format!("the next plan will begin anew, because its cache cannot be written: {why}")))
+    }
 }
 
 /// Errors of collecting the files of a plan.

@@ -57,15 +57,14 @@ impl FulfilmentCurve {
 
     /// Share of all clusters, and the bound of method 5.2; empty without a cut.
     fn subtitle(&self) -> String {
-        let Cut { clusters, reachable, fulfilment, fulfilment_bound, .. } = self.cut;
+        let Cut { clusters, reachable, fulfilment, .. } = self.cut;
         if fulfilment <= 0.0 {
             return String::new();
         }
-        let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
-        let more = if better < 0.5 { "even 0.5".into() } else { format!("more than {better:.0}") };
         format!(
-            "All depth maps give {:.0} % of what is wanted. No other choice of {clusters} has a fulfilment {more} % higher.",
-            100.0 * reachable
+            "All depth maps give {:.0} % of what is wanted. No other choice of {clusters} has a fulfilment {} higher.",
+            100.0 * reachable,
+            self.cut.more_of_others()
         )
     }
 }
