@@ -2,8 +2,9 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs,
+    fs, io,
     path::Path,
+    sync::atomic::{AtomicUsize, Ordering},
 };
 
 use tempfile::TempDir;
@@ -12,7 +13,7 @@ use viewrank::internals::{
     camera::{Camera, CameraModel},
     config::{self, Settings},
     files::files,
-    output::{self, Contents, Disk},
+    output::{self, Contents, Disk, Operation},
     plan::Plan,
     ply,
     progress::NoWatcher,
@@ -249,20 +250,34 @@ fn a_cache_that_cannot_be_written_is_no_reason_to_fail() {
             fs::create_dir(&cache).unwrap();
         }
         block();
-        let plan = plan(folder.path(), &text.replace("50%", target));
-        let sets = files(&plan, &open(folder.path())).unwrap().sets;
-        let reports = output::write_all(&sets, &Disk::REAL).unwrap();
-        let failed: Vec<&str> = sets
-            .iter()
-            .zip(&reports)
-            .filter(|(_, report)| report.failed.is_some())
-            .map(|(set, _)| &*set.name)
-            .collect();
-        assert_eq!(failed, ALL, "{target}");
-        let manifest = fs::read(folder.path().join("viewrank/manifest.json")).unwrap();
-        assert!(manifest == written(&plan, folder.path())["viewrank/manifest.json"], "{target}");
+        only_the_plan_is_written(folder.path(), &text.replace("50%", target), &Disk::REAL);
     }
     assert_eq!(fs::read_to_string(&cache).unwrap(), "mine");
+}
+
+#[test]
+fn a_disk_that_is_full_has_room_for_a_plan_without_its_cache() {
+    let folder = planned(&town());
+    for (at, target) in [(3, "50%"), (40, "60%")] {
+        fs::remove_dir_all(folder.path().join("viewrank/cache")).unwrap();
+        let changes = AtomicUsize::new(0);
+        let full_once = |_: Operation, _: &Path| match changes.fetch_add(1, Ordering::Relaxed) == at {
+            true => Err(io::ErrorKind::StorageFull.into()),
+            false => Ok(()),
+        };
+        only_the_plan_is_written(folder.path(), &format!("cut.target = '{target}'"), &Disk::guarded(&full_once));
+        assert!(!folder.path().join("viewrank/cache").exists());
+    }
+}
+
+fn only_the_plan_is_written(folder: &Path, text: &str, disk: &Disk) {
+    let plan = plan(folder, text);
+    let sets = files(&plan, &open(folder)).unwrap().sets;
+    let reports = output::write_all(&sets, disk).unwrap();
+    let failed = sets.iter().zip(&reports).filter(|(_, report)| report.failed.is_some());
+    assert_eq!(failed.map(|(set, _)| &*set.name).collect::<Vec<_>>(), ALL, "{text}");
+    let manifest = fs::read(folder.join("viewrank/manifest.json")).unwrap();
+    assert!(manifest == written(&plan, folder)["viewrank/manifest.json"], "{text}");
 }
 
 /// Somebody else's project may hold files whose hashes are right and whose numbers are not.

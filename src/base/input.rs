@@ -7,10 +7,13 @@
 use std::{
     fs::{File, Metadata},
     io::{self, Read},
+    ops::Range,
     path::Path,
 };
 
-use super::platform;
+use rayon::prelude::*;
+
+use super::{large_pages, platform};
 
 /// Kind of a file that is read whole; determines its size limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,6 +131,16 @@ pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     // It may grow meanwhile, and some system files don't say how long they are.
     file.take(kind.limit() + 1).read_to_end(&mut bytes)?;
     check_length(bytes.len() as u64, kind)?;
+    Ok(bytes)
+}
+
+/// Reads this part of a file, with all threads: what takes time is copying and getting the memory.
+pub fn read_range(file: &File, range: Range<u64>) -> io::Result<Vec<u8>> {
+    const PART: usize = 8 << 20;
+    let length = range.end.saturating_sub(range.start);
+    let mut bytes = large_pages::try_zeroed(usize::try_from(length).unwrap_or(usize::MAX))?;
+    let parts = bytes.par_chunks_mut(PART).enumerate();
+    parts.try_for_each(|(n, part)| platform::read_exact_at(file, part, range.start + (n * PART) as u64))?;
     Ok(bytes)
 }
 

@@ -1,20 +1,22 @@
 //! Memory in huge pages: with random access to hundreds of megabytes, TLB misses cost more than the reads.
 
-use std::collections::TryReserveError;
+use std::io;
 
-/// Allocates an empty list with room for `elements`, in huge pages where the system has them; the memory is not touched.
-pub fn room_for<T>(elements: usize) -> Result<Vec<T>, TryReserveError> {
-    let mut room = Vec::new();
-    room.try_reserve_exact(elements)?;
-    advise(&mut room);
-    Ok(room)
+use bytemuck::{Zeroable, allocation};
+
+/// Returns a list of `elements` zeros, or the like, in huge pages where the system has them. The memory is not touched: the threads that write to it get
+/// it from the system, each its part.
+pub fn zeroed<T: Zeroable>(elements: usize) -> Vec<T> {
+    let mut list = allocation::zeroed_vec(elements);
+    advise(&mut list);
+    list
 }
 
-/// Returns a list of `elements` equal elements.
-pub fn filled<T: Clone>(elements: usize, with: T) -> Vec<T> {
-    let mut list = room_for(elements).unwrap_or_default();
-    list.resize(elements, with);
-    list
+/// Like [`zeroed`], but fails where there is not so much memory.
+pub fn try_zeroed<T: Zeroable>(elements: usize) -> io::Result<Vec<T>> {
+    let mut list = allocation::try_zeroed_vec(elements).map_err(|()| io::ErrorKind::OutOfMemory)?;
+    advise(&mut list);
+    Ok(list)
 }
 
 /// Advises the system to back the list's capacity with huge pages; no effect on small lists or without system support.
@@ -40,10 +42,9 @@ mod tests {
     #[test]
     fn a_list_of_any_size_works_as_any_other() {
         for elements in [0usize, 1, 1000, 1 << 20] {
-            let mut list = super::room_for::<u64>(elements).expect("memory");
-            list.extend(0..elements as u64);
-            assert!(list.capacity() >= elements && list.iter().copied().eq(0..elements as u64));
+            let lists = [super::zeroed::<u64>(elements), super::try_zeroed(elements).expect("memory")];
+            assert_eq!(lists, [vec![0; elements], vec![0; elements]]);
         }
-        assert!(super::room_for::<u64>(usize::MAX / 16).is_err(), "an error, not the end of the program");
+        assert!(super::try_zeroed::<u64>(usize::MAX / 16).is_err(), "an error, not the end of the program");
     }
 }

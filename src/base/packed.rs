@@ -5,8 +5,12 @@
 use std::{fmt::Debug, sync::Arc};
 
 use bytemuck::Pod;
+use rayon::prelude::*;
 
-use super::column::{Column, Rows};
+use super::{
+    column::{Column, Rows},
+    large_pages,
+};
 
 /// Packed lists, in parts one after the other.
 pub type Packed = Vec<Arc<dyn Rows>>;
@@ -52,8 +56,13 @@ impl<'a> Unpacker<'a> {
     }
 
     /// Returns the next list; `None` at the end or where the bytes are cut off.
-    pub fn list<T: Pod>(&mut self) -> Option<Vec<T>> {
-        self.bytes_of(size_of::<T>()).map(bytemuck::pod_collect_to_vec)
+    pub fn list<T: Pod + Send>(&mut self) -> Option<Vec<T>> {
+        const PART: usize = 1 << 20;
+        let bytes = self.bytes_of(size_of::<T>())?;
+        let mut list = large_pages::zeroed(bytes.len() / size_of::<T>());
+        let parts = bytemuck::cast_slice_mut(&mut list).par_chunks_mut(PART).zip(bytes.par_chunks(PART));
+        parts.for_each(|(to, from)| to.copy_from_slice(from));
+        Some(list)
     }
 
     /// Returns the next list of bytes where it is.

@@ -56,6 +56,25 @@ pub fn file_system(found: &Metadata) -> u64 {
     }
 }
 
+/// Fills the buffer from this place in the file, whatever other threads read.
+pub fn read_exact_at(file: &File, buffer: &mut [u8], at: u64) -> io::Result<()> {
+    #[cfg(unix)]
+    return std::os::unix::fs::FileExt::read_exact_at(file, buffer, at);
+    #[cfg(windows)]
+    {
+        let mut read = 0;
+        while read < buffer.len() {
+            match std::os::windows::fs::FileExt::seek_read(file, &mut buffer[read..], at + read as u64) {
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+                Ok(more) => read += more,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Returns the number of bytes in holes of a file, which read as zeros and are stored nowhere, and goes back to its start; 0 where the system
 /// does not tell.
 pub fn hole_bytes(file: &File, length: u64) -> u64 {

@@ -128,10 +128,10 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Also write all tables of the plan as NumPy files
-    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    #[arg(long, value_name = "DIR", conflicts_with = "dry_run", help_heading = "Output")]
     dump_tables: Option<PathBuf>,
     /// Also write the bare surface as a PLY file
-    #[arg(long, value_name = "FILE", help_heading = "Output")]
+    #[arg(long, value_name = "FILE", conflicts_with = "dry_run", help_heading = "Output")]
     dump_surface: Option<PathBuf>,
     /// Also write the page of viewrank report
     #[arg(long, conflicts_with = "dry_run", help_heading = "Output")]

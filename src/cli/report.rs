@@ -21,14 +21,14 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, json, print, progress::Progress};
+use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
 /// Shows a map, the curve, the ranked views with their reasons, and the gaps, for any cut. A flight plan of images that would fill the gaps is
 /// written to PROJECT/viewrank/flight. The page needs no network.
-/// Run viewrank plan first; a new plan marks the old page as stale. Tables that viewrank/cache does not hold are computed again;
-/// viewrank plan --report writes the page without that.
+/// Run viewrank plan first; a new plan marks the old page as stale. Tables that viewrank/cache does not hold are computed again
+/// and kept there; viewrank plan --report writes the page without that.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -47,6 +47,9 @@ pub struct Arguments {
     /// Folder for the page [default: PROJECT/viewrank]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Threads to use [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
     /// No progress and no summary
     #[arg(long, short)]
     quiet: bool,
@@ -56,6 +59,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet || arguments.format == Format::Json);
     let folders = DepthMapFolders { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
     let page = write_to(&arguments.project, arguments.out.as_deref(), &folders, &progress)?;
@@ -83,7 +87,16 @@ fn write_to(
     progress: &Progress,
 ) -> Result<PathBuf, Failure> {
     let (project, plan, exports) = replan::as_written(project, progress)?;
-    write_page(&project, &plan, &exports, out, folders, progress)
+    let page = write_page(&project, &plan, &exports, out, folders, progress)?;
+    // What had to be computed again is kept as a plan keeps it, if it can be.
+    let why = match output::write_all(&plan.unwritten(), &Disk::REAL) {
+        Ok(sets) => sets.into_iter().find_map(|set| set.failed),
+        Err(error) => Some(error.to_string()),
+    };
+    if let Some(why) = why {
+        warn(&format!("the tables computed for the page are not kept: {why}"));
+    }
+    Ok(page)
 }
 
 /// Writes the page of a plan that is in memory, with the warnings of its exports, into the project or the folder `out`; returns its path.

@@ -137,6 +137,13 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
     Ok(dense)
 }
 
+/// Returns a target to plan for where the maps of one for `target` give less than that, measured: as much higher as they fall short, and five points or more.
+/// `None`: there is none.
+fn further(target: f64, share: Option<f64>) -> Option<String> {
+    let short = share.map_or(0.0, |share| target - share);
+    (target < 1.0).then(|| format!("{:.0}%", (100.0 * (target + short.max(0.05))).ceil().min(100.0)))
+}
+
 impl Arguments {
     /// Returns the command that continues with the same choices, up to that target.
     fn again(&self, target: Option<&str>) -> String {
@@ -427,7 +434,12 @@ impl<'a> Work<'a> {
             false if self.arguments.budget.is_some() || self.target().is_none() => {
                 "the budget is spent; raise --budget for more".to_owned()
             }
-            false => format!("the list is done below the target; for more: {}", self.arguments.again(Some("98%"))),
+            false => match self.target().and_then(|target| further(target, result.share)) {
+                Some(further) => {
+                    format!("the list is done below the target; for more: {}", self.arguments.again(Some(&further)))
+                }
+                None => "the list is done, with all that the plan has".to_owned(),
+            },
         };
         let mut text = format!("\n{} of {} depth maps: {share}; {verdict}.\n", result.done, result.tasks);
         if let Some(cloud) = &result.cloud {

@@ -8,7 +8,7 @@ use crate::{
     config::TriangleWeight,
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
-    plan::{Band, Cut, Forecast, GivenUp, Memory, Plan, Timings},
+    plan::{Cut, Forecast, GivenUp, Memory, Plan, Timings},
     show::{
         files::PlanFiles,
         manifest::{Manifest, RegionSummary, warnings_with},
@@ -154,7 +154,7 @@ impl<'a> Summary<'a> {
             self.cut.share * 100.0,
             self.weight(),
             self.area(),
-            range(&self.cut.share_band),
+            self.cut.share_band,
             self.certificate(),
             self.given_up(),
             self.beyond_gate(),
@@ -188,8 +188,8 @@ impl<'a> Summary<'a> {
     /// Formats the share of the target that all depth maps reach, and the proven bound on any better choice of equal length (method 5.2).
     fn certificate(&self) -> String {
         let Cut { reachable, reachable_band, fulfilment, .. } = self.cut;
-        let band = range(&reachable_band);
-        let all = format!("All together give {:.0} % of what is wanted (likely {band}).\n", 100.0 * reachable);
+        let all =
+            format!("All together give {:.0} % of what is wanted (likely {reachable_band}).\n", 100.0 * reachable);
         if fulfilment > 0.0 {
             let alike = if self.forecast.maps_at_half > 0 { "work" } else { "length" };
             all + &format!("No choice of the same {alike} is {} better.\n", self.cut.more_of_others())
@@ -309,8 +309,9 @@ impl<'a> Summary<'a> {
                 self.next
             ),
             false => format!(
-                "\nNothing was written (--dry-run). Would be written: {} files, most into {}.\nNext: {}\n",
+                "\nNothing was written (--dry-run). Would be written: {} files, {}into {}.\nNext: {}\n",
                 self.files.len(),
+                if self.files.iter().all(|file| file.starts_with("viewrank/")) { "" } else { "most " },
                 shown_path(&folder),
                 self.next
             ),
@@ -350,11 +351,6 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
         ));
     }
     notes
-}
-
-/// Formats a band as "81 to 99 %".
-fn range(band: &Band) -> String {
-    format!("{:.0} to {:.0} %", (100.0 * band.low).floor(), (100.0 * band.high).ceil())
 }
 
 /// Formats an integer as "12,345".
@@ -397,7 +393,6 @@ mod tests {
     fn numbers_are_written_as_people_read_them() {
         assert_eq!([0, 999, 1000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([0.0123456, 1.0, 12345.6, 0.5].map(rounded), ["0.0123", "1.00", "12346", "0.500"]);
-        assert_eq!(range(&Band { low: 0.8155, high: 1.0 }), "81 to 100 %");
         assert_eq!([12.4, 240.0, 12_000.0].map(duration), ["12 s", "4 min", "3 h 20 min"]);
     }
 }

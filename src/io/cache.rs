@@ -4,7 +4,7 @@
 //! or was made from other inputs or by another version of the format, counts as absent. They are written together with the plan ([`super::output`]).
 
 use std::{
-    io::{BufRead, BufReader, Read},
+    io::{BufRead, BufReader, Read, Seek},
     path::{Path, PathBuf},
 };
 
@@ -88,11 +88,10 @@ impl CacheFile {
         let mut open = self.open()?;
         let length = open.file.get_ref().metadata().ok()?.len();
         input::check_length(length, FileKind::State).ok()?;
-        let mut bytes = Vec::new();
-        bytes.try_reserve_exact(length as usize).ok()?;
-        open.file.by_ref().take(length).read_to_end(&mut bytes).ok()?;
-        open.hasher.update(&bytes);
-        open.checked().map(|facts| (facts, bytes))
+        let start = open.file.stream_position().ok()?;
+        let bytes = input::read_range(open.file.get_ref(), start..length).ok()?;
+        open.hasher.update_rayon(&bytes);
+        (open.hasher.finalize().to_string() == open.hash).then_some((open.facts, bytes))
     }
 
     /// Makes the file; if the inputs are not known, as [`Self::no_file`].

@@ -5,6 +5,7 @@
 
 use std::ops::Range;
 
+use bytemuck::{Pod, Zeroable};
 use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,8 @@ use serde::{Deserialize, Serialize};
 use crate::{base::rows::Offsets, model::camera::Camera};
 
 /// Index of a view in [`Scene::views`]; ordered like the names.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Pod, Zeroable, Serialize, Deserialize)]
+#[repr(transparent)]
 #[serde(transparent)]
 pub struct ViewIndex(pub u32);
 

@@ -1,5 +1,7 @@
 //! Method 5.2: expected deviation of measured values from their forecasts.
 
+use std::fmt;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +36,13 @@ impl Default for Band {
     }
 }
 
+impl fmt::Display for Band {
+    /// Formats it in per cent, rounded outwards, as "81 to 99 %".
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{:.0} to {:.0} %", (100.0 * self.low).floor(), (100.0 * self.high).ceil())
+    }
+}
+
 impl Band {
     fn around(value: f64, below: f64, above: f64) -> Self {
         Self { low: (value - below).max(0.0), high: (value + above).min(1.0) }
@@ -65,5 +74,15 @@ impl Band {
             _ => UNSEEN_SHARE,
         };
         Self::around(share, half, half)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_band_is_not_written_narrower_than_it_is() {
+        assert_eq!(Band { low: 0.8155, high: 0.991 }.to_string(), "81 to 100 %");
     }
 }

@@ -80,11 +80,11 @@ impl Hint for PlanError {
             }
             Self::Memory { stage: memory::SURFACE, need, .. } => format!(
                 "give --max-memory {} or more; the tables need more, forecast once the surface is built",
-                memory::readable(need + need / 20)
+                memory::enough(*need)
             ),
             Self::Memory { need, .. } => format!(
                 "give --max-memory {}, or reduce the triangles with a coarser --gsd or a larger surface.edge_factor",
-                memory::readable(need + need / 20)
+                memory::enough(*need)
             ),
             Self::Disk(error) => return error.hint(),
             Self::Cancelled(_) => return None,

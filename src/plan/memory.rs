@@ -219,11 +219,33 @@ fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
     (share * views as f64 * triangles as f64).ceil() as u64
 }
 
+/// Returns a limit that permits this need and is easily read: at least 5 % more, in two digits, as "120M" or "1.6G".
+pub(super) fn enough(need: u64) -> String {
+    let mebibytes = (need as f64 * 1.05 / f64::from(1 << 20)).ceil() as u64;
+    let unit = 10u64.pow(mebibytes.max(10).ilog10() - 1);
+    match mebibytes.next_multiple_of(unit) {
+        small @ ..1024 => format!("{small}M"),
+        large => format!("{:.1}G", (large as f64 / 1024.0 * 10.0).ceil() / 10.0),
+    }
+}
+
 /// Formats bytes as "1.5G", "20M" or "300 bytes".
 pub(super) fn readable(bytes: u64) -> String {
     match bytes as f64 / 1024f64.powi(3) {
         gibibytes if gibibytes >= 1.0 => format!("{gibibytes:.1}G"),
         gibibytes if bytes >= 1 << 20 => format!("{:.0}M", 1024.0 * gibibytes),
         _ => format!("{bytes} bytes"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_that_is_enough_is_easily_read() {
+        let cases = [(100, "110M"), (112, "120M"), (195, "210M"), (970, "1.1G"), (2048, "2.2G"), (40_000, "41.1G")];
+        cases.into_iter().for_each(|(need, limit)| assert_eq!(enough(need << 20), limit));
+        assert!((1..5000u64).all(|mebibytes| enough(mebibytes << 20).parse::<Bytes>().unwrap().0 >= mebibytes << 20));
     }
 }

@@ -100,18 +100,17 @@ impl Stages {
         let source = settings.confidence.source.in_force(project.images.is_some());
         let own_size = settings.image_scale.is_none();
         let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
-        let (points, image_gsd, mut settings, shape) = timings.time(Stage::Read, || {
-            let points = scene.view_points();
+        let (points, inputs, image_gsd, mut settings, shape) = timings.time(Stage::Read, || {
+            let (points, inputs) = rayon::join(|| scene.view_points(), || Inputs::new(project, &scene));
             let image_gsd = scene.median_gsd_of(&points);
             let settings = in_force(project, settings, (&scene, image_gsd), matcher, source)?;
             let shape = shape(project, &scene, &settings)?;
-            Ok::<_, PlanError>((points, image_gsd, settings, shape))
+            Ok::<_, PlanError>((points, inputs, image_gsd, settings, shape))
         })?;
         refuse_other_images(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let numbers = &matcher.numbers;
         let missing_images = project.missing_images(&scene);
-        let inputs = timings.time(Stage::Read, || Inputs::new(project, &scene));
         let matching = (matcher, &missing_images[..]);
         let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
             surface_and_candidates((&scene, &points), &settings, matching, &inputs, watcher, timings, &mut memory)

@@ -159,11 +159,9 @@ fn unsure(stages: &Stages, all: f64, reachable: &Band) -> Option<String> {
     let looks = matches!(stages.confidence, Confidence::Photometric { .. });
     (looks && reachable.high - reachable.low > UNSURE * all).then(|| {
         format!(
-            "the pictures leave open how much can be matched here: all together may give {:.0} to {:.0} % of what is wanted; plan for the \
+            "the pictures leave open how much can be matched here: all together may give {reachable} of what is wanted; plan for the \
              subject alone (--region), use more partners (-k) or other limits of pairs ([partners.gate]), and plan again with the first \
-             depth maps (--finished)",
-            100.0 * reachable.low,
-            100.0 * reachable.high
+             depth maps (--finished)"
         )
     })
 }

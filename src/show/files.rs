@@ -116,7 +116,13 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         error => Err(error),
     })?;
     let records = exports.iter().map(|export| export.record.clone()).collect();
-    let mut manifest = Manifest::new(plan, project, records)?;
+    let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
+    // Fingerprint and surface take one thread each.
+    let (manifest, (surface, views)) = rayon::join(
+        || Manifest::new(plan, project, records),
+        || rayon::join(|| surface_ply(plan), || views_geojson(plan, &place)),
+    );
+    let mut manifest = manifest?;
     manifest.warnings.extend(image_faults.warnings(project, &plan.stages.scene));
     manifest.warnings.extend(missing);
     let command = exports.first().and_then(command);
@@ -133,9 +139,6 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let planned_views = PlannedViews::new(&plan.stages.scene, &plan.decision.finished);
     add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
     add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
-    let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
-    // The surface takes the clusters in their order, on one thread.
-    let (surface, views) = rayon::join(|| surface_ply(plan), || views_geojson(plan, &place));
     add(views_file(&place), views);
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
     own.add("viewrank/surface.ply", Contents::Bytes(surface));
@@ -160,6 +163,12 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let page = output::read_own(&project.home, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {
         set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
+        // The flight that the page shows stays with it.
+        for path in output::recorded(&project.home, REPORT_SET).into_iter().filter(|path| path != REPORT_FILE) {
+            if let Ok(bytes) = output::read_own(&project.home, &path) {
+                set.add(path, Contents::Bytes(bytes));
+            }
+        }
     }
     Some(set)
 }

@@ -613,3 +613,16 @@ def test_a_plan_with_its_page_has_the_page_of_report(viewrank, fixtures, tmp_pat
     before = [file.read_bytes() for file in files]
     viewrank("report", project)
     assert [file.read_bytes() for file in files] == before
+    viewrank("plan", project, "--backend", "sgm", "--target", "60%", "--quiet")
+    assert [file.read_bytes() for file in files[1:]] == before[1:] and page.exists(), "the flight of the old page stays with it"
+
+
+def test_a_report_keeps_what_it_had_to_compute_again(viewrank, fixtures, tmp_path):
+    project = tmp_path / "valley"
+    shutil.copytree(fixtures / "valley", project, ignore=shutil.ignore_patterns("viewrank"))
+    viewrank("plan", project, "--backend", "sgm", "--quiet")
+    cache = project / "viewrank/cache"
+    tables = {file.name: file.read_bytes() for file in cache.iterdir()}
+    shutil.rmtree(cache)
+    viewrank("report", project, "--threads", "1", "--quiet")
+    assert {file.name: file.read_bytes() for file in cache.iterdir()} == tables != {}

@@ -111,7 +111,7 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
         let all: Vec<usize> = (0..sets.len()).filter(|&place| sets[place].root == root).collect();
         let (spare, needed): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&place| sets[place].is_spare);
         let (places, done) = match write(&all) {
-            Err(error) if spare.iter().any(|&place| error.is_in_folder_of(&sets[place])) => {
+            Err(error) if spare.iter().any(|&place| error.spares(&sets[place])) => {
                 spare.iter().for_each(|&place| written[place].failed = Some(error.to_string()));
                 let done = write(&needed)?;
                 (needed, done)
@@ -123,7 +123,7 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
     Ok(written)
 }
 
-/// Lists the files of all sets below `root` whose names begin with `prefix`: paths relative to the root, sorted.
+/// Lists the files of all sets below `root` whose own names begin with `prefix`: paths relative to the root, sorted.
 pub fn recorded(root: &Path, prefix: &str) -> Vec<String> {
     record::Records::read(root).paths(prefix)
 }
@@ -239,12 +239,16 @@ impl OutputError {
 }
 
 impl OutputError {
-    /// Returns whether nothing has changed because of something in a folder with files of the set.
-    fn is_in_folder_of(&self, set: &FileSet) -> bool {
+    /// Returns whether the change may succeed without the set: nothing has changed, and the disk is full, or something is wrong in a folder with files of
+    /// the set.
+    fn spares(&self, set: &FileSet) -> bool {
         let folders = set.files.keys().filter_map(|path| Path::new(path).parent());
         let mut folders = folders.map(|folder| set.root.join(folder));
-        let is_undone = !matches!(self, Self::Interrupted { .. });
-        is_undone && self.path().is_some_and(|path| folders.any(|folder| path.starts_with(folder)))
+        match self {
+            Self::Interrupted { .. } => false,
+            Self::Full { .. } => true,
+            _ => self.path().is_some_and(|path| folders.any(|folder| path.starts_with(folder))),
+        }
     }
 }
 

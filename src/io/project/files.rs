@@ -9,10 +9,7 @@ use std::{
 
 use super::{ModelFormat, ModelLocation, ProjectError, images::PROBED};
 use crate::{
-    base::{
-        input::{self, FileKind},
-        large_pages,
-    },
+    base::input::{self, FileKind},
     io::formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
     model::scene::Scene,
 };
@@ -26,10 +23,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let file = input::open(path).map_err(fail)?;
     let length = file.metadata().map_err(fail)?.len();
     input::check_length(length, FileKind::Sparse).map_err(fail)?;
-    let mut bytes = large_pages::room_for(usize::try_from(length).unwrap_or(usize::MAX)).map_err(|e| fail(e.into()))?;
-    file.take(FileKind::Sparse.limit() + 1).read_to_end(&mut bytes).map_err(fail)?;
-    input::check_length(bytes.len() as u64, FileKind::Sparse).map_err(fail)?;
-    Ok(bytes)
+    input::read_range(&file, 0..length).map_err(fail)
 }
 
 /// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be read.

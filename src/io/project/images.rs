@@ -158,6 +158,7 @@ fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
 
 /// Bytes at the end of a JPEG file to search for the end-of-image marker, before searching from the first scan on.
 const TAIL: u64 = 1 << 16;
+const START_OF_IMAGE: [u8; 2] = [0xff, 0xd8];
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 const START_OF_SCAN: u8 = 0xda;
 
@@ -165,6 +166,10 @@ const START_OF_SCAN: u8 = 0xda;
 /// occur before the first scan, in an embedded thumbnail.
 fn is_truncated(path: &Path, length: u64) -> io::Result<bool> {
     let mut file = BufReader::with_capacity(TAIL as usize, input::open(path)?);
+    // Other formats go by this name, too.
+    if !file.fill_buf()?.starts_with(&START_OF_IMAGE) {
+        return Ok(false);
+    }
     if length > TAIL {
         file.seek(SeekFrom::Start(length - TAIL))?;
         if has_end(&mut file)? {

@@ -1,5 +1,7 @@
 //! Upper bound on the best set of clusters, and so on the loss of a ranking.
 
+use rayon::prelude::*;
+
 use super::{Maps, Objective, Ranking, Reached, SINGLE_MAP_CREDIT};
 use crate::base::{
     column,
@@ -7,9 +9,15 @@ use crate::base::{
 };
 
 /// Number of subgradient steps; more hardly lower the bound.
-const ROUNDS: usize = 20;
+const ROUNDS: usize = 16;
+/// Length of the first step, over one that would close the gap if the bound were linear.
+const FIRST_STEP: f64 = 0.8;
 /// Steps without improvement after which the step length is halved.
-const PATIENCE: usize = 3;
+const PATIENCE: usize = 2;
+/// Share of the direction of a step that is that of the step before: the best maps change with every step, and what they agree on adds up.
+const MOMENTUM: f32 = 0.5;
+/// Triangles whose prices one thread changes at a time.
+const PART: usize = 1 << 14;
 /// Triangles whose surplus is added at once.
 const LANES: usize = 8;
 
@@ -18,6 +26,14 @@ const LANES: usize = 8;
 /// Any prices at the triangles give a bound (Lagrangian dual, method 5.2). They start from f of the ranking's first maps; a subgradient step raises
 /// the price of triangles that the best maps at these prices cover more often than needed, and lowers the others.
 pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
+    match objective.support {
+        1 => most_at_prices::<1>(length, maps, objective, ranking),
+        _ => most_at_prices::<2>(length, maps, objective, ranking),
+    }
+}
+
+/// Returns [`most_of_any`] by this number of prices at each triangle.
+fn most_at_prices<const N: usize>(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
     let all: Vec<u32> = (0..maps.len()).collect();
     let order: Vec<u32> = ranking.maps().map(|(cluster, scale)| maps.index(cluster, scale)).collect();
     let work_of = |maps_taken: &[u32]| maps_taken.iter().map(|&map| maps.work(map)).sum::<f64>();
@@ -34,8 +50,8 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     };
     drop(reached);
     let limit = if length > order.len() { f64::INFINITY } else { work_of(first) };
-    let mut dual = Dual::new(objective, least);
-    let (mut step, mut in_vain) = (1.0, 0);
+    let mut dual = Dual::<N>::new(objective, least);
+    let (mut step, mut in_vain) = (FIRST_STEP, 0);
     for _ in 0..ROUNDS {
         let gains = column::read_by_parts(&all, |&map| dual.gain(maps.row(map)), || maps.release());
         let per_work = |map: u32| gains[map as usize] / maps.work(map);
@@ -50,7 +66,7 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
         if in_vain == PATIENCE {
             (step, in_vain) = (0.5 * step, 0);
         }
-        dual.improve(best.iter().map(|&map| maps.row(map)), step * (most - goal));
+        dual.improve(&best.iter().map(|&map| maps.row(map)).collect::<Vec<_>>(), step * (most - goal));
     }
     maps.release();
     bound
@@ -58,25 +74,25 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
 
 /// A triangle: its weight, and its prices (see [`Dual`]); side by side in memory, because the triangles of a map are scattered.
 #[derive(Clone, Copy, Debug)]
-struct Priced {
+struct Priced<const N: usize> {
     weight: f64,
-    prices: [f32; 2],
+    prices: [f32; N],
 }
 
-/// Sums what a map's f are above each of the two prices, times the weights.
-struct Surplus<'a> {
+/// Sums what a map's f are above each of the prices, times the weights.
+struct Surplus<'a, const N: usize> {
     triangles: &'a [u32],
     values: &'a [f32],
-    priced: &'a [Priced],
+    priced: &'a [Priced<N>],
 }
 
-impl Kernel for Surplus<'_> {
-    type Output = [f64; 2];
+impl<const N: usize> Kernel for Surplus<'_, N> {
+    type Output = [f64; N];
 
     #[inline(always)]
-    fn run(self) -> [f64; 2] {
+    fn run(self) -> [f64; N] {
         // Independent sums, which need not wait for each other.
-        let mut sums = [[0.0; 2]; LANES];
+        let mut sums = [[0.0; N]; LANES];
         for (triangles, values) in self.triangles.chunks(LANES).zip(self.values.chunks(LANES)) {
             for ((sums, &t), &f) in sums.iter_mut().zip(triangles).zip(values) {
                 let Priced { weight, prices } = self.priced[t as usize];
@@ -86,7 +102,7 @@ impl Kernel for Surplus<'_> {
                 });
             }
         }
-        [0, 1].map(|price| sums.iter().map(|sums| sums[price]).sum())
+        std::array::from_fn(|price| sums.iter().map(|sums| sums[price]).sum())
     }
 }
 
@@ -103,17 +119,19 @@ fn within(limit: f64, maps: &[u32], work: impl Fn(u32) -> f64) -> (usize, f64) {
     (maps.len(), 0.0)
 }
 
-/// Prices at each triangle: one for each of its m largest f, and one for the m-th.
+/// Prices at each triangle: one for each of its m largest f, and one for the m-th unless m is 1.
 ///
 /// For every p, the m largest f add up to at most m p + s, and the m-th is at most p + s / m, where s is the sum of max(f - p, 0) over all f.
-struct Dual {
-    priced: Vec<Priced>,
+struct Dual<const N: usize> {
+    priced: Vec<Priced<N>>,
+    /// Direction of the last step, by triangle and price, per unit of weight; empty before the first one.
+    direction: Vec<[f32; N]>,
     support: u32,
-    /// Weight in f_o of a unit of f above each of the two prices; 0 for the second if m is 1.
-    shares: [f64; 2],
+    /// Weight in f_o of a unit of f above each of the prices.
+    shares: [f64; N],
 }
 
-impl Dual {
+impl<const N: usize> Dual<N> {
     fn new(objective: &Objective, start: Vec<f32>) -> Self {
         let (m, e) = (f64::from(objective.support), SINGLE_MAP_CREDIT);
         let each = e / (m - 1.0);
@@ -121,8 +139,10 @@ impl Dual {
             1 => [1.0, 0.0],
             _ => [each / (1.0 + e), (1.0 - each) / (m * (1.0 + e))],
         };
-        let priced = |(&weight, price)| Priced { weight, prices: [price; 2] };
-        Self { priced: objective.weights.iter().zip(start).map(priced).collect(), support: objective.support, shares }
+        let priced = |(&weight, price)| Priced { weight, prices: [price; N] };
+        let priced = objective.weights.iter().zip(start).map(priced).collect();
+        let shares = std::array::from_fn(|price| shares[price]);
+        Self { priced, direction: Vec::new(), support: objective.support, shares }
     }
 
     /// Returns the price that m clusters pay at all triangles together.
@@ -131,40 +151,50 @@ impl Dual {
             let paid: f64 = self.priced.iter().map(|at| at.weight * f64::from(at.prices[price])).sum();
             f64::from(self.support) * self.shares[price] * paid
         };
-        of(0) + of(1)
+        (0..N).map(of).sum()
     }
 
     /// Returns the surplus of a map over the prices.
     fn gain(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
-        let [first, second] = vectorised(Surplus { triangles, values, priced: &self.priced });
-        self.shares[0] * first + self.shares[1] * second
+        let surplus = vectorised(Surplus { triangles, values, priced: &self.priced });
+        self.shares.iter().zip(surplus).map(|(share, surplus)| share * surplus).sum()
     }
 
-    /// Moves the prices against the subgradient of the bound; per unit of weight it is m minus the number of `best` clusters above the price. `gap`:
-    /// target for the decrease of the bound.
-    fn improve<'t>(&mut self, best: impl Iterator<Item = (&'t [u32], &'t [f32])>, gap: f64) {
-        let mut slopes = vec![[self.support as i32; 2]; self.priced.len()];
-        for (triangles, values) in best {
-            for (&t, &f) in triangles.iter().zip(values) {
-                let (slopes, prices) = (&mut slopes[t as usize], self.priced[t as usize].prices);
-                slopes.iter_mut().zip(prices).for_each(|(slope, price)| *slope -= i32::from(f > price));
+    /// Moves the prices down a direction of descent of the bound: its subgradient, which per unit of weight is m minus the number of `best` maps above
+    /// the price, with [`MOMENTUM`]. `gap`: target for the decrease of the bound.
+    fn improve(&mut self, best: &[(&[u32], &[f32])], gap: f64) {
+        let kept = if self.direction.is_empty() { 0.0 } else { MOMENTUM };
+        self.direction.resize(self.priced.len(), [0.0; N]);
+        let (shares, least) = (self.shares, (1.0 - kept) * self.support as f32);
+        let parts = self.direction.par_chunks_mut(PART).zip(self.priced.par_chunks(PART)).enumerate();
+        let turn = |(part, (direction, priced)): (usize, (&mut [[f32; N]], &[Priced<N>]))| {
+            direction.as_flattened_mut().iter_mut().for_each(|along| *along = kept * *along + least);
+            let first = part * PART;
+            for (triangles, values) in best {
+                let [from, to] =
+                    [first, first + priced.len()].map(|end| triangles.partition_point(|&t| (t as usize) < end));
+                for (&t, &f) in triangles[from..to].iter().zip(&values[from..to]) {
+                    let at = t as usize - first;
+                    let above = priced[at].prices.map(|price| f32::from(u8::from(f > price)));
+                    direction[at].iter_mut().zip(above).for_each(|(along, above)| *along -= (1.0 - kept) * above);
+                }
             }
-        }
-        let square = |price: usize| -> f64 {
-            let one = |(at, slopes): (&Priced, &[i32; 2])| {
-                at.weight * (self.shares[price] * f64::from(slopes[price])).powi(2)
+            let square = |(at, along): (&Priced<N>, &[f32; N])| {
+                at.weight
+                    * along.iter().zip(shares).map(|(&along, share)| (share * f64::from(along)).powi(2)).sum::<f64>()
             };
-            self.priced.iter().zip(&slopes).map(one).sum()
+            priced.iter().zip(&*direction).map(square).sum::<f64>()
         };
-        let squares = square(0) + square(1);
+        // Added up in the order of the parts, whichever thread has which.
+        let squares: f64 = parts.map(turn).collect::<Vec<_>>().into_iter().sum();
         if !(squares > 0.0 && gap > 0.0) {
             return;
         }
-        for (at, slopes) in self.priced.iter_mut().zip(&slopes) {
-            for ((price, &slope), share) in at.prices.iter_mut().zip(slopes).zip(self.shares) {
-                let down = gap / squares * share * f64::from(slope);
+        self.priced.par_iter_mut().zip(&self.direction).for_each(|(at, along)| {
+            for ((price, &along), share) in at.prices.iter_mut().zip(along).zip(shares) {
+                let down = gap / squares * share * f64::from(along);
                 *price = (f64::from(*price) - down).clamp(0.0, 1.0) as f32;
             }
-        }
+        });
     }
 }

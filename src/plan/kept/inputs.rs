@@ -186,10 +186,7 @@ fn hash_of(scene: &Scene) -> Hash {
             let coordinates: Vec<f64> = part.iter().flat_map(|point| point.coords.iter().copied()).collect();
             add_part(&mut hasher, bytemuck::cast_slice(&coordinates));
         }
-        for part in scene.track_views.chunks(BLOCK) {
-            let views: Vec<u32> = part.iter().map(|view| view.0).collect();
-            add_part(&mut hasher, bytemuck::cast_slice(&views));
-        }
+        add_part(&mut hasher, bytemuck::cast_slice(&scene.track_views));
         add_part(&mut hasher, bytemuck::cast_slice(&scene.track_offsets));
         hasher
     });

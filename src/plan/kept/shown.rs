@@ -1,5 +1,7 @@
 //! Number of views, pixels and finest GSD of each triangle.
 
+use rayon::prelude::*;
+
 use crate::{
     base::packed::{Packed, Packer, Unpacker},
     method::visibility::Shown,
@@ -20,8 +22,8 @@ pub fn unpack(bytes: &[u8], views: usize, triangles: usize) -> Option<Shown> {
     let lengths = [shown.views.len(), shown.pixels.len(), shown.finest_gsd.len()];
     let fits = lists.is_at_end() && lengths.iter().all(|&length| length == triangles);
     let most = Shown::MOST_PIXELS * views as f64;
-    let is_possible = shown.views.iter().all(|&number| number as usize <= views)
-        && shown.pixels.iter().all(|pixels| (0.0..=most).contains(pixels))
-        && shown.finest_gsd.iter().all(|&gsd| gsd > 0.0);
+    let is_possible = shown.views.par_iter().all(|&number| number as usize <= views)
+        && shown.pixels.par_iter().all(|pixels| (0.0..=most).contains(pixels))
+        && shown.finest_gsd.par_iter().all(|&gsd| gsd > 0.0);
     (fits && is_possible).then_some(shown)
 }

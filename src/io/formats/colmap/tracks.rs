@@ -156,7 +156,7 @@ impl ColmapModel<'_> {
             offsets.push(offsets[offsets.len() - 1] + point.track.len());
         }
         let total = offsets[self.points.len()];
-        let (mut views, mut pixels) = (large_pages::filled(total, ViewIndex(0)), large_pages::filled(total, [0.0; 2]));
+        let (mut views, mut pixels) = (large_pages::zeroed(total), large_pages::zeroed(total));
         let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
         let (mut views_left, mut pixels_left) = (&mut views[..], &mut pixels[..]);
         for points in self.points.chunks(CHUNK) {
