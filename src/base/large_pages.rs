@@ -4,8 +4,14 @@ use std::io;
 
 use bytemuck::{Zeroable, allocation};
 
-/// Returns a list of `elements` zeros, or the like, in huge pages where the system has them. The memory is not touched: the threads that write to it get
-/// it from the system, each its part.
+/// Returns an empty list with room for `elements`, in huge pages where the system has them. The memory is not touched.
+pub fn room_for<T>(elements: usize) -> Vec<T> {
+    let mut room = Vec::with_capacity(elements);
+    advise(&mut room);
+    room
+}
+
+/// Returns a list of `elements` zeros, or the like, as [`room_for`] does: the threads that write to it get the memory from the system, each its part.
 pub fn zeroed<T: Zeroable>(elements: usize) -> Vec<T> {
     let mut list = allocation::zeroed_vec(elements);
     advise(&mut list);
@@ -44,6 +50,9 @@ mod tests {
         for elements in [0usize, 1, 1000, 1 << 20] {
             let lists = [super::zeroed::<u64>(elements), super::try_zeroed(elements).expect("memory")];
             assert_eq!(lists, [vec![0; elements], vec![0; elements]]);
+            let mut list = super::room_for::<u64>(elements);
+            list.extend(0..elements as u64);
+            assert!(list.capacity() >= elements && list.iter().copied().eq(0..elements as u64));
         }
         assert!(super::try_zeroed::<u64>(usize::MAX / 16).is_err(), "an error, not the end of the program");
     }

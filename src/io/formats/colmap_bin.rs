@@ -16,9 +16,12 @@ use super::{
     Bytes, Fault, Place, Problem,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose, TrackElement},
 };
-use crate::model::{
-    camera::{Camera, CameraModel},
-    scene::{ModelWarning, WarningKind},
+use crate::{
+    base::large_pages,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{ModelWarning, WarningKind},
+    },
 };
 
 /// Reads a model; [`ColmapModel::scene`] checks its cross-references.
@@ -51,7 +54,7 @@ fn records<'a, T>(
 ) -> Result<Vec<T>, Fault> {
     let mut reader = Reader { file, whole: bytes, rest: bytes };
     let count = reader.count("records", smallest)?;
-    let mut all = Vec::with_capacity(count);
+    let mut all = large_pages::room_for(count);
     for n in 0..count {
         all.push(record(&mut reader).map_err(|fault| fault.in_record(|| format!("{what} {} of {count}", n + 1)))?);
     }

@@ -238,7 +238,7 @@ impl ColmapModel<'_> {
     }
 
     fn check_point_ids(&self) -> Result<(), Fault> {
-        if self.points.is_sorted_by(|a, b| a.id < b.id) {
+        if self.points.par_windows(2).all(|pair| pair[0].id < pair[1].id) {
             return Ok(());
         }
         let mut order: Vec<usize> = (0..self.points.len()).collect();

@@ -150,17 +150,16 @@ impl<'m> Links<'m> {
 impl ColmapModel<'_> {
     /// Computes the views and pixels of all observations; parts of the arrays are filled in parallel.
     pub(super) fn tracks(&self, lists: &ImageLists) -> Result<Tracks, Fault> {
+        let lengths: Vec<usize> = self.points.par_iter().map(|point| point.track.len()).collect();
         let mut offsets = Vec::with_capacity(self.points.len() + 1);
         offsets.push(0);
-        for point in &self.points {
-            offsets.push(offsets[offsets.len() - 1] + point.track.len());
-        }
+        lengths.iter().for_each(|length| offsets.push(offsets[offsets.len() - 1] + length));
         let total = offsets[self.points.len()];
         let (mut views, mut pixels) = (large_pages::zeroed(total), large_pages::zeroed(total));
         let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
         let (mut views_left, mut pixels_left) = (&mut views[..], &mut pixels[..]);
-        for points in self.points.chunks(CHUNK) {
-            let n = points.iter().map(|p| p.track.len()).sum();
+        for (points, lengths) in self.points.chunks(CHUNK).zip(lengths.chunks(CHUNK)) {
+            let n = lengths.iter().sum();
             let (piece_views, piece_pixels);
             (piece_views, views_left) = views_left.split_at_mut(n);
             (piece_pixels, pixels_left) = pixels_left.split_at_mut(n);
