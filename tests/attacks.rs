@@ -149,6 +149,20 @@ fn attack_2_a_planted_journal_removes_nothing_and_is_set_aside() {
 }
 
 #[test]
+fn a_planted_record_makes_no_file_of_the_user_part_of_a_report() {
+    let place = Place::new();
+    let notes = place.project().join("my_notes.txt");
+    fs::write(&notes, "notes").unwrap();
+    fs::create_dir_all(place.own(".sets")).unwrap();
+    fs::write(place.own("report.html"), "<html lang=\"en\">").unwrap();
+    let record = format!(r#"{{"files":{{"my_notes.txt":"{}"}},"folders":[]}}"#, blake3::hash(b"notes"));
+    fs::write(place.own(".sets/report.json"), record).unwrap();
+    succeeds(place.plan());
+    succeeds(viewrank(&["report", path(&place.project()), "--quiet"]));
+    assert_eq!(fs::read_to_string(notes).unwrap(), "notes");
+}
+
+#[test]
 fn attack_3_settings_name_a_device() {
     let place = Place::new();
     for key in ["confidence.source", "surface.mesh"] {

@@ -257,8 +257,8 @@ fn a_cache_that_cannot_be_written_is_no_reason_to_fail() {
 
 #[test]
 fn a_disk_that_is_full_has_room_for_a_plan_without_its_cache() {
-    let folder = planned(&town());
     for (at, target) in [(3, "50%"), (40, "60%")] {
+        let folder = planned(&town());
         fs::remove_dir_all(folder.path().join("viewrank/cache")).unwrap();
         let changes = AtomicUsize::new(0);
         let full_once = |_: Operation, _: &Path| match changes.fetch_add(1, Ordering::Relaxed) == at {

@@ -134,9 +134,22 @@ pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Reads this part of a file, with all threads: what takes time is copying and getting the memory.
+/// Reads an open file as [`read_all`] does, with all threads: what takes time is copying, and getting the memory.
+pub fn read_large(file: &File, kind: FileKind) -> io::Result<Vec<u8>> {
+    let length = file.metadata()?.len();
+    check_length(length, kind)?;
+    let changed =
+        || io::Error::new(io::ErrorKind::InvalidData, "it changed while it was read: try again once it is complete");
+    let bytes = read_range(file, 0..length).map_err(|error| match error.kind() {
+        io::ErrorKind::UnexpectedEof => changed(),
+        _ => error,
+    })?;
+    if file.metadata()?.len() == length { Ok(bytes) } else { Err(changed()) }
+}
+
+/// Reads this part of a file, with all threads.
 pub fn read_range(file: &File, range: Range<u64>) -> io::Result<Vec<u8>> {
-    const PART: usize = 8 << 20;
+    const PART: usize = if cfg!(test) { 4 } else { 8 << 20 };
     let length = range.end.saturating_sub(range.start);
     let mut bytes = large_pages::try_zeroed(usize::try_from(length).unwrap_or(usize::MAX))?;
     let parts = bytes.par_chunks_mut(PART).enumerate();
@@ -156,6 +169,20 @@ pub fn check_length(length: u64, kind: FileKind) -> io::Result<()> {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_part_of_a_file_is_read_whatever_its_length() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("file");
+        let bytes: Vec<u8> = (0..99).collect();
+        std::fs::write(&path, &bytes).unwrap();
+        let file = open(&path).unwrap();
+        for (start, end) in [(0, 99), (0, 0), (7, 8), (3, 11), (50, 99), (99, 99)] {
+            assert_eq!(read_range(&file, start as u64..end as u64).unwrap(), bytes[start..end], "{start} to {end}");
+        }
+        assert_eq!(read_range(&file, 90..100).unwrap_err().kind(), io::ErrorKind::UnexpectedEof);
+        assert_eq!(read_large(&file, FileKind::State).unwrap(), bytes);
+    }
 
     #[test]
     fn only_regular_files_are_opened_links_to_them_included() {

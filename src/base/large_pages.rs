@@ -11,7 +11,7 @@ pub fn room_for<T>(elements: usize) -> Vec<T> {
     room
 }
 
-/// Returns a list of `elements` zeros, or the like, as [`room_for`] does: the threads that write to it get the memory from the system, each its part.
+/// Returns a list of `elements` zeros in huge pages, as [`room_for`] does. The system gives the memory to the threads that write to it, each its part.
 pub fn zeroed<T: Zeroable>(elements: usize) -> Vec<T> {
     let mut list = allocation::zeroed_vec(elements);
     advise(&mut list);

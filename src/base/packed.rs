@@ -57,7 +57,7 @@ impl<'a> Unpacker<'a> {
 
     /// Returns the next list; `None` at the end or where the bytes are cut off.
     pub fn list<T: Pod + Send>(&mut self) -> Option<Vec<T>> {
-        const PART: usize = 1 << 20;
+        const PART: usize = if cfg!(test) { 5 } else { 1 << 20 };
         let bytes = self.bytes_of(size_of::<T>())?;
         let mut list = large_pages::zeroed(bytes.len() / size_of::<T>());
         let parts = bytemuck::cast_slice_mut(&mut list).par_chunks_mut(PART).zip(bytes.par_chunks(PART));

@@ -73,6 +73,11 @@ pub fn read_exact_at(file: &File, buffer: &mut [u8], at: u64) -> io::Result<()> 
         }
         Ok(())
     }
+    #[cfg(not(any(unix, windows)))]
+    {
+        let _ = (file, buffer, at);
+        Err(io::ErrorKind::Unsupported.into())
+    }
 }
 
 /// Returns the number of bytes in holes of a file, which read as zeros and are stored nowhere, and goes back to its start; 0 where the system

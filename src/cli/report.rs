@@ -28,7 +28,7 @@ use super::{Failure, Format, json, print, progress::Progress, use_threads, warn}
 /// Shows a map, the curve, the ranked views with their reasons, and the gaps, for any cut. A flight plan of images that would fill the gaps is
 /// written to PROJECT/viewrank/flight. The page needs no network.
 /// Run viewrank plan first; a new plan marks the old page as stale. Tables that viewrank/cache does not hold are computed again
-/// and kept there; viewrank plan --report writes the page without that.
+/// and kept there (not with --out); viewrank plan --report writes the page together with the plan.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -88,7 +88,15 @@ fn write_to(
 ) -> Result<PathBuf, Failure> {
     let (project, plan, exports) = replan::as_written(project, progress)?;
     let page = write_page(&project, &plan, &exports, out, folders, progress)?;
-    // What had to be computed again is kept as a plan keeps it, if it can be.
+    // With a limit of memory, the next plan can use only tables that were made with as many threads as it has.
+    if out.is_none() && plan.stages.settings.max_memory.is_none() {
+        keep(&plan);
+    }
+    Ok(page)
+}
+
+/// Keeps the results of stages that the page had to compute again, as a plan does.
+fn keep(plan: &Plan) {
     let why = match output::write_all(&plan.unwritten(), &Disk::REAL) {
         Ok(sets) => sets.into_iter().find_map(|set| set.failed),
         Err(error) => Some(error.to_string()),
@@ -96,7 +104,6 @@ fn write_to(
     if let Some(why) = why {
         warn(&format!("the tables computed for the page are not kept: {why}"));
     }
-    Ok(page)
 }
 
 /// Writes the page of a plan that is in memory, with the warnings of its exports, into the project or the folder `out`; returns its path.

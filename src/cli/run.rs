@@ -137,11 +137,11 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
     Ok(dense)
 }
 
-/// Returns a target to plan for where the maps of one for `target` give less than that, measured: as much higher as they fall short, and five points or more.
-/// `None`: there is none.
-fn further(target: f64, share: Option<f64>) -> Option<String> {
-    let short = share.map_or(0.0, |share| target - share);
-    (target < 1.0).then(|| format!("{:.0}%", (100.0 * (target + short.max(0.05))).ceil().min(100.0)))
+/// Returns a higher target, where all maps of the list have reached only `share`, measured: higher by what was missing, and by five points or more. `None`:
+/// the list has all maps.
+fn higher(target: f64, share: Option<f64>) -> Option<String> {
+    let missing = share.map_or(0.0, |share| target - share);
+    (target < 1.0).then(|| format!("{:.0}%", (100.0 * (target + missing.max(0.05))).min(100.0)))
 }
 
 impl Arguments {
@@ -434,9 +434,9 @@ impl<'a> Work<'a> {
             false if self.arguments.budget.is_some() || self.target().is_none() => {
                 "the budget is spent; raise --budget for more".to_owned()
             }
-            false => match self.target().and_then(|target| further(target, result.share)) {
-                Some(further) => {
-                    format!("the list is done below the target; for more: {}", self.arguments.again(Some(&further)))
+            false => match self.target().and_then(|target| higher(target, result.share)) {
+                Some(higher) => {
+                    format!("the list is done below the target; for more: {}", self.arguments.again(Some(&higher)))
                 }
                 None => "the list is done, with all that the plan has".to_owned(),
             },
@@ -510,6 +510,23 @@ impl Lines {
         if !self.is_silent && *last != stage {
             super::complain(&format!("planning: {stage}"));
             *last = stage.into();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_list_that_fell_short_asks_for_a_higher_target() {
+        let cases = [
+            ((0.7, Some(0.695)), Some("75%")),
+            ((0.8, None), Some("85%")),
+            ((0.7, Some(0.6)), Some("80%")),
+            ((0.98, Some(0.97)), Some("100%")),
+            ((1.0, Some(0.9)), None),
+        ];
+        for ((target, share), expected) in cases {
+            assert_eq!(super::higher(target, share).as_deref(), expected, "{target} {share:?}");
         }
     }
 }

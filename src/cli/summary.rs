@@ -309,9 +309,9 @@ impl<'a> Summary<'a> {
                 self.next
             ),
             false => format!(
-                "\nNothing was written (--dry-run). Would be written: {} files, {}into {}.\nNext: {}\n",
+                "\nNothing was written (--dry-run). Would be written: {} files{} into {}.\nNext: {}\n",
                 self.files.len(),
-                if self.files.iter().all(|file| file.starts_with("viewrank/")) { "" } else { "most " },
+                if self.files.iter().all(|file| file.starts_with("viewrank/")) { "" } else { ", most" },
                 shown_path(&folder),
                 self.next
             ),

@@ -23,8 +23,10 @@ use crate::{
 
 use serde_json::json;
 
-/// Path of the report in its project, and the name of its file set. Writing a plan removes the report of any other plan.
+/// Path of the report in its project, and the name of its file set. Writing a plan marks the report of any other plan as stale.
 pub const REPORT_FILE: &str = "viewrank/report.html";
+/// Beginning of the paths of the report's further files: images that would fill the holes.
+const FLIGHT: &str = "viewrank/flight/";
 pub const REPORT_SET: &str = "report";
 
 /// Returns the path of the report of a plan in this folder, to be shown.
@@ -163,10 +165,11 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let page = output::read_own(&project.home, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {
         set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
-        // The flight that the page shows stays with it.
-        for path in output::recorded(&project.home, REPORT_SET).into_iter().filter(|path| path != REPORT_FILE) {
-            if let Ok(bytes) = output::read_own(&project.home, &path) {
-                set.add(path, Contents::Bytes(bytes));
+        // The flight that the page shows stays with it. What else a record lists need not be viewrank's.
+        let listed = output::recorded(&project.home, REPORT_SET).into_iter();
+        for path in listed.filter(|path| path.starts_with(FLIGHT)) {
+            if output::open_own(&project.home, &path).is_ok() {
+                set.add(&*path, Contents::Copy(project.home.join(&path)));
             }
         }
     }

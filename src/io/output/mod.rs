@@ -55,7 +55,7 @@ pub struct FileSet {
     /// Name of the set; it replaces an earlier set of the same name below the same root, whose stale files are removed.
     pub name: String,
     pub files: BTreeMap<String, Contents>,
-    /// True for results that can be made again: where the fault is in their folders, [`write_all`] writes the other sets without them.
+    /// True for results that can be made again: where the disk is full, or a fault is in their folders, [`write_all`] writes the other sets without them.
     pub is_spare: bool,
 }
 
@@ -123,7 +123,7 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
     Ok(written)
 }
 
-/// Lists the files of all sets below `root` whose own names begin with `prefix`: paths relative to the root, sorted.
+/// Lists the files, below `root`, of all sets whose names begin with `prefix`: paths relative to the root, sorted. The records may be anybody's.
 pub fn recorded(root: &Path, prefix: &str) -> Vec<String> {
     record::Records::read(root).paths(prefix)
 }

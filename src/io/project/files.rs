@@ -21,9 +21,7 @@ pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let fail = |source| ProjectError::Io { path: path.into(), source };
     let file = input::open(path).map_err(fail)?;
-    let length = file.metadata().map_err(fail)?.len();
-    input::check_length(length, FileKind::Sparse).map_err(fail)?;
-    input::read_range(&file, 0..length).map_err(fail)
+    input::read_large(&file, FileKind::Sparse).map_err(fail)
 }
 
 /// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be read.

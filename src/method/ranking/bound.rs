@@ -8,7 +8,7 @@ use crate::base::{
     vector::{Kernel, vectorised},
 };
 
-/// Number of subgradient steps; more hardly lower the bound.
+/// Number of prices tried, each after a subgradient step from those before.
 const ROUNDS: usize = 16;
 /// Length of the first step, over one that would close the gap if the bound were linear.
 const FIRST_STEP: f64 = 0.8;
@@ -16,8 +16,9 @@ const FIRST_STEP: f64 = 0.8;
 const PATIENCE: usize = 2;
 /// Share of the direction of a step that is that of the step before: the best maps change with every step, and what they agree on adds up.
 const MOMENTUM: f32 = 0.5;
-/// Triangles whose prices one thread changes at a time.
-const PART: usize = 1 << 14;
+/// Parts of the triangles whose prices change at a time, one per thread, and the least number of triangles in one. Each part passes all of the best maps.
+const PARTS: usize = 64;
+const LEAST_PART: usize = if cfg!(test) { 3 } else { 1 << 14 };
 /// Triangles whose surplus is added at once.
 const LANES: usize = 8;
 
@@ -52,7 +53,7 @@ fn most_at_prices<const N: usize>(length: usize, maps: &Maps, objective: &Object
     let limit = if length > order.len() { f64::INFINITY } else { work_of(first) };
     let mut dual = Dual::<N>::new(objective, least);
     let (mut step, mut in_vain) = (FIRST_STEP, 0);
-    for _ in 0..ROUNDS {
+    for round in 1..=ROUNDS {
         let gains = column::read_by_parts(&all, |&map| dual.gain(maps.row(map)), || maps.release());
         let per_work = |map: u32| gains[map as usize] / maps.work(map);
         let mut best = all.clone();
@@ -66,7 +67,9 @@ fn most_at_prices<const N: usize>(length: usize, maps: &Maps, objective: &Object
         if in_vain == PATIENCE {
             (step, in_vain) = (0.5 * step, 0);
         }
-        dual.improve(&best.iter().map(|&map| maps.row(map)).collect::<Vec<_>>(), step * (most - goal));
+        if round < ROUNDS {
+            dual.improve(&best.iter().map(|&map| maps.row(map)).collect::<Vec<_>>(), step * (most - goal));
+        }
     }
     maps.release();
     bound
@@ -160,16 +163,17 @@ impl<const N: usize> Dual<N> {
         self.shares.iter().zip(surplus).map(|(share, surplus)| share * surplus).sum()
     }
 
-    /// Moves the prices down a direction of descent of the bound: its subgradient, which per unit of weight is m minus the number of `best` maps above
-    /// the price, with [`MOMENTUM`]. `gap`: target for the decrease of the bound.
+    /// Moves the prices against the subgradient of the bound, which per unit of weight is m minus the number of `best` maps above the price, with
+    /// [`MOMENTUM`]. `gap`: target for the decrease of the bound.
     fn improve(&mut self, best: &[(&[u32], &[f32])], gap: f64) {
         let kept = if self.direction.is_empty() { 0.0 } else { MOMENTUM };
         self.direction.resize(self.priced.len(), [0.0; N]);
-        let (shares, least) = (self.shares, (1.0 - kept) * self.support as f32);
-        let parts = self.direction.par_chunks_mut(PART).zip(self.priced.par_chunks(PART)).enumerate();
+        let (shares, uncovered) = (self.shares, (1.0 - kept) * self.support as f32);
+        let length = self.priced.len().div_ceil(PARTS).max(LEAST_PART);
+        let parts = self.direction.par_chunks_mut(length).zip(self.priced.par_chunks(length)).enumerate();
         let turn = |(part, (direction, priced)): (usize, (&mut [[f32; N]], &[Priced<N>]))| {
-            direction.as_flattened_mut().iter_mut().for_each(|along| *along = kept * *along + least);
-            let first = part * PART;
+            direction.as_flattened_mut().iter_mut().for_each(|along| *along = kept * *along + uncovered);
+            let first = part * length;
             for (triangles, values) in best {
                 let [from, to] =
                     [first, first + priced.len()].map(|end| triangles.partition_point(|&t| (t as usize) < end));

@@ -335,7 +335,8 @@ fn images_that_cannot_be_read() {
     assert!(whole.len() > 100_000, "longer than the header that is read first");
     let put = |number: usize, bytes: &[u8]| fs::write(images.join(format!("n{number:02}.jpg")), bytes).unwrap();
     (0..25).for_each(|number| put(number, &whole));
-    assert_eq!(of_healthy(&project), []);
+    image::RgbImage::new(1000, 750).save_with_format(images.join("n09.jpg"), image::ImageFormat::Png).unwrap();
+    assert_eq!(of_healthy(&project), [], "a PNG by the name of a JPEG is read for what it is");
     put(4, &[]);
     put(5, b"<html>not found</html>");
     put(6, &whole[..whole.len() / 2]);
