@@ -5,6 +5,8 @@
 //! their share of the area, a, most significantly (largest `m ln(m / a) + (1 - m) ln((1 - m) / (1 - a))`, the statistic of Kulldorff's scan,
 //! 1997). Triangles down to a quarter of the density at the cut are included. The box holds all but the outermost pixels of these along each axis, plus a margin.
 
+use rayon::prelude::*;
+
 use crate::method::surface::Surface;
 
 /// Minimum density of an included triangle, relative to the sparsest triangle of the core: half the resolution.
@@ -20,13 +22,14 @@ pub fn densest(surface: &Surface, pixels: &[f64]) -> Option<[f64; 6]> {
     let density = |t: u32| pixels[t as usize] / areas[t as usize];
     let mut order: Vec<u32> =
         (0..areas.len() as u32).filter(|&t| areas[t as usize] > 0.0 && density(t) > 0.0).collect();
-    order.sort_unstable_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
+    order.par_sort_unstable_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
     let least = SURROUNDINGS * density(*order.get(core(&order, pixels, &areas)?)?);
     let mut core: Vec<u32> = order.into_iter().take_while(|&t| density(t) >= least).collect();
     let mut corners = [0.0; 6];
     for axis in 0..3 {
-        let place = |t: u32| surface.centroid(t)[axis];
-        core.sort_unstable_by(|&a, &b| place(a).total_cmp(&place(b)).then(a.cmp(&b)));
+        let places: Vec<f64> = (0..areas.len() as u32).into_par_iter().map(|t| surface.centroid(t)[axis]).collect();
+        let place = |t: u32| places[t as usize];
+        core.par_sort_unstable_by(|&a, &b| place(a).total_cmp(&place(b)).then(a.cmp(&b)));
         let [low, high] = within(&core, pixels).map(place);
         let margin = MARGIN * (high - low);
         (corners[axis], corners[axis + 3]) = (low - margin, high + margin);
