@@ -169,6 +169,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         dumps.into_iter().flatten().try_for_each(output::refuse_unwritable)?;
     }
     let progress = Progress::new(arguments.quiet);
+    let model = project.model_stamps();
     let mut plan =
         backends::plan(&project, &settings, &progress).map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
@@ -183,6 +184,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let files =
         files(&plan, &project).inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
+    // The manifest has the fingerprint of the model that is there now.
+    if project.model_stamps() != model {
+        let hint = "plan again once it is complete; nothing was changed";
+        return Err(Failure::new(Exit::Failed, "the model has changed while it was planned", Some(hint.to_owned())));
+    }
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;
     }

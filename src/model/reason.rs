@@ -27,7 +27,7 @@ pub enum Reason {
     NoGainLeft,
     /// All that it could give is outside the region.
     OutsideRegion,
-    /// There is no file of its image.
+    /// Its image is not there, or cannot be read.
     NoImage,
 }
 
@@ -73,7 +73,7 @@ impl Reason {
             Self::TooInaccurate => "the triangulation angles are too small for the target accuracy",
             Self::NotMatchable => "the backend cannot match the available pairs",
             Self::OutsideRegion => "all that it could give is outside the region",
-            Self::NoImage => "its image is missing",
+            Self::NoImage => "its image is missing or cannot be read",
             Self::NoGainLeft => "its gain is zero or below the cut",
         }
     }

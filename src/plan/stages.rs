@@ -67,7 +67,7 @@ pub struct Stages {
     /// Objective of the plan (method 5.1).
     pub objective: Objective,
     pub candidates: Candidates,
-    /// Views whose images are missing, which are neither key views nor partners; ascending.
+    /// Views whose images are missing or cannot be read, which are neither key views nor partners; ascending.
     pub missing_images: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,

@@ -3,6 +3,7 @@ import json
 import os
 import shutil
 import subprocess
+import threading
 
 import pytest
 
@@ -153,6 +154,28 @@ def test_views_without_an_image_take_no_part(viewrank, valley):
     after = manifest(valley)
     assert all(first != cluster["key"] and first not in cluster["partners"] for cluster in after["clusters"])
     assert next(view for view in after["views"] if view["name"] == first)["reason"] == "no_image"
+    (valley / "images" / first).write_bytes(bytes(range(100)))
+    assert "1 view has no image that can be read" in viewrank("plan", valley, *PLAN).stdout
+    assert manifest(valley) == after | {"input": manifest(valley)["input"], "warnings": manifest(valley)["warnings"]}, "as if it were missing"
+
+
+def test_a_model_replaced_while_it_is_planned_gets_no_plan(viewrank, valley):
+    model, copy = valley / "sparse/0/points3D.bin", valley / "copy.bin"
+    is_planned = threading.Event()
+
+    def replace():
+        while not is_planned.wait(0.05):
+            shutil.copyfile(model, copy)
+            copy.replace(model)
+
+    replacing = threading.Thread(target=replace)
+    replacing.start()
+    try:
+        refused = viewrank("plan", valley, *PLAN, expect=1)
+    finally:
+        is_planned.set()
+        replacing.join()
+    assert "the model has changed while it was planned" in refused.stderr and not (valley / "viewrank/manifest.json").exists()
 
 
 def read_only(root):

@@ -140,6 +140,11 @@ enum Unread {
     Broken(&'static str),
 }
 
+/// Returns whether the file is there and, by its name and header, an image in one piece.
+pub(super) fn is_readable(path: &Path) -> bool {
+    probe(path).is_ok()
+}
+
 /// Reads the width and height of an image; `None` for formats that cannot be checked.
 fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();

@@ -12,6 +12,7 @@ mod images;
 use std::{
     io,
     path::{Path, PathBuf},
+    time::SystemTime,
 };
 
 use rayon::prelude::*;
@@ -26,6 +27,7 @@ pub use images::{ImageFaults, slashes};
 use crate::{
     base::{
         error::Hint,
+        input,
         shell::{command_path, command_word},
     },
     io::formats::{Fault, colmap::ColmapModel},
@@ -241,10 +243,10 @@ impl Project {
         self.images.as_ref().is_some_and(|folder| !has_image(folder))
     }
 
-    /// Views without an image file, where there is an image folder with at least one image of the scene.
+    /// Views without an image that can be read, where there is an image folder with at least one image of the scene.
     pub fn missing_images(&self, scene: &Scene) -> Vec<ViewIndex> {
         let Some(folder) = &self.images else { return Vec::new() };
-        let is_missing = |view: &ViewIndex| !folder.file(scene.name(*view)).is_file();
+        let is_missing = |view: &ViewIndex| !images::is_readable(&folder.file(scene.name(*view)));
         let missing: Vec<ViewIndex> =
             scene.view_indices().collect::<Vec<_>>().into_par_iter().filter(is_missing).collect();
         if missing.len() == scene.views.len() { Vec::new() } else { missing }
@@ -282,6 +284,15 @@ impl Project {
             ModelFormat::ColmapBinary | ModelFormat::ColmapText => files::all(&self.model),
             _ => foreign::files(&self.root, &self.model),
         }
+    }
+
+    /// Length, time of modification and inode of each file of the model: while they are the same, so is the model. `None`: not there.
+    pub fn model_stamps(&self) -> Vec<Option<(u64, Option<SystemTime>, u64)>> {
+        let stamp = |path: PathBuf| {
+            let found = path.metadata().ok()?;
+            Some((found.len(), found.modified().ok(), input::identity(&found).1))
+        };
+        self.model_files().into_iter().map(stamp).collect()
     }
 
     /// Other models at least half of whose images are in the scene: copies of the model, possibly in other coordinates.
