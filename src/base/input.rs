@@ -134,7 +134,10 @@ pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Reads an open file as [`read_all`] does, with all threads: what takes time is copying, and getting the memory.
+/// Reads an open file whole on all threads, up to the limit of its kind; most of the time goes into copying and page faults.
+///
+/// # Errors
+/// Fails with the kind `InvalidData` if the length changes meanwhile.
 pub fn read_large(file: &File, kind: FileKind) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     check_length(length, kind)?;
@@ -147,7 +150,7 @@ pub fn read_large(file: &File, kind: FileKind) -> io::Result<Vec<u8>> {
     if file.metadata()?.len() == length { Ok(bytes) } else { Err(changed()) }
 }
 
-/// Reads this part of a file, with all threads.
+/// Reads a range of bytes of a file on all threads.
 pub fn read_range(file: &File, range: Range<u64>) -> io::Result<Vec<u8>> {
     const PART: usize = if cfg!(test) { 4 } else { 8 << 20 };
     let length = range.end.saturating_sub(range.start);

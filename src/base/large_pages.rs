@@ -11,14 +11,14 @@ pub fn room_for<T>(elements: usize) -> Vec<T> {
     room
 }
 
-/// Returns a list of `elements` zeros in huge pages, as [`room_for`] does. The system gives the memory to the threads that write to it, each its part.
+/// Allocates `elements` zeros, in huge pages as [`room_for`] does. Pages are faulted in by the threads that first write to them.
 pub fn zeroed<T: Zeroable>(elements: usize) -> Vec<T> {
     let mut list = allocation::zeroed_vec(elements);
     advise(&mut list);
     list
 }
 
-/// Like [`zeroed`], but fails where there is not so much memory.
+/// Like [`zeroed`], but returns an error if the allocation fails.
 pub fn try_zeroed<T: Zeroable>(elements: usize) -> io::Result<Vec<T>> {
     let mut list = allocation::try_zeroed_vec(elements).map_err(|()| io::ErrorKind::OutOfMemory)?;
     advise(&mut list);

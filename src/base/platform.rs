@@ -56,7 +56,7 @@ pub fn file_system(found: &Metadata) -> u64 {
     }
 }
 
-/// Fills the buffer from this place in the file, whatever other threads read.
+/// Fills the buffer from offset `at`; several threads may read the same file.
 pub fn read_exact_at(file: &File, buffer: &mut [u8], at: u64) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::read_exact_at(file, buffer, at);

@@ -184,7 +184,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let files =
         files(&plan, &project).inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
-    // The manifest has the fingerprint of the model that is there now.
+    // The manifest's fingerprint is of the files as they are now, the plan of those that were read.
     if project.model_stamps() != model {
         let hint = "plan again once it is complete; nothing was changed";
         return Err(Failure::new(Exit::Failed, "the model has changed while it was planned", Some(hint.to_owned())));

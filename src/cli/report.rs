@@ -88,7 +88,7 @@ fn write_to(
 ) -> Result<PathBuf, Failure> {
     let (project, plan, exports) = replan::as_written(project, progress)?;
     let page = write_page(&project, &plan, &exports, out, folders, progress)?;
-    // With a limit of memory, the next plan can use only tables that were made with as many threads as it has.
+    // Under a memory limit, cached tables are valid for one number of threads only: leave those of the plan.
     if out.is_none() && plan.stages.settings.max_memory.is_none() {
         keep(&plan);
     }

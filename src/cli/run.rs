@@ -137,8 +137,8 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
     Ok(dense)
 }
 
-/// Returns a higher target, where all maps of the list have reached only `share`, measured: higher by what was missing, and by five points or more. `None`:
-/// the list has all maps.
+/// Suggests a higher target after the whole list reached only `share` (measured): raised by the shortfall, at least by five points. `None` if the list
+/// has all maps.
 fn higher(target: f64, share: Option<f64>) -> Option<String> {
     let missing = share.map_or(0.0, |share| target - share);
     (target < 1.0).then(|| format!("{:.0}%", (100.0 * (target + missing.max(0.05))).min(100.0)))

@@ -4,7 +4,7 @@
 //! or was made from other inputs or by another version of the format, counts as absent. They are written together with the plan ([`super::output`]).
 
 use std::{
-    io::{BufRead, BufReader, Read, Seek},
+    io::{BufRead, BufReader, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
 };
 
@@ -91,7 +91,8 @@ impl CacheFile {
         let start = open.file.stream_position().ok()?;
         let bytes = input::read_range(open.file.get_ref(), start..length).ok()?;
         open.hasher.update_rayon(&bytes);
-        (open.hasher.finalize().to_string() == open.hash).then_some((open.facts, bytes))
+        open.file.seek(SeekFrom::Start(length)).ok()?;
+        open.checked().map(|facts| (facts, bytes))
     }
 
     /// Makes the file; if the inputs are not known, as [`Self::no_file`].

@@ -219,7 +219,7 @@ fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
     (share * views as f64 * triangles as f64).ceil() as u64
 }
 
-/// Returns a limit that permits this need and is easily read: at least 5 % more, as "120M" or "1.6G".
+/// Formats a limit at least 5 % above the need, rounded up, as "120M" or "1.6G".
 pub(super) fn enough(need: u64) -> String {
     let mebibytes = (need as f64 * 1.05 / f64::from(1 << 20)).ceil() as u64;
     let unit = 10u64.pow(mebibytes.max(10).ilog10() - 1);

@@ -25,9 +25,9 @@ use serde_json::json;
 
 /// Path of the report in its project, and the name of its file set. Writing a plan marks the report of any other plan as stale.
 pub const REPORT_FILE: &str = "viewrank/report.html";
-/// Beginning of the paths of the report's further files: images that would fill the holes.
-const FLIGHT: &str = "viewrank/flight/";
 pub const REPORT_SET: &str = "report";
+/// Path prefix of the report's flight plan.
+const FLIGHT: &str = "viewrank/flight/";
 
 /// Returns the path of the report of a plan in this folder, to be shown.
 pub fn report_path(home: &Path) -> PathBuf {
@@ -165,7 +165,7 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let page = output::read_own(&project.home, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {
         set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
-        // The flight that the page shows stays with it. What else a record lists need not be viewrank's.
+        // Keeps the flight plan that the page shows. Records may be forged, so other paths are ignored.
         let listed = output::recorded(&project.home, REPORT_SET).into_iter();
         for path in listed.filter(|path| path.starts_with(FLIGHT)) {
             if output::open_own(&project.home, &path).is_ok() {

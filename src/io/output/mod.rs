@@ -242,7 +242,7 @@ impl OutputError {
     /// Returns whether the change may succeed without the set: nothing has changed, and the disk is full, or something is wrong in a folder with files of
     /// the set.
     fn spares(&self, set: &FileSet) -> bool {
-        // Errors name the real place, a set the folder as it was given.
+        // Error paths are canonical, `set.root` is as given.
         let root = dunce::canonicalize(&set.root).unwrap_or_else(|_| set.root.clone());
         let folders = set.files.keys().filter_map(|path| Path::new(path).parent());
         let mut folders = folders.map(|folder| root.join(folder));

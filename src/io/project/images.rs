@@ -140,7 +140,7 @@ enum Unread {
     Broken(&'static str),
 }
 
-/// Returns whether the file is there and, by its name and header, an image in one piece.
+/// Returns whether the file is a complete image, judging by its name, header and end.
 pub(super) fn is_readable(path: &Path) -> bool {
     probe(path).is_ok()
 }

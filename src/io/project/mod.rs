@@ -286,7 +286,7 @@ impl Project {
         }
     }
 
-    /// Length, time of modification and inode of each file of the model: while they are the same, so is the model. `None`: not there.
+    /// Length, modification time and inode of each file of the model, to detect changes; `None` for a missing file.
     pub fn model_stamps(&self) -> Vec<Option<(u64, Option<SystemTime>, u64)>> {
         let stamp = |path: PathBuf| {
             let found = path.metadata().ok()?;

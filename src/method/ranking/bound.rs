@@ -8,16 +8,17 @@ use crate::base::{
     vector::{Kernel, vectorised},
 };
 
-/// Number of prices tried, each after a subgradient step from those before.
+/// Number of price vectors tried; a subgradient step leads from each to the next.
 const ROUNDS: usize = 16;
 /// Length of the first step, over one that would close the gap if the bound were linear.
 const FIRST_STEP: f64 = 0.8;
 /// Steps without improvement after which the step length is halved.
 const PATIENCE: usize = 2;
-/// Share of the direction of a step that is that of the step before: the best maps change with every step, and what they agree on adds up.
+/// Weight of the previous direction in a step: damps oscillation, since the best maps change with every step.
 const MOMENTUM: f32 = 0.5;
-/// Parts of the triangles whose prices change at a time, one per thread, and the least number of triangles in one. Each part passes all of the best maps.
+/// Largest number of parts in which threads update the prices: each part goes through all of the best maps.
 const PARTS: usize = 64;
+/// Least number of triangles per part.
 const LEAST_PART: usize = if cfg!(test) { 3 } else { 1 << 14 };
 /// Triangles whose surplus is added at once.
 const LANES: usize = 8;
@@ -189,7 +190,7 @@ impl<const N: usize> Dual<N> {
             };
             priced.iter().zip(&*direction).map(square).sum::<f64>()
         };
-        // Added up in the order of the parts, whichever thread has which.
+        // Summed in a fixed order, so that the result is the same on any number of threads.
         let squares: f64 = parts.map(turn).collect::<Vec<_>>().into_iter().sum();
         if !(squares > 0.0 && gap > 0.0) {
             return;
