@@ -9,7 +9,7 @@ use std::{path::Path, time::Instant};
 
 use viewrank::internals::{
     backends,
-    confidence::{Agreement, Pictures, ProgramReach},
+    confidence::{Agreement, Pictures, ProgramReach, SampleRoom},
     config::{CommandLineSettings, ConfidenceSource, Configuration, Files},
     geometry::Geometry,
     progress::NoWatcher,
@@ -51,11 +51,12 @@ fn main() -> Fallible<()> {
     if project.home.join("viewrank/cache/agreement.table").exists() {
         return Err("the agreement would be read from the cache: remove viewrank/cache first".into());
     }
+    let room = SampleRoom { in_memory: 1 << 30, views_at_once: 16 };
     let start = Instant::now();
     let partners = |view| stages.candidates.candidates_of(view);
     let pictures = Pictures::new(&project);
-    let agreement = pool
-        .install(|| Agreement::new(&geometry, &pictures, partners, &ProgramReach::EVERYTHING, 1 << 30, &NoWatcher))?;
+    let agreement =
+        pool.install(|| Agreement::new(&geometry, &pictures, partners, &ProgramReach::EVERYTHING, room, &NoWatcher))?;
     let compared = start.elapsed().as_secs_f64();
     let views = paths.len() as f64;
     println!(

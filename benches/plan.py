@@ -79,7 +79,7 @@ def plan(arguments, model, threads):
 def row(views, summary, usage):
     if summary is None:
         return print(f"{views:>7} refused after {usage.ru_utime:.0f} s of CPU, {usage.ru_maxrss / 1024:.0f} MB: see above", flush=True)
-    forecast = max(summary["memory"][stage] for stage in ("read", "surface", "visibility", "partners")) / 2**20
+    forecast = max(need for stage, need in summary["memory"].items() if stage != "disk") / 2**20
     disk = summary["memory"]["disk"] / 2**20
     stage = {name: 1000 * seconds / views for name, seconds in summary["timings"].items()}
     print(f"{views:>7} {summary['points']:>9} {summary['timings']['total']:>8.1f} {stage['total']:>8.1f} {stage['read']:>6.1f} "

@@ -107,6 +107,7 @@ fn project() -> Project {
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),
         dense_workspace: None,
+        model_stamps: Vec::new(),
     }
 }
 

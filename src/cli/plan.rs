@@ -22,6 +22,7 @@ use crate::{
         ply,
         project::Project,
     },
+    method::surface::SurfaceError,
     plan::{Plan, PlanError},
     show::{
         files::PlanFiles,
@@ -169,7 +170,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         dumps.into_iter().flatten().try_for_each(output::refuse_unwritable)?;
     }
     let progress = Progress::new(arguments.quiet);
-    let model = project.model_stamps();
     let mut plan =
         backends::plan(&project, &settings, &progress).map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
@@ -184,11 +184,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let files =
         files(&plan, &project).inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
-    // The manifest's fingerprint is of the files as they are now, the plan of those that were read.
-    if project.model_stamps() != model {
-        let hint = "plan again once it is complete; nothing was changed";
-        return Err(Failure::new(Exit::Failed, "the model has changed while it was planned", Some(hint.to_owned())));
-    }
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;
     }
@@ -230,8 +225,16 @@ fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
     }
 }
 
-/// Adds the resolution of the model to the error of a surface for which a far coarser or finer one was asked.
+/// Adds the resolution of the model to the error of a surface for which a far coarser or finer one was asked, and what may be wrong to that of one
+/// that is too fine of itself.
 fn far_off(error: PlanError, project: &Project, settings: &Settings) -> Failure {
+    if let (PlanError::Surface(SurfaceError::Refine(_)), None) = (&error, settings.target.gsd) {
+        let hint = format!(
+            "nobody asked for that, so a camera or the scale is probably wrong: viewrank doctor {}; or give --gsd",
+            command_path(&project.root)
+        );
+        return Failure::new(Exit::Failed, error.to_string(), hint);
+    }
     let own = match (&error, settings.target.gsd) {
         (PlanError::Surface(_), Some(_)) => project.read_scene().ok().and_then(|scene| scene.median_gsd()),
         _ => None,

@@ -17,7 +17,10 @@ use crate::{
         project::Project,
     },
     plan::Plan,
-    show::files::{REPORT_FILE, REPORT_SET, report_path},
+    show::{
+        files::{REPORT_FILE, REPORT_SET, report_path},
+        manifest::RecordedPlan,
+    },
 };
 use clap::Args;
 
@@ -86,6 +89,9 @@ fn write_to(
     folders: &DepthMapFolders,
     progress: &Progress,
 ) -> Result<PathBuf, Failure> {
+    let (planned, _) = RecordedPlan::open(project)?;
+    output::refuse_unwritable(out.unwrap_or(&planned.home))
+        .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &planned.as_argument()))?;
     let (project, plan, exports) = replan::as_written(project, progress)?;
     let page = write_page(&project, &plan, &exports, out, folders, progress)?;
     // Under a memory limit, cached tables are valid for one number of threads only: leave those of the plan.
@@ -120,8 +126,6 @@ pub fn write_page(
         Some(folder) => (folder, "report.html"),
         None => (&*project.home, REPORT_FILE),
     };
-    output::refuse_unwritable(root)
-        .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &project.as_argument()))?;
     let contents = Contents::new(plan, project, exports, folders, seconds, progress)?;
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(root, REPORT_SET);

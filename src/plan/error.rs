@@ -35,7 +35,7 @@ pub enum PlanError {
     NoTimes,
     #[error(
         "the {stage} needs about {} of memory, but max_memory is {}",
-        memory::readable(*need),
+        memory::enough(*need),
         memory::readable(*limit)
     )]
     Memory { stage: &'static str, need: u64, limit: u64 },

@@ -12,6 +12,7 @@ use crate::{
     base::column::{self, Storage},
     config::{Bytes, ConfidenceSource, Settings, VisibilitySettings},
     method::{
+        confidence::SampleRoom,
         fulfilment::FulfilmentTable,
         surface::{
             Surface,
@@ -19,7 +20,7 @@ use crate::{
         },
         visibility::{self, Visibility},
     },
-    model::scene::Scene,
+    model::{camera::Camera, scene::Scene},
 };
 
 /// The stage whose limit error has its own hint, since later stages are not yet forecast.
@@ -39,13 +40,18 @@ const LEAST_TILE: u64 = 60_000;
 /// Bytes of the scene per point and per observation, including the table of each view's points.
 const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
-/// Bytes per row of the visibility table, alone, and with confidence and fulfilment.
+/// Bytes per row of the visibility table, alone, with the confidence of views by themselves, and with fulfilment as well.
 const VISIBILITY_ROW: u64 = 4;
+const UNARY_ROW: u64 = 9;
 const TABLES_ROW: u64 = 17;
 /// Bytes per row of visibility while pictures are compared; the result has one byte per candidate.
 const SAMPLES_ROW: u64 = 196;
 /// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is as fast while memory is free.
 const MOST_SAMPLES: u64 = 1 << 30;
+/// Bytes per pixel of a picture while it is decoded, its file included: a progressive JPEG or a PNG of three channels.
+const PICTURE_PIXEL: u64 = 6;
+/// Views per thread whose samples are taken before they are kept, so that threads rarely wait for the last of them.
+const VIEWS_PER_THREAD: u64 = 16;
 /// Bytes per triangle for confidence and reasons: what is shown of it, its nearest points, its factors and its f so far.
 const PER_TRIANGLE: u64 = 116;
 /// Bytes per triangle and thread: its row in the current view.
@@ -65,6 +71,8 @@ pub struct Memory {
     pub read: u64,
     pub surface: u64,
     pub visibility: u64,
+    /// Samples of pictures; 0 if no pictures are compared.
+    pub confidence: u64,
     /// Partners, fulfilment and ranking.
     pub partners: u64,
     /// Tables on disk; 0 if they fit in memory.
@@ -161,8 +169,38 @@ impl Memory {
         self.check_limit("fulfilment table", self.partners)
     }
 
+    /// Forecasts the sampling of pictures, of fewer views at once if need be.
+    pub(super) fn before_pictures(
+        &mut self,
+        scene: &Scene,
+        surface: &Surface,
+        visibility: &Visibility,
+    ) -> Result<SampleRoom, PlanError> {
+        let (threads, rows) = (rayon::current_num_threads() as u64, visibility.triangles.len() as u64);
+        let views_at_once = VIEWS_PER_THREAD * threads;
+        if self.samples_row == 0 {
+            return Ok(SampleRoom { in_memory: 0, views_at_once: views_at_once as usize });
+        }
+        let most_rows = scene.view_indices().map(|view| visibility.rows(view).len()).max().unwrap_or_default() as u64;
+        let pixels = |camera: &Camera| u64::from(camera.width) * u64::from(camera.height);
+        let picture = PICTURE_PIXEL * scene.cameras.iter().map(pixels).max().unwrap_or_default();
+        let (samples, in_memory) = (SAMPLES_ROW * rows, self.most_samples());
+        let tables = if self.disk == 0 { UNARY_ROW * rows } else { 0 };
+        let kept = tables + if samples <= in_memory { samples } else { 0 };
+        let held = self.read
+            + bytes(surface)
+            + self.outside_tables(scene.points.len() as u64, surface.triangles.len() as u64)
+            + kept;
+        let need = |views: u64| held + views * (UNARY_ROW + SAMPLES_ROW) * most_rows + views.min(threads) * picture;
+        let fits = |views: &u64| self.limit.is_none_or(|Bytes(limit)| need(*views) <= limit);
+        let views_at_once = (1..=views_at_once).rev().find(fits).unwrap_or(1);
+        self.confidence = need(views_at_once);
+        self.check_limit("comparison of pictures", self.confidence)?;
+        Ok(SampleRoom { in_memory, views_at_once: views_at_once as usize })
+    }
+
     /// Bytes of samples of pictures that memory may hold; more are kept on disk.
-    pub(super) fn most_samples(&self) -> u64 {
+    fn most_samples(&self) -> u64 {
         self.limit.map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
     }
 
@@ -191,7 +229,7 @@ impl Memory {
 
     /// Peak over all stages, bytes.
     pub fn peak(&self) -> u64 {
-        self.read.max(self.surface).max(self.visibility).max(self.partners)
+        self.read.max(self.surface).max(self.visibility).max(self.confidence).max(self.partners)
     }
 }
 
@@ -241,6 +279,37 @@ pub(super) fn readable(bytes: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{config::TargetSettings, method::synthetic::Town};
+
+    #[test]
+    fn a_limit_lets_fewer_pictures_be_sampled_at_once_but_not_none() {
+        let town = Town::default().seen(&TargetSettings::default(), 0.05, Storage::Memory);
+        let threads = rayon::current_num_threads() as u64;
+        let forecast = |limit: Option<u64>, source| {
+            let mut settings = Settings { max_memory: limit.map(Bytes), ..Settings::default() };
+            settings.confidence.source = source;
+            let mut memory = Memory::before_surface(&town.scene, &mut settings)?;
+            let room = memory.before_pictures(&town.scene, &town.surface, &town.visibility)?;
+            Ok((room.views_at_once as u64, memory.confidence))
+        };
+        let pictures = |limit| forecast(limit, ConfidenceSource::Photometric);
+        let (most, need) = pictures(None).unwrap();
+        assert_eq!(most, VIEWS_PER_THREAD * threads);
+        assert_eq!(pictures(Some(need)).unwrap(), (most, need));
+        let fewer = |limit: u64| pictures(Some(limit)).map(|(views, _)| views);
+        let (views, with_less) = pictures(Some(need - 1)).unwrap();
+        assert!(views < most && with_less < need, "{views}");
+        // By bisection: the least limit that is enough for a single picture.
+        let (mut too_little, mut enough) = (0, need);
+        while enough - too_little > 1 {
+            let middle = (too_little + enough) / 2;
+            if fewer(middle).is_ok() { enough = middle } else { too_little = middle }
+        }
+        assert_eq!(fewer(enough).unwrap(), 1);
+        assert!(matches!(fewer(too_little), Err(PlanError::Memory { .. })));
+        // Without pictures there is nothing to forecast.
+        assert_eq!(forecast(None, ConfidenceSource::Geometric).unwrap().1, 0);
+    }
 
     #[test]
     fn a_limit_that_is_enough_is_easily_read() {

@@ -10,9 +10,12 @@ use crate::{
         progress::{Cancelled, Stage, Watcher},
     },
     config::{ConfidenceSource, Settings, Share, TargetMode},
-    io::{cache::CacheFile, project::Project},
+    io::{
+        cache::CacheFile,
+        project::{ImageFaults, Project},
+    },
     method::{
-        confidence::{self, Agreement, Confidence, Pictures, ProgramReach, ReachOfPartner, Unary},
+        confidence::{self, Agreement, Confidence, Pictures, ProgramReach, ReachOfPartner, SampleRoom, Unary},
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
@@ -67,6 +70,7 @@ pub struct Stages {
     /// Objective of the plan (method 5.1).
     pub objective: Objective,
     pub candidates: Candidates,
+    pub image_faults: ImageFaults,
     /// Views whose images are missing or cannot be read, which are neither key views nor partners; ascending.
     pub missing_images: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
@@ -110,12 +114,14 @@ impl Stages {
         refuse_other_images(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let numbers = &matcher.numbers;
-        let missing_images = project.missing_images(&scene);
+        let image_faults = project.image_faults(&scene);
+        let missing_images = image_faults.without_image(scene.views.len());
         let matching = (matcher, &missing_images[..]);
         let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
             surface_and_candidates((&scene, &points), &settings, matching, &inputs, watcher, timings, &mut memory)
         })?;
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
+        let room = memory.before_pictures(&scene, &seen.surface, &seen.visibility)?;
         let (shown_slot, shown) =
             timings.time(Stage::Visibility, || shown(inputs.shown(&surface_slot.file), &scene, &seen))?;
         let region = timings.time(Stage::Visibility, || {
@@ -145,7 +151,7 @@ impl Stages {
             .time(Stage::Confidence, || unary(unary_file, &geometry, &points, confidence, &pictures, watcher))?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
-                agreement(&pictures, &geometry, &points, &candidates, matcher, memory.most_samples(), watcher)
+                agreement(&pictures, &geometry, &points, &candidates, matcher, room, watcher)
             }
             _ => Ok(Agreement::default()),
         })?;
@@ -200,6 +206,7 @@ impl Stages {
             region,
             objective,
             candidates,
+            image_faults,
             missing_images,
             clusters,
             fulfilment,
@@ -359,7 +366,7 @@ fn agreement(
     points: &ViewPoints,
     candidates: &Candidates,
     matcher: &Matcher,
-    most_samples: u64,
+    room: SampleRoom,
     watcher: &dyn Watcher,
 ) -> Result<Agreement, PlanError> {
     let of_key_view = |key| -> ReachOfPartner {
@@ -372,7 +379,7 @@ fn agreement(
     };
     let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_key_view: &of_key_view };
     let partners = |view| candidates.candidates_of(view);
-    Ok(Agreement::new(geometry, pictures, partners, &reach, most_samples, watcher)?)
+    Ok(Agreement::new(geometry, pictures, partners, &reach, room, watcher)?)
 }
 
 /// Returns the surface, and the candidate partners of each view within the gate, among pairs that the backend can match and that have images; those of an

@@ -68,6 +68,8 @@ pub enum FilesError {
     Input(#[from] FingerprintError),
     #[error(transparent)]
     EmptyPlan(#[from] EmptyPlan),
+    #[error("the model in {} has changed while it was planned", .0.display())]
+    ModelChanged(PathBuf),
 }
 
 impl Hint for FilesError {
@@ -76,6 +78,7 @@ impl Hint for FilesError {
             Self::Backend(error) => error.hint(),
             Self::Input(error) => error.hint(),
             Self::EmptyPlan(error) => error.hint(),
+            Self::ModelChanged(_) => Some("plan again once it is complete; nothing was written".into()),
         }
     }
 
@@ -84,6 +87,7 @@ impl Hint for FilesError {
             Self::Backend(error) => error.path(),
             Self::Input(error) => error.path(),
             Self::EmptyPlan(error) => error.path(),
+            Self::ModelChanged(path) => Some(path),
         }
     }
 }
@@ -91,13 +95,12 @@ impl Hint for FilesError {
 /// Collects the files of the plan, for [`output::write_all`](crate::io::output::write_all).
 ///
 /// # Errors
-/// Fails if the plan chooses nothing, a backend does not support a name, or a mesh can no longer be read.
+/// Fails if the plan chooses nothing, a backend does not support a name, a mesh can no longer be read, or the model is another one than was planned.
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     if let Some(empty) = EmptyPlan::detect(plan) {
         return Err(empty.into());
     }
     let clusters: Vec<_> = plan.ranked().take(plan.decision.cut.clusters).collect();
-    let image_faults = project.image_faults(&plan.stages.scene);
     let selection = Selection {
         project,
         scene: &plan.stages.scene,
@@ -105,7 +108,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         image_scale: plan.stages.settings.image_scale(),
         own_size: plan.stages.own_size,
         planned_for: plan.stages.backend,
-        image_faults: &image_faults,
+        image_faults: &plan.stages.image_faults,
     };
     let (exports, not_exported) = exports(&selection, &wanted(plan, project)?)?;
     let mut missing = not_exported.clone();
@@ -125,7 +128,11 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         || rayon::join(|| surface_ply(plan), || views_geojson(plan, &place)),
     );
     let mut manifest = manifest?;
-    manifest.warnings.extend(image_faults.warnings(project, &plan.stages.scene));
+    // The fingerprint is of the files as they are now, the plan of those that were read.
+    if project.has_changed_model() {
+        return Err(FilesError::ModelChanged(project.model.path.clone()));
+    }
+    manifest.warnings.extend(plan.stages.image_faults.warnings(project, &plan.stages.scene));
     manifest.warnings.extend(missing);
     let command = exports.first().and_then(command);
     let mut own = FileSet::new(&project.home, "plan");

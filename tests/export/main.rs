@@ -133,6 +133,7 @@ pub fn project() -> Project {
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),
         dense_workspace: None,
+        model_stamps: Vec::new(),
     }
 }
 

@@ -2,6 +2,7 @@
 import json
 import os
 import shutil
+import struct
 import subprocess
 import threading
 
@@ -175,7 +176,17 @@ def test_a_model_replaced_while_it_is_planned_gets_no_plan(viewrank, valley):
     finally:
         is_planned.set()
         replacing.join()
-    assert "the model has changed while it was planned" in refused.stderr and not (valley / "viewrank/manifest.json").exists()
+    assert "has changed while it was planned" in refused.stderr and not (valley / "viewrank/manifest.json").exists()
+
+
+def test_a_camera_that_no_view_can_have_had_is_suspected(viewrank, valley):
+    path = valley / "sparse/0/cameras.bin"
+    cameras = bytearray(path.read_bytes())
+    # The first focal length: after the number of cameras, id, model, width and height.
+    struct.pack_into("<d", cameras, 8 + 4 + 4 + 8 + 8, 1e300)
+    path.write_bytes(cameras)
+    assert "viewrank doctor" in viewrank("plan", valley, *PLAN, expect=1).stderr
+    assert "is impossible" in viewrank("doctor", valley, expect=4).stdout
 
 
 def read_only(root):

@@ -11,7 +11,7 @@ use std::{
 use super::{
     ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
     files::{self, REQUIRED, colmap_file, read},
-    folder, foreign, images,
+    folder, foreign, images, stamps,
 };
 use crate::{base::input, io::formats::colmap_text};
 
@@ -38,6 +38,7 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         Ok(models) => models,
     };
     let (model, other_models) = choose(path, found, wanted)?;
+    let model_stamps = stamps(root, &model);
     let dense_workspace = dense_workspace(root, &model);
     let kind = match model.format {
         ModelFormat::OpenMvs => ProjectKind::OpenMvs,
@@ -62,6 +63,7 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         other_models,
         images,
         dense_workspace,
+        model_stamps,
     })
 }
 

@@ -100,6 +100,14 @@ impl ImageFaults {
         all
     }
 
+    /// Views without an image that can be read, ascending; none if that is true of all `views`.
+    pub fn without_image(&self, views: usize) -> Vec<ViewIndex> {
+        let unreadable = self.unreadable.iter().map(|(view, _)| *view);
+        let mut without: Vec<ViewIndex> = self.missing.iter().copied().chain(unreadable).collect();
+        without.sort_unstable();
+        if without.len() == views { Vec::new() } else { without }
+    }
+
     /// The faults of these views, which must be ascending.
     pub fn among(&self, views: &[ViewIndex]) -> Self {
         let is_among = |view: &ViewIndex| views.binary_search(view).is_ok();
@@ -140,12 +148,7 @@ enum Unread {
     Broken(&'static str),
 }
 
-/// Returns whether the file is a complete image, judging by its name, header and end.
-pub(super) fn is_readable(path: &Path) -> bool {
-    probe(path).is_ok()
-}
-
-/// Reads the width and height of an image; `None` for formats that cannot be checked.
+/// Reads the width and height of a complete image, judging by its name, header and end; `None` for formats that cannot be checked.
 fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();
     if length == 0 {

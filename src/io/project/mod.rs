@@ -15,8 +15,6 @@ use std::{
     time::SystemTime,
 };
 
-use rayon::prelude::*;
-
 pub use containing::containing;
 pub use create::CreateError;
 pub use files::ColmapFiles;
@@ -31,7 +29,7 @@ use crate::{
         shell::{command_path, command_word},
     },
     io::formats::{Fault, colmap::ColmapModel},
-    model::scene::{ModelWarning, Scene, ViewIndex, WarningKind},
+    model::scene::{ModelWarning, Scene, WarningKind},
 };
 
 /// Sparse model formats.
@@ -139,7 +137,12 @@ pub struct Project {
     pub images: Option<ImageFolder>,
     /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`.
     pub dense_workspace: Option<PathBuf>,
+    /// The model's files as they were before anything was read.
+    pub model_stamps: Vec<FileStamp>,
 }
+
+/// Length, modification time and inode of a file; `None` if it is missing.
+pub type FileStamp = Option<(u64, Option<SystemTime>, u64)>;
 
 /// Name of the file set of a batch of undistorted images, from 1.
 pub fn undistorted_set(batch: usize) -> String {
@@ -243,15 +246,6 @@ impl Project {
         self.images.as_ref().is_some_and(|folder| !has_image(folder))
     }
 
-    /// Views without an image that can be read, where there is an image folder with at least one image of the scene.
-    pub fn missing_images(&self, scene: &Scene) -> Vec<ViewIndex> {
-        let Some(folder) = &self.images else { return Vec::new() };
-        let is_missing = |view: &ViewIndex| !images::is_readable(&folder.file(scene.name(*view)));
-        let missing: Vec<ViewIndex> =
-            scene.view_indices().collect::<Vec<_>>().into_par_iter().filter(is_missing).collect();
-        if missing.len() == scene.views.len() { Vec::new() } else { missing }
-    }
-
     /// Reads the files of a COLMAP model unchanged, to write a part of the model.
     pub fn colmap_files(&self) -> Result<ColmapFiles, ProjectError> {
         ColmapFiles::open(&self.model)
@@ -280,19 +274,12 @@ impl Project {
 
     /// All files of the model, in a fixed order.
     pub fn model_files(&self) -> Vec<PathBuf> {
-        match self.model.format {
-            ModelFormat::ColmapBinary | ModelFormat::ColmapText => files::all(&self.model),
-            _ => foreign::files(&self.root, &self.model),
-        }
+        model_files(&self.root, &self.model)
     }
 
-    /// Length, modification time and inode of each file of the model, to detect changes; `None` for a missing file.
-    pub fn model_stamps(&self) -> Vec<Option<(u64, Option<SystemTime>, u64)>> {
-        let stamp = |path: PathBuf| {
-            let found = path.metadata().ok()?;
-            Some((found.len(), found.modified().ok(), input::identity(&found).1))
-        };
-        self.model_files().into_iter().map(stamp).collect()
+    /// Returns whether the model's files have changed since the project was opened.
+    pub fn has_changed_model(&self) -> bool {
+        stamps(&self.root, &self.model) != self.model_stamps
     }
 
     /// Other models at least half of whose images are in the scene: copies of the model, possibly in other coordinates.
@@ -331,6 +318,18 @@ impl Project {
             )
         })
     }
+}
+
+fn model_files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
+    if model.format.is_colmap() { files::all(model) } else { foreign::files(root, model) }
+}
+
+fn stamps(root: &Path, model: &ModelLocation) -> Vec<FileStamp> {
+    let stamp = |path: PathBuf| {
+        let found = path.metadata().ok()?;
+        Some((found.len(), found.modified().ok(), input::identity(&found).1))
+    };
+    model_files(root, model).into_iter().map(stamp).collect()
 }
 
 /// Returns the path between quotes that a shell has passed on.

@@ -15,7 +15,7 @@ pub use image::{Image, ImageError, drawn_size};
 pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
-pub use photometric::{Agreement, PairAgreement, Photometric, ProgramReach, ReachOfPartner};
+pub use photometric::{Agreement, PairAgreement, Photometric, ProgramReach, ReachOfPartner, SampleRoom};
 pub use pictures::{MASKS, Pictures, picture_warnings};
 pub use unary::{AROUND, Unary};
 

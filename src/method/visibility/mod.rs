@@ -111,17 +111,7 @@ impl Visibility {
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
-        self.column_kept(self.triangles.storage(), start, of_view)
-    }
-
-    /// Like [`Self::column`], with the given storage.
-    pub fn column_kept<T: Pod + Send, S: Send>(
-        &self,
-        keep: Storage,
-        start: impl Fn() -> S + Sync + Send,
-        of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
-    ) -> Result<Column<T>, TableError> {
-        let mut column = ColumnBuilder::new(keep)?;
+        let mut column = ColumnBuilder::new(self.triangles.storage())?;
         column::in_order(
             &self.views(),
             column::READ_AT_ONCE,

@@ -225,7 +225,10 @@ impl RecordedPlan {
 
     /// Returns an error if the ranking is not the plan's. With finished depth maps, their partners are those of an earlier plan and they change
     /// the order, so only the partners of the other clusters are compared.
-    pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
+    pub fn check_ranking(&self, project: &Project, plan: &Plan) -> Result<(), WrittenPlanError> {
+        if project.has_changed_model() {
+            return Err(WrittenPlanError::OtherInput(self.path.clone()));
+        }
         let ranked = self.ranked(&plan.stages.scene)?;
         let same = match self.finished() {
             0 => plan

@@ -100,6 +100,7 @@ fn project(format: ModelFormat) -> (TempDir, Project) {
         other_models: Vec::new(),
         images: None,
         dense_workspace: None,
+        model_stamps: Vec::new(),
     };
     (folder, project)
 }

@@ -12,18 +12,27 @@ use super::{
 };
 use crate::{
     base::{
-        column::{Column, Storage, TableError},
+        column::{self, Column, ColumnBuilder, Storage, TableError},
         progress::{Stage, Watcher},
     },
     method::geometry::Geometry,
     model::{cluster::Reach, scene::ViewIndex},
 };
 
-/// Returns [`STACK`] samples for each row of visibility, on disk beyond `most_samples` bytes, and the fault of each view without samples.
+/// Room for samples and the pictures that they are taken from.
+#[derive(Clone, Copy, Debug)]
+pub struct SampleRoom {
+    /// Bytes of samples that are kept in memory; more are kept on disk.
+    pub in_memory: u64,
+    /// Views whose samples are taken before they are kept, at least 1.
+    pub views_at_once: usize,
+}
+
+/// Returns [`STACK`] samples for each row of visibility, and the fault of each view without samples.
 pub(super) fn samples(
     geometry: &Geometry,
     pictures: &Pictures,
-    most_samples: u64,
+    room: SampleRoom,
     watcher: &dyn Watcher,
 ) -> Result<(Column<i8>, Vec<Option<ImageError>>), TableError> {
     let Geometry { scene, visibility, .. } = *geometry;
@@ -31,7 +40,7 @@ pub(super) fn samples(
     let (done, total) = (AtomicU64::new(0), scene.views.len() as u64);
     watcher.progress(Stage::Confidence, 0, total);
     let failures = Mutex::new(Vec::new());
-    let of_view = |_: &mut (), view: ViewIndex| {
+    let of_view = |view: ViewIndex| {
         watcher.check()?;
         let sampled = pictures
             .grey(scene, view, geometry.image_scale)
@@ -43,16 +52,29 @@ pub(super) fn samples(
         watcher.progress(Stage::Confidence, 1 + done.fetch_add(1, Ordering::Relaxed), total);
         Ok(sampled.unwrap_or_else(|| vec![stacks::NOT_SEEN; visibility.triangles_seen_by(view).len() * STACK]))
     };
-    let keep = match visibility.triangles.len() as u64 * STACK as u64 > most_samples {
+    let all = visibility.triangles.len() * STACK;
+    let keep = match all as u64 > room.in_memory {
         true => Storage::Disk,
         false => visibility.triangles.storage(),
     };
-    let samples = visibility.column_kept(keep, || (), of_view)?;
+    let mut samples = ColumnBuilder::new(keep)?;
+    samples.reserve(all);
+    let views = visibility.views();
+    column::in_order(
+        &views,
+        room.views_at_once,
+        || (),
+        |(), &view| of_view(view),
+        |_, taken| {
+            visibility.triangles.release();
+            taken.iter().try_for_each(|samples_of_view| samples.extend(samples_of_view))
+        },
+    )?;
     let mut by_view: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
     for (view, failure) in failures.into_inner().unwrap_or_default() {
         by_view[view.index()] = Some(failure);
     }
-    Ok((samples, by_view))
+    Ok((samples.finish()?, by_view))
 }
 
 /// Returns the agreement of the key view with each partner, by partner, then row of the key view; 0 beyond the reach of the program.

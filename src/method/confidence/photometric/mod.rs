@@ -10,12 +10,12 @@ mod stacks;
 
 use std::sync::Arc;
 
-pub use self::grey::Grey;
 pub(super) use self::stacks::SPACING;
 use self::{
     cache::{Cached, Facts},
     compare::{compared, samples},
 };
+pub use self::{compare::SampleRoom, grey::Grey};
 use super::pictures::{Pictures, picture_warnings};
 use crate::{
     base::{
@@ -127,13 +127,13 @@ impl ProgramReach<'_, '_> {
 
 impl Agreement {
     /// Compares the picture of each view with those of its partners, or reads the result of an earlier plan for the same pictures and surface.
-    /// Views without a usable picture have no values. `most_samples`: limit on samples in memory, bytes; beyond it they are stored on disk.
+    /// Views without a usable picture have no values.
     pub fn new<'p>(
         geometry: &Geometry,
         pictures: &Pictures,
         partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex] + Sync,
         reach: &ProgramReach,
-        most_samples: u64,
+        room: SampleRoom,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
         let cache = cache::file(geometry, pictures, &partners_of, reach.program);
@@ -141,7 +141,7 @@ impl Agreement {
             let layout = Self::laid_out(geometry, &partners_of, &without);
             return Ok(Self { values: Arc::new(values), warnings, cache: Some(cache), is_kept: true, ..layout });
         }
-        let (samples, troubles) = samples(geometry, pictures, most_samples, watcher)?;
+        let (samples, troubles) = samples(geometry, pictures, room, watcher)?;
         let without: Vec<bool> = troubles.iter().map(|t| t.is_some() || !pictures.have_images()).collect();
         let mut table = Self::laid_out(geometry, &partners_of, &without);
         let compare = |places: &mut Vec<u32>, key: ViewIndex| {
