@@ -9,6 +9,7 @@ use std::{path::Path, time::Instant};
 
 use viewrank::internals::{
     backends,
+    column::{Storage, TableError},
     confidence::{Agreement, Pictures, ProgramReach, SampleRoom},
     config::{CommandLineSettings, ConfidenceSource, Configuration, Files},
     geometry::Geometry,
@@ -51,7 +52,7 @@ fn main() -> Fallible<()> {
     if project.home.join("viewrank/cache/agreement.table").exists() {
         return Err("the agreement would be read from the cache: remove viewrank/cache first".into());
     }
-    let room = SampleRoom { in_memory: 1 << 30, views_at_once: 16 };
+    let room = || Ok::<_, TableError>(SampleRoom { keep: Storage::Memory, views_at_once: 16 });
     let start = Instant::now();
     let partners = |view| stages.candidates.candidates_of(view);
     let pictures = Pictures::new(&project);

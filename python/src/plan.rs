@@ -185,7 +185,9 @@ impl Plan {
             if self.0.is_temporary() {
                 return Err(Failure::without_folder());
             }
-            let files = files::files(&self.0.plan, &self.0.project)?;
+            let files = files::files(&self.0.plan, &self.0.project);
+            self.0.project.refuse_changed_model()?;
+            let files = files?;
             let uncached = files.write(&Disk::REAL)?;
             Ok((self.0.project.output_folder(), files.manifest.warnings.into_iter().chain(uncached).collect()))
         })
@@ -219,6 +221,7 @@ impl Plan {
             if out.is_none() && self.0.is_temporary() {
                 return Err(Failure::without_folder());
             }
+            self.0.project.refuse_changed_model()?;
             let backend = backends::by_name(backend)?;
             let options = ExportOptions { out, refs, geometric, scene, scale };
             let (folder, files, record) = files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;

@@ -1,6 +1,8 @@
 """Errors, progress and Ctrl-C."""
 
 import _thread
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -51,6 +53,20 @@ def test_a_plan_of_another_version_says_so(tmp_path, valley, version):
     with pytest.raises(viewrank.ReadError) as raised:
         viewrank.load(tmp_path)
     assert "written by another version" in raised.value.message and "viewrank plan" in raised.value.hint
+
+
+def test_a_plan_of_a_model_that_has_changed_is_not_written(tmp_path, valley):
+    project = tmp_path / "valley"
+    shutil.copytree(valley, project, ignore=shutil.ignore_patterns("viewrank"))
+    plan = viewrank.plan(project, backend="openmvs", confidence="none")
+    points = project / "sparse" / "0" / "points3D.bin"
+    os.utime(points, ns=(0, points.stat().st_mtime_ns + 1_000_000_000))
+    for use in (plan.write, lambda: plan.export("openmvs")):
+        with pytest.raises(viewrank.ReadError) as raised:
+            use()
+        assert "has changed since it was read" in raised.value.message and raised.value.hint
+    assert not (project / "viewrank" / "manifest.json").exists()
+    viewrank.plan(project, backend="openmvs", confidence="none").write()
 
 
 def test_folders_without_depth_maps_are_an_evaluate_error(plan, tmp_path):

@@ -232,6 +232,8 @@ class Plan:
 
         Raises
         ------
+        ReadError
+            The model's files have changed since they were read.
         WriteError
             The files cannot be written, or the model has no folder.
         """
@@ -271,6 +273,8 @@ class Plan:
 
         Raises
         ------
+        ReadError
+            The model's files have changed since they were read.
         ExportError
             The program cannot take the views, or the folder holds something else.
         """

@@ -272,7 +272,7 @@ impl DiskError {
 
 impl Hint for DiskError {
     fn hint(&self) -> Option<String> {
-        Some("set TMPDIR to a folder on a disk with room, or allow more memory (max_memory)".into())
+        Some("set TMPDIR to a folder on a disk with room, or allow more memory: --max-memory".into())
     }
 }
 

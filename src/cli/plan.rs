@@ -26,7 +26,7 @@ use crate::{
     plan::{Plan, PlanError},
     show::{
         files::PlanFiles,
-        manifest::{planned_model, warnings_with},
+        manifest::{WrittenPlanError, planned_model, warnings_with},
         tables,
     },
 };
@@ -177,13 +177,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             output::recover(&project.home, &Disk::REAL)?;
         }
         let maps = MapFolder { folder, ready: &|_| true };
-        plan = replan(plan, &EarlierPlan::read(&project)?, &maps, &progress)?.0;
+        plan = replan(plan, &earlier(&project)?, &maps, &progress)?.0;
         if plan.decision.finished.clusters == 0 {
             warn(&format!("no depth map in {} fits the plan; planning without finished ones", folder.display()));
         }
     }
-    let files =
-        files(&plan, &project).inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
+    let files = files(&plan, &project);
+    // Files of a model that has gone cannot be read, either.
+    project.refuse_changed_model()?;
+    let files = files.inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;
     }
@@ -225,12 +227,13 @@ fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
     }
 }
 
-/// Adds the resolution of the model to the error of a surface for which a far coarser or finer one was asked, and what may be wrong to that of one
-/// that is too fine of itself.
+/// Adds the resolution of the model to the error of a surface for which a far coarser or finer one was asked. If none was asked for, adds what else may be
+/// the cause.
 fn far_off(error: PlanError, project: &Project, settings: &Settings) -> Failure {
     if let (PlanError::Surface(SurfaceError::Refine(_)), None) = (&error, settings.target.gsd) {
         let hint = format!(
-            "nobody asked for that, so a camera or the scale is probably wrong: viewrank doctor {}; or give --gsd",
+            "{}; if such a fine one was never meant, look for a wrong camera: viewrank doctor {}",
+            error.hint().unwrap_or_default(),
             command_path(&project.root)
         );
         return Failure::new(Exit::Failed, error.to_string(), hint);
@@ -367,6 +370,16 @@ fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progr
     progress.progress(Stage::Write, 1, 1);
     uncached.iter().for_each(|warning| warn(warning));
     Ok(())
+}
+
+/// Reads the earlier plan: where this one is written or, if none is there yet, in the project.
+fn earlier(project: &Project) -> Result<EarlierPlan, WrittenPlanError> {
+    match EarlierPlan::read(project) {
+        Err(WrittenPlanError::Io { source, .. }) if source.kind() == ErrorKind::NotFound && project.is_elsewhere() => {
+            EarlierPlan::read(&Project { home: project.root.clone(), ..project.clone() })
+        }
+        read => read,
+    }
 }
 
 /// Writes the report page, and returns its path.

@@ -11,16 +11,16 @@ use crate::{
         report::{self, Contents, DepthMapFolders},
     },
     backends::ExportRecord,
-    base::progress::{Stage, Watcher},
+    base::{
+        progress::{Stage, Watcher},
+        shell::command_path,
+    },
     io::{
         output::{self, Disk, FileSet},
         project::Project,
     },
     plan::Plan,
-    show::{
-        files::{REPORT_FILE, REPORT_SET, report_path},
-        manifest::RecordedPlan,
-    },
+    show::files::{REPORT_FILE, REPORT_SET, report_path},
 };
 use clap::Args;
 
@@ -89,9 +89,12 @@ fn write_to(
     folders: &DepthMapFolders,
     progress: &Progress,
 ) -> Result<PathBuf, Failure> {
-    let (planned, _) = RecordedPlan::open(project)?;
-    output::refuse_unwritable(out.unwrap_or(&planned.home))
-        .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &planned.as_argument()))?;
+    let folder = out.map_or_else(|| project.join("viewrank"), Path::to_path_buf);
+    // Without that folder there is no plan, which is another error.
+    if out.is_some() || folder.is_dir() {
+        output::refuse_unwritable(&folder)
+            .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &command_path(project)))?;
+    }
     let (project, plan, exports) = replan::as_written(project, progress)?;
     let page = write_page(&project, &plan, &exports, out, folders, progress)?;
     // Under a memory limit, cached tables are valid for one number of threads only: leave those of the plan.

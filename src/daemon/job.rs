@@ -39,7 +39,7 @@ use crate::{
     },
     plan::{EmptyPlan, Plan, PlanError},
     show::{
-        files::{self, FilesError},
+        files,
         manifest::{RecordedPlan, WrittenPlanError},
     },
 };
@@ -398,11 +398,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
 
 /// Writes the plan, with the record of its input unless that has changed meanwhile.
 fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> StepResult<()> {
-    let files = files::files(plan, project).map_err(|error| match error {
-        FilesError::ModelChanged(_) => Outcome::Abandoned,
-        error => failed(error),
-    });
-    let mut sets = files?.sets;
+    let mut sets = files::files(plan, project).map_err(failed)?.sets;
     record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {

@@ -35,7 +35,7 @@ pub enum PlanError {
     NoTimes,
     #[error(
         "the {stage} needs about {} of memory, but max_memory is {}",
-        memory::enough(*need),
+        memory::readable(*need),
         memory::readable(*limit)
     )]
     Memory { stage: &'static str, need: u64, limit: u64 },
@@ -82,6 +82,9 @@ impl Hint for PlanError {
                 "give --max-memory {} or more; the tables need more, forecast once the surface is built",
                 memory::enough(*need)
             ),
+            Self::Memory { stage: memory::PICTURES, need, .. } => {
+                format!("give --max-memory {}, or plan without pictures: --confidence geometric", memory::enough(*need))
+            }
             Self::Memory { need, .. } => format!(
                 "give --max-memory {}, or reduce the triangles with a coarser --gsd or a larger surface.edge_factor",
                 memory::enough(*need)

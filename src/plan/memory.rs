@@ -12,19 +12,22 @@ use crate::{
     base::column::{self, Storage},
     config::{Bytes, ConfidenceSource, Settings, VisibilitySettings},
     method::{
-        confidence::SampleRoom,
+        confidence::{MOST_PIXELS, SampleRoom},
         fulfilment::FulfilmentTable,
+        geometry::Geometry,
         surface::{
             Surface,
             refine::{MAX_TRIANGLES, TRIANGLE_BYTES},
         },
         visibility::{self, Visibility},
     },
-    model::{camera::Camera, scene::Scene},
+    model::scene::Scene,
 };
 
 /// The stage whose limit error has its own hint, since later stages are not yet forecast.
 pub(super) const SURFACE: &str = "surface";
+/// The stage that needs less memory without pictures.
+pub(super) const PICTURES: &str = "comparison of pictures";
 /// Bytes per pixel of the id buffer that each thread draws into.
 const BUFFER_PIXEL: u64 = 8;
 /// Bytes of the program and of small data.
@@ -40,7 +43,7 @@ const LEAST_TILE: u64 = 60_000;
 /// Bytes of the scene per point and per observation, including the table of each view's points.
 const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
-/// Bytes per row of the visibility table, alone, with the confidence of views by themselves, and with fulfilment as well.
+/// Bytes per row of the visibility table; of that and the confidence of views by themselves; of these and fulfilment.
 const VISIBILITY_ROW: u64 = 4;
 const UNARY_ROW: u64 = 9;
 const TABLES_ROW: u64 = 17;
@@ -48,9 +51,9 @@ const TABLES_ROW: u64 = 17;
 const SAMPLES_ROW: u64 = 196;
 /// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is as fast while memory is free.
 const MOST_SAMPLES: u64 = 1 << 30;
-/// Bytes per pixel of a picture while it is decoded, its file included: a progressive JPEG or a PNG of three channels.
-const PICTURE_PIXEL: u64 = 6;
-/// Views per thread whose samples are taken before they are kept, so that threads rarely wait for the last of them.
+/// Bytes per pixel of a picture while it is decoded, its file included: a progressive JPEG or a PNG with 16 bits a channel.
+const PICTURE_PIXEL: u64 = 8;
+/// Views per thread that are sampled per batch, so that threads rarely wait for the last of them.
 const VIEWS_PER_THREAD: u64 = 16;
 /// Bytes per triangle for confidence and reasons: what is shown of it, its nearest points, its factors and its f so far.
 const PER_TRIANGLE: u64 = 116;
@@ -71,7 +74,7 @@ pub struct Memory {
     pub read: u64,
     pub surface: u64,
     pub visibility: u64,
-    /// Samples of pictures; 0 if no pictures are compared.
+    /// Comparison of pictures; 0 if none had to be read.
     pub confidence: u64,
     /// Partners, fulfilment and ranking.
     pub partners: u64,
@@ -169,34 +172,32 @@ impl Memory {
         self.check_limit("fulfilment table", self.partners)
     }
 
-    /// Forecasts the sampling of pictures, of fewer views at once if need be.
-    pub(super) fn before_pictures(
-        &mut self,
-        scene: &Scene,
-        surface: &Surface,
-        visibility: &Visibility,
-    ) -> Result<SampleRoom, PlanError> {
+    /// Forecasts the sampling of pictures of up to `pixels`, of fewer views at once if need be.
+    pub(super) fn before_pictures(&mut self, geometry: &Geometry, pixels: u64) -> Result<SampleRoom, PlanError> {
+        let Geometry { scene, surface, visibility, .. } = *geometry;
         let (threads, rows) = (rayon::current_num_threads() as u64, visibility.triangles.len() as u64);
-        let views_at_once = VIEWS_PER_THREAD * threads;
-        if self.samples_row == 0 {
-            return Ok(SampleRoom { in_memory: 0, views_at_once: views_at_once as usize });
-        }
         let most_rows = scene.view_indices().map(|view| visibility.rows(view).len()).max().unwrap_or_default() as u64;
-        let pixels = |camera: &Camera| u64::from(camera.width) * u64::from(camera.height);
-        let picture = PICTURE_PIXEL * scene.cameras.iter().map(pixels).max().unwrap_or_default();
-        let (samples, in_memory) = (SAMPLES_ROW * rows, self.most_samples());
-        let tables = if self.disk == 0 { UNARY_ROW * rows } else { 0 };
-        let kept = tables + if samples <= in_memory { samples } else { 0 };
+        let of_view = (UNARY_ROW + SAMPLES_ROW) * most_rows;
+        let picture = PICTURE_PIXEL * pixels.min(MOST_PIXELS);
+        let (tables_keep, samples) = (visibility.triangles.storage(), SAMPLES_ROW * rows);
+        let keep = if samples <= self.most_samples() { tables_keep } else { Storage::Disk };
+        let in_memory = |keep, bytes| if keep == Storage::Memory { bytes } else { 0 };
         let held = self.read
             + bytes(surface)
             + self.outside_tables(scene.points.len() as u64, surface.triangles.len() as u64)
-            + kept;
-        let need = |views: u64| held + views * (UNARY_ROW + SAMPLES_ROW) * most_rows + views.min(threads) * picture;
+            + in_memory(tables_keep, UNARY_ROW * rows)
+            + in_memory(keep, samples);
+        // Each thread's allocator also holds back about what its last view took.
+        let need = |views: u64| held + (views + views.min(threads)) * of_view + views.min(threads) * picture;
         let fits = |views: &u64| self.limit.is_none_or(|Bytes(limit)| need(*views) <= limit);
-        let views_at_once = (1..=views_at_once).rev().find(fits).unwrap_or(1);
+        let most = (MOST_SAMPLES / of_view.max(1)).clamp(threads, VIEWS_PER_THREAD * threads);
+        let views_at_once = (1..=most.min(column::READ_AT_ONCE as u64)).rev().find(fits).unwrap_or(1);
         self.confidence = need(views_at_once);
-        self.check_limit("comparison of pictures", self.confidence)?;
-        Ok(SampleRoom { in_memory, views_at_once: views_at_once as usize })
+        self.check_limit(PICTURES, self.confidence)?;
+        if (tables_keep, keep) == (Storage::Memory, Storage::Disk) {
+            self.disk = samples;
+        }
+        Ok(SampleRoom { keep, views_at_once: views_at_once as usize })
     }
 
     /// Bytes of samples of pictures that memory may hold; more are kept on disk.
@@ -267,11 +268,11 @@ pub(super) fn enough(need: u64) -> String {
     }
 }
 
-/// Formats bytes as "1.5G", "20M" or "300 bytes".
+/// Formats bytes as "1.5G", "20M" or "300 bytes", rounded up: a need above a limit must not read the same.
 pub(super) fn readable(bytes: u64) -> String {
     match bytes as f64 / 1024f64.powi(3) {
-        gibibytes if gibibytes >= 1.0 => format!("{gibibytes:.1}G"),
-        gibibytes if bytes >= 1 << 20 => format!("{:.0}M", 1024.0 * gibibytes),
+        gibibytes if gibibytes >= 1.0 => format!("{:.1}G", (10.0 * gibibytes).ceil() / 10.0),
+        gibibytes if bytes >= 1 << 20 => format!("{:.0}M", (1024.0 * gibibytes).ceil()),
         _ => format!("{bytes} bytes"),
     }
 }
@@ -279,36 +280,58 @@ pub(super) fn readable(bytes: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{config::TargetSettings, method::synthetic::Town};
+    use crate::{
+        config::TargetSettings,
+        method::synthetic::{SeenTown, Town},
+    };
+
+    /// Views at once, and the forecast, for pictures of a megapixel.
+    fn pictures(town: &SeenTown, limit: Option<u64>) -> Result<(SampleRoom, Memory), PlanError> {
+        let mut settings = Settings { max_memory: limit.map(Bytes), ..Settings::default() };
+        let mut memory = Memory::before_surface(&town.scene, &mut settings)?;
+        let room = memory.before_pictures(&town.geometry(1.0), 1_000_000)?;
+        Ok((room, memory))
+    }
+
+    fn town(keep: Storage) -> SeenTown {
+        Town { edge: 1.0, ..Town::default() }.seen(&TargetSettings::default(), 0.05, keep)
+    }
 
     #[test]
     fn a_limit_lets_fewer_pictures_be_sampled_at_once_but_not_none() {
-        let town = Town::default().seen(&TargetSettings::default(), 0.05, Storage::Memory);
-        let threads = rayon::current_num_threads() as u64;
-        let forecast = |limit: Option<u64>, source| {
-            let mut settings = Settings { max_memory: limit.map(Bytes), ..Settings::default() };
-            settings.confidence.source = source;
-            let mut memory = Memory::before_surface(&town.scene, &mut settings)?;
-            let room = memory.before_pictures(&town.scene, &town.surface, &town.visibility)?;
-            Ok((room.views_at_once as u64, memory.confidence))
-        };
-        let pictures = |limit| forecast(limit, ConfidenceSource::Photometric);
-        let (most, need) = pictures(None).unwrap();
-        assert_eq!(most, VIEWS_PER_THREAD * threads);
-        assert_eq!(pictures(Some(need)).unwrap(), (most, need));
-        let fewer = |limit: u64| pictures(Some(limit)).map(|(views, _)| views);
-        let (views, with_less) = pictures(Some(need - 1)).unwrap();
-        assert!(views < most && with_less < need, "{views}");
+        let town = town(Storage::Memory);
+        let at_once = |limit| pictures(&town, Some(limit)).map(|(room, _)| room.views_at_once as u64);
+        let (room, memory) = pictures(&town, None).unwrap();
+        let (most, need) = (room.views_at_once as u64, memory.confidence);
+        assert_eq!(most, VIEWS_PER_THREAD * rayon::current_num_threads() as u64);
+        let samples = SAMPLES_ROW * town.visibility.triangles.len() as u64;
         // By bisection: the least limit that is enough for a single picture.
-        let (mut too_little, mut enough) = (0, need);
+        let (mut too_little, mut enough) = (0, need + 8 * samples);
         while enough - too_little > 1 {
             let middle = (too_little + enough) / 2;
-            if fewer(middle).is_ok() { enough = middle } else { too_little = middle }
+            if at_once(middle).is_ok() { enough = middle } else { too_little = middle }
         }
-        assert_eq!(fewer(enough).unwrap(), 1);
-        assert!(matches!(fewer(too_little), Err(PlanError::Memory { .. })));
-        // Without pictures there is nothing to forecast.
-        assert_eq!(forecast(None, ConfidenceSource::Geometric).unwrap().1, 0);
+        assert_eq!(at_once(enough).unwrap(), 1);
+        assert!(matches!(at_once(too_little), Err(PlanError::Memory { .. })));
+        let more: Vec<u64> = (0..20).map(|step| at_once(enough + step * samples).unwrap()).collect();
+        assert!(more.is_sorted() && more[19] == most, "{more:?}");
+    }
+
+    #[test]
+    fn samples_take_memory_only_where_they_are_kept() {
+        let [in_memory, on_disk] = [Storage::Memory, Storage::Disk].map(town);
+        let samples = SAMPLES_ROW * in_memory.visibility.triangles.len() as u64;
+        let (room, memory) = pictures(&in_memory, None).unwrap();
+        assert_eq!((room.keep, memory.disk), (Storage::Memory, 0));
+        // They follow the other tables.
+        let (room, with_tables) = pictures(&on_disk, None).unwrap();
+        assert_eq!(room.keep, Storage::Disk);
+        assert!(memory.confidence - with_tables.confidence > samples);
+        // They go to disk alone above an eighth of the limit.
+        let (room, alone) = pictures(&in_memory, Some(8 * samples)).unwrap();
+        assert_eq!((room.keep, alone.disk), (Storage::Memory, 0));
+        let (room, alone) = pictures(&in_memory, Some(8 * samples - 1)).unwrap();
+        assert_eq!((room.keep, alone.disk), (Storage::Disk, samples));
     }
 
     #[test]

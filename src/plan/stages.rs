@@ -121,7 +121,6 @@ impl Stages {
             surface_and_candidates((&scene, &points), &settings, matching, &inputs, watcher, timings, &mut memory)
         })?;
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
-        let room = memory.before_pictures(&scene, &seen.surface, &seen.visibility)?;
         let (shown_slot, shown) =
             timings.time(Stage::Visibility, || shown(inputs.shown(&surface_slot.file), &scene, &seen))?;
         let region = timings.time(Stage::Visibility, || {
@@ -151,6 +150,7 @@ impl Stages {
             .time(Stage::Confidence, || unary(unary_file, &geometry, &points, confidence, &pictures, watcher))?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
+                let room = || memory.before_pictures(&geometry, image_faults.most_pixels(&scene));
                 agreement(&pictures, &geometry, &points, &candidates, matcher, room, watcher)
             }
             _ => Ok(Agreement::default()),
@@ -366,7 +366,7 @@ fn agreement(
     points: &ViewPoints,
     candidates: &Candidates,
     matcher: &Matcher,
-    room: SampleRoom,
+    room: impl FnOnce() -> Result<SampleRoom, PlanError>,
     watcher: &dyn Watcher,
 ) -> Result<Agreement, PlanError> {
     let of_key_view = |key| -> ReachOfPartner {
@@ -379,7 +379,7 @@ fn agreement(
     };
     let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_key_view: &of_key_view };
     let partners = |view| candidates.candidates_of(view);
-    Ok(Agreement::new(geometry, pictures, partners, &reach, room, watcher)?)
+    Agreement::new(geometry, pictures, partners, &reach, room, watcher)
 }
 
 /// Returns the surface, and the candidate partners of each view within the gate, among pairs that the backend can match and that have images; those of an

@@ -137,7 +137,7 @@ fn little_fulfilled(ranking: &Ranking) -> Option<String> {
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
             "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \
-             more partners (-k) or a coarser --gsd may give more",
+             more partners (-k) or a coarser --gsd may give more, and viewrank doctor knows whether the cameras are sound",
             100.0 * given
         )
     })
@@ -146,7 +146,9 @@ fn little_fulfilled(ranking: &Ranking) -> Option<String> {
 /// Warns of so few maps that the backend's fusion is expected to keep nothing of them.
 fn unconfirmed(stages: &Stages, cut: &Cut) -> Option<String> {
     let (clusters, support) = (cut.clusters, stages.objective.support as usize);
-    (cut.share <= 0.0 && clusters < support).then(|| {
+    let limits = &stages.settings.cut;
+    let is_limited = limits.budget.is_some() || limits.time.is_some() || limits.points.is_some();
+    (is_limited && support > 1 && cut.share <= 0.0 && clusters < support).then(|| {
         format!(
             "fusion by {} keeps points that {support} depth maps agree on, and the limits allow {clusters}: nothing will be left; raise the limit",
             stages.backend

@@ -68,8 +68,6 @@ pub enum FilesError {
     Input(#[from] FingerprintError),
     #[error(transparent)]
     EmptyPlan(#[from] EmptyPlan),
-    #[error("the model in {} has changed while it was planned", .0.display())]
-    ModelChanged(PathBuf),
 }
 
 impl Hint for FilesError {
@@ -78,7 +76,6 @@ impl Hint for FilesError {
             Self::Backend(error) => error.hint(),
             Self::Input(error) => error.hint(),
             Self::EmptyPlan(error) => error.hint(),
-            Self::ModelChanged(_) => Some("plan again once it is complete; nothing was written".into()),
         }
     }
 
@@ -87,7 +84,6 @@ impl Hint for FilesError {
             Self::Backend(error) => error.path(),
             Self::Input(error) => error.path(),
             Self::EmptyPlan(error) => error.path(),
-            Self::ModelChanged(path) => Some(path),
         }
     }
 }
@@ -95,7 +91,8 @@ impl Hint for FilesError {
 /// Collects the files of the plan, for [`output::write_all`](crate::io::output::write_all).
 ///
 /// # Errors
-/// Fails if the plan chooses nothing, a backend does not support a name, a mesh can no longer be read, or the model is another one than was planned.
+/// Fails if the plan chooses nothing, a backend does not support a name, or a mesh can no longer be read. The manifest's fingerprint is of the model's
+/// files as they are now: see [`Project::refuse_changed_model`].
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     if let Some(empty) = EmptyPlan::detect(plan) {
         return Err(empty.into());
@@ -128,10 +125,6 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         || rayon::join(|| surface_ply(plan), || views_geojson(plan, &place)),
     );
     let mut manifest = manifest?;
-    // The fingerprint is of the files as they are now, the plan of those that were read.
-    if project.has_changed_model() {
-        return Err(FilesError::ModelChanged(project.model.path.clone()));
-    }
     manifest.warnings.extend(plan.stages.image_faults.warnings(project, &plan.stages.scene));
     manifest.warnings.extend(missing);
     let command = exports.first().and_then(command);

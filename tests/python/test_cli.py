@@ -176,7 +176,7 @@ def test_a_model_replaced_while_it_is_planned_gets_no_plan(viewrank, valley):
     finally:
         is_planned.set()
         replacing.join()
-    assert "has changed while it was planned" in refused.stderr and not (valley / "viewrank/manifest.json").exists()
+    assert "has changed since it was read" in refused.stderr and not (valley / "viewrank/manifest.json").exists()
 
 
 def test_a_camera_that_no_view_can_have_had_is_suspected(viewrank, valley):

@@ -114,9 +114,17 @@ fn cameras(inputs: &Inputs) -> Option<Finding> {
     let views: Vec<ViewIndex> = inputs.scene.view_indices().filter(wrong).collect();
     let camera = inputs.scene.camera_of(*views.first()?);
     let (f, c) = camera.pinhole_part();
+    // A number of 300 digits would hide the rest.
+    let px = |x: f64| if x.abs() < 1e7 { format!("{x:.1}") } else { format!("{x:.1e}") };
     let what = format!(
-        "camera {} is impossible: focal lengths {:.1}, {:.1} px and principal point {:.1}, {:.1} px in an image of {} x {} px",
-        camera.id, f.x, f.y, c.x, c.y, camera.width, camera.height
+        "camera {} is impossible: focal lengths {}, {} px and principal point {}, {} px in an image of {} x {} px",
+        camera.id,
+        px(f.x),
+        px(f.y),
+        px(c.x),
+        px(c.y),
+        camera.width,
+        camera.height
     );
     let cure = "correct the cameras (in pixels of the images) and run bundle adjustment again";
     Some(Finding::new(Severity::Error, "impossible-camera", what, cure).of_views(inputs.named(views)))

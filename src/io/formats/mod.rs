@@ -124,11 +124,14 @@ impl Problem {
                 "convert the cameras to a model that COLMAP 4.2 supports, or check that the file has the format of its name"
             }
             Self::Camera(_) => "correct the intrinsics, or export the model again",
-            Self::Duplicate { .. } => "make ids and image names unique",
+            Self::Duplicate { .. } => {
+                "make ids and image names unique; if the rest of the file is zeros, copy it again: it was copied in part"
+            }
             Self::Absent { .. } => "export all files of the model together: they don't match",
             Self::NotFinite(_) | Self::ZeroQuaternion => {
                 "remove the record in the program that made the model, whose bundle adjustment has probably failed"
             }
+            Self::Name { name, .. } if name.is_empty() => "copy or export the file again: it is incomplete or damaged",
             Self::Name { .. } => "rename the image, in the image folder and in the model",
             Self::TrackIndex { .. } | Self::Contradiction(_) => {
                 "export all files of the model together; delete rigs and frames files of other models"

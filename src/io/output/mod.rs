@@ -266,7 +266,7 @@ impl Hint for OutputError {
             Self::Foreign { .. } => "move it away: viewrank creates its own".into(),
             Self::InTheWay { .. } => "move it away, or choose another name".into(),
             Self::OtherFileSystem { .. } => "choose a folder on a single file system with --out".into(),
-            Self::Full { .. } => "free some space on that disk (the viewrank/cache of a plan may go: it only saves time); nothing was changed".into(),
+            Self::Full { .. } => "free some space on that disk (a plan's viewrank/cache can be deleted: it only saves time); nothing was changed".into(),
             Self::Denied { .. } => "get write permission there, or work on a copy; nothing was changed".into(),
             Self::Io { source, .. } if source.kind() == io::ErrorKind::NotADirectory => {
                 "name a folder, not a file or something below one".into()

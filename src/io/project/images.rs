@@ -1,7 +1,7 @@
 //! Finds the image folder of a project and checks the images in it.
 
 use std::{
-    collections::HashSet,
+    collections::{HashMap, HashSet},
     fs::File,
     io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
@@ -70,7 +70,7 @@ pub struct ImageFaults {
     pub missing: Vec<ViewIndex>,
     /// Views whose image size differs from the camera's, with the width and height of the image.
     pub other_size: Vec<(ViewIndex, [u32; 2])>,
-    /// Views whose file is empty, truncated or not an image, with that word.
+    /// Views whose file is empty, truncated, not an image or not to be read, in words.
     pub unreadable: Vec<(ViewIndex, &'static str)>,
 }
 
@@ -98,6 +98,17 @@ impl ImageFaults {
             all.unreadable.extend(faults.unreadable);
         }
         all
+    }
+
+    /// Pixels of the largest image of a scene.
+    pub fn most_pixels(&self, scene: &Scene) -> u64 {
+        let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+        let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
+        let of_view = |view: ViewIndex| {
+            let camera = scene.camera_of(view);
+            pixels(others.get(&view).copied().unwrap_or([camera.width, camera.height]))
+        };
+        scene.view_indices().map(of_view).max().unwrap_or_default()
     }
 
     /// Views without an image that can be read, ascending; none if that is true of all `views`.
@@ -153,6 +164,9 @@ fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();
     if length == 0 {
         return Err(Unread::Broken("empty"));
+    }
+    if input::open(path).is_err_and(|error| error.kind() == io::ErrorKind::PermissionDenied) {
+        return Err(Unread::Broken("no permission to read it"));
     }
     let by_name = ImageFormat::from_path(path).ok().filter(ImageFormat::reading_enabled);
     match dimensions(path, length) {
@@ -266,4 +280,36 @@ fn normal(name: &Path) -> PathBuf {
 /// Formats a path with `/` as the separator, like image names.
 pub fn slashes(path: &Path) -> String {
     path.components().map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{method::synthetic::Town, model::scene::ViewIndex};
+
+    #[test]
+    fn images_that_are_missing_broken_or_larger_are_told_apart() {
+        let (folder, scene) = (tempfile::tempdir().unwrap(), Town::default().scene());
+        let path = |view: u32| {
+            let path = folder.path().join(scene.name(ViewIndex(view)));
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            path
+        };
+        let save = |view, width, height| {
+            image::GrayImage::new(width, height).save_with_format(path(view), ImageFormat::Png).unwrap();
+        };
+        let find = || ImageFaults::find(&ImageFolder::new(folder.path()), &scene);
+        let views = scene.views.len();
+        assert_eq!(find().missing.len(), views);
+        assert_eq!(find().without_image(views), [], "all are elsewhere");
+        (0..views as u32).for_each(|view| save(view, 1000, 750));
+        assert_eq!((find(), find().most_pixels(&scene)), (ImageFaults::default(), 750_000));
+        save(5, 1200, 900);
+        std::fs::remove_file(path(9)).unwrap();
+        std::fs::write(path(3), "").unwrap();
+        let faults = find();
+        assert_eq!(faults.other_size, [(ViewIndex(5), [1200, 900])]);
+        assert_eq!(faults.without_image(views), [3, 9].map(ViewIndex));
+        assert_eq!(faults.most_pixels(&scene), 1_080_000);
+    }
 }

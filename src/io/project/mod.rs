@@ -25,7 +25,6 @@ pub use images::{ImageFaults, slashes};
 use crate::{
     base::{
         error::Hint,
-        input,
         shell::{command_path, command_word},
     },
     io::formats::{Fault, colmap::ColmapModel},
@@ -137,12 +136,12 @@ pub struct Project {
     pub images: Option<ImageFolder>,
     /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`.
     pub dense_workspace: Option<PathBuf>,
-    /// The model's files as they were before anything was read.
+    /// The model's files as they were before the scene was read.
     pub model_stamps: Vec<FileStamp>,
 }
 
-/// Length, modification time and inode of a file; `None` if it is missing.
-pub type FileStamp = Option<(u64, Option<SystemTime>, u64)>;
+/// Length and modification time of a file; `None` if it is missing. Not the inode, which some network file systems make up anew each time.
+pub type FileStamp = Option<(u64, Option<SystemTime>)>;
 
 /// Name of the file set of a batch of undistorted images, from 1.
 pub fn undistorted_set(batch: usize) -> String {
@@ -277,9 +276,12 @@ impl Project {
         model_files(&self.root, &self.model)
     }
 
-    /// Returns whether the model's files have changed since the project was opened.
-    pub fn has_changed_model(&self) -> bool {
-        stamps(&self.root, &self.model) != self.model_stamps
+    /// Returns an error if the model's files have changed since the project was opened: what is known of them is out of date.
+    pub fn refuse_changed_model(&self) -> Result<(), ProjectError> {
+        match stamps(&self.root, &self.model) == self.model_stamps {
+            true => Ok(()),
+            false => Err(ProjectError::ModelChanged(self.model.path.clone())),
+        }
     }
 
     /// Other models at least half of whose images are in the scene: copies of the model, possibly in other coordinates.
@@ -327,7 +329,7 @@ fn model_files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
 fn stamps(root: &Path, model: &ModelLocation) -> Vec<FileStamp> {
     let stamp = |path: PathBuf| {
         let found = path.metadata().ok()?;
-        Some((found.len(), found.modified().ok(), input::identity(&found).1))
+        Some((found.len(), found.modified().ok()))
     };
     model_files(root, model).into_iter().map(stamp).collect()
 }
@@ -354,6 +356,8 @@ pub enum ProjectError {
     Io { path: PathBuf, source: io::Error },
     #[error("{path}, {fault}")]
     Fault { path: PathBuf, fault: Fault },
+    #[error("the model {0} has changed since it was read")]
+    ModelChanged(PathBuf),
     #[error("no image list (list.txt) for {0} in its folder or the one above")]
     NoImageList(PathBuf),
 }
@@ -377,6 +381,7 @@ impl Hint for ProjectError {
             Self::NoSuchModel { .. } => "pass one of these names to --model, or omit it".into(),
             Self::Io { .. } => "check that the file exists and is readable".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
+            Self::ModelChanged(_) => "once the model is complete, read it and plan again; nothing was written".into(),
             Self::NoImageList(_) => "copy Bundler's image list there: one line per camera with the image name".into(),
         })
     }
@@ -387,7 +392,7 @@ impl Hint for ProjectError {
 
     fn path(&self) -> Option<&Path> {
         match self {
-            Self::NotFound(path) | Self::NoImageList(path) => Some(path),
+            Self::NotFound(path) | Self::ModelChanged(path) | Self::NoImageList(path) => Some(path),
             Self::NoModel { path, .. }
             | Self::IncompleteModel { folder: path, .. }
             | Self::NoSuchModel { path, .. }

@@ -20,7 +20,7 @@ const LEAST_SCALE: f64 = 0.25;
 /// Memory limit for decoding, bytes; a 16-bit RGB image of 150 megapixels has 900 MB.
 const MOST_BYTES: usize = 1 << 30;
 /// Limit on the pixels of a JPEG; decoding a progressive one takes up to six bytes each.
-const MOST_PIXELS: u64 = 1 << 28;
+pub const MOST_PIXELS: u64 = 1 << 28;
 
 /// A reduced picture: RGB, 8 bit, row-major.
 #[derive(Clone, Debug, PartialEq)]

@@ -137,7 +137,7 @@ pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>]) -> Vec<S
     let mut warnings: Vec<String> =
         named.map(|(view, trouble)| format!("{}: {trouble}; predicted without its image", scene.name(view))).collect();
     if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
-        warnings.push(format!("{others} more images are broken"));
+        warnings.push(format!("{others} more images cannot be used"));
     }
     warnings
 }

@@ -178,7 +178,9 @@ impl Hint for SurfaceError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::TooFewPoints { .. } | Self::Linear => "check the model, or give a surface with --mesh".into(),
-            Self::Empty => "check the model and the wanted --gsd, or give a surface with --mesh".into(),
+            Self::Empty => {
+                "check the model (viewrank doctor) and the wanted --gsd, or give a surface with --mesh".into()
+            }
             Self::Gsd(_) => "set target.gsd, or type --gsd".into(),
             Self::MeshFile { .. } => "check that the file exists and is readable".into(),
             Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),

@@ -13,6 +13,7 @@ use super::{
 use crate::{
     base::{
         column::{self, Column, ColumnBuilder, Storage, TableError},
+        platform,
         progress::{Stage, Watcher},
     },
     method::geometry::Geometry,
@@ -22,9 +23,9 @@ use crate::{
 /// Room for samples and the pictures that they are taken from.
 #[derive(Clone, Copy, Debug)]
 pub struct SampleRoom {
-    /// Bytes of samples that are kept in memory; more are kept on disk.
-    pub in_memory: u64,
-    /// Views whose samples are taken before they are kept, at least 1.
+    /// Place of the samples.
+    pub keep: Storage,
+    /// Views that are sampled per batch, at least 1.
     pub views_at_once: usize,
 }
 
@@ -52,13 +53,8 @@ pub(super) fn samples(
         watcher.progress(Stage::Confidence, 1 + done.fetch_add(1, Ordering::Relaxed), total);
         Ok(sampled.unwrap_or_else(|| vec![stacks::NOT_SEEN; visibility.triangles_seen_by(view).len() * STACK]))
     };
-    let all = visibility.triangles.len() * STACK;
-    let keep = match all as u64 > room.in_memory {
-        true => Storage::Disk,
-        false => visibility.triangles.storage(),
-    };
-    let mut samples = ColumnBuilder::new(keep)?;
-    samples.reserve(all);
+    let mut samples = ColumnBuilder::new(room.keep)?;
+    samples.reserve(visibility.triangles.len() * STACK);
     let views = visibility.views();
     column::in_order(
         &views,
@@ -67,7 +63,10 @@ pub(super) fn samples(
         |(), &view| of_view(view),
         |_, taken| {
             visibility.triangles.release();
-            taken.iter().try_for_each(|samples_of_view| samples.extend(samples_of_view))
+            taken.into_iter().try_for_each(|samples_of_view| samples.extend(&samples_of_view))?;
+            // Else the next batch comes on top of what the allocator holds back of this one.
+            platform::return_freed_memory();
+            Ok(())
         },
     )?;
     let mut by_view: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();

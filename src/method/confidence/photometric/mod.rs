@@ -127,21 +127,23 @@ impl ProgramReach<'_, '_> {
 
 impl Agreement {
     /// Compares the picture of each view with those of its partners, or reads the result of an earlier plan for the same pictures and surface.
-    /// Views without a usable picture have no values.
-    pub fn new<'p>(
+    /// Views without a usable picture have no values. `room` is called if pictures have to be read.
+    pub fn new<'p, E: From<TableError>>(
         geometry: &Geometry,
         pictures: &Pictures,
         partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex] + Sync,
         reach: &ProgramReach,
-        room: SampleRoom,
+        room: impl FnOnce() -> Result<SampleRoom, E>,
         watcher: &dyn Watcher,
-    ) -> Result<Self, TableError> {
+    ) -> Result<Self, E> {
         let cache = cache::file(geometry, pictures, &partners_of, reach.program);
-        if let Some(Cached { without, warnings, values }) = cache::read(&cache, geometry, &partners_of)? {
+        if let Some(Cached { without, warnings, values }) =
+            cache::read(&cache, geometry, &partners_of).map_err(TableError::from)?
+        {
             let layout = Self::laid_out(geometry, &partners_of, &without);
             return Ok(Self { values: Arc::new(values), warnings, cache: Some(cache), is_kept: true, ..layout });
         }
-        let (samples, troubles) = samples(geometry, pictures, room, watcher)?;
+        let (samples, troubles) = samples(geometry, pictures, room()?, watcher)?;
         let without: Vec<bool> = troubles.iter().map(|t| t.is_some() || !pictures.have_images()).collect();
         let mut table = Self::laid_out(geometry, &partners_of, &without);
         let compare = |places: &mut Vec<u32>, key: ViewIndex| {
