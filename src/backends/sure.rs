@@ -246,7 +246,7 @@ fn lists_of_pairs<'a>(
 }
 
 /// Refuses a name that cannot be written to a tab-separated file with `#` comments.
-fn checked_name<'a>(backend: &'static str, name: &'a str) -> Result<&'a str, BackendError> {
+pub(super) fn checked_name<'a>(backend: &'static str, name: &'a str) -> Result<&'a str, BackendError> {
     let why = if name.contains(['\t', '\n', '\r']) {
         "a tab or line break separates entries in the pair files"
     } else if name.starts_with('#') {

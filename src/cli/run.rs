@@ -466,15 +466,19 @@ impl<'a> Work<'a> {
     }
 
     fn broken(&self, output: &str) -> Failure {
-        let message = format!("{} computes no depth maps:\n{output}", self.backend.name);
+        let message = format!("{} computes no depth maps: {}\n{output}", self.backend.name, last_line(output));
         let hint = match self.backend.name {
+            _ if output.contains("No space left on device") => {
+                format!("free some space there; finished depth maps are kept, and this goes on: {}", self.again())
+            }
             "sgm" if output.contains("ModuleNotFoundError") => {
                 "name a Python with numpy and opencv in PYTHON: python3 -m venv V && V/bin/pip install numpy \
                  opencv-python-headless"
+                    .into()
             }
-            _ => "check the program with one of its own commands, or take another --backend",
+            _ => "check the program with one of its own commands, or take another --backend".into(),
         };
-        Failure::new(Exit::Failed, message, hint.to_owned())
+        Failure::new(Exit::Failed, message, hint)
     }
 }
 

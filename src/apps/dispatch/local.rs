@@ -67,10 +67,13 @@ impl Dispatch {
     }
 }
 
+/// Returns the last lines.
 fn tail(output: &mut File) -> io::Result<String> {
-    let length = output.seek(SeekFrom::End(0))?;
-    output.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
+    let start = output.seek(SeekFrom::End(0))?.saturating_sub(TAIL);
+    output.seek(SeekFrom::Start(start))?;
     let mut bytes = Vec::new();
     output.read_to_end(&mut bytes)?;
-    Ok(String::from_utf8_lossy(&bytes).trim().into())
+    let text = String::from_utf8_lossy(&bytes);
+    let whole = if start > 0 { text.split_once('\n').map_or(&*text, |(_, whole)| whole) } else { &text };
+    Ok(whole.trim().into())
 }

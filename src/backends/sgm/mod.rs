@@ -3,8 +3,8 @@
 mod search;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
-    TaskRunner, place, sure,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
+    PlanningNumbers, Selection, TaskRunner, Trap, place, sure,
 };
 use crate::{
     base::shell::quoted_path,
@@ -70,9 +70,14 @@ pub static BACKEND: Backend = Backend {
     mixes_sizes: true,
     serves: |_| false,
     tasks,
-    traps: |_| Vec::new(),
+    traps,
     export,
 };
+
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
+    let bad = patient.bad_names("sgm-name", |name| sure::checked_name(BACKEND.name, name).map(|_| ()));
+    bad.into_iter().collect()
+}
 
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     let out = selection.project.home.join("sgm");

@@ -36,6 +36,7 @@ fn names_that_backends_cannot_take() {
         assert_eq!(trapped("colmap", &[name], "colmap-name").views[0].name, name);
     }
     trapped("sure", &["#1.jpg"], "sure-name");
+    trapped("sgm", &["a\tb.jpg"], "sgm-name");
     trapped("sure", &["a/1.jpg", "a_1.tif"], "sure-same-stem");
     trapped("micmac", &["a b.jpg"], "micmac-name");
     trapped("micmac", &["a/b.jpg"], "micmac-name");
