@@ -223,8 +223,8 @@ impl RecordedPlan {
         self.clusters.iter().take_while(|cluster| cluster.finished).count()
     }
 
-    /// Returns an error if the ranking is not the plan's, or is of a model that has changed meanwhile. With finished depth maps, their partners are those of an earlier plan and they change
-    /// the order, so only the partners of the other clusters are compared.
+    /// Returns an error if the ranking is not the plan's, or the model has changed meanwhile. With finished depth maps, their partners are those of an
+    /// earlier plan and they change the order, so only the partners of the other clusters are compared.
     pub fn check_ranking(&self, project: &Project, plan: &Plan) -> Result<(), WrittenPlanError> {
         project.refuse_changed_model()?;
         let ranked = self.ranked(&plan.stages.scene)?;
