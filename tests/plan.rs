@@ -191,23 +191,29 @@ fn settings_of_the_project_and_the_command_line_are_in_force() {
 #[test]
 fn budgets_and_targets_cut_where_they_say() {
     let project = project();
-    let cut = |options: &[&str]| {
+    let cut_and_limit = |options: &[&str]| {
         let summary: Value =
             serde_json::from_str(&plan(project.path(), &[options, &["--dry-run", "--format", "json"]].concat()))
                 .unwrap();
-        summary["cut"]["clusters"].as_u64().unwrap()
+        (summary["cut"]["clusters"].as_u64().unwrap(), summary["cut"]["limit"].clone())
     };
+    let cut = |options: &[&str]| cut_and_limit(options).0;
     assert_eq!(cut(&["--budget", "3"]), 3);
     // 10 % of 28 views, and no fewer.
     assert_eq!(cut(&["--budget", "10%"]), 3);
-    assert_eq!(cut(&["--budget", "2", "--target", "100%"]), 2);
+    assert_eq!(cut_and_limit(&["--budget", "2", "--target", "100%"]), (2, "budget".into()));
+    assert_eq!(cut_and_limit(&["--budget", "20", "--target", "60%"]).1, "target");
+    assert_eq!(cut_and_limit(&["--points", "500k", "--budget", "20"]).1, "points");
+    assert_eq!(cut_and_limit(&["--budget", "1000"]), (28, Value::Null), "nothing is left out");
     assert!(cut(&["--target", "50%"]) < cut(&["--target", "95%"]));
     let (code, stderr) = failure(&["plan", project.path().to_str().unwrap(), "--time", "2h", "-q"]);
     assert_eq!(code, 2);
     assert!(stderr.contains("the time limit") && stderr.contains("hint: time one depth map"), "{stderr}");
     fs::write(project.path().join("viewrank.toml"), "[forecast]\nseconds_per_map = 10\nseconds_per_pair = 2\n")
         .unwrap();
-    assert_eq!(cut(&["--time", "1min", "-k", "5", "--target", "100%"]), 3);
+    let of_a_minute = ["--time", "1min", "-k", "5", "--target", "100%"];
+    assert_eq!(cut_and_limit(&of_a_minute), (3, "time".into()));
+    assert!(plan(project.path(), &of_a_minute).contains("  <- the plan stops here (--time)\n"));
 }
 
 #[test]
@@ -257,7 +263,8 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
         (vec!["plan", root, "--buget", "1"], 2, "--budget"),
         (vec!["plan", root, "--gsd", "-1"], 2, "must be above 0"),
         (vec!["plan", root, "-k", "0"], 2, "hint: "),
-        (vec!["plan", root, "--target", "1"], 2, "such as 80%"),
+        (vec!["plan", root, "--target", "1"], 2, "write 1% or 100%"),
+        (vec!["plan", root, "--target", "101%"], 2, "up to 100% such as 80%"),
         (vec!["plan", root, "--backend", "sgmm"], 2, "hint: "),
         (vec!["plan", root, "--model", "7"], 2, "hint: "),
         (vec!["plan", root, "--confidence", "geomtric"], 2, "'geometric'"),

@@ -26,6 +26,12 @@ pub trait Watcher: Sync {
         false
     }
 
+    /// Bytes that the run may take besides the limit of its settings; `None`: any. Unlike that limit, which tables and tiles obey, it refuses what
+    /// needs more, and changes no result.
+    fn most_memory(&self) -> Option<u64> {
+        None
+    }
+
     /// `Err` when cancelled, for use with `?`.
     fn check(&self) -> Result<(), Cancelled> {
         if self.cancelled() { Err(Cancelled) } else { Ok(()) }

@@ -104,7 +104,7 @@ fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> String {
     let has_errors = diagnosis.findings.iter().any(|finding| finding.severity == Severity::Error);
     let links = if has_errors { "" } else { " partners of each view, weak links," };
     let what = format!(
-        "cameras, poses and points of the model, its units,{links} image files and their sizes, traps of {own}, which the project would be \
+        "cameras, poses and points of the model, its units,{links} image files and their sizes, masks, traps of {own}, which the project would be \
          planned for{others}."
     );
     wrapped("Checked: ", &what)

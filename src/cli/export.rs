@@ -125,6 +125,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         image_faults: &plan.project.image_faults(&plan.scene),
     };
     let tiles = arguments.tiles.map(|count| clusters_by_area(&selection, count as usize));
+    if let (Some(count), Some(tiles)) = (arguments.tiles, &tiles)
+        && tiles.len() < count as usize
+    {
+        warn(&format!("the key views of the plan make {} tiles, not {count}", tiles.len()));
+    }
     // All exports are built and checked before any is written: an error in one stops the others, too.
     let make = |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());
     let made: Vec<PreparedExport> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;

@@ -155,7 +155,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
     let project = match &arguments.out {
-        Some(out) => project.with_home(out),
+        Some(out) => {
+            refuse_nested(out)?;
+            project.with_home(out)
+        }
         None => project,
     };
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
@@ -214,6 +217,17 @@ struct ExportFailure(Vec<String>);
 impl Hint for ExportFailure {
     fn hint(&self) -> Option<String> {
         None
+    }
+}
+
+/// Fails if `--out` is the folder of a plan itself, into which another one would be nested.
+fn refuse_nested(out: &Path) -> Result<(), Failure> {
+    match (out.file_name(), out.parent()) {
+        (Some(name), Some(above)) if name == "viewrank" && out.join("manifest.json").exists() => {
+            let what = format!("{}: a plan is written into a folder viewrank of --out, and this is one", out.display());
+            Err(Failure::new(Exit::Usage, what, format!("give the folder above: --out {}", command_path(above))))
+        }
+        _ => Ok(()),
     }
 }
 

@@ -8,7 +8,7 @@ use crate::{
     config::TriangleWeight,
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
-    plan::{Cut, Forecast, GivenUp, Memory, Plan, Timings},
+    plan::{Cut, CutLimit, Forecast, GivenUp, Memory, Plan, Timings},
     show::{
         files::PlanFiles,
         manifest::{Manifest, RegionSummary, warnings_with},
@@ -36,6 +36,9 @@ pub struct Summary<'a> {
     /// Region of interest; null: the whole surface.
     region: Option<&'a RegionSummary>,
     cut: Cut,
+    /// Number of limits in the settings.
+    #[serde(skip)]
+    limits: usize,
     forecast: Forecast,
     /// Speed-up over computing everything, if the time of matching is known.
     speed_up: Option<f64>,
@@ -85,6 +88,7 @@ impl<'a> Summary<'a> {
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
             region: manifest.region.as_ref(),
             cut: plan.decision.cut,
+            limits: plan.stages.settings.cut.limits(),
             forecast: plan.decision.forecast,
             speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
             warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &files.outdated_exports),
@@ -146,6 +150,9 @@ impl<'a> Summary<'a> {
                     _ => format!("{maps} of {all} depth maps, {full} at full and {half} at half size"),
                 };
                 format!("Compute {maps}, {work:.0} % of the work")
+            }
+            None if self.is_finished() => {
+                format!("The {maps} of {all} depth maps that are worth computing are finished")
             }
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
@@ -220,17 +227,19 @@ impl<'a> Summary<'a> {
         }
     }
 
+    /// True if no depth map of the plan is left to compute.
+    fn is_finished(&self) -> bool {
+        self.finished > 0 && self.finished == self.cut.clusters
+    }
+
     fn done(&self) -> String {
-        match self.finished {
-            0 => String::new(),
-            n => {
-                let reached = self.manifest.clusters[n - 1].share * 100.0;
-                format!(
-                    "{} of them are finished, the first of the list: they really reach {reached:.1} % of that.\n",
-                    grouped(n)
-                )
-            }
-        }
+        let Some(last) = self.finished.checked_sub(1) else { return String::new() };
+        let reached = self.manifest.clusters[last].share * 100.0;
+        let which = match self.is_finished() {
+            true => "Measured, they".into(),
+            false => format!("{} of them are finished, the first of the list: they", grouped(self.finished)),
+        };
+        format!("{which} really reach {reached:.1} % of that.\n")
     }
 
     /// Formats a few points of the curve.
@@ -253,7 +262,7 @@ impl<'a> Summary<'a> {
             let quality = clusters[length - 1].share * 100.0;
             let rest = self.forecast.all_maps.saturating_sub(length);
             let mark = match length {
-                _ if length == self.cut.clusters => "  <- the plan stops here".into(),
+                _ if length == self.cut.clusters => format!("  <- the plan stops here{}", self.limit()),
                 _ if length == clusters.len() && rest > 0 => format!("  <- {} more would add nothing", grouped(rest)),
                 _ => String::new(),
             };
@@ -272,6 +281,17 @@ impl<'a> Summary<'a> {
             if self.cut.clusters > NAMED { ", ..." } else { "" }
         );
         text
+    }
+
+    /// Formats which one of several limits ends the plan.
+    fn limit(&self) -> &'static str {
+        match self.cut.limit.filter(|_| self.limits > 1) {
+            Some(CutLimit::Budget) => " (--budget)",
+            Some(CutLimit::Target) => " (--target)",
+            Some(CutLimit::Time) => " (--time)",
+            Some(CutLimit::Points) => " (--points)",
+            None => "",
+        }
     }
 
     /// Formats whether planning is worth its time (method 5.6).

@@ -54,8 +54,8 @@ pub struct Arguments {
     /// Share of what all view clusters reach to plan for, over the projects' settings.
     #[arg(long, value_name = "P%")]
     target: Option<String>,
-    /// Memory for all plans together, such as 4G or 800M, as estimated from their models: a plan waits until there is room. What a plan may take
-    /// while it runs is max_memory in its settings [default: half of this machine's memory].
+    /// Memory for all plans together, such as 4G or 800M: a plan waits until there is room by the size of its model, and is refused if its forecast
+    /// is larger. With max_memory in its settings, it may do with less [default: half of this machine's memory].
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<Bytes>,
     /// Follow symbolic links that lead out of the roots.

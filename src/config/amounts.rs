@@ -69,7 +69,7 @@ impl Amount for Budget {
 }
 
 impl Amount for Share {
-    const WANTED: &'static str = "a share above 0% and up to 100% such as 80% or 0.8; instead of 1 write 1% or 100%";
+    const WANTED: &'static str = "a share above 0% and up to 100% such as 80% or 0.8";
     const PATTERN: &'static str = "^[0-9.]+ ?%$";
 }
 
@@ -111,9 +111,10 @@ impl FromStr for Share {
             Some(number) => (non_negative(number.trim()), true),
             None => (non_negative(text.trim()), false),
         };
-        // A bare 1 may be 1 % or all of it.
+        if !in_percent && number == Some(1.0) {
+            return Err(AmountError { text: text.into(), wanted: "clear: write 1% or 100%" });
+        }
         let share = number.and_then(|n| match in_percent {
-            false if n == 1.0 => None,
             false if n < 1.0 => Some(n),
             _ => Some(n / 100.0),
         });

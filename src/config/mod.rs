@@ -457,6 +457,16 @@ pub struct CutSettings {
     pub points: Option<Count>,
 }
 
+impl CutSettings {
+    /// Number of limits that are set.
+    pub fn limits(&self) -> usize {
+        [self.budget.is_some(), self.target.is_some(), self.time.is_some(), self.points.is_some()]
+            .into_iter()
+            .filter(|is_set| *is_set)
+            .count()
+    }
+}
+
 /// Inputs to the forecast of time and points; unset where unknown.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]

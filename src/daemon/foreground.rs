@@ -74,6 +74,7 @@ impl<'a> Foreground<'a> {
             on_busy: OnBusy::Restart,
             follow_links: true,
             maps: &maps,
+            most_memory: None,
             cancel: self.stop,
             progress,
         };

@@ -55,6 +55,8 @@ pub struct Job<'a> {
     pub follow_links: bool,
     /// Completely written depth maps.
     pub maps: &'a MapFiles,
+    /// Bytes that planning may take.
+    pub most_memory: Option<u64>,
     pub cancel: &'a AtomicBool,
     /// Receives stage and percent.
     pub progress: &'a (dyn Fn(&str, u8) + Sync),
@@ -238,7 +240,9 @@ impl PlanJob {
         if job.is_wanted() {
             Progress::clear_target_reached(job.project).map_err(failed)?;
         }
-        write(&plan, &project, record, job)?;
+        for warning in write(&plan, &project, record, job)? {
+            warn!(project = %PathDisplay(job.project), "{warning}");
+        }
         Ok(Outcome::Planned {
             fingerprint,
             clusters,
@@ -396,9 +400,9 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
     }
 }
 
-/// Writes the plan, with the record of its input unless that has changed meanwhile.
-fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> StepResult<()> {
-    let mut sets = files::files(plan, project).map_err(failed)?.sets;
+/// Writes the plan, with the record of its input unless that has changed meanwhile; returns its warnings.
+fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> StepResult<Vec<String>> {
+    let files::PlanFiles { manifest, mut sets, .. } = files::files(plan, project).map_err(failed)?;
     record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
@@ -408,7 +412,8 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
         return Err(Outcome::Abandoned);
     }
     // The record is in the first set, whose root comes last: without it the plan is made again.
-    output::write_all(&sets, &Disk::REAL).map(drop).map_err(failed)
+    output::write_all(&sets, &Disk::REAL).map_err(failed)?;
+    Ok(manifest.warnings)
 }
 
 /// Says so if the plan differs from the one made by hand whose place it takes: options that were typed for that are not in the settings.
@@ -482,5 +487,9 @@ impl Watcher for JobWatcher<'_> {
 
     fn cancelled(&self) -> bool {
         self.job.is_cancelled()
+    }
+
+    fn most_memory(&self) -> Option<u64> {
+        self.job.most_memory
     }
 }

@@ -12,11 +12,24 @@ use crate::{
 /// Default target: a share of what all clusters together reach.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
 
+/// A limit of the settings (`[cut]`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum CutLimit {
+    Budget,
+    Target,
+    Time,
+    Points,
+}
+
 /// Part of the ranking to compute.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Cut {
     /// Number of clusters to compute, from the start of the ranking.
     pub clusters: usize,
+    /// The limit that ends it there, the first of those that do; null if none does: all clusters, or no more than the finished ones.
+    #[serde(default)]
+    pub limit: Option<CutLimit>,
     /// Their (key view, partner) pairs.
     pub pairs: usize,
     /// Weight that fusion keeps of them over that of all clusters (`kept` over `reachable`), 0 to 1.
@@ -56,28 +69,39 @@ impl Cut {
 /// Cuts at the shortest prefix that the settings allow, but not before the end of the finished clusters.
 pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
-    let mut clusters = ranking.order.len();
-    clusters = match settings.budget {
+    let (mut clusters, mut limit) = (ranking.order.len(), None);
+    let mut end = |length: usize, by: CutLimit| {
+        if length < clusters {
+            (clusters, limit) = (length, Some(by));
+        }
+        clusters
+    };
+    let all = ranking.order.len();
+    let mut left = match settings.budget {
         // If maps differ in work, a share of the views is a share of the work.
         Some(Budget::Views(share)) if cost.stages.settings.ranking.has_half() => {
-            longest_within(clusters, share.0, |rank| Ok(cost.work(rank)))?
+            end(longest_within(all, share.0, |rank| Ok(cost.work(rank)))?, CutLimit::Budget)
         }
-        Some(budget) => clusters.min(budget.clusters(cost.model.scene.views.len())),
-        None => clusters,
+        Some(budget) => end(budget.clusters(cost.model.scene.views.len()), CutLimit::Budget),
+        None => all,
     };
     if let Some(target) = settings.target {
-        clusters = clusters.min(ranking.length_for_share(target.0));
+        left = end(ranking.length_for_share(target.0), CutLimit::Target);
     }
     if let Some(time) = settings.time {
-        clusters = longest_within(clusters, time.0, |rank| cost.seconds(rank).ok_or(PlanError::NoTimes))?;
+        let seconds = |rank| cost.seconds(rank).ok_or(PlanError::NoTimes);
+        left = end(longest_within(left, time.0, seconds)?, CutLimit::Time);
     }
     if let Some(points) = settings.points {
         let mut slots = BlockSlots::new(cost.model);
-        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank, &mut slots)))?;
+        end(longest_within(left, points.0, |rank| Ok(cost.points(rank, &mut slots)))?, CutLimit::Points);
     }
-    let clusters = clusters.max(cost.finished);
+    if clusters < cost.finished {
+        (clusters, limit) = (cost.finished, None);
+    }
     Ok(Cut {
         clusters,
+        limit,
         pairs: cost.pairs(clusters),
         share: ranking.share(clusters),
         kept: clusters.checked_sub(1).map_or(0.0, |last| ranking.kept[last]),

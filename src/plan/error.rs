@@ -39,6 +39,12 @@ pub enum PlanError {
         memory::readable(*limit)
     )]
     Memory { stage: &'static str, need: u64, limit: u64 },
+    #[error(
+        "the {stage} needs about {} of memory, but a plan may take {} here",
+        memory::readable(*need),
+        memory::readable(*most)
+    )]
+    Refused { stage: &'static str, need: u64, most: u64 },
     #[error(transparent)]
     Disk(#[from] DiskError),
     #[error(transparent)]
@@ -83,11 +89,19 @@ impl Hint for PlanError {
                 memory::enough(*need)
             ),
             Self::Memory { stage: memory::PICTURES, need, .. } => {
-                format!("give --max-memory {}, or plan without pictures: --confidence geometric", memory::enough(*need))
+                format!(
+                    "give --max-memory {} or more, or plan without pictures: --confidence geometric",
+                    memory::enough(*need)
+                )
             }
             Self::Memory { need, .. } => format!(
                 "give --max-memory {}, or reduce the triangles with a coarser --gsd or a larger surface.edge_factor",
                 memory::enough(*need)
+            ),
+            Self::Refused { most, .. } => format!(
+                "raise --max-memory of `viewrank watch`, or set max_memory = \"{}\" in the project's viewrank.toml: a larger surface is then built in \
+                 tiles, and larger tables are kept on disk",
+                memory::readable(*most)
             ),
             Self::Disk(error) => return error.hint(),
             Self::Cancelled(_) => return None,

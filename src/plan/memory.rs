@@ -9,11 +9,14 @@ use serde::Serialize;
 
 use super::PlanError;
 use crate::{
-    base::column::{self, Storage},
+    base::{
+        column::{self, Storage},
+        progress::Watcher,
+    },
     config::{Bytes, ConfidenceSource, Settings, VisibilitySettings},
     method::{
         confidence::{MOST_PIXELS, SampleRoom},
-        fulfilment::FulfilmentTable,
+        fulfilment::{FulfilmentTable, block::Block},
         geometry::Geometry,
         surface::{
             Surface,
@@ -47,6 +50,12 @@ const SCENE_PER_OBSERVATION: u64 = 24;
 const VISIBILITY_ROW: u64 = 4;
 const UNARY_ROW: u64 = 9;
 const TABLES_ROW: u64 = 17;
+/// Bytes more per row where maps may have half the size: f of the half size, before and after it is blended.
+const HALF_ROW: u64 = 16;
+/// Bytes per row of f of the clusters that are evaluated at once.
+const VALUES_ROW: u64 = 4;
+/// Bytes per row of fulfilment sorted by triangle, for the ranking.
+const BY_TRIANGLE_ROW: u64 = 8;
 /// Bytes per row of visibility while pictures are compared; the result has one byte per candidate.
 const SAMPLES_ROW: u64 = 196;
 /// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is as fast while memory is free.
@@ -82,24 +91,57 @@ pub struct Memory {
     pub disk: u64,
     #[serde(skip)]
     limit: Option<Bytes>,
+    /// What the run may take ([`Watcher::most_memory`]).
+    #[serde(skip)]
+    most: Option<u64>,
     /// Bytes of tables for each row of visibility.
     #[serde(skip)]
     row: u64,
     /// And of samples of its picture, until pairs are compared.
     #[serde(skip)]
     samples_row: u64,
+    /// Candidates whose columns a thread holds while it chooses partners.
+    #[serde(skip)]
+    candidates: usize,
+    /// Bytes for the largest picture alone; 0 if none is compared.
+    #[serde(skip)]
+    picture: u64,
+}
+
+/// Rows of visibility.
+#[derive(Clone, Copy)]
+struct Rows {
+    all: u64,
+    /// Of the view that sees most triangles.
+    most: u64,
 }
 
 impl Memory {
-    /// Forecasts the surface; sets a tile size in the settings if it is too large.
-    pub(super) fn before_surface(scene: &Scene, settings: &mut Settings) -> Result<Self, PlanError> {
+    /// Forecasts the surface; sets a tile size in the settings if it is too large. `pixels`: of the largest picture.
+    pub(super) fn before_surface(
+        scene: &Scene,
+        settings: &mut Settings,
+        pixels: u64,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, PlanError> {
         let points = scene.points.len() as u64;
         let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
         let limit = settings.max_memory;
         let compared = settings.confidence.source == ConfidenceSource::Photometric;
-        let row = TABLES_ROW + if compared { u64::from(settings.partners.candidates) } else { 0 };
-        let samples_row = if compared { SAMPLES_ROW } else { 0 };
-        let mut memory = Self { read: held, limit, row, samples_row, ..Self::default() };
+        let where_true = |is_true, bytes| if is_true { bytes } else { 0 };
+        let candidates = settings.partners.candidates;
+        let mut memory = Self {
+            read: held,
+            limit,
+            most: watcher.most_memory(),
+            row: TABLES_ROW
+                + where_true(compared, u64::from(candidates))
+                + where_true(settings.ranking.has_half(), HALF_ROW),
+            samples_row: where_true(compared, SAMPLES_ROW),
+            candidates: candidates as usize,
+            picture: where_true(compared, PICTURE_PIXEL * pixels.min(MOST_PIXELS)),
+            ..Self::default()
+        };
         let finished = held + MESH_PER_POINT * points;
         if let (None, None, Some(limit)) = (&settings.surface.mesh, settings.surface.tile_points, limit)
             && held + SURFACE_PER_POINT * points > limit.0
@@ -132,20 +174,19 @@ impl Memory {
         let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
         let triangles = surface.triangles.len() as u64;
         let buffer = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
-        let rows = expected_rows(scene, surface);
+        let expected = expected_rows(scene, surface);
+        let rows = expected.all;
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * buffer;
-        let choosing = self.read + bytes(surface) + self.outside_tables(points, triangles);
+        let held = self.read + bytes(surface) + self.outside_tables(points, triangles);
         let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
-        if fits(drawing + VISIBILITY_ROW * rows)
-            && fits(choosing + self.row * rows + self.most_samples().min(self.samples_row * rows))
-        {
+        if fits(drawing + VISIBILITY_ROW * rows) && fits(held + self.tables(expected)) {
             self.visibility = drawing + VISIBILITY_ROW * rows;
             return Ok(Storage::Memory);
         }
         let views = scene.views.len().max(1) as u64;
         let at_once = rows * views.min(column::READ_AT_ONCE as u64) / views;
+        self.partners = held + self.batches(Rows { all: at_once, ..expected });
         self.visibility = drawing + VISIBILITY_ROW * at_once;
-        self.partners = choosing + self.row * at_once + self.most_samples().min(self.samples_row * at_once);
         self.disk = (self.row + self.samples_row) * rows;
         self.check_limit("model with its surface", self.visibility.max(self.partners))?;
         Ok(Storage::Disk)
@@ -165,20 +206,17 @@ impl Memory {
     ) -> Result<(), PlanError> {
         if self.disk == 0 {
             let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
-            let rows = visibility.triangles.len() as u64;
-            let tables = self.row * rows + self.most_samples().min(self.samples_row * rows);
-            self.partners = self.read + bytes(surface) + self.outside_tables(points, triangles) + tables;
+            let rows = Rows { all: visibility.triangles.len() as u64, most: most_rows(scene, visibility) };
+            self.partners = self.read + bytes(surface) + self.outside_tables(points, triangles) + self.tables(rows);
         }
         self.check_limit("fulfilment table", self.partners)
     }
 
-    /// Forecasts the sampling of pictures of up to `pixels`, of fewer views at once if need be.
-    pub(super) fn before_pictures(&mut self, geometry: &Geometry, pixels: u64) -> Result<SampleRoom, PlanError> {
+    /// Forecasts the sampling of pictures, of fewer views at once if need be.
+    pub(super) fn before_pictures(&mut self, geometry: &Geometry) -> Result<SampleRoom, PlanError> {
         let Geometry { scene, surface, visibility, .. } = *geometry;
         let (threads, rows) = (rayon::current_num_threads() as u64, visibility.triangles.len() as u64);
-        let most_rows = scene.view_indices().map(|view| visibility.rows(view).len()).max().unwrap_or_default() as u64;
-        let of_view = (UNARY_ROW + SAMPLES_ROW) * most_rows;
-        let picture = PICTURE_PIXEL * pixels.min(MOST_PIXELS);
+        let of_view = (UNARY_ROW + SAMPLES_ROW) * most_rows(scene, visibility);
         let (tables_keep, samples) = (visibility.triangles.storage(), SAMPLES_ROW * rows);
         let keep = if samples <= self.most_samples() { tables_keep } else { Storage::Disk };
         let in_memory = |keep, bytes| if keep == Storage::Memory { bytes } else { 0 };
@@ -188,10 +226,11 @@ impl Memory {
             + in_memory(tables_keep, UNARY_ROW * rows)
             + in_memory(keep, samples);
         // Each thread's allocator also holds back about what its last view took.
-        let need = |views: u64| held + (views + views.min(threads)) * of_view + views.min(threads) * picture;
+        let need = |views: u64| held + (views + views.min(threads)) * of_view + views.min(threads) * self.picture;
         let fits = |views: &u64| self.limit.is_none_or(|Bytes(limit)| need(*views) <= limit);
         let most = (MOST_SAMPLES / of_view.max(1)).clamp(threads, VIEWS_PER_THREAD * threads);
-        let views_at_once = (1..=most.min(column::READ_AT_ONCE as u64)).rev().find(fits).unwrap_or(1);
+        let most = most.min(column::READ_AT_ONCE as u64).min(scene.views.len() as u64);
+        let views_at_once = (1..=most).rev().find(fits).unwrap_or(1);
         self.confidence = need(views_at_once);
         self.check_limit(PICTURES, self.confidence)?;
         if (tables_keep, keep) == (Storage::Memory, Storage::Disk) {
@@ -203,6 +242,22 @@ impl Memory {
     /// Bytes of samples of pictures that memory may hold; more are kept on disk.
     fn most_samples(&self) -> u64 {
         self.limit.map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
+    }
+
+    /// Returns the memory of tables at the peak: while pictures are compared, partners are chosen, or clusters are ranked.
+    fn tables(&self, rows: Rows) -> u64 {
+        let samples = self.most_samples().min(self.samples_row * rows.all);
+        self.row * rows.all + samples.max(self.blocks(rows)).max(BY_TRIANGLE_ROW * rows.all)
+    }
+
+    /// Returns the same for tables on disk, of which only new rows are in memory, those of `rows` at once.
+    fn batches(&self, rows: Rows) -> u64 {
+        (self.row * rows.all).max(self.blocks(rows) + VALUES_ROW * rows.all)
+    }
+
+    /// Returns the memory of all threads while partners are chosen.
+    fn blocks(&self, rows: Rows) -> u64 {
+        rayon::current_num_threads() as u64 * Block::bytes(rows.most as usize, self.candidates)
     }
 
     /// Returns the memory of points and triangles while partners are chosen.
@@ -217,8 +272,14 @@ impl Memory {
     }
 
     fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
-        match self.limit {
-            Some(Bytes(limit)) if need > limit => Err(PlanError::Memory { stage, need, limit }),
+        let is_within = |limit: Option<u64>| limit.is_none_or(|limit| need <= limit);
+        let limit = self.limit.map(|Bytes(limit)| limit);
+        // What a picture takes is known from the start: a limit that is enough for this stage alone would be of no use.
+        let pictures = self.read + self.picture;
+        let (stage, need) = if pictures > need { (PICTURES, pictures) } else { (stage, need) };
+        match (limit, self.most) {
+            (Some(limit), _) if !is_within(Some(limit)) => Err(PlanError::Memory { stage, need, limit }),
+            (_, Some(most)) if !is_within(Some(most)) => Err(PlanError::Refused { stage, need, most }),
             _ => Ok(()),
         }
     }
@@ -238,8 +299,13 @@ fn bytes(surface: &Surface) -> u64 {
     (size_of_val(&*surface.vertices) + size_of_val(&*surface.triangles)) as u64
 }
 
+/// Returns the rows of the view that sees most triangles.
+fn most_rows(scene: &Scene, visibility: &Visibility) -> u64 {
+    scene.view_indices().map(|view| visibility.rows(view).len()).max().unwrap_or_default() as u64
+}
+
 /// Estimates the rows of visibility without occlusion: triangles that face a view and have their centroid in its image, on a sample.
-fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
+fn expected_rows(scene: &Scene, surface: &Surface) -> Rows {
     let (views, triangles) = (scene.views.len(), surface.triangles.len());
     let sampled_views = || scene.view_indices().step_by(views.div_ceil(SAMPLED_VIEWS).max(1));
     let sampled = || (0..triangles as u32).step_by(triangles.div_ceil(SAMPLED_TRIANGLES).max(1));
@@ -253,9 +319,11 @@ fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
         };
         sampled().filter(shown).count()
     };
-    let found: usize = sampled_views().map(in_view).sum();
-    let share = found as f64 / (sampled_views().count() * sampled().count()).max(1) as f64;
-    (share * views as f64 * triangles as f64).ceil() as u64
+    let found: Vec<usize> = sampled_views().map(in_view).collect();
+    let of_triangles = |found: usize| found as f64 * triangles as f64 / sampled().count().max(1) as f64;
+    let all = of_triangles(found.iter().sum()) * views as f64 / found.len().max(1) as f64;
+    let most = of_triangles(found.iter().copied().max().unwrap_or_default());
+    Rows { all: all.ceil() as u64, most: most.ceil() as u64 }
 }
 
 /// Formats a limit at least 5 % above the need, rounded up, as "120M" or "1.6G".
@@ -281,6 +349,7 @@ pub(super) fn readable(bytes: u64) -> String {
 mod tests {
     use super::*;
     use crate::{
+        base::progress::NoWatcher,
         config::TargetSettings,
         method::synthetic::{SeenTown, Town},
     };
@@ -288,8 +357,8 @@ mod tests {
     /// Views at once, and the forecast, for pictures of a megapixel.
     fn pictures(town: &SeenTown, limit: Option<u64>) -> Result<(SampleRoom, Memory), PlanError> {
         let mut settings = Settings { max_memory: limit.map(Bytes), ..Settings::default() };
-        let mut memory = Memory::before_surface(&town.scene, &mut settings)?;
-        let room = memory.before_pictures(&town.geometry(1.0), 1_000_000)?;
+        let mut memory = Memory::before_surface(&town.scene, &mut settings, 1_000_000, &NoWatcher)?;
+        let room = memory.before_pictures(&town.geometry(1.0))?;
         Ok((room, memory))
     }
 
@@ -332,6 +401,52 @@ mod tests {
         assert_eq!((room.keep, alone.disk), (Storage::Memory, 0));
         let (room, alone) = pictures(&in_memory, Some(8 * samples - 1)).unwrap();
         assert_eq!((room.keep, alone.disk), (Storage::Disk, samples));
+    }
+
+    #[test]
+    fn the_largest_picture_is_known_before_the_surface() {
+        let town = town(Storage::Memory);
+        let refused = |pixels, source| {
+            let mut settings = Settings { max_memory: Some(Bytes(1)), ..Settings::default() };
+            settings.confidence.source = source;
+            match Memory::before_surface(&town.scene, &mut settings, pixels, &NoWatcher) {
+                Err(PlanError::Memory { stage, need, .. }) => (stage, need),
+                other => panic!("{other:?}"),
+            }
+        };
+        let small = refused(1000, ConfidenceSource::Photometric);
+        assert_eq!(small.0, SURFACE);
+        let large = refused(100_000_000, ConfidenceSource::Photometric);
+        assert!(large.0 == PICTURES && large.1 > small.1 + 700_000_000, "{large:?}");
+        assert_eq!(refused(100_000_000, ConfidenceSource::Geometric), small);
+    }
+
+    /// Permits a number of bytes.
+    struct Permits(u64);
+
+    impl Watcher for Permits {
+        fn progress(&self, _: crate::base::progress::Stage, _: u64, _: u64) {}
+
+        fn most_memory(&self) -> Option<u64> {
+            Some(self.0)
+        }
+    }
+
+    #[test]
+    fn what_a_run_may_take_refuses_but_changes_nothing() {
+        let SeenTown { scene, surface, visibility, .. } = town(Storage::Memory);
+        let after_all = |most| {
+            let mut settings = Settings::default();
+            let mut memory = Memory::before_surface(&scene, &mut settings, 0, &Permits(most))?;
+            let keep = memory.before_visibility(&scene, &surface, &settings.visibility)?;
+            memory.before_partners(&scene, &surface, &visibility)?;
+            assert_eq!((settings, keep), (Settings::default(), Storage::Memory));
+            Ok(memory.peak())
+        };
+        let peak = after_all(u64::MAX).unwrap();
+        assert_eq!(after_all(peak).unwrap(), peak);
+        let Err(PlanError::Refused { need, most, .. }) = after_all(peak - 1) else { panic!("it is too little") };
+        assert_eq!((need, most), (peak, peak - 1));
     }
 
     #[test]

@@ -25,7 +25,7 @@ mod warnings;
 
 pub use band::Band;
 pub use curve::CurvePoint;
-pub use cut::Cut;
+pub use cut::{Cut, CutLimit};
 pub use decision::{Decision, decide, decide_as};
 pub use empty::EmptyPlan;
 pub use error::PlanError;

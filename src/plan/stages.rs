@@ -112,9 +112,9 @@ impl Stages {
             Ok::<_, PlanError>((points, inputs, image_gsd, settings, shape))
         })?;
         refuse_other_images(project, &scene, &settings)?;
-        let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let numbers = &matcher.numbers;
         let image_faults = project.image_faults(&scene);
+        let mut memory = Memory::before_surface(&scene, &mut settings, image_faults.most_pixels(&scene), watcher)?;
         let missing_images = image_faults.without_image(scene.views.len());
         let matching = (matcher, &missing_images[..]);
         let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
@@ -150,7 +150,7 @@ impl Stages {
             .time(Stage::Confidence, || unary(unary_file, &geometry, &points, confidence, &pictures, watcher))?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
-                let room = || memory.before_pictures(&geometry, image_faults.most_pixels(&scene));
+                let room = || memory.before_pictures(&geometry);
                 agreement(&pictures, &geometry, &points, &candidates, matcher, room, watcher)
             }
             _ => Ok(Agreement::default()),

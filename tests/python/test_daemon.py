@@ -596,6 +596,16 @@ def test_once_says_by_its_exit_code_whether_all_is_planned(root, config):
     assert "--max-memory allows 1" in too_large.stderr
 
 
+def test_a_plan_that_turns_out_too_large_is_refused(root, config):
+    shutil.copytree(ROOT / "fixtures/valley", root / "p", ignore=shutil.ignore_patterns("viewrank"))
+    (root / "p/viewrank.toml").write_text('target.gsd = 0.005\n')
+    enough = ("--max-memory", "130M")
+    assert "but a plan may take 130M here" in once(root, config, *enough, expect=1).stderr
+    assert "max_memory" in (root / "viewrank/status.json").read_text(), "the hint"
+    (root / "p/viewrank.toml").write_text('confidence.source = "geometric"\n')
+    once(root, config, *enough, expect=0)
+
+
 def test_a_supervisor_is_told_and_signals_are_heard(root, config, tmp_path):
     """A supervisor's queue holds about ten messages: a daemon that sends too many would block."""
     SMALL_MODEL(root / "p/sparse/0", 0)

@@ -2,10 +2,13 @@
 
 use std::ops::RangeInclusive;
 
-use super::{Finding, Inputs, Severity, counted};
+use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::plan;
 use crate::{
-    method::surface::points::upper_median,
+    method::{
+        confidence::{MASKS, Pictures},
+        surface::points::upper_median,
+    },
     model::{
         georeference::{Georeference, MapFrame, UPRIGHT},
         scene::{PointIndex, Units, ViewIndex},
@@ -32,7 +35,7 @@ pub fn of_model(inputs: &Inputs) -> Vec<Finding> {
 }
 
 pub fn of_images(inputs: &Inputs) -> Vec<Finding> {
-    [sizes, missing, unreadable].iter().filter_map(|check| check(inputs)).collect()
+    [sizes, missing, unreadable, masks].iter().filter_map(|check| check(inputs)).collect()
 }
 
 /// Reports a model in which no point is seen by two views: the surface is built from such points (method 1.1).
@@ -220,5 +223,24 @@ fn unreadable(inputs: &Inputs) -> Option<Finding> {
         let cure = "copy them again from the source";
         let views = broken.iter().map(|&(view, why)| inputs.view_finding(view, why)).collect();
         Finding::new(Severity::Warning, "unreadable-images", what, cure).of_views(views)
+    })
+}
+
+/// Reports masks that cannot be used, and a folder of masks in which no view has one.
+fn masks(inputs: &Inputs) -> Option<Finding> {
+    let (pictures, scene) = (Pictures::new(inputs.project), inputs.scene);
+    let first = scene.view_indices().next().filter(|_| pictures.have_masks())?;
+    let checked = || scene.view_indices().filter_map(|view| Some((view, pictures.check_mask(scene, view)?)));
+    if checked().next().is_none() {
+        let what = format!("no image has a mask in {MASKS}/");
+        let cure = format!("name them after the images, as COLMAP does: {MASKS}/{}.png", scene.name(first));
+        return Some(Finding::new(Severity::Warning, "unused-masks", what, cure));
+    }
+    let broken = checked().filter_map(|(view, fault)| Some(inputs.view_finding(view, fault.err()?.to_string())));
+    let broken: Vec<ViewFinding> = broken.collect();
+    (!broken.is_empty()).then(|| {
+        let what = format!("{} cannot be used: their images are not compared", counted(broken.len(), "mask"));
+        let cure = "make them again from images of the model's size, black where nothing counts, or remove them";
+        Finding::new(Severity::Warning, "broken-masks", what, cure).of_views(broken)
     })
 }

@@ -439,8 +439,8 @@ impl Hint for ConfigError {
     }
 }
 
-/// Finds the known key nearest to a misspelt one: similar as a whole, or in its last part.
-fn nearest(key: &str) -> Option<&'static str> {
+/// Finds the known key or section nearest to a misspelt one: similar as a whole, or in its last part.
+fn nearest(key: &str) -> Option<String> {
     let parts =
         |key: &'_ str| key.rsplit_once('.').map_or((String::new(), key.into()), |(s, l)| (s.into(), String::from(l)));
     let (section, last) = parts(key);
@@ -456,7 +456,14 @@ fn nearest(key: &str) -> Option<&'static str> {
         whole.max(other * strsim::jaro_winkler(&last_of_known, &last))
     };
     let best = keys().iter().max_by(|a, b| likeness(&a.name).total_cmp(&likeness(&b.name)))?;
-    (likeness(&best.name) > 0.8).then_some(&best.name)
+    let to_section = |known: &&str| if section.is_empty() { strsim::jaro_winkler(known, key) } else { 0.0 };
+    let sections = keys().iter().filter_map(|known| Some(known.name.split_once('.')?.0));
+    let nearest_section = sections.max_by(|a, b| to_section(a).total_cmp(&to_section(b)))?;
+    match (likeness(&best.name), to_section(&nearest_section)) {
+        (of_key, of_section) if of_key.max(of_section) <= 0.8 => None,
+        (of_key, of_section) if of_section > of_key => Some(format!("[{nearest_section}]")),
+        _ => Some(best.name.clone()),
+    }
 }
 
 #[cfg(test)]

@@ -71,7 +71,8 @@ fn nothing_written_is_the_default() {
 #[test]
 fn unknown_keys_name_the_line_and_the_nearest() {
     for (text, message, hint) in [
-        ("\n[partner]\nk = 3\n", "project.toml:2: unknown setting partner", "did you mean partners.k?"),
+        ("\n[partner]\nk = 3\n", "project.toml:2: unknown setting partner", "did you mean [partners]?"),
+        ("[targt]\ngsd = 1\n", "project.toml:1: unknown setting targt", "did you mean [target]?"),
         ("gsd = 1\n", "project.toml:1: unknown setting gsd", "did you mean target.gsd?"),
         ("[target]\ngds = 1\n", "project.toml:2: unknown setting target.gds", "did you mean target.gsd?"),
         ("xyzzy = 1\n", "project.toml:1: unknown setting xyzzy", "run viewrank config to list all settings"),

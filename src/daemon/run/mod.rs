@@ -254,7 +254,7 @@ impl<'a> Daemon<'a> {
     where
         'a: 's,
     {
-        let WatchOptions { on_busy, follow_links, settle, .. } = *self.options;
+        let WatchOptions { on_busy, follow_links, settle, max_memory, .. } = *self.options;
         let Some(number) = self.admit(project, work, now) else { return };
         let Some(tracked) = self.projects.get_mut(project) else { return };
         let (input, cancel) = tracked.start(number, work, settle, now);
@@ -273,6 +273,7 @@ impl<'a> Daemon<'a> {
                 on_busy,
                 follow_links,
                 maps: &input.maps,
+                most_memory: Some(max_memory),
                 cancel: &cancel,
                 progress: &progress,
             };

@@ -1,11 +1,12 @@
 //! Reads a project's pictures and masks.
 
 use std::{
-    io::ErrorKind,
+    io::{BufReader, ErrorKind},
     path::{Path, PathBuf},
     time::UNIX_EPOCH,
 };
 
+use image::ImageReader;
 use serde::Serialize;
 
 use super::{
@@ -106,6 +107,16 @@ impl Pictures {
             check_shape([mask.width, mask.height], scene.camera_of(view)).map(|()| mask)
         };
         path.map(read).transpose().map_err(|fault| ImageError::Mask(Box::new(fault)))
+    }
+
+    /// Returns the fault of a view's mask that its header shows; `None` if the view has no mask.
+    pub fn check_mask(&self, scene: &Scene, view: ViewIndex) -> Option<Result<(), ImageError>> {
+        let path = self.masks.as_deref().and_then(|folder| mask_file(folder, scene.name(view)))?;
+        let size = || -> Result<(u32, u32), ImageError> {
+            let reader = ImageReader::new(BufReader::new(input::open(&path)?)).with_guessed_format()?;
+            Ok(reader.into_dimensions()?)
+        };
+        Some(size().and_then(|(width, height)| check_shape([width, height], scene.camera_of(view))))
     }
 
     /// Returns the paths of a view's image and mask; the image may not exist.

@@ -147,10 +147,13 @@ pub(crate) struct FulfilmentTableBuilder {
 }
 
 impl FulfilmentTableBuilder {
-    /// Starts an empty table with the storage (memory or disk) of `visibility`.
+    /// Starts an empty table with the storage (memory or disk) of `visibility`, which has at least as many rows.
     pub(crate) fn like(visibility: &Visibility) -> Result<Self, DiskError> {
-        let keep = visibility.triangles.storage();
-        Ok(Self { offsets: vec![0], triangles: ColumnBuilder::new(keep)?, values: ColumnBuilder::new(keep)? })
+        let (keep, rows) = (visibility.triangles.storage(), visibility.triangles.len());
+        let (mut triangles, mut values) = (ColumnBuilder::new(keep)?, ColumnBuilder::new(keep)?);
+        triangles.reserve(rows);
+        values.reserve(rows);
+        Ok(Self { offsets: vec![0], triangles, values })
     }
 
     /// Appends a cluster, given f of each triangle that its key view sees.

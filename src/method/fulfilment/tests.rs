@@ -361,3 +361,20 @@ fn a_cluster_gives_the_smaller_f_of_each_triangle() {
     assert!(is(given(3), &[0.1, 0.45, 0.5]) && is(given(2), &[0.1, 0.45]), "{:?}", given(3));
     assert!((by_triangle.most_by_one(&[0, 1], &[0.25, 0.5]) - 0.5).abs() < 1e-6);
 }
+
+#[test]
+fn the_memory_of_a_block_is_known_before_it_is_made() {
+    let setting = Setting::pinhole();
+    let rows = setting.visibility.triangles.len();
+    let setting = Setting { unary: Unary::of_points((0..rows).map(|row| (row % 6) as u8).collect(), 5), ..setting };
+    let model = setting.model(Confidence::None);
+    let partners: Vec<ViewIndex> = (20..30).map(ViewIndex).collect();
+    let mut slots = block::BlockSlots::new(&model);
+    for key in [0, 12, 24].map(ViewIndex) {
+        let mut block = Block::new(&model, key, &partners, |t| t.is_multiple_of(3), &mut slots);
+        block.values(&(0..partners.len()).collect::<Vec<_>>());
+        let known = Block::bytes(setting.visibility.triangles_seen_by(key).len(), partners.len());
+        let held = block.held() as u64;
+        assert!(held <= known && known <= held + held / 4, "{held} {known}");
+    }
+}

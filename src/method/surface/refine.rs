@@ -22,7 +22,7 @@ const CHECK_INTERVAL: usize = 4096;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RefineError {
     #[error(
-        "edges of at most {limit:.3e} scene units would make about {triangles:.0} triangles; there is room for {most}"
+        "edges of at most {limit:.3e} scene units would make about {triangles:.1e} triangles; there is room for {:.1e}", *most as f64
     )]
     TooFine { limit: f64, triangles: f64, most: u64 },
     #[error(transparent)]

@@ -1,6 +1,9 @@
 //! Reads a written plan instead of planning again: the ranking from `manifest.json`, the scene from the model.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 use serde::Deserialize;
 
@@ -247,7 +250,7 @@ impl RecordedPlan {
 #[derive(Debug, thiserror::Error)]
 pub enum WrittenPlanError {
     #[error("cannot read the plan {}: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+    Io { path: PathBuf, source: io::Error },
     #[error("cannot use the plan {}: {what}", path.display())]
     Manifest { path: PathBuf, what: String },
     #[error("cannot use the plan {}: written by another version of viewrank (its format is {version}, this program reads {VERSION})", path.display())]
@@ -273,7 +276,10 @@ fn plan_command(path: &Path) -> String {
 impl Hint for WrittenPlanError {
     fn hint(&self) -> Option<String> {
         match self {
-            Self::Io { path, .. } => Some(format!("make the plan first: {}", plan_command(path))),
+            Self::Io { path, source } => Some(match source.kind() {
+                io::ErrorKind::PermissionDenied => "make it readable for yourself, or plan elsewhere: --out DIR".into(),
+                _ => format!("make the plan first: {}", plan_command(path)),
+            }),
             Self::Manifest { path, .. }
             | Self::Version { path, .. }
             | Self::OtherInput(path)

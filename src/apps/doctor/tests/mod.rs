@@ -352,6 +352,26 @@ fn images_that_cannot_be_read() {
 }
 
 #[test]
+fn masks_that_cannot_be_used() {
+    let (folder, mut project) = project(ModelFormat::ColmapBinary);
+    let sure = [backends::by_name("sure").unwrap()];
+    let of_healthy = |project: &Project| examine(project, &healthy(), &Settings::default(), &sure).findings;
+    let [images, masks] = ["images", "masks"].map(|name| folder.path().join(name));
+    [&images, &masks].into_iter().for_each(|folder| fs::create_dir(folder).unwrap());
+    (0..25).for_each(|number| image::GrayImage::new(1000, 750).save(images.join(format!("n{number:02}.jpg"))).unwrap());
+    project.images = Some(images.into());
+    image::GrayImage::new(1000, 750).save(masks.join("n00_mask.png")).unwrap();
+    assert!(found(&of_healthy(&project), "unused-masks").cure.ends_with("masks/n00.jpg.png"));
+    image::GrayImage::new(500, 375).save(masks.join("n01.jpg.png")).unwrap();
+    assert_eq!(of_healthy(&project), [], "a smaller copy is a mask");
+    image::GrayImage::new(750, 1000).save(masks.join("n02.jpg.png")).unwrap();
+    fs::write(masks.join("n03.jpg.png"), b"<html>not found</html>").unwrap();
+    let findings = of_healthy(&project);
+    let views: Vec<&str> = found(&findings, "broken-masks").views.iter().map(|view| &*view.name).collect();
+    assert_eq!(views, ["n02.jpg", "n03.jpg"]);
+}
+
+#[test]
 fn parts_that_the_model_leaves_out() {
     let mut scene = healthy();
     scene.unregistered = (0..2).map(|i| format!("x{i}.jpg")).collect();

@@ -76,6 +76,14 @@ impl TriangleLanes {
 }
 
 impl<'a> Block<'a> {
+    /// Bytes of the block of a key view that sees `triangles`, with all columns of its partners computed.
+    pub fn bytes(triangles: usize, partners: usize) -> u64 {
+        let groups = triangles.div_ceil(LANES) + 1;
+        let of_partner = size_of::<PartnerLanes>() + LANES * (size_of::<bool>() + size_of::<f32>());
+        let own = size_of::<TriangleLanes>() + size_of::<KeyLanes>() + LANES * size_of::<u32>();
+        (groups * (own + partners * of_partner)) as u64
+    }
+
     /// Gathers the triangles that `key` sees. `is_judge` selects those that choices are judged by; they come first.
     pub fn new(
         model: &Model<'a>,
@@ -255,6 +263,16 @@ impl<'a> Block<'a> {
         set.iter().for_each(|&p| self.extend(p, self.len()));
         let of_group = |group| self.together(set, group).chance(&self.weights);
         self.by_row(&(0..self.len()).map(of_group).collect::<Vec<_>>())
+    }
+
+    #[cfg(test)]
+    pub fn held(&self) -> usize {
+        let of_partners =
+            self.columns.iter().map(|column| size_of::<PartnerLanes>() * column.capacity()).sum::<usize>();
+        let rows = self.sees.iter().map(Vec::capacity).sum::<usize>()
+            + size_of::<f32>() * self.unary.iter().map(Vec::capacity).sum::<usize>();
+        let own = size_of_val(&self.slots[..]) + size_of_val(&self.triangles[..]) + size_of_val(&self.keys[..]);
+        own + rows + of_partners
     }
 
     fn by_row(&self, lanes: &[Lanes]) -> Vec<f32> {
