@@ -114,10 +114,7 @@ impl FromStr for Share {
         if !in_percent && number == Some(1.0) {
             return Err(AmountError { text: text.into(), wanted: "clear: write 1% or 100%" });
         }
-        let share = number.and_then(|n| match in_percent {
-            false if n < 1.0 => Some(n),
-            _ => Some(n / 100.0),
-        });
+        let share = number.map(|n| if in_percent || n > 1.0 { n / 100.0 } else { n });
         share.filter(|share| *share > 0.0 && *share <= 1.0).map(Self).ok_or_else(|| Self::refuse(text))
     }
 }
