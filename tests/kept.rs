@@ -116,6 +116,17 @@ fn what_touches_only_cut_budget_or_region_computes_at_most_the_ranking() {
     assert_eq!(of("target.gsd = 0.2"), ["surface", "shown", "confidence", "clusters", "ranking"]);
 }
 
+/// With a limit, what else the tables hold decides whether a kept surface and its visibility may be in memory.
+#[test]
+fn with_a_limit_a_surface_is_kept_for_tables_of_the_same_size() {
+    let folder = planned(&town());
+    assert_eq!(computed(&plan(folder.path(), "ranking.scales = [1.0, 0.5]")), ["clusters", "ranking"]);
+    let limited = |text: &str| plan(folder.path(), &format!("max_memory = '8G'\n{text}"));
+    write(&limited(""), folder.path());
+    assert_eq!(computed(&limited("cut.target = '50%'")), Vec::<String>::new());
+    assert!(computed(&limited("ranking.scales = [1.0, 0.5]")).contains(&"surface".into()));
+}
+
 /// A longer cut computes what it needs of its further clusters alone, and keeps that as well.
 #[test]
 fn a_longer_cut_adds_to_what_is_kept() {

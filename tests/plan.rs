@@ -264,7 +264,7 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
         (vec!["plan", root, "--gsd", "-1"], 2, "must be above 0"),
         (vec!["plan", root, "-k", "0"], 2, "hint: "),
         (vec!["plan", root, "--target", "1"], 2, "write 1% or 100%"),
-        (vec!["plan", root, "--target", "101%"], 2, "up to 100% such as 80%"),
+        (vec!["plan", root, "--target", "101%"], 2, "up to 100% such as 80% or 0.8\n"),
         (vec!["plan", root, "--backend", "sgmm"], 2, "hint: "),
         (vec!["plan", root, "--model", "7"], 2, "hint: "),
         (vec!["plan", root, "--confidence", "geomtric"], 2, "'geometric'"),

@@ -81,6 +81,7 @@ impl From<FilesError> for Failure {
     fn from(error: FilesError) -> Self {
         match error {
             FilesError::Backend(error) => error.into(),
+            FilesError::Project(error) => error.into(),
             error => Self::new("WriteError", &error),
         }
     }

@@ -185,9 +185,7 @@ impl Plan {
             if self.0.is_temporary() {
                 return Err(Failure::without_folder());
             }
-            let files = files::files(&self.0.plan, &self.0.project);
-            self.0.project.refuse_changed_model()?;
-            let files = files?;
+            let files = files::files_of_same_model(&self.0.plan, &self.0.project)?;
             let uncached = files.write(&Disk::REAL)?;
             Ok((self.0.project.output_folder(), files.manifest.warnings.into_iter().chain(uncached).collect()))
         })

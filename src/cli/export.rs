@@ -128,7 +128,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let (Some(count), Some(tiles)) = (arguments.tiles, &tiles)
         && tiles.len() < count as usize
     {
-        warn(&format!("the key views of the plan make {} tiles, not {count}", tiles.len()));
+        warn(&format!("the key views of the plan fill only {} of {count} tiles", tiles.len()));
     }
     // All exports are built and checked before any is written: an error in one stops the others, too.
     let make = |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());

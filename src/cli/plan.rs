@@ -30,7 +30,7 @@ use crate::{
         tables,
     },
 };
-use crate::{backends, config::RegionChoice, show::files::files};
+use crate::{backends, config::RegionChoice, show::files::files_of_same_model};
 use clap::Args;
 
 use super::{
@@ -185,10 +185,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             warn(&format!("no depth map in {} fits the plan; planning without finished ones", folder.display()));
         }
     }
-    let files = files(&plan, &project);
-    // Files of a model that has gone cannot be read, either.
-    project.refuse_changed_model()?;
-    let files = files.inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
+    let files = files_of_same_model(&plan, &project)
+        .inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;
     }
@@ -222,6 +220,7 @@ impl Hint for ExportFailure {
 
 /// Fails if `--out` is the folder of a plan itself, into which another one would be nested.
 fn refuse_nested(out: &Path) -> Result<(), Failure> {
+    let out = std::path::absolute(out).unwrap_or(out.into());
     match (out.file_name(), out.parent()) {
         (Some(name), Some(above)) if name == "viewrank" && out.join("manifest.json").exists() => {
             let what = format!("{}: a plan is written into a folder viewrank of --out, and this is one", out.display());
@@ -317,8 +316,11 @@ impl Arguments {
     }
 
     /// Returns the `viewrank run` that makes the same plan; `None` if it lacks an option that was typed, or has one backend where more were.
-    fn as_run(&self) -> Option<String> {
-        let is_elsewhere = self.model.is_some() || self.finished.is_some() || self.out.is_some();
+    /// `maps_of_run`: the folder of its depth maps.
+    fn as_run(&self, maps_of_run: &Path) -> Option<String> {
+        let place = |path: &Path| path.canonicalize().ok();
+        let other_maps = self.finished.as_ref().is_some_and(|maps| place(maps) != place(maps_of_run));
+        let is_elsewhere = self.model.is_some() || self.out.is_some() || other_maps;
         let backends = self.backend.as_deref().unwrap_or_default();
         let options = [
             ("--backend", backends.first().cloned()),
@@ -411,7 +413,10 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
     let next = match (arguments.dry_run, arguments.quiet && arguments.format == Format::Text) {
         (_, true) => String::new(),
         (true, false) => next::not_dry(),
-        (false, false) => next::next(project, plan, files, arguments.as_run()),
+        (false, false) => {
+            let maps_of_run = project.home.join(plan.stages.backend);
+            next::next(project, plan, files, arguments.as_run(&maps_of_run))
+        }
     };
     let summary = Summary::new(project, plan, files, arguments.dry_run, next);
     match arguments.format {

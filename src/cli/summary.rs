@@ -141,6 +141,7 @@ impl<'a> Summary<'a> {
         let [pairs, all_pairs] = [self.cut.pairs, self.forecast.all_pairs].map(grouped);
         let what = match self.use_of_views {
             Some(verb) => format!("{verb} {maps} of {all} images"),
+            None if self.is_finished() => format!("All depth maps of the plan are finished, {maps} of {all}"),
             None if self.forecast.maps_at_half > 0 => {
                 let [full, half] =
                     [self.forecast.maps - self.forecast.maps_at_half, self.forecast.maps_at_half].map(grouped);
@@ -150,9 +151,6 @@ impl<'a> Summary<'a> {
                     _ => format!("{maps} of {all} depth maps, {full} at full and {half} at half size"),
                 };
                 format!("Compute {maps}, {work:.0} % of the work")
-            }
-            None if self.is_finished() => {
-                format!("The {maps} of {all} depth maps that are worth computing are finished")
             }
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
@@ -262,8 +260,8 @@ impl<'a> Summary<'a> {
             let quality = clusters[length - 1].share * 100.0;
             let rest = self.forecast.all_maps.saturating_sub(length);
             let mark = match length {
-                _ if length == self.cut.clusters => format!("  <- the plan stops here{}", self.limit()),
                 _ if length == clusters.len() && rest > 0 => format!("  <- {} more would add nothing", grouped(rest)),
+                _ if length == self.cut.clusters => format!("  <- the plan stops here{}", self.limit()),
                 _ => String::new(),
             };
             let pairs = match (matched, sizes) {
@@ -363,7 +361,7 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
         ));
     }
     if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
-        notes.push("Of two sizes, full size alone gives most for this work.".into());
+        notes.push("Of two sizes, full size alone gives most within these limits.".into());
     }
     if let Georeference::Fitted { support, .. } = place {
         notes.push(format!(
@@ -402,8 +400,8 @@ fn rounded(number: f64) -> String {
 pub fn duration(seconds: f64) -> String {
     let minutes = (seconds / 60.0).round() as u64;
     match minutes {
-        0..2 => format!("{seconds:.0} s"),
-        2..60 => format!("{minutes} min"),
+        _ if seconds < 120.0 => format!("{seconds:.0} s"),
+        0..60 => format!("{minutes} min"),
         _ => format!("{} h {} min", minutes / 60, minutes % 60),
     }
 }
@@ -416,6 +414,6 @@ mod tests {
     fn numbers_are_written_as_people_read_them() {
         assert_eq!([0, 999, 1000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([0.0123456, 1.0, 12345.6, 0.5].map(rounded), ["0.0123", "1.00", "12346", "0.500"]);
-        assert_eq!([12.4, 240.0, 12_000.0].map(duration), ["12 s", "4 min", "3 h 20 min"]);
+        assert_eq!([12.4, 90.0, 240.0, 12_000.0].map(duration), ["12 s", "90 s", "4 min", "3 h 20 min"]);
     }
 }

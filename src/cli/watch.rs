@@ -6,6 +6,7 @@ use crate::{
     base::{
         error::Hint,
         platform::{self, Request},
+        shell::command_path,
     },
     config::{self, Bytes, CommandLineSettings},
     daemon::{PlanJob, PlanOptions, Signal, WatchOptions, platform as machine, state::OnBusy, watch_roots},
@@ -54,8 +55,8 @@ pub struct Arguments {
     /// Share of what all view clusters reach to plan for, over the projects' settings.
     #[arg(long, value_name = "P%")]
     target: Option<String>,
-    /// Memory for all plans together, such as 4G or 800M: a plan waits until there is room by the size of its model, and is refused if its forecast
-    /// is larger. With max_memory in its settings, it may do with less [default: half of this machine's memory].
+    /// Memory for plans, such as 4G or 800M: a plan waits until there is room for all by the sizes of their models, and is refused if its own
+    /// forecast is larger. With max_memory in its settings, it may do with less [default: half of this machine's memory].
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<Bytes>,
     /// Follow symbolic links that lead out of the roots.
@@ -105,7 +106,10 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     let options = arguments.options();
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {
-        failed if failed > 0 && once => Err(WatchFailure { failed, projects: summary.projects }.into()),
+        failed if failed > 0 && once => {
+            let root = options.roots.first().cloned().unwrap_or_default();
+            Err(WatchFailure { failed, projects: summary.projects, root }.into())
+        }
         _ => Ok(()),
     }
 }
@@ -143,11 +147,13 @@ impl Arguments {
 struct WatchFailure {
     failed: usize,
     projects: usize,
+    /// The first of the watched folders.
+    root: PathBuf,
 }
 
 impl Hint for WatchFailure {
     fn hint(&self) -> Option<String> {
-        Some("`viewrank status` says why".into())
+        Some(format!("viewrank status {} says why", command_path(&self.root)))
     }
 }
 

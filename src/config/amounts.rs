@@ -112,7 +112,7 @@ impl FromStr for Share {
             None => (non_negative(text.trim()), false),
         };
         if !in_percent && number == Some(1.0) {
-            return Err(AmountError { text: text.into(), wanted: "clear: write 1% or 100%" });
+            return Err(AmountError { text: text.into(), wanted: "a clear share: write 1% or 100%" });
         }
         let share = number.map(|n| if in_percent || n > 1.0 { n / 100.0 } else { n });
         share.filter(|share| *share > 0.0 && *share <= 1.0).map(Self).ok_or_else(|| Self::refuse(text))

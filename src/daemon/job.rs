@@ -40,7 +40,7 @@ use crate::{
     plan::{EmptyPlan, Plan, PlanError},
     show::{
         files,
-        manifest::{RecordedPlan, WrittenPlanError},
+        manifest::{RecordedPlan, WrittenPlanError, warnings_with},
     },
 };
 
@@ -225,6 +225,13 @@ impl PlanJob {
                 known,
             });
         }
+        // A forecast comes after the model is read, and takes about as much memory as its files have bytes.
+        if let Some(most) = job.most_memory.filter(|most| job.stamp.bytes() > *most) {
+            let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+            let reason =
+                format!("the model alone has {} MiB, --max-memory allows {} MiB", mib(job.stamp.bytes()), mib(most));
+            return Err(Outcome::Failed { reason, hint: Some("raise --max-memory".into()) });
+        }
         if !self.options.is_run {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
         }
@@ -402,7 +409,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
 
 /// Writes the plan, with the record of its input unless that has changed meanwhile; returns its warnings.
 fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> StepResult<Vec<String>> {
-    let files::PlanFiles { manifest, mut sets, .. } = files::files(plan, project).map_err(failed)?;
+    let files::PlanFiles { manifest, mut sets, outdated_exports, .. } = files::files(plan, project).map_err(failed)?;
     record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
@@ -413,7 +420,7 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
     }
     // The record is in the first set, whose root comes last: without it the plan is made again.
     output::write_all(&sets, &Disk::REAL).map_err(failed)?;
-    Ok(manifest.warnings)
+    Ok(warnings_with(&manifest.warnings, &manifest.exports, &outdated_exports))
 }
 
 /// Says so if the plan differs from the one made by hand whose place it takes: options that were typed for that are not in the settings.

@@ -27,10 +27,8 @@ pub struct JobQueue {
 pub enum Full {
     /// The number of jobs is at its limit.
     Jobs,
-    /// The job will fit when others have ended.
+    /// The job waits until others have ended.
     Memory,
-    /// The job doesn't fit even alone: needed and allowed bytes.
-    Never { need: u64, max: u64 },
 }
 
 impl JobQueue {
@@ -43,16 +41,14 @@ impl JobQueue {
         self.blocked = false;
     }
 
-    /// Admits a job that needs `need` bytes, or returns the reason why it can't start.
+    /// Admits a job that needs `need` bytes, or returns the reason why it can't start. One that needs more than all runs alone: the estimate may be
+    /// too high, and its forecast decides.
     pub fn admit(&mut self, job: u64, need: u64) -> Result<(), Full> {
         let used: u64 = self.running.iter().map(|(_, need)| need).sum();
-        if need > self.max_memory {
-            return Err(Full::Never { need, max: self.max_memory });
-        }
         if self.running.len() >= self.jobs {
             return Err(Full::Jobs);
         }
-        self.blocked |= used + need > self.max_memory;
+        self.blocked |= used.saturating_add(need) > self.max_memory && !self.running.is_empty();
         if self.blocked {
             return Err(Full::Memory);
         }
@@ -81,17 +77,21 @@ mod tests {
         assert_eq!(queue.admit(3, 0), Err(Full::Jobs));
         queue.release(1);
         assert_eq!(queue.admit(3, 60), Ok(()));
-        assert_eq!(queue.admit(4, 101), Err(Full::Never { need: 101, max: 100 }));
+        queue.release(2);
+        assert_eq!(queue.admit(4, u64::MAX), Err(Full::Memory));
+        queue.release(3);
+        queue.begin_round();
+        assert_eq!(queue.admit(4, u64::MAX), Ok(()), "it runs alone");
+        assert_eq!(queue.admit(5, 0), Err(Full::Memory));
     }
 
     #[test]
     fn small_jobs_do_not_overtake_a_large_one_that_waits_for_memory() {
         let mut queue = JobQueue::new(9, 100);
-        let (first, large, never, small) = (1, 2, 3, 4);
+        let (first, large, small) = (1, 2, 3);
         assert_eq!(queue.admit(first, 60), Ok(()));
         queue.begin_round();
         assert_eq!(queue.admit(large, 90), Err(Full::Memory));
-        assert_eq!(queue.admit(never, 101), Err(Full::Never { need: 101, max: 100 }));
         assert_eq!(queue.admit(small, 10), Err(Full::Memory));
         queue.release(first);
         queue.begin_round();

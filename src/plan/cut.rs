@@ -27,7 +27,8 @@ pub enum CutLimit {
 pub struct Cut {
     /// Number of clusters to compute, from the start of the ranking.
     pub clusters: usize,
-    /// The limit that ends it there, the first of those that do; null if none does: all clusters, or no more than the finished ones.
+    /// The limit that ends it there, the target before others; null if none does: all clusters, or more are finished than the limits allow.
+    /// Plans of viewrank 0.1 lack it.
     #[serde(default)]
     pub limit: Option<CutLimit>,
     /// Their (key view, partner) pairs.
@@ -77,16 +78,18 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
         clusters
     };
     let all = ranking.order.len();
-    let mut left = match settings.budget {
-        // If maps differ in work, a share of the views is a share of the work.
-        Some(Budget::Views(share)) if cost.stages.settings.ranking.has_half() => {
-            end(longest_within(all, share.0, |rank| Ok(cost.work(rank)))?, CutLimit::Budget)
-        }
-        Some(budget) => end(budget.clusters(cost.model.scene.views.len()), CutLimit::Budget),
-        None => all,
-    };
+    let mut left = all;
+    // First: a plan that also ends at another limit there has what is wanted.
     if let Some(target) = settings.target {
         left = end(ranking.length_for_share(target.0), CutLimit::Target);
+    }
+    match settings.budget {
+        // If maps differ in work, a share of the views is a share of the work.
+        Some(Budget::Views(share)) if cost.stages.settings.ranking.has_half() => {
+            left = end(longest_within(all, share.0, |rank| Ok(cost.work(rank)))?, CutLimit::Budget);
+        }
+        Some(budget) => left = end(budget.clusters(cost.model.scene.views.len()), CutLimit::Budget),
+        None => (),
     }
     if let Some(time) = settings.time {
         let seconds = |rank| cost.seconds(rank).ok_or(PlanError::NoTimes);

@@ -136,6 +136,10 @@ impl Watcher for Unseen<'_> {
     fn cancelled(&self) -> bool {
         self.0.cancelled()
     }
+
+    fn most_memory(&self) -> Option<u64> {
+        self.0.most_memory()
+    }
 }
 
 /// Derives forecast, reasons of views, and warnings from a given ranking and cut.

@@ -36,13 +36,13 @@ pub enum PlanError {
     #[error(
         "the {stage} needs about {} of memory, but max_memory is {}",
         memory::readable(*need),
-        memory::readable(*limit)
+        memory::readable_limit(*limit)
     )]
     Memory { stage: &'static str, need: u64, limit: u64 },
     #[error(
         "the {stage} needs about {} of memory, but a plan may take {} here",
         memory::readable(*need),
-        memory::readable(*most)
+        memory::readable_limit(*most)
     )]
     Refused { stage: &'static str, need: u64, most: u64 },
     #[error(transparent)]
@@ -85,23 +85,28 @@ impl Hint for PlanError {
                 "time one depth map, and write its seconds into viewrank.toml: forecast.seconds_per_map = 30".into()
             }
             Self::Memory { stage: memory::SURFACE, need, .. } => format!(
-                "give --max-memory {} or more; the tables need more, forecast once the surface is built",
+                "give --max-memory {} or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
                 memory::enough(*need)
             ),
             Self::Memory { stage: memory::PICTURES, need, .. } => {
                 format!(
-                    "give --max-memory {} or more, or plan without pictures: --confidence geometric",
+                    "give --max-memory {} or more (max_memory in viewrank.toml), or plan without pictures: --confidence geometric",
                     memory::enough(*need)
                 )
             }
             Self::Memory { need, .. } => format!(
-                "give --max-memory {}, or reduce the triangles with a coarser --gsd or a larger surface.edge_factor",
+                "give --max-memory {} (max_memory in viewrank.toml), use fewer --threads, or reduce the triangles with a coarser --gsd or a larger \
+                 surface.edge_factor",
                 memory::enough(*need)
             ),
-            Self::Refused { most, .. } => format!(
-                "raise --max-memory of `viewrank watch`, or set max_memory = \"{}\" in the project's viewrank.toml: a larger surface is then built in \
-                 tiles, and larger tables are kept on disk",
-                memory::readable(*most)
+            Self::Refused { stage: memory::PICTURES, need, .. } => format!(
+                "give viewrank watch --max-memory {} or more, or set confidence.source = \"geometric\" in the project's viewrank.toml",
+                memory::enough(*need)
+            ),
+            Self::Refused { need, .. } => format!(
+                "give viewrank watch --max-memory {} or more; less may do with max_memory in the project's viewrank.toml, by which a larger surface \
+                 is built in tiles, and larger tables are kept on disk",
+                memory::enough(*need)
             ),
             Self::Disk(error) => return error.hint(),
             Self::Cancelled(_) => return None,

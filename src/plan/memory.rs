@@ -16,8 +16,9 @@ use crate::{
     config::{Bytes, ConfidenceSource, Settings, VisibilitySettings},
     method::{
         confidence::{MOST_PIXELS, SampleRoom},
-        fulfilment::{FulfilmentTable, block::Block},
+        fulfilment::{BATCH, FulfilmentTable, block::Block},
         geometry::Geometry,
+        ranking::PRICES,
         surface::{
             Surface,
             refine::{MAX_TRIANGLES, TRIANGLE_BYTES},
@@ -31,6 +32,7 @@ use crate::{
 pub(super) const SURFACE: &str = "surface";
 /// The stage that needs less memory without pictures.
 pub(super) const PICTURES: &str = "comparison of pictures";
+const MODEL: &str = "model with its surface";
 /// Bytes per pixel of the id buffer that each thread draws into.
 const BUFFER_PIXEL: u64 = 8;
 /// Bytes of the program and of small data.
@@ -102,10 +104,19 @@ pub struct Memory {
     samples_row: u64,
     /// Candidates whose columns a thread holds while it chooses partners.
     #[serde(skip)]
-    candidates: usize,
+    candidates: u64,
+    /// Threads that choose partners at once.
+    #[serde(skip)]
+    choosers: u64,
     /// Bytes for the largest picture alone; 0 if none is compared.
     #[serde(skip)]
     picture: u64,
+    /// Bytes per triangle while clusters are ranked at several prices at once.
+    #[serde(skip)]
+    ranked: u64,
+    /// Bytes that are held while clusters are ranked, without what only the ranking takes.
+    #[serde(skip)]
+    tables: u64,
 }
 
 /// Rows of visibility.
@@ -114,10 +125,23 @@ struct Rows {
     all: u64,
     /// Of the view that sees most triangles.
     most: u64,
+    views: u64,
+}
+
+impl Rows {
+    fn of(scene: &Scene, visibility: &Visibility) -> Self {
+        let most = scene.view_indices().map(|view| visibility.rows(view).len()).max().unwrap_or_default();
+        Self { all: visibility.triangles.len() as u64, most: most as u64, views: scene.views.len() as u64 }
+    }
+
+    /// Rows that are read between two releases of a table on disk.
+    fn at_once(self) -> u64 {
+        (self.all * self.views.min(column::READ_AT_ONCE as u64)).div_ceil(self.views.max(1))
+    }
 }
 
 impl Memory {
-    /// Forecasts the surface; sets a tile size in the settings if it is too large. `pixels`: of the largest picture.
+    /// Forecasts the surface; sets a tile size in the settings if it is too large. `pixels`: of the largest picture that can be read.
     pub(super) fn before_surface(
         scene: &Scene,
         settings: &mut Settings,
@@ -128,18 +152,21 @@ impl Memory {
         let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
         let limit = settings.max_memory;
         let compared = settings.confidence.source == ConfidenceSource::Photometric;
+        let (views, threads) = (scene.views.len() as u64, rayon::current_num_threads() as u64);
         let where_true = |is_true, bytes| if is_true { bytes } else { 0 };
-        let candidates = settings.partners.candidates;
+        let has_half = settings.ranking.has_half();
+        let candidates = u64::from(settings.partners.candidates).min(views.saturating_sub(1));
+        let support = u64::from(settings.ranking.support.unwrap_or_default());
         let mut memory = Self {
             read: held,
             limit,
             most: watcher.most_memory(),
-            row: TABLES_ROW
-                + where_true(compared, u64::from(candidates))
-                + where_true(settings.ranking.has_half(), HALF_ROW),
+            row: TABLES_ROW + where_true(compared, candidates) + where_true(has_half, HALF_ROW),
             samples_row: where_true(compared, SAMPLES_ROW),
-            candidates: candidates as usize,
+            candidates,
+            choosers: threads.min(views).min(BATCH as u64),
             picture: where_true(compared, PICTURE_PIXEL * pixels.min(MOST_PIXELS)),
+            ranked: where_true(has_half, threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support),
             ..Self::default()
         };
         let finished = held + MESH_PER_POINT * points;
@@ -161,8 +188,18 @@ impl Memory {
 
     /// Maximum number of triangles while the surface is refined.
     pub(super) fn most_triangles(&self) -> u64 {
-        let room = self.limit.map(|Bytes(limit)| limit.saturating_sub(self.read) / TRIANGLE_BYTES);
-        room.map_or(MAX_TRIANGLES, |room| room.min(MAX_TRIANGLES))
+        let least = self.limit.map(|Bytes(limit)| limit).into_iter().chain(self.most).min();
+        least.map_or(MAX_TRIANGLES, |limit| self.triangles_within(limit))
+    }
+
+    fn triangles_within(&self, limit: u64) -> u64 {
+        MAX_TRIANGLES.min(limit.saturating_sub(self.read) / TRIANGLE_BYTES)
+    }
+
+    /// Returns what decides, with a limit, whether a surface can be built and its tables are in memory.
+    pub(super) fn inputs(&self) -> impl Serialize {
+        let Self { limit, row, samples_row, candidates, choosers, ranked, .. } = *self;
+        limit.map(|limit| (limit, self.triangles_within(limit.0), row, samples_row, candidates, choosers, ranked))
     }
 
     pub(super) fn before_visibility(
@@ -172,23 +209,23 @@ impl Memory {
         settings: &VisibilitySettings,
     ) -> Result<Storage, PlanError> {
         let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
+        let threads = threads.min(scene.views.len() as u64);
         let triangles = surface.triangles.len() as u64;
         let buffer = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
-        let expected = expected_rows(scene, surface);
-        let rows = expected.all;
+        let rows = expected_rows(scene, surface);
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * buffer;
         let held = self.read + bytes(surface) + self.outside_tables(points, triangles);
         let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
-        if fits(drawing + VISIBILITY_ROW * rows) && fits(held + self.tables(expected)) {
-            self.visibility = drawing + VISIBILITY_ROW * rows;
+        if fits(drawing + VISIBILITY_ROW * rows.all) && fits(held + self.tables(rows, triangles)) {
+            self.visibility = drawing + VISIBILITY_ROW * rows.all;
+            // The rest is forecast from the real rows, which occlusion makes fewer.
+            self.check_limit(MODEL, self.visibility)?;
             return Ok(Storage::Memory);
         }
-        let views = scene.views.len().max(1) as u64;
-        let at_once = rows * views.min(column::READ_AT_ONCE as u64) / views;
-        self.partners = held + self.batches(Rows { all: at_once, ..expected });
-        self.visibility = drawing + VISIBILITY_ROW * at_once;
-        self.disk = (self.row + self.samples_row) * rows;
-        self.check_limit("model with its surface", self.visibility.max(self.partners))?;
+        self.visibility = drawing + VISIBILITY_ROW * rows.at_once();
+        self.partners = held + self.batches(rows, triangles);
+        self.disk = (self.row + self.samples_row.max(BY_TRIANGLE_ROW)) * rows.all;
+        self.check_limit(MODEL, self.visibility.max(self.partners))?;
         Ok(Storage::Disk)
     }
 
@@ -197,18 +234,20 @@ impl Memory {
         self.visibility = self.read + bytes(surface) + VISIBILITY_ROW * visibility.triangles.len() as u64;
     }
 
-    /// Forecasts partners and fulfilment from the real number of rows, if the tables are in memory.
+    /// Forecasts partners and fulfilment from the real number of rows.
     pub(super) fn before_partners(
         &mut self,
         scene: &Scene,
         surface: &Surface,
         visibility: &Visibility,
     ) -> Result<(), PlanError> {
-        if self.disk == 0 {
-            let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
-            let rows = Rows { all: visibility.triangles.len() as u64, most: most_rows(scene, visibility) };
-            self.partners = self.read + bytes(surface) + self.outside_tables(points, triangles) + self.tables(rows);
-        }
+        let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
+        let rows = Rows::of(scene, visibility);
+        let held = self.read + bytes(surface) + self.outside_tables(points, triangles);
+        (self.tables, self.partners) = match visibility.triangles.storage() {
+            Storage::Memory => (held + self.row * rows.all, held + self.tables(rows, triangles)),
+            Storage::Disk => (held, held + self.batches(rows, triangles)),
+        };
         self.check_limit("fulfilment table", self.partners)
     }
 
@@ -216,7 +255,7 @@ impl Memory {
     pub(super) fn before_pictures(&mut self, geometry: &Geometry) -> Result<SampleRoom, PlanError> {
         let Geometry { scene, surface, visibility, .. } = *geometry;
         let (threads, rows) = (rayon::current_num_threads() as u64, visibility.triangles.len() as u64);
-        let of_view = (UNARY_ROW + SAMPLES_ROW) * most_rows(scene, visibility);
+        let of_view = (UNARY_ROW + SAMPLES_ROW) * Rows::of(scene, visibility).most;
         let (tables_keep, samples) = (visibility.triangles.storage(), SAMPLES_ROW * rows);
         let keep = if samples <= self.most_samples() { tables_keep } else { Storage::Disk };
         let in_memory = |keep, bytes| if keep == Storage::Memory { bytes } else { 0 };
@@ -245,19 +284,21 @@ impl Memory {
     }
 
     /// Returns the memory of tables at the peak: while pictures are compared, partners are chosen, or clusters are ranked.
-    fn tables(&self, rows: Rows) -> u64 {
+    fn tables(&self, rows: Rows, triangles: u64) -> u64 {
         let samples = self.most_samples().min(self.samples_row * rows.all);
-        self.row * rows.all + samples.max(self.blocks(rows)).max(BY_TRIANGLE_ROW * rows.all)
+        let ranking = BY_TRIANGLE_ROW * rows.all + self.ranked * triangles;
+        self.row * rows.all + samples.max(self.blocks(rows)).max(ranking)
     }
 
-    /// Returns the same for tables on disk, of which only new rows are in memory, those of `rows` at once.
-    fn batches(&self, rows: Rows) -> u64 {
-        (self.row * rows.all).max(self.blocks(rows) + VALUES_ROW * rows.all)
+    /// Returns the same for tables on disk, of which only new rows are in memory.
+    fn batches(&self, rows: Rows, triangles: u64) -> u64 {
+        let at_once = rows.at_once();
+        (self.row * at_once).max(self.blocks(rows) + VALUES_ROW * at_once).max(self.ranked * triangles)
     }
 
     /// Returns the memory of all threads while partners are chosen.
     fn blocks(&self, rows: Rows) -> u64 {
-        rayon::current_num_threads() as u64 * Block::bytes(rows.most as usize, self.candidates)
+        self.choosers * Block::bytes(rows.most, self.candidates)
     }
 
     /// Returns the memory of points and triangles while partners are chosen.
@@ -268,18 +309,16 @@ impl Memory {
 
     /// Checks the belief about each row of fulfilment, which a plan around finished depth maps keeps in memory.
     pub(crate) fn before_beliefs(&self, fulfilment: &FulfilmentTable) -> Result<(), PlanError> {
-        self.check_limit("table of failures", self.partners + BELIEF_ROW * fulfilment.triangles.len() as u64)
+        self.check_limit("table of failures", self.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
     }
 
     fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
-        let is_within = |limit: Option<u64>| limit.is_none_or(|limit| need <= limit);
-        let limit = self.limit.map(|Bytes(limit)| limit);
         // What a picture takes is known from the start: a limit that is enough for this stage alone would be of no use.
         let pictures = self.read + self.picture;
-        let (stage, need) = if pictures > need { (PICTURES, pictures) } else { (stage, need) };
-        match (limit, self.most) {
-            (Some(limit), _) if !is_within(Some(limit)) => Err(PlanError::Memory { stage, need, limit }),
-            (_, Some(most)) if !is_within(Some(most)) => Err(PlanError::Refused { stage, need, most }),
+        let (later, needed) = if pictures > need { (PICTURES, pictures) } else { (stage, need) };
+        match (self.limit, self.most) {
+            (Some(Bytes(limit)), _) if need > limit => Err(PlanError::Memory { stage: later, need: needed, limit }),
+            (_, Some(most)) if need > most => Err(PlanError::Refused { stage: later, need: needed, most }),
             _ => Ok(()),
         }
     }
@@ -297,11 +336,6 @@ impl Memory {
 
 fn bytes(surface: &Surface) -> u64 {
     (size_of_val(&*surface.vertices) + size_of_val(&*surface.triangles)) as u64
-}
-
-/// Returns the rows of the view that sees most triangles.
-fn most_rows(scene: &Scene, visibility: &Visibility) -> u64 {
-    scene.view_indices().map(|view| visibility.rows(view).len()).max().unwrap_or_default() as u64
 }
 
 /// Estimates the rows of visibility without occlusion: triangles that face a view and have their centroid in its image, on a sample.
@@ -323,7 +357,7 @@ fn expected_rows(scene: &Scene, surface: &Surface) -> Rows {
     let of_triangles = |found: usize| found as f64 * triangles as f64 / sampled().count().max(1) as f64;
     let all = of_triangles(found.iter().sum()) * views as f64 / found.len().max(1) as f64;
     let most = of_triangles(found.iter().copied().max().unwrap_or_default());
-    Rows { all: all.ceil() as u64, most: most.ceil() as u64 }
+    Rows { all: all.ceil() as u64, most: most.ceil() as u64, views: views as u64 }
 }
 
 /// Formats a limit at least 5 % above the need, rounded up, as "120M" or "1.6G".
@@ -338,9 +372,18 @@ pub(super) fn enough(need: u64) -> String {
 
 /// Formats bytes as "1.5G", "20M" or "300 bytes", rounded up: a need above a limit must not read the same.
 pub(super) fn readable(bytes: u64) -> String {
+    in_units(bytes, f64::ceil)
+}
+
+/// The same for a limit, rounded down.
+pub(super) fn readable_limit(bytes: u64) -> String {
+    in_units(bytes, f64::floor)
+}
+
+fn in_units(bytes: u64, round: impl Fn(f64) -> f64) -> String {
     match bytes as f64 / 1024f64.powi(3) {
-        gibibytes if gibibytes >= 1.0 => format!("{:.1}G", (10.0 * gibibytes).ceil() / 10.0),
-        gibibytes if bytes >= 1 << 20 => format!("{:.0}M", (1024.0 * gibibytes).ceil()),
+        gibibytes if gibibytes >= 1.0 => format!("{:.1}G", round(10.0 * gibibytes) / 10.0),
+        gibibytes if bytes >= 1 << 20 => format!("{:.0}M", round(1024.0 * gibibytes)),
         _ => format!("{bytes} bytes"),
     }
 }
@@ -372,7 +415,8 @@ mod tests {
         let at_once = |limit| pictures(&town, Some(limit)).map(|(room, _)| room.views_at_once as u64);
         let (room, memory) = pictures(&town, None).unwrap();
         let (most, need) = (room.views_at_once as u64, memory.confidence);
-        assert_eq!(most, VIEWS_PER_THREAD * rayon::current_num_threads() as u64);
+        let wanted = VIEWS_PER_THREAD * rayon::current_num_threads() as u64;
+        assert_eq!(most, wanted.min(column::READ_AT_ONCE as u64).min(town.scene.views.len() as u64));
         let samples = SAMPLES_ROW * town.visibility.triangles.len() as u64;
         // By bisection: the least limit that is enough for a single picture.
         let (mut too_little, mut enough) = (0, need + 8 * samples);
@@ -435,18 +479,26 @@ mod tests {
     #[test]
     fn what_a_run_may_take_refuses_but_changes_nothing() {
         let SeenTown { scene, surface, visibility, .. } = town(Storage::Memory);
-        let after_all = |most| {
-            let mut settings = Settings::default();
-            let mut memory = Memory::before_surface(&scene, &mut settings, 0, &Permits(most))?;
-            let keep = memory.before_visibility(&scene, &surface, &settings.visibility)?;
-            memory.before_partners(&scene, &surface, &visibility)?;
-            assert_eq!((settings, keep), (Settings::default(), Storage::Memory));
-            Ok(memory.peak())
-        };
-        let peak = after_all(u64::MAX).unwrap();
-        assert_eq!(after_all(peak).unwrap(), peak);
-        let Err(PlanError::Refused { need, most, .. }) = after_all(peak - 1) else { panic!("it is too little") };
-        assert_eq!((need, most), (peak, peak - 1));
+        // Partners take most with a small buffer, visibility with a large one.
+        let peaks = [16, 4096].map(|buffer_px| {
+            let original = Settings {
+                visibility: VisibilitySettings { buffer_px, ..VisibilitySettings::default() },
+                ..Settings::default()
+            };
+            let after_all = |most| {
+                let mut settings = original.clone();
+                let mut memory = Memory::before_surface(&scene, &mut settings, 0, &Permits(most))?;
+                let keep = memory.before_visibility(&scene, &surface, &settings.visibility)?;
+                memory.before_partners(&scene, &surface, &visibility)?;
+                assert_eq!((settings, keep), (original.clone(), Storage::Memory));
+                Ok(memory)
+            };
+            let peak = after_all(u64::MAX).unwrap().peak();
+            let refused = after_all(peak - 1);
+            assert!(matches!(refused, Err(PlanError::Refused { .. })), "{refused:?}");
+            after_all(peak).unwrap()
+        });
+        assert!(peaks[0].peak() > peaks[0].visibility && peaks[1].peak() == peaks[1].visibility, "{peaks:?}");
     }
 
     #[test]

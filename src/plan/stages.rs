@@ -114,7 +114,8 @@ impl Stages {
         refuse_other_images(project, &scene, &settings)?;
         let numbers = &matcher.numbers;
         let image_faults = project.image_faults(&scene);
-        let mut memory = Memory::before_surface(&scene, &mut settings, image_faults.most_pixels(&scene), watcher)?;
+        let pixels = if project.images.is_some() { image_faults.most_pixels(&scene) } else { 0 };
+        let mut memory = Memory::before_surface(&scene, &mut settings, pixels, watcher)?;
         let missing_images = image_faults.without_image(scene.views.len());
         let matching = (matcher, &missing_images[..]);
         let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
@@ -443,7 +444,7 @@ fn kept_surface(
 ) -> Result<Slotted<VisibleSurface>, PlanError> {
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let (slot, found) = timings.time(Stage::Surface, || {
-        let file = inputs.surface(settings, memory.most_triangles());
+        let file = inputs.surface(settings, memory);
         kept::read(file, |facts, bytes| KeptSurface::unpack(facts, bytes, from.0.views.len()))
     });
     match found {

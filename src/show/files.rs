@@ -11,7 +11,7 @@ use crate::{
     },
     io::{
         output::{self, Contents, Disk, FileSet, OutputError},
-        project::Project,
+        project::{Project, ProjectError},
     },
     model::georeference::Georeference,
     plan::{self, EmptyPlan, Plan, PlannedViews},
@@ -68,6 +68,8 @@ pub enum FilesError {
     Input(#[from] FingerprintError),
     #[error(transparent)]
     EmptyPlan(#[from] EmptyPlan),
+    #[error(transparent)]
+    Project(#[from] ProjectError),
 }
 
 impl Hint for FilesError {
@@ -76,6 +78,7 @@ impl Hint for FilesError {
             Self::Backend(error) => error.hint(),
             Self::Input(error) => error.hint(),
             Self::EmptyPlan(error) => error.hint(),
+            Self::Project(error) => error.hint(),
         }
     }
 
@@ -84,8 +87,19 @@ impl Hint for FilesError {
             Self::Backend(error) => error.path(),
             Self::Input(error) => error.path(),
             Self::EmptyPlan(error) => error.path(),
+            Self::Project(error) => error.path(),
         }
     }
+}
+
+/// As [`files`], for a model that has not changed since the project was opened.
+///
+/// # Errors
+/// As [`files`]; a model that has changed is the error even if its files are gone.
+pub fn files_of_same_model(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
+    let files = files(plan, project);
+    project.refuse_changed_model()?;
+    files
 }
 
 /// Collects the files of the plan, for [`output::write_all`](crate::io::output::write_all).

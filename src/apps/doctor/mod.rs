@@ -1,5 +1,5 @@
 //! Diagnoses a project before planning: views that cannot be matched and why, weak links, implausible units, and traps of the backends.
-//! Reads the model and the images' headers, never their pixels.
+//! Reads the model and the images' headers, never their pixels, and a few masks.
 
 mod links;
 mod model;

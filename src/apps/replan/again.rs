@@ -79,7 +79,8 @@ fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recor
     // Checked before the long computation, even though this reads the model twice.
     recorded.check_input(&project, &project.read_scene().map_err(WrittenPlanError::from)?)?;
     let plan = backends::plan(&project, &settings, watcher)?;
-    recorded.check_ranking(&project, &plan)?;
+    project.refuse_changed_model().map_err(WrittenPlanError::from)?;
+    recorded.check_ranking(&plan)?;
     Ok((project, plan, recorded))
 }
 

@@ -255,7 +255,7 @@ impl<'a> Daemon<'a> {
         'a: 's,
     {
         let WatchOptions { on_busy, follow_links, settle, max_memory, .. } = *self.options;
-        let Some(number) = self.admit(project, work, now) else { return };
+        let Some(number) = self.admit(project) else { return };
         let Some(tracked) = self.projects.get_mut(project) else { return };
         let (input, cancel) = tracked.start(number, work, settle, now);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
@@ -282,8 +282,8 @@ impl<'a> Daemon<'a> {
         });
     }
 
-    /// Returns the number of a new job; `None` if it has to wait or doesn't fit into memory.
-    fn admit(&mut self, project: &Path, work: Work, now: Instant) -> Option<u64> {
+    /// Returns the number of a new job; `None` if it has to wait.
+    fn admit(&mut self, project: &Path) -> Option<u64> {
         let tracked = self.projects.get_mut(project)?;
         self.next_job += 1;
         let number = self.next_job;
@@ -291,13 +291,6 @@ impl<'a> Daemon<'a> {
             Ok(()) => return Some(number),
             Err(Full::Jobs) => tracked.wait_for(Some("a free job slot (--jobs)")),
             Err(Full::Memory) => tracked.wait_for(Some("memory (--max-memory)")),
-            Err(Full::Never { need, max }) => {
-                let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-                let reason = format!("planning needs about {} MiB, --max-memory allows {} MiB", mib(need), mib(max));
-                let hint = Some("raise --max-memory, or run `viewrank plan` on it".into());
-                let (input, _) = tracked.start(number, work, self.options.settle, now);
-                self.finish(project, number, input, Outcome::Failed { reason, hint }, now);
-            }
         }
         None
     }

@@ -100,15 +100,17 @@ impl ImageFaults {
         all
     }
 
-    /// Pixels of the largest image of a scene.
+    /// Pixels of the largest image of a scene that can be read; 0 without one.
     pub fn most_pixels(&self, scene: &Scene) -> u64 {
         let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+        let without: HashSet<ViewIndex> =
+            self.missing.iter().copied().chain(self.unreadable.iter().map(|(view, _)| *view)).collect();
         let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
         let of_view = |view: ViewIndex| {
             let camera = scene.camera_of(view);
             pixels(others.get(&view).copied().unwrap_or([camera.width, camera.height]))
         };
-        scene.view_indices().map(of_view).max().unwrap_or_default()
+        scene.view_indices().filter(|view| !without.contains(view)).map(of_view).max().unwrap_or_default()
     }
 
     /// Views without an image that can be read, ascending; none if that is true of all `views`.

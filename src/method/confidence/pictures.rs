@@ -1,12 +1,12 @@
 //! Reads a project's pictures and masks.
 
 use std::{
-    io::{BufReader, ErrorKind},
+    io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
     time::UNIX_EPOCH,
 };
 
-use image::ImageReader;
+use image::{ImageFormat, ImageReader};
 use serde::Serialize;
 
 use super::{
@@ -109,14 +109,25 @@ impl Pictures {
         path.map(read).transpose().map_err(|fault| ImageError::Mask(Box::new(fault)))
     }
 
-    /// Returns the fault of a view's mask that its header shows; `None` if the view has no mask.
+    /// Returns the fault of a view's mask that its header and its end show; `None` if the view has no mask.
     pub fn check_mask(&self, scene: &Scene, view: ViewIndex) -> Option<Result<(), ImageError>> {
         let path = self.masks.as_deref().and_then(|folder| mask_file(folder, scene.name(view)))?;
-        let size = || -> Result<(u32, u32), ImageError> {
-            let reader = ImageReader::new(BufReader::new(input::open(&path)?)).with_guessed_format()?;
-            Ok(reader.into_dimensions()?)
+        let check = || {
+            let mut file = BufReader::new(input::open(&path)?);
+            let reader = ImageReader::new(&mut file).with_guessed_format()?;
+            let is_png = reader.format() == Some(ImageFormat::Png);
+            let (width, height) = reader.into_dimensions()?;
+            if is_png && !has_end(&mut file)? {
+                return Err(io::Error::new(ErrorKind::UnexpectedEof, "the file is cut off").into());
+            }
+            check_shape([width, height], scene.camera_of(view))
         };
-        Some(size().and_then(|(width, height)| check_shape([width, height], scene.camera_of(view))))
+        Some(check())
+    }
+
+    /// Returns whether the view has a mask that excludes all of its image.
+    pub fn is_all_masked(&self, scene: &Scene, view: ViewIndex) -> bool {
+        self.mask(scene, view).is_ok_and(|mask| mask.is_some_and(|mask| mask.share([1, 1], 0, 0) == 0.0))
     }
 
     /// Returns the paths of a view's image and mask; the image may not exist.
@@ -151,6 +162,16 @@ pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>]) -> Vec<S
         warnings.push(format!("{others} more images cannot be used"));
     }
     warnings
+}
+
+/// Returns whether one of the last bytes of a PNG file begin its last chunk (PNG specification, 11.2.5); others may follow it.
+fn has_end(file: &mut (impl Read + Seek)) -> io::Result<bool> {
+    const TAIL: u64 = 1 << 12;
+    let length = file.seek(SeekFrom::End(0))?;
+    file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
+    let mut tail = Vec::new();
+    file.take(TAIL).read_to_end(&mut tail)?;
+    Ok(tail.windows(4).any(|chunk| chunk == b"IEND"))
 }
 
 /// Reduced copies of the image are accepted; another aspect ratio means another picture.

@@ -373,7 +373,7 @@ fn the_memory_of_a_block_is_known_before_it_is_made() {
     for key in [0, 12, 24].map(ViewIndex) {
         let mut block = Block::new(&model, key, &partners, |t| t.is_multiple_of(3), &mut slots);
         block.values(&(0..partners.len()).collect::<Vec<_>>());
-        let known = Block::bytes(setting.visibility.triangles_seen_by(key).len(), partners.len());
+        let known = Block::bytes(setting.visibility.triangles_seen_by(key).len() as u64, partners.len() as u64);
         let held = block.held() as u64;
         assert!(held <= known && known <= held + held / 4, "{held} {known}");
     }

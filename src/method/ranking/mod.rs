@@ -34,7 +34,7 @@ use crate::{
 };
 
 /// Prices of work at which maps of two sizes are ranked, besides 0: enough that plans of any length have one that fits them (method 5.8).
-const PRICES: u32 = 30;
+pub const PRICES: u32 = 30;
 const PRICES_PER_OCTAVE: f64 = 3.0;
 /// Raised triangles that a thread takes at a time: about a tenth of a millisecond of work.
 const TRIANGLES_AT_ONCE: usize = if cfg!(test) { 2 } else { 256 };

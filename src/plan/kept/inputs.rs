@@ -21,6 +21,7 @@ use crate::{
         cluster::Gate,
         scene::{Scene, ViewIndex},
     },
+    plan::Memory,
 };
 
 /// Changes with every change of the program, also one that should not change a result.
@@ -41,12 +42,10 @@ impl<'a> Inputs<'a> {
     }
 
     /// The surface and its visibility. `most`: limit of its triangles.
-    pub fn surface(&self, settings: &Settings, most: u64) -> CacheFile {
+    pub fn surface(&self, settings: &Settings, memory: &Memory) -> CacheFile {
         let mut hasher = self.of_scene();
-        // Whether tables are kept in memory depends on the threads where there is a limit.
-        let threads = settings.max_memory.map(|limit| (limit, rayon::current_num_threads()));
         let target = (&settings.target, settings.image_scale());
-        add(&mut hasher, &(&settings.surface, &settings.visibility, target, most, threads));
+        add(&mut hasher, &(&settings.surface, &settings.visibility, target, memory.inputs()));
         let mesh = settings.surface.mesh.as_deref().map(|mesh| input::read(mesh, FileKind::Mesh));
         let hasher = match mesh {
             None => Some(hasher),

@@ -226,10 +226,9 @@ impl RecordedPlan {
         self.clusters.iter().take_while(|cluster| cluster.finished).count()
     }
 
-    /// Returns an error if the ranking is not the plan's, or the model has changed meanwhile. With finished depth maps, their partners are those of an
-    /// earlier plan and they change the order, so only the partners of the other clusters are compared.
-    pub fn check_ranking(&self, project: &Project, plan: &Plan) -> Result<(), WrittenPlanError> {
-        project.refuse_changed_model()?;
+    /// Returns an error if the ranking is not the plan's. With finished depth maps, their partners are those of an earlier plan and they change the
+    /// order, so only the partners of the other clusters are compared.
+    pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
         let ranked = self.ranked(&plan.stages.scene)?;
         let same = match self.finished() {
             0 => plan

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 use super::{Finding, Severity, ViewFinding, examine};
 use crate::{
     backends::{self, Backend},
-    config::{FrameSettings, Settings, TargetSettings},
+    config::{ConfidenceSource, FrameSettings, Settings, TargetSettings},
     io::{
         formats::{colmap::ColmapModel, colmap_bin},
         project::{ModelFormat, ModelLocation, Project, ProjectKind},
@@ -363,12 +363,24 @@ fn masks_that_cannot_be_used() {
     image::GrayImage::new(1000, 750).save(masks.join("n00_mask.png")).unwrap();
     assert!(found(&of_healthy(&project), "unused-masks").cure.ends_with("masks/n00.jpg.png"));
     image::GrayImage::new(500, 375).save(masks.join("n01.jpg.png")).unwrap();
+    assert_eq!(
+        found(&of_healthy(&project), "black-masks").what,
+        "masks that exclude all of the image: 1 of 1 that were read"
+    );
+    let white = |width, height| image::GrayImage::from_pixel(width, height, image::Luma([255]));
+    white(500, 375).save(masks.join("n01.jpg.png")).unwrap();
     assert_eq!(of_healthy(&project), [], "a smaller copy is a mask");
-    image::GrayImage::new(750, 1000).save(masks.join("n02.jpg.png")).unwrap();
+    white(750, 1000).save(masks.join("n02.jpg.png")).unwrap();
     fs::write(masks.join("n03.jpg.png"), b"<html>not found</html>").unwrap();
+    let whole = fs::read(masks.join("n01.jpg.png")).unwrap();
+    fs::write(masks.join("n04.jpg.png"), &whole[..whole.len() - 20]).unwrap();
     let findings = of_healthy(&project);
     let views: Vec<&str> = found(&findings, "broken-masks").views.iter().map(|view| &*view.name).collect();
-    assert_eq!(views, ["n02.jpg", "n03.jpg"]);
+    assert_eq!(views, ["n02.jpg", "n03.jpg", "n04.jpg"]);
+    assert!(found(&findings, "broken-masks").what.ends_with("not compared"));
+    let mut settings = Settings::default();
+    settings.confidence.source = ConfidenceSource::None;
+    assert_eq!(examine(&project, &healthy(), &settings, &sure).findings, [], "no mask is read");
 }
 
 #[test]

@@ -77,11 +77,11 @@ impl TriangleLanes {
 
 impl<'a> Block<'a> {
     /// Bytes of the block of a key view that sees `triangles`, with all columns of its partners computed.
-    pub fn bytes(triangles: usize, partners: usize) -> u64 {
-        let groups = triangles.div_ceil(LANES) + 1;
+    pub fn bytes(triangles: u64, partners: u64) -> u64 {
+        let groups = triangles.div_ceil(LANES as u64) + 1;
         let of_partner = size_of::<PartnerLanes>() + LANES * (size_of::<bool>() + size_of::<f32>());
         let own = size_of::<TriangleLanes>() + size_of::<KeyLanes>() + LANES * size_of::<u32>();
-        (groups * (own + partners * of_partner)) as u64
+        groups * (own as u64 + partners * of_partner as u64)
     }
 
     /// Gathers the triangles that `key` sees. `is_judge` selects those that choices are judged by; they come first.
