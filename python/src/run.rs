@@ -120,7 +120,8 @@ impl Runner {
         loop {
             let (stages, is_done) = py.detach(|| shared.wait());
             if raised.is_ok() {
-                raised = py.check_signals().and_then(|()| self.report(py, &stages));
+                // In this order: a callback may be what is interrupted, also after the last stage.
+                raised = self.report(py, &stages).and_then(|()| py.check_signals());
                 shared.cancelled.store(raised.is_err(), Ordering::Relaxed);
             }
             if is_done {

@@ -154,12 +154,15 @@ impl<'a> Summary<'a> {
             }
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
+        let (all_maps, expected) = match self.is_finished() {
+            true => (format!("all {all}"), String::new()),
+            false => ("all of them".into(), format!("Measured, it will likely be {}.\n", self.cut.share_band)),
+        };
         format!(
-            "\n{what}:\n{:.1} % of what all of them together would give{}.\n{}Measured, it will likely be {}.\n{}{}{}{}",
+            "\n{what}:\n{:.1} % of what {all_maps} together would give{}.\n{}{expected}{}{}{}{}",
             self.cut.share * 100.0,
             self.weight(),
             self.area(),
-            self.cut.share_band,
             self.certificate(),
             self.given_up(),
             self.beyond_gate(),

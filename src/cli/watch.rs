@@ -107,8 +107,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {
         failed if failed > 0 && once => {
-            let root = options.roots.first().cloned().unwrap_or_default();
-            Err(WatchFailure { failed, projects: summary.projects, root }.into())
+            Err(WatchFailure { failed, projects: summary.projects, roots: options.roots }.into())
         }
         _ => Ok(()),
     }
@@ -147,13 +146,15 @@ impl Arguments {
 struct WatchFailure {
     failed: usize,
     projects: usize,
-    /// The first of the watched folders.
-    root: PathBuf,
+    /// The watched folders.
+    roots: Vec<PathBuf>,
 }
 
 impl Hint for WatchFailure {
     fn hint(&self) -> Option<String> {
-        Some(format!("viewrank status {} says why", command_path(&self.root)))
+        let commands: Vec<String> =
+            self.roots.iter().map(|root| format!("viewrank status {}", command_path(root))).collect();
+        Some(format!("to see why: {}", commands.join(", ")))
     }
 }
 

@@ -31,7 +31,10 @@ use crate::{
         replan::{self, AgainError, EarlierPlan, MapFolder, ReplanError, replan},
     },
     backends,
-    base::progress::{Stage, Watcher},
+    base::{
+        error::Hint,
+        progress::{Stage, Watcher},
+    },
     config::{CommandLineSettings, Configuration, Files, Settings, user_file},
     io::{
         output::{self, Disk},
@@ -225,12 +228,13 @@ impl PlanJob {
                 known,
             });
         }
-        // A forecast comes after the model is read, and takes about as much memory as its files have bytes.
-        if let Some(most) = job.most_memory.filter(|most| job.stamp.bytes() > *most) {
+        // The forecast comes after the model is read, which takes about as much memory as its files have bytes.
+        let bytes = model.iter().filter_map(|file| file.metadata().ok()).map(|file| file.len()).sum();
+        if let Some(most) = job.most_memory.filter(|most| bytes > *most) {
             let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-            let reason =
-                format!("the model alone has {} MiB, --max-memory allows {} MiB", mib(job.stamp.bytes()), mib(most));
-            return Err(Outcome::Failed { reason, hint: Some("raise --max-memory".into()) });
+            let reason = format!("the model alone has {} MiB, --max-memory allows {} MiB", mib(bytes), mib(most));
+            let hint = Some(format!("give viewrank watch --max-memory {}M or more", mib(queue::need(bytes))));
+            return Err(Outcome::TooLarge { reason, hint });
         }
         if !self.options.is_run {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
@@ -464,6 +468,7 @@ fn sort_out(error: PlanError) -> Outcome {
         PlanError::Cancelled(_) => Outcome::Abandoned,
         PlanError::Project(error) => incomplete(error),
         PlanError::NoViews(_) => Outcome::Incomplete { reason: error.to_string() },
+        PlanError::Refused { .. } => Outcome::TooLarge { reason: error.to_string(), hint: error.hint() },
         error => failed(error),
     }
 }

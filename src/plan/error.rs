@@ -38,13 +38,13 @@ pub enum PlanError {
         memory::readable(*need),
         memory::readable_limit(*limit)
     )]
-    Memory { stage: &'static str, need: u64, limit: u64 },
+    Memory { stage: &'static str, need: u64, limit: u64, with_picture: u64 },
     #[error(
         "the {stage} needs about {} of memory, but a plan may take {} here",
         memory::readable(*need),
         memory::readable_limit(*most)
     )]
-    Refused { stage: &'static str, need: u64, most: u64 },
+    Refused { stage: &'static str, need: u64, most: u64, with_picture: u64 },
     #[error(transparent)]
     Disk(#[from] DiskError),
     #[error(transparent)]
@@ -84,29 +84,23 @@ impl Hint for PlanError {
             Self::NoTimes => {
                 "time one depth map, and write its seconds into viewrank.toml: forecast.seconds_per_map = 30".into()
             }
-            Self::Memory { stage: memory::SURFACE, need, .. } => format!(
+            Self::Memory { stage: memory::SURFACE, with_picture, .. } => format!(
                 "give --max-memory {} or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
-                memory::enough(*need)
+                memory::enough(*with_picture)
             ),
-            Self::Memory { stage: memory::PICTURES, need, .. } => {
-                format!(
-                    "give --max-memory {} or more (max_memory in viewrank.toml), or plan without pictures: --confidence geometric",
-                    memory::enough(*need)
-                )
-            }
-            Self::Memory { need, .. } => format!(
+            Self::Memory { stage: memory::PICTURES, with_picture, .. } => format!(
+                "give --max-memory {} (max_memory in viewrank.toml), or plan without pictures: --confidence geometric",
+                memory::enough(*with_picture)
+            ),
+            Self::Memory { with_picture, .. } => format!(
                 "give --max-memory {} (max_memory in viewrank.toml), use fewer --threads, or reduce the triangles with a coarser --gsd or a larger \
                  surface.edge_factor",
-                memory::enough(*need)
+                memory::enough(*with_picture)
             ),
-            Self::Refused { stage: memory::PICTURES, need, .. } => format!(
-                "give viewrank watch --max-memory {} or more, or set confidence.source = \"geometric\" in the project's viewrank.toml",
-                memory::enough(*need)
-            ),
-            Self::Refused { need, .. } => format!(
-                "give viewrank watch --max-memory {} or more; less may do with max_memory in the project's viewrank.toml, by which a larger surface \
-                 is built in tiles, and larger tables are kept on disk",
-                memory::enough(*need)
+            Self::Refused { with_picture, .. } => format!(
+                "give viewrank watch --max-memory {} or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \
+                 built in tiles, larger tables are kept on disk, and fewer pictures are read at once",
+                memory::enough(*with_picture)
             ),
             Self::Disk(error) => return error.hint(),
             Self::Cancelled(_) => return None,

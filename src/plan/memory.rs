@@ -20,8 +20,8 @@ use crate::{
         geometry::Geometry,
         ranking::PRICES,
         surface::{
-            Surface,
-            refine::{MAX_TRIANGLES, TRIANGLE_BYTES},
+            Surface, SurfaceError,
+            refine::{MAX_TRIANGLES, RefineError, TRIANGLE_BYTES},
         },
         visibility::{self, Visibility},
     },
@@ -73,8 +73,8 @@ const ROW_INDEX: u64 = 4;
 /// Bytes per sparse point while contradictions and nearest points are computed; and per point and thread, whether it is observed.
 const PER_POINT: u64 = 5;
 const OBSERVED: u64 = 1;
-/// Bytes per row of fulfilment for its belief, updated by failures of other maps.
-const BELIEF_ROW: u64 = 24;
+/// Bytes per row of fulfilment for its belief, updated by failures of other maps, and for the new f at both sizes.
+const BELIEF_ROW: u64 = 40;
 /// Samples of views and triangles from which the rows of visibility are estimated.
 const SAMPLED_VIEWS: usize = 32;
 const SAMPLED_TRIANGLES: usize = 20_000;
@@ -196,10 +196,22 @@ impl Memory {
         MAX_TRIANGLES.min(limit.saturating_sub(self.read) / TRIANGLE_BYTES)
     }
 
+    /// Returns the error of a surface that was not refined for want of memory: how much it needs, if more could be allowed.
+    pub(super) fn too_fine(&self, error: SurfaceError) -> PlanError {
+        match error {
+            SurfaceError::Refine(RefineError::TooFine { triangles, .. }) if triangles <= MAX_TRIANGLES as f64 => {
+                let need = self.read + triangles.ceil() as u64 * TRIANGLE_BYTES;
+                self.check_limit(SURFACE, need).err().unwrap_or(error.into())
+            }
+            error => error.into(),
+        }
+    }
+
     /// Returns what decides, with a limit, whether a surface can be built and its tables are in memory.
     pub(super) fn inputs(&self) -> impl Serialize {
-        let Self { limit, row, samples_row, candidates, choosers, ranked, .. } = *self;
-        limit.map(|limit| (limit, self.triangles_within(limit.0), row, samples_row, candidates, choosers, ranked))
+        let Self { limit, row, samples_row, candidates, ranked, .. } = *self;
+        let threads = rayon::current_num_threads();
+        limit.map(|limit| (limit, self.triangles_within(limit.0), row, samples_row, candidates, ranked, threads))
     }
 
     pub(super) fn before_visibility(
@@ -312,13 +324,12 @@ impl Memory {
         self.check_limit("table of failures", self.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
     }
 
+    /// What a picture takes is known from the start: the error asks for that, too.
     fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
-        // What a picture takes is known from the start: a limit that is enough for this stage alone would be of no use.
-        let pictures = self.read + self.picture;
-        let (later, needed) = if pictures > need { (PICTURES, pictures) } else { (stage, need) };
+        let with_picture = need.max(self.read + self.picture);
         match (self.limit, self.most) {
-            (Some(Bytes(limit)), _) if need > limit => Err(PlanError::Memory { stage: later, need: needed, limit }),
-            (_, Some(most)) if need > most => Err(PlanError::Refused { stage: later, need: needed, most }),
+            (Some(Bytes(limit)), _) if need > limit => Err(PlanError::Memory { stage, need, limit, with_picture }),
+            (_, Some(most)) if need > most => Err(PlanError::Refused { stage, need, most, with_picture }),
             _ => Ok(()),
         }
     }
@@ -448,20 +459,20 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_picture_is_known_before_the_surface() {
+    fn a_limit_that_is_too_small_for_the_surface_is_answered_with_one_for_the_largest_picture() {
         let town = town(Storage::Memory);
         let refused = |pixels, source| {
             let mut settings = Settings { max_memory: Some(Bytes(1)), ..Settings::default() };
             settings.confidence.source = source;
             match Memory::before_surface(&town.scene, &mut settings, pixels, &NoWatcher) {
-                Err(PlanError::Memory { stage, need, .. }) => (stage, need),
+                Err(PlanError::Memory { stage: SURFACE, need, with_picture, .. }) => [need, with_picture],
                 other => panic!("{other:?}"),
             }
         };
         let small = refused(1000, ConfidenceSource::Photometric);
-        assert_eq!(small.0, SURFACE);
+        assert_eq!(small[0], small[1]);
         let large = refused(100_000_000, ConfidenceSource::Photometric);
-        assert!(large.0 == PICTURES && large.1 > small.1 + 700_000_000, "{large:?}");
+        assert!(large[0] == small[0] && large[1] > small[1] + 700_000_000, "{large:?}");
         assert_eq!(refused(100_000_000, ConfidenceSource::Geometric), small);
     }
 

@@ -472,6 +472,7 @@ fn visible_surface(
             _ => WantedGsd::uniform(gsd),
         };
         surface::build(scene, &wanted, &settings.surface, mesh.as_ref(), most, watcher)
+            .map_err(|error| memory.too_fine(error))
     })?;
     platform::return_freed_memory();
     let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;

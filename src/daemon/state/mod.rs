@@ -52,6 +52,11 @@ pub enum Outcome {
         reason: String,
         hint: Option<String>,
     },
+    /// Planning the input takes more memory than is allowed: it fails again as long as both are the same, after the other jobs had to wait for it.
+    TooLarge {
+        reason: String,
+        hint: Option<String>,
+    },
 }
 
 /// Kind of a job.
@@ -258,7 +263,7 @@ impl TrackedProject {
                 return true;
             }
             (Work::Plan, _) => self.concluded = !job.overtaken,
-            (Work::Follow, Outcome::Failed { .. }) => {}
+            (Work::Follow, Outcome::Failed { .. } | Outcome::TooLarge { .. }) => {}
             (Work::Follow, _) if cancelled => {}
             (Work::Follow, _) => self.maps.record_measured(input.maps, now - job.started, now),
         }
@@ -294,11 +299,17 @@ impl TrackedProject {
             }
             Outcome::Abandoned => return,
             Outcome::Failed { reason, hint } => {
-                let pause = retry_after(failures);
-                (self.failures, self.retry) = (failures, Some((now + pause, work)));
-                Phase::Failed { reason, hint, retry_after_s: pause.as_secs() }
+                self.failures = failures;
+                self.fail(reason, hint, retry_after(failures), (now, work))
             }
+            Outcome::TooLarge { reason, hint } => self.fail(reason, hint, LONGEST_RETRY, (now, work)),
         };
+    }
+
+    /// Plans a retry after a pause.
+    fn fail(&mut self, reason: String, hint: Option<String>, pause: Duration, (now, work): (Instant, Work)) -> Phase {
+        self.retry = Some((now + pause, work));
+        Phase::Failed { reason, hint, retry_after_s: pause.as_secs() }
     }
 
     /// Result of the last job, even if the input has changed since.

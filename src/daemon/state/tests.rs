@@ -254,3 +254,15 @@ fn retries_back_off_until_a_success() {
     run(&mut project, Work::Plan, failed(), now);
     assert_eq!(project.due(SETTLE), Some((now + FIRST_RETRY, Work::Plan)));
 }
+
+#[test]
+fn a_plan_that_is_too_large_is_rarely_tried_again_unless_its_input_changes() {
+    let (_root, stamp) = stamped(5);
+    let now = Instant::now();
+    let mut project = tracked(&stamp, now);
+    run(&mut project, Work::Plan, Outcome::TooLarge { reason: "5G".into(), hint: None }, now);
+    assert!(project.has_failed());
+    assert_eq!(project.due(SETTLE), Some((now + LONGEST_RETRY, Work::Plan)));
+    project.observe(stamped(7).1, now + SETTLE, OnBusy::Restart);
+    assert_eq!(project.due(SETTLE), Some((now + SETTLE * 2, Work::Plan)));
+}

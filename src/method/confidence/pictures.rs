@@ -164,7 +164,7 @@ pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>]) -> Vec<S
     warnings
 }
 
-/// Returns whether one of the last bytes of a PNG file begin its last chunk (PNG specification, 11.2.5); others may follow it.
+/// Returns whether the last chunk of a PNG file (PNG specification, 11.2.5) is near its end; other bytes may follow it.
 fn has_end(file: &mut (impl Read + Seek)) -> io::Result<bool> {
     const TAIL: u64 = 1 << 12;
     let length = file.seek(SeekFrom::End(0))?;

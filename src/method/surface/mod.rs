@@ -185,9 +185,6 @@ impl Hint for SurfaceError {
             Self::MeshFile { .. } => "check that the file exists and is readable".into(),
             Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),
             Self::Delaunay(_) => "check the model: its points cannot be triangulated as they are".into(),
-            Self::Refine(refine::RefineError::TooFine { most, .. }) if *most < refine::MAX_TRIANGLES => {
-                "ask for a coarser --gsd or a larger surface.max_edge_factor, or allow more with --max-memory".into()
-            }
             Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor".into(),
             Self::Cancelled(_) => return None,
         })

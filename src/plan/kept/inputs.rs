@@ -41,7 +41,7 @@ impl<'a> Inputs<'a> {
         Self { home: &project.home, scene: hash_of(scene) }
     }
 
-    /// The surface and its visibility. `most`: limit of its triangles.
+    /// The surface and its visibility. `memory`: decides, with a limit, which tables are in memory.
     pub fn surface(&self, settings: &Settings, memory: &Memory) -> CacheFile {
         let mut hasher = self.of_scene();
         let target = (&settings.target, settings.image_scale());
