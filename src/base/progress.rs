@@ -26,8 +26,7 @@ pub trait Watcher: Sync {
         false
     }
 
-    /// Bytes that the run may take besides the limit of its settings; `None`: any. Unlike that limit, which tables and tiles obey, it refuses what
-    /// needs more, and changes no result.
+    /// Bytes of memory beyond which the run fails; `None`: no limit. Unlike the limit of the settings, it never changes how the run computes.
     fn most_memory(&self) -> Option<u64> {
         None
     }

@@ -70,38 +70,32 @@ impl Cut {
 /// Cuts at the shortest prefix that the settings allow, but not before the end of the finished clusters.
 pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
-    let (mut clusters, mut limit) = (ranking.order.len(), None);
-    let mut end = |length: usize, by: CutLimit| {
-        if length < clusters {
-            (clusters, limit) = (length, Some(by));
-        }
-        clusters
-    };
-    let all = ranking.order.len();
-    let mut left = all;
-    // First: a plan that also ends at another limit there has what is wanted.
+    let mut end = (ranking.order.len(), None);
+    let sooner = |end: (usize, Option<CutLimit>), length, by| if length < end.0 { (length, Some(by)) } else { end };
+    // The target first: a plan that reaches it is not cut short by another limit at the same length.
     if let Some(target) = settings.target {
-        left = end(ranking.length_for_share(target.0), CutLimit::Target);
+        end = sooner(end, ranking.length_for_share(target.0), CutLimit::Target);
     }
-    match settings.budget {
-        // If maps differ in work, a share of the views is a share of the work.
-        Some(Budget::Views(share)) if cost.stages.settings.ranking.has_half() => {
-            left = end(longest_within(all, share.0, |rank| Ok(cost.work(rank)))?, CutLimit::Budget);
-        }
-        Some(budget) => left = end(budget.clusters(cost.model.scene.views.len()), CutLimit::Budget),
-        None => (),
+    if let Some(budget) = settings.budget {
+        let length = match budget {
+            // If maps differ in work, a share of the views is a share of the work.
+            Budget::Views(share) if cost.stages.settings.ranking.has_half() => {
+                longest_within(end.0, share.0, |rank| Ok(cost.work(rank)))?
+            }
+            budget => budget.clusters(cost.model.scene.views.len()),
+        };
+        end = sooner(end, length, CutLimit::Budget);
     }
     if let Some(time) = settings.time {
         let seconds = |rank| cost.seconds(rank).ok_or(PlanError::NoTimes);
-        left = end(longest_within(left, time.0, seconds)?, CutLimit::Time);
+        end = sooner(end, longest_within(end.0, time.0, seconds)?, CutLimit::Time);
     }
     if let Some(points) = settings.points {
         let mut slots = BlockSlots::new(cost.model);
-        end(longest_within(left, points.0, |rank| Ok(cost.points(rank, &mut slots)))?, CutLimit::Points);
+        let length = longest_within(end.0, points.0, |rank| Ok(cost.points(rank, &mut slots)))?;
+        end = sooner(end, length, CutLimit::Points);
     }
-    if clusters < cost.finished {
-        (clusters, limit) = (cost.finished, None);
-    }
+    let (clusters, limit) = if end.0 < cost.finished { (cost.finished, None) } else { end };
     Ok(Cut {
         clusters,
         limit,

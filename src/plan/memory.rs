@@ -93,7 +93,7 @@ pub struct Memory {
     pub disk: u64,
     #[serde(skip)]
     limit: Option<Bytes>,
-    /// What the run may take ([`Watcher::most_memory`]).
+    /// Bytes beyond which planning fails ([`Watcher::most_memory`]).
     #[serde(skip)]
     most: Option<u64>,
     /// Bytes of tables for each row of visibility.
@@ -114,7 +114,7 @@ pub struct Memory {
     /// Bytes per triangle while clusters are ranked at several prices at once.
     #[serde(skip)]
     ranked: u64,
-    /// Bytes that are held while clusters are ranked, without what only the ranking takes.
+    /// Bytes held while clusters are ranked, besides what the ranking itself takes.
     #[serde(skip)]
     tables: u64,
 }
@@ -123,7 +123,7 @@ pub struct Memory {
 #[derive(Clone, Copy)]
 struct Rows {
     all: u64,
-    /// Of the view that sees most triangles.
+    /// Rows of the view with the most.
     most: u64,
     views: u64,
 }
@@ -207,7 +207,7 @@ impl Memory {
         }
     }
 
-    /// Returns what decides, with a limit, whether a surface can be built and its tables are in memory.
+    /// Returns what decides, under a limit, whether the surface can be built and where its tables are kept.
     pub(super) fn inputs(&self) -> impl Serialize {
         let Self { limit, row, samples_row, candidates, ranked, .. } = *self;
         let threads = rayon::current_num_threads();
@@ -324,7 +324,8 @@ impl Memory {
         self.check_limit("table of failures", self.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
     }
 
-    /// What a picture takes is known from the start: the error asks for that, too.
+    /// Returns an error if `need` exceeds a limit. The size of the largest picture is known before any stage, so the limit that the error advises allows
+    /// for it.
     fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
         let with_picture = need.max(self.read + self.picture);
         match (self.limit, self.most) {

@@ -2,6 +2,7 @@
 //! Reads the model and the images' headers, never their pixels, and a few masks.
 
 mod links;
+mod masks;
 mod model;
 mod partners;
 mod sense;
@@ -149,6 +150,7 @@ fn scene_findings(inputs: &Inputs) -> Vec<Finding> {
         findings.extend(links::findings(inputs));
     }
     findings.extend(sense::of_images(inputs));
+    findings.extend(masks::findings(inputs));
     findings.extend(traps(inputs));
     findings
 }

@@ -2,14 +2,10 @@
 
 use std::ops::RangeInclusive;
 
-use super::{Finding, Inputs, Severity, ViewFinding, counted};
+use super::{Finding, Inputs, Severity, counted};
 use crate::plan;
 use crate::{
-    config::ConfidenceSource,
-    method::{
-        confidence::{MASKS, Pictures},
-        surface::points::upper_median,
-    },
+    method::surface::points::upper_median,
     model::{
         georeference::{Georeference, MapFrame, UPRIGHT},
         scene::{PointIndex, Units, ViewIndex},
@@ -28,8 +24,6 @@ const NORTHINGS: RangeInclusive<f64> = 0.0..=1e7;
 const FIELD: RangeInclusive<f64> = 0.5..=160.0;
 /// Largest share of a view's points behind the camera that is not reported.
 const BEHIND: f64 = 0.2;
-/// Number of masks whose pixels are read, spread over the views.
-const MASKS_READ: usize = 32;
 /// Median reprojection error, pixels, above which intrinsics and images do not match.
 const ERROR_PX: f64 = 4.0;
 
@@ -38,10 +32,7 @@ pub fn of_model(inputs: &Inputs) -> Vec<Finding> {
 }
 
 pub fn of_images(inputs: &Inputs) -> Vec<Finding> {
-    [sizes, missing, unreadable, unused_masks, broken_masks, black_masks]
-        .iter()
-        .filter_map(|check| check(inputs))
-        .collect()
+    [sizes, missing, unreadable].iter().filter_map(|check| check(inputs)).collect()
 }
 
 /// Reports a model in which no point is seen by two views: the surface is built from such points (method 1.1).
@@ -229,57 +220,5 @@ fn unreadable(inputs: &Inputs) -> Option<Finding> {
         let cure = "copy them again from the source";
         let views = broken.iter().map(|&(view, why)| inputs.view_finding(view, why)).collect();
         Finding::new(Severity::Warning, "unreadable-images", what, cure).of_views(views)
-    })
-}
-
-/// The project's masks, if the confidence in force reads them; and what a mask that cannot be used leads to.
-fn masks(inputs: &Inputs) -> Option<(Pictures, &'static str)> {
-    let consequence = match inputs.settings.confidence.source.in_force(inputs.project.images.is_some()) {
-        ConfidenceSource::None => return None,
-        ConfidenceSource::Geometric => "all of the image counts",
-        ConfidenceSource::Photometric | ConfidenceSource::Auto => "the image is not compared",
-    };
-    let pictures = Pictures::new(inputs.project);
-    pictures.have_masks().then_some((pictures, consequence))
-}
-
-/// Reports a folder of masks in which no view has one.
-fn unused_masks(inputs: &Inputs) -> Option<Finding> {
-    let (pictures, _) = masks(inputs)?;
-    let mut views = inputs.scene.view_indices();
-    let first = views.clone().next()?;
-    views.all(|view| pictures.check_mask(inputs.scene, view).is_none()).then(|| {
-        let what = format!("no image has a mask in {MASKS}/");
-        let cure = format!("name them after the images, as COLMAP does: {MASKS}/{}.png", inputs.scene.name(first));
-        Finding::new(Severity::Warning, "unused-masks", what, cure)
-    })
-}
-
-/// Reports masks that cannot be used, by header and end of their files.
-fn broken_masks(inputs: &Inputs) -> Option<Finding> {
-    let (pictures, consequence) = masks(inputs)?;
-    let fault = |view| pictures.check_mask(inputs.scene, view)?.err();
-    let broken =
-        inputs.scene.view_indices().filter_map(|view| Some(inputs.view_finding(view, fault(view)?.to_string())));
-    let broken: Vec<ViewFinding> = broken.collect();
-    (!broken.is_empty()).then(|| {
-        let what = format!("{} cannot be used: {consequence}", counted(broken.len(), "mask"));
-        let cure = "make them again from images of the model's size, black where nothing counts, or remove them";
-        Finding::new(Severity::Warning, "broken-masks", what, cure).of_views(broken)
-    })
-}
-
-/// Reports masks without a pixel that counts, among a few.
-fn black_masks(inputs: &Inputs) -> Option<Finding> {
-    let (pictures, _) = masks(inputs)?;
-    let masked = |view: &ViewIndex| matches!(pictures.check_mask(inputs.scene, *view), Some(Ok(())));
-    let masked: Vec<ViewIndex> = inputs.scene.view_indices().filter(masked).collect();
-    let read: Vec<ViewIndex> = masked.iter().copied().step_by(masked.len().div_ceil(MASKS_READ).max(1)).collect();
-    let black: Vec<ViewIndex> =
-        read.iter().copied().filter(|view| pictures.is_all_masked(inputs.scene, *view)).collect();
-    (!black.is_empty()).then(|| {
-        let what = format!("masks that exclude all of the image: {} of {} that were read", black.len(), read.len());
-        let cure = "make them black only where nothing counts; perhaps they are inverted";
-        Finding::new(Severity::Warning, "black-masks", what, cure).of_views(inputs.named(black))
     })
 }

@@ -103,8 +103,7 @@ impl ImageFaults {
     /// Pixels of the largest image of a scene that can be read; 0 without one.
     pub fn most_pixels(&self, scene: &Scene) -> u64 {
         let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
-        let without: HashSet<ViewIndex> =
-            self.missing.iter().copied().chain(self.unreadable.iter().map(|(view, _)| *view)).collect();
+        let without: HashSet<ViewIndex> = self.unusable().collect();
         let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
         let of_view = |view: ViewIndex| {
             let camera = scene.camera_of(view);
@@ -113,10 +112,13 @@ impl ImageFaults {
         scene.view_indices().filter(|view| !without.contains(view)).map(of_view).max().unwrap_or_default()
     }
 
+    fn unusable(&self) -> impl Iterator<Item = ViewIndex> {
+        self.missing.iter().copied().chain(self.unreadable.iter().map(|(view, _)| *view))
+    }
+
     /// Views without an image that can be read, ascending; none if that is true of all `views`.
     pub fn without_image(&self, views: usize) -> Vec<ViewIndex> {
-        let unreadable = self.unreadable.iter().map(|(view, _)| *view);
-        let mut without: Vec<ViewIndex> = self.missing.iter().copied().chain(unreadable).collect();
+        let mut without: Vec<ViewIndex> = self.unusable().collect();
         without.sort_unstable();
         if without.len() == views { Vec::new() } else { without }
     }

@@ -1,0 +1,64 @@
+//! Masks that the plan cannot use, or that leave nothing to use.
+
+use super::{Finding, Inputs, Severity, ViewFinding, counted};
+use crate::{
+    config::ConfidenceSource,
+    method::confidence::{ImageError, MASKS, Pictures},
+    model::scene::ViewIndex,
+};
+
+/// Number of masks whose pixels are read, spread over the views.
+const READ: usize = 32;
+
+/// A view that has a mask, and the fault of that.
+type Checked = (ViewIndex, Result<(), ImageError>);
+
+pub fn findings(inputs: &Inputs) -> Vec<Finding> {
+    let pictures = Pictures::new(inputs.project);
+    let consequence = match inputs.settings.confidence.source.in_force(inputs.project.images.is_some()) {
+        ConfidenceSource::None => return Vec::new(),
+        ConfidenceSource::Geometric => "all of the image counts",
+        ConfidenceSource::Photometric | ConfidenceSource::Auto => "the image is not compared",
+    };
+    if !pictures.have_masks() {
+        return Vec::new();
+    }
+    let check = |view| Some((view, pictures.check_mask(inputs.scene, view)?));
+    let checked: Vec<Checked> = inputs.scene.view_indices().filter_map(check).collect();
+    [unused(inputs, &checked), broken(inputs, &checked, consequence), black(inputs, &checked, &pictures)]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Reports a folder of masks in which no view has one.
+fn unused(inputs: &Inputs, checked: &[Checked]) -> Option<Finding> {
+    let first = inputs.scene.view_indices().next().filter(|_| checked.is_empty())?;
+    let what = format!("no image has a mask in {MASKS}/");
+    let cure = format!("name them after the images, as COLMAP does: {MASKS}/{}.png", inputs.scene.name(first));
+    Some(Finding::new(Severity::Warning, "unused-masks", what, cure))
+}
+
+/// Reports masks that cannot be used, by header and end of their files.
+fn broken(inputs: &Inputs, checked: &[Checked], consequence: &str) -> Option<Finding> {
+    let finding = |(view, fault): &Checked| Some(inputs.view_finding(*view, fault.as_ref().err()?.to_string()));
+    let broken: Vec<ViewFinding> = checked.iter().filter_map(finding).collect();
+    (!broken.is_empty()).then(|| {
+        let what = format!("{} cannot be used: {consequence}", counted(broken.len(), "mask"));
+        let cure = "make them again from images of the model's size, black where nothing counts, or remove them";
+        Finding::new(Severity::Warning, "broken-masks", what, cure).of_views(broken)
+    })
+}
+
+/// Reports masks without a pixel that counts, among a few.
+fn black(inputs: &Inputs, checked: &[Checked], pictures: &Pictures) -> Option<Finding> {
+    let usable: Vec<ViewIndex> = checked.iter().filter(|(_, fault)| fault.is_ok()).map(|(view, _)| *view).collect();
+    let read: Vec<ViewIndex> = usable.iter().copied().step_by(usable.len().div_ceil(READ).max(1)).collect();
+    let is_black = |view: &ViewIndex| pictures.is_all_masked(inputs.scene, *view);
+    let black: Vec<ViewIndex> = read.iter().copied().filter(is_black).collect();
+    (!black.is_empty()).then(|| {
+        let what = format!("masks that exclude all of the image: {} of {} that were read", black.len(), read.len());
+        let cure = "make them black only where nothing counts; perhaps they are inverted";
+        Finding::new(Severity::Warning, "black-masks", what, cure).of_views(inputs.named(black))
+    })
+}
