@@ -107,7 +107,15 @@ def test_an_exception_of_the_callback_stops_the_call(valley):
     assert "ranking" not in seen
 
 
-def test_control_c_stops_the_call(valley):
+@pytest.fixture
+def heeds_control_c():
+    """A shell ignores Ctrl-C in what it runs in the background, and Python then keeps it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_control_c_stops_the_call(valley, heeds_control_c):
     def progress(stage, done, total):
         if stage == "surface":
             _thread.interrupt_main()
