@@ -17,7 +17,7 @@ use crate::{
 use clap::{Args, builder::PossibleValue};
 use serde::Serialize;
 
-use super::{Failure, Format, json, print, warn};
+use super::{Failure, Format, json, print, warn, wrapped};
 
 /// Write the input files of MVS programs for the chosen view clusters of a plan.
 ///
@@ -274,8 +274,8 @@ fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> St
         Some(runner) => text += &format!("  run there    ./{runner}\n"),
         None => r.commands.iter().for_each(|command| text += &format!("  run there    {command}\n")),
     }
-    r.not_honoured.iter().for_each(|what| text += &format!("  not honoured {what}\n"));
-    r.warnings.iter().for_each(|warning| text += &format!("  warning      {warning}\n"));
+    r.not_honoured.iter().for_each(|what| text += &wrapped("  not honoured ", what));
+    r.warnings.iter().for_each(|warning| text += &wrapped("  warning      ", warning));
     text
 }
 

@@ -92,6 +92,10 @@ impl Hint for PlanError {
                 "give --max-memory {} (max_memory in viewrank.toml), or plan without pictures: --confidence geometric",
                 memory::enough(*with_picture)
             ),
+            Self::Memory { stage: memory::MASKS, with_picture, .. } => format!(
+                "give --max-memory {} (max_memory in viewrank.toml), or make the masks smaller: copies of the same shape will do",
+                memory::enough(*with_picture)
+            ),
             Self::Memory { with_picture, .. } => format!(
                 "give --max-memory {} (max_memory in viewrank.toml), use fewer --threads, or reduce the triangles with a coarser --gsd or a larger \
                  surface.edge_factor",

@@ -32,6 +32,8 @@ use crate::{
 pub(super) const SURFACE: &str = "surface";
 /// The stage that needs less memory without pictures.
 pub(super) const PICTURES: &str = "comparison of pictures";
+/// The stage that needs less memory with smaller masks.
+pub(super) const MASKS: &str = "reading of masks";
 const MODEL: &str = "model with its surface";
 /// Bytes per pixel of the id buffer that each thread draws into.
 const BUFFER_PIXEL: u64 = 8;
@@ -85,38 +87,86 @@ pub struct Memory {
     pub read: u64,
     pub surface: u64,
     pub visibility: u64,
-    /// Comparison of pictures; 0 if none had to be read.
+    /// Masks and comparison of pictures; 0 if none had to be read.
     pub confidence: u64,
     /// Partners, fulfilment and ranking.
     pub partners: u64,
     /// Tables on disk; 0 if they fit in memory.
     pub disk: u64,
     #[serde(skip)]
+    basis: Basis,
+}
+
+/// Limits, and what the forecast is made from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Basis {
     limit: Option<Bytes>,
     /// Bytes beyond which planning fails ([`Watcher::most_memory`]).
-    #[serde(skip)]
     most: Option<u64>,
     /// Bytes of tables for each row of visibility.
-    #[serde(skip)]
     row: u64,
     /// And of samples of its picture, until pairs are compared.
-    #[serde(skip)]
     samples_row: u64,
     /// Candidates whose columns a thread holds while it chooses partners.
-    #[serde(skip)]
     candidates: u64,
     /// Threads that choose partners at once.
-    #[serde(skip)]
     choosers: u64,
     /// Bytes for the largest picture alone; 0 if none is compared.
-    #[serde(skip)]
     picture: u64,
     /// Bytes per triangle while clusters are ranked at several prices at once.
-    #[serde(skip)]
     ranked: u64,
     /// Bytes held while clusters are ranked, besides what the ranking itself takes.
-    #[serde(skip)]
     tables: u64,
+}
+
+impl Basis {
+    fn new(scene: &Scene, settings: &Settings, pixels: u64, most: Option<u64>) -> Self {
+        let compared = settings.confidence.source == ConfidenceSource::Photometric;
+        let (views, threads) = (scene.views.len() as u64, rayon::current_num_threads() as u64);
+        let where_true = |is_true, bytes| if is_true { bytes } else { 0 };
+        let has_half = settings.ranking.has_half();
+        let candidates = u64::from(settings.partners.candidates).min(views.saturating_sub(1));
+        let support = u64::from(settings.ranking.support.unwrap_or_default());
+        Self {
+            limit: settings.max_memory,
+            most,
+            row: TABLES_ROW + where_true(compared, candidates) + where_true(has_half, HALF_ROW),
+            samples_row: where_true(compared, SAMPLES_ROW),
+            candidates,
+            choosers: threads.min(views).min(BATCH as u64),
+            picture: where_true(compared, PICTURE_PIXEL * pixels.min(MOST_PIXELS)),
+            ranked: where_true(has_half, threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support),
+            tables: 0,
+        }
+    }
+
+    /// Returns whether this is within the limit.
+    fn fits(&self, need: u64) -> bool {
+        self.limit.is_none_or(|Bytes(limit)| need <= limit)
+    }
+
+    /// Bytes of samples of pictures that memory may hold; more are kept on disk.
+    fn most_samples(&self) -> u64 {
+        self.limit.map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
+    }
+
+    /// Returns the memory of tables at the peak: while pictures are compared, partners are chosen, or clusters are ranked.
+    fn in_memory(&self, rows: Rows, triangles: u64) -> u64 {
+        let samples = self.most_samples().min(self.samples_row * rows.all);
+        let ranking = BY_TRIANGLE_ROW * rows.all + self.ranked * triangles;
+        self.row * rows.all + samples.max(self.blocks(rows)).max(ranking)
+    }
+
+    /// Returns the same for tables on disk, of which only new rows are in memory.
+    fn batches(&self, rows: Rows, triangles: u64) -> u64 {
+        let at_once = rows.at_once();
+        (self.row * at_once).max(self.blocks(rows) + VALUES_ROW * at_once).max(self.ranked * triangles)
+    }
+
+    /// Returns the memory of all threads while partners are chosen.
+    fn blocks(&self, rows: Rows) -> u64 {
+        self.choosers * Block::bytes(rows.most, self.candidates)
+    }
 }
 
 /// Rows of visibility.
@@ -150,27 +200,10 @@ impl Memory {
     ) -> Result<Self, PlanError> {
         let points = scene.points.len() as u64;
         let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
-        let limit = settings.max_memory;
-        let compared = settings.confidence.source == ConfidenceSource::Photometric;
-        let (views, threads) = (scene.views.len() as u64, rayon::current_num_threads() as u64);
-        let where_true = |is_true, bytes| if is_true { bytes } else { 0 };
-        let has_half = settings.ranking.has_half();
-        let candidates = u64::from(settings.partners.candidates).min(views.saturating_sub(1));
-        let support = u64::from(settings.ranking.support.unwrap_or_default());
-        let mut memory = Self {
-            read: held,
-            limit,
-            most: watcher.most_memory(),
-            row: TABLES_ROW + where_true(compared, candidates) + where_true(has_half, HALF_ROW),
-            samples_row: where_true(compared, SAMPLES_ROW),
-            candidates,
-            choosers: threads.min(views).min(BATCH as u64),
-            picture: where_true(compared, PICTURE_PIXEL * pixels.min(MOST_PIXELS)),
-            ranked: where_true(has_half, threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support),
-            ..Self::default()
-        };
+        let basis = Basis::new(scene, settings, pixels, watcher.most_memory());
+        let mut memory = Self { read: held, basis, ..Self::default() };
         let finished = held + MESH_PER_POINT * points;
-        if let (None, None, Some(limit)) = (&settings.surface.mesh, settings.surface.tile_points, limit)
+        if let (None, None, Some(limit)) = (&settings.surface.mesh, settings.surface.tile_points, basis.limit)
             && held + SURFACE_PER_POINT * points > limit.0
         {
             let tile = limit.0.saturating_sub(finished) / SURFACE_PER_POINT / OVERLAP;
@@ -188,7 +221,8 @@ impl Memory {
 
     /// Maximum number of triangles while the surface is refined.
     pub(super) fn most_triangles(&self) -> u64 {
-        let least = self.limit.map(|Bytes(limit)| limit).into_iter().chain(self.most).min();
+        let Basis { limit, most, .. } = self.basis;
+        let least = limit.map(|Bytes(limit)| limit).into_iter().chain(most).min();
         least.map_or(MAX_TRIANGLES, |limit| self.triangles_within(limit))
     }
 
@@ -209,7 +243,7 @@ impl Memory {
 
     /// Returns what decides, under a limit, whether the surface can be built and where its tables are kept.
     pub(super) fn inputs(&self) -> impl Serialize {
-        let Self { limit, row, samples_row, candidates, ranked, .. } = *self;
+        let Basis { limit, row, samples_row, candidates, ranked, .. } = self.basis;
         let threads = rayon::current_num_threads();
         limit.map(|limit| (limit, self.triangles_within(limit.0), row, samples_row, candidates, ranked, threads))
     }
@@ -227,16 +261,16 @@ impl Memory {
         let rows = expected_rows(scene, surface);
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * buffer;
         let held = self.read + bytes(surface) + self.outside_tables(points, triangles);
-        let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
-        if fits(drawing + VISIBILITY_ROW * rows.all) && fits(held + self.tables(rows, triangles)) {
+        let basis = &self.basis;
+        if basis.fits(drawing + VISIBILITY_ROW * rows.all) && basis.fits(held + basis.in_memory(rows, triangles)) {
             self.visibility = drawing + VISIBILITY_ROW * rows.all;
             // The rest is forecast from the real rows, which occlusion makes fewer.
             self.check_limit(MODEL, self.visibility)?;
             return Ok(Storage::Memory);
         }
         self.visibility = drawing + VISIBILITY_ROW * rows.at_once();
-        self.partners = held + self.batches(rows, triangles);
-        self.disk = (self.row + self.samples_row.max(BY_TRIANGLE_ROW)) * rows.all;
+        self.partners = held + basis.batches(rows, triangles);
+        self.disk = (basis.row + basis.samples_row.max(BY_TRIANGLE_ROW)) * rows.all;
         self.check_limit(MODEL, self.visibility.max(self.partners))?;
         Ok(Storage::Disk)
     }
@@ -256,61 +290,57 @@ impl Memory {
         let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
         let rows = Rows::of(scene, visibility);
         let held = self.read + bytes(surface) + self.outside_tables(points, triangles);
-        (self.tables, self.partners) = match visibility.triangles.storage() {
-            Storage::Memory => (held + self.row * rows.all, held + self.tables(rows, triangles)),
-            Storage::Disk => (held, held + self.batches(rows, triangles)),
+        let basis = &mut self.basis;
+        (basis.tables, self.partners) = match visibility.triangles.storage() {
+            Storage::Memory => (held + basis.row * rows.all, held + basis.in_memory(rows, triangles)),
+            Storage::Disk => (held, held + basis.batches(rows, triangles)),
         };
         self.check_limit("fulfilment table", self.partners)
     }
 
+    /// Forecasts the reading of masks; returns the number of views whose masks are read at once, at least 1. `of_mask`: bytes for the largest one.
+    pub(super) fn before_masks(&mut self, geometry: &Geometry, of_mask: u64) -> Result<usize, PlanError> {
+        let views = geometry.scene.views.len() as u64;
+        let threads = (rayon::current_num_threads() as u64).min(views);
+        let held = self.held_by_unary(geometry);
+        let need = |views: u64| held + views * of_mask;
+        let views_at_once = (1..=threads).rev().find(|&views| self.basis.fits(need(views))).unwrap_or(1);
+        self.confidence = self.confidence.max(need(views_at_once));
+        self.check_limit(MASKS, need(views_at_once))?;
+        Ok(if views_at_once == threads { column::READ_AT_ONCE } else { views_at_once as usize })
+    }
+
     /// Forecasts the sampling of pictures, of fewer views at once if need be.
     pub(super) fn before_pictures(&mut self, geometry: &Geometry) -> Result<SampleRoom, PlanError> {
-        let Geometry { scene, surface, visibility, .. } = *geometry;
+        let Geometry { scene, visibility, .. } = *geometry;
         let (threads, rows) = (rayon::current_num_threads() as u64, visibility.triangles.len() as u64);
         let of_view = (UNARY_ROW + SAMPLES_ROW) * Rows::of(scene, visibility).most;
         let (tables_keep, samples) = (visibility.triangles.storage(), SAMPLES_ROW * rows);
-        let keep = if samples <= self.most_samples() { tables_keep } else { Storage::Disk };
-        let in_memory = |keep, bytes| if keep == Storage::Memory { bytes } else { 0 };
-        let held = self.read
-            + bytes(surface)
-            + self.outside_tables(scene.points.len() as u64, surface.triangles.len() as u64)
-            + in_memory(tables_keep, UNARY_ROW * rows)
-            + in_memory(keep, samples);
+        let keep = if samples <= self.basis.most_samples() { tables_keep } else { Storage::Disk };
+        let held = self.held_by_unary(geometry) + if keep == Storage::Memory { samples } else { 0 };
         // Each thread's allocator also holds back about what its last view took.
-        let need = |views: u64| held + (views + views.min(threads)) * of_view + views.min(threads) * self.picture;
-        let fits = |views: &u64| self.limit.is_none_or(|Bytes(limit)| need(*views) <= limit);
+        let need = |views: u64| held + (views + views.min(threads)) * of_view + views.min(threads) * self.basis.picture;
         let most = (MOST_SAMPLES / of_view.max(1)).clamp(threads, VIEWS_PER_THREAD * threads);
         let most = most.min(column::READ_AT_ONCE as u64).min(scene.views.len() as u64);
-        let views_at_once = (1..=most).rev().find(fits).unwrap_or(1);
-        self.confidence = need(views_at_once);
-        self.check_limit(PICTURES, self.confidence)?;
+        let views_at_once = (1..=most).rev().find(|&views| self.basis.fits(need(views))).unwrap_or(1);
+        let sampling = need(views_at_once);
+        self.confidence = self.confidence.max(sampling);
+        self.check_limit(PICTURES, sampling)?;
         if (tables_keep, keep) == (Storage::Memory, Storage::Disk) {
             self.disk = samples;
         }
         Ok(SampleRoom { keep, views_at_once: views_at_once as usize })
     }
 
-    /// Bytes of samples of pictures that memory may hold; more are kept on disk.
-    fn most_samples(&self) -> u64 {
-        self.limit.map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
-    }
-
-    /// Returns the memory of tables at the peak: while pictures are compared, partners are chosen, or clusters are ranked.
-    fn tables(&self, rows: Rows, triangles: u64) -> u64 {
-        let samples = self.most_samples().min(self.samples_row * rows.all);
-        let ranking = BY_TRIANGLE_ROW * rows.all + self.ranked * triangles;
-        self.row * rows.all + samples.max(self.blocks(rows)).max(ranking)
-    }
-
-    /// Returns the same for tables on disk, of which only new rows are in memory.
-    fn batches(&self, rows: Rows, triangles: u64) -> u64 {
-        let at_once = rows.at_once();
-        (self.row * at_once).max(self.blocks(rows) + VALUES_ROW * at_once).max(self.ranked * triangles)
-    }
-
-    /// Returns the memory of all threads while partners are chosen.
-    fn blocks(&self, rows: Rows) -> u64 {
-        self.choosers * Block::bytes(rows.most, self.candidates)
+    /// Returns the memory of model, surface, and tables up to the confidence of views by themselves.
+    fn held_by_unary(&self, geometry: &Geometry) -> u64 {
+        let Geometry { scene, surface, visibility, .. } = *geometry;
+        let tables = match visibility.triangles.storage() {
+            Storage::Memory => UNARY_ROW * visibility.triangles.len() as u64,
+            Storage::Disk => 0,
+        };
+        let outside = self.outside_tables(scene.points.len() as u64, surface.triangles.len() as u64);
+        self.read + bytes(surface) + outside + tables
     }
 
     /// Returns the memory of points and triangles while partners are chosen.
@@ -321,14 +351,15 @@ impl Memory {
 
     /// Checks the belief about each row of fulfilment, which a plan around finished depth maps keeps in memory.
     pub(crate) fn before_beliefs(&self, fulfilment: &FulfilmentTable) -> Result<(), PlanError> {
-        self.check_limit("table of failures", self.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
+        self.check_limit("table of failures", self.basis.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
     }
 
     /// Returns an error if `need` exceeds a limit. The size of the largest picture is known before any stage, so the limit that the error advises allows
     /// for it.
     fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
-        let with_picture = need.max(self.read + self.picture);
-        match (self.limit, self.most) {
+        let Basis { limit, most, picture, .. } = self.basis;
+        let with_picture = need.max(self.read + picture);
+        match (limit, most) {
             (Some(Bytes(limit)), _) if need > limit => Err(PlanError::Memory { stage, need, limit, with_picture }),
             (_, Some(most)) if need > most => Err(PlanError::Refused { stage, need, most, with_picture }),
             _ => Ok(()),
@@ -440,6 +471,30 @@ mod tests {
         assert!(matches!(at_once(too_little), Err(PlanError::Memory { .. })));
         let more: Vec<u64> = (0..20).map(|step| at_once(enough + step * samples).unwrap()).collect();
         assert!(more.is_sorted() && more[19] == most, "{more:?}");
+    }
+
+    #[test]
+    fn a_limit_lets_fewer_masks_be_read_at_once_but_not_none() {
+        const OF_MASK: u64 = 5_000_000;
+        let town = town(Storage::Memory);
+        let masks = |limit: Option<u64>| {
+            let mut settings = Settings { max_memory: limit.map(Bytes), ..Settings::default() };
+            let mut memory = Memory::before_surface(&town.scene, &mut settings, 0, &NoWatcher)?;
+            let views_at_once = memory.before_masks(&town.geometry(1.0), OF_MASK)?;
+            Ok::<_, PlanError>((views_at_once, memory.confidence))
+        };
+        let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let (views_at_once, for_one) = pool(1).install(|| masks(None)).unwrap();
+        assert_eq!(views_at_once, column::READ_AT_ONCE, "one thread");
+        pool(4).install(|| {
+            let (views_at_once, for_four) = masks(None).unwrap();
+            assert_eq!(views_at_once, column::READ_AT_ONCE);
+            assert!(for_four - for_one >= 3 * OF_MASK);
+            assert_eq!(masks(Some(for_four)).unwrap(), (column::READ_AT_ONCE, for_four));
+            assert_eq!(masks(Some(for_four - 1)).unwrap(), (3, for_four - OF_MASK));
+            assert_eq!(masks(Some(for_four - 3 * OF_MASK)).unwrap(), (1, for_four - 3 * OF_MASK));
+            assert!(matches!(masks(Some(for_four - 3 * OF_MASK - 1)), Err(PlanError::Memory { stage: MASKS, .. })));
+        });
     }
 
     #[test]

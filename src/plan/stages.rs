@@ -147,8 +147,10 @@ impl Stages {
         let objective = Objective::new(&seen.surface, &shown, settings.ranking.weight, region.as_ref(), support);
         let pictures = Pictures::new(project);
         let unary_file = inputs.unary(&scene, &surface_slot.file, confidence, &pictures);
-        let (unary_slot, (unary, mut picture_warnings)) = timings
-            .time(Stage::Confidence, || unary(unary_file, &geometry, &points, confidence, &pictures, watcher))?;
+        let (unary_slot, (unary, mut picture_warnings)) = timings.time(Stage::Confidence, || {
+            let views_at_once = || memory.before_masks(&geometry, pictures.most_mask_bytes(&scene));
+            unary(unary_file, &geometry, &points, confidence, &pictures, views_at_once, watcher)
+        })?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
                 let room = || memory.before_pictures(&geometry);
@@ -314,29 +316,35 @@ fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster
         .map(|scale| work.map_work(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
-/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used.
+/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used. `views_at_once`: whose masks are read at once.
 fn unary(
     file: CacheFile,
     geometry: &Geometry,
     points: &ViewPoints,
     confidence: Confidence,
     pictures: &Pictures,
+    views_at_once: impl FnOnce() -> Result<usize, PlanError>,
     watcher: &dyn Watcher,
 ) -> Result<Slotted<(Unary, Vec<String>)>, PlanError> {
     let Geometry { scene, surface, visibility, .. } = *geometry;
     let unpack = |warnings, bytes: &[u8]| Some((kept::unary::unpack(bytes, visibility.triangles.len())?, warnings));
-    kept::read_or(file, unpack, || match confidence {
-        Confidence::None => Ok((Unary::certain(), Vec::new())),
-        Confidence::Pair(_) | Confidence::Photometric { .. } => {
-            let (masks, faults) = Unary::of_masks(geometry, pictures, watcher)?;
-            let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
-            let warnings = match confidence {
-                // A mask that cannot be used is named with its picture.
-                Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
-                _ => confidence::picture_warnings(scene, &faults),
-            };
-            Ok((nearby.within(masks), warnings))
+    kept::read_or(file, unpack, || {
+        if let Confidence::None = confidence {
+            return Ok((Unary::certain(), Vec::new()));
         }
+        let unused = pictures.unused_masks(scene);
+        let (masks, faults) = match pictures.have_masks() && unused.is_none() {
+            true => Unary::of_masks(geometry, pictures, views_at_once()?, watcher)?,
+            false => Default::default(),
+        };
+        let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
+        let broken = match confidence {
+            // A mask that cannot be used is named with its picture.
+            Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
+            _ => confidence::picture_warnings(scene, &faults),
+        };
+        let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
+        Ok((nearby.within(masks), unused.into_iter().chain(broken).collect()))
     })
 }
 

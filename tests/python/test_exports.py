@@ -264,8 +264,8 @@ def test_images_that_are_not_there_or_of_another_size(viewrank, own):
     small = np.zeros((5, 7, 3), np.uint8)
     cv2.imwrite(str(own / "images" / names[1]), small)
     said = viewrank("plan", own, "-k", "4", "--target", "100%", "--quiet").stderr
-    assert f"1 of 28 images are missing from {own}/images, e.g. {names[0]}: viewrank doctor '{own}'" in said
-    assert f"1 of 28 images don't have the size of their cameras, e.g. {names[1]} with 7 x 5 instead of 600 x 450" in said
+    assert f"images missing from {own}/images: 1 of 28, e.g. {names[0]}: viewrank doctor '{own}'" in said
+    assert f"images of another size than their cameras: 1 of 28, e.g. {names[1]} with 7 x 5 instead of 600 x 450" in said
     shutil.rmtree(own / "images")
     (own / "images").mkdir()
     viewrank("plan", own, "-k", "4", "--quiet")

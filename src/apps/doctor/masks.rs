@@ -3,7 +3,7 @@
 use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     config::ConfidenceSource,
-    method::confidence::{ImageError, MASKS, Pictures},
+    method::confidence::{ImageError, Pictures},
     model::scene::ViewIndex,
 };
 
@@ -25,17 +25,15 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     }
     let check = |view| Some((view, pictures.check_mask(inputs.scene, view)?));
     let checked: Vec<Checked> = inputs.scene.view_indices().filter_map(check).collect();
-    [unused(inputs, &checked), broken(inputs, &checked, consequence), black(inputs, &checked, &pictures)]
+    [unused(inputs, &pictures), broken(inputs, &checked, consequence), black(inputs, &checked, &pictures)]
         .into_iter()
         .flatten()
         .collect()
 }
 
 /// Reports a folder of masks in which no view has one.
-fn unused(inputs: &Inputs, checked: &[Checked]) -> Option<Finding> {
-    let first = inputs.scene.view_indices().next().filter(|_| checked.is_empty())?;
-    let what = format!("no image has a mask in {MASKS}/");
-    let cure = format!("name them after the images, as COLMAP does: {MASKS}/{}.png", inputs.scene.name(first));
+fn unused(inputs: &Inputs, pictures: &Pictures) -> Option<Finding> {
+    let [what, cure] = pictures.unused_masks(inputs.scene)?;
     Some(Finding::new(Severity::Warning, "unused-masks", what, cure))
 }
 

@@ -65,8 +65,7 @@ impl ForeignModel {
         if guessed > 0 {
             let all = self.model.images.len();
             let text = format!(
-                "{guessed} of {all} images are missing, so their sizes are guessed from the measured pixels; copy the images \
-                 next to the model"
+                "images missing: {guessed} of {all}; their sizes are guessed from the measured pixels: copy the images next to the model"
             );
             self.warn(WarningKind::Guessed, text);
         }

@@ -140,70 +140,82 @@ impl ImageFaults {
         let all = scene.views.len();
         let missing = self.missing.first().map(|first| {
             let (count, name) = (self.missing.len(), scene.name(*first));
-            format!("{count} of {all} images are missing from {}, e.g. {name}: {doctor}", folder.display())
+            format!("images missing from {}: {count} of {all}, e.g. {name}: {doctor}", folder.display())
         });
         let other = self.other_size.first().map(|(first, [width, height])| {
             let (camera, name, count) = (scene.camera_of(*first), scene.name(*first), self.other_size.len());
             format!(
-                "{count} of {all} images don't have the size of their cameras, e.g. {name} with {width} x {height} instead of {} x {}: {doctor}",
+                "images of another size than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {} x {}: {doctor}",
                 camera.width, camera.height
             )
         });
         let unreadable = self.unreadable.first().map(|(first, why)| {
             let (count, name) = (self.unreadable.len(), scene.name(*first));
-            format!("{count} of {all} images cannot be read, e.g. {name} ({why}): {doctor}")
+            format!("images that cannot be read: {count} of {all}, e.g. {name} ({why}): {doctor}")
         });
         missing.into_iter().chain(other).chain(unreadable).collect()
     }
 }
 
 /// Reason why the size of an image cannot be determined.
-enum Unread {
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unread {
+    #[error("no file")]
     Missing,
+    #[error("{0}")]
     Broken(&'static str),
 }
 
 /// Reads the width and height of a complete image, judging by its name, header and end; `None` for formats that cannot be checked.
-fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
+pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();
     if length == 0 {
         return Err(Unread::Broken("empty"));
     }
-    if input::open(path).is_err_and(|error| error.kind() == io::ErrorKind::PermissionDenied) {
-        return Err(Unread::Broken("no permission to read it"));
-    }
-    let by_name = ImageFormat::from_path(path).ok().filter(ImageFormat::reading_enabled);
-    match dimensions(path, length) {
-        None if by_name.is_some() => Err(Unread::Broken("not an image")),
-        Some(_) if by_name == Some(ImageFormat::Jpeg) && is_truncated(path, length).unwrap_or(false) => {
-            Err(Unread::Broken("truncated"))
-        }
+    let file = input::open(path).map_err(|error| match error.kind() {
+        io::ErrorKind::PermissionDenied => Unread::Broken("no permission to read it"),
+        io::ErrorKind::InvalidData => Unread::Broken("not completely copied"),
+        _ => Unread::Broken("cannot be opened"),
+    })?;
+    let mut file = BufReader::with_capacity(TAIL as usize, file);
+    let can_be_checked = ImageFormat::from_path(path).is_ok_and(|format| format.reading_enabled());
+    match dimensions(&mut file, length) {
+        None if can_be_checked => Err(Unread::Broken("not an image")),
+        Some(_) if is_truncated(&mut file, length).unwrap_or(false) => Err(Unread::Broken("truncated")),
         found => Ok(found),
     }
 }
 
-/// Bytes at the end of a JPEG file to search for the end-of-image marker, before searching from the first scan on.
+/// Bytes at the end of an image file to search for the mark of its end, before searching the rest.
 const TAIL: u64 = 1 << 16;
-const START_OF_IMAGE: [u8; 2] = [0xff, 0xd8];
-const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
+const START_OF_IMAGE: &[u8] = &[0xff, 0xd8];
+const END_OF_IMAGE: &[u8] = &[0xff, 0xd9];
 const START_OF_SCAN: u8 = 0xda;
+const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
+/// The last chunk of a PNG file, which is always the same (PNG specification, 11.2.5).
+const PNG_END: &[u8] = b"\0\0\0\0IEND\xae\x42\x60\x82";
 
-/// Returns whether a JPEG file lacks its end-of-image marker. The marker cannot occur by chance in scan data (ITU T.81, B.1.1.5), but it can
-/// occur before the first scan, in an embedded thumbnail.
-fn is_truncated(path: &Path, length: u64) -> io::Result<bool> {
-    let mut file = BufReader::with_capacity(TAIL as usize, input::open(path)?);
-    // Other formats go by this name, too.
-    if !file.fill_buf()?.starts_with(&START_OF_IMAGE) {
+/// Returns whether a JPEG or PNG file lacks the mark of its end; other bytes may follow it. JPEG's cannot occur by chance in scan data (ITU T.81,
+/// B.1.1.5), but it can occur before the first scan, in an embedded thumbnail.
+fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
+    file.rewind()?;
+    let start = file.fill_buf()?;
+    let (is_jpeg, is_png) = (start.starts_with(START_OF_IMAGE), start.starts_with(PNG_SIGNATURE));
+    if !is_jpeg && !is_png {
         return Ok(false);
     }
+    let end = if is_jpeg { END_OF_IMAGE } else { PNG_END };
     if length > TAIL {
         file.seek(SeekFrom::Start(length - TAIL))?;
-        if has_end(&mut file)? {
+        if contains(file, end)? {
             return Ok(false);
         }
     }
-    seek_first_scan(&mut file)?;
-    Ok(!has_end(&mut file)?)
+    file.rewind()?;
+    if is_jpeg {
+        seek_first_scan(file)?;
+    }
+    Ok(!contains(file, end)?)
 }
 
 /// Seeks to the data of the first scan or, without a scan, past the last complete segment.
@@ -221,36 +233,47 @@ fn seek_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
     }
 }
 
-/// Returns whether the rest of the file contains the end-of-image marker.
-fn has_end(file: &mut impl BufRead) -> io::Result<bool> {
-    let mut last = 0;
+/// Returns whether the rest of the file contains these bytes.
+fn contains(file: &mut impl BufRead, wanted: &[u8]) -> io::Result<bool> {
+    // The last bytes before those that were read last.
+    let mut searched = Vec::new();
     loop {
         let bytes = file.fill_buf()?;
-        let Some(&end) = bytes.last() else { return Ok(false) };
-        if [last, bytes[0]] == END_OF_IMAGE || bytes.windows(2).any(|pair| pair == END_OF_IMAGE) {
+        let read = bytes.len();
+        searched.extend_from_slice(bytes);
+        if searched.windows(wanted.len()).any(|window| window == wanted) {
             return Ok(true);
         }
-        last = end;
-        let read = bytes.len();
+        if read == 0 {
+            return Ok(false);
+        }
         file.consume(read);
+        searched.drain(..(searched.len() + 1).saturating_sub(wanted.len()));
     }
 }
 
 /// Width and height from the header; reads as little of the file as possible.
-fn dimensions(path: &Path, length: u64) -> Option<[u32; 2]> {
-    let from_head = |bytes: u64| {
+fn dimensions(file: &mut BufReader<File>, length: u64) -> Option<[u32; 2]> {
+    let mut from_head = |bytes: u64| {
+        file.rewind().ok()?;
         let mut head = Vec::new();
-        input::open(path).ok()?.take(bytes).read_to_end(&mut head).ok()?;
-        let reader = ImageReader::new(Cursor::new(head)).with_guessed_format().ok()?;
-        reader.into_dimensions().ok()
+        file.take(bytes).read_to_end(&mut head).ok()?;
+        header_size(Cursor::new(head))
     };
-    let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(from_head);
-    found.or_else(|| size_by_header(path)).map(|(width, height)| [width, height])
+    let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(&mut from_head);
+    let (width, height) = match found {
+        Some(size) => size,
+        None => file.rewind().ok().and_then(|()| header_size(file))?,
+    };
+    Some([width, height])
 }
 
 /// Width and height of an image file, wherever they are in it.
 pub(super) fn size_by_header(path: &Path) -> Option<(u32, u32)> {
-    let file = BufReader::new(input::open(path).ok()?);
+    header_size(BufReader::new(input::open(path).ok()?))
+}
+
+fn header_size(file: impl BufRead + Seek) -> Option<(u32, u32)> {
     ImageReader::new(file).with_guessed_format().ok()?.into_dimensions().ok()
 }
 

@@ -19,8 +19,8 @@ pub use containing::containing;
 pub use create::CreateError;
 pub use files::ColmapFiles;
 pub use folder::ImageFolder;
-pub(crate) use images::is_image;
 pub use images::{ImageFaults, slashes};
+pub(crate) use images::{is_image, probe};
 
 use crate::{
     base::{

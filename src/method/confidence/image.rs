@@ -2,11 +2,14 @@
 //!
 //! Pixels keep their position in the file: EXIF orientation is never applied, because poses and observations refer to the file.
 
-use std::{io::Cursor, path::Path};
+use std::{
+    io::{BufReader, Cursor},
+    path::Path,
+};
 
 use crate::base::input::{self, FileKind};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
-use image::{ImageFormat, ImageReader, Limits};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use jpeg_decoder::PixelFormat;
 use zune_jpeg::{
     JpegDecoder,
@@ -182,7 +185,7 @@ fn whole(bytes: &[u8]) -> Result<Image, ImageError> {
     Ok(Image { width, height, rgb: pixels.into_raw(), full: [width, height] })
 }
 
-fn open(bytes: &[u8]) -> Result<image::DynamicImage, ImageError> {
+fn open(bytes: &[u8]) -> Result<DynamicImage, ImageError> {
     let mut limits = Limits::default();
     limits.max_alloc = Some(MOST_BYTES as u64);
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
@@ -201,10 +204,25 @@ pub struct Mask {
 impl Mask {
     /// Decodes a mask.
     pub fn decode(bytes: &[u8]) -> Result<Self, ImageError> {
-        // 16 bits, so that the darkest grey is not rounded to black.
-        let pixels = open(bytes)?.into_luma16();
-        let (width, height) = pixels.dimensions();
-        Ok(Self { width, height, usable: pixels.pixels().map(|p| p.0[0] > 0).collect() })
+        let image = open(bytes)?;
+        let (width, height) = (image.width(), image.height());
+        let usable = match image {
+            DynamicImage::ImageLuma8(pixels) => pixels.iter().map(|&grey| grey > 0).collect(),
+            // 16 bits, so that the darkest grey is not rounded to black.
+            other => other.into_luma16().iter().map(|&grey| grey > 0).collect(),
+        };
+        Ok(Self { width, height, usable })
+    }
+
+    /// Returns the memory that reading a mask takes at its peak, by its header; `None` if that cannot be read.
+    pub fn reading_bytes(path: &Path) -> Option<u64> {
+        let file = BufReader::new(input::open(path).ok()?);
+        let length = file.get_ref().metadata().ok()?.len();
+        let decoder = ImageReader::new(file).with_guessed_format().ok()?.into_decoder().ok()?;
+        let (width, height) = decoder.dimensions();
+        let pixels = u64::from(width) * u64::from(height);
+        let grey = if decoder.color_type() == ColorType::L8 { 0 } else { 2 * pixels };
+        Some(length + decoder.total_bytes() + grey + pixels)
     }
 
     /// Returns whether the pixel at a position, given as shares of width and height, may be used.
@@ -235,7 +253,7 @@ pub fn span(length: u32, cells: u32, cell: u32) -> std::ops::Range<usize> {
 
 #[cfg(test)]
 mod tests {
-    use image::{DynamicImage, GrayImage, ImageBuffer, Rgb, RgbImage};
+    use image::{GrayImage, ImageBuffer, Rgb, RgbImage};
     use proptest::prelude::*;
 
     use super::*;
@@ -328,6 +346,22 @@ mod tests {
         assert_eq!(mask.share([1, 1], 0, 0), 0.5);
         // A grid that is finer than the mask.
         assert_eq!(mask.share([100, 100], 99, 99), 1.0);
+    }
+
+    #[test]
+    fn memory_for_a_mask_depends_on_its_channels() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mask.png");
+        let bytes_per_pixel = |image: DynamicImage| {
+            image.save(&path).unwrap();
+            let (bytes, file) = (Mask::reading_bytes(&path).unwrap(), path.metadata().unwrap().len());
+            (bytes - file) / u64::from(image.width() * image.height())
+        };
+        assert_eq!(bytes_per_pixel(DynamicImage::new_luma8(40, 30)), 2);
+        assert_eq!(bytes_per_pixel(DynamicImage::new_luma16(40, 30)), 5);
+        assert_eq!(bytes_per_pixel(DynamicImage::new_rgba8(40, 30)), 7);
+        std::fs::write(&path, "no image").unwrap();
+        assert_eq!(Mask::reading_bytes(&path), None);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::unary::{AROUND, Unary};
 use crate::{
     base::{
-        column::{Column, TableError},
+        column::{Column, READ_AT_ONCE, TableError},
         kd_tree::KdTree,
         progress::{Cancelled, Watcher},
     },
@@ -70,7 +70,7 @@ impl Nearest {
             points.observed_by(view).iter().for_each(|p| observed[p.index()] = false);
             Ok(row)
         };
-        visibility.column(|| vec![false; scene.points.len()], of_view)
+        visibility.column(READ_AT_ONCE, || vec![false; scene.points.len()], of_view)
     }
 }
 

@@ -1,12 +1,12 @@
 //! Reads a project's pictures and masks.
 
 use std::{
-    io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom},
+    io::{self, ErrorKind},
     path::{Path, PathBuf},
     time::UNIX_EPOCH,
 };
 
-use image::{ImageFormat, ImageReader};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     base::input::{self, FileKind},
-    io::project::{ImageFolder, Project},
+    io::project::{self, ImageFolder, Project},
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
@@ -112,17 +112,26 @@ impl Pictures {
     /// Returns the fault of a view's mask that its header and its end show; `None` if the view has no mask.
     pub fn check_mask(&self, scene: &Scene, view: ViewIndex) -> Option<Result<(), ImageError>> {
         let path = self.masks.as_deref().and_then(|folder| mask_file(folder, scene.name(view)))?;
-        let check = || {
-            let mut file = BufReader::new(input::open(&path)?);
-            let reader = ImageReader::new(&mut file).with_guessed_format()?;
-            let is_png = reader.format() == Some(ImageFormat::Png);
-            let (width, height) = reader.into_dimensions()?;
-            if is_png && !has_end(&mut file)? {
-                return Err(io::Error::new(ErrorKind::UnexpectedEof, "the file is cut off").into());
-            }
-            check_shape([width, height], scene.camera_of(view))
-        };
-        Some(check())
+        Some(match project::probe(&path) {
+            Ok(Some(size)) => check_shape(size, scene.camera_of(view)),
+            Ok(None) => Err(ImageError::Unknown),
+            Err(fault) => Err(io::Error::new(ErrorKind::InvalidData, fault).into()),
+        })
+    }
+
+    /// Bytes of memory for reading the largest mask; 0 without one that can be read.
+    pub fn most_mask_bytes(&self, scene: &Scene) -> u64 {
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        let bytes = |view: &ViewIndex| self.files(scene.name(*view))[1].as_deref().and_then(Mask::reading_bytes);
+        views.par_iter().filter_map(bytes).max().unwrap_or_default()
+    }
+
+    /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene has one in it.
+    pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
+        let has_mask = |view| self.files(scene.name(view))[1].is_some();
+        let first = scene.view_indices().next().filter(|_| self.have_masks() && !scene.view_indices().any(has_mask))?;
+        let cure = format!("name them after the images, as COLMAP does: {MASKS}/{}.png", scene.name(first));
+        Some([format!("no image has a mask in {MASKS}/"), cure])
     }
 
     /// Returns whether the view has a mask that excludes all of its image.
@@ -162,16 +171,6 @@ pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>]) -> Vec<S
         warnings.push(format!("{others} more images cannot be used"));
     }
     warnings
-}
-
-/// Returns whether the last chunk of a PNG file (PNG specification, 11.2.5) is near its end; other bytes may follow it.
-fn has_end(file: &mut (impl Read + Seek)) -> io::Result<bool> {
-    const TAIL: u64 = 1 << 12;
-    let length = file.seek(SeekFrom::End(0))?;
-    file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
-    let mut tail = Vec::new();
-    file.take(TAIL).read_to_end(&mut tail)?;
-    Ok(tail.windows(4).any(|chunk| chunk == b"IEND"))
 }
 
 /// Reduced copies of the image are accepted; another aspect ratio means another picture.

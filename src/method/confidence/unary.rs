@@ -95,18 +95,16 @@ impl Unary {
         self.allowed.release();
     }
 
-    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask (empty if there are no masks), and the fault of each
-    /// mask that cannot be used.
+    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask, and the fault of each
+    /// mask that cannot be used. `views_at_once`: whose masks are read at once.
     pub fn of_masks(
         geometry: &Geometry,
         pictures: &Pictures,
+        views_at_once: usize,
         watcher: &dyn Watcher,
     ) -> Result<(Column<f32>, Vec<Option<ImageError>>), TableError> {
         let Geometry { scene, surface, visibility, .. } = *geometry;
         let mut faults: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
-        if !pictures.have_masks() {
-            return Ok((Column::default(), faults));
-        }
         let found = Mutex::new(Vec::new());
         let of_view = |_: &mut (), view: ViewIndex| {
             watcher.check()?;
@@ -120,7 +118,7 @@ impl Unary {
                 Some(shares) => triangles.iter().map(|&t| mean_over(scene, surface, view, t, &shares)).collect(),
             })
         };
-        let values = visibility.column(|| (), of_view)?;
+        let values = visibility.column(views_at_once, || (), of_view)?;
         for (view, fault) in found.into_inner().unwrap_or_default() {
             faults[view.index()] = Some(fault);
         }

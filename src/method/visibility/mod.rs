@@ -105,16 +105,18 @@ impl Visibility {
         Ok(Self { offsets, triangles: triangles.finish()?, contradictions: self.contradictions })
     }
 
-    /// Builds a column parallel to the table, with its storage. `of_view` returns a value for each row of a view; `start` makes the state of a thread.
+    /// Builds a column parallel to the table, with its storage, from batches of views. `of_view` returns a value for each row of a view; `start` makes the
+    /// state of a thread.
     pub fn column<T: Pod + Send, S: Send>(
         &self,
+        views_at_once: usize,
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
         let mut column = ColumnBuilder::new(self.triangles.storage())?;
         column::in_order(
             &self.views(),
-            column::READ_AT_ONCE,
+            views_at_once,
             start,
             |s, &view| of_view(s, view),
             |_, rows| {

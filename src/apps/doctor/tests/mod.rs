@@ -349,6 +349,12 @@ fn images_that_cannot_be_read() {
         [("n04.jpg", "empty"), ("n05.jpg", "not an image"), ("n06.jpg", "truncated"), ("n07.jpg", "truncated")];
     assert_eq!(*views, expected.map(|(name, why)| ViewFinding::new(name, why)), "what follows the end is no harm");
     assert_eq!(findings.len(), 1);
+    let whole = fs::read(images.join("n09.jpg")).unwrap();
+    put(9, &[&whole[..], &[7; 100_000]].concat());
+    put(10, &whole[..whole.len() - 1]);
+    let findings = of_healthy(&project);
+    let views = &found(&findings, "unreadable-images").views;
+    assert_eq!(views[4..], [ViewFinding::new("n10.jpg", "truncated")], "a PNG whose last byte is missing");
 }
 
 #[test]

@@ -19,7 +19,7 @@ pub use self::{compare::SampleRoom, grey::Grey};
 use super::pictures::{Pictures, picture_warnings};
 use crate::{
     base::{
-        column::{Column, TableError},
+        column::{Column, READ_AT_ONCE, TableError},
         progress::Watcher,
     },
     config::ConfidenceSettings,
@@ -151,7 +151,7 @@ impl Agreement {
             places.resize(geometry.surface.triangles.len(), u32::MAX);
             Ok(compared(geometry, &samples, key, table.partners_of(key), reach, places))
         };
-        table.values = Arc::new(geometry.visibility.column(Vec::new, compare)?);
+        table.values = Arc::new(geometry.visibility.column(READ_AT_ONCE, Vec::new, compare)?);
         table.warnings = match pictures.have_images() {
             true => picture_warnings(geometry.scene, &troubles),
             false => vec!["the project has no image folder: no pictures were compared".into()],
