@@ -170,7 +170,8 @@ def test_finished_maps_of_other_partners_are_reported_and_replaced(viewrank, pla
 
     def export():
         said = viewrank("export", project, "--backend", "colmap", "--out", folder, "--budget", "8").stdout
-        return [line for line in said.splitlines() if not line.startswith("  removed ")]
+        unwrapped = said.replace("\n" + " " * len("  warning      "), " ")
+        return [line for line in unwrapped.splitlines() if not line.startswith("  removed ")]
 
     def reported():
         return [line for line in export() if "other partners" in line]
