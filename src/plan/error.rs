@@ -103,7 +103,7 @@ impl Hint for PlanError {
             ),
             Self::Refused { with_picture, .. } => format!(
                 "give viewrank watch --max-memory {} or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \
-                 built in tiles, larger tables are kept on disk, and fewer pictures are read at once",
+                 built in tiles, larger tables are kept on disk, and fewer pictures and masks are read at once",
                 memory::enough(*with_picture)
             ),
             Self::Disk(error) => return error.hint(),

@@ -21,6 +21,7 @@ mod reasons;
 mod stages;
 mod timings;
 mod uncut;
+mod visible_surface;
 mod warnings;
 
 pub use band::Band;

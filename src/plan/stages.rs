@@ -2,14 +2,15 @@
 
 use super::{
     Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, cut, georeference,
-    kept::{self, Inputs, Kept, KeptSurface, Slot, clusters::KeptClusters},
+    kept::{self, Inputs, Kept, Slot, clusters::KeptClusters},
+    visible_surface::VisibleSurface,
 };
 use crate::{
     base::{
         platform,
         progress::{Cancelled, Stage, Watcher},
     },
-    config::{ConfidenceSource, Settings, Share, TargetMode},
+    config::{ConfidenceSource, Settings, Share},
     io::{
         cache::CacheFile,
         project::{ImageFaults, Project},
@@ -21,9 +22,9 @@ use crate::{
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
         ranking::{Maps, Objective},
         region::{Region, RegionShape},
-        surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
+        surface::{Surface, SurfaceStats},
         target::{GSD_MARGIN, Target},
-        visibility::{self, Shown, Visibility},
+        visibility::{Shown, Visibility},
     },
     model::{
         cluster::{MapScale, Reach, ViewCluster},
@@ -33,7 +34,7 @@ use crate::{
 };
 
 /// A result, with the place where it is kept.
-type Slotted<T> = (Slot, T);
+pub(super) type Slotted<T> = (Slot, T);
 
 /// Results of the stages of the method, up to the view clusters and their fulfilment.
 #[derive(Clone, Debug)]
@@ -148,12 +149,12 @@ impl Stages {
         let pictures = Pictures::new(project);
         let unary_file = inputs.unary(&scene, &surface_slot.file, confidence, &pictures);
         let (unary_slot, (unary, mut picture_warnings)) = timings.time(Stage::Confidence, || {
-            let views_at_once = || memory.before_masks(&geometry, pictures.most_mask_bytes(&scene));
-            unary(unary_file, &geometry, &points, confidence, &pictures, views_at_once, watcher)
+            let batch = || memory.before_masks(&geometry, pictures.most_mask_bytes(&scene));
+            unary(unary_file, &geometry, &points, confidence, &pictures, batch, watcher)
         })?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
-                let room = || memory.before_pictures(&geometry);
+                let room = || memory.before_pictures(&geometry, pictures.most_mask_bytes(&scene));
                 agreement(&pictures, &geometry, &points, &candidates, matcher, room, watcher)
             }
             _ => Ok(Agreement::default()),
@@ -316,14 +317,15 @@ fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster
         .map(|scale| work.map_work(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
-/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used. `views_at_once`: whose masks are read at once.
+/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used. `batch`: number of views
+/// whose masks are read together.
 fn unary(
     file: CacheFile,
     geometry: &Geometry,
     points: &ViewPoints,
     confidence: Confidence,
     pictures: &Pictures,
-    views_at_once: impl FnOnce() -> Result<usize, PlanError>,
+    batch: impl FnOnce() -> Result<usize, PlanError>,
     watcher: &dyn Watcher,
 ) -> Result<Slotted<(Unary, Vec<String>)>, PlanError> {
     let Geometry { scene, surface, visibility, .. } = *geometry;
@@ -334,7 +336,7 @@ fn unary(
         }
         let unused = pictures.unused_masks(scene);
         let (masks, faults) = match pictures.have_masks() && unused.is_none() {
-            true => Unary::of_masks(geometry, pictures, views_at_once()?, watcher)?,
+            true => Unary::of_masks(geometry, pictures, batch()?, watcher)?,
             false => Default::default(),
         };
         let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
@@ -420,7 +422,7 @@ fn surface_and_candidates(
     // Parts of the surface are built by one thread, and the others find candidates meanwhile. Called from outside the thread pool, these jobs wait in its
     // queue, where threads look only when nothing of the surface is left to share; on a thread of the pool, they merely run beside it.
     rayon::in_place_scope_fifo(|jobs| {
-        jobs.spawn_fifo(|_| surface = kept_surface(from, settings, inputs, watcher, timings, memory));
+        jobs.spawn_fifo(|_| surface = VisibleSurface::kept_or_new(from, settings, inputs, watcher, timings, memory));
         if known.is_none() {
             search.start(jobs);
         }
@@ -431,69 +433,6 @@ fn surface_and_candidates(
         None => search.finish()?,
     };
     Ok((surface, (slot, candidates)))
-}
-
-/// The surface, reduced to triangles that at least one view sees, with its visibility.
-struct VisibleSurface {
-    surface: Surface,
-    stats: SurfaceStats,
-    visibility: Visibility,
-    gsd: f64,
-}
-
-/// Returns the surface of an earlier plan, else builds it.
-fn kept_surface(
-    from: (&Scene, &ViewPoints),
-    settings: &Settings,
-    inputs: &Inputs,
-    watcher: &dyn Watcher,
-    timings: &mut Timings,
-    memory: &mut Memory,
-) -> Result<Slotted<VisibleSurface>, PlanError> {
-    let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
-    let (slot, found) = timings.time(Stage::Surface, || {
-        let file = inputs.surface(settings, memory);
-        kept::read(file, |facts, bytes| KeptSurface::unpack(facts, bytes, from.0.views.len()))
-    });
-    match found {
-        Some(KeptSurface { surface, stats, visibility }) => {
-            memory.with_visibility(&surface, &visibility);
-            Ok((slot, VisibleSurface { surface, stats, visibility, gsd }))
-        }
-        None => Ok((slot, visible_surface(from, gsd, settings, watcher, timings, memory)?)),
-    }
-}
-
-fn visible_surface(
-    (scene, points): (&Scene, &ViewPoints),
-    gsd: f64,
-    settings: &Settings,
-    watcher: &dyn Watcher,
-    timings: &mut Timings,
-    memory: &mut Memory,
-) -> Result<VisibleSurface, PlanError> {
-    let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
-    let most = memory.most_triangles();
-    let (surface, stats) = timings.time(Stage::Surface, || {
-        let wanted = match settings.target.mode {
-            TargetMode::Best => WantedGsd::finest(scene, gsd, GSD_MARGIN / settings.image_scale()),
-            _ => WantedGsd::uniform(gsd),
-        };
-        surface::build(scene, &wanted, &settings.surface, mesh.as_ref(), most, watcher)
-            .map_err(|error| memory.too_fine(error))
-    })?;
-    platform::return_freed_memory();
-    let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
-    let edge_length = settings.surface.edge_factor * gsd;
-    timings.time(Stage::Visibility, || {
-        let visibility =
-            visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)?;
-        let seen = visibility.seen_triangles(surface.triangles.len());
-        if !seen.contains(&true) {
-            return Err(SurfaceError::Empty.into());
-        }
-        Ok(VisibleSurface { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
-    })
 }
 
 /// Returns number of views, pixels and finest GSD of each triangle.

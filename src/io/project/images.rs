@@ -192,8 +192,8 @@ const START_OF_IMAGE: &[u8] = &[0xff, 0xd8];
 const END_OF_IMAGE: &[u8] = &[0xff, 0xd9];
 const START_OF_SCAN: u8 = 0xda;
 const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
-/// The last chunk of a PNG file, which is always the same (PNG specification, 11.2.5).
-const PNG_END: &[u8] = b"\0\0\0\0IEND\xae\x42\x60\x82";
+/// The last chunk of a PNG file (PNG specification, 11.2.5), without its checksum, which decoders don't read.
+const PNG_END: &[u8] = b"\0\0\0\0IEND";
 
 /// Returns whether a JPEG or PNG file lacks the mark of its end; other bytes may follow it. JPEG's cannot occur by chance in scan data (ITU T.81,
 /// B.1.1.5), but it can occur before the first scan, in an embedded thumbnail.
@@ -211,9 +211,9 @@ fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
             return Ok(false);
         }
     }
-    file.rewind()?;
-    if is_jpeg {
-        seek_first_scan(file)?;
+    match is_jpeg {
+        true => seek_first_scan(file)?,
+        false => file.rewind()?,
     }
     Ok(!contains(file, end)?)
 }
@@ -235,7 +235,7 @@ fn seek_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
 
 /// Returns whether the rest of the file contains these bytes.
 fn contains(file: &mut impl BufRead, wanted: &[u8]) -> io::Result<bool> {
-    // The last bytes before those that were read last.
+    // What was read last, after the end of what was read before.
     let mut searched = Vec::new();
     loop {
         let bytes = file.fill_buf()?;
@@ -313,6 +313,19 @@ pub fn slashes(path: &Path) -> String {
 mod tests {
     use super::*;
     use crate::{method::synthetic::Town, model::scene::ViewIndex};
+
+    #[test]
+    fn bytes_are_found_wherever_they_are_read() {
+        for text in ["ab", "xab", "xxab", "xxxab", "xxaab", "aab", "xxxxxabxx"] {
+            for capacity in 1..5 {
+                let mut file = BufReader::with_capacity(capacity, text.as_bytes());
+                assert!(contains(&mut file, b"ab").unwrap(), "{text}, {capacity} at a time");
+            }
+        }
+        for text in ["", "a", "b", "axb", "xxba", "aaa"] {
+            assert!(!contains(&mut BufReader::with_capacity(2, text.as_bytes()), b"ab").unwrap(), "{text}");
+        }
+    }
 
     #[test]
     fn images_that_are_missing_broken_or_larger_are_told_apart() {

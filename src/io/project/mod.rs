@@ -19,7 +19,7 @@ pub use containing::containing;
 pub use create::CreateError;
 pub use files::ColmapFiles;
 pub use folder::ImageFolder;
-pub use images::{ImageFaults, slashes};
+pub use images::{ImageFaults, Unread, slashes};
 pub(crate) use images::{is_image, probe};
 
 use crate::{

@@ -7,7 +7,10 @@ use std::{
     path::Path,
 };
 
-use crate::base::input::{self, FileKind};
+use crate::{
+    base::input::{self, FileKind},
+    io::project::Unread,
+};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use jpeg_decoder::PixelFormat;
@@ -53,6 +56,8 @@ pub enum ImageError {
     Large { width: u32, height: u32 },
     #[error("{width} x {height} pixels, the camera has {} x {}", camera[0], camera[1])]
     Shape { width: u32, height: u32, camera: [u32; 2] },
+    #[error("{0}")]
+    Unread(#[from] Unread),
     #[error("its mask: {0}")]
     Mask(Box<ImageError>),
 }
@@ -214,15 +219,15 @@ impl Mask {
         Ok(Self { width, height, usable })
     }
 
-    /// Returns the memory that reading a mask takes at its peak, by its header; `None` if that cannot be read.
+    /// Returns about how many bytes of memory reading a mask takes at its peak, by its header; `None` if it cannot be read.
     pub fn reading_bytes(path: &Path) -> Option<u64> {
         let file = BufReader::new(input::open(path).ok()?);
         let length = file.get_ref().metadata().ok()?.len();
         let decoder = ImageReader::new(file).with_guessed_format().ok()?.into_decoder().ok()?;
+        let decoded = Some(decoder.total_bytes()).filter(|&bytes| bytes <= MOST_BYTES as u64)?;
         let (width, height) = decoder.dimensions();
-        let pixels = u64::from(width) * u64::from(height);
-        let grey = if decoder.color_type() == ColorType::L8 { 0 } else { 2 * pixels };
-        Some(length + decoder.total_bytes() + grey + pixels)
+        let of_pixel = if matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) { 1 } else { 2 };
+        Some(length + decoded + of_pixel * u64::from(width) * u64::from(height))
     }
 
     /// Returns whether the pixel at a position, given as shares of width and height, may be used.
@@ -348,6 +353,31 @@ mod tests {
         assert_eq!(mask.share([100, 100], 99, 99), 1.0);
     }
 
+    /// A grey TIFF of this width and height (TIFF 6.0, section 4), without its pixels.
+    fn tiff_header(side: u32) -> Vec<u8> {
+        const SHORT: u16 = 3;
+        const LONG: u16 = 4;
+        let entries = [
+            (256, LONG, side),
+            (257, LONG, side),
+            (258, SHORT, 8),
+            (259, SHORT, 1),
+            (262, SHORT, 1),
+            (273, LONG, 8),
+            (277, SHORT, 1),
+            (278, LONG, side),
+            (279, LONG, 1),
+        ];
+        let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+        bytes.extend((entries.len() as u16).to_le_bytes());
+        for (tag, kind, value) in entries {
+            bytes.extend([u16::to_le_bytes(tag), kind.to_le_bytes(), [1, 0], [0, 0]].concat());
+            bytes.extend(u32::to_le_bytes(value));
+        }
+        bytes.extend([0; 4]);
+        bytes
+    }
+
     #[test]
     fn memory_for_a_mask_depends_on_its_channels() {
         let folder = tempfile::tempdir().unwrap();
@@ -358,10 +388,14 @@ mod tests {
             (bytes - file) / u64::from(image.width() * image.height())
         };
         assert_eq!(bytes_per_pixel(DynamicImage::new_luma8(40, 30)), 2);
-        assert_eq!(bytes_per_pixel(DynamicImage::new_luma16(40, 30)), 5);
-        assert_eq!(bytes_per_pixel(DynamicImage::new_rgba8(40, 30)), 7);
+        assert_eq!(bytes_per_pixel(DynamicImage::new_luma16(40, 30)), 3);
+        assert_eq!(bytes_per_pixel(DynamicImage::new_rgba8(40, 30)), 6);
         std::fs::write(&path, "no image").unwrap();
         assert_eq!(Mask::reading_bytes(&path), None);
+        std::fs::write(&path, tiff_header(10_000)).unwrap();
+        assert!(Mask::reading_bytes(&path).unwrap() > 200_000_000);
+        std::fs::write(&path, tiff_header(60_000)).unwrap();
+        assert_eq!(Mask::reading_bytes(&path), None, "too large to be decoded");
     }
 
     #[test]

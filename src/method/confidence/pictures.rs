@@ -1,7 +1,7 @@
 //! Reads a project's pictures and masks.
 
 use std::{
-    io::{self, ErrorKind},
+    io::ErrorKind,
     path::{Path, PathBuf},
     time::UNIX_EPOCH,
 };
@@ -112,11 +112,12 @@ impl Pictures {
     /// Returns the fault of a view's mask that its header and its end show; `None` if the view has no mask.
     pub fn check_mask(&self, scene: &Scene, view: ViewIndex) -> Option<Result<(), ImageError>> {
         let path = self.masks.as_deref().and_then(|folder| mask_file(folder, scene.name(view)))?;
-        Some(match project::probe(&path) {
-            Ok(Some(size)) => check_shape(size, scene.camera_of(view)),
-            Ok(None) => Err(ImageError::Unknown),
-            Err(fault) => Err(io::Error::new(ErrorKind::InvalidData, fault).into()),
-        })
+        let check = || {
+            // Says what is wrong with a pipe, say.
+            input::open(&path)?;
+            check_shape(project::probe(&path)?.ok_or(ImageError::Unknown)?, scene.camera_of(view))
+        };
+        Some(check())
     }
 
     /// Bytes of memory for reading the largest mask; 0 without one that can be read.
