@@ -343,7 +343,7 @@ fn unary(
         let broken = match confidence {
             // A mask that cannot be used is named with its picture.
             Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
-            _ => confidence::picture_warnings(scene, &faults),
+            _ => confidence::picture_warnings(scene, &faults, "all of the image counts"),
         };
         let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
         Ok((nearby.within(masks), unused.into_iter().chain(broken).collect()))

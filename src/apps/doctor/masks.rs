@@ -3,7 +3,7 @@
 use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     config::ConfidenceSource,
-    method::confidence::{ImageError, Pictures},
+    method::confidence::{ImageError, MASKS, Pictures},
     model::scene::ViewIndex,
 };
 
@@ -25,16 +25,28 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     }
     let check = |view| Some((view, pictures.check_mask(inputs.scene, view)?));
     let checked: Vec<Checked> = inputs.scene.view_indices().filter_map(check).collect();
-    [unused(inputs, &pictures), broken(inputs, &checked, consequence), black(inputs, &checked, &pictures)]
-        .into_iter()
-        .flatten()
-        .collect()
+    let found = match unused(inputs, &pictures) {
+        Some(unused) => [Some(unused), None, None],
+        None => [stray(inputs, &pictures), broken(inputs, &checked, consequence), black(inputs, &checked, &pictures)],
+    };
+    found.into_iter().flatten().collect()
 }
 
 /// Reports a folder of masks in which no view has one.
 fn unused(inputs: &Inputs, pictures: &Pictures) -> Option<Finding> {
     let [what, cure] = pictures.unused_masks(inputs.scene)?;
     Some(Finding::new(Severity::Warning, "unused-masks", what, cure))
+}
+
+/// Reports masks that belong to no image, while others do.
+fn stray(inputs: &Inputs, pictures: &Pictures) -> Option<Finding> {
+    let stray = pictures.stray_masks(inputs.scene);
+    (!stray.is_empty()).then(|| {
+        let what = format!("{} in {MASKS}/ without an image of this name", counted(stray.len(), "mask"));
+        let cure = format!("name them after the images, with their endings, as COLMAP does: {MASKS}/NAME.jpg.png");
+        let names = stray.into_iter().map(|name| ViewFinding::new(name, "")).collect();
+        Finding::new(Severity::Warning, "stray-masks", what, cure).of_views(names)
+    })
 }
 
 /// Reports masks that cannot be used, by header and end of their files.

@@ -1,6 +1,7 @@
 //! Reads a project's pictures and masks.
 
 use std::{
+    collections::HashSet,
     io::ErrorKind,
     path::{Path, PathBuf},
     time::UNIX_EPOCH,
@@ -8,6 +9,7 @@ use std::{
 
 use rayon::prelude::*;
 use serde::Serialize;
+use walkdir::{DirEntry, WalkDir};
 
 use super::{
     image::{Image, ImageError, Mask},
@@ -135,6 +137,19 @@ impl Pictures {
         Some([format!("no image has a mask in {MASKS}/"), cure])
     }
 
+    /// Names of the images in the folder of masks that belong to no image of the project, sorted.
+    pub fn stray_masks(&self, scene: &Scene) -> Vec<String> {
+        let Some(folder) = &self.masks else { return Vec::new() };
+        let names = scene.views.iter().map(|view| &*view.name).chain(scene.unregistered.iter().map(String::as_str));
+        let used: HashSet<PathBuf> = names.filter_map(|name| mask_file(folder, name)).collect();
+        let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok).map(DirEntry::into_path);
+        let stray = files.filter(|path| path.is_file() && project::is_image(path) && !used.contains(path));
+        let mut names: Vec<String> =
+            stray.filter_map(|path| path.strip_prefix(folder).ok().map(project::slashes)).collect();
+        names.sort_unstable();
+        names
+    }
+
     /// Returns whether the view has a mask that excludes all of its image.
     pub fn is_all_masked(&self, scene: &Scene, view: ViewIndex) -> bool {
         self.mask(scene, view).is_ok_and(|mask| mask.is_some_and(|mask| mask.share([1, 1], 0, 0) == 0.0))
@@ -158,16 +173,19 @@ impl Stamp {
 }
 
 /// Names the first views whose pictures are broken, and counts the rest. Missing images are in the warnings of the project's image files.
-pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>]) -> Vec<String> {
+///
+/// `consequence`: what follows for such a view.
+pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>], consequence: &str) -> Vec<String> {
     let is_missing =
         |trouble: &ImageError| matches!(trouble, ImageError::Io(error) if error.kind() == ErrorKind::NotFound);
     let troubled = || {
         let found = scene.view_indices().zip(troubles).filter_map(|(view, trouble)| Some((view, trouble.as_ref()?)));
         found.filter(|(_, trouble)| !is_missing(trouble))
     };
-    let named = troubled().take(NAMED);
-    let mut warnings: Vec<String> =
-        named.map(|(view, trouble)| format!("{}: {trouble}; predicted without its image", scene.name(view))).collect();
+    // Decoders break lines.
+    let one_line = |trouble: &ImageError| trouble.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    let sentence = |(view, trouble)| format!("{}: {}; {consequence}", scene.name(view), one_line(trouble));
+    let mut warnings: Vec<String> = troubled().take(NAMED).map(sentence).collect();
     if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
         warnings.push(format!("{others} more images cannot be used"));
     }

@@ -153,7 +153,7 @@ impl Agreement {
         };
         table.values = Arc::new(geometry.visibility.column(READ_AT_ONCE, Vec::new, compare)?);
         table.warnings = match pictures.have_images() {
-            true => picture_warnings(geometry.scene, &troubles),
+            true => picture_warnings(geometry.scene, &troubles, "the image is not compared"),
             false => vec!["the project has no image folder: no pictures were compared".into()],
         };
         table.cache = Some(cache);
