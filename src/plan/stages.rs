@@ -1,8 +1,10 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
+use std::cell::LazyCell;
+
 use super::{
     Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, cut, georeference,
-    kept::{self, Inputs, Kept, Slot, clusters::KeptClusters},
+    kept::{self, Inputs, Kept, Slotted, clusters::KeptClusters},
     visible_surface::VisibleSurface,
 };
 use crate::{
@@ -32,9 +34,6 @@ use crate::{
         scene::{Scene, Units, ViewIndex, ViewPoints},
     },
 };
-
-/// A result, with the place where it is kept.
-pub(super) type Slotted<T> = (Slot, T);
 
 /// Results of the stages of the method, up to the view clusters and their fulfilment.
 #[derive(Clone, Debug)]
@@ -148,13 +147,15 @@ impl Stages {
         let objective = Objective::new(&seen.surface, &shown, settings.ranking.weight, region.as_ref(), support);
         let pictures = Pictures::new(project);
         let unary_file = inputs.unary(&scene, &surface_slot.file, confidence, &pictures);
+        // Read from their headers, where masks or pictures have to be read.
+        let of_mask = LazyCell::new(|| pictures.most_mask_bytes(&scene));
         let (unary_slot, (unary, mut picture_warnings)) = timings.time(Stage::Confidence, || {
-            let batch = || memory.before_masks(&geometry, pictures.most_mask_bytes(&scene));
+            let batch = || memory.before_masks(&geometry, *of_mask);
             unary(unary_file, &geometry, &points, confidence, &pictures, batch, watcher)
         })?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
-                let room = || memory.before_pictures(&geometry, pictures.most_mask_bytes(&scene));
+                let room = || memory.before_pictures(&geometry, *of_mask);
                 agreement(&pictures, &geometry, &points, &candidates, matcher, room, watcher)
             }
             _ => Ok(Agreement::default()),
@@ -343,7 +344,7 @@ fn unary(
         let broken = match confidence {
             // A mask that cannot be used is named with its picture.
             Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
-            _ => confidence::picture_warnings(scene, &faults, "all of the image counts"),
+            _ => confidence::picture_warnings(scene, &faults, confidence::ALL_COUNTS),
         };
         let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
         Ok((nearby.within(masks), unused.into_iter().chain(broken).collect()))

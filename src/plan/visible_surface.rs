@@ -2,8 +2,7 @@
 
 use super::{
     Memory, PlanError, Timings,
-    kept::{self, Inputs, KeptSurface},
-    stages::Slotted,
+    kept::{self, Inputs, KeptSurface, Slotted},
 };
 use crate::{
     base::{

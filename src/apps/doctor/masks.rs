@@ -3,7 +3,7 @@
 use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     config::ConfidenceSource,
-    method::confidence::{ImageError, MASKS, Pictures},
+    method::confidence::{self, ALL_COUNTS, ImageError, MASKS, NOT_COMPARED, Pictures},
     model::scene::ViewIndex,
 };
 
@@ -17,36 +17,30 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let pictures = Pictures::new(inputs.project);
     let consequence = match inputs.settings.confidence.source.in_force(inputs.project.images.is_some()) {
         ConfidenceSource::None => return Vec::new(),
-        ConfidenceSource::Geometric => "all of the image counts",
-        ConfidenceSource::Photometric | ConfidenceSource::Auto => "the image is not compared",
+        ConfidenceSource::Geometric => ALL_COUNTS,
+        ConfidenceSource::Photometric | ConfidenceSource::Auto => NOT_COMPARED,
     };
     if !pictures.have_masks() {
         return Vec::new();
     }
+    if let Some([what, cure]) = pictures.unused_masks(inputs.scene) {
+        return vec![Finding::new(Severity::Warning, "unused-masks", what, cure)];
+    }
     let check = |view| Some((view, pictures.check_mask(inputs.scene, view)?));
     let checked: Vec<Checked> = inputs.scene.view_indices().filter_map(check).collect();
-    let found = match unused(inputs, &pictures) {
-        Some(unused) => [Some(unused), None, None],
-        None => [stray(inputs, &pictures), broken(inputs, &checked, consequence), black(inputs, &checked, &pictures)],
-    };
-    found.into_iter().flatten().collect()
-}
-
-/// Reports a folder of masks in which no view has one.
-fn unused(inputs: &Inputs, pictures: &Pictures) -> Option<Finding> {
-    let [what, cure] = pictures.unused_masks(inputs.scene)?;
-    Some(Finding::new(Severity::Warning, "unused-masks", what, cure))
+    [stray(inputs, &pictures), broken(inputs, &checked, consequence), black(inputs, &checked, &pictures)]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 /// Reports masks that belong to no image, while others do.
 fn stray(inputs: &Inputs, pictures: &Pictures) -> Option<Finding> {
     let stray = pictures.stray_masks(inputs.scene);
-    (!stray.is_empty()).then(|| {
-        let what = format!("{} in {MASKS}/ without an image of this name", counted(stray.len(), "mask"));
-        let cure = format!("name them after the images, with their endings, as COLMAP does: {MASKS}/NAME.jpg.png");
-        let names = stray.into_iter().map(|name| ViewFinding::new(name, "")).collect();
-        Finding::new(Severity::Warning, "stray-masks", what, cure).of_views(names)
-    })
+    let cure = confidence::naming_of_masks(inputs.scene).filter(|_| !stray.is_empty())?;
+    let what = format!("{} in {MASKS}/ without an image of this name", counted(stray.len(), "mask"));
+    let names = stray.into_iter().map(|name| ViewFinding::new(name, "")).collect();
+    Some(Finding::new(Severity::Warning, "stray-masks", what, cure).of_views(names))
 }
 
 /// Reports masks that cannot be used, by header and end of their files.

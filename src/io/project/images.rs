@@ -285,12 +285,17 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
     }
     let names = scene.views.iter().map(|view| &*view.name).chain(folder.other_names().map(|(_, file)| file));
     let registered: HashSet<PathBuf> = names.map(|name| normal(Path::new(name))).collect();
-    let files = WalkDir::new(&**folder).follow_links(true).into_iter().filter_map(Result::ok);
+    images_below(folder, |name| !registered.contains(name))
+}
+
+/// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`; sorted.
+pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<String> {
+    let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok);
     let images = files.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
-    let names = images.filter_map(|entry| entry.path().strip_prefix(&**folder).ok().map(Path::to_path_buf));
-    let mut left: Vec<String> = names.filter(|name| !registered.contains(name)).map(|name| slashes(&name)).collect();
-    left.sort_unstable();
-    left
+    let names = images.filter_map(|entry| entry.path().strip_prefix(folder).ok().map(Path::to_path_buf));
+    let mut wanted: Vec<String> = names.filter(|name| is_wanted(name)).map(|name| slashes(&name)).collect();
+    wanted.sort_unstable();
+    wanted
 }
 
 /// True for names of image files.

@@ -20,7 +20,7 @@ pub use create::CreateError;
 pub use files::ColmapFiles;
 pub use folder::ImageFolder;
 pub use images::{ImageFaults, Unread, slashes};
-pub(crate) use images::{is_image, probe};
+pub(crate) use images::{images_below, is_image, probe};
 
 use crate::{
     base::{

@@ -9,7 +9,6 @@ use std::{
 
 use rayon::prelude::*;
 use serde::Serialize;
-use walkdir::{DirEntry, WalkDir};
 
 use super::{
     image::{Image, ImageError, Mask},
@@ -26,6 +25,9 @@ use crate::{
 
 /// Name of the folder of masks, in the project or next to its image folder.
 pub const MASKS: &str = "masks";
+/// What follows for a view whose mask cannot be used, where pictures are compared and where they are not.
+pub const NOT_COMPARED: &str = "the image is not compared";
+pub const ALL_COUNTS: &str = "all of the image counts";
 /// Number of images named in a warning.
 const NAMED: usize = 3;
 
@@ -103,7 +105,7 @@ impl Pictures {
 
     /// Returns the view's mask; `None` if it has none.
     pub(super) fn mask(&self, scene: &Scene, view: ViewIndex) -> Result<Option<Mask>, ImageError> {
-        let path = self.masks.as_deref().and_then(|folder| mask_file(folder, scene.name(view)));
+        let path = self.mask_file(scene.name(view));
         let read = |path: PathBuf| {
             let mask = Mask::decode(&input::read(&path, FileKind::Picture)?)?;
             check_shape([mask.width, mask.height], scene.camera_of(view)).map(|()| mask)
@@ -113,7 +115,7 @@ impl Pictures {
 
     /// Returns the fault of a view's mask that its header and its end show; `None` if the view has no mask.
     pub fn check_mask(&self, scene: &Scene, view: ViewIndex) -> Option<Result<(), ImageError>> {
-        let path = self.masks.as_deref().and_then(|folder| mask_file(folder, scene.name(view)))?;
+        let path = self.mask_file(scene.name(view))?;
         let check = || {
             // Says what is wrong with a pipe, say.
             input::open(&path)?;
@@ -125,15 +127,15 @@ impl Pictures {
     /// Bytes of memory for reading the largest mask; 0 without one that can be read.
     pub fn most_mask_bytes(&self, scene: &Scene) -> u64 {
         let views: Vec<ViewIndex> = scene.view_indices().collect();
-        let bytes = |view: &ViewIndex| self.files(scene.name(*view))[1].as_deref().and_then(Mask::reading_bytes);
+        let bytes = |view: &ViewIndex| self.mask_file(scene.name(*view)).as_deref().and_then(Mask::reading_bytes);
         views.par_iter().filter_map(bytes).max().unwrap_or_default()
     }
 
     /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene has one in it.
     pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
-        let has_mask = |view| self.files(scene.name(view))[1].is_some();
-        let first = scene.view_indices().next().filter(|_| self.have_masks() && !scene.view_indices().any(has_mask))?;
-        let cure = format!("name them after the images, as COLMAP does: {MASKS}/{}.png", scene.name(first));
+        let has_mask = |view| self.mask_file(scene.name(view)).is_some();
+        let are_unused = self.have_masks() && !scene.view_indices().any(has_mask);
+        let cure = naming_of_masks(scene).filter(|_| are_unused)?;
         Some([format!("no image has a mask in {MASKS}/"), cure])
     }
 
@@ -141,13 +143,8 @@ impl Pictures {
     pub fn stray_masks(&self, scene: &Scene) -> Vec<String> {
         let Some(folder) = &self.masks else { return Vec::new() };
         let names = scene.views.iter().map(|view| &*view.name).chain(scene.unregistered.iter().map(String::as_str));
-        let used: HashSet<PathBuf> = names.filter_map(|name| mask_file(folder, name)).collect();
-        let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok).map(DirEntry::into_path);
-        let stray = files.filter(|path| path.is_file() && project::is_image(path) && !used.contains(path));
-        let mut names: Vec<String> =
-            stray.filter_map(|path| path.strip_prefix(folder).ok().map(project::slashes)).collect();
-        names.sort_unstable();
-        names
+        let used: HashSet<PathBuf> = names.filter_map(|name| self.mask_file(name)).collect();
+        project::images_below(folder, |name| !used.contains(&folder.join(name)))
     }
 
     /// Returns whether the view has a mask that excludes all of its image.
@@ -157,10 +154,15 @@ impl Pictures {
 
     /// Returns the paths of a view's image and mask; the image may not exist.
     pub fn files(&self, name: &str) -> [Option<PathBuf>; 2] {
-        [
-            self.images.as_ref().map(|folder| folder.file(name)),
-            self.masks.as_deref().and_then(|folder| mask_file(folder, name)),
-        ]
+        [self.images.as_ref().map(|folder| folder.file(name)), self.mask_file(name)]
+    }
+
+    /// `NAME.png`; for a PNG image also its own name. A pipe or a device is found, too, so that reading it says what is wrong.
+    fn mask_file(&self, name: &str) -> Option<PathBuf> {
+        let folder = self.masks.as_deref()?;
+        let own = name.to_ascii_lowercase().ends_with(".png").then(|| folder.join(name));
+        let mut files = [Some(folder.join(format!("{name}.png"))), own].into_iter().flatten();
+        files.find(|path| path.exists() && !path.is_dir())
     }
 }
 
@@ -170,6 +172,12 @@ impl Stamp {
         let modified = since.map_or(0, |since| since.as_nanos() as u64);
         Self { size: metadata.len(), modified, changed: input::identity(metadata).0 as u64 }
     }
+}
+
+/// Says how masks are named, with an image of the scene as the example; `None` without one.
+pub fn naming_of_masks(scene: &Scene) -> Option<String> {
+    let first = scene.view_indices().next()?;
+    Some(format!("name them after the images, as COLMAP does: {MASKS}/{}.png", scene.name(first)))
 }
 
 /// Names the first views whose pictures are broken, and counts the rest. Missing images are in the warnings of the project's image files.
@@ -198,10 +206,4 @@ fn check_shape([width, height]: [u32; 2], camera: &Camera) -> Result<(), ImageEr
     let rounding = 1.0 / f64::from(width) + 1.0 / f64::from(height);
     let camera = [camera.width, camera.height];
     if (ratio - 1.0).abs() <= rounding { Ok(()) } else { Err(ImageError::Shape { width, height, camera }) }
-}
-
-/// `NAME.png`; for a PNG image also its own name. A pipe or a device is found, too, so that reading it says what is wrong.
-fn mask_file(folder: &Path, name: &str) -> Option<PathBuf> {
-    let own = name.to_ascii_lowercase().ends_with(".png").then(|| folder.join(name));
-    [Some(folder.join(format!("{name}.png"))), own].into_iter().flatten().find(|path| path.exists() && !path.is_dir())
 }

@@ -42,6 +42,9 @@ pub(super) struct Slot {
     pub is_kept: bool,
 }
 
+/// A result, with the place where it is kept.
+pub(super) type Slotted<T> = (Slot, T);
+
 impl Slot {
     /// Returns the file's set, unless it is there already.
     fn set<F: Serialize>(&self, pack: impl FnOnce() -> Option<(F, Packed)>) -> Option<FileSet> {
@@ -62,7 +65,7 @@ impl Slot {
 pub(super) fn read<F: Serialize + DeserializeOwned, T>(
     file: CacheFile,
     unpack: impl FnOnce(F, &[u8]) -> Option<T>,
-) -> (Slot, Option<T>) {
+) -> Slotted<Option<T>> {
     let found = file.read().and_then(|(facts, bytes)| unpack(facts, &bytes));
     (Slot { file, is_kept: found.is_some() }, found)
 }
@@ -72,7 +75,7 @@ pub(super) fn read_or<F: Serialize + DeserializeOwned, T, E>(
     file: CacheFile,
     unpack: impl FnOnce(F, &[u8]) -> Option<T>,
     make: impl FnOnce() -> Result<T, E>,
-) -> Result<(Slot, T), E> {
+) -> Result<Slotted<T>, E> {
     match read(file, unpack) {
         (slot, Some(found)) => Ok((slot, found)),
         (slot, None) => Ok((slot, make()?)),

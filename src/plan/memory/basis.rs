@@ -32,7 +32,7 @@ const PICTURE_PIXEL: u64 = 8;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Basis {
     pub limit: Option<Bytes>,
-    /// Bytes beyond which planning fails ([`Watcher::most_memory`]).
+    /// Bytes beyond which planning fails ([`most_memory`](crate::base::progress::Watcher::most_memory)).
     pub most: Option<u64>,
     /// Bytes of tables for each row of visibility.
     pub row: u64,
@@ -46,8 +46,6 @@ pub struct Basis {
     pub picture: u64,
     /// Bytes per triangle while clusters are ranked at several prices at once.
     pub ranked: u64,
-    /// Bytes held while clusters are ranked, besides what the ranking itself takes.
-    pub tables: u64,
 }
 
 impl Basis {
@@ -68,7 +66,6 @@ impl Basis {
             choosers: threads.min(views).min(BATCH as u64),
             picture: where_true(compared, PICTURE_PIXEL * pixels.min(MOST_PIXELS)),
             ranked: where_true(has_half, threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support),
-            tables: 0,
         }
     }
 

@@ -69,6 +69,7 @@ const PER_POINT: u64 = 5;
 const OBSERVED: u64 = 1;
 /// Bytes per row of fulfilment for its belief, updated by failures of other maps, and for the new f at both sizes.
 const BELIEF_ROW: u64 = 40;
+
 /// Forecast bytes at the peak of each stage, including everything already in memory; 0 where a stage has not begun.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Memory {
@@ -83,6 +84,9 @@ pub struct Memory {
     pub disk: u64,
     #[serde(skip)]
     basis: Basis,
+    /// Bytes held while clusters are ranked, besides what the ranking itself takes.
+    #[serde(skip)]
+    tables: u64,
 }
 
 impl Memory {
@@ -155,7 +159,7 @@ impl Memory {
         let buffer = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
         let rows = Rows::expected(scene, surface);
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * buffer;
-        let held = self.read + bytes(surface) + self.outside_tables(points, triangles);
+        let held = self.outside_tables(scene, surface);
         let basis = &self.basis;
         if basis.fits(drawing + VISIBILITY_ROW * rows.all) && basis.fits(held + basis.in_memory(rows, triangles)) {
             self.visibility = drawing + VISIBILITY_ROW * rows.all;
@@ -182,11 +186,9 @@ impl Memory {
         surface: &Surface,
         visibility: &Visibility,
     ) -> Result<(), PlanError> {
-        let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
-        let rows = Rows::of(scene, visibility);
-        let held = self.read + bytes(surface) + self.outside_tables(points, triangles);
-        let basis = &mut self.basis;
-        (basis.tables, self.partners) = match visibility.triangles.storage() {
+        let (rows, triangles) = (Rows::of(scene, visibility), surface.triangles.len() as u64);
+        let (held, basis) = (self.outside_tables(scene, surface), &self.basis);
+        (self.tables, self.partners) = match visibility.triangles.storage() {
             Storage::Memory => (held + basis.row * rows.all, held + basis.in_memory(rows, triangles)),
             Storage::Disk => (held, held + basis.batches(rows, triangles)),
         };
@@ -236,19 +238,20 @@ impl Memory {
             Storage::Memory => UNARY_ROW * visibility.triangles.len() as u64,
             Storage::Disk => 0,
         };
-        let outside = self.outside_tables(scene.points.len() as u64, surface.triangles.len() as u64);
-        self.read + bytes(surface) + outside + tables
+        self.outside_tables(scene, surface) + tables
     }
 
-    /// Returns the memory of points and triangles while partners are chosen.
-    fn outside_tables(&self, points: u64, triangles: u64) -> u64 {
+    /// Returns the memory of model, surface, and their points and triangles while partners are chosen.
+    fn outside_tables(&self, scene: &Scene, surface: &Surface) -> u64 {
         let threads = rayon::current_num_threads() as u64;
-        (PER_POINT + threads * OBSERVED) * points + (PER_TRIANGLE + threads * ROW_INDEX) * triangles
+        let of_points = (PER_POINT + threads * OBSERVED) * scene.points.len() as u64;
+        let of_triangles = (PER_TRIANGLE + threads * ROW_INDEX) * surface.triangles.len() as u64;
+        self.read + bytes(surface) + of_points + of_triangles
     }
 
     /// Checks the belief about each row of fulfilment, which a plan around finished depth maps keeps in memory.
     pub(crate) fn before_beliefs(&self, fulfilment: &FulfilmentTable) -> Result<(), PlanError> {
-        self.check_limit("table of failures", self.basis.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
+        self.check_limit("table of failures", self.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
     }
 
     /// Returns an error if `need` exceeds a limit. The size of the largest picture is known before any stage, so the limit that the error advises allows

@@ -35,22 +35,11 @@ impl Rows {
         (self.all * self.views.min(column::READ_AT_ONCE as u64)).div_ceil(self.views.max(1))
     }
 
-    /// Estimates the rows of visibility without occlusion: triangles that face a view and have their centroid in its image, on samples. The view that sees
-    /// most is looked for among all, on a smaller sample: one overview may see as much as hundreds of others.
+    /// Estimates the rows of visibility without occlusion, on samples. The view that sees most is looked for among all, on a smaller sample: one overview
+    /// may see as much as hundreds of others.
     pub fn expected(scene: &Scene, surface: &Surface) -> Self {
         let (views, triangles) = (scene.views.len(), surface.triangles.len());
-        let share_shown = |view, of_triangles: usize| {
-            let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-            let centre = pose.centre();
-            let shown = |&t: &u32| {
-                let centroid = surface.centroid(t);
-                surface.area_normal(t).dot(&(centre - centroid)) > 0.0
-                    && camera.project(&pose.camera_from_world(&centroid)).is_some_and(|pixel| camera.contains(&pixel))
-            };
-            let sampled = (0..triangles as u32).step_by(triangles.div_ceil(of_triangles).max(1));
-            let count = sampled.len();
-            sampled.filter(shown).count() as f64 / count.max(1) as f64
-        };
+        let share_shown = |view, of_triangles| share_shown(scene, surface, view, of_triangles);
         let all_views: Vec<ViewIndex> = scene.view_indices().collect();
         let spread: Vec<ViewIndex> = all_views.iter().copied().step_by(views.div_ceil(SAMPLED_VIEWS).max(1)).collect();
         let shares: Vec<f64> = spread.par_iter().map(|&view| share_shown(view, SAMPLED_TRIANGLES)).collect();
@@ -63,4 +52,19 @@ impl Rows {
         let rows = |share: f64| (share * triangles as f64).ceil() as u64;
         Self { all: rows(mean * views as f64), most: rows(most), views: views as u64 }
     }
+}
+
+/// Returns the share of triangles that face a view and have their centroid in its image, of about `sampled` ones.
+fn share_shown(scene: &Scene, surface: &Surface, view: ViewIndex, sampled: usize) -> f64 {
+    let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+    let centre = pose.centre();
+    let is_shown = |&t: &u32| {
+        let centroid = surface.centroid(t);
+        surface.area_normal(t).dot(&(centre - centroid)) > 0.0
+            && camera.project(&pose.camera_from_world(&centroid)).is_some_and(|pixel| camera.contains(&pixel))
+    };
+    let triangles = surface.triangles.len();
+    let sample = (0..triangles as u32).step_by(triangles.div_ceil(sampled).max(1));
+    let count = sample.len();
+    sample.filter(is_shown).count() as f64 / count.max(1) as f64
 }

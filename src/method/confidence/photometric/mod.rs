@@ -16,7 +16,7 @@ use self::{
     compare::{compared, samples},
 };
 pub use self::{compare::SampleRoom, grey::Grey};
-use super::pictures::{Pictures, picture_warnings};
+use super::pictures::{NOT_COMPARED, Pictures, picture_warnings};
 use crate::{
     base::{
         column::{Column, READ_AT_ONCE, TableError},
@@ -153,7 +153,7 @@ impl Agreement {
         };
         table.values = Arc::new(geometry.visibility.column(READ_AT_ONCE, Vec::new, compare)?);
         table.warnings = match pictures.have_images() {
-            true => picture_warnings(geometry.scene, &troubles, "the image is not compared"),
+            true => picture_warnings(geometry.scene, &troubles, NOT_COMPARED),
             false => vec!["the project has no image folder: no pictures were compared".into()],
         };
         table.cache = Some(cache);
