@@ -109,6 +109,9 @@ impl<'a> Reasons<'a> {
             Reason::NoImage
         } else if self.model.visibility.triangles_seen_by(view).is_empty() {
             Reason::Hidden
+        } else if !self.candidates.candidates_of(view).is_empty() {
+            // All of them have a damaged picture.
+            Reason::NotMatchable
         } else {
             self.main_refusal(view)
         }

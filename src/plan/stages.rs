@@ -71,7 +71,7 @@ pub struct Stages {
     pub objective: Objective,
     pub candidates: Candidates,
     pub image_faults: ImageFaults,
-    /// Views whose images are missing or cannot be read, which are neither key views nor partners; ascending.
+    /// Views whose images are missing, cannot be read or are damaged, which are neither key views nor partners; ascending.
     pub missing_images: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,
@@ -116,7 +116,7 @@ impl Stages {
         let image_faults = project.image_faults(&scene);
         let pixels = if project.images.is_some() { image_faults.most_pixels(&scene) } else { 0 };
         let mut memory = Memory::before_surface(&scene, &mut settings, pixels, watcher)?;
-        let missing_images = image_faults.without_image(scene.views.len());
+        let mut missing_images = image_faults.without_image(scene.views.len());
         let matching = (matcher, &missing_images[..]);
         let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
             surface_and_candidates((&scene, &points), &settings, matching, &inputs, watcher, timings, &mut memory)
@@ -161,6 +161,8 @@ impl Stages {
             _ => Ok(Agreement::default()),
         })?;
         picture_warnings.extend(agreement.warnings.iter().cloned());
+        missing_images.extend(&agreement.damaged);
+        missing_images.sort_unstable();
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let from = [&surface_slot.file, &candidates_slot.file, &unary_slot.file];
         let clusters_file = inputs.clusters(&settings, from, &agreement, &target, &model.rule);
@@ -344,7 +346,7 @@ fn unary(
         let broken = match confidence {
             // A mask that cannot be used is named with its picture.
             Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
-            _ => confidence::picture_warnings(scene, &faults, confidence::ALL_COUNTS),
+            _ => confidence::picture_warnings(scene, &faults, |_| confidence::ALL_COUNTS),
         };
         let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
         Ok((nearby.within(masks), unused.into_iter().chain(broken).collect()))

@@ -6,6 +6,7 @@ import struct
 import subprocess
 import threading
 
+import cv2
 import pytest
 
 PLAN = ["--confidence", "none", "--backend", "sgm"]  # quick, and independent of what is installed
@@ -158,6 +159,28 @@ def test_views_without_an_image_take_no_part(viewrank, valley):
     (valley / "images" / first).write_bytes(bytes(range(100)))
     assert "1 view has no image that can be read" in viewrank("plan", valley, *PLAN).stdout
     assert manifest(valley) == after | {"input": manifest(valley)["input"], "warnings": manifest(valley)["warnings"]}, "as if it were missing"
+
+
+def test_views_with_a_damaged_picture_take_no_part(viewrank, valley):
+    viewrank("plan", valley)
+    sound = manifest(valley)
+    first = sound["clusters"][0]["key"]
+    image = valley / "images" / first
+    jpeg = image.read_bytes()
+    png = bytearray(cv2.imencode(".png", cv2.imread(str(image)))[1].tobytes())
+    png[len(png) // 2] ^= 1
+    image.write_bytes(png)
+    done = viewrank("plan", valley)
+    assert "1 view has no image that can be read" in done.stdout and "CRC" in done.stderr
+    after = manifest(valley)
+    assert all(first != cluster["key"] and first not in cluster["partners"] for cluster in after["clusters"])
+    assert next(view for view in after["views"] if view["name"] == first)["reason"] == "no_image"
+    assert any(first in warning and "neither matched nor planned" in warning for warning in after["warnings"])
+    viewrank("plan", valley)
+    assert manifest(valley) == after, "also from what is kept"
+    image.write_bytes(jpeg)
+    viewrank("plan", valley)
+    assert manifest(valley)["clusters"] == sound["clusters"], "nothing that is kept lacks the view"
 
 
 def test_a_model_replaced_while_it_is_planned_gets_no_plan(viewrank, valley):

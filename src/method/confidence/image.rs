@@ -16,6 +16,7 @@ use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Lim
 use jpeg_decoder::PixelFormat;
 use zune_jpeg::{
     JpegDecoder,
+    errors::DecodeErrors,
     zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
 };
 
@@ -49,7 +50,7 @@ pub enum ImageError {
     #[error("broken JPEG: {0}")]
     Jpeg(#[from] jpeg_decoder::Error),
     #[error("broken JPEG: {0:?}")]
-    JpegGrey(#[from] zune_jpeg::errors::DecodeErrors),
+    JpegGrey(#[from] DecodeErrors),
     #[error("broken image: {0}")]
     Other(#[from] image::ImageError),
     #[error("{width} x {height} pixels are too many")]
@@ -60,6 +61,18 @@ pub enum ImageError {
     Unread(#[from] Unread),
     #[error("its mask: {0}")]
     Mask(Box<ImageError>),
+}
+
+impl ImageError {
+    /// Returns whether the file is damaged, so that no program is expected to read all of it; false for images that this program alone cannot read.
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::Jpeg(error) => matches!(error, jpeg_decoder::Error::Format(_) | jpeg_decoder::Error::Io(_)),
+            Self::JpegGrey(error) => !matches!(error, DecodeErrors::Unsupported(_) | DecodeErrors::LargeDimensions(_)),
+            Self::Other(error) => matches!(error, image::ImageError::Decoding(_) | image::ImageError::IoError(_)),
+            _ => false,
+        }
+    }
 }
 
 impl Image {
@@ -405,6 +418,22 @@ mod tests {
         assert!(matches!(Image::decode(cut, drawn_size), Err(ImageError::Jpeg(_))));
         let cut = &encoded(&ramp(64, 64), ImageFormat::Png)[..300];
         assert!(matches!(Image::decode(cut, drawn_size), Err(ImageError::Other(_))));
+    }
+
+    #[test]
+    fn what_others_may_read_is_no_damage() {
+        let is_damage = |bytes: &[u8]| Image::decode_grey(bytes, |full| full).err().unwrap().is_damage();
+        for format in [ImageFormat::Jpeg, ImageFormat::Png, ImageFormat::Tiff] {
+            let bytes = encoded(&ramp(64, 64), format);
+            assert!(is_damage(&bytes[..bytes.len().min(300)]), "{format:?}");
+        }
+        assert!(!is_damage(b"no image"));
+        assert!(!is_damage(&tiff_header(60_000)), "too large");
+        // The compression (259, one 16-bit number) of a TIFF that no decoder here knows.
+        let mut other = tiff_header(64);
+        let compression = other.windows(4).position(|bytes| bytes == [3, 1, 3, 0]).unwrap();
+        other[compression + 8] = 200;
+        assert!(!is_damage(&other));
     }
 
     proptest! {

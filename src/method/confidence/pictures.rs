@@ -25,6 +25,8 @@ use crate::{
 
 /// Name of the folder of masks, in the project or next to its image folder.
 pub const MASKS: &str = "masks";
+/// What follows for a view whose picture is damaged, while others are not.
+pub const NOT_PLANNED: &str = "it is neither matched nor planned";
 /// What follows for a view whose mask cannot be used, where pictures are compared and where they are not.
 pub const NOT_COMPARED: &str = "the image is not compared";
 pub const ALL_COUNTS: &str = "all of the image counts";
@@ -183,7 +185,11 @@ pub fn naming_of_masks(scene: &Scene) -> Option<String> {
 /// Names the first views whose pictures are broken, and counts the rest. Missing images are in the warnings of the project's image files.
 ///
 /// `consequence`: what follows for such a view.
-pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>], consequence: &str) -> Vec<String> {
+pub fn picture_warnings(
+    scene: &Scene,
+    troubles: &[Option<ImageError>],
+    consequence: impl Fn(&ImageError) -> &'static str,
+) -> Vec<String> {
     let is_missing =
         |trouble: &ImageError| matches!(trouble, ImageError::Io(error) if error.kind() == ErrorKind::NotFound);
     let troubled = || {
@@ -192,7 +198,7 @@ pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>], conseque
     };
     // Decoders break lines.
     let one_line = |trouble: &ImageError| trouble.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-    let sentence = |(view, trouble)| format!("{}: {}; {consequence}", scene.name(view), one_line(trouble));
+    let sentence = |(view, trouble)| format!("{}: {}; {}", scene.name(view), one_line(trouble), consequence(trouble));
     let mut warnings: Vec<String> = troubled().take(NAMED).map(sentence).collect();
     if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
         warnings.push(format!("{others} more images cannot be used"));

@@ -32,7 +32,7 @@ use crate::{
 
 /// Selects a view cluster for each view that has candidates, in the order of views, and computes its fulfilment.
 ///
-/// A view with at most k candidates gets all of them.
+/// A view with at most k candidates gets all of them. Views with a damaged picture get none and are none.
 pub fn choose(
     model: &Model,
     candidates: &Candidates,
@@ -41,15 +41,19 @@ pub fn choose(
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
     let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
-    let keys: Vec<ViewIndex> =
-        model.scene.view_indices().filter(|&v| !candidates.candidates_of(v).is_empty()).collect();
+    let is_sound = |view: &ViewIndex| model.agreement.damaged.binary_search(view).is_err();
+    let candidates_of =
+        |key: ViewIndex| -> Vec<ViewIndex> { candidates.candidates_of(key).iter().copied().filter(is_sound).collect() };
+    let has_candidates = |key: &ViewIndex| is_sound(key) && candidates.candidates_of(*key).iter().any(is_sound);
+    let keys: Vec<ViewIndex> = model.scene.view_indices().filter(has_candidates).collect();
     let (done, total) = (AtomicU64::new(0), keys.len() as u64);
     watcher.progress(Stage::Partners, 0, total);
     let choose_one = |slots: &mut BlockSlots, &key: &ViewIndex| {
         watcher.check()?;
         let is_judge = |t: u32| judges[t as usize];
-        let mut block = Block::new(model, key, candidates.candidates_of(key), is_judge, slots);
-        let choice = choose_for(&mut block, model, key, candidates.candidates_of(key), settings, seed);
+        let candidates = candidates_of(key);
+        let mut block = Block::new(model, key, &candidates, is_judge, slots);
+        let choice = choose_for(&mut block, model, key, &candidates, settings, seed);
         watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
         Ok(choice)
     };

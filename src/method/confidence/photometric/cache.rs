@@ -1,6 +1,6 @@
 //! Cache of the agreement table: a plan reads no picture that an earlier plan compared on the same surface, with the same cameras and candidates.
 //!
-//! The file's facts are the views without a picture, and its contents the values, 1 byte each.
+//! The file's facts are the views without a picture or with a damaged one, and its contents the values, 1 byte each.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 
 /// Raised when the same input gives another table: by other samples, another comparison, or another rule of a program's reach. Not the version of the
 /// program: comparing takes longer than all the rest.
-const VERSION: &str = "agreement 4";
+const VERSION: &str = "agreement 5";
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
 
@@ -25,6 +25,7 @@ const BLOCK: usize = 1 << 20;
 pub(super) struct Cached {
     /// By view: whether it lacks a usable picture.
     pub without: Vec<bool>,
+    pub damaged: Vec<ViewIndex>,
     pub warnings: Vec<String>,
     pub values: Column<u8>,
 }
@@ -33,6 +34,8 @@ pub(super) struct Cached {
 pub(super) struct Facts {
     /// Views without a usable picture, ascending.
     pub without: Vec<u32>,
+    /// Views with a damaged picture, ascending.
+    pub damaged: Vec<ViewIndex>,
     pub warnings: Vec<String>,
 }
 
@@ -93,8 +96,8 @@ pub(super) fn read<'p>(
         values.extend(block)?;
         left -= block.len();
     }
-    let Some(Facts { warnings, .. }) = open.checked() else { return Ok(None) };
-    Ok(Some(Cached { without, warnings, values: values.finish()? }))
+    let Some(Facts { damaged, warnings, .. }) = open.checked() else { return Ok(None) };
+    Ok(Some(Cached { without, damaged, warnings, values: values.finish()? }))
 }
 
 /// The sparse points and who observes them, which the reach of a program follows from.

@@ -29,10 +29,11 @@ pub struct SampleRoom {
     pub views_at_once: usize,
 }
 
-/// Returns [`STACK`] samples for each row of visibility, and the fault of each view without samples.
+/// Returns [`STACK`] samples for each row of visibility, and the fault of each view without samples. `is_used`: by view; pictures of others are not read.
 pub(super) fn samples(
     geometry: &Geometry,
     pictures: &Pictures,
+    is_used: &[bool],
     room: SampleRoom,
     watcher: &dyn Watcher,
 ) -> Result<(Column<i8>, Vec<Option<ImageError>>), TableError> {
@@ -43,9 +44,12 @@ pub(super) fn samples(
     let failures = Mutex::new(Vec::new());
     let of_view = |view: ViewIndex| {
         watcher.check()?;
-        let sampled = pictures
-            .grey(scene, view, geometry.image_scale)
-            .map(|picture| picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref())));
+        let picture = match is_used[view.index()] {
+            true => pictures.grey(scene, view, geometry.image_scale),
+            false => Ok(None),
+        };
+        let sampled =
+            picture.map(|picture| picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref())));
         let sampled = sampled.unwrap_or_else(|failure| {
             failures.lock().map(|mut failures| failures.push((view, failure))).ok();
             None

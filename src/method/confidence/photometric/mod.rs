@@ -16,7 +16,10 @@ use self::{
     compare::{compared, samples},
 };
 pub use self::{compare::SampleRoom, grey::Grey};
-use super::pictures::{NOT_COMPARED, Pictures, picture_warnings};
+use super::{
+    ImageError,
+    pictures::{NOT_COMPARED, NOT_PLANNED, Pictures, picture_warnings},
+};
 use crate::{
     base::{
         column::{Column, READ_AT_ONCE, TableError},
@@ -86,6 +89,8 @@ pub struct Agreement {
     compared: Vec<bool>,
     /// By key view, then partner, then row of the key view: 0 if the pictures share no patch, else 1 + 254 times the correlation.
     pub values: Arc<Column<u8>>,
+    /// Views whose picture is damaged, which are neither key views nor partners, ascending; none if no picture can be used.
+    pub damaged: Vec<ViewIndex>,
     /// A sentence for each picture that cannot be used.
     pub warnings: Vec<String>,
     /// Where the table is kept; `None` if nothing was compared.
@@ -137,13 +142,15 @@ impl Agreement {
         watcher: &dyn Watcher,
     ) -> Result<Self, E> {
         let cache = cache::file(geometry, pictures, &partners_of, reach.program);
-        if let Some(Cached { without, warnings, values }) =
+        if let Some(Cached { without, damaged, warnings, values }) =
             cache::read(&cache, geometry, &partners_of).map_err(TableError::from)?
         {
             let layout = Self::laid_out(geometry, &partners_of, &without);
-            return Ok(Self { values: Arc::new(values), warnings, cache: Some(cache), is_kept: true, ..layout });
+            let values = Arc::new(values);
+            return Ok(Self { values, damaged, warnings, cache: Some(cache), is_kept: true, ..layout });
         }
-        let (samples, troubles) = samples(geometry, pictures, room()?, watcher)?;
+        let is_used = used(geometry, &partners_of);
+        let (samples, troubles) = samples(geometry, pictures, &is_used, room()?, watcher)?;
         let without: Vec<bool> = troubles.iter().map(|t| t.is_some() || !pictures.have_images()).collect();
         let mut table = Self::laid_out(geometry, &partners_of, &without);
         let compare = |places: &mut Vec<u32>, key: ViewIndex| {
@@ -152,8 +159,11 @@ impl Agreement {
             Ok(compared(geometry, &samples, key, table.partners_of(key), reach, places))
         };
         table.values = Arc::new(geometry.visibility.column(READ_AT_ONCE, Vec::new, compare)?);
+        table.damaged = damaged(&is_used, &troubles);
+        let is_excluded = |trouble: &ImageError| !table.damaged.is_empty() && trouble.is_damage();
+        let consequence = |trouble: &ImageError| if is_excluded(trouble) { NOT_PLANNED } else { NOT_COMPARED };
         table.warnings = match pictures.have_images() {
-            true => picture_warnings(geometry.scene, &troubles, NOT_COMPARED),
+            true => picture_warnings(geometry.scene, &troubles, consequence),
             false => vec!["the project has no image folder: no pictures were compared".into()],
         };
         table.cache = Some(cache);
@@ -169,7 +179,8 @@ impl Agreement {
     pub fn unwritten(&self) -> Option<FileSet> {
         let file = self.cache.as_ref().filter(|_| !self.is_kept)?;
         let without = (0..).zip(&self.compared).filter(|(_, compared)| !**compared).map(|(view, _)| view).collect();
-        Some(file.file(&Facts { without, warnings: self.warnings.clone() }, vec![self.values.clone()]))
+        let facts = Facts { without, damaged: self.damaged.clone(), warnings: self.warnings.clone() };
+        Some(file.file(&facts, vec![self.values.clone()]))
     }
 
     /// Builds a table without values; `without`: by view, true if it has no usable picture.
@@ -250,6 +261,25 @@ impl Agreement {
     pub fn bytes(&self) -> usize {
         self.values.bytes() + 4 * self.partners.len()
     }
+}
+
+/// By view: whether it has a partner or is one.
+fn used<'p>(geometry: &Geometry, partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex]) -> Vec<bool> {
+    let mut is_used = vec![false; geometry.scene.views.len()];
+    for key in geometry.scene.view_indices() {
+        let partners = partners_of(key);
+        is_used[key.index()] |= !partners.is_empty();
+        partners.iter().for_each(|partner| is_used[partner.index()] = true);
+    }
+    is_used
+}
+
+/// Views with a damaged picture; none if no view that is used has a picture, since nothing can be said for one view against another then.
+fn damaged(is_used: &[bool], troubles: &[Option<ImageError>]) -> Vec<ViewIndex> {
+    let has_picture = |(&is_used, trouble): (&bool, &Option<ImageError>)| is_used && trouble.is_none();
+    let views = if is_used.iter().zip(troubles).any(has_picture) { troubles } else { &[] };
+    let is_damage = |trouble: &Option<ImageError>| trouble.as_ref().is_some_and(ImageError::is_damage);
+    (0..).zip(views).filter(|(_, trouble)| is_damage(trouble)).map(|(view, _)| ViewIndex(view)).collect()
 }
 
 #[cfg(test)]
