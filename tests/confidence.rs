@@ -46,13 +46,13 @@ fn images(project: &Path) -> Vec<PathBuf> {
     images
 }
 
-/// The unary confidence of each visible (view, triangle).
-fn unary(project: &Path, options: &[&str]) -> Vec<(u32, f32)> {
+/// The share of each visible (view, triangle) that masks allow.
+fn allowed(project: &Path, options: &[&str]) -> Vec<(u32, f32)> {
     let tables = project.join("tables");
     plan(project, &[options, &["--dump-tables", tables.to_str().unwrap()]].concat());
     let read = |name: &str| fs::read(tables.join(name)).unwrap();
     let views: Vec<u32> = npyz::NpyFile::new(&read("visible.npy")[..]).unwrap().into_vec().unwrap();
-    let values: Vec<f32> = npyz::NpyFile::new(&read("unary.npy")[..]).unwrap().into_vec().unwrap();
+    let values: Vec<f32> = npyz::NpyFile::new(&read("allowed.npy")[..]).unwrap().into_vec().unwrap();
     views.chunks_exact(2).map(|row| row[0]).zip(values).collect()
 }
 
@@ -191,17 +191,18 @@ fn what_a_mask_forbids_has_no_confidence() {
     }
     let mask = image::GrayImage::from_pixel(width, height, image::Luma([0]));
     mask.save(project.path().join(format!("masks/{name}.png"))).unwrap();
-    let unary = unary(project.path(), &["--confidence", "geometric"]);
-    assert!(unary.iter().all(|&(view, u)| view != 3 || u == 0.0));
-    assert!(unary.iter().any(|&(view, u)| view == 4 && u > 0.9));
-    // Where pictures are compared, nothing agrees with the masked one: it can fulfil nothing.
+    let allowed = allowed(project.path(), &["--confidence", "geometric"]);
+    assert!(allowed.iter().all(|&(view, m)| m == if view == 3 { 0.0 } else { 1.0 }));
+    // Nothing of the masked view can be matched, and nothing agrees with its picture: it can fulfil nothing.
     let gains = |manifest: &Value| {
         let clusters = manifest["clusters"].as_array().unwrap().clone();
         clusters.iter().filter(|cluster| cluster["key"] == name).count()
     };
-    let masked = plan(project.path(), &[]);
-    assert_eq!(gains(&masked), 0);
-    assert!(!warnings(&masked).contains(unused));
+    for confidence in ["geometric", "photometric"] {
+        let masked = plan(project.path(), &["--confidence", confidence]);
+        assert_eq!(gains(&masked), 0, "{confidence}");
+        assert!(!warnings(&masked).contains(unused));
+    }
     fs::remove_dir_all(project.path().join("masks")).unwrap();
     assert_eq!(gains(&plan(project.path(), &[])), 1);
 }

@@ -12,7 +12,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::method::confidence::MASKS;
+use crate::io::project::MASKS;
 
 /// File names of a COLMAP model, without suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];

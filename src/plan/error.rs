@@ -97,9 +97,10 @@ impl Hint for PlanError {
                 memory::enough(*with_picture)
             ),
             Self::Memory { with_picture, .. } => format!(
-                "give --max-memory {} (max_memory in viewrank.toml), use fewer --threads, or reduce the triangles with a coarser --gsd or a larger \
+                "give --max-memory {} (max_memory in viewrank.toml),{} or reduce the triangles with a coarser --gsd or a larger \
                  surface.edge_factor",
-                memory::enough(*with_picture)
+                memory::enough(*with_picture),
+                if rayon::current_num_threads() > 1 { " use fewer --threads," } else { "" }
             ),
             Self::Refused { with_picture, .. } => format!(
                 "give viewrank watch --max-memory {} or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \

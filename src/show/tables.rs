@@ -24,8 +24,9 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     table("weight", array(&[plan.stages.objective.weights.len()], plan.stages.objective.weights.iter().copied()));
     let visible = rows(plan.stages.visibility.offsets.as_slice(), &plan.stages.visibility.triangles);
     table("visible", array(&[plan.stages.visibility.triangles.len(), 2], visible));
-    let unary = (0..plan.stages.visibility.triangles.len()).map(|row| plan.stages.unary.confidence(row));
-    table("unary", array(&[plan.stages.visibility.triangles.len()], unary));
+    let (unary, seen) = (&plan.stages.unary, plan.stages.visibility.triangles.len());
+    table("unary", array(&[seen], (0..seen).map(|row| unary.at(row).observed)));
+    table("allowed", array(&[seen], (0..seen).map(|row| unary.at(row).allowed)));
     if let Confidence::Photometric { .. } = plan.stages.confidence {
         let agreement = &plan.stages.agreement;
         table("agreement_partners", indices(&agreement.partners));

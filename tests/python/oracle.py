@@ -134,6 +134,7 @@ class Tables:
         split = np.searchsorted(self.visible[:, 0], np.arange(len(self.views) + 1))
         self.seen = [self.visible[a:b, 1] for a, b in zip(split, split[1:])]
         self.seen_unary = [self.unary[a:b] for a, b in zip(split, split[1:])]
+        self.seen_allowed = [self.allowed[a:b] for a, b in zip(split, split[1:])]
 
     def partners_of(self, cluster):
         return self.partners[self.partner_offsets[cluster]:self.partner_offsets[cluster + 1]]
@@ -209,7 +210,8 @@ def f_conf(model, tables, key, partners, seen, sees):
             chances[i, here] = np.where(agreed > 0, differ + (agree - differ) * np.minimum((agreed - 1) / 254 / settings["full_agreement"], 1), 0)
             continue
         mean = 0.5 * (tables.seen_unary[key][here].astype(float) + tables.seen_unary[partner][row])
-        chances[i, here] = mean * geometric(model, tables, settings, key, partner, seen[here])
+        allowed = tables.seen_allowed[key][here].astype(float) * tables.seen_allowed[partner][row]
+        chances[i, here] = mean * allowed * geometric(model, tables, settings, key, partner, seen[here])
     at_most = np.zeros((len(partners) + 1, len(seen)))
     at_most[0] = 1
     for chance in chances:

@@ -2,6 +2,8 @@
 import json
 import shutil
 
+import cv2
+import numpy as np
 import pytest
 
 
@@ -27,6 +29,20 @@ def test_what_plan_warns_of(viewrank, fixtures, tmp_path):
     findings = json.loads(viewrank("doctor", folder, "--format", "json", expect=3).stdout)["findings"]
     said = {finding["what"]: finding["check"] for finding in findings}
     assert len(warnings) == 2 and [said.get(warning) for warning in warnings] == ["model-not-as-it-should-be", "model-copies"]
+
+
+def test_masks_in_the_image_folder(viewrank, fixtures, tmp_path):
+    folder = project(fixtures, tmp_path)
+    masks = folder / "images" / "masks"
+    masks.mkdir()
+    names = [image.name for image in sorted((folder / "images").glob("*.jpg"))]
+    for name in names:
+        cv2.imwrite(str(masks / f"{name}.png"), np.full((45, 60), 0 if name == names[3] else 255, np.uint8))
+    findings = json.loads(viewrank("doctor", folder, "--format", "json", expect=3).stdout)["findings"]
+    assert [finding["check"] for finding in findings if finding["severity"] != "note"] == ["black-masks"], "masks are no images without a pose"
+    viewrank("plan", folder, "--confidence", "geometric", "--quiet")
+    views = json.loads((folder / "viewrank" / "manifest.json").read_text())["views"]
+    assert [view["name"] for view in views if view.get("reason") == "not_matchable"] == [names[3]]
 
 
 @pytest.mark.parametrize("name", ["valley", "caliterra", "lewis", "boruszyn"])

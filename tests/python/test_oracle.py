@@ -1,4 +1,5 @@
 """The dumped tables of a plan against an independent implementation of the method."""
+import cv2
 import numpy as np
 import oracle
 import pytest
@@ -9,7 +10,8 @@ import pytest
     ("colmap", ["--confidence", "geometric", "--gsd", "0.05"]),
     ("images", ["--confidence", "none", "-k", "3", "--partners", "sampled"]),
     ("sgm", ["--confidence", "photometric", "-k", "4"]),
-], ids=["search", "absolute", "sampled", "photometric"])
+    ("openmvs", ["--confidence", "geometric", "-k", "4"]),
+], ids=["search", "absolute", "sampled", "photometric", "masks"])
 def planned(request, viewrank, fixtures, tmp_path_factory):
     """The fixture's model and the tables of a plan for it."""
     backend, options = request.param
@@ -17,6 +19,12 @@ def planned(request, viewrank, fixtures, tmp_path_factory):
     project = tmp_path_factory.mktemp("project")
     for part in ("sparse", "images"):
         (project / part).symlink_to(fixtures / "valley" / part)
+    if backend == "openmvs":
+        (project / "masks").mkdir()
+        for number, image in enumerate(sorted((project / "images").iterdir())[::3]):
+            mask = np.full((45, 60), 255, np.uint8)
+            mask[:, : 5 * number] = 0
+            cv2.imwrite(str(project / "masks" / f"{image.name}.png"), mask)
     viewrank("plan", project, "--backend", backend, "--dump-tables", tables, *options)
     read = oracle.Tables(tables)
     read.backend = backend

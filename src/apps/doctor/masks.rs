@@ -3,7 +3,8 @@
 use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     config::ConfidenceSource,
-    method::confidence::{self, ALL_COUNTS, ImageError, MASKS, NOT_COMPARED, Pictures},
+    io::project::MASKS,
+    method::confidence::{self, ALL_COUNTS, ImageError, NOT_COMPARED, Pictures},
     model::scene::ViewIndex,
 };
 

@@ -12,13 +12,15 @@ use walkdir::{DirEntry, WalkDir};
 use super::images::{candidates, is_image, slashes};
 use crate::model::scene::Scene;
 
+/// Name of the folder of masks: in the project, beside its image folder or in that.
+pub const MASKS: &str = "masks";
 /// Depth below a folder to which other folders of images are searched.
 const DEPTH: usize = 2;
 /// Most folders that are searched.
 const MOST_FOLDERS: usize = 2000;
 /// Folders that hold images of these names which are no photographs of the model: results of viewrank and of MVS programs, reduced copies.
 const NOT_SEARCHED: [&str; 9] =
-    ["viewrank", "dense", "stereo", "masks", "sparse", "undistorted", "thumbnails", "depth_maps", "export"];
+    ["viewrank", "dense", "stereo", MASKS, "sparse", "undistorted", "thumbnails", "depth_maps", "export"];
 
 /// Folder to which the image names of a model are relative. Dereferences to its path.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ use image::{ImageFormat, ImageReader};
 use rayon::prelude::*;
 use walkdir::WalkDir;
 
-use super::{ImageFolder, Project, folder};
+use super::{ImageFolder, MASKS, Project, folder};
 use crate::{
     base::input::{self, FileKind},
     io::formats::foreign::ForeignModel,
@@ -277,15 +277,15 @@ fn header_size(file: impl BufRead + Seek) -> Option<(u32, u32)> {
     ImageReader::new(file).with_guessed_format().ok()?.into_dimensions().ok()
 }
 
-/// Images of the folder without a view in the scene, sorted; none if the folder has no image of the scene, since a foreign model may name an
-/// unrelated folder.
+/// Images of the folder, other than masks, without a view in the scene, sorted; none if the folder has no image of the scene, since a foreign model
+/// may name an unrelated folder.
 pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
     if !scene.views.iter().take(PROBED).any(|view| folder.file(&view.name).is_file()) {
         return Vec::new();
     }
     let names = scene.views.iter().map(|view| &*view.name).chain(folder.other_names().map(|(_, file)| file));
     let registered: HashSet<PathBuf> = names.map(|name| normal(Path::new(name))).collect();
-    images_below(folder, |name| !registered.contains(name))
+    images_below(folder, |name| !registered.contains(name) && !name.starts_with(MASKS))
 }
 
 /// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`; sorted.

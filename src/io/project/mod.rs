@@ -18,7 +18,7 @@ use std::{
 pub use containing::containing;
 pub use create::CreateError;
 pub use files::ColmapFiles;
-pub use folder::ImageFolder;
+pub use folder::{ImageFolder, MASKS};
 pub use images::{ImageFaults, Unread, slashes};
 pub(crate) use images::{images_below, is_image, probe};
 

@@ -16,8 +16,8 @@ pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
 pub use photometric::{Agreement, PairAgreement, Photometric, ProgramReach, ReachOfPartner, SampleRoom};
-pub use pictures::{ALL_COUNTS, MASKS, NOT_COMPARED, Pictures, naming_of_masks, picture_warnings};
-pub use unary::{AROUND, Unary};
+pub use pictures::{ALL_COUNTS, NOT_COMPARED, Pictures, naming_of_masks, picture_warnings};
+pub use unary::{AROUND, AtTriangle, Unary};
 
 use crate::config::{ConfidenceSettings, ConfidenceSource};
 
@@ -26,9 +26,9 @@ use crate::config::{ConfidenceSettings, ConfidenceSource};
 pub enum Confidence {
     /// f_conf = 1 if f_cov = 1.
     None,
-    /// Method 7.2 times the mean of the two unary confidences.
+    /// Method 7.2, with the unary confidence of both views.
     Pair(PairConfidence),
-    /// Method 7.4 if the pictures of both views are available, else method 7.2 times the mean of the two unary confidences.
+    /// Method 7.4 if the pictures of both views are available, else method 7.2.
     Photometric { agreement: Photometric, otherwise: PairConfidence },
 }
 
@@ -72,12 +72,12 @@ impl Confidence {
         }
     }
 
-    /// Returns p_i of a partner that sees the triangle, from the geometry of the pair and the two views' [`Unary::confidence`].
-    pub fn pair(&self, constellation: &Constellation, key: f64, partner: f64) -> f64 {
+    /// Returns p_i of a partner that sees the triangle, from the geometry of the pair and the factor of its views by themselves ([`AtTriangle::with`]).
+    pub fn pair(&self, constellation: &Constellation, by_view: f64) -> f64 {
         match self {
             Self::None => 1.0,
             Self::Pair(numbers) | Self::Photometric { otherwise: numbers, .. } => {
-                numbers.confidence(constellation) * 0.5 * (key + partner)
+                numbers.confidence(constellation) * by_view
             }
         }
     }

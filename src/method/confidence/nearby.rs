@@ -118,11 +118,11 @@ mod tests {
             for &t in visibility.triangles_seen_by(view) {
                 let around = by_sorting(&scene.points, &surface.centroid(t));
                 let known = around.iter().filter(|&&p| points.observed_by(view).iter().any(|o| o.0 == p)).count();
-                assert_eq!(unary.confidence(row), 0.5 + known as f32 / 16.0);
-                assert!(view.0 != 0 || unary.confidence(row) == 0.5);
+                assert_eq!(unary.at(row).observed, 0.5 + known as f32 / 16.0);
+                assert!(view.0 != 0 || unary.at(row).observed == 0.5);
                 row += 1;
             }
         }
-        assert!(row > 0 && unary.columns().0.len() == row && (0..row).any(|row| unary.confidence(row) > 0.9));
+        assert!(row > 0 && unary.columns().0.len() == row && (0..row).any(|row| unary.at(row).observed > 0.9));
     }
 }

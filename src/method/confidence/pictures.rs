@@ -16,15 +16,13 @@ use super::{
 };
 use crate::{
     base::input::{self, FileKind},
-    io::project::{self, ImageFolder, Project},
+    io::project::{self, ImageFolder, MASKS, Project},
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
     },
 };
 
-/// Name of the folder of masks, in the project or next to its image folder.
-pub const MASKS: &str = "masks";
 /// What follows for a view whose picture is damaged, while others are not.
 pub const NOT_PLANNED: &str = "it is neither matched nor planned";
 /// What follows for a view whose mask cannot be used, where pictures are compared and where they are not.
@@ -54,8 +52,9 @@ pub struct Stamp {
 
 impl Pictures {
     pub fn new(project: &Project) -> Self {
-        let beside = project.images.as_deref().and_then(Path::parent).map(Path::to_path_buf);
-        let masks = [Some(project.root.clone()), beside].into_iter().flatten().map(|folder| folder.join(MASKS));
+        let images = project.images.as_deref();
+        let masks = [Some(&*project.root), images.and_then(Path::parent), images].into_iter().flatten();
+        let masks = masks.map(|folder| folder.join(MASKS));
         Self {
             images: project.images.clone(),
             masks: masks.into_iter().find(|folder| folder.is_dir()),

@@ -39,6 +39,23 @@ pub struct Unary {
     allowed: Column<f32>,
 }
 
+/// Unary confidence of one view at a triangle (method 7.2).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AtTriangle {
+    /// u, by the sparse points that the view observes, 0.5 to 1; 1 without influence.
+    pub observed: f32,
+    /// m, the share of the triangle that the view's mask allows, 0 to 1.
+    pub allowed: f32,
+}
+
+impl AtTriangle {
+    /// Returns the factor of p_i that the two views of a pair have by themselves, 0 to 1: what one mask excludes cannot be matched at all.
+    pub fn with(self, other: Self) -> f64 {
+        let observed = f64::from(self.observed) + f64::from(other.observed);
+        0.5 * observed * f64::from(self.allowed) * f64::from(other.allowed)
+    }
+}
+
 impl Default for Unary {
     fn default() -> Self {
         Self::of_points(Column::default(), AROUND as u8)
@@ -58,7 +75,7 @@ impl Unary {
         Self { observed, around, levels, allowed: Column::default() }
     }
 
-    /// Returns this confidence times the share that masks allow.
+    /// Returns this confidence with the shares that masks allow.
     pub fn within(self, allowed: Column<f32>) -> Self {
         Self { allowed, ..self }
     }
@@ -73,8 +90,8 @@ impl Unary {
         self.observed.is_empty() && self.allowed.is_empty()
     }
 
-    pub fn confidence(&self, row: usize) -> f32 {
-        self.of_rows(row..row + 1).confidence(0)
+    pub fn at(&self, row: usize) -> AtTriangle {
+        self.of_rows(row..row + 1).at(0)
     }
 
     /// Returns a part of the table, which is faster to read in loops.
@@ -136,9 +153,9 @@ pub struct UnaryRows<'a> {
 
 impl UnaryRows<'_> {
     /// `row`: from the first of these.
-    pub fn confidence(&self, row: usize) -> f32 {
-        let by_points = self.observed.get(row).map_or(1.0, |&number| self.levels[usize::from(number)]);
-        self.allowed.get(row).map_or(by_points, |allowed| by_points * allowed)
+    pub fn at(&self, row: usize) -> AtTriangle {
+        let observed = self.observed.get(row).map_or(1.0, |&number| self.levels[usize::from(number)]);
+        AtTriangle { observed, allowed: self.allowed.get(row).copied().unwrap_or(1.0) }
     }
 }
 

@@ -226,11 +226,11 @@ impl Success {
         let rule = &model.rule;
         let (mut seeing, mut chances) = (Vec::with_capacity(partners.len()), Vec::with_capacity(partners.len()));
         for (view, row) in rows {
-            let (own, other) = (f64::from(model.unary.confidence(key_row)), f64::from(model.unary.confidence(row)));
+            let by_view = model.unary.at(key_row).with(model.unary.at(row));
             seeing.push(view);
             let first = model.visibility.rows(key).start;
             let by_geometry =
-                || rule.confidence.pair(&Constellation::new(&model.geometry(), key, view, triangle), own, other);
+                || rule.confidence.pair(&Constellation::new(&model.geometry(), key, view, triangle), by_view);
             chances.push(match (rule.confidence, model.agreement.of_pair(key, view)) {
                 (Confidence::Photometric { agreement, .. }, PairAgreement::Compared(values)) => {
                     agreement.chance(values[key_row - first])

@@ -245,7 +245,7 @@ fn a_pair_counts_by_its_geometry_and_both_views() {
     let everyone = |t: &&u32| partners.iter().all(|&p| setting.visibility.row(p, **t).is_some());
     let triangle = *setting.visibility.triangles_seen_by(key).iter().find(everyone).unwrap();
     let confidence = |c: Confidence| value(&setting.model(c), key, &partners, triangle).confidence;
-    assert!((confidence(Confidence::Pair(numbers)) - (1.0 - 0.6 * 0.6)).abs() < 1e-12);
+    assert!((confidence(Confidence::Pair(numbers)) - (1.0 - 0.8 * 0.8)).abs() < 1e-12, "0.8 times both masks");
     assert_eq!(confidence(Confidence::None), 1.0);
 }
 

@@ -305,6 +305,6 @@ fn in_units(bytes: u64, round: impl Fn(f64) -> f64) -> String {
     match bytes as f64 / 1024f64.powi(3) {
         gibibytes if gibibytes >= 1.0 => format!("{:.1}G", round(10.0 * gibibytes) / 10.0),
         gibibytes if bytes >= 1 << 20 => format!("{:.0}M", round(1024.0 * gibibytes)),
-        _ => format!("{bytes} bytes"),
+        _ => format!("{bytes} byte{}", if bytes == 1 { "" } else { "s" }),
     }
 }

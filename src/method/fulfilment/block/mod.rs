@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     base::vector::vectorised,
-    method::confidence::{Confidence, PairAgreement},
+    method::confidence::{AtTriangle, Confidence, PairAgreement},
     model::scene::ViewIndex,
 };
 
@@ -49,7 +49,7 @@ pub struct Block<'a> {
     keys: Vec<KeyLanes>,
     /// Visibility, by partner, then slot.
     sees: Vec<Vec<bool>>,
-    /// By partner, then slot: mean of the key view's and the partner's unary confidence, 0 to 1. Empty: 1 everywhere.
+    /// By partner, then slot: factor of the key view's and the partner's unary confidence, 0 to 1. Empty: 1 everywhere.
     unary: Vec<Vec<f32>>,
     /// By partner: true if `unary` holds the probability of a match itself, from comparing pictures (method 7.4).
     agreed: Vec<bool>,
@@ -178,20 +178,20 @@ impl<'a> Block<'a> {
         let model = &self.model;
         let seen = model.visibility.triangles_seen_by(self.key);
         seen.iter().zip(&self.slots).for_each(|(&t, &slot)| slot_of[t as usize] = slot);
-        let own: Vec<f32> = if model.unary.is_certain() { Vec::new() } else { self.own_unary() };
+        let own: Vec<AtTriangle> = if model.unary.is_certain() { Vec::new() } else { self.own_unary() };
         for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
-            let mut means = vec![0.0; own.len()];
+            let mut factors = vec![0.0; own.len()];
             let unary = model.unary.of_rows(model.visibility.rows(partner));
             for (row, &t) in model.visibility.triangles_seen_by(partner).iter().enumerate() {
                 let slot = slot_of[t as usize];
                 if slot != EMPTY {
                     sees[slot as usize] = true;
                     if !own.is_empty() {
-                        means[slot as usize] = 0.5 * (own[slot as usize] + unary.confidence(row));
+                        factors[slot as usize] = own[slot as usize].with(unary.at(row)) as f32;
                     }
                 }
             }
-            self.unary.push(means);
+            self.unary.push(factors);
         }
         seen.iter().for_each(|&t| slot_of[t as usize] = EMPTY);
         for partner in 0..self.partners.len() {
@@ -219,11 +219,11 @@ impl<'a> Block<'a> {
         Some(chances)
     }
 
-    fn own_unary(&self) -> Vec<f32> {
-        let mut own = vec![0.0; self.len() * LANES];
+    fn own_unary(&self) -> Vec<AtTriangle> {
+        let mut own = vec![AtTriangle { observed: 0.0, allowed: 0.0 }; self.len() * LANES];
         let unary = self.model.unary.of_rows(self.model.visibility.rows(self.key));
         for (row, &slot) in self.slots.iter().enumerate() {
-            own[slot as usize] = unary.confidence(row);
+            own[slot as usize] = unary.at(row);
         }
         own
     }
