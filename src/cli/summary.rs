@@ -355,7 +355,7 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     if project.images.is_none() {
         notes.push("There are no images: what will match is predicted from geometry alone.".into());
     }
-    let missing = plan.stages.missing_images.len();
+    let missing = plan.stages.without_image.len();
     if missing > 0 {
         let (it, views) = if missing == 1 { ("is", "view has") } else { ("are", "views have") };
         notes.push(format!(

@@ -246,7 +246,9 @@ impl InputFolders {
             models.push(above.join("ori"));
         }
         let has_orientations = Listing::read(project).is_ok_and(|listing| listing.holds_orientations(project));
-        let (images, masks) = (folders_at(&project.join("images")), folders_at(&project.join(MASKS)));
+        let (mut images, mut masks) = (folders_at(&project.join("images")), folders_at(&project.join(MASKS)));
+        let in_images = project.join("images").join(MASKS);
+        masks.extend(images.extract_if(.., |folder| folder.starts_with(&in_images)));
         let mut folders = Self { models, images, masks, has_orientations };
         for folders in [&mut folders.models, &mut folders.images, &mut folders.masks] {
             folders.retain(|folder| folder.is_dir() && may_enter(project, folder, follow_links));

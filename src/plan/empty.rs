@@ -72,6 +72,9 @@ impl Hint for EmptyPlan {
             Self::Fulfilled { reason: Reason::OutsideRegion, .. } => {
                 "choose a region that the images show, such as --region auto".into()
             }
+            Self::Fulfilled { reason: Reason::NoImage, .. } => {
+                "copy these images again, or plan without images: --confidence geometric".into()
+            }
             Self::Fulfilled { .. } => "run viewrank doctor; check the masks and --confidence, too".into(),
             Self::Allowed { .. } => "raise the limit".into(),
         })

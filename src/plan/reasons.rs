@@ -43,7 +43,7 @@ pub(super) struct Reasons<'a> {
     /// Number of views that see each triangle.
     viewers: &'a [u32],
     candidates: &'a Candidates,
-    missing_images: &'a [ViewIndex],
+    without_image: &'a [ViewIndex],
     clusters: &'a [ViewCluster],
     fulfilment: &'a FulfilmentTable,
     region: Option<&'a Region>,
@@ -56,7 +56,7 @@ impl<'a> Reasons<'a> {
             model,
             viewers: &stages.shown.views,
             candidates: &stages.candidates,
-            missing_images: &stages.missing_images,
+            without_image: &stages.without_image,
             clusters: &stages.clusters,
             fulfilment: &stages.fulfilment,
             region: stages.region.as_ref(),
@@ -100,18 +100,16 @@ impl<'a> Reasons<'a> {
 
     /// The most frequent reason why pairs of the view were refused.
     fn main_refusal(&self, view: ViewIndex) -> Reason {
-        most_frequent(self.candidates.refused(view).iter().map(|refusal| refusal.reason))
-            .unwrap_or(Reason::NoSharedPoints)
+        let damaged = self.candidates.candidates_of(view).iter().filter(|v| self.model.agreement.damaged.contains(v));
+        let refused = self.candidates.refused(view).iter().map(|refusal| refusal.reason);
+        most_frequent(refused.chain(damaged.map(|_| Reason::NotMatchable))).unwrap_or(Reason::NoSharedPoints)
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        if self.missing_images.binary_search(&view).is_ok() {
+        if self.without_image.binary_search(&view).is_ok() {
             Reason::NoImage
         } else if self.model.visibility.triangles_seen_by(view).is_empty() {
             Reason::Hidden
-        } else if !self.candidates.candidates_of(view).is_empty() {
-            // All of them have a damaged picture.
-            Reason::NotMatchable
         } else {
             self.main_refusal(view)
         }

@@ -71,8 +71,8 @@ pub struct Stages {
     pub objective: Objective,
     pub candidates: Candidates,
     pub image_faults: ImageFaults,
-    /// Views whose images are missing, cannot be read or are damaged, which are neither key views nor partners; ascending.
-    pub missing_images: Vec<ViewIndex>,
+    /// Views whose images are missing, cannot be read or prove damaged, which are neither key views nor partners; ascending.
+    pub without_image: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,
     /// f of each cluster: predicted, or measured where the cluster is finished.
@@ -116,8 +116,8 @@ impl Stages {
         let image_faults = project.image_faults(&scene);
         let pixels = if project.images.is_some() { image_faults.most_pixels(&scene) } else { 0 };
         let mut memory = Memory::before_surface(&scene, &mut settings, pixels, watcher)?;
-        let mut missing_images = image_faults.without_image(scene.views.len());
-        let matching = (matcher, &missing_images[..]);
+        let mut without_image = image_faults.without_image(scene.views.len());
+        let matching = (matcher, &without_image[..]);
         let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
             surface_and_candidates((&scene, &points), &settings, matching, &inputs, watcher, timings, &mut memory)
         })?;
@@ -161,8 +161,8 @@ impl Stages {
             _ => Ok(Agreement::default()),
         })?;
         picture_warnings.extend(agreement.warnings.iter().cloned());
-        missing_images.extend(&agreement.damaged);
-        missing_images.sort_unstable();
+        without_image.extend(&agreement.damaged);
+        without_image.sort_unstable();
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let from = [&surface_slot.file, &candidates_slot.file, &unary_slot.file];
         let clusters_file = inputs.clusters(&settings, from, &agreement, &target, &model.rule);
@@ -214,7 +214,7 @@ impl Stages {
             objective,
             candidates,
             image_faults,
-            missing_images,
+            without_image,
             clusters,
             fulfilment,
         })
@@ -346,7 +346,7 @@ fn unary(
         let broken = match confidence {
             // A mask that cannot be used is named with its picture.
             Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
-            _ => confidence::picture_warnings(scene, &faults, |_| confidence::ALL_COUNTS),
+            _ => confidence::picture_warnings(scene, &faults, confidence::ALL_COUNTS),
         };
         let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
         Ok((nearby.within(masks), unused.into_iter().chain(broken).collect()))
@@ -401,7 +401,7 @@ fn agreement(
 fn surface_and_candidates(
     from @ (scene, points): (&Scene, &ViewPoints),
     settings: &Settings,
-    (matcher, missing_images): (&Matcher, &[ViewIndex]),
+    (matcher, without_image): (&Matcher, &[ViewIndex]),
     inputs: &Inputs,
     watcher: &dyn Watcher,
     timings: &mut Timings,
@@ -409,9 +409,9 @@ fn surface_and_candidates(
 ) -> Result<(Slotted<VisibleSurface>, Slotted<Candidates>), PlanError> {
     let PlanningNumbers { reach, gate, .. } = matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
-    let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, missing_images);
+    let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, without_image);
     let (slot, known) = kept::read(file, |(), bytes| kept::candidates::unpack(bytes, scene.views.len()));
-    let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
+    let is_missing = |view: &ViewIndex| without_image.binary_search(view).is_ok();
     let refusals_of = |key| -> Refuses {
         let reach = reach.map(|rule| rule(scene, points, key, settings.image_scale()));
         Box::new(move |pair| {

@@ -7,6 +7,7 @@ import subprocess
 import threading
 
 import cv2
+import numpy as np
 import pytest
 
 PLAN = ["--confidence", "none", "--backend", "sgm"]  # quick, and independent of what is installed
@@ -161,26 +162,64 @@ def test_views_without_an_image_take_no_part(viewrank, valley):
     assert manifest(valley) == after | {"input": manifest(valley)["input"], "warnings": manifest(valley)["warnings"]}, "as if it were missing"
 
 
+def damage(image):
+    """Puts a PNG with a wrong checksum in place of an image."""
+    png = bytearray(cv2.imencode(".png", cv2.imread(str(image)))[1].tobytes())
+    png[len(png) // 2] ^= 1
+    image.write_bytes(png)
+
+
+def with_view(manifest, names):
+    """The clusters of which one of these views is a part."""
+    return [cluster for cluster in manifest["clusters"] if set(names) & {cluster["key"], *cluster["partners"]}]
+
+
 def test_views_with_a_damaged_picture_take_no_part(viewrank, valley):
     viewrank("plan", valley)
     sound = manifest(valley)
     first = sound["clusters"][0]["key"]
     image = valley / "images" / first
     jpeg = image.read_bytes()
-    png = bytearray(cv2.imencode(".png", cv2.imread(str(image)))[1].tobytes())
-    png[len(png) // 2] ^= 1
-    image.write_bytes(png)
+    damage(image)
     done = viewrank("plan", valley)
     assert "1 view has no image that can be read" in done.stdout and "CRC" in done.stderr
     after = manifest(valley)
-    assert all(first != cluster["key"] and first not in cluster["partners"] for cluster in after["clusters"])
+    assert not with_view(after, [first]) and all(len(cluster["partners"]) == 5 for cluster in after["clusters"])
     assert next(view for view in after["views"] if view["name"] == first)["reason"] == "no_image"
     assert any(first in warning and "neither matched nor planned" in warning for warning in after["warnings"])
     viewrank("plan", valley)
     assert manifest(valley) == after, "also from what is kept"
+    image.unlink()
+    viewrank("plan", valley)
+    missing = manifest(valley)
+    assert {cluster["key"] for cluster in missing["clusters"]} == {cluster["key"] for cluster in after["clusters"]}
     image.write_bytes(jpeg)
     viewrank("plan", valley)
     assert manifest(valley)["clusters"] == sound["clusters"], "nothing that is kept lacks the view"
+
+
+def test_damage_counts_as_soon_as_pictures_are_compared(viewrank, valley):
+    """Without a pair of pictures nothing speaks for one view against another."""
+    images = sorted((valley / "images").iterdir())
+    kept = {image: image.read_bytes() for image in images}
+    for image in images[:-1]:
+        cv2.imwrite(str(image), np.zeros((50, 500), np.uint8))
+    viewrank("plan", valley)
+    for image in images[:5]:
+        damage(image)
+    done = viewrank("plan", valley)
+    assert "neither matched nor planned" not in done.stderr and "not compared" in done.stderr
+    assert "24 more images like these" in done.stderr, done.stderr
+    for image in images[5:]:
+        image.write_bytes(kept[image])
+    done = viewrank("plan", valley)
+    assert "2 more images like these: the image is neither matched nor planned" in " ".join(done.stderr.split())
+    assert not with_view(manifest(valley), [image.name for image in images[:5]])
+    for image in images[:-1]:
+        image.write_bytes(kept[image])
+        damage(image)
+    viewrank("plan", valley, "--quiet")
+    assert len(manifest(valley)["clusters"]) == len(images), "no pair of sound pictures is left"
 
 
 def test_a_model_replaced_while_it_is_planned_gets_no_plan(viewrank, valley):

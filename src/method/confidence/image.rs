@@ -16,7 +16,6 @@ use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Lim
 use jpeg_decoder::PixelFormat;
 use zune_jpeg::{
     JpegDecoder,
-    errors::DecodeErrors,
     zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
 };
 
@@ -49,8 +48,6 @@ pub enum ImageError {
     Unknown,
     #[error("broken JPEG: {0}")]
     Jpeg(#[from] jpeg_decoder::Error),
-    #[error("broken JPEG: {0:?}")]
-    JpegGrey(#[from] DecodeErrors),
     #[error("broken image: {0}")]
     Other(#[from] image::ImageError),
     #[error("{width} x {height} pixels are too many")]
@@ -64,14 +61,13 @@ pub enum ImageError {
 }
 
 impl ImageError {
-    /// Returns whether the file is damaged, so that no program is expected to read all of it; false for images that this program alone cannot read.
+    /// Returns whether the file is damaged; false for kinds of images that other programs may read.
     pub fn is_damage(&self) -> bool {
-        match self {
-            Self::Jpeg(error) => matches!(error, jpeg_decoder::Error::Format(_) | jpeg_decoder::Error::Io(_)),
-            Self::JpegGrey(error) => !matches!(error, DecodeErrors::Unsupported(_) | DecodeErrors::LargeDimensions(_)),
-            Self::Other(error) => matches!(error, image::ImageError::Decoding(_) | image::ImageError::IoError(_)),
-            _ => false,
-        }
+        matches!(
+            self,
+            Self::Jpeg(jpeg_decoder::Error::Format(_) | jpeg_decoder::Error::Io(_))
+                | Self::Other(image::ImageError::Decoding(_) | image::ImageError::IoError(_))
+        )
     }
 }
 
@@ -134,27 +130,30 @@ pub struct GreyImage {
     pub pixels: Vec<u8>,
 }
 
-/// Decodes luma alone if the file stores it, which saves the colour conversion.
+/// Decodes to grey levels. What one decoder does not read, the other may.
 fn jpeg_grey(bytes: &[u8]) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
+    if let Some(stored) = stored_luma(bytes) {
+        return Ok(stored);
+    }
+    let Image { rgb, full, .. } = jpeg(bytes, &|full| full)?;
+    let luma = |p: &[u8]| ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8;
+    Ok((rgb.chunks_exact(3).map(luma).collect(), full))
+}
+
+/// Decodes luma alone, which saves the colour conversion; `None` if the file doesn't store it, is too large, or cannot be decoded.
+fn stored_luma(bytes: &[u8]) -> Option<(Vec<u8>, [u32; 2])> {
     let options = DecoderOptions::default()
         .jpeg_set_out_colorspace(ColorSpace::Luma)
         .set_max_width(65_535)
         .set_max_height(65_535);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    decoder.decode_headers()?;
-    let full = decoder.dimensions().map_or([1, 1], |(width, height)| [width, height].map(|side| side as u32));
-    if u64::from(full[0]) * u64::from(full[1]) > MOST_PIXELS {
-        return Err(ImageError::Large { width: full[0], height: full[1] });
+    decoder.decode_headers().ok()?;
+    let full = decoder.dimensions().map(|(width, height)| [width, height].map(|side| side as u32))?;
+    let is_stored = matches!(decoder.input_colorspace(), Some(ColorSpace::YCbCr | ColorSpace::Luma));
+    if !is_stored || u64::from(full[0]) * u64::from(full[1]) > MOST_PIXELS {
+        return None;
     }
-    match decoder.input_colorspace() {
-        Some(ColorSpace::YCbCr | ColorSpace::Luma) => Ok((decoder.decode()?, full)),
-        _ => {
-            let image = jpeg(bytes, &|full| full)?;
-            let luma =
-                |p: &[u8]| ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8;
-            Ok((image.rgb.chunks_exact(3).map(luma).collect(), full))
-        }
-    }
+    Some((decoder.decode().ok()?, full))
 }
 
 /// Returns the size at which a picture is drawn: three quarters of a megapixel or a quarter of the side, whichever is larger.

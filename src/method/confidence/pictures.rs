@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     base::input::{self, FileKind},
-    io::project::{self, ImageFolder, MASKS, Project},
+    io::project::{self, ImageFolder, MASKS, Project, Unread},
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// What follows for a view whose picture is damaged, while others are not.
-pub const NOT_PLANNED: &str = "it is neither matched nor planned";
+pub const NOT_PLANNED: &str = "the image is neither matched nor planned";
 /// What follows for a view whose mask cannot be used, where pictures are compared and where they are not.
 pub const NOT_COMPARED: &str = "the image is not compared";
 pub const ALL_COUNTS: &str = "all of the image counts";
@@ -38,7 +38,12 @@ pub struct Pictures {
     /// COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
     masks: Option<PathBuf>,
     project: PathBuf,
+    /// Views whose image is not read, ascending.
+    without_image: Vec<ViewIndex>,
 }
+
+/// A view whose picture or mask cannot be used, and why.
+pub type PictureFault = (ViewIndex, ImageError);
 
 /// Size and times of a file, which show a change without reading it.
 #[derive(Serialize)]
@@ -53,18 +58,25 @@ pub struct Stamp {
 impl Pictures {
     pub fn new(project: &Project) -> Self {
         let images = project.images.as_deref();
-        let masks = [Some(&*project.root), images.and_then(Path::parent), images].into_iter().flatten();
-        let masks = masks.map(|folder| folder.join(MASKS));
+        let above = [Some(&*project.root), images.and_then(Path::parent), images].into_iter().flatten();
+        let masks: Vec<PathBuf> = above.map(|folder| folder.join(MASKS)).filter(|folder| folder.is_dir()).collect();
+        let has_files = |folder: &&PathBuf| folder.read_dir().is_ok_and(|mut files| files.next().is_some());
         Self {
             images: project.images.clone(),
-            masks: masks.into_iter().find(|folder| folder.is_dir()),
+            masks: masks.iter().find(has_files).or(masks.first()).cloned(),
             project: project.home.clone(),
+            without_image: Vec::new(),
         }
     }
 
+    /// Returns the same pictures without the images of these views, ascending, which are known to be missing or unreadable.
+    pub fn without(self, views: &[ViewIndex]) -> Self {
+        Self { without_image: views.to_vec(), ..self }
+    }
+
     #[cfg(test)]
-    pub fn without_images(project: &Path) -> Self {
-        Self { images: None, masks: None, project: project.into() }
+    pub fn of(project: &Path, images: Option<ImageFolder>) -> Self {
+        Self { images, masks: None, project: project.into(), without_image: Vec::new() }
     }
 
     pub fn have_images(&self) -> bool {
@@ -93,6 +105,9 @@ impl Pictures {
         image_scale: f64,
     ) -> Result<Option<(Grey, Option<Mask>)>, ImageError> {
         let Some(folder) = &self.images else { return Ok(None) };
+        if self.without_image.binary_search(&view).is_ok() {
+            return Err(Unread::Missing.into());
+        }
         let (name, camera) = (scene.name(view), scene.camera_of(view));
         let wanted = |[width, height]: [u32; 2]| {
             let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
@@ -136,8 +151,9 @@ impl Pictures {
     pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
         let has_mask = |view| self.mask_file(scene.name(view)).is_some();
         let are_unused = self.have_masks() && !scene.view_indices().any(has_mask);
-        let cure = naming_of_masks(scene).filter(|_| are_unused)?;
-        Some([format!("no image has a mask in {MASKS}/"), cure])
+        let cure = naming_of_masks(scene)?;
+        let folder = self.masks.as_ref().filter(|_| are_unused)?.display();
+        Some([format!("no image has a mask in {folder}"), cure])
     }
 
     /// Names of the images in the folder of masks that belong to no image of the project, sorted.
@@ -181,26 +197,22 @@ pub fn naming_of_masks(scene: &Scene) -> Option<String> {
     Some(format!("name them after the images, as COLMAP does: {MASKS}/{}.png", scene.name(first)))
 }
 
-/// Names the first views whose pictures are broken, and counts the rest. Missing images are in the warnings of the project's image files.
+/// Names the first views with a fault, and counts the rest. `consequence`: what follows for such a view.
 ///
-/// `consequence`: what follows for such a view.
-pub fn picture_warnings(
-    scene: &Scene,
-    troubles: &[Option<ImageError>],
-    consequence: impl Fn(&ImageError) -> &'static str,
-) -> Vec<String> {
-    let is_missing =
-        |trouble: &ImageError| matches!(trouble, ImageError::Io(error) if error.kind() == ErrorKind::NotFound);
-    let troubled = || {
-        let found = scene.view_indices().zip(troubles).filter_map(|(view, trouble)| Some((view, trouble.as_ref()?)));
-        found.filter(|(_, trouble)| !is_missing(trouble))
+/// Missing and unreadable image files are left out: the warnings of the project's image files have them.
+pub fn picture_warnings(scene: &Scene, faults: &[PictureFault], consequence: &str) -> Vec<String> {
+    let is_known = |fault: &ImageError| match fault {
+        ImageError::Io(error) => error.kind() == ErrorKind::NotFound,
+        ImageError::Unread(_) => true,
+        _ => false,
     };
+    let faults: Vec<_> = faults.iter().filter(|(_, fault)| !is_known(fault)).collect();
     // Decoders break lines.
-    let one_line = |trouble: &ImageError| trouble.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-    let sentence = |(view, trouble)| format!("{}: {}; {}", scene.name(view), one_line(trouble), consequence(trouble));
-    let mut warnings: Vec<String> = troubled().take(NAMED).map(sentence).collect();
-    if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
-        warnings.push(format!("{others} more images cannot be used"));
+    let one_line = |fault: &ImageError| fault.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    let sentence = |(view, fault): &PictureFault| format!("{}: {}; {consequence}", scene.name(*view), one_line(fault));
+    let mut warnings: Vec<String> = faults.iter().take(NAMED).map(|fault| sentence(fault)).collect();
+    if let Some(others) = faults.len().checked_sub(NAMED).filter(|&others| others > 0) {
+        warnings.push(format!("{others} more images like these: {consequence}"));
     }
     warnings
 }

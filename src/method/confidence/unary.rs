@@ -6,8 +6,8 @@ use std::{ops::Range, sync::Mutex};
 use nalgebra::Point2;
 
 use super::{
-    image::{ImageError, Mask},
-    pictures::Pictures,
+    image::Mask,
+    pictures::{PictureFault, Pictures},
 };
 use crate::{
     base::{
@@ -112,16 +112,15 @@ impl Unary {
         self.allowed.release();
     }
 
-    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask, and the fault of each
-    /// mask that cannot be used. `views_at_once`: whose masks are read at once.
+    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask, and the faults of masks
+    /// that cannot be used, by view. `views_at_once`: whose masks are read at once.
     pub fn of_masks(
         geometry: &Geometry,
         pictures: &Pictures,
         views_at_once: usize,
         watcher: &dyn Watcher,
-    ) -> Result<(Column<f32>, Vec<Option<ImageError>>), TableError> {
+    ) -> Result<(Column<f32>, Vec<PictureFault>), TableError> {
         let Geometry { scene, surface, visibility, .. } = *geometry;
-        let mut faults: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
         let found = Mutex::new(Vec::new());
         let of_view = |_: &mut (), view: ViewIndex| {
             watcher.check()?;
@@ -136,9 +135,8 @@ impl Unary {
             })
         };
         let values = visibility.column(views_at_once, || (), of_view)?;
-        for (view, fault) in found.into_inner().unwrap_or_default() {
-            faults[view.index()] = Some(fault);
-        }
+        let mut faults: Vec<PictureFault> = found.into_inner().unwrap_or_default();
+        faults.sort_by_key(|(view, _)| *view);
         Ok((values, faults))
     }
 }

@@ -61,11 +61,11 @@ impl<'a> Inputs<'a> {
         settings: &Settings,
         program: Option<&str>,
         gate: &Gate,
-        missing_images: &[ViewIndex],
+        without_image: &[ViewIndex],
     ) -> CacheFile {
         let mut hasher = self.of_scene();
         let PartnerSettings { k, candidates, .. } = settings.partners;
-        add(&mut hasher, &(k, candidates, gate, program, settings.image_scale(), missing_images));
+        add(&mut hasher, &(k, candidates, gate, program, settings.image_scale(), without_image));
         CacheFile::new(self.home, "viewrank/cache/candidates.table", Some(hasher))
     }
 

@@ -35,7 +35,7 @@ const NEAREST: usize = 4;
 /// Largest number of partners of a candidate among the existing images.
 const TAKEN: usize = 3;
 
-/// The existing views that see a hole, then the candidates, as a scene without points.
+/// The existing views with an image that see a hole, then the candidates, as a scene without points.
 struct Extended {
     scene: Scene,
     /// Number of existing views in it.
@@ -46,8 +46,9 @@ struct Extended {
 impl Extended {
     fn new(plan: &Plan, holes: &[Hole], candidates: &[Candidate], watcher: &dyn Watcher) -> Result<Self, TableError> {
         let stages = &plan.stages;
+        let has_image = |v: &ViewIndex| stages.without_image.binary_search(v).is_err();
         let sees = |v: &ViewIndex| holes.iter().any(|hole| stages.visibility.row(*v, hole.deepest).is_some());
-        let taken = stages.scene.view_indices().filter(sees).map(|v| stages.scene.view(v).clone());
+        let taken = stages.scene.view_indices().filter(has_image).filter(sees).map(|v| stages.scene.view(v).clone());
         let mut views: Vec<View> = taken.collect();
         let taken = views.len();
         views.extend(candidates.iter().enumerate().map(|(i, candidate)| View {

@@ -17,7 +17,7 @@ const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 
 /// Raised when the same input gives another table: by other samples, another comparison, or another rule of a program's reach. Not the version of the
 /// program: comparing takes longer than all the rest.
-const VERSION: &str = "agreement 5";
+const VERSION: &str = "agreement 6";
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
 
@@ -97,6 +97,10 @@ pub(super) fn read<'p>(
         left -= block.len();
     }
     let Some(Facts { damaged, warnings, .. }) = open.checked() else { return Ok(None) };
+    let is_without = |view: &ViewIndex| without.get(view.index()).is_some_and(|&without| without);
+    if !damaged.is_sorted_by(|a, b| a < b) || !damaged.iter().all(is_without) {
+        return Ok(None);
+    }
     Ok(Some(Cached { without, damaged, warnings, values: values.finish()? }))
 }
 
@@ -139,7 +143,7 @@ mod tests {
     #[test]
     fn other_partners_and_moved_views_have_another_fingerprint() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut town, pictures) = (town(), Pictures::without_images(folder.path()));
+        let (mut town, pictures) = (town(), Pictures::of(folder.path(), None));
         let fingerprint = |town: &SeenTown, partner: u32| {
             let partners = [ViewIndex(partner)];
             inputs(&town.geometry(1.0), &pictures, |_| &partners, None).map(|hasher| hasher.finalize())

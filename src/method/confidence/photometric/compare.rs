@@ -6,7 +6,7 @@ use std::sync::{
 };
 
 use super::{
-    super::{image::ImageError, pictures::Pictures},
+    super::pictures::{PictureFault, Pictures},
     ProgramReach, packed,
     stacks::{self, STACK, Spacing, correlation, stacks},
 };
@@ -29,14 +29,13 @@ pub struct SampleRoom {
     pub views_at_once: usize,
 }
 
-/// Returns [`STACK`] samples for each row of visibility, and the fault of each view without samples. `is_used`: by view; pictures of others are not read.
+/// Returns [`STACK`] samples for each row of visibility, and the faults of the views without samples, by view.
 pub(super) fn samples(
     geometry: &Geometry,
     pictures: &Pictures,
-    is_used: &[bool],
     room: SampleRoom,
     watcher: &dyn Watcher,
-) -> Result<(Column<i8>, Vec<Option<ImageError>>), TableError> {
+) -> Result<(Column<i8>, Vec<PictureFault>), TableError> {
     let Geometry { scene, visibility, .. } = *geometry;
     let spacing = Spacing::new(geometry);
     let (done, total) = (AtomicU64::new(0), scene.views.len() as u64);
@@ -44,12 +43,9 @@ pub(super) fn samples(
     let failures = Mutex::new(Vec::new());
     let of_view = |view: ViewIndex| {
         watcher.check()?;
-        let picture = match is_used[view.index()] {
-            true => pictures.grey(scene, view, geometry.image_scale),
-            false => Ok(None),
-        };
-        let sampled =
-            picture.map(|picture| picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref())));
+        let sampled = pictures
+            .grey(scene, view, geometry.image_scale)
+            .map(|picture| picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref())));
         let sampled = sampled.unwrap_or_else(|failure| {
             failures.lock().map(|mut failures| failures.push((view, failure))).ok();
             None
@@ -73,11 +69,9 @@ pub(super) fn samples(
             Ok(())
         },
     )?;
-    let mut by_view: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
-    for (view, failure) in failures.into_inner().unwrap_or_default() {
-        by_view[view.index()] = Some(failure);
-    }
-    Ok((samples.finish()?, by_view))
+    let mut faults = failures.into_inner().unwrap_or_default();
+    faults.sort_by_key(|(view, _)| *view);
+    Ok((samples.finish()?, faults))
 }
 
 /// Returns the agreement of the key view with each partner, by partner, then row of the key view; 0 beyond the reach of the program.

@@ -89,7 +89,7 @@ pub struct Agreement {
     compared: Vec<bool>,
     /// By key view, then partner, then row of the key view: 0 if the pictures share no patch, else 1 + 254 times the correlation.
     pub values: Arc<Column<u8>>,
-    /// Views whose picture is damaged, which are neither key views nor partners, ascending; none if no picture can be used.
+    /// Views whose picture is damaged, which are neither key views nor partners, ascending; none if no pair could be compared.
     pub damaged: Vec<ViewIndex>,
     /// A sentence for each picture that cannot be used.
     pub warnings: Vec<String>,
@@ -149,9 +149,9 @@ impl Agreement {
             let values = Arc::new(values);
             return Ok(Self { values, damaged, warnings, cache: Some(cache), is_kept: true, ..layout });
         }
-        let is_used = used(geometry, &partners_of);
-        let (samples, troubles) = samples(geometry, pictures, &is_used, room()?, watcher)?;
-        let without: Vec<bool> = troubles.iter().map(|t| t.is_some() || !pictures.have_images()).collect();
+        let (samples, faults) = samples(geometry, pictures, room()?, watcher)?;
+        let mut without = vec![!pictures.have_images(); geometry.scene.views.len()];
+        faults.iter().for_each(|(view, _)| without[view.index()] = true);
         let mut table = Self::laid_out(geometry, &partners_of, &without);
         let compare = |places: &mut Vec<u32>, key: ViewIndex| {
             watcher.check()?;
@@ -159,13 +159,15 @@ impl Agreement {
             Ok(compared(geometry, &samples, key, table.partners_of(key), reach, places))
         };
         table.values = Arc::new(geometry.visibility.column(READ_AT_ONCE, Vec::new, compare)?);
-        table.damaged = damaged(&is_used, &troubles);
-        let is_excluded = |trouble: &ImageError| !table.damaged.is_empty() && trouble.is_damage();
-        let consequence = |trouble: &ImageError| if is_excluded(trouble) { NOT_PLANNED } else { NOT_COMPARED };
-        table.warnings = match pictures.have_images() {
-            true => picture_warnings(geometry.scene, &troubles, consequence),
-            false => vec!["the project has no image folder: no pictures were compared".into()],
-        };
+        // If no pair was compared, nothing can be said for one view against another.
+        let is_excluded = |fault: &ImageError| !table.is_empty() && fault.is_damage();
+        let (excluded, others): (Vec<_>, Vec<_>) = faults.into_iter().partition(|(_, fault)| is_excluded(fault));
+        table.warnings = picture_warnings(geometry.scene, &excluded, NOT_PLANNED);
+        table.warnings.extend(picture_warnings(geometry.scene, &others, NOT_COMPARED));
+        if !pictures.have_images() {
+            table.warnings.push("the project has no image folder: no pictures were compared".into());
+        }
+        table.damaged = excluded.into_iter().map(|(view, _)| view).collect();
         table.cache = Some(cache);
         Ok(table)
     }
@@ -263,30 +265,11 @@ impl Agreement {
     }
 }
 
-/// By view: whether it has a partner or is one.
-fn used<'p>(geometry: &Geometry, partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex]) -> Vec<bool> {
-    let mut is_used = vec![false; geometry.scene.views.len()];
-    for key in geometry.scene.view_indices() {
-        let partners = partners_of(key);
-        is_used[key.index()] |= !partners.is_empty();
-        partners.iter().for_each(|partner| is_used[partner.index()] = true);
-    }
-    is_used
-}
-
-/// Views with a damaged picture; none if no view that is used has a picture, since nothing can be said for one view against another then.
-fn damaged(is_used: &[bool], troubles: &[Option<ImageError>]) -> Vec<ViewIndex> {
-    let has_picture = |(&is_used, trouble): (&bool, &Option<ImageError>)| is_used && trouble.is_none();
-    let views = if is_used.iter().zip(troubles).any(has_picture) { troubles } else { &[] };
-    let is_damage = |trouble: &Option<ImageError>| trouble.as_ref().is_some_and(ImageError::is_damage);
-    (0..).zip(views).filter(|(_, trouble)| is_damage(trouble)).map(|(view, _)| ViewIndex(view)).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{
-        base::column::Storage,
+        base::{column::Storage, progress::NoWatcher},
         config::TargetSettings,
         method::synthetic::{SeenTown, Town},
     };
@@ -300,6 +283,41 @@ mod tests {
         let seen = geometry.visibility.triangles_seen_by(key);
         let common = |view: &ViewIndex| seen.iter().filter(|&&t| geometry.visibility.row(*view, t).is_some()).count();
         geometry.scene.view_indices().filter(|view| *view != key).max_by_key(common).unwrap()
+    }
+
+    #[test]
+    fn pictures_that_are_missing_or_damaged() {
+        let (town, folder) = (town(), tempfile::tempdir().unwrap());
+        let geometry = town.geometry(1.0);
+        let views: Vec<ViewIndex> = town.scene.view_indices().collect();
+        for &view in &views {
+            let camera = town.scene.camera_of(view);
+            let path = folder.path().join(town.scene.name(view));
+            image::GrayImage::new(camera.width, camera.height)
+                .save_with_format(&path, image::ImageFormat::Png)
+                .unwrap();
+        }
+        let [missing, damaged] = [views[0], views[1]];
+        let path = folder.path().join(town.scene.name(damaged));
+        let mut png = std::fs::read(&path).unwrap();
+        let middle = png.len() / 2;
+        png[middle] ^= 1;
+        std::fs::write(&path, png).unwrap();
+        let compared = |pictures: Pictures| {
+            // As a plan has it: a view without an image has no candidates and is none.
+            let partners_of = |view: ViewIndex| if view == missing { &[][..] } else { &views[1..4] };
+            let room = || Ok(SampleRoom { keep: Storage::Memory, views_at_once: 4 });
+            let everything = &ProgramReach::EVERYTHING;
+            Agreement::new::<TableError>(&geometry, &pictures, partners_of, everything, room, &NoWatcher).unwrap()
+        };
+        let pictures = Pictures::of(folder.path(), Some(folder.path().into()));
+        let table = compared(pictures.clone().without(&[missing]));
+        let is_without_picture = |a, b| matches!(table.of_pair(a, b), PairAgreement::NoPicture);
+        assert!(is_without_picture(missing, views[2]) && is_without_picture(views[2], missing));
+        assert!(is_without_picture(damaged, views[2]) && !is_without_picture(views[3], views[2]));
+        assert_eq!((&table.damaged[..], table.warnings.len()), (&[damaged][..], 1));
+        let all_but_damaged: Vec<ViewIndex> = views.iter().copied().filter(|view| *view != damaged).collect();
+        assert_eq!(compared(pictures.without(&all_but_damaged)).damaged, [], "no pair is left");
     }
 
     const NUMBERS: Photometric = Photometric { agree: 0.9, differ: 0.2, full_agreement: 0.8 };
