@@ -113,6 +113,7 @@ impl ExportRecord {
                 .into_iter()
                 .chain(faults.warnings(selection.project, selection.scene))
                 .chain(without_images(selection, &faults.missing))
+                .chain(masks(selection))
                 .chain(other_kind(backend, selection))
                 .chain(at_full_size(selection).filter(|_| !backend.mixes_sizes))
                 .collect(),
@@ -172,6 +173,15 @@ fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String
     let more = if ranks.len() > NAMED_RANKS { ", ..." } else { "" };
     (!ranks.is_empty())
         .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
+}
+
+/// Notes that masks, which a plan takes into account, are left to the user.
+fn masks(selection: &Selection) -> Option<String> {
+    let folder = selection.project.mask_folders().into_iter().next()?;
+    Some(format!(
+        "the masks in {} are not passed on: give them to the program yourself, if it takes masks",
+        folder.display()
+    ))
 }
 
 /// Largest number of ranks listed in a warning.

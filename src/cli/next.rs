@@ -30,13 +30,15 @@ pub fn not_dry() -> String {
 pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<String>) -> String {
     let root = project.as_argument();
     let backend = backends::by_name(plan.stages.backend).ok();
-    let can_match = || cfg!(unix) && project.images.is_some() && backend.is_some_and(backends::can_match_here);
+    let has_images = project.images.is_some() && plan.stages.image_faults.missing.len() < plan.stages.scene.views.len();
+    let can_match = || cfg!(unix) && has_images && backend.is_some_and(backends::can_match_here);
     let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());
     match (run.filter(|_| can_match()), &files.command) {
         (Some(run), _) => run,
         (None, Some(command)) => command.clone(),
-        (None, None) if project.images.is_none() => {
-            let images = command_path(&project.root.join("images"));
+        (None, None) if !has_images => {
+            let images = project.images.as_ref().map_or(project.root.join("images"), |folder| folder.to_path_buf());
+            let images = command_path(&images);
             format!("put the images into {images}, then viewrank plan {root} --backend {}", plan.stages.backend)
         }
         (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {

@@ -5,7 +5,7 @@ use std::{fmt::Write, path::Path};
 use crate::{
     backends,
     base::shell::{command_path, shown_path},
-    config::TriangleWeight,
+    config::{ConfidenceSource, TriangleWeight},
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
     plan::{Cut, CutLimit, Forecast, GivenUp, Memory, Plan, Timings},
@@ -354,6 +354,10 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     }
     if project.images.is_none() {
         notes.push("There are no images: what will match is predicted from geometry alone.".into());
+    } else if plan.stages.settings.confidence.source == ConfidenceSource::Photometric
+        && plan.stages.agreement.is_empty()
+    {
+        notes.push("No two pictures could be compared: what will match is predicted from geometry alone.".into());
     }
     let missing = plan.stages.without_image.len();
     if missing > 0 {

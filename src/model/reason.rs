@@ -73,7 +73,7 @@ impl Reason {
             Self::TooInaccurate => "the triangulation angles are too small for the target accuracy",
             Self::NotMatchable => "the backend cannot match the available pairs",
             Self::OutsideRegion => "all that it could give is outside the region",
-            Self::NoImage => "its image is missing or cannot be read",
+            Self::NoImage => "its image is missing, cannot be read or is not of this view",
             Self::NoGainLeft => "its gain is zero or below the cut",
         }
     }

@@ -6,17 +6,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Stages;
-use crate::method::{
-    confidence::Confidence,
-    ranking::{Ranking, Reached},
-};
+use crate::method::ranking::{Ranking, Reached};
 
 /// Half width of the band of the reachable weight, over the sum of `w f (1 - f)`, which is 0 if each f is certain. With this factor, the measured value
 /// was within the band on all data sets that the rule was made from (method 5.2).
 const SPREAD: f64 = 1.25;
 /// Minimum and maximum distance of the share from either end of its band.
 const SHARE: (f64, f64) = (0.08, 0.15);
-/// The same for confidence that does not compare pictures, and the distances of the band's ends below and above the forecast of the reachable weight:
+/// The same where no pictures are compared, and the distances of the band's ends below and above the forecast of the reachable weight:
 /// the largest errors of `geometric` on the same data sets, rounded up.
 const UNSEEN_SHARE: f64 = 0.35;
 const UNSEEN: (f64, f64) = (0.55, 0.05);
@@ -50,7 +47,7 @@ impl Band {
 
     /// Returns the band of the weight that fusion keeps of all clusters.
     pub(super) fn of_reachable(stages: &Stages, ranking: &Ranking) -> Self {
-        if !matches!(stages.confidence, Confidence::Photometric { .. }) {
+        if stages.agreement.is_empty() {
             return Self::around(ranking.reachable, UNSEEN.0, UNSEEN.1);
         }
         let maps = stages.maps();
@@ -66,12 +63,12 @@ impl Band {
 
     /// Returns the band of the share at the cut, which widens with the uncertainty of what all clusters give.
     pub(super) fn of_share(stages: &Stages, share: f64, reachable: f64, of_reachable: &Self) -> Self {
-        let half = match stages.confidence {
-            Confidence::Photometric { .. } if reachable > 0.0 => {
+        let half = match stages.agreement.is_empty() {
+            true => UNSEEN_SHARE,
+            false if reachable > 0.0 => {
                 (0.25 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)
             }
-            Confidence::Photometric { .. } => SHARE.1,
-            _ => UNSEEN_SHARE,
+            false => SHARE.1,
         };
         Self::around(share, half, half)
     }

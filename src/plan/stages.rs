@@ -71,7 +71,7 @@ pub struct Stages {
     pub objective: Objective,
     pub candidates: Candidates,
     pub image_faults: ImageFaults,
-    /// Views whose images are missing, cannot be read or prove damaged, which are neither key views nor partners; ascending.
+    /// Views whose images are missing, cannot be read or prove unusable, which are neither key views nor partners; ascending.
     pub without_image: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,
@@ -161,7 +161,7 @@ impl Stages {
             _ => Ok(Agreement::default()),
         })?;
         picture_warnings.extend(agreement.warnings.iter().cloned());
-        without_image.extend(&agreement.damaged);
+        without_image.extend(&agreement.unusable);
         without_image.sort_unstable();
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let from = [&surface_slot.file, &candidates_slot.file, &unary_slot.file];

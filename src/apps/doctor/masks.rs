@@ -3,8 +3,7 @@
 use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     config::ConfidenceSource,
-    io::project::MASKS,
-    method::confidence::{self, ALL_COUNTS, ImageError, NOT_COMPARED, Pictures},
+    method::confidence::{ALL_COUNTS, ImageError, NOT_COMPARED, Pictures},
     model::scene::ViewIndex,
 };
 
@@ -38,9 +37,9 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
 /// Reports masks that belong to no image, while others do.
 fn stray(inputs: &Inputs, pictures: &Pictures) -> Option<Finding> {
     let stray = pictures.stray_masks(inputs.scene);
-    let cure = confidence::naming_of_masks(inputs.scene).filter(|_| !stray.is_empty())?;
-    let what = format!("{} in {MASKS}/ without an image of this name", counted(stray.len(), "mask"));
-    let names = stray.into_iter().map(|name| ViewFinding::new(name, "")).collect();
+    let cure = pictures.naming_of_masks(inputs.scene).filter(|_| !stray.is_empty())?;
+    let what = format!("{} without an image of this name", counted(stray.len(), "mask"));
+    let names = stray.into_iter().map(|path| ViewFinding::new(path.display().to_string(), "")).collect();
     Some(Finding::new(Severity::Warning, "stray-masks", what, cure).of_views(names))
 }
 

@@ -12,7 +12,7 @@ use walkdir::{DirEntry, WalkDir};
 use super::images::{candidates, is_image, slashes};
 use crate::model::scene::Scene;
 
-/// Name of the folder of masks: in the project, beside its image folder or in that.
+/// Name of a folder of masks: in the project, beside its image folder or in that.
 pub const MASKS: &str = "masks";
 /// Depth below a folder to which other folders of images are searched.
 const DEPTH: usize = 2;

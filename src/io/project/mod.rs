@@ -245,6 +245,19 @@ impl Project {
         self.images.as_ref().is_some_and(|folder| !has_image(folder))
     }
 
+    /// Returns the folders of masks, the first of which counts if several have one for an image.
+    pub fn mask_folders(&self) -> Vec<PathBuf> {
+        let images = self.images.as_deref();
+        let above = [Some(&*self.root), images.and_then(Path::parent), images].into_iter().flatten();
+        let mut folders = Vec::new();
+        for folder in above.map(|folder| folder.join(MASKS)).filter(|folder| folder.is_dir()) {
+            if !folders.contains(&folder) {
+                folders.push(folder);
+            }
+        }
+        folders
+    }
+
     /// Reads the files of a COLMAP model unchanged, to write a part of the model.
     pub fn colmap_files(&self) -> Result<ColmapFiles, ProjectError> {
         ColmapFiles::open(&self.model)

@@ -61,11 +61,13 @@ pub enum ImageError {
 }
 
 impl ImageError {
-    /// Returns whether the file is damaged; false for kinds of images that other programs may read.
-    pub fn is_damage(&self) -> bool {
+    /// Returns whether no program can match the image: it is damaged, or of another shape than its camera's. False for kinds of images that other programs
+    /// may read.
+    pub fn is_unusable(&self) -> bool {
         matches!(
             self,
-            Self::Jpeg(jpeg_decoder::Error::Format(_) | jpeg_decoder::Error::Io(_))
+            Self::Shape { .. }
+                | Self::Jpeg(jpeg_decoder::Error::Format(_) | jpeg_decoder::Error::Io(_))
                 | Self::Other(image::ImageError::Decoding(_) | image::ImageError::IoError(_))
         )
     }
@@ -420,19 +422,19 @@ mod tests {
     }
 
     #[test]
-    fn what_others_may_read_is_no_damage() {
-        let is_damage = |bytes: &[u8]| Image::decode_grey(bytes, |full| full).err().unwrap().is_damage();
+    fn what_others_may_read_is_not_unusable() {
+        let is_unusable = |bytes: &[u8]| Image::decode_grey(bytes, |full| full).err().unwrap().is_unusable();
         for format in [ImageFormat::Jpeg, ImageFormat::Png, ImageFormat::Tiff] {
             let bytes = encoded(&ramp(64, 64), format);
-            assert!(is_damage(&bytes[..bytes.len().min(300)]), "{format:?}");
+            assert!(is_unusable(&bytes[..bytes.len().min(300)]), "{format:?}");
         }
-        assert!(!is_damage(b"no image"));
-        assert!(!is_damage(&tiff_header(60_000)), "too large");
+        assert!(!is_unusable(b"no image"));
+        assert!(!is_unusable(&tiff_header(60_000)), "too large");
         // The compression (259, one 16-bit number) of a TIFF that no decoder here knows.
         let mut other = tiff_header(64);
         let compression = other.windows(4).position(|bytes| bytes == [3, 1, 3, 0]).unwrap();
         other[compression + 8] = 200;
-        assert!(!is_damage(&other));
+        assert!(!is_unusable(&other));
     }
 
     proptest! {

@@ -16,7 +16,7 @@ pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
 pub use photometric::{Agreement, PairAgreement, Photometric, ProgramReach, ReachOfPartner, SampleRoom};
-pub use pictures::{ALL_COUNTS, NOT_COMPARED, Pictures, naming_of_masks, picture_warnings};
+pub use pictures::{ALL_COUNTS, NOT_COMPARED, Pictures, picture_warnings};
 pub use unary::{AROUND, AtTriangle, Unary};
 
 use crate::config::{ConfidenceSettings, ConfidenceSource};

@@ -16,14 +16,14 @@ use super::{
 };
 use crate::{
     base::input::{self, FileKind},
-    io::project::{self, ImageFolder, MASKS, Project, Unread},
+    io::project::{self, ImageFolder, Project, Unread},
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
     },
 };
 
-/// What follows for a view whose picture is damaged, while others are not.
+/// What follows for a view whose picture is damaged or of another shape, while others are not.
 pub const NOT_PLANNED: &str = "the image is neither matched nor planned";
 /// What follows for a view whose mask cannot be used, where pictures are compared and where they are not.
 pub const NOT_COMPARED: &str = "the image is not compared";
@@ -35,8 +35,8 @@ const NAMED: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Pictures {
     images: Option<ImageFolder>,
-    /// COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
-    masks: Option<PathBuf>,
+    /// As COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
+    masks: Vec<PathBuf>,
     project: PathBuf,
     /// Views whose image is not read, ascending.
     without_image: Vec<ViewIndex>,
@@ -57,13 +57,9 @@ pub struct Stamp {
 
 impl Pictures {
     pub fn new(project: &Project) -> Self {
-        let images = project.images.as_deref();
-        let above = [Some(&*project.root), images.and_then(Path::parent), images].into_iter().flatten();
-        let masks: Vec<PathBuf> = above.map(|folder| folder.join(MASKS)).filter(|folder| folder.is_dir()).collect();
-        let has_files = |folder: &&PathBuf| folder.read_dir().is_ok_and(|mut files| files.next().is_some());
         Self {
             images: project.images.clone(),
-            masks: masks.iter().find(has_files).or(masks.first()).cloned(),
+            masks: project.mask_folders(),
             project: project.home.clone(),
             without_image: Vec::new(),
         }
@@ -76,7 +72,7 @@ impl Pictures {
 
     #[cfg(test)]
     pub fn of(project: &Path, images: Option<ImageFolder>) -> Self {
-        Self { images, masks: None, project: project.into(), without_image: Vec::new() }
+        Self { images, masks: Vec::new(), project: project.into(), without_image: Vec::new() }
     }
 
     pub fn have_images(&self) -> bool {
@@ -84,7 +80,7 @@ impl Pictures {
     }
 
     pub fn have_masks(&self) -> bool {
-        self.masks.is_some()
+        !self.masks.is_empty()
     }
 
     pub(super) fn project(&self) -> &Path {
@@ -150,18 +146,26 @@ impl Pictures {
     /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene has one in it.
     pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
         let has_mask = |view| self.mask_file(scene.name(view)).is_some();
-        let are_unused = self.have_masks() && !scene.view_indices().any(has_mask);
-        let cure = naming_of_masks(scene)?;
-        let folder = self.masks.as_ref().filter(|_| are_unused)?.display();
-        Some([format!("no image has a mask in {folder}"), cure])
+        let folder = self.masks.first().filter(|_| !scene.view_indices().any(has_mask))?;
+        Some([format!("no image has a mask in {}", folder.display()), self.naming_of_masks(scene)?])
     }
 
-    /// Names of the images in the folder of masks that belong to no image of the project, sorted.
-    pub fn stray_masks(&self, scene: &Scene) -> Vec<String> {
-        let Some(folder) = &self.masks else { return Vec::new() };
+    /// Says how masks are named, with an image of the scene as the example; `None` without one.
+    pub fn naming_of_masks(&self, scene: &Scene) -> Option<String> {
+        let (first, folder) = (scene.view_indices().next()?, self.masks.first()?);
+        let example = folder.join(format!("{}.png", scene.name(first)));
+        Some(format!("name them after the images, as COLMAP does: {}", example.display()))
+    }
+
+    /// Paths of the masks that belong to no image of the project, sorted by folder, then name.
+    pub fn stray_masks(&self, scene: &Scene) -> Vec<PathBuf> {
         let names = scene.views.iter().map(|view| &*view.name).chain(scene.unregistered.iter().map(String::as_str));
         let used: HashSet<PathBuf> = names.filter_map(|name| self.mask_file(name)).collect();
-        project::images_below(folder, |name| !used.contains(&folder.join(name)))
+        let stray = |folder: &PathBuf| -> Vec<PathBuf> {
+            let names = project::images_below(folder, |name| !used.contains(&folder.join(name)));
+            names.into_iter().map(|name| folder.join(name)).collect()
+        };
+        self.masks.iter().flat_map(stray).collect()
     }
 
     /// Returns whether the view has a mask that excludes all of its image.
@@ -176,10 +180,11 @@ impl Pictures {
 
     /// `NAME.png`; for a PNG image also its own name. A pipe or a device is found, too, so that reading it says what is wrong.
     fn mask_file(&self, name: &str) -> Option<PathBuf> {
-        let folder = self.masks.as_deref()?;
-        let own = name.to_ascii_lowercase().ends_with(".png").then(|| folder.join(name));
-        let mut files = [Some(folder.join(format!("{name}.png"))), own].into_iter().flatten();
-        files.find(|path| path.exists() && !path.is_dir())
+        let is_png = name.to_ascii_lowercase().ends_with(".png");
+        let files_in = |folder: &PathBuf| {
+            [Some(folder.join(format!("{name}.png"))), is_png.then(|| folder.join(name))].into_iter().flatten()
+        };
+        self.masks.iter().flat_map(files_in).find(|path| path.exists() && !path.is_dir())
     }
 }
 
@@ -189,12 +194,6 @@ impl Stamp {
         let modified = since.map_or(0, |since| since.as_nanos() as u64);
         Self { size: metadata.len(), modified, changed: input::identity(metadata).0 as u64 }
     }
-}
-
-/// Says how masks are named, with an image of the scene as the example; `None` without one.
-pub fn naming_of_masks(scene: &Scene) -> Option<String> {
-    let first = scene.view_indices().next()?;
-    Some(format!("name them after the images, as COLMAP does: {MASKS}/{}.png", scene.name(first)))
 }
 
 /// Names the first views with a fault, and counts the rest. `consequence`: what follows for such a view.

@@ -32,7 +32,7 @@ use crate::{
 
 /// Selects a view cluster for each view that has candidates, in the order of views, and computes its fulfilment.
 ///
-/// A view with at most k candidates gets all of them. Views with a damaged picture get none and are none.
+/// A view with at most k candidates gets all of them. Views whose picture proved unusable get none and are none.
 pub fn choose(
     model: &Model,
     candidates: &Candidates,
@@ -41,7 +41,7 @@ pub fn choose(
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
     let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
-    let is_sound = |view: &ViewIndex| model.agreement.damaged.binary_search(view).is_err();
+    let is_sound = |view: &ViewIndex| model.agreement.unusable.binary_search(view).is_err();
     let candidates_of =
         |key: ViewIndex| -> Vec<ViewIndex> { candidates.candidates_of(key).iter().copied().filter(is_sound).collect() };
     let has_candidates = |key: &ViewIndex| is_sound(key) && candidates.candidates_of(*key).iter().any(is_sound);

@@ -68,7 +68,7 @@ function worth(cut) {
   const planning = data.planning_seconds, saved = data.clusters_total - cut;
   if (planning == null || !clusters || !cut) return '';
   if (!timesKnown()) {
-    return saved > 0 ? `Planning took ${duration(planning)}; it pays off if a depth map takes more than ${rounded(planning / saved)} s.` : '';
+    return saved > 0 && planning >= 0.05 ? `Planning took ${duration(planning)}; it pays off if a depth map takes more than ${rounded(planning / saved)} s.` : '';
   }
   const chosen = secondsUpTo(cut) + planning, left = data.clusters_total - data.finished;
   const all = secondsFor(left, data.pairs_total - pairsUpTo[data.finished]);

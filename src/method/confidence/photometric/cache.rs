@@ -1,6 +1,6 @@
 //! Cache of the agreement table: a plan reads no picture that an earlier plan compared on the same surface, with the same cameras and candidates.
 //!
-//! The file's facts are the views without a picture or with a damaged one, and its contents the values, 1 byte each.
+//! The file's facts are the views without a picture, and its contents the values, 1 byte each.
 
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +25,7 @@ const BLOCK: usize = 1 << 20;
 pub(super) struct Cached {
     /// By view: whether it lacks a usable picture.
     pub without: Vec<bool>,
-    pub damaged: Vec<ViewIndex>,
+    pub unusable: Vec<ViewIndex>,
     pub warnings: Vec<String>,
     pub values: Column<u8>,
 }
@@ -34,8 +34,8 @@ pub(super) struct Cached {
 pub(super) struct Facts {
     /// Views without a usable picture, ascending.
     pub without: Vec<u32>,
-    /// Views with a damaged picture, ascending.
-    pub damaged: Vec<ViewIndex>,
+    /// Those whose picture is damaged or of another shape, ascending.
+    pub unusable: Vec<ViewIndex>,
     pub warnings: Vec<String>,
 }
 
@@ -96,12 +96,12 @@ pub(super) fn read<'p>(
         values.extend(block)?;
         left -= block.len();
     }
-    let Some(Facts { damaged, warnings, .. }) = open.checked() else { return Ok(None) };
+    let Some(Facts { unusable, warnings, .. }) = open.checked() else { return Ok(None) };
     let is_without = |view: &ViewIndex| without.get(view.index()).is_some_and(|&without| without);
-    if !damaged.is_sorted_by(|a, b| a < b) || !damaged.iter().all(is_without) {
+    if !unusable.is_sorted_by(|a, b| a < b) || !unusable.iter().all(is_without) {
         return Ok(None);
     }
-    Ok(Some(Cached { without, damaged, warnings, values: values.finish()? }))
+    Ok(Some(Cached { without, unusable, warnings, values: values.finish()? }))
 }
 
 /// The sparse points and who observes them, which the reach of a program follows from.
