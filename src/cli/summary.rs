@@ -362,10 +362,7 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     let missing = plan.stages.without_image.len();
     if missing > 0 {
         let (it, views) = if missing == 1 { ("is", "view has") } else { ("are", "views have") };
-        notes.push(format!(
-            "{} {views} no image that can be read and {it} neither matched nor planned.",
-            grouped(missing)
-        ));
+        notes.push(format!("{} {views} no usable image and {it} neither matched nor planned.", grouped(missing)));
     }
     if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
         notes.push("Of two sizes, full size alone gives most within these limits.".into());

@@ -158,8 +158,7 @@ fn unconfirmed(stages: &Stages, cut: &Cut) -> Option<String> {
 
 /// Warns where the pictures leave open what can be matched, so that the plan may be far off.
 fn unsure(stages: &Stages, all: f64, reachable: &Band) -> Option<String> {
-    let looks = matches!(stages.confidence, Confidence::Photometric { .. });
-    (looks && reachable.high - reachable.low > UNSURE * all).then(|| {
+    (!stages.agreement.is_empty() && reachable.high - reachable.low > UNSURE * all).then(|| {
         format!(
             "the pictures leave open how much can be matched here: all together may give {reachable} of what is wanted; plan for the \
              subject alone (--region), use more partners (-k) or other limits of pairs ([partners.gate]), and plan again with the first \

@@ -153,12 +153,12 @@ def test_views_without_an_image_take_no_part(viewrank, valley):
     first = manifest(valley)["clusters"][0]["key"]
     (valley / "images" / first).unlink()
     done = viewrank("plan", valley, *PLAN)
-    assert "1 view has no image" in done.stdout
+    assert "1 view has no usable image" in done.stdout
     after = manifest(valley)
     assert all(first != cluster["key"] and first not in cluster["partners"] for cluster in after["clusters"])
     assert next(view for view in after["views"] if view["name"] == first)["reason"] == "no_image"
     (valley / "images" / first).write_bytes(bytes(range(100)))
-    assert "1 view has no image that can be read" in viewrank("plan", valley, *PLAN).stdout
+    assert "1 view has no usable image" in viewrank("plan", valley, *PLAN).stdout
     assert manifest(valley) == after | {"input": manifest(valley)["input"], "warnings": manifest(valley)["warnings"]}, "as if it were missing"
 
 
@@ -182,7 +182,7 @@ def test_views_with_a_damaged_picture_take_no_part(viewrank, valley):
     jpeg = image.read_bytes()
     damage(image)
     done = viewrank("plan", valley)
-    assert "1 view has no image that can be read" in done.stdout and "CRC" in done.stderr
+    assert "1 view has no usable image" in done.stdout and "CRC" in done.stderr
     after = manifest(valley)
     assert not with_view(after, [first]) and all(len(cluster["partners"]) == 5 for cluster in after["clusters"])
     assert next(view for view in after["views"] if view["name"] == first)["reason"] == "no_image"
