@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{Backend, Selection, by_name};
 use crate::{
     io::output::FileSet,
+    method::confidence::Pictures,
     model::{
         camera::Camera,
         cluster::{MapScale, RankedCluster},
@@ -175,11 +176,13 @@ fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String
         .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
 }
 
-/// Notes that masks, which a plan takes into account, are left to the user.
+/// Warns that masks are left to the user, if one of the views has a mask.
 fn masks(selection: &Selection) -> Option<String> {
-    let folder = selection.project.mask_folders().into_iter().next()?;
+    let pictures = Pictures::new(selection.project);
+    let has_mask = |view: &ViewIndex| pictures.has_mask(selection.scene.name(*view));
+    let folder = pictures.mask_folders().first().filter(|_| selection.views().iter().any(has_mask))?;
     Some(format!(
-        "the masks in {} are not passed on: give them to the program yourself, if it takes masks",
+        "masks (as in {}) are not passed on: give them to the program yourself, if it takes any",
         folder.display()
     ))
 }

@@ -30,7 +30,8 @@ pub fn not_dry() -> String {
 pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<String>) -> String {
     let root = project.as_argument();
     let backend = backends::by_name(plan.stages.backend).ok();
-    let has_images = project.images.is_some() && plan.stages.image_faults.missing.len() < plan.stages.scene.views.len();
+    let has_images =
+        project.images.is_some() && plan.stages.image_faults.is_any_readable(plan.stages.scene.views.len());
     let can_match = || cfg!(unix) && has_images && backend.is_some_and(backends::can_match_here);
     let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());
     match (run.filter(|_| can_match()), &files.command) {

@@ -227,9 +227,9 @@ pub fn is_model_file(name: &str) -> bool {
 pub struct InputFolders {
     /// The project folder and its models.
     pub models: Vec<PathBuf>,
-    /// `images/` and the folders below it.
+    /// `images/` and the folders below it, without masks.
     pub images: Vec<PathBuf>,
-    /// `masks/` and the folders below it.
+    /// `masks/`, `images/masks/` and the folders below them.
     pub masks: Vec<PathBuf>,
     /// The project is a SURE project.
     pub has_orientations: bool,

@@ -63,12 +63,12 @@ impl Band {
 
     /// Returns the band of the share at the cut, which widens with the uncertainty of what all clusters give.
     pub(super) fn of_share(stages: &Stages, share: f64, reachable: f64, of_reachable: &Self) -> Self {
-        let half = match stages.agreement.is_empty() {
-            true => UNSEEN_SHARE,
-            false if reachable > 0.0 => {
-                (0.25 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)
-            }
-            false => SHARE.1,
+        let half = if stages.agreement.is_empty() {
+            UNSEEN_SHARE
+        } else if reachable > 0.0 {
+            (0.25 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)
+        } else {
+            SHARE.1
         };
         Self::around(share, half, half)
     }

@@ -36,7 +36,14 @@ impl EmptyPlan {
             .for_each(|r| *counts.entry(r).or_insert(0usize) += 1);
         let most = counts.into_iter().max_by_key(|&(reason, count)| (count, Reverse(reason)));
         let (reason, of) = most.unwrap_or((Reason::Hidden, 0));
-        Self::Fulfilled { reason, of, views: plan.decision.views.len(), cure: too_few_partners(plan) }
+        let cure = match reason {
+            Reason::NoImage if !plan.stages.agreement.rejected.is_empty() => Some(
+                "replace the images that the warnings name, or plan without pictures: --confidence geometric".into(),
+            ),
+            Reason::NoImage => None,
+            _ => too_few_partners(plan),
+        };
+        Self::Fulfilled { reason, of, views: plan.decision.views.len(), cure }
     }
 }
 
@@ -72,9 +79,7 @@ impl Hint for EmptyPlan {
             Self::Fulfilled { reason: Reason::OutsideRegion, .. } => {
                 "choose a region that the images show, such as --region auto".into()
             }
-            Self::Fulfilled { reason: Reason::NoImage, .. } => {
-                "copy these images again, or plan without images: --confidence geometric".into()
-            }
+            Self::Fulfilled { reason: Reason::NoImage, .. } => "copy these images again (viewrank doctor)".into(),
             Self::Fulfilled { .. } => "run viewrank doctor; check the masks and --confidence, too".into(),
             Self::Allowed { .. } => "raise the limit".into(),
         })

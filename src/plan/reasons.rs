@@ -100,9 +100,9 @@ impl<'a> Reasons<'a> {
 
     /// The most frequent reason why pairs of the view were refused.
     fn main_refusal(&self, view: ViewIndex) -> Reason {
-        let unusable = self.candidates.candidates_of(view).iter().filter(|v| self.model.agreement.unusable.contains(v));
+        let rejected = self.candidates.candidates_of(view).iter().filter(|v| self.model.agreement.rejected.contains(v));
         let refused = self.candidates.refused(view).iter().map(|refusal| refusal.reason);
-        most_frequent(refused.chain(unusable.map(|_| Reason::NotMatchable))).unwrap_or(Reason::NoSharedPoints)
+        most_frequent(refused.chain(rejected.map(|_| Reason::NotMatchable))).unwrap_or(Reason::NoSharedPoints)
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {

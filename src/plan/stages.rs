@@ -145,7 +145,7 @@ impl Stages {
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
         let objective = Objective::new(&seen.surface, &shown, settings.ranking.weight, region.as_ref(), support);
-        let pictures = Pictures::new(project);
+        let pictures = Pictures::new(project).without(&without_image);
         let unary_file = inputs.unary(&scene, &surface_slot.file, confidence, &pictures);
         // Read from their headers, where masks or pictures have to be read.
         let of_mask = LazyCell::new(|| pictures.most_mask_bytes(&scene));
@@ -161,7 +161,7 @@ impl Stages {
             _ => Ok(Agreement::default()),
         })?;
         picture_warnings.extend(agreement.warnings.iter().cloned());
-        without_image.extend(&agreement.unusable);
+        without_image.extend(&agreement.rejected);
         without_image.sort_unstable();
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let from = [&surface_slot.file, &candidates_slot.file, &unary_slot.file];

@@ -198,6 +198,46 @@ def test_views_with_a_damaged_picture_take_no_part(viewrank, valley):
     assert manifest(valley)["clusters"] == sound["clusters"], "nothing that is kept lacks the view"
 
 
+def test_an_unreadable_image_is_named_once(viewrank, valley):
+    first, second = sorted((valley / "images").iterdir())[:2]
+    first.write_bytes(first.read_bytes()[:400])
+    second.write_bytes(second.read_bytes()[: second.stat().st_size * 9 // 10])
+    for _ in range(2):
+        done = viewrank("plan", valley)
+        assert "2 views have no usable image" in done.stdout
+        assert done.stderr.count(first.name) == 1 and second.name not in done.stderr
+        assert len([view for view in manifest(valley)["views"] if view.get("reason") == "no_image"]) == 2
+
+
+def test_without_a_readable_image_the_next_step_is_to_get_them(viewrank, valley):
+    for image in (valley / "images").iterdir():
+        image.unlink()
+    done = viewrank("plan", valley, "--target", "50%")
+    assert f"put the images into '{valley / 'images'}'" in done.stdout and "predicted from geometry alone" in done.stdout
+    bands = manifest(valley)["cut"]["share_band"]
+    viewrank("plan", valley, "--target", "50%", "--confidence", "geometric")
+    assert manifest(valley)["cut"]["share_band"] == bands
+
+
+def test_masks_of_several_folders(viewrank, valley):
+    names = [image.name for image in sorted((valley / "images").iterdir())]
+    for folder, name, grey in [("masks", names[0], 255), ("images/masks", names[0], 0), ("images/masks", names[1], 0)]:
+        (valley / folder).mkdir(exist_ok=True)
+        cv2.imwrite(str(valley / folder / f"{name}.png"), np.full((45, 60), grey, np.uint8))
+    done = viewrank("plan", valley, "--backend", "sgm", "--target", "100%")
+    assert f"masks (as in {valley / 'masks'}) are not passed on" in " ".join(done.stderr.split())
+    ranked = {cluster["key"] for cluster in manifest(valley)["clusters"]}
+    assert names[0] in ranked and names[1] not in ranked, "the project's own folder comes first"
+    findings = json.loads(viewrank("doctor", valley, "--format", "json", expect=3).stdout)["findings"]
+    assert "stray-masks" not in {finding["check"] for finding in findings}
+    for name in names:
+        (valley / "images" / name).rename(valley / name)
+    (valley / "images/masks").rename(valley.parent / "masks")
+    shutil.rmtree(valley / "images")
+    viewrank("plan", valley, "--target", "100%")
+    assert names[1] in {cluster["key"] for cluster in manifest(valley)["clusters"]}, "the folder above the project is not its own"
+
+
 def test_damage_counts_as_soon_as_pictures_are_compared(viewrank, valley):
     """Without a pair of pictures nothing speaks for one view against another."""
     images = sorted((valley / "images").iterdir())
@@ -209,11 +249,11 @@ def test_damage_counts_as_soon_as_pictures_are_compared(viewrank, valley):
         damage(image)
     done = viewrank("plan", valley)
     assert "neither matched nor planned" not in done.stderr and "not compared" in done.stderr
-    assert "24 more images like these" in done.stderr, done.stderr
+    assert "24 more like these" in done.stderr, done.stderr
     for image in images[5:]:
         image.write_bytes(kept[image])
     done = viewrank("plan", valley)
-    assert "2 more images like these: the image is neither matched nor planned" in " ".join(done.stderr.split())
+    assert "2 more like these: the image is neither matched nor planned" in " ".join(done.stderr.split())
     assert not with_view(manifest(valley), [image.name for image in images[:5]])
     for image in images[:-1]:
         image.write_bytes(kept[image])

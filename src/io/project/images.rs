@@ -123,6 +123,11 @@ impl ImageFaults {
         if without.len() == views { Vec::new() } else { without }
     }
 
+    /// Returns whether one of so many views has an image that can be read.
+    pub fn is_any_readable(&self, views: usize) -> bool {
+        self.unusable().count() < views
+    }
+
     /// The faults of these views, which must be ascending.
     pub fn among(&self, views: &[ViewIndex]) -> Self {
         let is_among = |view: &ViewIndex| views.binary_search(view).is_ok();

@@ -10,6 +10,7 @@ mod foreign;
 mod images;
 
 use std::{
+    collections::HashSet,
     io,
     path::{Path, PathBuf},
     time::SystemTime,
@@ -247,15 +248,15 @@ impl Project {
 
     /// Returns the folders of masks, the first of which counts if several have one for an image.
     pub fn mask_folders(&self) -> Vec<PathBuf> {
-        let images = self.images.as_deref();
+        let place = |folder: &Path| folder.canonicalize().unwrap_or_else(|_| folder.into());
+        // The folder above the project may belong to others.
+        let images = self.images.as_deref().filter(|images| place(images) != place(&self.root));
         let above = [Some(&*self.root), images.and_then(Path::parent), images].into_iter().flatten();
-        let mut folders = Vec::new();
-        for folder in above.map(|folder| folder.join(MASKS)).filter(|folder| folder.is_dir()) {
-            if !folders.contains(&folder) {
-                folders.push(folder);
-            }
-        }
-        folders
+        let mut places = HashSet::new();
+        above
+            .map(|folder| folder.join(MASKS))
+            .filter(|folder| folder.is_dir() && places.insert(place(folder)))
+            .collect()
     }
 
     /// Reads the files of a COLMAP model unchanged, to write a part of the model.

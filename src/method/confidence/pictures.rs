@@ -25,7 +25,7 @@ use crate::{
 
 /// What follows for a view whose picture is damaged or of another shape, while others are not.
 pub const NOT_PLANNED: &str = "the image is neither matched nor planned";
-/// What follows for a view whose mask cannot be used, where pictures are compared and where they are not.
+/// What follows for a view whose picture or mask cannot be used, where pictures are compared; for a mask also where they are not.
 pub const NOT_COMPARED: &str = "the image is not compared";
 pub const ALL_COUNTS: &str = "all of the image counts";
 /// Number of images named in a warning.
@@ -81,6 +81,10 @@ impl Pictures {
 
     pub fn have_masks(&self) -> bool {
         !self.masks.is_empty()
+    }
+
+    pub(super) fn without_image(&self) -> &[ViewIndex] {
+        &self.without_image
     }
 
     pub(super) fn project(&self) -> &Path {
@@ -145,9 +149,10 @@ impl Pictures {
 
     /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene has one in it.
     pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
-        let has_mask = |view| self.mask_file(scene.name(view)).is_some();
-        let folder = self.masks.first().filter(|_| !scene.view_indices().any(has_mask))?;
-        Some([format!("no image has a mask in {}", folder.display()), self.naming_of_masks(scene)?])
+        let is_used = scene.views.iter().any(|view| self.has_mask(&view.name));
+        let folders: Vec<String> = self.masks.iter().map(|folder| folder.display().to_string()).collect();
+        (!is_used && !folders.is_empty())
+            .then(|| Some([format!("no image has a mask in {}", folders.join(" or ")), self.naming_of_masks(scene)?]))?
     }
 
     /// Says how masks are named, with an image of the scene as the example; `None` without one.
@@ -160,9 +165,9 @@ impl Pictures {
     /// Paths of the masks that belong to no image of the project, sorted by folder, then name.
     pub fn stray_masks(&self, scene: &Scene) -> Vec<PathBuf> {
         let names = scene.views.iter().map(|view| &*view.name).chain(scene.unregistered.iter().map(String::as_str));
-        let used: HashSet<PathBuf> = names.filter_map(|name| self.mask_file(name)).collect();
+        let named: HashSet<PathBuf> = names.flat_map(|name| self.mask_files(name)).collect();
         let stray = |folder: &PathBuf| -> Vec<PathBuf> {
-            let names = project::images_below(folder, |name| !used.contains(&folder.join(name)));
+            let names = project::images_below(folder, |name| !named.contains(&folder.join(name)));
             names.into_iter().map(|name| folder.join(name)).collect()
         };
         self.masks.iter().flat_map(stray).collect()
@@ -178,13 +183,25 @@ impl Pictures {
         [self.images.as_ref().map(|folder| folder.file(name)), self.mask_file(name)]
     }
 
-    /// `NAME.png`; for a PNG image also its own name. A pipe or a device is found, too, so that reading it says what is wrong.
+    /// Folders of masks, in the order in which they count.
+    pub fn mask_folders(&self) -> &[PathBuf] {
+        &self.masks
+    }
+
+    pub fn has_mask(&self, name: &str) -> bool {
+        self.mask_file(name).is_some()
+    }
+
+    /// A pipe or a device is found, too, so that reading it says what is wrong.
     fn mask_file(&self, name: &str) -> Option<PathBuf> {
+        self.mask_files(name).find(|path| path.exists() && !path.is_dir())
+    }
+
+    /// `NAME.png` in each folder; for a PNG image also its own name.
+    fn mask_files(&self, name: &str) -> impl Iterator<Item = PathBuf> {
         let is_png = name.to_ascii_lowercase().ends_with(".png");
-        let files_in = |folder: &PathBuf| {
-            [Some(folder.join(format!("{name}.png"))), is_png.then(|| folder.join(name))].into_iter().flatten()
-        };
-        self.masks.iter().flat_map(files_in).find(|path| path.exists() && !path.is_dir())
+        let names = [Some(format!("{name}.png")), is_png.then(|| name.to_owned())];
+        self.masks.iter().flat_map(move |folder| names.clone().into_iter().flatten().map(|name| folder.join(name)))
     }
 }
 
@@ -211,7 +228,7 @@ pub fn picture_warnings(scene: &Scene, faults: &[PictureFault], consequence: &st
     let sentence = |(view, fault): &PictureFault| format!("{}: {}; {consequence}", scene.name(*view), one_line(fault));
     let mut warnings: Vec<String> = faults.iter().take(NAMED).map(|fault| sentence(fault)).collect();
     if let Some(others) = faults.len().checked_sub(NAMED).filter(|&others| others > 0) {
-        warnings.push(format!("{others} more images like these: {consequence}"));
+        warnings.push(format!("{others} more like these: {consequence}"));
     }
     warnings
 }

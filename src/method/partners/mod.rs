@@ -41,7 +41,7 @@ pub fn choose(
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
     let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
-    let is_sound = |view: &ViewIndex| model.agreement.unusable.binary_search(view).is_err();
+    let is_sound = |view: &ViewIndex| model.agreement.rejected.binary_search(view).is_err();
     let candidates_of =
         |key: ViewIndex| -> Vec<ViewIndex> { candidates.candidates_of(key).iter().copied().filter(is_sound).collect() };
     let has_candidates = |key: &ViewIndex| is_sound(key) && candidates.candidates_of(*key).iter().any(is_sound);

@@ -78,7 +78,9 @@ impl<'a> Inputs<'a> {
                 Confidence::Pair(_) => 1,
                 Confidence::Photometric { .. } => 2,
             };
-            add(&mut hasher, &(form, pictures.have_images(), pictures.have_masks()));
+            // Warnings name the folders.
+            let folders: Vec<_> = pictures.mask_folders().iter().map(|folder| folder.to_string_lossy()).collect();
+            add(&mut hasher, &(form, pictures.have_images(), folders));
             if pictures.have_masks() {
                 for view in scene.view_indices() {
                     add(&mut hasher, &pictures.stamps(scene.name(view))?[1]);

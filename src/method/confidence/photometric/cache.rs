@@ -17,7 +17,7 @@ const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 
 /// Raised when the same input gives another table: by other samples, another comparison, or another rule of a program's reach. Not the version of the
 /// program: comparing takes longer than all the rest.
-const VERSION: &str = "agreement 6";
+const VERSION: &str = "agreement 7";
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
 
@@ -25,7 +25,7 @@ const BLOCK: usize = 1 << 20;
 pub(super) struct Cached {
     /// By view: whether it lacks a usable picture.
     pub without: Vec<bool>,
-    pub unusable: Vec<ViewIndex>,
+    pub rejected: Vec<ViewIndex>,
     pub warnings: Vec<String>,
     pub values: Column<u8>,
 }
@@ -35,7 +35,7 @@ pub(super) struct Facts {
     /// Views without a usable picture, ascending.
     pub without: Vec<u32>,
     /// Those whose picture is damaged or of another shape, ascending.
-    pub unusable: Vec<ViewIndex>,
+    pub rejected: Vec<ViewIndex>,
     pub warnings: Vec<String>,
 }
 
@@ -58,7 +58,7 @@ fn inputs<'p>(
     program: Option<&str>,
 ) -> Option<blake3::Hasher> {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(&serde_json::to_vec(&(VERSION, program)).ok()?);
+    hasher.update(&serde_json::to_vec(&(VERSION, program, pictures.without_image())).ok()?);
     if program.is_some() {
         hash_points(&mut hasher, geometry.scene);
     }
@@ -96,12 +96,12 @@ pub(super) fn read<'p>(
         values.extend(block)?;
         left -= block.len();
     }
-    let Some(Facts { unusable, warnings, .. }) = open.checked() else { return Ok(None) };
+    let Some(Facts { rejected, warnings, .. }) = open.checked() else { return Ok(None) };
     let is_without = |view: &ViewIndex| without.get(view.index()).is_some_and(|&without| without);
-    if !unusable.is_sorted_by(|a, b| a < b) || !unusable.iter().all(is_without) {
+    if !rejected.is_sorted_by(|a, b| a < b) || !rejected.iter().all(is_without) {
         return Ok(None);
     }
-    Ok(Some(Cached { without, unusable, warnings, values: values.finish()? }))
+    Ok(Some(Cached { without, rejected, warnings, values: values.finish()? }))
 }
 
 /// The sparse points and who observes them, which the reach of a program follows from.

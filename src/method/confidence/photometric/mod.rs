@@ -90,8 +90,8 @@ pub struct Agreement {
     /// By key view, then partner, then row of the key view: 0 if the pictures share no patch, else 1 + 254 times the correlation.
     pub values: Arc<Column<u8>>,
     /// Views whose picture is damaged or of another shape, which are neither key views nor partners, ascending; none if no pair could be compared.
-    pub unusable: Vec<ViewIndex>,
-    /// A sentence for each picture that cannot be used.
+    pub rejected: Vec<ViewIndex>,
+    /// Sentences about pictures that cannot be used.
     pub warnings: Vec<String>,
     /// Where the table is kept; `None` if nothing was compared.
     cache: Option<CacheFile>,
@@ -142,12 +142,12 @@ impl Agreement {
         watcher: &dyn Watcher,
     ) -> Result<Self, E> {
         let cache = cache::file(geometry, pictures, &partners_of, reach.program);
-        if let Some(Cached { without, unusable, warnings, values }) =
+        if let Some(Cached { without, rejected, warnings, values }) =
             cache::read(&cache, geometry, &partners_of).map_err(TableError::from)?
         {
             let layout = Self::laid_out(geometry, &partners_of, &without);
             let values = Arc::new(values);
-            return Ok(Self { values, unusable, warnings, cache: Some(cache), is_kept: true, ..layout });
+            return Ok(Self { values, rejected, warnings, cache: Some(cache), is_kept: true, ..layout });
         }
         let (samples, faults) = samples(geometry, pictures, room()?, watcher)?;
         let mut without = vec![!pictures.have_images(); geometry.scene.views.len()];
@@ -167,7 +167,7 @@ impl Agreement {
         if !pictures.have_images() {
             table.warnings.push("the project has no image folder: no pictures were compared".into());
         }
-        table.unusable = excluded.into_iter().map(|(view, _)| view).collect();
+        table.rejected = excluded.into_iter().map(|(view, _)| view).collect();
         table.cache = Some(cache);
         Ok(table)
     }
@@ -181,7 +181,7 @@ impl Agreement {
     pub fn unwritten(&self) -> Option<FileSet> {
         let file = self.cache.as_ref().filter(|_| !self.is_kept)?;
         let without = (0..).zip(&self.compared).filter(|(_, compared)| !**compared).map(|(view, _)| view).collect();
-        let facts = Facts { without, unusable: self.unusable.clone(), warnings: self.warnings.clone() };
+        let facts = Facts { without, rejected: self.rejected.clone(), warnings: self.warnings.clone() };
         Some(file.file(&facts, vec![self.values.clone()]))
     }
 
@@ -315,9 +315,9 @@ mod tests {
         let is_without_picture = |a, b| matches!(table.of_pair(a, b), PairAgreement::NoPicture);
         assert!(is_without_picture(missing, views[2]) && is_without_picture(views[2], missing));
         assert!(is_without_picture(damaged, views[2]) && !is_without_picture(views[3], views[2]));
-        assert_eq!((&table.unusable[..], table.warnings.len()), (&[damaged][..], 1));
+        assert_eq!((&table.rejected[..], table.warnings.len()), (&[damaged][..], 1));
         let all_but_damaged: Vec<ViewIndex> = views.iter().copied().filter(|view| *view != damaged).collect();
-        assert_eq!(compared(pictures.without(&all_but_damaged)).unusable, [], "no pair is left");
+        assert_eq!(compared(pictures.without(&all_but_damaged)).rejected, [], "no pair is left");
     }
 
     const NUMBERS: Photometric = Photometric { agree: 0.9, differ: 0.2, full_agreement: 0.8 };
