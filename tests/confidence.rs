@@ -85,7 +85,7 @@ fn views_without_a_picture_are_judged_by_their_geometry() {
     let named = |image: &Path| warnings(&manifest).contains(image.file_name().unwrap().to_str().unwrap());
     assert!(named(&all[0]) && named(&all[1]) && !named(&all[2]));
     assert!(warnings(&manifest).contains("images missing from"), "once, with its name");
-    assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"));
+    assert!(warnings(&manifest).contains("(not an image)"));
     assert!(manifest["cut"]["reachable"].as_f64().unwrap() > 0.5);
     assert!(plan(project.path(), &["--confidence", "photometric", "--threads", "2"]) == manifest, "on two threads");
 }
@@ -123,7 +123,7 @@ fn changed_images_are_read(project: &Path, options: &[&str]) {
     }
     let manifest = plan(project, options);
     assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"), "{}", warnings(&manifest));
-    assert!(warnings(&manifest).contains("25 more images"), "{}", warnings(&manifest));
+    assert!(warnings(&manifest).contains("25 more like these"), "{}", warnings(&manifest));
 }
 
 /// Programs that repair or rotate pictures keep their length and time at will.
@@ -237,7 +237,7 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
     fs::remove_file(second).unwrap();
     std::os::unix::fs::symlink("/dev/zero", second).unwrap();
     let manifest = plan(folder.path(), &[]);
-    assert_eq!(warnings(&manifest).matches("not a regular file").count(), 2, "{}", warnings(&manifest));
+    assert!(warnings(&manifest).contains("2 of 28"), "{}", warnings(&manifest));
 
     // What is ours is refused where it is something else.
     for name in ["manifest.json", ".journal.json", ".lock"] {
