@@ -185,7 +185,7 @@ fn what_a_mask_forbids_has_no_confidence() {
     let name = image.file_name().unwrap().to_str().unwrap();
     let [width, height] = image::image_dimensions(image).map(|(w, h)| [w, h]).unwrap();
     fs::create_dir(project.path().join("masks")).unwrap();
-    let unused = "no image has a mask in ";
+    let unused = &*format!("no image has a mask in {}", project.path().join("masks").display());
     for confidence in ["geometric", "geometric", "photometric"] {
         assert!(warnings(&plan(project.path(), &["--confidence", confidence])).contains(unused));
     }
@@ -237,7 +237,11 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
     fs::remove_file(second).unwrap();
     std::os::unix::fs::symlink("/dev/zero", second).unwrap();
     let manifest = plan(folder.path(), &[]);
-    assert!(warnings(&manifest).contains("2 of 28"), "{}", warnings(&manifest));
+    let both = format!(
+        "images that cannot be read: 2 of 28, e.g. {} (not a regular file)",
+        first.file_name().unwrap().to_str().unwrap()
+    );
+    assert!(warnings(&manifest).contains(&both), "{}", warnings(&manifest));
 
     // What is ours is refused where it is something else.
     for name in ["manifest.json", ".journal.json", ".lock"] {

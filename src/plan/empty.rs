@@ -37,13 +37,18 @@ impl EmptyPlan {
         let most = counts.into_iter().max_by_key(|&(reason, count)| (count, Reverse(reason)));
         let (reason, of) = most.unwrap_or((Reason::Hidden, 0));
         let cure = match reason {
-            Reason::NoImage if !plan.stages.agreement.rejected.is_empty() => Some(
-                "replace the images that the warnings name, or plan without pictures: --confidence geometric".into(),
-            ),
-            Reason::NoImage => None,
+            Reason::NoImage => Some(no_images(plan).into()),
             _ => too_few_partners(plan),
         };
         Self::Fulfilled { reason, of, views: plan.decision.views.len(), cure }
+    }
+}
+
+/// Returns a remedy for missing, unreadable or rejected images.
+fn no_images(plan: &Plan) -> &'static str {
+    match plan.stages.agreement.rejected.is_empty() {
+        true => "copy these images again (viewrank doctor)",
+        false => "replace the images that the warnings name, or plan without pictures: --confidence geometric",
     }
 }
 
@@ -79,7 +84,6 @@ impl Hint for EmptyPlan {
             Self::Fulfilled { reason: Reason::OutsideRegion, .. } => {
                 "choose a region that the images show, such as --region auto".into()
             }
-            Self::Fulfilled { reason: Reason::NoImage, .. } => "copy these images again (viewrank doctor)".into(),
             Self::Fulfilled { .. } => "run viewrank doctor; check the masks and --confidence, too".into(),
             Self::Allowed { .. } => "raise the limit".into(),
         })

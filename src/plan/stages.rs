@@ -71,7 +71,7 @@ pub struct Stages {
     pub objective: Objective,
     pub candidates: Candidates,
     pub image_faults: ImageFaults,
-    /// Views whose images are missing, cannot be read or prove unusable, which are neither key views nor partners; ascending.
+    /// Views whose image is missing, unreadable or rejected ([`Agreement::rejected`]), ascending: neither key views nor partners.
     pub without_image: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,
@@ -411,12 +411,11 @@ fn surface_and_candidates(
     let gate = gate.with(&settings.partners.gate);
     let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, without_image);
     let (slot, known) = kept::read(file, |(), bytes| kept::candidates::unpack(bytes, scene.views.len()));
-    let is_missing = |view: &ViewIndex| without_image.binary_search(view).is_ok();
+    let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
     let refusals_of = |key| -> Refuses {
         let reach = reach.map(|rule| rule(scene, points, key, settings.image_scale()));
         Box::new(move |pair| {
-            let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
-            lacks_image || reach.as_ref().is_some_and(|reach| reach.refuses(pair))
+            [pair.key, pair.partner].iter().any(lacks_image) || reach.as_ref().is_some_and(|reach| reach.refuses(pair))
         })
     };
     let limits = Limits { gate: &gate, refusals_of: &refusals_of };

@@ -103,7 +103,7 @@ impl ImageFaults {
     /// Pixels of the largest image of a scene that can be read; 0 without one.
     pub fn most_pixels(&self, scene: &Scene) -> u64 {
         let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
-        let without: HashSet<ViewIndex> = self.unusable().collect();
+        let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
         let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
         let of_view = |view: ViewIndex| {
             let camera = scene.camera_of(view);
@@ -112,20 +112,20 @@ impl ImageFaults {
         scene.view_indices().filter(|view| !without.contains(view)).map(of_view).max().unwrap_or_default()
     }
 
-    fn unusable(&self) -> impl Iterator<Item = ViewIndex> {
+    fn missing_or_unreadable(&self) -> impl Iterator<Item = ViewIndex> {
         self.missing.iter().copied().chain(self.unreadable.iter().map(|(view, _)| *view))
     }
 
     /// Views without an image that can be read, ascending; none if that is true of all `views`.
     pub fn without_image(&self, views: usize) -> Vec<ViewIndex> {
-        let mut without: Vec<ViewIndex> = self.unusable().collect();
+        let mut without: Vec<ViewIndex> = self.missing_or_unreadable().collect();
         without.sort_unstable();
-        if without.len() == views { Vec::new() } else { without }
+        if self.is_any_readable(views) { without } else { Vec::new() }
     }
 
-    /// Returns whether one of so many views has an image that can be read.
+    /// Returns true if at least one image of the scene's `views` views is readable.
     pub fn is_any_readable(&self, views: usize) -> bool {
-        self.unusable().count() < views
+        self.missing_or_unreadable().count() < views
     }
 
     /// The faults of these views, which must be ascending.
@@ -173,7 +173,11 @@ pub enum Unread {
 
 /// Reads the width and height of a complete image, judging by its name, header and end; `None` for formats that cannot be checked.
 pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
-    let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();
+    let found = path.metadata().ok().filter(|found| !found.is_dir()).ok_or(Unread::Missing)?;
+    if !found.is_file() {
+        return Err(Unread::Broken("not a regular file"));
+    }
+    let length = found.len();
     if length == 0 {
         return Err(Unread::Broken("empty"));
     }

@@ -61,8 +61,8 @@ pub enum ImageError {
 }
 
 impl ImageError {
-    /// Returns whether no program can match the image: it is damaged, or of another shape than its camera's. False for kinds of images that other programs
-    /// may read.
+    /// Returns true if no program can match the image: it is damaged, or its aspect ratio differs from its camera's. False for formats that other
+    /// programs may read.
     pub fn is_unusable(&self) -> bool {
         matches!(
             self,
@@ -132,7 +132,7 @@ pub struct GreyImage {
     pub pixels: Vec<u8>,
 }
 
-/// Decodes to grey levels. What one decoder does not read, the other may.
+/// Decodes to grey levels, with the slower decoder if the faster one fails.
 fn jpeg_grey(bytes: &[u8]) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
     if let Some(stored) = stored_luma(bytes) {
         return Ok(stored);

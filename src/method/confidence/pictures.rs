@@ -23,10 +23,11 @@ use crate::{
     },
 };
 
-/// What follows for a view whose picture is damaged or of another shape, while others are not.
+/// Consequence of a damaged picture or one with the wrong aspect ratio, if other pictures can be compared.
 pub const NOT_PLANNED: &str = "the image is neither matched nor planned";
-/// What follows for a view whose picture or mask cannot be used, where pictures are compared; for a mask also where they are not.
+/// Consequence of any other unusable picture or mask with photometric confidence.
 pub const NOT_COMPARED: &str = "the image is not compared";
+/// Consequence of an unusable mask with geometric confidence.
 pub const ALL_COUNTS: &str = "all of the image counts";
 /// Number of images named in a warning.
 const NAMED: usize = 3;
@@ -149,13 +150,15 @@ impl Pictures {
 
     /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene has one in it.
     pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
-        let is_used = scene.views.iter().any(|view| self.has_mask(&view.name));
+        let cure = self.naming_of_masks(scene)?;
+        if scene.views.iter().any(|view| self.has_mask(&view.name)) {
+            return None;
+        }
         let folders: Vec<String> = self.masks.iter().map(|folder| folder.display().to_string()).collect();
-        (!is_used && !folders.is_empty())
-            .then(|| Some([format!("no image has a mask in {}", folders.join(" or ")), self.naming_of_masks(scene)?]))?
+        Some([format!("no image has a mask in {}", folders.join(" or ")), cure])
     }
 
-    /// Says how masks are named, with an image of the scene as the example; `None` without one.
+    /// Says how masks are named, with an image of the scene as the example; `None` without views or folders of masks.
     pub fn naming_of_masks(&self, scene: &Scene) -> Option<String> {
         let (first, folder) = (scene.view_indices().next()?, self.masks.first()?);
         let example = folder.join(format!("{}.png", scene.name(first)));
@@ -213,7 +216,7 @@ impl Stamp {
     }
 }
 
-/// Names the first views with a fault, and counts the rest. `consequence`: what follows for such a view.
+/// Names the first views with a fault and its `consequence`, and counts the rest.
 ///
 /// Missing and unreadable image files are left out: the warnings of the project's image files have them.
 pub fn picture_warnings(scene: &Scene, faults: &[PictureFault], consequence: &str) -> Vec<String> {

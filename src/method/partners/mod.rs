@@ -32,7 +32,8 @@ use crate::{
 
 /// Selects a view cluster for each view that has candidates, in the order of views, and computes its fulfilment.
 ///
-/// A view with at most k candidates gets all of them. Views whose picture proved unusable get none and are none.
+/// A view with at most k candidates gets all of them. Views with a rejected picture are neither key views nor
+/// partners.
 pub fn choose(
     model: &Model,
     candidates: &Candidates,

@@ -34,7 +34,7 @@ pub(super) struct Cached {
 pub(super) struct Facts {
     /// Views without a usable picture, ascending.
     pub without: Vec<u32>,
-    /// Those whose picture is damaged or of another shape, ascending.
+    /// Views whose picture is damaged or has the wrong aspect ratio, ascending.
     pub rejected: Vec<ViewIndex>,
     pub warnings: Vec<String>,
 }

@@ -89,9 +89,9 @@ pub struct Agreement {
     compared: Vec<bool>,
     /// By key view, then partner, then row of the key view: 0 if the pictures share no patch, else 1 + 254 times the correlation.
     pub values: Arc<Column<u8>>,
-    /// Views whose picture is damaged or of another shape, which are neither key views nor partners, ascending; none if no pair could be compared.
+    /// Views whose picture is damaged or has the wrong aspect ratio, ascending: neither key views nor partners. Empty if no pair was compared.
     pub rejected: Vec<ViewIndex>,
-    /// Sentences about pictures that cannot be used.
+    /// Warnings of unusable pictures.
     pub warnings: Vec<String>,
     /// Where the table is kept; `None` if nothing was compared.
     cache: Option<CacheFile>,
@@ -159,15 +159,15 @@ impl Agreement {
             Ok(compared(geometry, &samples, key, table.partners_of(key), reach, places))
         };
         table.values = Arc::new(geometry.visibility.column(READ_AT_ONCE, Vec::new, compare)?);
-        // If no pair was compared, nothing can be said for one view against another.
-        let is_excluded = |fault: &ImageError| !table.is_empty() && fault.is_unusable();
-        let (excluded, others): (Vec<_>, Vec<_>) = faults.into_iter().partition(|(_, fault)| is_excluded(fault));
-        table.warnings = picture_warnings(geometry.scene, &excluded, NOT_PLANNED);
+        // Without a compared pair, no view has evidence against it that the others lack.
+        let is_rejected = |fault: &ImageError| !table.is_empty() && fault.is_unusable();
+        let (rejected, others): (Vec<_>, Vec<_>) = faults.into_iter().partition(|(_, fault)| is_rejected(fault));
+        table.warnings = picture_warnings(geometry.scene, &rejected, NOT_PLANNED);
         table.warnings.extend(picture_warnings(geometry.scene, &others, NOT_COMPARED));
         if !pictures.have_images() {
             table.warnings.push("the project has no image folder: no pictures were compared".into());
         }
-        table.rejected = excluded.into_iter().map(|(view, _)| view).collect();
+        table.rejected = rejected.into_iter().map(|(view, _)| view).collect();
         table.cache = Some(cache);
         Ok(table)
     }
@@ -304,7 +304,7 @@ mod tests {
         png[middle] ^= 1;
         std::fs::write(&path, png).unwrap();
         let compared = |pictures: Pictures| {
-            // As a plan has it: a view without an image has no candidates and is none.
+            // A plan never pairs a view without an image.
             let partners_of = |view: ViewIndex| if view == missing { &[][..] } else { &views[1..4] };
             let room = || Ok(SampleRoom { keep: Storage::Memory, views_at_once: 4 });
             let everything = &ProgramReach::EVERYTHING;
