@@ -360,7 +360,7 @@ def join(args):
     clusters = wanted(args, workspace)
     maps, points = fuse({size: Workspace(args.workspace, args.image_scale * size) for size in {1.0} | {size for *_, size in clusters}}, clusters, args.out)
     print(f"{maps} depth maps, {points:,} points: {args.out / 'fused.ply'}", file=sys.stderr)
-    return 0
+    return []
 
 
 def interrupt(*_):
@@ -368,17 +368,18 @@ def interrupt(*_):
 
 
 class Line:
-    """A line of progress every ten seconds, and at the end; one for each key view that failed."""
+    """A line of progress every ten seconds, and at the end; one for each key view that failed, unless it is the only one to do."""
 
     def __init__(self, total):
-        self.total, self.count, self.failed, self.begin, self.last = total, 0, 0, time.time(), 0.0
+        self.total, self.count, self.failed, self.begin, self.last = total, 0, [], time.time(), 0.0
 
     def step(self, row):
         self.count += 1
         now = time.time()
         if "failed" in row:
-            self.failed += 1
-            print(f"error: no depth map of {row['key']}: {row['failed']}", file=sys.stderr, flush=True)
+            self.failed.append(row["failed"])
+            if self.total > 1:
+                print(f"error: no depth map of {row['key']}: {row['failed']}", file=sys.stderr, flush=True)
         if now - self.last > 10 or self.count == self.total:
             self.last = now
             left = (now - self.begin) / self.count * (self.total - self.count)
@@ -395,7 +396,7 @@ def summary(report, keys):
     reasons = {}
     for p in partners:
         if not p["matched"]:
-            kind = re.sub(r"\d+(\.\d+)?", "N", p["refused"])
+            kind = re.sub(r"(?<!\S)\d+(\.\d+)?(?![^\s,:])", "N", p["refused"])  # not in names of files
             reasons[kind] = reasons.get(kind, 0) + 1
     return "\n".join([text] + [f"  refused {count} x: {kind}" for kind, count in sorted(reasons.items(), key=lambda r: (-r[1], r[0]))])
 
@@ -431,13 +432,15 @@ def main(argv=None):
     args = arguments(argv)
     signal.signal(signal.SIGTERM, interrupt)  # or the workers would outlive us
     try:
-        failed = {"match": match, "fuse": join, "pairs": fill}[args.command](args)
+        failed = {"match": match, "fuse": join, "pairs": fill}[args.command](args)  # reasons, one for each key view
     except InputError as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; finished maps stay, run again to go on")
+    if len(failed) == 1:
+        sys.exit(f"error: {failed[0]}")
     if failed:
-        sys.exit(f"error: {failed} key views have no new depth map; what they had before stays")
+        sys.exit(f"error: {len(failed)} key views have no new depth map; what they had before stays")
 
 
 if __name__ == "__main__":

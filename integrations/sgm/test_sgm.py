@@ -451,6 +451,31 @@ def test_a_pair_with_a_bad_image_is_refused(planes, tmp_path, change, words):
     assert pairs.get("key.png", SIDES[0]).matched
 
 
+def halve(path):
+    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
+    cv2.imencode(".png", cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))[1].tofile(path)
+
+
+def test_images_of_half_the_size_are_matched_in_the_models_size(planes, tmp_path):
+    folder = damaged(planes, tmp_path / "w", lambda w: [halve(w / "images" / name) for name in ("key.png", SIDES[0])])
+    workspace = Workspace(folder)
+    pair = Pairs(workspace).get("key.png", SIDES[0])
+    assert pair.code.shape == (HEIGHT, WIDTH)
+    known = pair.code > 0
+    assert known.mean() > 0.5 and np.median(np.abs(pair.inverse() * plane_depth("key.png") - 1)[known]) < 0.01
+    stored = cv2.imread(str(folder / "images/key.png"), cv2.IMREAD_GRAYSCALE)
+    assert (Workspace(folder, 0.5).grey("key.png") == stored).all(), "nothing is left to scale"
+
+
+def test_one_failure_ends_with_its_reason_and_names_of_files_keep_their_digits(planes, tmp_path, capsys):
+    folder = damaged(planes, tmp_path / "w", lambda w: [(w / "images" / name).write_bytes(b"") for name in ("key.png", SIDES[1])])
+    clusters = write_clusters(tmp_path / "clusters.txt", ("forward.png", *SIDES), ("key.png", *SIDES))
+    match = ["match", str(folder), "--out", str(tmp_path / "8"), "--clusters", str(clusters)]
+    with pytest.raises(SystemExit, match=r"^error: .*key\.png: no image that OpenCV can read$"):
+        sgm.main(match)
+    assert f"refused 1 x: {folder / 'images' / SIDES[1]}: no image" in capsys.readouterr().err
+
+
 def test_the_fixture_is_measured(tmp_path):
     """Two nadir views and a partner between them: most of the ground is found, at the height that the sparse points have."""
     workspace = Workspace(FIXTURE, 0.5)

@@ -29,7 +29,7 @@ class View:
     R: np.ndarray
     t: np.ndarray
     size: tuple  # width, height in matched pixels
-    full_size: tuple  # width, height of the image file
+    full_size: tuple  # width, height in the model
     points: np.ndarray = field(repr=False)  # rows of Workspace.xyz that it observes, sorted
 
     @property
@@ -61,15 +61,16 @@ class Workspace:
             self.views[name] = reduced_view(name, cameras[camera], rotation(quaternion, name), t, points, image_scale)
 
     def grey(self, name):
-        """The image as it is matched: grey, 8 bit, reduced."""
+        """The image as it is matched: grey, 8 bit, scaled from whatever size its file has."""
         path, view = self.images / name, self.views[name]
         data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
         image = cv2.imdecode(data, GREY_AS_STORED) if data.size else None
         if image is None:
             raise InputError(f"{path}: no image that OpenCV can read")
-        if image.shape[::-1] != view.full_size:
-            raise InputError(f"{path} is {image.shape[1]} x {image.shape[0]}, but the model says {view.full_size[0]} x {view.full_size[1]}: are these the images that were undistorted with this model?")
-        return image if view.size == view.full_size else cv2.resize(image, view.size, interpolation=cv2.INTER_AREA)
+        size = image.shape[::-1]
+        if not same_aspect_ratio(size, view.full_size):
+            raise InputError(f"{path} is {size[0]} x {size[1]}, but the model says {view.full_size[0]} x {view.full_size[1]}: are these the images that were undistorted with this model?")
+        return image if size == view.size else cv2.resize(image, view.size, interpolation=cv2.INTER_AREA if size[0] > view.size[0] else cv2.INTER_LINEAR)
 
     def connected(self, key):
         """All views that share sparse points with `key`, most first, ties by name, as (name, shared points)."""
@@ -82,6 +83,12 @@ class Workspace:
         """Median over the views of (median depth of the view's points) / (focal length), in scene units per matched pixel."""
         each = [np.median(v.project(self.xyz[v.points])[1]) * 2 / (v.K[0, 0] + v.K[1, 1]) for v in self.views.values() if len(v.points)]
         return float(np.median(each))
+
+
+def same_aspect_ratio(size, full_size):
+    """Is one size the other, scaled and rounded?"""
+    (width, height), (full_width, full_height) = size, full_size
+    return abs(width * full_height / (height * full_width) - 1) <= 1 / width + 1 / height
 
 
 def rows_of(wanted, ids, order):

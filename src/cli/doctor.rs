@@ -101,8 +101,7 @@ fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> String {
     let own = diagnosis.backend;
     let others: Vec<&str> = backends.iter().map(|backend| backend.name).filter(|name| *name != own).collect();
     let others = if others.is_empty() { String::new() } else { format!("; traps of {}", others.join(", ")) };
-    let has_errors = diagnosis.findings.iter().any(|finding| finding.severity == Severity::Error);
-    let links = if has_errors { "" } else { " partners of each view, weak links," };
+    let links = if diagnosis.partners_judged { " partners of each view, weak links," } else { "" };
     let what = format!(
         "cameras, poses and points of the model, its units,{links} image files and their sizes, masks, traps of {own}, which the project would be \
          planned for{others}."

@@ -25,7 +25,10 @@ use crate::{
     daemon::{follow, foreground::Foreground, state::Outcome},
     io::{output::Disk, project::Project},
     model::cluster::MapScale,
-    show::{files::report_path, manifest::WrittenPlan},
+    show::{
+        files::report_path,
+        manifest::{WrittenPlan, warnings_with},
+    },
 };
 
 /// A measurement pauses the matching; the next one comes after this multiple of its duration.
@@ -245,6 +248,9 @@ impl<'a> Work<'a> {
             image_faults: &image_faults,
         };
         let export = backend.export(&selection, &Default::default())?;
+        warnings_with(&plan.warnings, std::slice::from_ref(&export.record), &[])
+            .iter()
+            .for_each(|warning| warn(warning));
         let dispatch = Dispatch::new(backend, &selection, &export, plan.finished)?;
         let held = dispatch.hold()?;
         let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
@@ -312,11 +318,11 @@ impl<'a> Work<'a> {
             }
             in_a_row = match ended {
                 ScriptResult::Failed(output) => {
+                    if in_a_row + 1 == FAILURES || missing.len() == 1 {
+                        return Err(self.broken(task, in_a_row, &output));
+                    }
                     warn(&format!("no depth map of {}: {}", task.key, last_line(&output)));
                     self.failed.push(task.key.clone());
-                    if in_a_row + 1 == FAILURES || missing.len() == 1 {
-                        return Err(self.broken(&output));
-                    }
                     in_a_row + 1
                 }
                 _ => 0,
@@ -465,8 +471,11 @@ impl<'a> Work<'a> {
         )
     }
 
-    fn broken(&self, output: &str) -> Failure {
-        let message = format!("{} computes no depth maps: {}\n{output}", self.backend.name, last_line(output));
+    /// `before`: number of tasks that failed just before this one.
+    fn broken(&self, task: &Task, before: usize, output: &str) -> Failure {
+        let others = if before > 0 { format!(" and {before} before it") } else { String::new() };
+        let (name, key, why) = (self.backend.name, &task.key, last_line(output));
+        let message = format!("{name} made no depth map of {key}{others}: {why}\n{output}");
         let hint = match self.backend.name {
             _ if output.contains("No space left on device") => {
                 format!("free some space there; finished depth maps are kept, and this goes on: {}", self.again())
@@ -476,7 +485,10 @@ impl<'a> Work<'a> {
                  opencv-python-headless"
                     .into()
             }
-            _ => "check the program with one of its own commands, or take another --backend".into(),
+            _ => format!(
+                "viewrank doctor {} checks the images; check the program with one of its own commands, or take another --backend",
+                self.plan.project.as_argument()
+            ),
         };
         Failure::new(Exit::Failed, message, hint)
     }
@@ -495,7 +507,8 @@ fn failure(outcome: Outcome, stop: &AtomicBool, again: &str) -> Failure {
 
 /// Returns the last line of a task's output that the task's script did not print itself.
 fn last_line(text: &str) -> &str {
-    text.lines().rfind(|line| !line.starts_with("rank ")).map_or("it failed without a word", str::trim)
+    let line = text.lines().rfind(|line| !line.starts_with("rank ")).map_or("it failed without a word", str::trim);
+    line.strip_prefix("error: ").unwrap_or(line)
 }
 
 /// Prints stages of planning as lines on stderr.

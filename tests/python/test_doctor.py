@@ -51,6 +51,31 @@ def test_the_data_sets_are_healthy(viewrank, data, name):
     assert all(finding["severity"] == "note" for finding in report["findings"]), report
 
 
+def test_partners_are_judged_among_views_with_an_image(viewrank, fixtures, tmp_path):
+    folder = project(fixtures, tmp_path)
+    images = sorted((folder / "images").iterdir())
+    for image in images[6:]:
+        image.unlink()
+    found = {finding["check"]: finding for finding in json.loads(viewrank("doctor", folder, "--backend", "sgm", "--format", "json", expect=3).stdout)["findings"]}
+    few = [finding for name, finding in found.items() if name in ("too-few-partners", "fewer-partners-than-k")]
+    viewrank("plan", folder, "--backend", "sgm", "--target", "100", "--quiet")
+    manifest = json.loads((folder / "viewrank" / "manifest.json").read_text())
+    planned = {cluster["key"]: len(cluster["partners"]) for cluster in manifest["clusters"]}
+    said = {view["name"]: view["why"] for finding in few for view in finding["views"]}
+    assert planned and said.keys() == {image.name for image in images[:6]}, "five others at most, and fewer within the limits"
+    for name, partners in planned.items():
+        assert 1 <= int(said[name].split()[0]) <= partners and "without an image" in said[name], "a plan also has partners beyond the limits"
+
+
+def test_a_wrong_image_does_not_keep_partners_from_being_judged(viewrank, fixtures, tmp_path):
+    folder = project(fixtures, tmp_path)
+    image = min((folder / "images").iterdir())
+    cv2.imwrite(str(image), np.zeros((100, 100), np.uint8))
+    text = " ".join(viewrank("doctor", folder, expect=4).stdout.split())
+    assert "ERROR" in text and "its units, partners of each view, weak links, image files" in text
+    assert json.loads(viewrank("doctor", folder, "--format", "json", expect=4).stdout)["partners_judged"] is True
+
+
 def test_what_is_wrong_is_said_at_80_columns_with_what_to_do(viewrank, fixtures, tmp_path, monkeypatch):
     folder = project(fixtures, tmp_path)
     # A long path stays whole, wider than the terminal.

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+import cv2
 import pytest
 
 
@@ -142,6 +143,24 @@ def test_a_colmap_without_cuda_is_refused_before_planning(run, valley, tmp_path)
     out, err = run(valley, "--backend", "colmap", COLMAP=str(colmap), expect=1)
     assert f"{colmap} was built without CUDA" in err and "--backend sgm" in err
     assert (tmp_path / "colmap.ran").read_text() == "help\n" and not (valley / "viewrank").exists()
+
+
+def test_images_of_half_the_size_are_matched_with_a_warning(run, valley):
+    for path in (valley / "images").iterdir():
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    _, err = run(valley, "--backend", "sgm", "--budget", "1", "--no-report")
+    assert err.count("images of another size than their cameras: 28 of 28") == 1 and (valley / "sgm/fused.ply").stat().st_size > 10_000
+
+
+def test_the_reason_of_a_failure_is_the_programs(run, valley):
+    """Images with a header and an end, and nothing between."""
+    (valley / "viewrank.toml").write_text('confidence.source = "geometric"\n')
+    for path in (valley / "images").iterdir():
+        whole = path.read_bytes()
+        path.write_bytes(whole[: whole.index(b"\xff\xda")] + b"\xff\xd9")
+    _, err = run(valley, "--backend", "sgm", "--budget", "1", "--no-report", expect=1)
+    said = err[err.index("error: ") :]
+    assert re.search(r"^error: sgm made no depth map of (\S+): .*\1: no image that OpenCV can read\n", said) and "hint: viewrank doctor" in said, err
 
 
 def test_a_python_without_the_packages_is_said(run, valley, tmp_path):

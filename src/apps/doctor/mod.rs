@@ -43,6 +43,8 @@ pub struct Diagnosis {
     pub backend: &'static str,
     /// All findings, most severe first.
     pub findings: Vec<Finding>,
+    /// False for a model with errors, in which partners and links are meaningless.
+    pub partners_judged: bool,
 }
 
 /// A view that a finding concerns.
@@ -120,8 +122,8 @@ impl Inputs<'_> {
 /// Examines the project: partners for the first of `backends`, traps for all of them.
 pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&Backend]) -> Diagnosis {
     let backend = backends.first().copied().unwrap_or_else(|| backends::by_default(project).0);
-    let mut findings = match scene.views.is_empty() {
-        true => vec![no_views()],
+    let (mut findings, partners_judged) = match scene.views.is_empty() {
+        true => (vec![no_views()], false),
         false => scene_findings(&Inputs {
             project,
             scene,
@@ -133,7 +135,7 @@ pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: 
         }),
     };
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
-    Diagnosis { version: 1, backend: backend.name, findings }
+    Diagnosis { version: 1, backend: backend.name, findings, partners_judged }
 }
 
 fn no_views() -> Finding {
@@ -141,18 +143,19 @@ fn no_views() -> Finding {
     Finding::new(Severity::Error, "no-views", "no image of the model is registered", cure)
 }
 
-fn scene_findings(inputs: &Inputs) -> Vec<Finding> {
+/// Returns the findings, and true if partners and links were judged.
+fn scene_findings(inputs: &Inputs) -> (Vec<Finding>, bool) {
     let mut findings = sense::of_model(inputs);
     findings.extend(model::findings(inputs));
-    // In a model with errors, partners and links are meaningless.
-    if findings.iter().all(|finding| finding.severity < Severity::Error) {
+    let is_sound = findings.iter().all(|finding| finding.severity < Severity::Error);
+    if is_sound {
         findings.extend(partners::findings(inputs));
         findings.extend(links::findings(inputs));
     }
     findings.extend(sense::of_images(inputs));
     findings.extend(masks::findings(inputs));
     findings.extend(traps(inputs));
-    findings
+    (findings, is_sound)
 }
 
 /// Returns the backends to check: those named, else that of the project's plan, else the one that the project is set up for; with `others`, all the

@@ -24,6 +24,7 @@ const MOST: f64 = 0.5;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Refusal {
     NoBaseline,
+    NoImage,
     Limit(Obstacle),
 }
 
@@ -31,6 +32,7 @@ impl Refusal {
     fn words(self) -> &'static str {
         match self {
             Self::NoBaseline => "no baseline",
+            Self::NoImage => "without an image",
             Self::Limit(Obstacle::FewSharedPoints) => "too few shared points",
             Self::Limit(Obstacle::SmallAngle) => "angle too small",
             Self::Limit(Obstacle::LargeAngle) => "angle too large",
@@ -52,10 +54,15 @@ struct PartnerCount {
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
     let gate = inputs.backend.planning.gate.with(&inputs.settings.partners.gate);
-    let counts: Vec<PartnerCount> =
-        views.par_iter().map(|&view| count_partners(inputs.scene, inputs.points, &gate, view)).collect();
-    let few = [too_few(inputs, &counts), fewer_than_wanted(inputs, &counts)];
-    few.into_iter().flatten().chain(one_position(inputs, &counts)).collect()
+    let without_image = inputs.images.without_image(views.len());
+    let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
+    let count = |&view: &ViewIndex| count_partners(inputs.scene, inputs.points, &lacks_image, &gate, view);
+    let counts: Vec<PartnerCount> = views.par_iter().map(count).collect();
+    let position = one_position(inputs, &counts);
+    // The others are findings of their own.
+    let with_image: Vec<PartnerCount> = counts.into_iter().filter(|count| !lacks_image(&count.view)).collect();
+    let few = [too_few(inputs, &with_image), fewer_than_wanted(inputs, &with_image)];
+    few.into_iter().flatten().chain(position).collect()
 }
 
 /// Returns the minimum number of partners with which a key view can fulfil anything.
@@ -64,13 +71,27 @@ fn least(inputs: &Inputs) -> usize {
     settings.coverage.min_cameras.saturating_sub(1).clamp(1, settings.partners.k.max(1)) as usize
 }
 
-/// Describes how many of the views that share points with this one the backend can match, and why it refuses the others.
-pub fn partners_in_words(scene: &Scene, points: &ViewPoints, gate: &Gate, view: ViewIndex) -> String {
-    count_partners(scene, points, gate, view).words()
+/// Describes how many of the views that share points with this one the backend can match, and why it refuses the others. `without_image`: views
+/// whose images are missing or unreadable, ascending.
+pub fn partners_in_words(
+    scene: &Scene,
+    points: &ViewPoints,
+    without_image: &[ViewIndex],
+    gate: &Gate,
+    view: ViewIndex,
+) -> String {
+    count_partners(scene, points, &|view| without_image.binary_search(view).is_ok(), gate, view).words()
 }
 
-fn count_partners(scene: &Scene, points: &ViewPoints, gate: &Gate, view: ViewIndex) -> PartnerCount {
-    let around = neighbours(scene, points, view);
+fn count_partners(
+    scene: &Scene,
+    points: &ViewPoints,
+    lacks_image: &impl Fn(&ViewIndex) -> bool,
+    gate: &Gate,
+    view: ViewIndex,
+) -> PartnerCount {
+    let (unseen, around): (Vec<_>, Vec<_>) =
+        neighbours(scene, points, view).into_iter().partition(|(other, _)| lacks_image(&view) || lacks_image(other));
     let pairs: Vec<PairGeometry> =
         around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
     let (without_baseline, with_baseline): (Vec<_>, Vec<_>) =
@@ -82,7 +103,7 @@ fn count_partners(scene: &Scene, points: &ViewPoints, gate: &Gate, view: ViewInd
         refused: BTreeMap::new(),
         same_position: without_baseline.iter().map(|pair| pair.partner).collect(),
     };
-    let refusals = obstacles.into_iter().map(Refusal::Limit);
+    let refusals = obstacles.into_iter().map(Refusal::Limit).chain(unseen.iter().map(|_| Refusal::NoImage));
     for refusal in refusals.chain(without_baseline.iter().map(|_| Refusal::NoBaseline)) {
         *count.refused.entry(refusal).or_default() += 1;
     }
@@ -109,7 +130,7 @@ impl PartnerCount {
 fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
     let least = least(inputs);
     let few: Vec<&PartnerCount> = counts.iter().filter(|count| count.partners < least).collect();
-    let lost = lost_share(inputs, &few);
+    let lost = lost_share(inputs, counts);
     let share = few.len() as f64 / counts.len().max(1) as f64;
     let severity = if share.max(lost) >= MOST {
         Severity::Error
@@ -139,14 +160,15 @@ fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
     })
 }
 
-/// Returns the share of the sparse points that only these views see.
-fn lost_share(inputs: &Inputs, few: &[&PartnerCount]) -> f64 {
-    let mut is_lost = vec![false; inputs.scene.views.len()];
-    few.iter().for_each(|count| is_lost[count.view.index()] = true);
+/// Returns the share of the sparse points that, of the views with an image, only those with too few partners see.
+fn lost_share(inputs: &Inputs, counts: &[PartnerCount]) -> f64 {
+    let (least, mut can_be_key) = (least(inputs), vec![None; inputs.scene.views.len()]);
+    counts.iter().for_each(|count| can_be_key[count.view.index()] = Some(count.partners >= least));
+    let is_lost = |views: &[ViewIndex]| views.iter().filter_map(|v| can_be_key[v.index()]).max() == Some(false);
     let tracks = || (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
     // The surface leaves out points that a single view observes (method 1.1).
     let sound = || tracks().filter(|views| views.len() > 1);
-    sound().filter(|views| views.iter().all(|v| is_lost[v.index()])).count() as f64 / sound().count().max(1) as f64
+    sound().filter(|views| is_lost(views)).count() as f64 / sound().count().max(1) as f64
 }
 
 /// Reports key views with fewer than k partners.

@@ -349,7 +349,9 @@ fn partners(plan: &Plan) -> BTreeMap<u32, String> {
     let gate = Gate::OPEN.with(&plan.stages.settings.partners.gate);
     let points = plan.stages.scene.view_points();
     let views: Vec<ViewIndex> = plan.stages.scene.view_indices().filter(lacks).collect();
-    let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.stages.scene, &points, &gate, view));
+    let stages = &plan.stages;
+    let words =
+        |&view: &ViewIndex| (view.0, partners_in_words(&stages.scene, &points, &stages.without_image, &gate, view));
     views.par_iter().map(words).collect()
 }
 

@@ -70,12 +70,13 @@ pub struct Manifest {
     pub warnings: Vec<String>,
 }
 
-/// Joins the warnings of a plan, `further` ones, and those of its exports. Parts of the plan that a backend does not honour are no warnings, since users cannot change them: they are in
+/// Joins the warnings of a plan, `further` ones, and those of its exports, but for kinds that the plan warns of too, with counts of its own. Parts of the plan that a backend does not honour are no warnings, since users cannot change them: they are in
 /// `viewrank backends` and the records of the exports.
 pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
     let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
+    let kind = |warning: &String| warning.split(':').next().map(str::to_owned);
     for ExportRecord { backend, warnings: own, .. } in exports {
-        let own = own.iter().filter(|warning| !of_plan.contains(warning));
+        let own = own.iter().filter(|warning| of_plan.iter().all(|of_plan| kind(of_plan) != kind(warning)));
         warnings.extend(own.map(|warning| format!("{backend}: {warning}")));
     }
     warnings

@@ -43,6 +43,8 @@ pub struct WrittenPlan {
     pub finished: usize,
     /// Target share of the plan's cut, or else the share at the cut.
     pub target: Share,
+    /// Warnings of the plan.
+    pub warnings: Vec<String>,
 }
 
 /// The part of a manifest that viewrank reads back; views are names.
@@ -149,6 +151,7 @@ impl WrittenPlan {
             finished,
             target,
             scene,
+            warnings: recorded.warnings,
         })
     }
 
