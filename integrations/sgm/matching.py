@@ -13,9 +13,9 @@ MIN_CORRELATION = 0.4  # of the two windows; below it a match is dropped
 SPECKLE_PIXELS, SPECKLE_JUMP = 60, 1  # connected patches smaller than this are dropped; neighbours differ by at most this disparity
 
 
-def match(pair, key_image, partner_image):
-    """Inverse z-depth in the key view (float32, nan where unknown)."""
-    left, in_key, right, in_partner = canvases(pair, key_image, partner_image)
+def match(pair, key_image, key_mask, partner_image, partner_mask):
+    """Inverse z-depth in the key view (float32, nan where unknown). Masks are true where the image may be matched, or None."""
+    left, in_key, right, in_partner = canvases(pair, key_image, key_mask, partner_image, partner_mask)
     disparity = semi_global(left, right, pair.canvas.low, pair.canvas.count)
     disparity[~in_key | ~shown(disparity, in_partner)] = np.nan
     disparity, correlation = least_squares(left, right, disparity)
@@ -24,18 +24,21 @@ def match(pair, key_image, partner_image):
     return to_key_view(pair, disparity, key_image.shape[::-1])
 
 
-def canvases(pair, key_image, partner_image):
-    """Both images on the canvas, and where they are inside their pictures."""
+def canvases(pair, key_image, key_mask, partner_image, partner_mask):
+    """Both images on the canvas, and where they are inside their pictures and masks."""
     key, partner, front = canvas_pixels(pair)
     if pair.scale > 4 / 3:  # the partner is finer: take its detail away that the canvas can't hold
         partner_image = cv2.GaussianBlur(partner_image, (0, 0), 0.5 * (pair.scale**2 - 1) ** 0.5)
-    return *on_canvas(key_image, *key), *on_canvas(partner_image, *partner, front)
+    return *on_canvas(key_image, key_mask, *key), *on_canvas(partner_image, partner_mask, *partner, front)
 
 
-def on_canvas(image, x, y, front=True):
+def on_canvas(image, mask, x, y, front=True):
     h, w = image.shape
     inside = (x > -0.5) & (x < w - 0.5) & (y > -0.5) & (y < h - 0.5) & front
-    return cv2.remap(image, x.astype(np.float32), y.astype(np.float32), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), inside
+    x, y = x.astype(np.float32), y.astype(np.float32)
+    if mask is not None:
+        inside &= cv2.remap(mask.astype(np.uint8), x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT) > 0
+    return cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), inside
 
 
 def semi_global(left, right, low, count):

@@ -13,7 +13,7 @@ import numpy as np
 import matching
 import rectify
 from rectify import Parallax, Refused
-from workspace import InputError
+from workspace import ImageError
 
 VERSION = 2  # raised when the same input gives other maps
 
@@ -51,7 +51,7 @@ class PairMap:
 
 
 class Pairs:
-    """Matches pairs of a workspace; with a cache folder, only those that are not in it."""
+    """Matches pairs of a workspace; with a cache folder, only those that are not in it. Refused pairs are judged anew each time, which takes little."""
 
     def __init__(self, workspace, cache=None):
         self.workspace, self.cache, self.images = workspace, cache and Path(cache), {}
@@ -68,14 +68,14 @@ class Pairs:
         start = time.perf_counter()
         result = self.match(a, b, shared, around)
         result.seconds = time.perf_counter() - start
-        if path:
+        if path and result.matched:
             save(path, result, mark)
         return result
 
     def match(self, a, b, shared, around):
         """The pair, or why it is refused.
 
-        Raises InputError where the key view's image cannot be read: no pair of that key view says anything then."""
+        Raises ImageError where the key view's image cannot be read: no pair of that key view says anything then."""
         if len(shared) < rectify.MIN_SHARED:
             return PairMap(f"only {len(shared)} shared sparse points, fewer than {rectify.MIN_SHARED}")
         angle, octaves = rectify.geometry(a, b, shared)
@@ -83,20 +83,20 @@ class Pairs:
             pair = rectify.rectify(a, b, shared, around)
         except Refused as reason:
             return PairMap(str(reason), angle=angle, octaves=octaves)
-        image = self.image(a.name)
+        key = self.image(a.name)
         try:
-            other = self.image(b.name)
-        except InputError as reason:
-            return PairMap(str(reason), angle=angle, octaves=octaves)
-        code, low, step = encode(matching.match(pair, image, other))
+            partner = self.image(b.name)
+        except ImageError as reason:
+            return PairMap(reason.what, angle=angle, octaves=octaves)
+        code, low, step = encode(matching.match(pair, *key, *partner))
         return PairMap("", code, low, step, pair.parallax, angle, octaves)
 
     def image(self, name):
-        """The grey image; the last 40 are kept."""
+        """The grey image and its mask; the last 40 are kept."""
         if name not in self.images:
             if len(self.images) >= 40:
                 self.images.pop(next(iter(self.images)))
-            self.images[name] = self.workspace.grey(name)
+            self.images[name] = self.workspace.grey(name), self.workspace.mask(name)
         return self.images[name]
 
 
@@ -107,13 +107,17 @@ def fingerprint(workspace, a, b, shared, around):
         parts += [v.K.tobytes(), v.R.tobytes(), v.t.tobytes(), str(v.size).encode()]
         with contextlib.suppress(OSError):
             parts.append(str((workspace.images / v.name).stat().st_size).encode())
+        if mask := workspace.mask_digest(v.name):
+            parts += [b"mask", mask]
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 
 def made_of(workspace, key, partners):
-    """Digest of the current cameras and poses of a cluster's views, 16 hex digits."""
+    """Digest of the current cameras, poses and masks of a cluster's views, 16 hex digits."""
     views = [workspace.views[name] for name in (key, *partners)]
-    return hashlib.sha256(b"|".join(part.tobytes() for v in views for part in (v.K, v.R, v.t))).hexdigest()[:16]
+    parts = [part.tobytes() for v in views for part in (v.K, v.R, v.t)]
+    masks = [workspace.mask_digest(v.name) for v in views]
+    return hashlib.sha256(b"|".join(parts + (masks if any(masks) else []))).hexdigest()[:16]
 
 
 def encode(inverse):
@@ -127,24 +131,20 @@ def encode(inverse):
 
 
 def save(path, pair, mark):
-    arrays = {"fingerprint": mark, "refused": pair.refused, "angle": pair.angle, "octaves": pair.octaves, "seconds": pair.seconds}
-    if pair.matched:
-        arrays |= {"code": pair.code, "low": pair.low, "step": pair.step} | vars(pair.parallax)
+    arrays = {"fingerprint": mark, "angle": pair.angle, "octaves": pair.octaves, "seconds": pair.seconds}
+    arrays |= {"code": pair.code, "low": pair.low, "step": pair.step} | vars(pair.parallax)
     write_whole(path, lambda file: write_npz(file, arrays))
 
 
 def load(path, mark):
-    """The pair at `path` if it is whole and has this fingerprint, else None."""
+    """The matched pair at `path` if it is whole and has this fingerprint, else None."""
     try:
         with np.load(path) as file:
             if str(file["fingerprint"]) != mark:
                 return None
             number = lambda name: float(file[name])
-            pair = PairMap(str(file["refused"]), angle=number("angle"), octaves=number("octaves"), seconds=number("seconds"), cached=True)
-            if "code" in file:
-                pair.code, pair.low, pair.step = file["code"], number("low"), number("step")
-                pair.parallax = Parallax(file["plane"], file["epipole"], number("gain"), number("coarse"))
-            return pair
+            parallax = Parallax(file["plane"], file["epipole"], number("gain"), number("coarse"))
+            return PairMap("", file["code"], number("low"), number("step"), parallax, number("angle"), number("octaves"), number("seconds"), cached=True)
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
         return None
 

@@ -328,7 +328,7 @@ def match(args):
     finally:
         report.write()
     print(summary(report, [key for key, *_ in all_clusters]), file=sys.stderr)
-    return line.failed
+    return line.failure()
 
 
 def kept_by_plan(workspace):
@@ -351,7 +351,7 @@ def fill(args):
     clusters = wanted(args, workspace)
     line = Line(len(clusters))
     run(clusters, args, None, Stop(None, None), line.step)
-    return line.failed
+    return line.failure()
 
 
 def join(args):
@@ -360,7 +360,7 @@ def join(args):
     clusters = wanted(args, workspace)
     maps, points = fuse({size: Workspace(args.workspace, args.image_scale * size) for size in {1.0} | {size for *_, size in clusters}}, clusters, args.out)
     print(f"{maps} depth maps, {points:,} points: {args.out / 'fused.ply'}", file=sys.stderr)
-    return []
+    return ""
 
 
 def interrupt(*_):
@@ -368,7 +368,7 @@ def interrupt(*_):
 
 
 class Line:
-    """A line of progress every ten seconds, and at the end; one for each key view that failed, unless it is the only one to do."""
+    """A line of progress every ten seconds, and at the end; one for each key view that failed, if there are several to do."""
 
     def __init__(self, total):
         self.total, self.count, self.failed, self.begin, self.last = total, 0, [], time.time(), 0.0
@@ -386,6 +386,13 @@ class Line:
             print(f"{self.count}/{self.total} key views, {now - self.begin:.0f} s, {left:.0f} s left; last: {row['key']}", file=sys.stderr, flush=True)
 
 
+    def failure(self):
+        """What went wrong in all; empty if nothing did."""
+        if self.failed and self.total == 1:
+            return self.failed[0]
+        return f"{len(self.failed)} of {self.total} key views failed; what they had before stays" if self.failed else ""
+
+
 def summary(report, keys):
     rows = [report.rows[key] for key in keys if key in report.rows]
     partners = [p for row in rows for p in row["partners"]]
@@ -396,7 +403,7 @@ def summary(report, keys):
     reasons = {}
     for p in partners:
         if not p["matched"]:
-            kind = re.sub(r"(?<!\S)\d+(\.\d+)?(?![^\s,:])", "N", p["refused"])  # not in names of files
+            kind = re.sub(r"\d+(\.\d+)?", "N", p["refused"])
             reasons[kind] = reasons.get(kind, 0) + 1
     return "\n".join([text] + [f"  refused {count} x: {kind}" for kind, count in sorted(reasons.items(), key=lambda r: (-r[1], r[0]))])
 
@@ -432,15 +439,13 @@ def main(argv=None):
     args = arguments(argv)
     signal.signal(signal.SIGTERM, interrupt)  # or the workers would outlive us
     try:
-        failed = {"match": match, "fuse": join, "pairs": fill}[args.command](args)  # reasons, one for each key view
+        failure = {"match": match, "fuse": join, "pairs": fill}[args.command](args)
     except InputError as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; finished maps stay, run again to go on")
-    if len(failed) == 1:
-        sys.exit(f"error: {failed[0]}")
-    if failed:
-        sys.exit(f"error: {len(failed)} key views have no new depth map; what they had before stays")
+    if failure:
+        sys.exit(f"error: {failure}")
 
 
 if __name__ == "__main__":

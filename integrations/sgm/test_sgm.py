@@ -439,7 +439,8 @@ def test_the_maps_of_a_key_view_stay_where_its_image_is_lost(planes, tmp_path, s
 
 
 @pytest.mark.parametrize("change, words", [
-    (lambda path: cv2.imwrite(str(path), np.zeros((9, 9), np.uint8)), "9 x 9, but the model says 320 x 240"),
+    (lambda path: cv2.imwrite(str(path), np.zeros((9, 9), np.uint8)), "9 x 9 pixels, but the model says 320 x 240"),
+    (lambda path: cv2.imwrite(str(path), np.zeros((8, 8), np.uint8)), "8 x 8 pixels, but the model says 320 x 240"),
     (lambda path: path.write_bytes(path.read_bytes()[:30]), "no image that OpenCV can read"),
     (lambda path: path.write_bytes(b""), "no image that OpenCV can read"),
     (lambda path: path.unlink(), "no image that OpenCV can read"),
@@ -467,13 +468,50 @@ def test_images_of_half_the_size_are_matched_in_the_models_size(planes, tmp_path
     assert (Workspace(folder, 0.5).grey("key.png") == stored).all(), "nothing is left to scale"
 
 
-def test_one_failure_ends_with_its_reason_and_names_of_files_keep_their_digits(planes, tmp_path, capsys):
+def test_what_masks_exclude_is_not_matched(planes, tmp_path):
+    folder = shutil.copytree(planes, tmp_path / "w")
+    get = lambda: Pairs(Workspace(folder), tmp_path / "cache").get("key.png", SIDES[0])  # noqa: E731
+    whole, made = get(), sgm.made_of(Workspace(folder), "key.png", SIDES)
+
+    def put(name, usable):
+        path = folder / "masks" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imencode(".png", np.where(usable, 255, 0).astype(np.uint8))[1].tofile(path)
+
+    left = np.tile(np.arange(WIDTH // 2) < WIDTH // 4, (HEIGHT // 2, 1))  # a mask of half the size
+    put("key.png.png", ~left)
+    half = get()
+    assert not half.cached and not (half.code[:, : WIDTH // 2 - 2] > 0).any()
+    kept = whole.code[:, WIDTH // 2 + 10 :] > 0
+    assert (half.code[:, WIDTH // 2 + 10 :] > 0)[kept].mean() > 0.95, "the rest is matched as before"
+    assert sgm.made_of(Workspace(folder), "key.png", SIDES) != made and get().cached
+    put(f"{SIDES[0]}.png", left & False)
+    assert get().share == 0, "nor is what the partner's mask excludes"
+    (folder / "masks/key.png.png").write_bytes(b"no image")
+    (folder / "masks" / f"{SIDES[0]}.png").unlink()
+    assert (get().code == whole.code).all(), "a mask that cannot be used excludes nothing"
+
+
+def test_a_failure_is_said_once_with_its_reason(planes, tmp_path, capsys):
     folder = damaged(planes, tmp_path / "w", lambda w: [(w / "images" / name).write_bytes(b"") for name in ("key.png", SIDES[1])])
     clusters = write_clusters(tmp_path / "clusters.txt", ("forward.png", *SIDES), ("key.png", *SIDES))
-    match = ["match", str(folder), "--out", str(tmp_path / "8"), "--clusters", str(clusters)]
-    with pytest.raises(SystemExit, match=r"^error: .*key\.png: no image that OpenCV can read$"):
+    match = ["match", str(folder), "--out", str(tmp_path / "out"), "--clusters", str(clusters)]
+    reason = f"{folder / 'images' / 'key.png'}: no image that OpenCV can read"
+    with pytest.raises(SystemExit, match="^error: 1 of 2 key views failed"):
         sgm.main(match)
-    assert f"refused 1 x: {folder / 'images' / SIDES[1]}: no image" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.count(f"error: no depth map of key.png: {reason}") == said.count("key.png: no image") == 1
+    assert "refused 1 x: no image that OpenCV can read" in said
+    with pytest.raises(SystemExit) as ended:
+        sgm.main([*match, "--rank", "2"])
+    assert ended.value.code == f"error: {reason}" and reason not in capsys.readouterr().err
+
+
+def test_a_refused_pair_is_judged_anew_when_its_image_is_there(planes, tmp_path):
+    folder = damaged(planes, tmp_path / "w", lambda w: (w / "images" / SIDES[0]).write_bytes(b""))
+    assert Pairs(Workspace(folder), tmp_path / "cache").get("key.png", SIDES[0]).refused
+    shutil.copy(planes / "images" / SIDES[0], folder / "images" / SIDES[0])
+    assert Pairs(Workspace(folder), tmp_path / "cache").get("key.png", SIDES[0]).matched
 
 
 def test_the_fixture_is_measured(tmp_path):

@@ -3,6 +3,7 @@
 Pixel coordinates here are OpenCV's: the centre of the first pixel is (0, 0). COLMAP's files put it at (0.5, 0.5).
 """
 
+import hashlib
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,11 +14,21 @@ import numpy as np
 PINHOLE_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
 PINHOLE_IDS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE"}
 GREY_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the model knows nothing of EXIF
+MASK_AS_STORED = GREY_AS_STORED | cv2.IMREAD_ANYDEPTH  # so that the darkest grey of 16 bits is not black
+LARGEST_ROUNDING = 0.02  # of an aspect ratio
 UNDISTORT = "undistort first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path WORKSPACE"
 
 
 class InputError(Exception):
     """Input that can't be used; the message says where and what to do."""
+
+
+class ImageError(InputError):
+    """An image that can't be matched."""
+
+    def __init__(self, path, what):
+        super().__init__(f"{path}: {what}")
+        self.what = what
 
 
 @dataclass
@@ -43,7 +54,7 @@ class View:
 
 
 class Workspace:
-    """The views of `folder` by name, the sparse points (`xyz`, n x 3), and the images at `image_scale` times their size."""
+    """The views of `folder` by name, the sparse points (`xyz`, n x 3), and the images at `image_scale` times the model's size."""
 
     def __init__(self, folder, image_scale=1.0):
         self.folder = Path(folder)
@@ -63,14 +74,32 @@ class Workspace:
     def grey(self, name):
         """The image as it is matched: grey, 8 bit, scaled from whatever size its file has."""
         path, view = self.images / name, self.views[name]
-        data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
-        image = cv2.imdecode(data, GREY_AS_STORED) if data.size else None
+        image = decoded(path, GREY_AS_STORED)
         if image is None:
-            raise InputError(f"{path}: no image that OpenCV can read")
+            raise ImageError(path, "no image that OpenCV can read")
         size = image.shape[::-1]
         if not same_aspect_ratio(size, view.full_size):
-            raise InputError(f"{path} is {size[0]} x {size[1]}, but the model says {view.full_size[0]} x {view.full_size[1]}: are these the images that were undistorted with this model?")
+            raise ImageError(path, f"{size[0]} x {size[1]} pixels, but the model says {view.full_size[0]} x {view.full_size[1]}: are these the images that were undistorted with this model?")
         return image if size == view.size else cv2.resize(image, view.size, interpolation=cv2.INTER_AREA if size[0] > view.size[0] else cv2.INTER_LINEAR)
+
+    def mask(self, name):
+        """True where the view may be matched (height x width, as matched); None if all of it may, as with a mask that can't be used."""
+        path, view = self.mask_file(name), self.views[name]
+        mask = decoded(path, MASK_AS_STORED) if path else None
+        if mask is None or not same_aspect_ratio(mask.shape[::-1], view.full_size):
+            return None
+        return cv2.resize(mask, view.size, interpolation=cv2.INTER_NEAREST) > 0
+
+    def mask_digest(self, name):
+        """SHA-256 of the view's mask; empty without one."""
+        path = self.mask_file(name)
+        return hashlib.sha256(path.read_bytes()).digest() if path else b""
+
+    def mask_file(self, name):
+        """Where viewrank finds the view's mask; None without one."""
+        names = [f"{name}.png", name] if name.lower().endswith(".png") else [f"{name}.png"]
+        paths = (folder / "masks" / mask for folder in (self.folder, self.images) for mask in names)
+        return next((path for path in paths if path.is_file()), None)
 
     def connected(self, key):
         """All views that share sparse points with `key`, most first, ties by name, as (name, shared points)."""
@@ -85,10 +114,16 @@ class Workspace:
         return float(np.median(each))
 
 
+def decoded(path, how):
+    """The image as OpenCV reads it; None if it can't."""
+    data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
+    return cv2.imdecode(data, how) if data.size else None
+
+
 def same_aspect_ratio(size, full_size):
     """Is one size the other, scaled and rounded?"""
     (width, height), (full_width, full_height) = size, full_size
-    return abs(width * full_height / (height * full_width) - 1) <= 1 / width + 1 / height
+    return abs(width * full_height / (height * full_width) - 1) <= min(1 / width + 1 / height, LARGEST_ROUNDING)
 
 
 def rows_of(wanted, ids, order):

@@ -41,6 +41,7 @@ pub static BACKEND: Backend = Backend {
     // `--downscale` is 2 by default.
     own_scale: |_| 0.5,
     takes_distorted: false,
+    takes_masks: false,
     mixes_sizes: false,
     serves: |_| false,
     tasks: |_, _| None,

@@ -26,6 +26,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: true,
+    takes_masks: false,
     mixes_sizes: false,
     serves: |_| false,
     tasks: |_, _| None,

@@ -89,6 +89,8 @@ pub struct Backend {
     pub own_scale: fn(&Camera) -> f64,
     /// True if it supports cameras with lens distortion.
     pub takes_distorted: bool,
+    /// True if it takes the masks where viewrank finds them.
+    pub takes_masks: bool,
     /// True if the project is set up for it; `plan` then writes its files by default.
     pub serves: fn(&Project) -> bool,
     /// True if its exports match key views at full and at half size, and fuse their depth maps (method 5.8).

@@ -71,6 +71,7 @@ pub static MVSNET: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    takes_masks: false,
     mixes_sizes: false,
     serves: |_| false,
     tasks: |_, _| None,

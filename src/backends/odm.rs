@@ -31,6 +31,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale,
     takes_distorted: false,
+    takes_masks: false,
     mixes_sizes: false,
     serves: |_| false,
     tasks: |_, _| None,

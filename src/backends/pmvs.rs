@@ -36,6 +36,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    takes_masks: false,
     mixes_sizes: false,
     serves: |_| false,
     tasks: |_, _| None,

@@ -114,7 +114,7 @@ impl ExportRecord {
                 .into_iter()
                 .chain(faults.warnings(selection.project, selection.scene))
                 .chain(without_images(selection, &faults.missing))
-                .chain(masks(selection))
+                .chain(masks(selection).filter(|_| !backend.takes_masks))
                 .chain(other_kind(backend, selection))
                 .chain(at_full_size(selection).filter(|_| !backend.mixes_sizes))
                 .collect(),

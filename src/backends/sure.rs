@@ -56,6 +56,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    takes_masks: false,
     mixes_sizes: true,
     serves: |project| project.kind == ProjectKind::Sure,
     tasks: |_, _| None,

@@ -12,7 +12,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, config, json, next, note, print, progress::Progress, ready, summary::duration, warn,
+    Exit, Failure, Format, config, json, next, note, print, progress::Progress, ready, summary::duration, warn, wrapped,
 };
 use crate::{
     apps::{
@@ -76,7 +76,7 @@ pub struct Arguments {
     /// No report page
     #[arg(long)]
     no_report: bool,
-    /// Errors only
+    /// No progress and no results; warnings and errors only
     #[arg(long, short)]
     quiet: bool,
     /// Format of the results on stdout
@@ -115,7 +115,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let own = project.root.clone();
     let scene = project.read_scene()?;
     let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
-    ready::check(backend, &project, scene, arguments.program.as_deref())?;
+    // Ctrl-C also ends the programs that are asked what they can do.
+    let is_stopped = |failure| if stop.load(Ordering::Relaxed) { stopped_early(arguments) } else { failure };
+    ready::check(backend, &project, scene, arguments.program.as_deref()).map_err(is_stopped)?;
     Dispatch::refuse_if_at_work(&project)?;
     let root =
         if backend.takes_distorted || !is_distorted { project.root } else { undistorted(arguments, project, backend)? };
@@ -125,6 +127,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     say(&work.plan_in_words())?;
     let reached = work.compute()?;
     work.end(reached)
+}
+
+fn stopped_early(arguments: &Arguments) -> Failure {
+    let hint = format!("to go on: {}", arguments.again(arguments.target.as_deref()));
+    Failure::new(Exit::Failed, "stopped before planning", hint)
 }
 
 /// Undistorts the images; returns their project.
@@ -437,6 +444,7 @@ impl<'a> Work<'a> {
                 let again = self.arguments.again(self.arguments.target.as_deref());
                 format!("{} failed; to try again: {again}", result.failed)
             }
+            false if result.tasks == self.plan.clusters.len() => "these are all that the plan has".to_owned(),
             false if self.arguments.budget.is_some() || self.target().is_none() => {
                 "the budget is spent; raise --budget for more".to_owned()
             }
@@ -447,7 +455,8 @@ impl<'a> Work<'a> {
                 None => "the list is done, with all that the plan has".to_owned(),
             },
         };
-        let mut text = format!("\n{} of {} depth maps: {share}; {verdict}.\n", result.done, result.tasks);
+        let result_line = format!("{} of {} depth maps: {share}; {verdict}.", result.done, result.tasks);
+        let mut text = format!("\n{}", wrapped("", &result_line));
         if let Some(cloud) = &result.cloud {
             text += &format!("Point cloud: {}\n", cloud.display());
         }
@@ -473,9 +482,9 @@ impl<'a> Work<'a> {
 
     /// `before`: number of tasks that failed just before this one.
     fn broken(&self, task: &Task, before: usize, output: &str) -> Failure {
-        let others = if before > 0 { format!(" and {before} before it") } else { String::new() };
+        let in_a_row = if before > 0 { format!("{} key views in a row, the last ", before + 1) } else { String::new() };
         let (name, key, why) = (self.backend.name, &task.key, last_line(output));
-        let message = format!("{name} made no depth map of {key}{others}: {why}\n{output}");
+        let message = format!("{name} made no depth map of {in_a_row}{key}: {why}\n{output}");
         let hint = match self.backend.name {
             _ if output.contains("No space left on device") => {
                 format!("free some space there; finished depth maps are kept, and this goes on: {}", self.again())
@@ -486,7 +495,7 @@ impl<'a> Work<'a> {
                     .into()
             }
             _ => format!(
-                "viewrank doctor {} checks the images; check the program with one of its own commands, or take another --backend",
+                "check the images (viewrank doctor {}) and the program (with one of its own commands), or take another --backend",
                 self.plan.project.as_argument()
             ),
         };

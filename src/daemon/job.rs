@@ -436,7 +436,7 @@ fn another_than(plan: &Plan, project: &Project) -> Option<String> {
     let is_same = earlier.backend == plan.stages.backend && before.eq(list);
     (!is_same).then(|| {
         format!(
-            "takes the place of a plan made by hand for {} ({} depth maps): lasting options belong into viewrank.toml",
+            "takes the place of a plan made by hand for {} ({} depth maps): lasting options belong in viewrank.toml",
             earlier.backend, earlier.cut.clusters
         )
     })

@@ -137,7 +137,7 @@ fn little_fulfilled(ranking: &Ranking) -> Option<String> {
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
             "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \
-             more partners (-k) or a coarser --gsd may give more, and viewrank doctor knows whether the cameras are sound",
+             more partners (-k) or a coarser resolution (viewrank plan --gsd) may give more, and viewrank doctor knows whether the cameras are sound",
             100.0 * given
         )
     })
@@ -161,8 +161,8 @@ fn unsure(stages: &Stages, all: f64, reachable: &Band) -> Option<String> {
     (!stages.agreement.is_empty() && reachable.high - reachable.low > UNSURE * all).then(|| {
         format!(
             "the pictures leave open how much can be matched here: all together may give {reachable} of what is wanted; plan for the \
-             subject alone (--region), use more partners (-k) or other limits of pairs ([partners.gate]), and plan again with the first \
-             depth maps (--finished)"
+             subject alone (viewrank plan --region), use more partners (-k) or other limits of pairs ([partners.gate]), and plan again \
+             with the first depth maps (viewrank plan --finished)"
         )
     })
 }
@@ -172,7 +172,7 @@ fn contradictions(stages: &Stages) -> Option<String> {
     (share > CONTRADICTIONS).then(|| {
         format!(
             "{:.0} % of the observations contradict the surface (views observe points that it hides from them); \
-             give a better surface with --mesh",
+             give a better surface with viewrank plan --mesh",
             share * 100.0
         )
     })

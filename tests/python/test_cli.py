@@ -224,8 +224,9 @@ def test_masks_of_several_folders(viewrank, valley):
     for folder, name, grey in [("masks", names[0], 255), ("images/masks", names[0], 0), ("images/masks", names[1], 0)]:
         (valley / folder).mkdir(exist_ok=True)
         cv2.imwrite(str(valley / folder / f"{name}.png"), np.full((45, 60), grey, np.uint8))
+    assert f"masks (as in {valley / 'masks'}) are not passed on" in " ".join(viewrank("plan", valley, "--backend", "openmvs", "--target", "100%").stderr.split())
     done = viewrank("plan", valley, "--backend", "sgm", "--target", "100%")
-    assert f"masks (as in {valley / 'masks'}) are not passed on" in " ".join(done.stderr.split())
+    assert "passed on" not in done.stderr, "sgm finds them"
     ranked = {cluster["key"] for cluster in manifest(valley)["clusters"]}
     assert names[0] in ranked and names[1] not in ranked, "the project's own folder comes first"
     findings = json.loads(viewrank("doctor", valley, "--format", "json", expect=3).stdout)["findings"]
@@ -243,11 +244,9 @@ def test_damage_counts_as_soon_as_pictures_are_compared(viewrank, valley):
     images = sorted((valley / "images").iterdir())
     kept = {image: image.read_bytes() for image in images}
     for image in images[:-1]:
-        cv2.imwrite(str(image), np.zeros((50, 500), np.uint8))
-    viewrank("plan", valley)
-    for image in images[:5]:
         damage(image)
     done = viewrank("plan", valley)
+    assert len(manifest(valley)["clusters"]) == len(images), "no pair of sound pictures is left"
     assert "neither matched nor planned" not in done.stderr and "not compared" in done.stderr
     assert "24 more like these" in done.stderr, done.stderr
     for image in images[5:]:
@@ -255,11 +254,6 @@ def test_damage_counts_as_soon_as_pictures_are_compared(viewrank, valley):
     done = viewrank("plan", valley)
     assert "2 more like these: the image is neither matched nor planned" in " ".join(done.stderr.split())
     assert not with_view(manifest(valley), [image.name for image in images[:5]])
-    for image in images[:-1]:
-        image.write_bytes(kept[image])
-        damage(image)
-    viewrank("plan", valley, "--quiet")
-    assert len(manifest(valley)["clusters"]) == len(images), "no pair of sound pictures is left"
 
 
 def test_a_model_replaced_while_it_is_planned_gets_no_plan(viewrank, valley):

@@ -56,7 +56,7 @@ def test_partners_are_judged_among_views_with_an_image(viewrank, fixtures, tmp_p
     images = sorted((folder / "images").iterdir())
     for image in images[6:]:
         image.unlink()
-    found = {finding["check"]: finding for finding in json.loads(viewrank("doctor", folder, "--backend", "sgm", "--format", "json", expect=3).stdout)["findings"]}
+    found = {finding["check"]: finding for finding in json.loads(viewrank("doctor", folder, "--backend", "sgm", "--format", "json", expect=4).stdout)["findings"]}
     few = [finding for name, finding in found.items() if name in ("too-few-partners", "fewer-partners-than-k")]
     viewrank("plan", folder, "--backend", "sgm", "--target", "100", "--quiet")
     manifest = json.loads((folder / "viewrank" / "manifest.json").read_text())
@@ -64,7 +64,7 @@ def test_partners_are_judged_among_views_with_an_image(viewrank, fixtures, tmp_p
     said = {view["name"]: view["why"] for finding in few for view in finding["views"]}
     assert planned and said.keys() == {image.name for image in images[:6]}, "five others at most, and fewer within the limits"
     for name, partners in planned.items():
-        assert 1 <= int(said[name].split()[0]) <= partners and "without an image" in said[name], "a plan also has partners beyond the limits"
+        assert 1 <= int(said[name].split()[0]) <= partners and "without a usable image" in said[name], "a plan also has partners beyond the limits"
 
 
 def test_a_wrong_image_does_not_keep_partners_from_being_judged(viewrank, fixtures, tmp_path):

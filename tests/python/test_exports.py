@@ -262,11 +262,16 @@ def test_images_that_are_not_there_or_of_another_size(viewrank, own):
     names = sorted(path.name for path in (own / "images").iterdir())
     (own / "images" / names[0]).unlink()
     shutil.copy(own / "images" / names[1], own / "kept.jpg")
-    small = np.zeros((5, 7, 3), np.uint8)
+    small = np.zeros((45, 60, 3), np.uint8)
     cv2.imwrite(str(own / "images" / names[1]), small)
     said = viewrank("plan", own, "-k", "4", "--target", "100%", "--quiet").stderr
     assert f"images missing from {own}/images: 1 of 28, e.g. {names[0]}: viewrank doctor '{own}'" in said
-    assert f"images of another size than their cameras: 1 of 28, e.g. {names[1]} with 7 x 5 instead of 600 x 450" in said
+    assert f"images of another size than their cameras: 1 of 28, e.g. {names[1]} with 60 x 45 instead of 600 x 450" in said
+    cv2.imwrite(str(own / "images" / names[1]), small[:40])
+    said = viewrank("plan", own, "-k", "4", "--target", "100%", "--quiet").stderr
+    assert f"images of another aspect ratio than their cameras: 1 of 28, e.g. {names[1]} with 60 x 40 instead of 600 x 450" in said
+    views = json.loads((own / "viewrank/manifest.json").read_text())["views"]
+    assert [view["name"] for view in views if view.get("reason") == "no_image"] == names[:2]
     shutil.rmtree(own / "images")
     (own / "images").mkdir()
     viewrank("plan", own, "-k", "4", "--quiet")

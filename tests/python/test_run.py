@@ -160,7 +160,7 @@ def test_the_reason_of_a_failure_is_the_programs(run, valley):
         path.write_bytes(whole[: whole.index(b"\xff\xda")] + b"\xff\xd9")
     _, err = run(valley, "--backend", "sgm", "--budget", "1", "--no-report", expect=1)
     said = err[err.index("error: ") :]
-    assert re.search(r"^error: sgm made no depth map of (\S+): .*\1: no image that OpenCV can read\n", said) and "hint: viewrank doctor" in said, err
+    assert re.search(r"^error: sgm made no depth map of (\S+): .*\1: no image that OpenCV can read\n", said) and "hint: check the images (viewrank doctor " in said, err
 
 
 def test_a_python_without_the_packages_is_said(run, valley, tmp_path):

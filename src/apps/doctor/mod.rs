@@ -41,10 +41,10 @@ pub struct Diagnosis {
     pub version: u32,
     /// The backend that partners were judged for.
     pub backend: &'static str,
+    /// False for a model without views or with errors, in which partners and links are meaningless.
+    pub partners_judged: bool,
     /// All findings, most severe first.
     pub findings: Vec<Finding>,
-    /// False for a model with errors, in which partners and links are meaningless.
-    pub partners_judged: bool,
 }
 
 /// A view that a finding concerns.
@@ -88,6 +88,8 @@ impl Finding {
     }
 }
 
+/// Share of points or views at and above which next to nothing is left to plan.
+const MOST: f64 = 0.5;
 /// Shares below this are a few.
 const FEW: f64 = 0.1;
 
@@ -135,7 +137,7 @@ pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: 
         }),
     };
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
-    Diagnosis { version: 1, backend: backend.name, findings, partners_judged }
+    Diagnosis { version: 1, backend: backend.name, partners_judged, findings }
 }
 
 fn no_views() -> Finding {

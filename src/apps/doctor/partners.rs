@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::{FEW, Finding, Inputs, Severity, ViewFinding, counted};
+use super::{FEW, Finding, Inputs, MOST, Severity, ViewFinding, counted};
 use crate::{
     base::connected::components,
     method::partners::{Obstacle, PairGeometry, neighbours},
@@ -17,9 +17,6 @@ use crate::{
 
 /// Share of the sparse points seen only by views without partners, at and above which the loss exceeds the usual border of a block.
 const LOST: f64 = 0.01;
-/// Share of points or views at and above which next to nothing is left to plan.
-const MOST: f64 = 0.5;
-
 /// Reason that a pair cannot be matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Refusal {
@@ -32,7 +29,7 @@ impl Refusal {
     fn words(self) -> &'static str {
         match self {
             Self::NoBaseline => "no baseline",
-            Self::NoImage => "without an image",
+            Self::NoImage => "without a usable image",
             Self::Limit(Obstacle::FewSharedPoints) => "too few shared points",
             Self::Limit(Obstacle::SmallAngle) => "angle too small",
             Self::Limit(Obstacle::LargeAngle) => "angle too large",
@@ -58,10 +55,11 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
     let count = |&view: &ViewIndex| count_partners(inputs.scene, inputs.points, &lacks_image, &gate, view);
     let counts: Vec<PartnerCount> = views.par_iter().map(count).collect();
-    let position = one_position(inputs, &counts);
-    // The others are findings of their own.
-    let with_image: Vec<PartnerCount> = counts.into_iter().filter(|count| !lacks_image(&count.view)).collect();
-    let few = [too_few(inputs, &with_image), fewer_than_wanted(inputs, &with_image)];
+    let with_image = |count: &&PartnerCount| !lacks_image(&count.view);
+    let position = one_position(inputs, &counts, counts.iter().filter(with_image).count());
+    // Missing and unreadable images are findings of their own.
+    let counts: Vec<&PartnerCount> = counts.iter().filter(with_image).collect();
+    let few = [too_few(inputs, &counts), fewer_than_wanted(inputs, &counts)];
     few.into_iter().flatten().chain(position).collect()
 }
 
@@ -72,7 +70,7 @@ fn least(inputs: &Inputs) -> usize {
 }
 
 /// Describes how many of the views that share points with this one the backend can match, and why it refuses the others. `without_image`: views
-/// whose images are missing or unreadable, ascending.
+/// without a usable image, ascending.
 pub fn partners_in_words(
     scene: &Scene,
     points: &ViewPoints,
@@ -90,7 +88,7 @@ fn count_partners(
     gate: &Gate,
     view: ViewIndex,
 ) -> PartnerCount {
-    let (unseen, around): (Vec<_>, Vec<_>) =
+    let (without_image, around): (Vec<_>, Vec<_>) =
         neighbours(scene, points, view).into_iter().partition(|(other, _)| lacks_image(&view) || lacks_image(other));
     let pairs: Vec<PairGeometry> =
         around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
@@ -103,7 +101,7 @@ fn count_partners(
         refused: BTreeMap::new(),
         same_position: without_baseline.iter().map(|pair| pair.partner).collect(),
     };
-    let refusals = obstacles.into_iter().map(Refusal::Limit).chain(unseen.iter().map(|_| Refusal::NoImage));
+    let refusals = obstacles.into_iter().map(Refusal::Limit).chain(without_image.iter().map(|_| Refusal::NoImage));
     for refusal in refusals.chain(without_baseline.iter().map(|_| Refusal::NoBaseline)) {
         *count.refused.entry(refusal).or_default() += 1;
     }
@@ -127,9 +125,9 @@ impl PartnerCount {
 }
 
 /// Reports views that cannot be key views; the severity depends on their share, and on the share of points that no other view sees.
-fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
+fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     let least = least(inputs);
-    let few: Vec<&PartnerCount> = counts.iter().filter(|count| count.partners < least).collect();
+    let few: Vec<&PartnerCount> = counts.iter().copied().filter(|count| count.partners < least).collect();
     let lost = lost_share(inputs, counts);
     let share = few.len() as f64 / counts.len().max(1) as f64;
     let severity = if share.max(lost) >= MOST {
@@ -140,45 +138,67 @@ fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
         Severity::Note
     };
     let loss = match lost > 0.0 {
-        true => format!("{:.1} % of the sparse points are seen by no other view", 100.0 * lost),
+        true => {
+            format!("{:.1} % of the sparse points are seen by no other {}", 100.0 * lost, judged(inputs, counts, 1))
+        }
         false => "other views see all their points".into(),
     };
     let cure = match severity {
         Severity::Note => "no action needed; other views cover for them",
+        _ if lack_images(&few) => IMAGES_FIRST,
         _ => {
             "match these images with more others in structure from motion; without a baseline, take photographs from other positions"
         }
     };
     (!few.is_empty()).then(|| {
         let what = format!(
-            "{} of {} cannot be key views, with fewer than {least} partners that {} can match; {loss}",
+            "{} of {} {} cannot be key views, with fewer than {least} partners that {} can match; {loss}",
             few.len(),
-            counted(counts.len(), "view"),
+            counts.len(),
+            judged(inputs, counts, counts.len()),
             inputs.backend.name
         );
         Finding::new(severity, "too-few-partners", what, cure).of_views(words(inputs, few))
     })
 }
 
-/// Returns the share of the sparse points that, of the views with an image, only those with too few partners see.
-fn lost_share(inputs: &Inputs, counts: &[PartnerCount]) -> f64 {
+/// Returns the share of the sparse points seen by these views that only those with too few partners see.
+fn lost_share(inputs: &Inputs, counts: &[&PartnerCount]) -> f64 {
     let (least, mut can_be_key) = (least(inputs), vec![None; inputs.scene.views.len()]);
     counts.iter().for_each(|count| can_be_key[count.view.index()] = Some(count.partners >= least));
-    let is_lost = |views: &[ViewIndex]| views.iter().filter_map(|v| can_be_key[v.index()]).max() == Some(false);
-    let tracks = || (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
+    let tracks = (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
     // The surface leaves out points that a single view observes (method 1.1).
-    let sound = || tracks().filter(|views| views.len() > 1);
-    sound().filter(|views| is_lost(views)).count() as f64 / sound().count().max(1) as f64
+    let sound = tracks.filter(|views| views.len() > 1);
+    let is_kept: Vec<bool> =
+        sound.filter_map(|views| views.iter().filter_map(|v| can_be_key[v.index()]).max()).collect();
+    is_kept.iter().filter(|kept| !**kept).count() as f64 / is_kept.len().max(1) as f64
+}
+
+/// Cure where images are what partners lack.
+const IMAGES_FIRST: &str = "copy the missing images to their places, and replace those that cannot be used";
+
+fn lack_images(few: &[&PartnerCount]) -> bool {
+    few.iter().any(|count| count.refused.contains_key(&Refusal::NoImage))
+}
+
+/// Returns the noun for this number of the views that are judged.
+fn judged(inputs: &Inputs, counts: &[&PartnerCount], number: usize) -> String {
+    let image = if counts.len() < inputs.scene.views.len() { " with a usable image" } else { "" };
+    format!("view{}{image}", if number == 1 { "" } else { "s" })
 }
 
 /// Reports key views with fewer than k partners.
-fn fewer_than_wanted(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
+fn fewer_than_wanted(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     let (least, wanted) = (least(inputs), inputs.settings.partners.k as usize);
-    let few: Vec<&PartnerCount> = counts.iter().filter(|count| (least..wanted).contains(&count.partners)).collect();
+    let is_few = |count: &&PartnerCount| (least..wanted).contains(&count.partners);
+    let few: Vec<&PartnerCount> = counts.iter().copied().filter(is_few).collect();
     (!few.is_empty()).then(|| {
         let what = format!("{} with fewer than {wanted} partners (partners.k)", counted(few.len(), "view"));
-        let fewest = few.iter().map(|count| count.partners).min().unwrap_or(least);
-        let cure = format!("no action needed; set partners.k = {fewest} to silence");
+        let cure = if lack_images(&few) {
+            IMAGES_FIRST
+        } else {
+            "no action needed; they are planned with the partners they have"
+        };
         Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(inputs, few))
     })
 }
@@ -188,7 +208,9 @@ fn words(inputs: &Inputs, counts: Vec<&PartnerCount>) -> Vec<ViewFinding> {
 }
 
 /// Reports groups of views that share points but no baseline; normal in rigs and panoramas where each view has partners elsewhere.
-fn one_position(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
+///
+/// `judged`: number of views with a usable image.
+fn one_position(inputs: &Inputs, counts: &[PartnerCount], judged: usize) -> Option<Finding> {
     let same_position = |view: u32| counts[view as usize].same_position.iter().map(|other| other.0);
     let groups = components(counts.len(), same_position).into_iter().filter(|group| group.len() > 1);
     let groups: Vec<Vec<ViewIndex>> = groups.map(|group| group.into_iter().map(ViewIndex).collect()).collect();
@@ -200,7 +222,7 @@ fn one_position(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
         groups.iter().flat_map(|views| views.iter()).filter(|v| counts[v.index()].partners < least(inputs)).count();
     let (severity, cure) = match alone {
         0 => (Severity::Note, "no action needed; each has partners elsewhere"),
-        n if n as f64 >= MOST * counts.len() as f64 => (Severity::Error, "take photographs from different positions"),
+        n if n as f64 >= MOST * judged as f64 => (Severity::Error, "take photographs from different positions"),
         _ => {
             (Severity::Warning, "take photographs from different positions; some of these views have no other partners")
         }

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{Finding, Inputs, Severity, counted};
+use super::{Finding, Inputs, MOST, Severity, counted};
 use crate::plan;
 use crate::{
     method::surface::points::upper_median,
@@ -32,7 +32,7 @@ pub fn of_model(inputs: &Inputs) -> Vec<Finding> {
 }
 
 pub fn of_images(inputs: &Inputs) -> Vec<Finding> {
-    [sizes, missing, unreadable].iter().filter_map(|check| check(inputs)).collect()
+    [scaled, foreign, missing, unreadable].iter().filter_map(|check| check(inputs)).collect()
 }
 
 /// Reports a model in which no point is seen by two views: the surface is built from such points (method 1.1).
@@ -187,19 +187,41 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
     })
 }
 
-/// Reports images whose size differs from the model's.
-fn sizes(inputs: &Inputs) -> Option<Finding> {
-    let &(first, [width, height]) = inputs.images.other_size.first()?;
-    let camera = inputs.scene.camera_of(first);
-    let what = format!(
-        "{} is {width} x {height} px, but {} x {} px in the model: these are not the model's images",
-        inputs.scene.name(first),
-        camera.width,
-        camera.height
-    );
+/// Reports images that are scaled copies of the model's.
+fn scaled(inputs: &Inputs) -> Option<Finding> {
+    let (kind, images) = ((Severity::Warning, "scaled-images"), &inputs.images.other_size);
+    let what = "scaled copies have less detail than is planned for, and some programs stop at them";
+    let cure = "give the images that the model was made from, or a model with cameras of their size";
+    of_another_size(inputs, kind, images, what, cure)
+}
+
+/// Reports images whose aspect ratio differs from the model's.
+fn foreign(inputs: &Inputs) -> Option<Finding> {
+    let (kind, images) = ((Severity::Error, "images-of-another-size"), &inputs.images.other_aspect_ratio);
     let cure = "give the images that the model was made from, or the undistorted workspace with its own model";
-    let views = inputs.images.other_size.iter().map(|(view, _)| *view);
-    Some(Finding::new(Severity::Error, "images-of-another-size", what, cure).of_views(inputs.named(views)))
+    of_another_size(inputs, kind, images, "these are not the model's images", cure)
+}
+
+/// Reports these images with the sizes of the first.
+fn of_another_size(
+    inputs: &Inputs,
+    (severity, check): (Severity, &'static str),
+    images: &[(ViewIndex, [u32; 2])],
+    what: &str,
+    cure: &str,
+) -> Option<Finding> {
+    let &(first, [width, height]) = images.first()?;
+    let (name, camera) = (inputs.scene.name(first), inputs.scene.camera_of(first));
+    let (of_image, of_model) = (format!("{width} x {height} px"), format!("{} x {} px", camera.width, camera.height));
+    let what = format!("{name} is {of_image}, but {of_model} in the model: {what}");
+    let views = inputs.named(images.iter().map(|(view, _)| *view));
+    Some(Finding::new(severity, check, what, cure).of_views(views))
+}
+
+/// Severity of this number of views without an image.
+fn severity(inputs: &Inputs, without_image: usize) -> Severity {
+    let is_most = without_image as f64 >= MOST * inputs.scene.views.len() as f64;
+    if is_most { Severity::Error } else { Severity::Warning }
 }
 
 /// Reports views without image files.
@@ -208,7 +230,8 @@ fn missing(inputs: &Inputs) -> Option<Finding> {
     (!views.is_empty()).then(|| {
         let what = format!("{} of {} images are not in {}", views.len(), inputs.scene.views.len(), images.display());
         let cure = format!("copy them to {}/NAME, with the names in the model", images.display());
-        Finding::new(Severity::Warning, "missing-images", what, cure).of_views(inputs.named(views.iter().copied()))
+        Finding::new(severity(inputs, views.len()), "missing-images", what, cure)
+            .of_views(inputs.named(views.iter().copied()))
     })
 }
 
@@ -219,6 +242,6 @@ fn unreadable(inputs: &Inputs) -> Option<Finding> {
         let what = format!("{} cannot be read", counted(broken.len(), "image"));
         let cure = "copy them again from the source";
         let views = broken.iter().map(|&(view, why)| inputs.view_finding(view, why)).collect();
-        Finding::new(Severity::Warning, "unreadable-images", what, cure).of_views(views)
+        Finding::new(severity(inputs, broken.len()), "unreadable-images", what, cure).of_views(views)
     })
 }

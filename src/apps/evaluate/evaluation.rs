@@ -162,12 +162,14 @@ impl Evaluation {
         let maps = self.key_views.len();
         let enough =
             |share: f64| self.curve.real.iter().position(|&real| real >= share - 1e-9).filter(|_| self.kept.real > 0.0);
-        match [0.95, 0.9].map(enough) {
+        let enough = [0.95, 0.9].map(enough);
+        let give = if enough[1] == Some(1) { "gives" } else { "give" };
+        match enough {
             [Some(most), Some(nearly)] if most < maps => format!(
-                "You could have stopped after {most} of these {maps} depth maps, which give 95 % of what all of them give; {nearly} give 90 %."
+                "You could have stopped after {most} of these {maps} depth maps, which give 95 % of what all of them give; {nearly} {give} 90 %."
             ),
             [Some(_), Some(nearly)] if nearly < maps => {
-                format!("All {maps} depth maps were needed for 95 % of what they give; {nearly} give 90 %.")
+                format!("All {maps} depth maps were needed for 95 % of what they give; {nearly} {give} 90 %.")
             }
             [Some(_), _] => format!("All {maps} depth maps were needed."),
             _ => "These depth maps give nothing that fusion keeps.".into(),

@@ -9,7 +9,7 @@ use super::*;
 use crate::{
     base::{column::Storage, progress::NoWatcher},
     config::{TargetMode, TargetSettings},
-    io::depthmaps::DepthMapError,
+    io::depthmaps::{self, DepthMapError, DepthMapFormat},
     method::{
         confidence::{Confidence, NO_AGREEMENT, Unary},
         fulfilment::{FulfilmentRule, Model},
@@ -131,6 +131,23 @@ fn write_map(path: &Path, size: [u32; 2], depth: Vec<f32>) {
 
 fn folders() -> (tempfile::TempDir, tempfile::TempDir) {
     (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap())
+}
+
+#[test]
+fn masks_limit_what_a_map_shows() {
+    let (mut town, (maps, _truth)) = (Fixture::new(), folders());
+    town.write_maps(maps.path(), 1, |column, _, exact| if column < SIZE[0] / 2 { 0.0 } else { exact });
+    let key = ViewIndex(0);
+    let shares = |town: &Fixture| {
+        let path = maps.path().join(format!("{}.npy", town.scene.name(key)));
+        let map = depthmaps::read(&path, DepthMapFormat::Npy).unwrap();
+        measure(&town.model(), key, map, None, GSD).shares
+    };
+    let without = shares(&town);
+    town.unary = Unary::certain().within(vec![0.25; town.visibility.triangles.len()].into());
+    let with: Vec<f32> = without.iter().map(|share| share.min(0.25)).collect();
+    assert_eq!(shares(&town), with);
+    assert!(without.contains(&0.0) && without.contains(&1.0));
 }
 
 #[test]

@@ -70,6 +70,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    takes_masks: false,
     mixes_sizes: true,
     serves: |project| project.dense_workspace.is_some(),
     tasks,

@@ -83,6 +83,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale,
     takes_distorted: false,
+    takes_masks: false,
     mixes_sizes: true,
     serves: |project| project.kind == ProjectKind::OpenMvs,
     tasks,

@@ -67,6 +67,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    takes_masks: true,
     mixes_sizes: true,
     serves: |_| false,
     tasks,

@@ -63,13 +63,21 @@ fn colmap_image_path(model: &Path) -> Option<PathBuf> {
 /// Numbers of leading bytes of an image to parse for its header, before trying the whole file.
 const HEADS: [u64; 2] = [1 << 16, 1 << 20];
 
+/// Beginnings of warnings.
+const MISSING: &str = "images missing from";
+const OTHER_SIZE: &str = "images of another size";
+const OTHER_ASPECT_RATIO: &str = "images of another aspect ratio";
+const UNREADABLE: &str = "images that cannot be read";
+
 /// Faults of the image files of a scene, according to their names and headers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ImageFaults {
     /// Views without a file.
     pub missing: Vec<ViewIndex>,
-    /// Views whose image size differs from the camera's, with the width and height of the image.
+    /// Views whose image is a scaled copy of the camera's, with its width and height.
     pub other_size: Vec<(ViewIndex, [u32; 2])>,
+    /// Views whose image has another aspect ratio than the camera's, with its width and height.
+    pub other_aspect_ratio: Vec<(ViewIndex, [u32; 2])>,
     /// Views whose file is empty, truncated, not an image or not to be read, in words.
     pub unreadable: Vec<(ViewIndex, &'static str)>,
 }
@@ -82,6 +90,9 @@ impl ImageFaults {
             let (path, view) = (folder.file(scene.name(*view)), *view);
             let camera = scene.camera_of(view);
             match probe(&path) {
+                Ok(Some(size)) if !camera.has_aspect_ratio_of(size) => {
+                    Self { other_aspect_ratio: vec![(view, size)], ..Self::default() }
+                }
                 Ok(Some(size)) if size != [camera.width, camera.height] => {
                     Self { other_size: vec![(view, size)], ..Self::default() }
                 }
@@ -95,6 +106,7 @@ impl ImageFaults {
         for faults in found {
             all.missing.extend(faults.missing);
             all.other_size.extend(faults.other_size);
+            all.other_aspect_ratio.extend(faults.other_aspect_ratio);
             all.unreadable.extend(faults.unreadable);
         }
         all
@@ -104,7 +116,8 @@ impl ImageFaults {
     pub fn most_pixels(&self, scene: &Scene) -> u64 {
         let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
         let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
-        let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
+        let others: HashMap<ViewIndex, [u32; 2]> =
+            self.other_size.iter().chain(&self.other_aspect_ratio).copied().collect();
         let of_view = |view: ViewIndex| {
             let camera = scene.camera_of(view);
             pixels(others.get(&view).copied().unwrap_or([camera.width, camera.height]))
@@ -116,11 +129,15 @@ impl ImageFaults {
         self.missing.iter().copied().chain(self.unreadable.iter().map(|(view, _)| *view))
     }
 
-    /// Views without an image that can be read, ascending; none if that is true of all `views`.
+    /// Views without an image that can be read and has the camera's aspect ratio, ascending. If that is true of all `views`, those without one that can
+    /// be read; if that is, too, none.
     pub fn without_image(&self, views: usize) -> Vec<ViewIndex> {
-        let mut without: Vec<ViewIndex> = self.missing_or_unreadable().collect();
+        let unreadable: Vec<ViewIndex> = self.missing_or_unreadable().collect();
+        let others = self.other_aspect_ratio.iter().map(|(view, _)| *view);
+        let unusable: Vec<ViewIndex> = unreadable.iter().copied().chain(others).collect();
+        let mut without = [unusable, unreadable].into_iter().find(|some| some.len() < views).unwrap_or_default();
         without.sort_unstable();
-        if self.is_any_readable(views) { without } else { Vec::new() }
+        without
     }
 
     /// Returns true if at least one image of the scene's `views` views is readable.
@@ -131,9 +148,13 @@ impl ImageFaults {
     /// The faults of these views, which must be ascending.
     pub fn among(&self, views: &[ViewIndex]) -> Self {
         let is_among = |view: &ViewIndex| views.binary_search(view).is_ok();
+        let sizes_among = |sizes: &[(ViewIndex, [u32; 2])]| -> Vec<_> {
+            sizes.iter().copied().filter(|(view, _)| is_among(view)).collect()
+        };
         Self {
             missing: self.missing.iter().copied().filter(is_among).collect(),
-            other_size: self.other_size.iter().copied().filter(|(view, _)| is_among(view)).collect(),
+            other_size: sizes_among(&self.other_size),
+            other_aspect_ratio: sizes_among(&self.other_aspect_ratio),
             unreadable: self.unreadable.iter().copied().filter(|(view, _)| is_among(view)).collect(),
         }
     }
@@ -145,20 +166,28 @@ impl ImageFaults {
         let all = scene.views.len();
         let missing = self.missing.first().map(|first| {
             let (count, name) = (self.missing.len(), scene.name(*first));
-            format!("images missing from {}: {count} of {all}, e.g. {name}: {doctor}", folder.display())
+            format!("{MISSING} {}: {count} of {all}, e.g. {name}: {doctor}", folder.display())
         });
-        let other = self.other_size.first().map(|(first, [width, height])| {
-            let (camera, name, count) = (scene.camera_of(*first), scene.name(*first), self.other_size.len());
-            format!(
-                "images of another size than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {} x {}: {doctor}",
-                camera.width, camera.height
-            )
-        });
+        let other = |kind: &str, views: &[(ViewIndex, [u32; 2])]| {
+            let &(first, [width, height]) = views.first()?;
+            let (camera, name, count) = (scene.camera_of(first), scene.name(first), views.len());
+            let model = format!("{} x {}", camera.width, camera.height);
+            Some(format!(
+                "{kind} than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {model}: {doctor}"
+            ))
+        };
         let unreadable = self.unreadable.first().map(|(first, why)| {
             let (count, name) = (self.unreadable.len(), scene.name(*first));
-            format!("images that cannot be read: {count} of {all}, e.g. {name} ({why}): {doctor}")
+            format!("{UNREADABLE}: {count} of {all}, e.g. {name} ({why}): {doctor}")
         });
-        missing.into_iter().chain(other).chain(unreadable).collect()
+        let size = other(OTHER_SIZE, &self.other_size);
+        let aspect_ratio = other(OTHER_ASPECT_RATIO, &self.other_aspect_ratio);
+        [missing, size, aspect_ratio, unreadable].into_iter().flatten().collect()
+    }
+
+    /// Returns whether this is one of [`ImageFaults::warnings`], of whatever views.
+    pub fn is_warning(text: &str) -> bool {
+        [MISSING, OTHER_SIZE, OTHER_ASPECT_RATIO, UNREADABLE].iter().any(|kind| text.starts_with(kind))
     }
 }
 
@@ -359,11 +388,17 @@ mod tests {
         (0..views as u32).for_each(|view| save(view, 1000, 750));
         assert_eq!((find(), find().most_pixels(&scene)), (ImageFaults::default(), 750_000));
         save(5, 1200, 900);
+        save(7, 900, 900);
         std::fs::remove_file(path(9)).unwrap();
         std::fs::write(path(3), "").unwrap();
         let faults = find();
         assert_eq!(faults.other_size, [(ViewIndex(5), [1200, 900])]);
-        assert_eq!(faults.without_image(views), [3, 9].map(ViewIndex));
+        assert_eq!(faults.other_aspect_ratio, [(ViewIndex(7), [900, 900])]);
+        assert_eq!(faults.without_image(views), [3, 7, 9].map(ViewIndex));
+        (0..views as u32).filter(|view| ![3, 9].contains(view)).for_each(|view| save(view, 8, 8));
+        assert_eq!(find().without_image(views), [3, 9].map(ViewIndex), "the others have an image at least");
+        (0..views as u32).for_each(|view| std::fs::write(path(view), "").unwrap());
+        assert_eq!(find().without_image(views), []);
         assert_eq!(faults.most_pixels(&scene), 1_080_000);
     }
 }

@@ -236,10 +236,9 @@ pub fn picture_warnings(scene: &Scene, faults: &[PictureFault], consequence: &st
     warnings
 }
 
-/// Reduced copies of the image are accepted; another aspect ratio means another picture.
-fn check_shape([width, height]: [u32; 2], camera: &Camera) -> Result<(), ImageError> {
-    let ratio = f64::from(width) * f64::from(camera.height) / (f64::from(height) * f64::from(camera.width));
-    let rounding = 1.0 / f64::from(width) + 1.0 / f64::from(height);
-    let camera = [camera.width, camera.height];
-    if (ratio - 1.0).abs() <= rounding { Ok(()) } else { Err(ImageError::Shape { width, height, camera }) }
+/// Scaled copies of the image are accepted; another aspect ratio means another picture.
+fn check_shape(size: [u32; 2], camera: &Camera) -> Result<(), ImageError> {
+    let ([width, height], of_camera) = (size, [camera.width, camera.height]);
+    let fits = camera.has_aspect_ratio_of(size);
+    if fits { Ok(()) } else { Err(ImageError::Shape { width, height, camera: of_camera }) }
 }

@@ -116,6 +116,9 @@ pub struct Camera {
     lens: Lens,
 }
 
+/// Largest difference of aspect ratios that is taken for rounding; almost any image of a few pixels could be explained by it otherwise.
+const LARGEST_ROUNDING: f64 = 0.02;
+
 impl Camera {
     /// Makes a camera from parameters in COLMAP's order for the model.
     ///
@@ -206,6 +209,13 @@ impl Camera {
     /// Focal lengths and principal point, pixels: the camera without its distortion (equirectangular: pixels per radian and the image centre).
     pub fn pinhole_part(&self) -> (Vector2<f64>, Point2<f64>) {
         (self.lens.focal, Point2::from(self.lens.centre))
+    }
+
+    /// Returns whether an image of this width and height has the aspect ratio of the camera's, up to the rounding of its sides.
+    pub fn has_aspect_ratio_of(&self, [width, height]: [u32; 2]) -> bool {
+        let [width, height] = [width, height].map(f64::from);
+        let ratio = width * f64::from(self.height) / (height * f64::from(self.width));
+        (ratio - 1.0).abs() <= (1.0 / width + 1.0 / height).min(LARGEST_ROUNDING)
     }
 
     /// Returns whether the model is PINHOLE or SIMPLE_PINHOLE, without distortion.

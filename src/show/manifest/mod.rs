@@ -19,7 +19,7 @@ pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model,
 use crate::{
     backends::ExportRecord,
     config::Settings,
-    io::project::Project,
+    io::project::{ImageFaults, Project},
     method::surface::{SurfaceKind, SurfaceStats},
     model::{
         cluster::{MapScale, RankedCluster},
@@ -70,13 +70,12 @@ pub struct Manifest {
     pub warnings: Vec<String>,
 }
 
-/// Joins the warnings of a plan, `further` ones, and those of its exports, but for kinds that the plan warns of too, with counts of its own. Parts of the plan that a backend does not honour are no warnings, since users cannot change them: they are in
+/// Joins the warnings of a plan, `further` ones, and those of its exports, without what they say of image files: the plan says it of all views. Parts of the plan that a backend does not honour are no warnings, since users cannot change them: they are in
 /// `viewrank backends` and the records of the exports.
 pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
     let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
-    let kind = |warning: &String| warning.split(':').next().map(str::to_owned);
     for ExportRecord { backend, warnings: own, .. } in exports {
-        let own = own.iter().filter(|warning| of_plan.iter().all(|of_plan| kind(of_plan) != kind(warning)));
+        let own = own.iter().filter(|warning| !of_plan.contains(warning) && !ImageFaults::is_warning(warning));
         warnings.extend(own.map(|warning| format!("{backend}: {warning}")));
     }
     warnings
