@@ -21,7 +21,10 @@ def match(pair, key_image, key_mask, partner_image, partner_mask):
     disparity, correlation = least_squares(left, right, disparity)
     disparity[correlation < MIN_CORRELATION] = np.nan
     drop_patches(disparity, SPECKLE_PIXELS, SPECKLE_JUMP)
-    return to_key_view(pair, disparity, key_image.shape[::-1])
+    inverse = to_key_view(pair, disparity, key_image.shape[::-1])
+    if key_mask is not None:
+        inverse[~key_mask] = np.nan  # its edge is sharper than the canvas
+    return inverse
 
 
 def canvases(pair, key_image, key_mask, partner_image, partner_mask):

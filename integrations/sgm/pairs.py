@@ -60,8 +60,8 @@ class Pairs:
         a, b = self.workspace.views[key], self.workspace.views[partner]
         shared = self.workspace.xyz[np.intersect1d(a.points, b.points, assume_unique=True)]
         around = self.workspace.xyz[np.union1d(a.points, b.points)]
-        mark = fingerprint(self.workspace, a, b, shared, around)
         path = self.cache and self.cache / key / (partner + ".npz")
+        mark = path and fingerprint(self.workspace, a, b, shared, around)
         found = path and load(path, mark)
         if found:
             return found
@@ -113,11 +113,9 @@ def fingerprint(workspace, a, b, shared, around):
 
 
 def made_of(workspace, key, partners):
-    """Digest of the current cameras, poses and masks of a cluster's views, 16 hex digits."""
+    """Digest of the current cameras and poses of a cluster's views, 16 hex digits."""
     views = [workspace.views[name] for name in (key, *partners)]
-    parts = [part.tobytes() for v in views for part in (v.K, v.R, v.t)]
-    masks = [workspace.mask_digest(v.name) for v in views]
-    return hashlib.sha256(b"|".join(parts + (masks if any(masks) else []))).hexdigest()[:16]
+    return hashlib.sha256(b"|".join(part.tobytes() for v in views for part in (v.K, v.R, v.t))).hexdigest()[:16]
 
 
 def encode(inverse):

@@ -385,12 +385,11 @@ class Line:
             left = (now - self.begin) / self.count * (self.total - self.count)
             print(f"{self.count}/{self.total} key views, {now - self.begin:.0f} s, {left:.0f} s left; last: {row['key']}", file=sys.stderr, flush=True)
 
-
     def failure(self):
         """What went wrong in all; empty if nothing did."""
         if self.failed and self.total == 1:
             return self.failed[0]
-        return f"{len(self.failed)} of {self.total} key views failed; what they had before stays" if self.failed else ""
+        return f"{len(self.failed)} of {self.total} key views failed; maps that they had before stay" if self.failed else ""
 
 
 def summary(report, keys):

@@ -471,7 +471,7 @@ def test_images_of_half_the_size_are_matched_in_the_models_size(planes, tmp_path
 def test_what_masks_exclude_is_not_matched(planes, tmp_path):
     folder = shutil.copytree(planes, tmp_path / "w")
     get = lambda: Pairs(Workspace(folder), tmp_path / "cache").get("key.png", SIDES[0])  # noqa: E731
-    whole, made = get(), sgm.made_of(Workspace(folder), "key.png", SIDES)
+    whole = get()
 
     def put(name, usable):
         path = folder / "masks" / name
@@ -481,15 +481,30 @@ def test_what_masks_exclude_is_not_matched(planes, tmp_path):
     left = np.tile(np.arange(WIDTH // 2) < WIDTH // 4, (HEIGHT // 2, 1))  # a mask of half the size
     put("key.png.png", ~left)
     half = get()
-    assert not half.cached and not (half.code[:, : WIDTH // 2 - 2] > 0).any()
+    assert not half.cached and not (half.code[:, : WIDTH // 2] > 0).any()
     kept = whole.code[:, WIDTH // 2 + 10 :] > 0
     assert (half.code[:, WIDTH // 2 + 10 :] > 0)[kept].mean() > 0.95, "the rest is matched as before"
-    assert sgm.made_of(Workspace(folder), "key.png", SIDES) != made and get().cached
+    assert get().cached
     put(f"{SIDES[0]}.png", left & False)
     assert get().share == 0, "nor is what the partner's mask excludes"
     (folder / "masks/key.png.png").write_bytes(b"no image")
-    (folder / "masks" / f"{SIDES[0]}.png").unlink()
+    shutil.rmtree(folder / "masks/sub folder")
     assert (get().code == whole.code).all(), "a mask that cannot be used excludes nothing"
+
+
+def test_where_masks_are_and_what_is_black(planes, tmp_path):
+    folder = shutil.copytree(planes, tmp_path / "w")
+    half = Workspace(folder, 0.5)
+    assert half.mask("key.png") is None
+    rows = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    rows[: HEIGHT // 2, :, 2] = 1  # of 255, in red alone
+    for mask, content in (("images/masks/key.png.png", rows), ("masks/key.png", 255 - rows)):
+        (folder / mask).parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(folder / mask), content)
+        found = half.mask("key.png")
+        assert found.shape == (HEIGHT // 2, WIDTH // 2)
+        expected = content.any(axis=2)[::2, ::2]
+        assert (found == expected).all(), mask
 
 
 def test_a_failure_is_said_once_with_its_reason(planes, tmp_path, capsys):

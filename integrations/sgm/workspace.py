@@ -14,7 +14,7 @@ import numpy as np
 PINHOLE_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
 PINHOLE_IDS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE"}
 GREY_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the model knows nothing of EXIF
-MASK_AS_STORED = GREY_AS_STORED | cv2.IMREAD_ANYDEPTH  # so that the darkest grey of 16 bits is not black
+MASK_AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH  # so that the darkest colours are not black
 LARGEST_ROUNDING = 0.02  # of an aspect ratio
 UNDISTORT = "undistort first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path WORKSPACE"
 
@@ -63,7 +63,7 @@ class Workspace:
             raise InputError(f"{self.images}: no such folder. An undistorted COLMAP workspace has images/ and sparse/; {UNDISTORT}")
         cameras, images, (ids, self.xyz) = read_model(model_folder(self.folder))
         order = np.argsort(ids)
-        self.views = {}
+        self.views, self.digests = {}, {}
         for name, camera, quaternion, t, observed in sorted(images, key=lambda image: image[0]):
             if camera not in cameras:
                 raise InputError(f"{folder}: {name} refers to camera {camera}, which the model does not have")
@@ -86,14 +86,18 @@ class Workspace:
         """True where the view may be matched (height x width, as matched); None if all of it may, as with a mask that can't be used."""
         path, view = self.mask_file(name), self.views[name]
         mask = decoded(path, MASK_AS_STORED) if path else None
-        if mask is None or not same_aspect_ratio(mask.shape[::-1], view.full_size):
+        if mask is None or not same_aspect_ratio(mask.shape[1::-1], view.full_size):
             return None
-        return cv2.resize(mask, view.size, interpolation=cv2.INTER_NEAREST) > 0
+        usable = mask.any(axis=2).astype(np.float32)
+        return cv2.resize(usable, view.size, interpolation=cv2.INTER_AREA if mask.shape[1] > view.size[0] else cv2.INTER_NEAREST) >= 0.5
 
     def mask_digest(self, name):
-        """SHA-256 of the view's mask; empty without one."""
-        path = self.mask_file(name)
-        return hashlib.sha256(path.read_bytes()).digest() if path else b""
+        """SHA-256 of the view's mask, read once; empty without one that can be read."""
+        if name not in self.digests:
+            path = self.mask_file(name)
+            data = bytes_of(path) if path else b""
+            self.digests[name] = hashlib.sha256(data).digest() if data else b""
+        return self.digests[name]
 
     def mask_file(self, name):
         """Where viewrank finds the view's mask; None without one."""
@@ -116,14 +120,22 @@ class Workspace:
 
 def decoded(path, how):
     """The image as OpenCV reads it; None if it can't."""
-    data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
+    data = np.frombuffer(bytes_of(path), np.uint8)
     return cv2.imdecode(data, how) if data.size else None
+
+
+def bytes_of(path):
+    """The content of a file; empty if it can't be read."""
+    try:
+        return path.read_bytes() if path.is_file() else b""
+    except OSError:
+        return b""
 
 
 def same_aspect_ratio(size, full_size):
     """Is one size the other, scaled and rounded?"""
     (width, height), (full_width, full_height) = size, full_size
-    return abs(width * full_height / (height * full_width) - 1) <= min(1 / width + 1 / height, LARGEST_ROUNDING)
+    return abs(width * full_height / (height * full_width) - 1) <= min(sum(1 / side for side in (*size, *full_size)), LARGEST_ROUNDING)
 
 
 def rows_of(wanted, ids, order):

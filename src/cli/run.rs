@@ -142,8 +142,9 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
     }
     note(&format!("{} needs undistorted images: {}", backend.name, dense.display()));
     let progress = Progress::new(arguments.is_silent());
-    undistort::undistort(&project, &undistort::UndistortOptions::default(), &dense, &Disk::REAL, &progress)?;
+    let done = undistort::undistort(&project, &undistort::UndistortOptions::default(), &dense, &Disk::REAL, &progress)?;
     progress.finish();
+    done.warning().iter().for_each(|warning| warn(warning));
     Ok(dense)
 }
 

@@ -10,7 +10,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, config, json, print, progress::Progress};
+use super::{Failure, Format, config, json, print, progress::Progress, warn};
 
 /// Make the undistorted images that most MVS programs need, as a COLMAP dense workspace.
 ///
@@ -71,6 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new(arguments.quiet);
     let done = undistort::undistort(&project, &arguments.options(), &out, &Disk::REAL, &progress)?;
     progress.finish();
+    done.warning().iter().for_each(|warning| warn(warning));
     match arguments.format {
         Format::Json => print(&json(&done)),
         Format::Text if arguments.quiet => Ok(()),

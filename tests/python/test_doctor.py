@@ -67,6 +67,20 @@ def test_partners_are_judged_among_views_with_an_image(viewrank, fixtures, tmp_p
         assert 1 <= int(said[name].split()[0]) <= partners and "without a usable image" in said[name], "a plan also has partners beyond the limits"
 
 
+def test_missing_images_are_the_cure_only_where_they_are_the_cause(viewrank, fixtures, tmp_path):
+    folder = project(fixtures, tmp_path)
+    found = lambda expect: {finding["check"]: finding for finding in json.loads(viewrank("doctor", folder, "--backend", "sgm", "--format", "json", expect=expect).stdout)["findings"]}  # noqa: E731
+    few = found(0)["fewer-partners-than-k"]
+    (folder / "images/walk_027.jpg").unlink()
+    assert found(3)["fewer-partners-than-k"]["cure"] == few["cure"], "no view has lost a partner that it needs"
+    for image in sorted((folder / "images").iterdir())[3:]:
+        image.unlink()
+    most = found(4)
+    assert most["missing-images"]["severity"] == "error"
+    assert "of 3 views with a usable image cannot be key views" in most["too-few-partners"]["what"]
+    assert "replace the images that are missing" in most["too-few-partners"]["cure"]
+
+
 def test_a_wrong_image_does_not_keep_partners_from_being_judged(viewrank, fixtures, tmp_path):
     folder = project(fixtures, tmp_path)
     image = min((folder / "images").iterdir())

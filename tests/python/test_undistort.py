@@ -144,6 +144,16 @@ def test_everything_else_works_on_it(viewrank, project, tmp_path):
         viewrank("export", folder / "dense", "--backend", backend)
 
 
+def test_masks_are_left_behind_with_a_warning(viewrank, project):
+    folder = project("OPENCV")
+    assert "masks" not in viewrank("undistort", folder, "--quiet").stderr
+    for image in (folder / "images").rglob("*.*"):
+        mask = folder / "masks" / f"{image.relative_to(folder / 'images')}.png"
+        mask.parent.mkdir(parents=True, exist_ok=True)
+        mask.write_bytes(b"")
+    assert f"the masks in {folder / 'masks'} are not undistorted" in viewrank("undistort", folder, "--quiet").stderr
+
+
 def test_the_images_themselves_are_never_overwritten(viewrank, project):
     folder = project("SIMPLE_RADIAL")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -17,6 +17,7 @@ use crate::{
 
 /// Share of the sparse points seen only by views without partners, at and above which the loss exceeds the usual border of a block.
 const LOST: f64 = 0.01;
+
 /// Reason that a pair cannot be matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Refusal {
@@ -51,7 +52,7 @@ struct PartnerCount {
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
     let gate = inputs.backend.planning.gate.with(&inputs.settings.partners.gate);
-    let without_image = inputs.images.without_image(views.len());
+    let without_image = inputs.images.unusable(views.len());
     let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
     let count = |&view: &ViewIndex| count_partners(inputs.scene, inputs.points, &lacks_image, &gate, view);
     let counts: Vec<PartnerCount> = views.par_iter().map(count).collect();
@@ -88,22 +89,20 @@ fn count_partners(
     gate: &Gate,
     view: ViewIndex,
 ) -> PartnerCount {
-    let (without_image, around): (Vec<_>, Vec<_>) =
-        neighbours(scene, points, view).into_iter().partition(|(other, _)| lacks_image(&view) || lacks_image(other));
-    let pairs: Vec<PairGeometry> =
-        around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
-    let (without_baseline, with_baseline): (Vec<_>, Vec<_>) =
-        pairs.into_iter().partition(PairGeometry::has_no_baseline);
-    let obstacles: Vec<Obstacle> = with_baseline.iter().filter_map(|pair| gate.obstacle(pair)).collect();
-    let mut count = PartnerCount {
-        view,
-        partners: with_baseline.len() - obstacles.len(),
-        refused: BTreeMap::new(),
-        same_position: without_baseline.iter().map(|pair| pair.partner).collect(),
-    };
-    let refusals = obstacles.into_iter().map(Refusal::Limit).chain(without_image.iter().map(|_| Refusal::NoImage));
-    for refusal in refusals.chain(without_baseline.iter().map(|_| Refusal::NoBaseline)) {
-        *count.refused.entry(refusal).or_default() += 1;
+    let mut count = PartnerCount { view, partners: 0, refused: BTreeMap::new(), same_position: Vec::new() };
+    for (other, shared) in neighbours(scene, points, view) {
+        let pair = PairGeometry::new(scene, view, other, &shared);
+        let is_shown = !lacks_image(&view) && !lacks_image(&other);
+        let refusal = if pair.has_no_baseline() {
+            count.same_position.extend(is_shown.then_some(other));
+            Some(Refusal::NoBaseline)
+        } else {
+            gate.obstacle(&pair).map(Refusal::Limit).or((!is_shown).then_some(Refusal::NoImage))
+        };
+        match refusal {
+            Some(refusal) => *count.refused.entry(refusal).or_default() += 1,
+            None => count.partners += 1,
+        }
     }
     count
 }
@@ -175,7 +174,7 @@ fn lost_share(inputs: &Inputs, counts: &[&PartnerCount]) -> f64 {
 }
 
 /// Cure where images are what partners lack.
-const IMAGES_FIRST: &str = "copy the missing images to their places, and replace those that cannot be used";
+const IMAGES_FIRST: &str = "replace the images that are missing or cannot be used";
 
 fn lack_images(few: &[&PartnerCount]) -> bool {
     few.iter().any(|count| count.refused.contains_key(&Refusal::NoImage))

@@ -218,10 +218,10 @@ fn of_another_size(
     Some(Finding::new(severity, check, what, cure).of_views(views))
 }
 
-/// Severity of this number of views without an image.
-fn severity(inputs: &Inputs, without_image: usize) -> Severity {
-    let is_most = without_image as f64 >= MOST * inputs.scene.views.len() as f64;
-    if is_most { Severity::Error } else { Severity::Warning }
+/// Severity of missing and unreadable images, which together may be most.
+fn severity(inputs: &Inputs) -> Severity {
+    let without = inputs.images.missing.len() + inputs.images.unreadable.len();
+    if without as f64 >= MOST * inputs.scene.views.len() as f64 { Severity::Error } else { Severity::Warning }
 }
 
 /// Reports views without image files.
@@ -230,8 +230,7 @@ fn missing(inputs: &Inputs) -> Option<Finding> {
     (!views.is_empty()).then(|| {
         let what = format!("{} of {} images are not in {}", views.len(), inputs.scene.views.len(), images.display());
         let cure = format!("copy them to {}/NAME, with the names in the model", images.display());
-        Finding::new(severity(inputs, views.len()), "missing-images", what, cure)
-            .of_views(inputs.named(views.iter().copied()))
+        Finding::new(severity(inputs), "missing-images", what, cure).of_views(inputs.named(views.iter().copied()))
     })
 }
 
@@ -242,6 +241,6 @@ fn unreadable(inputs: &Inputs) -> Option<Finding> {
         let what = format!("{} cannot be read", counted(broken.len(), "image"));
         let cure = "copy them again from the source";
         let views = broken.iter().map(|&(view, why)| inputs.view_finding(view, why)).collect();
-        Finding::new(severity(inputs, broken.len()), "unreadable-images", what, cure).of_views(views)
+        Finding::new(severity(inputs), "unreadable-images", what, cure).of_views(views)
     })
 }

@@ -64,7 +64,7 @@ fn share(part: u64, whole: u64) -> f64 {
 pub struct MapMeasurement {
     pub quality: Quality,
     /// For each triangle that the key view sees, in the order of the visibility table: share of the pixels of its visible part with
-    /// a right depth, at most what the view's mask allows. A triangle that covers no centre of a pixel is judged by the pixel of its centroid.
+    /// a right depth; 0 where the view's mask excludes all of the triangle. A triangle that covers no centre of a pixel is judged by the pixel of its centroid.
     pub shares: Vec<f32>,
     /// Number of pixels of the visible part of each triangle.
     pub pixels: Vec<u32>,
@@ -110,10 +110,10 @@ pub fn measure(
         0 => f32::from(u8::from(centroid_is_right(triangle))),
         n => right as f32 / n as f32,
     };
-    // Not their product: the program may have been given the mask.
+    // Nothing is expected there, but the program may not know the mask.
     let mask = model.unary.of_rows(model.visibility.rows(key));
-    let within_mask = |(row, share): (usize, f32)| share.min(mask.at(row).allowed);
-    let shares = seen.iter().zip(&counts).map(share).enumerate().map(within_mask).collect();
+    let unmasked = |(row, share): (usize, f32)| if mask.at(row).allowed > 0.0 { share } else { 0.0 };
+    let shares = seen.iter().zip(&counts).map(share).enumerate().map(unmasked).collect();
     MapMeasurement {
         quality,
         shares,

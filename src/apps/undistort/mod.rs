@@ -32,6 +32,7 @@ use crate::{
         output::{self, Contents, Disk, FileSet, OutputError},
         project::{ImageFolder, Project, ProjectError, undistorted_set},
     },
+    method::confidence::Pictures,
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
@@ -73,6 +74,16 @@ pub struct UndistortReport {
     pub computed: usize,
     /// New names of the user's files that were in the way.
     pub kept: Vec<String>,
+    /// Folder of masks of these images, which the workspace does without; null if there are none.
+    pub masks: Option<PathBuf>,
+}
+
+impl UndistortReport {
+    /// Warns of masks that are left behind.
+    pub fn warning(&self) -> Option<String> {
+        let (masks, folder) = (self.masks.as_ref()?.display(), self.folder.display());
+        Some(format!("the masks in {masks} are not undistorted: {folder} is planned and matched without them"))
+    }
 }
 
 /// Pixels per batch; up to about twelve bytes of memory each.
@@ -92,7 +103,12 @@ pub fn undistort(
     let scene = project.read_scene()?;
     let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
-    let mut done = UndistortReport { folder: out.into(), images: scene.views.len(), ..UndistortReport::default() };
+    let pictures = Pictures::new(project);
+    let masks =
+        pictures.mask_folders().first().filter(|_| scene.views.iter().any(|view| pictures.has_mask(&view.name)));
+    let masks = masks.cloned();
+    let mut done =
+        UndistortReport { folder: out.into(), images: scene.views.len(), masks, ..UndistortReport::default() };
     let mut finished = 0;
     watcher.progress(Stage::Undistort, 0, done.images as u64);
     for (i, views) in batches.iter().enumerate() {

@@ -129,15 +129,20 @@ impl ImageFaults {
         self.missing.iter().copied().chain(self.unreadable.iter().map(|(view, _)| *view))
     }
 
-    /// Views without an image that can be read and has the camera's aspect ratio, ascending. If that is true of all `views`, those without one that can
-    /// be read; if that is, too, none.
+    /// Views without an image that can be read, ascending; none if that is true of all `views`.
     pub fn without_image(&self, views: usize) -> Vec<ViewIndex> {
-        let unreadable: Vec<ViewIndex> = self.missing_or_unreadable().collect();
-        let others = self.other_aspect_ratio.iter().map(|(view, _)| *view);
-        let unusable: Vec<ViewIndex> = unreadable.iter().copied().chain(others).collect();
-        let mut without = [unusable, unreadable].into_iter().find(|some| some.len() < views).unwrap_or_default();
+        let mut without: Vec<ViewIndex> = self.missing_or_unreadable().collect();
         without.sort_unstable();
-        without
+        if self.is_any_readable(views) { without } else { Vec::new() }
+    }
+
+    /// Views that a plan which compares pictures leaves out, ascending, as far as headers show: also those whose image has another aspect ratio; none
+    /// if that is true of all `views`.
+    pub fn unusable(&self, views: usize) -> Vec<ViewIndex> {
+        let others = self.other_aspect_ratio.iter().map(|(view, _)| *view);
+        let mut unusable: Vec<ViewIndex> = self.missing_or_unreadable().chain(others).collect();
+        unusable.sort_unstable();
+        if unusable.len() < views { unusable } else { Vec::new() }
     }
 
     /// Returns true if at least one image of the scene's `views` views is readable.
@@ -394,11 +399,10 @@ mod tests {
         let faults = find();
         assert_eq!(faults.other_size, [(ViewIndex(5), [1200, 900])]);
         assert_eq!(faults.other_aspect_ratio, [(ViewIndex(7), [900, 900])]);
-        assert_eq!(faults.without_image(views), [3, 7, 9].map(ViewIndex));
-        (0..views as u32).filter(|view| ![3, 9].contains(view)).for_each(|view| save(view, 8, 8));
-        assert_eq!(find().without_image(views), [3, 9].map(ViewIndex), "the others have an image at least");
-        (0..views as u32).for_each(|view| std::fs::write(path(view), "").unwrap());
-        assert_eq!(find().without_image(views), []);
+        assert_eq!(faults.without_image(views), [3, 9].map(ViewIndex));
+        assert_eq!(faults.unusable(views), [3, 7, 9].map(ViewIndex));
+        (0..views as u32).for_each(|view| save(view, 8, 8));
+        assert_eq!((find().other_aspect_ratio.len(), find().unusable(views)), (views, vec![]));
         assert_eq!(faults.most_pixels(&scene), 1_080_000);
     }
 }

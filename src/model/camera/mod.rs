@@ -211,11 +211,11 @@ impl Camera {
         (self.lens.focal, Point2::from(self.lens.centre))
     }
 
-    /// Returns whether an image of this width and height has the aspect ratio of the camera's, up to the rounding of its sides.
+    /// Returns whether an image of this width and height has the aspect ratio of the camera's, up to the rounding of their sides.
     pub fn has_aspect_ratio_of(&self, [width, height]: [u32; 2]) -> bool {
-        let [width, height] = [width, height].map(f64::from);
-        let ratio = width * f64::from(self.height) / (height * f64::from(self.width));
-        (ratio - 1.0).abs() <= (1.0 / width + 1.0 / height).min(LARGEST_ROUNDING)
+        let [width, height, own_width, own_height] = [width, height, self.width, self.height].map(f64::from);
+        let rounding = 1.0 / width + 1.0 / height + 1.0 / own_width + 1.0 / own_height;
+        (width * own_height / (height * own_width) - 1.0).abs() <= rounding.min(LARGEST_ROUNDING)
     }
 
     /// Returns whether the model is PINHOLE or SIMPLE_PINHOLE, without distortion.

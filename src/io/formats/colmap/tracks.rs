@@ -75,6 +75,8 @@ pub(super) struct ImageLists<'m> {
     view_of_image: &'m ImageIds,
     /// In file order.
     pub links: Vec<Links<'m>>,
+    /// Those of `links` alone, small enough to stay in the processor's cache while tracks are followed.
+    points2d: Vec<&'m [Point2d]>,
     /// Number of track elements that disagreed with the lists.
     followed: AtomicUsize,
 }
@@ -82,7 +84,8 @@ pub(super) struct ImageLists<'m> {
 impl<'m> ImageLists<'m> {
     pub(super) fn new(images: &'m [ColmapImage<'m>], view_of_image: &'m ImageIds) -> Self {
         let links = images.iter().map(|image| Links { image, by_point: OnceLock::new() }).collect();
-        Self { view_of_image, links, followed: AtomicUsize::new(0) }
+        let points2d = images.iter().map(|image| &*image.points2d).collect();
+        Self { view_of_image, links, points2d, followed: AtomicUsize::new(0) }
     }
 
     /// Prefetches the 2D points of some points, which are scattered over the file: in a loop without other work the processor overlaps the cache
@@ -91,8 +94,7 @@ impl<'m> ImageLists<'m> {
         let mut seen = 0;
         for element in points.iter().flat_map(|point| point.track.iter()) {
             let Some(image_view) = self.view_of_image.get(element.image()) else { continue };
-            if let Some(point2d) = self.links[image_view.position as usize].image.points2d.get(element.index() as usize)
-            {
+            if let Some(point2d) = self.points2d[image_view.position as usize].get(element.index() as usize) {
                 seen ^= point2d.x[0] ^ point2d.point[7];
             }
         }
@@ -207,8 +209,7 @@ impl ColmapPoint<'_> {
         for (n, element) in self.track.iter().enumerate() {
             let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
             let image_view = lists.view_of_image.get(element.image()).ok_or_else(absent)?;
-            let links = &lists.links[image_view.position as usize];
-            let named = links.image.points2d.get(element.index() as usize);
+            let named = lists.points2d[image_view.position as usize].get(element.index() as usize);
             match named {
                 Some(point2d) if point2d.point().is_none_or(|id| id == self.id) => {
                     each(image_view, element.index(), point2d)?;
@@ -217,6 +218,7 @@ impl ColmapPoint<'_> {
                     self.track[counted..n].iter().for_each(|e| *counts.entry(e.image()).or_default() += 1);
                     counted = n;
                     let before = counts.get(&element.image()).copied().unwrap_or(0);
+                    let links = &lists.links[image_view.position as usize];
                     let (index, point2d) =
                         links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?;
                     lists.followed.fetch_add(1, Ordering::Relaxed);
