@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from pairs import write_whole
-from workspace import InputError
+from workspace import InputError, decoded
 
 # Cells along each axis that a whole number of 63 bits can address; what is further from the middle of the sparse points is left out.
 ACROSS = 1 << 21
@@ -75,9 +75,7 @@ def points_of(view, depth):
 
 def colours_of(workspace, view, depth):
     """Red, green and blue (n x 3) of the same pixels; grey where the image cannot be read."""
-    path = workspace.images / view.name
-    data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    image = cv2.imdecode(data, COLOUR_AS_STORED) if data.size else None
+    image = decoded(workspace.images / view.name, COLOUR_AS_STORED)
     if image is None:
         return np.full(((depth > 0).sum(), 3), 128.0)
     return cv2.resize(image, depth.shape[::-1], interpolation=cv2.INTER_AREA)[depth > 0][:, ::-1].astype(float)

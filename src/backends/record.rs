@@ -179,8 +179,7 @@ fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String
 /// Warns that masks are left to the user, if one of the views has a mask.
 fn masks(selection: &Selection) -> Option<String> {
     let pictures = Pictures::new(selection.project);
-    let has_mask = |view: &ViewIndex| pictures.has_mask(selection.scene.name(*view));
-    let folder = pictures.mask_folders().first().filter(|_| selection.views().iter().any(has_mask))?;
+    let folder = pictures.masks_of(selection.views().iter().map(|view| selection.scene.name(*view)))?;
     Some(format!(
         "masks (as in {}) are not passed on: give them to the program yourself, if it takes any",
         folder.display()

@@ -35,6 +35,8 @@ use crate::{
 const REST: u32 = 4;
 /// The report takes as long as planning; it is rewritten after this multiple of its duration.
 const REPORT_REST: u32 = 20;
+/// Said at the end of a run that leaves nothing of the plan.
+const ALL_DONE: &str = "the list is done, with all that the plan has";
 /// Number of consecutive failures that ends the run.
 const FAILURES: usize = 3;
 
@@ -116,8 +118,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let scene = project.read_scene()?;
     let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
     // Ctrl-C also ends the programs that are asked what they can do.
-    let is_stopped = |failure| if stop.load(Ordering::Relaxed) { stopped_early(arguments) } else { failure };
-    ready::check(backend, &project, scene, arguments.program.as_deref()).map_err(is_stopped)?;
+    let stopped = || Failure::new(Exit::Failed, "stopped before planning", arguments.go_on());
+    ready::check(backend, &project, scene, arguments.program.as_deref())
+        .map_err(|failure| if stop.load(Ordering::Relaxed) { stopped() } else { failure })?;
     Dispatch::refuse_if_at_work(&project)?;
     let root =
         if backend.takes_distorted || !is_distorted { project.root } else { undistorted(arguments, project, backend)? };
@@ -127,11 +130,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     say(&work.plan_in_words())?;
     let reached = work.compute()?;
     work.end(reached)
-}
-
-fn stopped_early(arguments: &Arguments) -> Failure {
-    let hint = format!("to go on: {}", arguments.again(arguments.target.as_deref()));
-    Failure::new(Exit::Failed, "stopped before planning", hint)
 }
 
 /// Undistorts the images; returns their project.
@@ -170,6 +168,11 @@ impl Arguments {
             ("--threads", self.threads.map(|threads| threads.to_string())),
         ];
         next::with_options(format!("viewrank run {}", command_path(&self.project)), options)
+    }
+
+    /// Says how to continue.
+    fn go_on(&self) -> String {
+        format!("to go on: {}", self.again(self.target.as_deref()))
     }
 
     fn is_silent(&self) -> bool {
@@ -240,7 +243,7 @@ impl<'a> Work<'a> {
         match outcome {
             Outcome::Planned { note: Some(text), .. } => warn(&text),
             Outcome::Planned { .. } => {}
-            other => return Err(failure(other, stop, &arguments.again(arguments.target.as_deref()))),
+            other => return Err(failure(other, stop, arguments.go_on())),
         }
         let root = foreground.root();
         let plan = WrittenPlan::read(root)?;
@@ -445,7 +448,7 @@ impl<'a> Work<'a> {
                 let again = self.arguments.again(self.arguments.target.as_deref());
                 format!("{} failed; to try again: {again}", result.failed)
             }
-            false if result.tasks == self.plan.clusters.len() => "these are all that the plan has".to_owned(),
+            false if result.tasks == self.plan.clusters.len() => ALL_DONE.to_owned(),
             false if self.arguments.budget.is_some() || self.target().is_none() => {
                 "the budget is spent; raise --budget for more".to_owned()
             }
@@ -453,7 +456,7 @@ impl<'a> Work<'a> {
                 Some(higher) => {
                     format!("the list is done below the target; for more: {}", self.arguments.again(Some(&higher)))
                 }
-                None => "the list is done, with all that the plan has".to_owned(),
+                None => ALL_DONE.to_owned(),
             },
         };
         let result_line = format!("{} of {} depth maps: {share}; {verdict}.", result.done, result.tasks);
@@ -474,11 +477,7 @@ impl<'a> Work<'a> {
 
     fn stopped(&self) -> Failure {
         let (done, all) = (self.dispatch.finished_maps().count(), self.dispatch.tasks.len());
-        Failure::new(
-            Exit::Failed,
-            format!("stopped with {done} of {all} depth maps"),
-            format!("to go on: {}", self.again()),
-        )
+        Failure::new(Exit::Failed, format!("stopped with {done} of {all} depth maps"), self.arguments.go_on())
     }
 
     /// `before`: number of tasks that failed just before this one.
@@ -505,13 +504,12 @@ impl<'a> Work<'a> {
 }
 
 /// Returns the failure of a missing plan.
-fn failure(outcome: Outcome, stop: &AtomicBool, again: &str) -> Failure {
-    let again = format!("to go on: {again}");
+fn failure(outcome: Outcome, stop: &AtomicBool, go_on: String) -> Failure {
     match outcome {
         Outcome::Failed { reason, hint } => Failure::new(Exit::Failed, reason, hint),
         Outcome::Incomplete { reason } => Failure::new(Exit::Failed, reason, None),
-        _ if stop.load(Ordering::Relaxed) => Failure::new(Exit::Failed, "stopped while planning", again),
-        _ => Failure::new(Exit::Failed, "the project changed while it was planned", again),
+        _ if stop.load(Ordering::Relaxed) => Failure::new(Exit::Failed, "stopped while planning", go_on),
+        _ => Failure::new(Exit::Failed, "the project changed while it was planned", go_on),
     }
 }
 

@@ -53,10 +53,9 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
     let gate = inputs.backend.planning.gate.with(&inputs.settings.partners.gate);
     let without_image = inputs.images.unusable(views.len());
-    let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
-    let count = |&view: &ViewIndex| count_partners(inputs.scene, inputs.points, &lacks_image, &gate, view);
+    let count = |&view: &ViewIndex| count_partners(inputs.scene, inputs.points, &without_image, &gate, view);
     let counts: Vec<PartnerCount> = views.par_iter().map(count).collect();
-    let with_image = |count: &&PartnerCount| !lacks_image(&count.view);
+    let with_image = |count: &&PartnerCount| without_image.binary_search(&count.view).is_err();
     let position = one_position(inputs, &counts, counts.iter().filter(with_image).count());
     // Missing and unreadable images are findings of their own.
     let counts: Vec<&PartnerCount> = counts.iter().filter(with_image).collect();
@@ -79,20 +78,21 @@ pub fn partners_in_words(
     gate: &Gate,
     view: ViewIndex,
 ) -> String {
-    count_partners(scene, points, &|view| without_image.binary_search(view).is_ok(), gate, view).words()
+    count_partners(scene, points, without_image, gate, view).words()
 }
 
 fn count_partners(
     scene: &Scene,
     points: &ViewPoints,
-    lacks_image: &impl Fn(&ViewIndex) -> bool,
+    without_image: &[ViewIndex],
     gate: &Gate,
     view: ViewIndex,
 ) -> PartnerCount {
+    let has_image = |view: &ViewIndex| without_image.binary_search(view).is_err();
     let mut count = PartnerCount { view, partners: 0, refused: BTreeMap::new(), same_position: Vec::new() };
     for (other, shared) in neighbours(scene, points, view) {
         let pair = PairGeometry::new(scene, view, other, &shared);
-        let is_shown = !lacks_image(&view) && !lacks_image(&other);
+        let is_shown = has_image(&view) && has_image(&other);
         let refusal = if pair.has_no_baseline() {
             count.same_position.extend(is_shown.then_some(other));
             Some(Refusal::NoBaseline)
@@ -138,7 +138,7 @@ fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     };
     let loss = match lost > 0.0 {
         true => {
-            format!("{:.1} % of the sparse points are seen by no other {}", 100.0 * lost, judged(inputs, counts, 1))
+            format!("{:.1} % of the sparse points are seen by no other {}", 100.0 * lost, noun(inputs, counts, 1))
         }
         false => "other views see all their points".into(),
     };
@@ -154,7 +154,7 @@ fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
             "{} of {} {} cannot be key views, with fewer than {least} partners that {} can match; {loss}",
             few.len(),
             counts.len(),
-            judged(inputs, counts, counts.len()),
+            noun(inputs, counts, counts.len()),
             inputs.backend.name
         );
         Finding::new(severity, "too-few-partners", what, cure).of_views(words(inputs, few))
@@ -180,8 +180,8 @@ fn lack_images(few: &[&PartnerCount]) -> bool {
     few.iter().any(|count| count.refused.contains_key(&Refusal::NoImage))
 }
 
-/// Returns the noun for this number of the views that are judged.
-fn judged(inputs: &Inputs, counts: &[&PartnerCount], number: usize) -> String {
+/// Returns the noun for this number of the views that were judged.
+fn noun(inputs: &Inputs, counts: &[&PartnerCount], number: usize) -> String {
     let image = if counts.len() < inputs.scene.views.len() { " with a usable image" } else { "" };
     format!("view{}{image}", if number == 1 { "" } else { "s" })
 }

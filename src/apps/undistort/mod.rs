@@ -74,7 +74,7 @@ pub struct UndistortReport {
     pub computed: usize,
     /// New names of the user's files that were in the way.
     pub kept: Vec<String>,
-    /// Folder of masks of these images, which the workspace does without; null if there are none.
+    /// Folder of the images' masks, which are not undistorted; null without masks.
     pub masks: Option<PathBuf>,
 }
 
@@ -103,10 +103,7 @@ pub fn undistort(
     let scene = project.read_scene()?;
     let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
-    let pictures = Pictures::new(project);
-    let masks =
-        pictures.mask_folders().first().filter(|_| scene.views.iter().any(|view| pictures.has_mask(&view.name)));
-    let masks = masks.cloned();
+    let masks = Pictures::new(project).masks_of(scene.views.iter().map(|view| &*view.name)).map(Path::to_path_buf);
     let mut done =
         UndistortReport { folder: out.into(), images: scene.views.len(), masks, ..UndistortReport::default() };
     let mut finished = 0;

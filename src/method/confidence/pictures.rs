@@ -151,7 +151,7 @@ impl Pictures {
     /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene has one in it.
     pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
         let cure = self.naming_of_masks(scene)?;
-        if scene.views.iter().any(|view| self.has_mask(&view.name)) {
+        if self.masks_of(scene.views.iter().map(|view| &*view.name)).is_some() {
             return None;
         }
         let folders: Vec<String> = self.masks.iter().map(|folder| folder.display().to_string()).collect();
@@ -191,7 +191,12 @@ impl Pictures {
         &self.masks
     }
 
-    pub fn has_mask(&self, name: &str) -> bool {
+    /// Returns the folder of masks that counts first, if one of these views has a mask.
+    pub fn masks_of<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<&Path> {
+        self.masks.first().filter(|_| names.any(|name| self.has_mask(name))).map(PathBuf::as_path)
+    }
+
+    fn has_mask(&self, name: &str) -> bool {
         self.mask_file(name).is_some()
     }
 
