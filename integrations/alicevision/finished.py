@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""Writes finished.sfm: keys.sfm with only those views that have a depth map in depthMaps/. Filtering and meshing open the maps of all views."""
+"""Writes finished.sfm: keys.sfm with only those views that have a depth map in FOLDER (depthMaps unless given). Filtering and meshing open the maps of
+all views.
+
+    finished.py [FOLDER]"""
 import os
 import sys
 
@@ -7,18 +10,23 @@ import sys
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
 import json
+import tempfile
 from pathlib import Path
 
 folder = Path(__file__).resolve().parent
+maps = folder / (sys.argv[1] if len(sys.argv) > 1 else "depthMaps")
 scene = json.loads((folder / "keys.sfm").read_text(encoding="utf-8"))
-scene["views"] = [view for view in scene["views"] if (folder / f"depthMaps/{view['viewId']}_depthMap.exr").is_file()]
+scene["views"] = [view for view in scene["views"] if (maps / f"{view['viewId']}_depthMap.exr").is_file()]
 ids = {view["viewId"] for view in scene["views"]}
 if not ids:
-    sys.exit("error: depthMaps holds no map of a key view")
+    sys.exit(f"error: {maps} holds no map of a key view")
 scene["poses"] = [pose for pose in scene["poses"] if pose["poseId"] in ids]
 for landmark in scene["structure"]:
     landmark["observations"] = [seen for seen in landmark["observations"] if seen["observationId"] in ids]
 scene["structure"] = [landmark for landmark in scene["structure"] if len(landmark["observations"]) > 1]
-whole = folder / "finished.sfm.part"
-whole.write_text(json.dumps(scene, indent=1), encoding="utf-8")
-os.replace(whole, folder / "finished.sfm")
+# A new file: what somebody has put in the place of a draft is not written.
+descriptor, draft = tempfile.mkstemp(dir=folder)
+with open(descriptor, "w", encoding="utf-8") as file:
+    json.dump(scene, file, indent=1)
+os.chmod(draft, 0o644)
+os.replace(draft, folder / "finished.sfm")

@@ -18,6 +18,8 @@ case $#${1:-} in
     ;;
 esac
 cd "$(dirname "$0")/../.."
+@REFUSE_STRANGERS@
+refuse_strangers /dev/null stereo
 maps=stereo/viewrank/maps.tsv
 tab=$(printf '\t')
 
@@ -34,6 +36,11 @@ whole() {
 there() {
     whole "stereo/depth_maps/$1" && whole "stereo/normal_maps/$1"
 }
+# Writes a line to a new file, so that no other name of an older file gets it: LINE FILE
+note() {
+    rm -f -- "$2"
+    echo "$1" > "$2"
+}
 remove() {
     rm -f -- "stereo/depth_maps/$1" "stereo/depth_maps/$1.made" "stereo/normal_maps/$1" "stereo/consistency_graphs/$1"
 }
@@ -46,7 +53,7 @@ set_aside() {
         case $wanted in -) continue ;; esac
         case $made in - | "$wanted") continue ;; esac
         there "$map" || continue
-        echo "$made" > "stereo/depth_maps/$map.made"
+        note "$made" "stereo/depth_maps/$map.made"
         for file in "depth_maps/$map" "depth_maps/$map.made" "normal_maps/$map" "consistency_graphs/$map"; do
             [ ! -f "stereo/$file" ] || mv -f -- "stereo/$file" "stereo/$file.before"
         done
@@ -83,7 +90,7 @@ compute() {
     lines_of "$list" "$kind" | while IFS=$tab read -r wanted made map; do
         if ! there "$map"; then
             remove "$map"
-            echo "$wanted" > "stereo/depth_maps/$map.made"
+            note "$wanted" "stereo/depth_maps/$map.made"
         fi
     done
     "${COLMAP:-colmap}" patch_match_stereo --workspace_path . --config_path "$list" "$@"

@@ -10,6 +10,7 @@ if [ "${1:-}" = --rank ]; then
     trap 'exit 130' INT
     trap 'exit 143' TERM
     bring_back "$map"
+    rm -f -- "$list"
     # Lines of references and of sources take turns.
     awk '/^#/ { next } ++n % 2 { reference = $0; next } reference == ENVIRON["KEY"] { print reference; print }' \
         stereo/patch-match.cfg > "$list"

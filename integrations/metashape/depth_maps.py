@@ -8,9 +8,14 @@ maps are made, and again with the point cloud. Names that no camera has, and lab
 is done.
 """
 
-import json
 import os
 import sys
+
+# The folder may be a stranger's: a json.py that he put there is not imported.
+_HERE = {os.path.realpath(os.path.dirname(os.path.abspath(__file__))), os.path.realpath(os.curdir)}
+sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in _HERE]
+
+import json
 
 import Metashape
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Writes fuse/, what the fusion reads: pair.txt, which is pair_fuse.txt with only those key views whose maps in depths/ are complete (the fusion opens
-the maps of every view in it), cams/, images/, and the maps with their confidences.
+the maps of every view in it), and the maps with their confidences, beside cams/ and images/ of the export.
 
 The fusion takes one size for all: maps of the plan's other size (sizes.txt) are resized. Those of any other, of an earlier plan, are left out, and so are
 those whose camera has changed since this script first saw them (fuse/seen.json). Run it again whenever more maps are finished."""
@@ -10,7 +10,10 @@ import sys
 # The folder may be a stranger's: a json.py that he put there is not imported.
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
+import contextlib
 import json
+import shutil
+import tempfile
 from array import array
 from pathlib import Path
 
@@ -28,6 +31,8 @@ def opened(path):
 
 def size_of(path):
     """Width and height of a PFM of one channel with all its pixels, else None: a run that was stopped may leave half of one."""
+    if not path.is_file():  # a pipe would be waited for
+        return None
     try:
         file, channels, (width, height) = opened(path)
         with file:
@@ -43,6 +48,20 @@ def finished_size(view):
     return size if map_size == size else None
 
 
+@contextlib.contextmanager
+def new_file(path):
+    """Writes a new file, which takes the place of an older one when it is complete."""
+    descriptor, draft = tempfile.mkstemp(dir=path.parent)
+    try:
+        with open(descriptor, "wb") as file:
+            yield file
+        os.chmod(draft, 0o644)
+        os.replace(draft, path)
+    except BaseException:
+        os.unlink(draft)
+        raise
+
+
 def resize(path, to, wide, high):
     """Writes the map with the nearest pixel at each place, the lowest row first. The copy has the time of the map, by which it is known to be its copy."""
     times = path.stat()
@@ -55,36 +74,40 @@ def resize(path, to, wide, high):
     columns = [min(x * width // wide, width - 1) for x in range(wide)]
     # Bottom up, as the rows are counted from the top.
     origins = [height - 1 - min(y * height // high, height - 1) for y in reversed(range(high))]
-    with open(f"{to}.part", "wb") as file:
+    with new_file(to) as file:
         file.write(b"Pf\n%d %d\n%s\n" % (wide, high, scale))
         for row in origins:
             array("f", [rows[row][x] for x in columns]).tofile(file)
-    os.utime(f"{to}.part", ns=(times.st_atime_ns, times.st_mtime_ns))
-    os.replace(f"{to}.part", to)
+    os.utime(to, ns=(times.st_atime_ns, times.st_mtime_ns))
 
 
-def link(to, target):
-    """Links to a folder or file of the export, in place of a link or a copy. A folder that somebody else has put there stays."""
-    if to.is_symlink():
-        to.unlink()
-    elif to.is_dir():
-        sys.exit(f"error: {to} is a folder, not the link that this script makes: move it away")
+def own_folder(path):
+    """A folder of this script; a link in its place would lead somewhere else."""
+    if path.is_symlink():
+        sys.exit(f"error: {path}: a link in place of a folder of this script; move it away")
+    path.mkdir(exist_ok=True)
+    return path
+
+
+def take(to, path):
+    """Gives a map a second name, or copies it where the file system has no such names."""
     to.unlink(missing_ok=True)
-    to.symlink_to(target)
+    try:
+        os.link(path, to)
+    except OSError:
+        shutil.copy2(path, to)
 
 
 def place(view, size):
-    """Puts map and confidence of a key view into fuse/ in the size of the fusion, by a link where they have it."""
+    """Puts map and confidence of a key view into fuse/ in the size of the fusion."""
     for kind in ("depth_est", "confidence"):
-        path, to = (folder / f"{root}/{kind}/{int(view):08}.pfm" for root in ("depths", "fuse"))
-        to.parent.mkdir(parents=True, exist_ok=True)
+        path, to = (root / f"{kind}/{int(view):08}.pfm" for root in (folder / "depths", fuse))
+        own_folder(to.parent)
         wanted = sizes[view][0]
         if size == wanted:
-            link(to, f"../../depths/{kind}/{path.name}")
+            take(to, path)
             continue
-        if to.is_symlink():
-            to.unlink()
-        is_current = to.exists() and to.stat().st_mtime_ns == path.stat().st_mtime_ns and size_of(to) == wanted
+        is_current = to.is_file() and not to.is_symlink() and to.stat().st_mtime_ns == path.stat().st_mtime_ns and size_of(to) == wanted
         if not is_current:
             resize(path, to, *wanted)
 
@@ -97,6 +120,8 @@ def seen_now(view):
 
 def seen_before():
     try:
+        if not (fuse / "seen.json").is_file():
+            return {}
         seen = json.loads((fuse / "seen.json").read_text())
         return {key: [time, camera] for key, (time, camera) in seen.items()}
     except (OSError, ValueError, TypeError, AttributeError):
@@ -104,8 +129,8 @@ def seen_before():
 
 
 def write(path, text):
-    Path(f"{path}.part").write_text(text)
-    os.replace(f"{path}.part", path)
+    with new_file(path) as file:
+        file.write(text.encode())
 
 
 def named(views):
@@ -115,8 +140,7 @@ def named(views):
 
 if not (folder / "sizes.txt").exists():
     sys.exit("error: sizes.txt is missing: export again")
-fuse = folder / "fuse"
-fuse.mkdir(exist_ok=True)
+fuse = own_folder(folder / "fuse")
 # Of each key view the size in which its map is fused, then the other.
 sizes = {}
 for view, *sides in map(str.split, (folder / "sizes.txt").read_text().splitlines()):
@@ -146,8 +170,6 @@ if not entries:
     sys.exit(f"error: {count} in depths/{', and no two of them share points' if finished else ''}: nothing to join")
 for view, size in finished.items():
     place(view, size)
-for name in ("cams", "images"):
-    link(fuse / name, f"../{name}")
 write(fuse / "pair.txt", f"{len(entries)}\n" + "".join(entries))
 resized = sum(size != sizes[view][0] for view, size in finished.items())
 print(f"{count}{f', {resized} of them resized' if resized else ''}; {len(entries)} have another that shows the same: fuse/pair.txt")

@@ -32,6 +32,7 @@ import hashlib
 import json
 import re
 import shutil
+import stat
 import struct
 import subprocess
 import tempfile
@@ -54,6 +55,7 @@ SHORT = {"w": "working-folder", "i": "input-file", "o": "output-file", "p": "poi
 
 def main():
     args = arguments()
+    refuse_strangers()
     run = json.loads((HERE / "run.json").read_text(encoding="utf-8"))
     program = Densify(args.densify, run, args.threads, args.options)
     report = Report(program.options)
@@ -71,6 +73,21 @@ def main():
     if not args.no_fusion:
         failed |= not fuse(run, program, report)
     sys.exit(1 if failed else 0)
+
+
+def refuse_strangers():
+    """Ends where anything here is neither a file nor a folder: it would be followed out of this folder, or a pipe waited for. links.txt lists the links that viewrank made;
+    those of a run are in its folder below unfinished/."""
+    links = set((HERE / "links.txt").read_text(encoding="utf-8", errors="surrogateescape").splitlines())
+    for folder, folders, files in os.walk(HERE):
+        is_of_a_run = Path(folder).parent == UNFINISHED
+        for name in [*folders, *files]:
+            path = Path(folder, name)
+            with contextlib.suppress(FileNotFoundError):  # that of another run
+                mode = path.lstat().st_mode
+                is_known = stat.S_ISLNK(mode) and (is_of_a_run or f"./{path.relative_to(HERE)}" in links)
+                if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or is_known):
+                    sys.exit(f"error: {path}: not made by viewrank, and no file or folder that this script may use; move it away")
 
 
 def at_full_size(row, program, report):
@@ -413,6 +430,8 @@ class Report:
     def settle(self, row):
         """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between."""
         for note in UNFINISHED.glob(f"{row['id']:04d}-*/row.json"):
+            if note.is_symlink() or (note.parent / map_of(row).name).is_symlink():
+                sys.exit(f"error: {note.parent}: not made by this script; move it away")
             with contextlib.suppress(FileNotFoundError):  # another run was faster
                 result = json.loads(note.read_text(encoding="utf-8"))
                 with contextlib.suppress(FileNotFoundError):

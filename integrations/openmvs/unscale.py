@@ -11,6 +11,7 @@ import sys
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
 import struct
+import tempfile
 
 SIZES = {"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"}
 SIZES |= {"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "float64": "d"}
@@ -29,9 +30,12 @@ def main():
             divide(data, at, count, properties, scale)
             break
         at = skip(data, at, count, properties)
-    with open(target + ".tmp", "wb") as file:
+    # A new file: what somebody has put in the place of a draft is not written.
+    descriptor, draft = tempfile.mkstemp(dir=os.path.dirname(os.path.abspath(target)))
+    with open(descriptor, "wb") as file:
         file.write(data)
-    os.replace(target + ".tmp", target)
+    os.chmod(draft, 0o644)
+    os.replace(draft, target)
 
 
 def elements(header):

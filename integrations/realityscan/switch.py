@@ -12,6 +12,7 @@ import sys
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
 import re
+import tempfile
 from pathlib import Path
 
 SWITCHES = re.compile(rb'xcr:In(Meshing|Texturing)="[01]"')
@@ -26,13 +27,18 @@ def main(images):
     left = []
     for path in sorted(ours.rglob("*.xmp")):
         target = images / path.relative_to(ours)
+        if images.resolve() not in target.resolve().parents:
+            sys.exit(f"error: {target}: a link leads out of {images}; move it away")
         new = path.read_bytes()
-        if target.exists() and without_switches(target.read_bytes()) != without_switches(new):
+        if target.is_symlink() or target.exists() and not target.is_file() or target.exists() and without_switches(target.read_bytes()) != without_switches(new):
             left.append(target)
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
-        draft = target.with_name(target.name + ".new")
-        draft.write_bytes(new)
+        # A new file: what somebody has put in the place of a draft is not written.
+        descriptor, draft = tempfile.mkstemp(dir=target.parent)
+        with open(descriptor, "wb") as file:
+            file.write(new)
+        os.chmod(draft, 0o644)
         os.replace(draft, target)
     for target in left:
         print(f"{target}: holds more than the two switches, left as it is: add xcr:InMeshing and xcr:InTexturing by hand", file=sys.stderr)

@@ -2,6 +2,8 @@
 # Joins the depth maps of viewrank's plan that are there, unless the same ones were joined before.
 @HEAD@
 set -u
+@REFUSE_STRANGERS@
+refuse_strangers /dev/null "$folder" "$project/viewrank/progress.json"
 tab=$(printf '\t')
 found=$folder/fused.$(uname -n).$$
 trap 'rm -f "$found"' EXIT

@@ -3,6 +3,8 @@
 # Leaves at once when the map is there or the target is reached, so that it may be started any number of times.
 @HEAD@
 set -u
+@REFUSE_STRANGERS@
+refuse_strangers /dev/null "$folder" "$project/viewrank/progress.json"
 case ${1:-} in
 array) rank=$((${2:-0} + ${SLURM_ARRAY_TASK_ID:?is set by the queue})) ;;
 '' | *[!0-9]*)

@@ -78,7 +78,8 @@ def steps(least, greatest, spacing):
 def write(target, axes, spacing, height):
     (left, right), (bottom, top) = axes
     part = target.with_suffix(".part")
-    with open(part, "w", encoding="ascii") as file:
+    part.unlink(missing_ok=True)
+    with open(part, "x", encoding="ascii") as file:
         file.write(f"ply\nformat ascii 1.0\nelement vertex {(right - left + 1) * (top - bottom + 1)}\n")
         file.write("property double x\nproperty double y\nproperty double z\nend_header\n")
         for j in range(bottom, top + 1):

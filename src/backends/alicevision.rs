@@ -9,6 +9,7 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Selection,
     clusters::{ClusterScript, recipe},
     selection,
+    strangers::list_links,
 };
 use crate::{
     io::output::Contents,
@@ -62,14 +63,13 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut record = ExportRecord::new(&BACKEND, selection, |v| scene.view(v).image_id.to_string());
     record.not_honoured.extend(["the order of the partners of a key view".into()]);
     record.moved(near.origin);
-    let mut script = ClusterScript::new(RUNNER_HEAD);
-    for (i, cluster) in selection.clusters.iter().enumerate() {
+    let names: Vec<String> = selection.clusters.iter().map(|cluster| result_name(selection, cluster)).collect();
+    let mut script = ClusterScript::new(&names, RUNNER_HEAD);
+    for (i, (cluster, name)) in selection.clusters.iter().zip(&names).enumerate() {
         let path = format!("clusters/{:04}.sfm", i + 1);
         files.add_text(&*path, cluster_file(scene, &points, cluster));
-        let (id, options) = (scene.view(cluster.key).image_id.to_string(), estimation(selection, cluster, &path));
-        let recipe = recipe(selection, cluster, &downscale(selection).to_string());
-        script.line(&format!("back {id} {recipe}"));
-        script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), &[format!("map {id} {options}")]);
+        let options = estimation(selection, cluster, &path);
+        script.cluster(name, &format!("[ -d maps/{name} ]"), &[format!("map {name} {options}")]);
         record.commands.push(format!("aliceVision_depthMapEstimation {options} -o depthMaps"));
         record.warnings.extend(dropped_partners(scene, &points, cluster));
     }
@@ -91,6 +91,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.note_scale(selection, |_| 1.0 / downscale(selection));
     record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
     files.add("run.sh", script.finish(&[format!("join {FILTERING}")]));
+    list_links(&mut files);
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -98,6 +99,12 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 const RUNNER_HEAD: &str = include_str!("../../integrations/alicevision/run_head.sh");
 /// Only key views have maps, and three of them rarely agree.
 const FILTERING: &str = "--minNumOfConsistentCams 1 --minNumOfConsistentCamsWithLowSimilarity 2";
+
+/// Name of the folder of a key view's maps: its id and the hash of what they are made from.
+fn result_name(selection: &Selection, cluster: &RankedCluster) -> String {
+    let recipe = recipe(selection, cluster, &downscale(selection).to_string());
+    format!("{}-{recipe}", selection.scene.view(cluster.key).image_id)
+}
 
 /// Warns of partners that share no sparse point with the key view.
 fn dropped_partners(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> Vec<String> {

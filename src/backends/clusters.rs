@@ -1,6 +1,6 @@
 //! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is its head.
 
-use super::Selection;
+use super::{Selection, strangers};
 use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
 
 const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
@@ -9,21 +9,17 @@ const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
 pub struct ClusterScript(String);
 
 impl ClusterScript {
-    /// `preparation`: lines of sh that follow the head.
-    pub fn new(preparation: &str) -> Self {
-        Self(format!("{HEAD}{preparation}"))
+    /// `results`: names of the results of the plan, which end with a hash of what they are made from ([`recipe`]); `preparation`: lines of sh that follow
+    /// the head.
+    pub fn new(results: &[String], preparation: &str) -> Self {
+        let head = strangers::with_refusal(HEAD);
+        Self(format!("{head}results='{}'\n{preparation}", results.join(" ")))
     }
 
-    /// As [`Self::new`], for a preparation that asks which names (`keys`) the plan has.
-    pub fn of_keys(keys: &[String], preparation: &str) -> Self {
-        Self::new(&format!("keys='{}'\n{preparation}", keys.join(" ")))
-    }
-
-    /// Adds a cluster: its commands, each run if the previous one succeeds. `name` is a file name; `result`, the path that the commands create.
-    pub fn cluster(&mut self, name: &str, recipe: &str, result: &str, commands: &[String]) {
-        let (name, result) = (quoted(name), quoted(result));
-        let commands = commands.join(" &&\n        ");
-        self.0 += &format!("if begin {name} {recipe} {result}; then\n    {commands}\n    end $?\nfi\n");
+    /// Adds a cluster: its commands, each run if the previous one succeeds, unless the sh condition `is_there` holds.
+    pub fn cluster(&mut self, name: &str, is_there: &str, commands: &[String]) {
+        let commands = commands.join(" &&\n    ");
+        self.0 += &format!("{is_there} || {{\n    {commands}\n}} || fail {}\n", quoted(name));
     }
 
     /// Adds lines of sh verbatim.
@@ -34,7 +30,7 @@ impl ClusterScript {
     /// Returns the script, with the commands that fuse the results, each run if the previous one succeeds.
     pub fn finish(mut self, joining: &[String]) -> Contents {
         if !joining.is_empty() {
-            self.0 += &format!("{} ||\n    fail 'the fusion'\n", joining.join(" &&\n    "));
+            self.0 += &format!("{{\n    {}\n}} || fail 'the fusion'\n", joining.join(" &&\n    "));
         }
         self.0 += "exit \"$failed\"\n";
         Contents::Script(self.0.into_bytes())

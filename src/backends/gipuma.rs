@@ -5,6 +5,7 @@ use super::{
     Selection, Trap,
     clusters::{ClusterScript, recipe},
     pmvs, selection,
+    strangers::list_links,
 };
 use crate::{
     io::output::Contents,
@@ -62,20 +63,24 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.runner = Some("run.sh".into());
     record.made_for = "Gipuma (f16dbfd) and fusibile".into();
     record.way = "one call per key view".into();
-    let mut script = ClusterScript::new(RUNNER_HEAD);
+    let (mut results, mut calls) = (Vec::new(), Vec::new());
     for cluster in selection.clusters {
         let call = call(selection, cluster, &points, &names)?;
         let recipe = recipe(selection, cluster, &call);
         let image = names[cluster.key.index()].trim_end_matches(".jpg");
         // As fusibile wants it: 2, date, time, image.
-        let result = format!("2_{recipe}_{image}");
-        script.line(&format!("back {result}"));
-        script.cluster(&result, &recipe, &format!("results/{result}"), &[format!("map {result} {call}")]);
+        results.push(format!("2_{recipe}_{image}"));
         record.commands.push(format!("gipuma {call} -output_folder results/"));
+        calls.push(call);
+    }
+    let mut script = ClusterScript::new(&results, RUNNER_HEAD);
+    for (result, call) in results.iter().zip(calls) {
+        script.cluster(result, &format!("[ -d results/{result} ]"), &[format!("map {result} {call}")]);
     }
     record.note_scale(selection, |_| 1.0);
     record.fusion = format!("{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone");
     files.add("run.sh", script.finish(&[]));
+    list_links(&mut files);
     let table = views.iter().map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
     files.add_text("view_names.txt", table.collect::<String>());
     files.add_text("export.json", record.to_json());

@@ -121,8 +121,14 @@ fn help(program: &Path) -> Option<String> {
 /// Returns the last line of the error if this Python does not have the packages of `integrations/sgm`.
 fn import_error(python: &Path) -> Option<String> {
     let Some(program) = platform::located(python) else { return Some("no such program".into()) };
-    let output = Command::new(program).args(["-c", "import numpy, cv2"]).stdin(Stdio::null()).output();
-    match output {
+    // In an empty folder: the current one may be a stranger's, with a numpy.py of his.
+    let empty = match tempfile::tempdir() {
+        Ok(empty) => empty,
+        Err(error) => return Some(error.to_string()),
+    };
+    let mut command = Command::new(program);
+    command.args(["-c", "import numpy, cv2"]).env("PYTHONSAFEPATH", "1").current_dir(empty.path());
+    match command.stdin(Stdio::null()).output() {
         Ok(output) if output.status.success() => None,
         Ok(output) => {
             let text = String::from_utf8_lossy(&output.stderr);

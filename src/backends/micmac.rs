@@ -7,9 +7,14 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     Selection, Trap,
     clusters::{ClusterScript, recipe},
+    strangers::list_links,
     sure::stem,
 };
-use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
+use crate::{
+    base::shell::quoted,
+    io::{depthmaps::MICMAC_MARK, output::Contents},
+    model::cluster::RankedCluster,
+};
 
 pub static BACKEND: Backend = Backend {
     name: "micmac",
@@ -68,6 +73,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.note_scale(selection, |_| 1.0);
     record.fusion = "MicMac's MergeCloud, by hand".into();
     files.add("run.sh", runner(selection));
+    list_links(&mut files);
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -130,13 +136,15 @@ fn masters(selection: &Selection) -> String {
 
 /// Returns the script, described at its head. Malt uses the pattern of images as the name of the master, so the pattern is the name itself.
 fn runner(selection: &Selection) -> Contents {
-    let mut script = ClusterScript::new(RUNNER_HEAD);
+    let mut script = ClusterScript::new(&[], RUNNER_HEAD);
     for cluster in selection.clusters {
         let name = selection.scene.name(cluster.key);
         let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(name));
-        let recipe = recipe(selection, cluster, "") + "-$orientations";
         let stem = stem(name);
-        script.cluster(stem, &recipe, &format!("MM-Malt-Img-{stem}"), &[call]);
+        let recipe = format!("\"{}-$orientations\"", recipe(selection, cluster, ""));
+        let mark = quoted(&format!("MM-Malt-Img-{stem}/{MICMAC_MARK}"));
+        let commands = [format!("rm -f {mark}"), call, format!("echo {recipe} >{mark}")];
+        script.cluster(stem, &format!("[ \"$(cat {mark} 2>/dev/null)\" = {recipe} ]"), &commands);
     }
     script.finish(&[])
 }

@@ -37,6 +37,7 @@ mod record;
 mod selection;
 mod sgm;
 mod splat;
+mod strangers;
 mod sure;
 mod tiles;
 mod traps;
@@ -48,6 +49,7 @@ pub use machine::{Obstacle, Why, by_default, can_match_here, chosen, obstacle, p
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;
+pub use strangers::with_refusal;
 pub use sure::pair_files;
 pub use tiles::clusters_by_area;
 pub use traps::{ExaminedProject, Trap};

@@ -7,6 +7,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
+    strangers::list_links,
 };
 use crate::{
     base::shell::command_path,
@@ -98,28 +99,25 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
     let script = runner(selection, &mut record);
     files.add("run.sh", script);
+    list_links(&mut files);
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
 
 /// Returns `run.sh`, and adds to the record what it does.
 fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
-    let name = |cluster: &RankedCluster| folder(selection.scene, cluster.key).trim_end_matches(".mve").to_owned();
-    let keys: Vec<String> = selection.clusters.iter().map(name).collect();
-    let mut script = ClusterScript::of_keys(&keys, RUNNER_HEAD);
-    for (i, cluster) in selection.clusters.iter().enumerate() {
-        let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
-        let local = partners.min(LOCAL_NEIGHBOURS);
-        let bundle = format!("{:04}.out", i + 1);
-        let choice = format!("--neighbors={partners} --local-neighbors={local}");
-        // The id of a key view is its rank.
-        let options = format!("-s{level} -m{i} {choice}");
+    let choices: Vec<String> = selection.clusters.iter().map(|cluster| choice(selection, cluster)).collect();
+    let result = |(cluster, choice): (&RankedCluster, &String)| {
         let folder = folder(selection.scene, cluster.key);
-        let recipe = recipe(selection, cluster, &format!("-s{level} {choice}"));
-        let result = format!("views/{folder}/depth-L{level}.mvei");
-        let name = &keys[i];
-        script.line(&format!("back {name} {recipe}"));
-        script.cluster(name, &recipe, &result, &[format!("map {folder} {bundle} {options}")]);
+        format!("{}-{}", folder.trim_end_matches(".mve"), recipe(selection, cluster, choice))
+    };
+    let results: Vec<String> = selection.clusters.iter().zip(&choices).map(result).collect();
+    let mut script = ClusterScript::new(&results, RUNNER_HEAD);
+    for (i, (result, choice)) in results.iter().zip(&choices).enumerate() {
+        let bundle = format!("{:04}.out", i + 1);
+        // The id of a key view is its rank.
+        let options = format!("{choice} -m{i}");
+        script.cluster(result, &format!("[ -d kept/{result} ]"), &[format!("map {result} {bundle} {options}")]);
         record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
         record.commands.push(format!("dmrecon {options} ."));
     }
@@ -129,10 +127,20 @@ fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
         clouds.join(" ")
     );
     for other in CLOUDS.iter().filter(|(_, cloud)| !clouds.contains(cloud)) {
-        script.line(&format!("[ ! -f {0} ] || mv -f {0} older/", other.1));
+        script.line(&format!("[ ! -f {0} ] || mv -f {0} kept/", other.1));
     }
     record.commands.extend(points.iter().cloned());
+    let whole = |(command, cloud): (&String, &&str)| {
+        format!("{} && mv unfinished.ply {cloud}", command.replace(cloud, "unfinished.ply"))
+    };
+    let points: Vec<String> = points.iter().zip(&clouds).map(whole).collect();
     script.finish(&points)
+}
+
+/// Size and partners of a map, as options of dmrecon.
+fn choice(selection: &Selection, cluster: &RankedCluster) -> String {
+    let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
+    format!("-s{level} --neighbors={partners} --local-neighbors={}", partners.min(LOCAL_NEIGHBOURS))
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");

@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     PlanningNumbers, Selection, Trap, selection,
+    strangers::{list_links, with_refusal},
 };
 use crate::{
     io::output::{Contents, FileSet},
@@ -182,10 +183,13 @@ impl Dialect {
         if let Some(Join { script: (name, script), .. }) = self.join {
             files.add_text("sizes.txt", sizes(selection, &lists, self.fused_at(selection)));
             files.add(name, Contents::Script(script.as_bytes().to_vec()));
+            let keys: Vec<usize> = (0..selection.clusters.len()).collect();
+            self.add_views(&mut files, "fuse/", selection, &lists, &keys)?;
             files.add(RUNNER, runner(&record.commands));
             record.runner = Some(RUNNER.into());
         }
         record.moved(near.origin);
+        list_links(&mut files);
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
@@ -327,10 +331,11 @@ impl Dialect {
 
 /// Returns `run.sh`, which makes all maps and joins them.
 fn runner(commands: &[String]) -> Contents {
-    let head = "#!/bin/sh\n# Makes the depth maps and the cloud. Stopped, the last two commands join the maps that are there.\nset -eu\ncd \"$(dirname \"$0\")\"\n";
     let lines: String = commands.iter().map(|command| format!("{command}\n")).collect();
-    Contents::Script(format!("{head}{lines}").into_bytes())
+    Contents::Script(with_refusal(&format!("{RUNNER_HEAD}{lines}")).into_bytes())
 }
+
+const RUNNER_HEAD: &str = include_str!("../../integrations/mvsnet/run_head.sh");
 
 /// Returns for each key view a line of its number, width and height of its map in the size in which maps are fused, and the same in the other size.
 fn sizes(selection: &Selection, lists: &Lists, fused_at: MapScale) -> String {

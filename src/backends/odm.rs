@@ -4,6 +4,7 @@
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, Selection,
     Trap, openmvs, selection,
+    strangers::{list_links, with_refusal},
 };
 use crate::{
     base::shell::command_path,
@@ -14,6 +15,7 @@ use crate::{
 /// Environment variables that the commands need; unset, the commands fail and name them.
 const DATASETS: &str = "${DATASETS:?folder of the ODM projects, whole path}";
 const NAME: &str = "${NAME:?name of the ODM project}";
+const RUNNER_HEAD: &str = include_str!("../../integrations/odm/run_head.sh");
 
 pub static BACKEND: Backend = Backend {
     name: "odm",
@@ -96,8 +98,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         format!("docker run --rm -v \"{DATASETS}\":/datasets opendronemap/odm --project-path /datasets \"{NAME}\""),
     ];
     record.runner = Some("run.sh".into());
-    let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));
-    files.add("run.sh", Contents::Script(script.into_bytes()));
+    let script = format!("{RUNNER_HEAD}{}\n", record.commands.join("\n"));
+    files.add("run.sh", Contents::Script(with_refusal(&script).into_bytes()));
+    list_links(&mut files);
     record.not_honoured.extend(["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()]);
     record.note_own_scale(selection);
     record.warnings.extend([

@@ -5,6 +5,7 @@ use super::{
     PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     sgm,
+    strangers::list_links,
 };
 use std::collections::HashMap;
 
@@ -99,6 +100,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let record = record_of(selection, &names);
     files.add("run.sh", shell_script(selection));
+    list_links(&mut files);
     files.add_text("run.bat", batch_script(selection));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
@@ -110,9 +112,9 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
     record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
     record.way = "one project per cluster; lists for a joint project beside".into();
     for cluster in selection.clusters {
-        let [prepare, compute] = calls(selection, cluster, "sure");
-        let name = project(selection, cluster);
-        record.commands.extend([format!("mkdir -p projects/{name} && {prepare}"), compute]);
+        let folder = format!("projects/{}", project(selection, cluster));
+        let [prepare, compute] = calls(selection, cluster, &folder, "sure");
+        record.commands.extend([format!("mkdir -p {folder} && {prepare}"), compute]);
     }
     record.not_honoured.extend([
         "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
@@ -138,10 +140,9 @@ fn project(selection: &Selection, cluster: &RankedCluster) -> String {
     format!("{:08}", selection.scene.view(cluster.key).image_id)
 }
 
-/// Returns the two calls of the program for a cluster, whose project has a folder already.
-fn calls(selection: &Selection, cluster: &RankedCluster, program: &str) -> [String; 2] {
-    let name = project(selection, cluster);
-    let (folder, lists) = (format!("projects/{name}"), format!("clusters/{name}"));
+/// Returns the two calls of the program for a cluster, whose project is in this folder already.
+fn calls(selection: &Selection, cluster: &RankedCluster, folder: &str, program: &str) -> [String; 2] {
+    let lists = format!("clusters/{}", project(selection, cluster));
     let lists = format!("-img {lists}/images.txt -ori {lists}/ori.txt -select {lists}/baseImages.txt");
     let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
     let fold = partners.clamp(1, 2);
@@ -151,15 +152,24 @@ fn calls(selection: &Selection, cluster: &RankedCluster, program: &str) -> [Stri
     ]
 }
 
+/// Returns the name of a project in `run.sh`, with the hash of what it is made from.
+fn result_name(selection: &Selection, cluster: &RankedCluster) -> String {
+    let name = project(selection, cluster);
+    let recipe = recipe(selection, cluster, &calls(selection, cluster, &name, "sure").concat());
+    format!("{name}-{recipe}")
+}
+
 /// Returns `run.sh`, with two calls per cluster.
 fn shell_script(selection: &Selection) -> Contents {
-    let keys: Vec<String> = selection.clusters.iter().map(|cluster| project(selection, cluster)).collect();
-    let mut script = ClusterScript::of_keys(&keys, include_str!("../../integrations/sure/run_head.sh"));
-    for (cluster, name) in selection.clusters.iter().zip(&keys) {
-        let [prepare, compute] = calls(selection, cluster, "\"${SURE:-sure}\"");
-        let recipe = recipe(selection, cluster, &format!("{prepare}{compute}"));
-        script.line(&format!("back {name} {recipe}"));
-        script.cluster(name, &recipe, &format!("projects/{name}"), &["project".into(), prepare, compute]);
+    let names: Vec<String> = selection.clusters.iter().map(|cluster| result_name(selection, cluster)).collect();
+    let mut script = ClusterScript::new(&names, include_str!("../../integrations/sure/run_head.sh"));
+    for (cluster, name) in selection.clusters.iter().zip(&names) {
+        let folder = format!("projects/{name}");
+        // SURE may note the paths of its projects, which therefore stay where they are made.
+        let finished = format!("{folder}/viewrank.finished");
+        let [prepare, compute] = calls(selection, cluster, &folder, "\"${SURE:-sure}\"");
+        let commands = [format!("mkdir -p {folder}"), prepare, compute, format!(": >{finished}")];
+        script.cluster(name, &format!("[ -f {finished} ]"), &commands);
     }
     script.finish(&[])
 }
@@ -168,8 +178,9 @@ fn shell_script(selection: &Selection) -> Contents {
 fn batch_script(selection: &Selection) -> String {
     let cluster = |cluster: &RankedCluster| {
         let name = project(selection, cluster);
-        let calls = calls(selection, cluster, "sure.exe").join(" && ").replace('/', "\\");
-        let folder = format!("projects\\{name}");
+        let folder = format!("projects/{name}");
+        let calls = calls(selection, cluster, &folder, "sure.exe").join(" && ").replace('/', "\\");
+        let folder = folder.replace('/', "\\");
         format!("(if not exist {folder} mkdir {folder}) && {calls} || (echo error: {name} failed & set failed=1)\r\n")
     };
     let clusters: String = selection.clusters.iter().map(cluster).collect();

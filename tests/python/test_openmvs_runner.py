@@ -53,8 +53,8 @@ if scene == "fusing.mvs":
     for path in here.glob("*.dmap"):
         (home / "fused" / path.name).write_bytes(path.read_bytes())
     for key in ("k0", "k1", "k2"):
-        at = data.index(b"images/" + key.encode()) + len("images/k0") + 8
-        if data[at + 8 : at + 12] != b"\\xff" * 4 and not (here / "images" / key).exists():
+        at = data.find(b"images/" + key.encode()) + len("images/k0") + 8
+        if b"images/" + key.encode() in data and data[at + 8 : at + 12] != b"\\xff" * 4 and not (here / "images" / key).exists():
             print(f"06:04:49 [App     ] error: failed reloading image '{{here}}/images/{{key}}'")
             sys.exit(1)
     if (here / "no-points").exists():
@@ -88,6 +88,7 @@ def folder(tmp_path):
     # The middle of a scene as it matters here: name, no mask, platform, camera, pose, id of each image.
     image = lambda name: struct.pack("<Q", len(name)) + name.encode() + struct.pack("<Q4I", 0, 0, 0, 7, 1)
     (tmp_path / "fuse.mvs").write_bytes(b"MVSI" + b"".join(image(f"images/{row['key']}") for row in rows))
+    (tmp_path / "links.txt").touch()
     (tmp_path / "images").mkdir()
     for row in rows:
         (tmp_path / "images" / row["key"]).touch()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 INTEGRATIONS = Path(__file__).parents[2] / "integrations"
-SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py"]
+SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py"]
 
 
 @pytest.mark.parametrize("script", SCRIPTS)

@@ -162,7 +162,9 @@ impl Dispatch {
         let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
         let mut add = |name: &str, contents| files.add(format!("viewrank/dispatch/{}/{name}", self.backend), contents);
         let head = self.head(tools, settings);
-        let script = |template: &str| Contents::Script(template.replacen("@HEAD@\n", &head, 1).into_bytes());
+        let script = |template: &str| {
+            Contents::Script(backends::with_refusal(&template.replacen("@HEAD@\n", &head, 1)).into_bytes())
+        };
         add("task.sh", script(include_str!("../../../integrations/slurm/task.sh")));
         add("fuse.sh", script(include_str!("../../../integrations/slurm/fuse.sh")));
         add("logs", Contents::Folder);

@@ -1,6 +1,7 @@
 //! `stereo/viewrank/run.sh`.
 
-use crate::backends::ExportRecord;
+use super::FUSED;
+use crate::backends::{ExportRecord, strangers};
 
 /// Returns `run.sh`: the commands of the record, run in the workspace. A single rank can be computed if no map needs another.
 ///
@@ -28,9 +29,14 @@ pub fn runner(record: &ExportRecord, geometric: bool, half_size: Option<u32>) ->
     let rank = if geometric { NO_SINGLE_RANK.into() } else { SINGLE_RANK.replace("@COMMAND@", &command) };
     let mut script = format!("{RUNNER_HEAD}# {}\n{rank}{WHOLE_RUN}", record.way);
     maps.iter().for_each(|c| script += &format!("    {}\n", compute(c)));
-    script + "fi\n" + &fusion.replacen("colmap", "\"${COLMAP:-colmap}\"", 1) + "\n"
+    let fusion = fusion.replacen("colmap", "\"${COLMAP:-colmap}\"", 1);
+    // A new file: an older one may have another name elsewhere.
+    script += &format!("fi\nrm -f {UNFINISHED} {UNFINISHED}.vis\n{}\n", fusion.replace(FUSED, UNFINISHED));
+    script += &format!("mv {UNFINISHED}.vis {FUSED}.vis\nmv {UNFINISHED} {FUSED}\n");
+    strangers::with_refusal(&script)
 }
 
+const UNFINISHED: &str = "stereo/viewrank/unfinished.ply";
 const RUNNER_HEAD: &str = include_str!("../../../integrations/colmap/run_head.sh");
 const SINGLE_RANK: &str = include_str!("../../../integrations/colmap/run_rank.sh");
 const NO_SINGLE_RANK: &str = r#"if [ "${1:-}" = --rank ]; then

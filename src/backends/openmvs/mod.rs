@@ -10,7 +10,7 @@ use serde::Serialize;
 use self::scene::Builder;
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
-    PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale, selection,
+    PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale, selection, strangers::list_links,
 };
 use crate::{
     base::shell::command_path,
@@ -167,6 +167,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let run = Run { clusters: rows, overlaps, maps_per_point: MAPS_PER_POINT, resolution: resolution(selection) };
     files.add_text("run.json", serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n");
     files.add_text("dense.cfg", dense_config(selection));
+    list_links(&mut files);
     files.add("run.py", Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()));
     let mut record = record_of(selection);
     record.moved(near.origin);

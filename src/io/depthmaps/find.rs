@@ -25,6 +25,8 @@ const BY_NAME: [&str; 9] =
 
 /// Begin of the names of MicMac's folders, before that of the image without its extension.
 const MICMAC_FOLDER: &str = "MM-Malt-Img-";
+/// File beside a map that `run.sh` of an export writes when MicMac has finished the map.
+pub const MICMAC_MARK: &str = "viewrank.recipe";
 
 /// A finished depth map of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -166,7 +168,7 @@ pub fn is_of_a_map(path: &Path) -> bool {
     format_of(path).is_some()
         || has("pfm") && in_folder(|name| name == "confidence")
         || has("tif") && in_folder(|name| name.starts_with(MICMAC_FOLDER))
-        || in_folder(|name| name == "done")
+        || path.file_name().is_some_and(|name| name == MICMAC_MARK)
 }
 
 /// Returns the files that say whether the depth map at this path below `folder` has changed, itself first; none if it doesn't have the name of a depth
@@ -196,8 +198,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     let in_folder = |word: &str| path.parent().is_some_and(|p| p.components().any(|c| c.as_os_str() == word));
     let is_other_map = in_folder("normal_maps") || in_folder("consistency_graphs") || in_folder("counts");
     // Where the `run.sh` of an export keeps the maps of other plans, and those that are not finished.
-    let is_set_aside =
-        in_folder("older") || in_folder("scratch") || in_folder("depthMaps.new") || in_folder("filtered.new");
+    let is_set_aside = in_folder("older") || in_folder("kept") || in_folder("unfinished");
     match name {
         _ if is_other_map => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
@@ -302,9 +303,8 @@ fn micmac_images(path: &Path) -> Result<[PathBuf; 2], DepthMapError> {
 
 /// Returns the mark that `run.sh` of an export sets when MicMac has finished a view; `None` elsewhere.
 fn micmac_mark(path: &Path) -> Option<PathBuf> {
-    let stem = path.parent()?.file_name()?.to_str()?.strip_prefix(MICMAC_FOLDER)?;
-    let export = path.ancestors().nth(2).filter(|folder| folder.join("ImSec").is_dir())?;
-    Some(export.join("done").join(stem))
+    let is_export = path.ancestors().nth(2).is_some_and(|folder| folder.join("ImSec").is_dir());
+    is_export.then(|| path.with_file_name(MICMAC_MARK))
 }
 
 /// The name in the `meta.ini` beside a map of MVE: that of the image, or its stem. `None` without that file: a later export has no such view.

@@ -25,8 +25,8 @@ use crate::{
 };
 
 pub use find::{
-    DepthMapFile, DepthMapSet, default_folders, files_of, files_with_depths, find, folder_of, folders, is_of_a_map,
-    list,
+    DepthMapFile, DepthMapSet, MICMAC_MARK, default_folders, files_of, files_with_depths, find, folder_of, folders,
+    is_of_a_map, list,
 };
 
 /// Depth map formats.

@@ -178,9 +178,8 @@ fn micmacs_maps_are_of_distorted_images_and_finished_when_all_is_there() {
     // In an export `run.sh` says what has ended: the depth image is there before that.
     std::fs::create_dir(folder.path().join("ImSec")).unwrap();
     let set = list(folder.path(), &scene).unwrap();
-    assert!(set.maps.is_empty() && set.unreadable[0].1.to_string().contains("done/IMG_9394"));
-    std::fs::create_dir(folder.path().join("done")).unwrap();
-    let mark = folder.path().join("done/IMG_9394");
+    assert!(set.maps.is_empty() && set.unreadable[0].1.to_string().contains(MICMAC_MARK));
+    let mark = inside.join(MICMAC_MARK);
     std::fs::write(&mark, "").unwrap();
     assert_eq!(list(folder.path(), &scene).unwrap().maps.len(), 1);
     assert_eq!(files_of(folder.path(), &inside.join("MMLastNuage.xml"))[1..], [mark]);

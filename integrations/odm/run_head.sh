@@ -1,0 +1,14 @@
+#!/bin/sh
+# Puts viewrank's scene in the place of ODM's own, and runs ODM.
+set -eu
+cd "$(dirname "$0")"
+@REFUSE_STRANGERS@
+refuse_strangers links.txt .
+# A link on the way to the folder that is replaced would lead out of the ODM project.
+project=${DATASETS:?folder of the ODM projects, whole path}/${NAME:?name of the ODM project}
+for folder in "$project/opensfm" "$project/opensfm/undistorted"; do
+    if [ -L "$folder" ]; then
+        echo "error: $folder is a link: put the folder itself there" >&2
+        exit 1
+    fi
+done

@@ -1,0 +1,22 @@
+//! Refusal of what somebody else has put into the folder of an export, by the scripts that run there: a link, a pipe or the like.
+
+use crate::io::output::{Contents, FileSet};
+
+/// The function of sh that refuses.
+const REFUSE: &str = include_str!("../../integrations/refuse_strangers.sh");
+
+/// The line in whose place [`REFUSE`] is put.
+const PLACE: &str = "@REFUSE_STRANGERS@\n";
+
+/// Returns a script with the function in its place.
+pub fn with_refusal(script: &str) -> String {
+    script.replacen(PLACE, REFUSE, 1)
+}
+
+/// Adds `links.txt`, the links of an export, as `find .` names them: any other is refused.
+pub fn list_links(files: &mut FileSet) {
+    let is_link =
+        |(path, contents): (&String, &Contents)| matches!(contents, Contents::Link(_)).then(|| format!("./{path}\n"));
+    let links: String = files.files.iter().filter_map(is_link).collect();
+    files.add_text("links.txt", links);
+}

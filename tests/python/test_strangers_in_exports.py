@@ -1,0 +1,194 @@
+"""The scripts of exports in a folder in which somebody else has put links, pipes, folders and files in the place of each file that the scripts read, write or remove: nothing
+outside that folder changes, and no script waits for ever."""
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from test_openmvs_runner import STAND_IN
+from test_run_scripts import ALICEVISION, COLMAP, DMRECON, FAILING, GIPUMA, SCENE2PSET, Work, plans  # noqa: F401 (a fixture)
+
+# PatchmatchNet's eval.py, in the place of the Python that runs it.
+EVAL = """#!PYTHON
+import sys
+from pathlib import Path
+value = lambda option: sys.argv[sys.argv.index(option) + 1]
+source, out = Path(value("--input_folder")), Path(value("--output_folder"))
+if value("--output_type") == "depth":
+    for line in (source / "sizes.txt").read_text().splitlines():
+        view, width, height, *_ = map(int, line.split())
+        for kind in ("depth_est", "confidence"):
+            (out / kind).mkdir(parents=True, exist_ok=True)
+            (out / kind / f"{view:08}.pfm").write_bytes(b"Pf\\n%d %d\\n-1.0\\n" % (width, height) + bytes(4 * width * height))
+else:
+    (out / "fused.ply").write_text("points")
+"""
+
+# Programs by name, the script with its arguments, and names that are in use only while it runs or after it was killed.
+CASES = {
+    "alicevision": ({f"aliceVision_{name}": ALICEVISION for name in ("depthMapEstimation", "depthMapFiltering", "meshing")}, ["run.sh"],
+                    ["unfinished", "unfinished/maps", "older", "maps", "finished.sfm.part", "depthMaps", "done"]),
+    "colmap": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh", "--replace"],
+               ["stereo/viewrank/unfinished.ply", "stereo/viewrank/rank-1.cfg", "stereo/depth_maps/x.bin.before", "stereo/consistency_graphs/x"]),
+    "colmap rank": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh", "--rank", "1"], ["stereo/viewrank/rank-1.cfg"]),
+    "gipuma": ({"gipuma": GIPUMA}, ["run.sh"], ["unfinished", "older", "scratch", "done", "results/2_0123456789abcdef_00000001"]),
+    "mve": ({"dmrecon": DMRECON, "scene2pset": SCENE2PSET}, ["run.sh"],
+            ["unfinished", "kept", "synth_0.out", "unfinished.ply", "fused_half.ply", "kept/fused_half.ply", "views/view_00000099.mve", "older"]),
+    "sure": ({"sure": FAILING}, ["run.sh"], ["older", "projects/00000001-0123456789abcdef", "done"]),
+    "micmac": ({"mm3d": FAILING}, ["run.sh", "ORI"], ["Ori-viewrank", "done"]),
+    "openmvs": ({"densify": STAND_IN.format(python=sys.executable)}, ["run.py", "--densify", "densify"],
+                ["unfinished/0001-abc", "rows", "rows/0001.json", "report.1.tmp", "fusing.mvs", "fuse.txt", "depth0001.dmap"]),
+    "patchmatchnet": ({"python": EVAL}, ["run.sh"],
+                      ["fuse/seen.json.part", "fuse/pair.txt.part", "fuse/depth_est/00000001.pfm", "fuse/confidence/00000001.pfm.part"]),
+}
+
+
+class Place:
+    """A finished export in a folder, a folder outside of it, and what attacks may not change."""
+
+    def __init__(self, case, viewrank, plans, folder):  # noqa: F811
+        programs, (self.script, *self.words), self.passing = CASES[case]
+        (folder / "export").mkdir()
+        self.work = Work(viewrank, plans, case.split()[0], folder / "export", programs)
+        self.folder, self.outside = self.work.folder, folder / "outside"
+        (self.outside / "docs").mkdir(parents=True)
+        (self.outside / "docs/thesis.tex").write_text("years of work")
+        (self.outside / "profile").write_text("export PATH")
+        (folder / "Ori-a").mkdir()
+        (folder / "Ori-a/Orientation-a.xml").write_text("<x/>")
+        self.words = [str(folder / "Ori-a") if word == "ORI" else word for word in self.words]
+        self.export(4)
+        done = self.run()
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    def export(self, partners):
+        """Exports a short plan, and says what the stand-in of DensifyPointCloud makes of each scene."""
+        self.work.export(partners, "--budget", "2")
+        if (self.folder / "run.json").exists():
+            rows = json.loads((self.folder / "run.json").read_text())["clusters"]
+            made = {row["scene"]: [dict(ids=[row["id"], *row["partner_ids"]], range=row["depths"], depth=row["depths"][0])] for row in rows}
+            (self.work.bin / "made.json").write_text(json.dumps(made))
+
+    def run(self):
+        environment = {"PATH": f"{self.work.bin}:/usr/bin:/bin", "PATCHMATCHNET": str(self.work.bin), "HOME": str(self.outside)}
+        command = [sys.executable] if self.script.endswith(".py") else []
+        command += [self.folder / self.script, *self.words]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, cwd=self.folder, timeout=20, stdin=subprocess.DEVNULL)
+
+    def kinds_of_paths(self):
+        """One path of each kind below the export (numbers and hashes aside), except the stand-ins."""
+        kinds = {}
+        for path in sorted(self.folder.rglob("*")):
+            name = str(path.relative_to(self.folder))
+            if name != "calls.txt" and not self.script.startswith(name):
+                kinds.setdefault(re.sub(r"[0-9a-f]{16}|\d+", "#", name), name)
+        links = self.folder / "links.txt"
+        self.listed = set(links.read_text().splitlines() if links.exists() else [])
+        return sorted({*kinds.values(), *self.passing})
+
+    def is_looked_at(self, name):
+        """Whether the script looks at the path before it starts: at all but the images, which links may be, and outside of stereo/ COLMAP's folders are the user's own."""
+        return f"./{name}" not in self.listed and (self.work.backend != "colmap" or name.startswith("stereo"))
+
+    def secrets(self):
+        return {str(path.relative_to(self.outside)): path.read_bytes() if path.is_file() else None for path in self.outside.rglob("*")}
+
+
+def put_link_to_folder(path, outside):
+    path.symlink_to(outside / "docs")
+
+
+def put_link_to_file(path, outside):
+    path.symlink_to(outside / "profile")
+
+
+def put_dangling_link(path, outside):
+    path.symlink_to(outside / "new")
+
+
+def put_pipe(path, _):
+    os.mkfifo(path)
+
+
+def put_hard_link(path, outside):
+    os.link(outside / "profile", path)
+
+
+def put_path_as_text(path, outside):
+    path.write_text(f"/../../../../../../..{outside}/docs\n")
+
+
+REFUSED = [put_link_to_folder, put_link_to_file, put_dangling_link, put_pipe]
+FILES = [put_hard_link, put_path_as_text]
+
+
+def remove(path):
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_nothing_outside_the_export_changes(case, viewrank, plans, tmp_path):  # noqa: F811
+    place = Place(case, viewrank, plans, tmp_path)
+    finished, before = tmp_path / "finished", place.secrets()
+    shutil.copytree(place.folder, finished, symlinks=True)
+    # A plan of other partners: all is made again, and what is there belongs to an older plan.
+    place.export(3)
+    replanned = tmp_path / "replanned"
+    shutil.copytree(place.folder, replanned, symlinks=True)
+    refused = 0
+    for name in place.kinds_of_paths():
+        for start, put in [*((finished, put) for put in REFUSED), *((replanned, put) for put in FILES if not (replanned / name).is_dir())]:
+            remove(place.folder)
+            shutil.copytree(start, place.folder, symlinks=True)
+            path = place.folder / name
+            if not path.parent.is_dir():
+                continue
+            remove(path)
+            put(path, place.outside)
+            done = place.run()
+            assert place.secrets() == before, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
+            if put in REFUSED and place.is_looked_at(name):
+                assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
+                refused += 1
+    assert refused > 20
+
+
+@pytest.mark.parametrize("script", ["task.sh", "fuse.sh"])
+def test_scripts_of_a_queue(script, viewrank, plans, tmp_path):  # noqa: F811
+    """The same for what `viewrank dispatch` and `viewrank run` start."""
+    project = tmp_path / "project"
+    shutil.copytree(plans[4], project, symlinks=True)
+    program = tmp_path / "colmap"
+    program.write_text(COLMAP.replace("PYTHON", sys.executable))
+    program.chmod(0o755)
+    viewrank("plan", project, "--backend", "colmap", "--budget", "3", "--quiet")
+    viewrank("dispatch", project, "--backend", "colmap", "--scheduler", "shell", "--program", program)
+    folder, outside = project / "viewrank/dispatch/colmap", tmp_path / "outside"
+    (outside / "docs").mkdir(parents=True)
+    (outside / "profile").write_text("export PATH")
+    words = ["1"] if script == "task.sh" else []
+
+    def run():
+        return subprocess.run(["sh", folder / script, *words], capture_output=True, text=True, cwd="/", timeout=20, stdin=subprocess.DEVNULL)
+
+    subprocess.run(["sh", folder / "task.sh", "1"], check=True, capture_output=True)
+    subprocess.run(["sh", folder / "fuse.sh"], check=True, capture_output=True)
+    (marker,) = (folder / "done").iterdir()
+    for name in ("done", f"done/{marker.name}", "fused", "logs", "logs/x", "../../progress.json"):
+        for put in REFUSED:
+            kept = tmp_path / "kept"
+            shutil.copytree(project, kept, symlinks=True)
+            remove(folder / name)
+            put(folder / name, outside)
+            done = run()
+            assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
+            assert sorted(path.name for path in outside.rglob("*")) == ["docs", "profile"] and (outside / "profile").read_text() == "export PATH"
+            remove(project)
+            kept.rename(project)
