@@ -131,7 +131,7 @@ fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
     }
     record.commands.extend(points.iter().cloned());
     let whole = |(command, cloud): (&String, &&str)| {
-        format!("{} && mv unfinished.ply {cloud}", command.replace(cloud, "unfinished.ply"))
+        format!("rm -f unfinished.ply && {} && mv unfinished.ply {cloud}", command.replace(cloud, "unfinished.ply"))
     };
     let points: Vec<String> = points.iter().zip(&clouds).map(whole).collect();
     script.finish(&points)

@@ -32,7 +32,7 @@ pub fn runner(record: &ExportRecord, geometric: bool, half_size: Option<u32>) ->
     let fusion = fusion.replacen("colmap", "\"${COLMAP:-colmap}\"", 1);
     // A new file: an older one may have another name elsewhere.
     script += &format!("fi\nrm -f {UNFINISHED} {UNFINISHED}.vis\n{}\n", fusion.replace(FUSED, UNFINISHED));
-    script += &format!("mv {UNFINISHED}.vis {FUSED}.vis\nmv {UNFINISHED} {FUSED}\n");
+    script += &format!("[ ! -f {UNFINISHED}.vis ] || mv {UNFINISHED}.vis {FUSED}.vis\nmv {UNFINISHED} {FUSED}\n");
     strangers::with_refusal(&script)
 }
 
