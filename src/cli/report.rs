@@ -24,7 +24,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
+use super::{Failure, Format, print, print_json, progress::Progress, use_threads, warn};
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
@@ -71,9 +71,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         open(&page)?;
     }
     match arguments.format {
-        Format::Json => print(&json(&serde_json::json!({ "report": page }))),
+        Format::Json => print_json(&serde_json::json!({ "report": page })),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print(&format!("{}\n", page.display())),
+        Format::Text => print([page.display().to_string()]),
     }
 }
 
