@@ -124,12 +124,11 @@ pub fn write_page(
     folders: &DepthMapFolders,
     progress: &Progress,
 ) -> Result<PathBuf, Failure> {
-    let seconds = planning_seconds(&project.home);
     let (root, name) = match out {
         Some(folder) => (folder, "report.html"),
         None => (&*project.home, REPORT_FILE),
     };
-    let contents = Contents::new(plan, project, exports, folders, seconds, progress)?;
+    let contents = Contents::new(plan, project, exports, folders, progress)?;
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(root, REPORT_SET);
     files.add_text(name, report::page(&contents));
@@ -140,12 +139,6 @@ pub fn write_page(
     files.write(&Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
     Ok(if out.is_some() { root.join(name) } else { report_path(root) })
-}
-
-/// Returns the seconds that planning took, as `viewrank plan` recorded them.
-fn planning_seconds(root: &Path) -> Option<f64> {
-    let timings = output::read_own(root, "viewrank/timings.json").ok()?;
-    serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
 }
 
 /// Opens the page in the desktop's default program.
