@@ -98,6 +98,7 @@ impl Clock {
 
 /// CPU time of all threads so far.
 fn cpu_seconds() -> f64 {
+    // SAFETY: a rusage is numbers alone, for which all zeros are valid.
     let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
     // SAFETY: `usage` is a valid rusage for the call to fill.
     unsafe { libc::getrusage(libc::RUSAGE_SELF, &mut usage) };

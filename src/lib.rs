@@ -33,6 +33,8 @@
 //!
 //! `docs/method.md` has the mathematics, `ARCHITECTURE.md` the structure of the source.
 
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 mod apps;
 pub mod backends;
 mod base;

@@ -138,6 +138,17 @@ fn the_same_bytes_on_one_thread_and_on_sixteen() {
 }
 
 #[test]
+fn a_report_has_the_same_bytes_each_time() {
+    let project = project();
+    let page = |threads: &str| {
+        _ = fs::remove_dir_all(project.path().join("viewrank"));
+        plan(project.path(), &["--report", "--threads", threads]);
+        fs::read(project.path().join("viewrank/report.html")).unwrap()
+    };
+    assert!(page("1") == page("3"));
+}
+
+#[test]
 fn a_dry_run_writes_nothing_and_says_the_same() {
     let project = project();
     let before = files(project.path());

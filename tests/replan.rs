@@ -505,7 +505,7 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
 
     let (project, plan, exports) = as_written(root, &NoWatcher).unwrap();
     let folders = DepthMapFolders { depth_maps: Some(planned.maps()), reference: None };
-    let contents = Contents::new(&plan, &project, &exports, &folders, None, &NoWatcher).unwrap();
+    let contents = Contents::new(&plan, &project, &exports, &folders, &NoWatcher).unwrap();
     let contents = serde_json::to_value(&contents).unwrap();
     let of_report = contents["real"]["share"].as_array().unwrap()[2].as_f64().unwrap();
 

@@ -23,7 +23,7 @@ pub fn rows<'py, T: Element>(
     columns: usize,
 ) -> PyResult<Bound<'py, PyUntypedArray>> {
     let rows = ArrayView2::from_shape((values.len() / columns, columns), values).expect("whole rows");
-    // SAFETY: as above.
+    // SAFETY: as in `view`.
     let array = unsafe { PyArray2::borrow_from_array(&rows, owner.clone()) };
     read_only(array.as_untyped().clone())
 }

@@ -57,7 +57,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let scene = selection.scene;
     let mut files = options.file_set(&BACKEND, selection);
     for view in selection.views() {
-        files.add(image_path(scene, view), Contents::Link(images.file(scene.name(view))));
+        files.add(image_path(scene, view), images.link(scene.name(view)));
     }
     let points = scene.view_points();
     let mut record = ExportRecord::new(&BACKEND, selection, |v| scene.view(v).image_id.to_string());

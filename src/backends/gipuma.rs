@@ -7,12 +7,9 @@ use super::{
     pmvs, selection,
     strangers::list_links,
 };
-use crate::{
-    io::output::Contents,
-    model::{
-        cluster::RankedCluster,
-        scene::{ViewIndex, ViewPoints},
-    },
+use crate::model::{
+    cluster::RankedCluster,
+    scene::{ViewIndex, ViewPoints},
 };
 
 pub static BACKEND: Backend = Backend {
@@ -54,7 +51,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         // same in each plan, so that no result is taken for that of another image.
         let name = format!("{:08}.jpg", selection.scene.view(view).image_id);
         files.add_text(format!("p/{name}.P"), pmvs::projection(selection.scene, view));
-        files.add(format!("images/{name}"), Contents::Link(images.file(selection.scene.name(view))));
+        files.add(format!("images/{name}"), images.link(selection.scene.name(view)));
         names[view.index()] = name;
     }
     let points = selection.scene.view_points();

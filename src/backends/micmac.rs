@@ -54,7 +54,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut files = options.file_set(&BACKEND, selection);
     for view in selection.views() {
         let name = selection.scene.name(view);
-        files.add(name, Contents::Link(images.file(name)));
+        files.add(name, images.link(name));
     }
     files.add_text("pairs.xml", pair_file(selection));
     for cluster in selection.clusters {

@@ -81,7 +81,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         let name = selection.scene.name(view);
         let folder = format!("views/{}", folder(selection.scene, view));
         files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
-        files.add(format!("{folder}/undistorted.{}", extension(name)?), Contents::Link(images.file(name)));
+        files.add(format!("{folder}/undistorted.{}", extension(name)?), images.link(name));
     }
     let points = selection.scene.view_points();
     for (i, cluster) in selection.clusters.iter().enumerate() {

@@ -244,7 +244,7 @@ impl Dialect {
         for &at in positions {
             let (i, view) = (lists.numbers[at], lists.views[at]);
             files.add_text(format!("{folder}cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
-            files.add(format!("{folder}images/{i:08}.jpg"), Contents::Link(images.file(selection.scene.name(view))));
+            files.add(format!("{folder}images/{i:08}.jpg"), images.link(selection.scene.name(view)));
         }
         Ok(())
     }

@@ -86,7 +86,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
     for view in selection.views() {
         let name = selection.scene.name(view);
-        files.add(format!("openmvs/images/{name}"), Contents::Link(images.file(name)));
+        files.add(format!("openmvs/images/{name}"), images.link(name));
     }
     let mut record =
         ExportRecord::new(&BACKEND, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));

@@ -60,7 +60,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         let name = selection.scene.name(view);
         let extension = extension(name)?;
         files.add_text(format!("txt/{i:08}.txt"), format!("CONTOUR\n{}", projection(selection.scene, view)));
-        files.add(format!("visualize/{i:08}.{extension}"), Contents::Link(images.file(name)));
+        files.add(format!("visualize/{i:08}.{extension}"), images.link(name));
     }
     files.add("models", Contents::Folder);
     files.add_text("vis.dat", visibility(selection, &views, &index));

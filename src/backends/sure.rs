@@ -80,7 +80,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut files = options.file_set(&BACKEND, selection);
     for view in selection.views() {
         let name = &names[view.index()];
-        files.add(format!("images/{name}"), Contents::Link(images.file(selection.scene.name(view))));
+        files.add(format!("images/{name}"), images.link(selection.scene.name(view)));
         files.add_text(format!("ori/{}.ori", stem(name)), orientation(selection, view, name));
     }
     let [clusters, pairs, _] = lists_of_pairs(selection, |v| Ok(names[v.index()].as_str()))?;

@@ -35,7 +35,7 @@ pub fn add_workspace(
             let why = "it leads out of the image folder".into();
             return Err(BackendError::Name { backend, name: name.into(), why });
         }
-        files.add(format!("images/{name}"), Contents::Link(images.file(name)));
+        files.add(format!("images/{name}"), images.link(name));
     }
     Ok(())
 }

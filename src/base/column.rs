@@ -55,7 +55,8 @@ impl<T> Column<T> {
     pub fn release(&self) {
         #[cfg(unix)]
         if let Backing::Disk(map) = &self.0 {
-            // SAFETY: the map is backed by a file that nobody writes to, so its pages are restored unchanged.
+            // SAFETY: the map is shared and read-only, of a file without a name whose handles are closed: nobody writes to it, so that its pages
+            // are read again unchanged, even while others read them.
             _ = unsafe { map.unchecked_advise(memmap2::UncheckedAdvice::DontNeed) };
         }
     }
@@ -184,7 +185,7 @@ impl<T: Pod> ColumnBuilder<T> {
             BuilderBacking::Disk { file, folder, .. } => {
                 // Some file systems report a full disk only on sync.
                 file.sync_data().map_err(|source| DiskError::new(&folder, source))?;
-                // SAFETY: the file has no name, and this is its last handle: nobody writes to it or shortens it.
+                // SAFETY: the file has no name, and this is its last handle, dropped here: nobody writes to it or shortens it later.
                 let map = unsafe { Mmap::map(&file) }.map_err(|source| DiskError::new(&folder, source))?;
                 Ok(Column(Backing::Disk(Arc::new(map))))
             }

@@ -36,7 +36,8 @@ fn advise<T>(room: &mut Vec<T>) {
     else {
         return;
     };
-    // SAFETY: the range is within the list's allocation, and the advice does not change its content. The result is ignored: it is only a hint.
+    // SAFETY: the range is within the list's allocation, which is borrowed mutably, and the advice does not change its content. The result is
+    // ignored: it is only a hint.
     _ = unsafe { libc::madvise(first as *mut libc::c_void, length, libc::MADV_HUGEPAGE) };
 }
 

@@ -111,7 +111,7 @@ pub fn hole_bytes(file: &File, length: u64) -> u64 {
 /// many threads worked on, which the next large table then comes on top of.
 pub fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: releases pages of free blocks only.
+    // SAFETY: it takes a number, may be called from any thread, and returns pages of free blocks alone.
     unsafe {
         libc::malloc_trim(0);
     }

@@ -26,11 +26,11 @@ pub fn vectorised<R>(work: impl Kernel<Output = R>) -> R {
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl");
         if has_all {
-            // SAFETY: the processor has the instructions for which the function was compiled.
+            // SAFETY: the processor has all features that the function is compiled for, as was just checked.
             return unsafe { widest(work) };
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: as above.
+            // SAFETY: the processor has AVX2, as was just checked.
             return unsafe { wide(work) };
         }
     }

@@ -12,7 +12,7 @@ use clap::{
     error::{ContextKind, ContextValue, Error, ErrorKind},
 };
 
-use super::{Arguments, Exit, Failure};
+use super::{Arguments, Exit, Failure, terminal::printable};
 use crate::{base::shell::command_word, io::project};
 
 /// Other words for subcommands.
@@ -135,8 +135,46 @@ pub fn parse(typed: Vec<OsString>) -> Result<Arguments, Failure> {
 
 fn parse_from(typed: Vec<OsString>) -> Result<Arguments, Error> {
     let mut definition = definition();
-    let mut matches = definition.try_get_matches_from_mut(typed).map_err(suggest)?;
-    Arguments::from_arg_matches_mut(&mut matches).map_err(|error| suggest(error.format(&mut definition)))
+    let mut matches = definition.try_get_matches_from_mut(typed).map_err(in_words)?;
+    Arguments::from_arg_matches_mut(&mut matches).map_err(|error| in_words(error.format(&mut definition)))
+}
+
+/// Returns the error as it is printed: with the probable meaning, and typed words printable, which a pattern of the shell may have made of any
+/// file's name.
+fn in_words(error: Error) -> Error {
+    let typed = text(&error, ContextKind::InvalidArg) + &text(&error, ContextKind::InvalidSubcommand);
+    let mut error = suggest(error);
+    if printable(&typed) != typed {
+        // A tip of clap's repeats the word.
+        error.remove(ContextKind::Suggested);
+    }
+    let why = std::error::Error::source(&error).map(ToString::to_string).unwrap_or_default();
+    if printable(&why) != why {
+        let what = [
+            "invalid value '",
+            &text(&error, ContextKind::InvalidValue),
+            "' for '",
+            &text(&error, ContextKind::InvalidArg),
+            "': ",
+            &why,
+        ];
+        return Error::raw(error.kind(), printable(&what.concat())).with_cmd(&definition());
+    }
+    let shown = |value: &ContextValue| match value {
+        ContextValue::String(text) => Some(ContextValue::String(printable(text))),
+        ContextValue::Strings(texts) => Some(ContextValue::Strings(texts.iter().map(|text| printable(text)).collect())),
+        _ => None,
+    };
+    let typed: Vec<_> = error.context().filter_map(|(kind, value)| Some((kind, shown(value)?))).collect();
+    typed.into_iter().for_each(|(kind, value)| _ = error.insert(kind, value));
+    error
+}
+
+fn text(error: &Error, kind: ContextKind) -> String {
+    match error.get(kind) {
+        Some(ContextValue::String(text)) => text.clone(),
+        _ => String::new(),
+    }
 }
 
 /// Returns the definition of the command line. A negative number after an option is its value, so that the error names the option.
@@ -150,10 +188,6 @@ fn definition() -> Command {
 
 /// Adds the probable meaning to an error.
 fn suggest(mut error: Error) -> Error {
-    let text = |error: &Error, kind| match error.get(kind) {
-        Some(ContextValue::String(text)) => text.clone(),
-        _ => String::new(),
-    };
     let one = |word: &str| ContextValue::Strings(vec![word.into()]);
     match error.kind() {
         ErrorKind::InvalidSubcommand => {

@@ -9,7 +9,7 @@ use crate::{
 use clap::Args;
 use serde::Serialize;
 
-use super::{Failure, Format, json, print};
+use super::{Failure, Format, print, print_json};
 
 /// List the supported MVS programs, what each honours and its planning numbers.
 #[derive(Args)]
@@ -52,9 +52,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         None => backends::BACKENDS.iter().map(|b| Entry::new(b)).collect(),
     };
     match (arguments.format, &arguments.name) {
-        (Format::Json, _) => print(&json(&entries)),
-        (Format::Text, None) => print(&table(&entries)),
-        (Format::Text, Some(_)) => print(&entries.iter().map(details).collect::<String>()),
+        (Format::Json, _) => print_json(&entries),
+        (Format::Text, None) => print(table(&entries)),
+        (Format::Text, Some(_)) => print(entries.iter().flat_map(details)),
     }
 }
 
@@ -67,12 +67,12 @@ fn word(honours: Honours) -> &'static str {
 }
 
 /// At most 80 columns.
-fn table(entries: &[Entry]) -> String {
+fn table(entries: &[Entry]) -> Vec<String> {
     let head = ["name", "partners", "only keys", "order", "angles", "scale", "maps", "measured on"];
-    let mut text = row(head.map(String::from));
+    let mut lines = vec![row(head.map(String::from))];
     for entry in entries {
         let (c, p) = (&entry.capabilities, &entry.planning);
-        text += &row([
+        lines.push(row([
             entry.name.into(),
             word(c.partners).into(),
             word(c.key_subset).into(),
@@ -85,9 +85,10 @@ fn table(entries: &[Entry]) -> String {
             },
             p.support.to_string(),
             p.measured.into(),
-        ]);
+        ]));
     }
-    text + TABLE_NOTES
+    lines.extend(TABLE_NOTES.lines().map(String::from));
+    lines
 }
 
 const TABLE_NOTES: &str = "
@@ -104,14 +105,14 @@ where each number comes from.
 
 fn row(cells: [String; 8]) -> String {
     let [name, partners, keys, order, angles, scale, maps, measured] = cells;
-    format!("{name:<15}{partners:<10}{keys:<11}{order:<8}{angles:<8}{scale:<7}{maps:<6}{measured}\n")
+    format!("{name:<15}{partners:<10}{keys:<11}{order:<8}{angles:<8}{scale:<7}{maps:<6}{measured}")
 }
 
-fn details(entry: &Entry) -> String {
+fn details(entry: &Entry) -> Vec<String> {
     let (c, p) = (&entry.capabilities, &entry.planning);
     let number = |value: Option<f64>, unit: &str| value.map_or("none".into(), |v| format!("{v}{unit}"));
-    let mut text = format!("{}\n", entry.name);
-    let mut add = |what: &str, value: &str| text += &wrapped(what, value);
+    let mut lines = vec![entry.name.to_owned()];
+    let mut add = |what: &str, value: &str| lines.extend(wrapped(what, value));
     add("exactly the given partners", word(c.partners));
     add("only the key views", word(c.key_subset));
     add("rank order", word(c.order));
@@ -148,25 +149,26 @@ fn details(entry: &Entry) -> String {
     if !entry.options.is_empty() {
         add("options of export", &entry.options.join(", "));
     }
-    text
+    lines
 }
 
-/// Formats a line, wrapped at 80 columns and indented under its value.
-fn wrapped(what: &str, value: &str) -> String {
+/// Formats a value, wrapped at 80 columns and indented under its start.
+fn wrapped(what: &str, value: &str) -> Vec<String> {
     const LABEL: usize = 30;
-    let mut text = format!("  {what:<28}");
+    let (mut lines, mut line) = (Vec::new(), format!("  {what:<28}"));
     let mut column = LABEL;
     for (i, word) in value.split_whitespace().enumerate() {
         let length = word.chars().count() + usize::from(i > 0);
         if column + length > 80 && column > LABEL {
-            text += &format!("\n{}{word}", " ".repeat(LABEL));
+            lines.push(std::mem::replace(&mut line, " ".repeat(LABEL) + word));
             column = LABEL + length - 1;
         } else {
-            text += &format!("{}{word}", if i > 0 { " " } else { "" });
+            line += &format!("{}{word}", if i > 0 { " " } else { "" });
             column += length;
         }
     }
-    text + "\n"
+    lines.push(line);
+    lines
 }
 
 #[cfg(test)]
@@ -176,7 +178,7 @@ mod tests {
     #[test]
     fn everything_fits_into_80_columns() {
         let entries: Vec<Entry> = backends::BACKENDS.iter().map(|b| Entry::new(b)).collect();
-        let long = |text: &str| text.lines().find(|line| line.chars().count() > 80).map(str::to_owned);
+        let long = |lines: &[String]| lines.iter().find(|line| line.chars().count() > 80).cloned();
         assert_eq!(long(&table(&entries)), None);
         assert_eq!(entries.iter().find_map(|entry| long(&details(entry))), None);
     }
@@ -195,7 +197,7 @@ mod tests {
     #[test]
     fn wrapping_loses_no_word() {
         let value = "one two ".repeat(40);
-        let words: Vec<String> = wrapped("what", &value).split_whitespace().map(String::from).collect();
+        let words: Vec<String> = wrapped("what", &value).join("\n").split_whitespace().map(String::from).collect();
         assert_eq!(words.len(), 81);
     }
 }

@@ -3,7 +3,7 @@
 use clap::{Args, Command, CommandFactory};
 use clap_complete::Shell;
 
-use super::{Failure, print};
+use super::{Failure, terminal::print_data};
 
 /// Print the completion script for a shell.
 ///
@@ -25,7 +25,7 @@ pub struct ManArguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut super::Arguments::command(), "viewrank", &mut script);
-    print(&String::from_utf8_lossy(&script))
+    print_data(&String::from_utf8_lossy(&script))
 }
 
 pub fn man(arguments: &ManArguments) -> Result<(), Failure> {
@@ -34,7 +34,7 @@ pub fn man(arguments: &ManArguments) -> Result<(), Failure> {
     let mut page = Vec::new();
     let rendered = clap_mangen::Man::new(definition).title(title).render(&mut page);
     rendered.expect("writing to memory does not fail");
-    print(&String::from_utf8_lossy(&page))
+    print_data(&String::from_utf8_lossy(&page))
 }
 
 /// Returns the definition of the program, or of a subcommand under its full name (`viewrank-plan`, the name of its manual page).

@@ -11,7 +11,10 @@ use crate::{
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::{COLUMNS, Failure, Format, print};
+use super::{
+    COLUMNS, Failure, Format, print_json,
+    terminal::{print_data, printable, toml_escaped},
+};
 
 /// Print all settings in force: value, unit, default, and where each value comes from.
 ///
@@ -35,8 +38,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let configuration = load(folder, CommandLineSettings::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
     match arguments.format {
-        Format::Text => print(&as_toml(&configuration, &values)),
-        Format::Json => print(&super::json(&as_json(&configuration, &values))),
+        Format::Text => print_data(&as_toml(&configuration, &values)),
+        Format::Json => print_json(&as_json(&configuration, &values)),
     }
 }
 
@@ -107,7 +110,9 @@ fn as_toml(configuration: &Configuration, values: &Value) -> String {
                 None => format!("{mark}{name} =\n\n"),
             },
             (false, Source::Default) => format!("{mark}{name} = {value}\n\n"),
-            (false, Source::Written(place)) => format!("{mark}{name} = {value}  # {place}\n\n"),
+            (false, Source::Written(place)) => {
+                format!("{mark}{name} = {}  # {}\n\n", toml_escaped(&value.to_string()), printable(&place.to_string()))
+            }
         };
     }
     text.truncate(text.trim_end().len());

@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeSet,
-    fmt::Write,
     path::{Path, PathBuf},
 };
 
@@ -21,7 +20,7 @@ use crate::{
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::{Failure, Format, config, json, print, progress::Progress, warn};
+use super::{Failure, Format, config, print, print_json, progress::Progress, warn};
 
 /// Submit the view clusters of a plan to a queue: a task per depth map, best first, and a task that fuses them.
 ///
@@ -166,12 +165,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         submission,
     };
     match arguments.format {
-        Format::Json => print(&json(&report)),
+        Format::Json => print_json(&report),
         Format::Text if arguments.dry_run => {
             let files = dispatch.files(&tools, &settings, &Default::default());
-            print(&(scripts(&files) + &report.text(arguments, &dispatch)))
+            print(scripts(&files).into_iter().chain(report.text(arguments, &dispatch)))
         }
-        Format::Text => print(&report.text(arguments, &dispatch)),
+        Format::Text => print(report.text(arguments, &dispatch)),
     }
 }
 
@@ -237,63 +236,64 @@ impl Arguments {
 }
 
 /// Returns the scripts as they would be written.
-fn scripts(files: &FileSet) -> String {
-    let mut text = String::new();
+fn scripts(files: &FileSet) -> Vec<String> {
+    let mut lines = Vec::new();
     for (path, contents) in &files.files {
         if let Contents::Script(bytes) = contents {
-            let _ = writeln!(text, "--- {path}\n{}", String::from_utf8_lossy(bytes));
+            lines.push(format!("--- {path}"));
+            lines.extend(String::from_utf8_lossy(bytes).lines().map(String::from));
+            lines.push(String::new());
         }
     }
-    text
+    lines
 }
 
 impl Report<'_> {
-    fn text(&self, arguments: &Arguments, dispatch: &Dispatch) -> String {
+    fn text(&self, arguments: &Arguments, dispatch: &Dispatch) -> Vec<String> {
         let (folder, all) = (self.folder.display(), self.tasks);
-        let mut text = format!("{}: {all} view clusters, {} finished; {folder}\n", self.backend, self.done);
+        let mut lines = vec![format!("{}: {all} view clusters, {} finished; {folder}", self.backend, self.done)];
         if self.target_reached {
-            text += "  the existing depth maps reach the target: no more tasks are started\n";
+            lines.push("  the existing depth maps reach the target: no more tasks are started".into());
         }
         match arguments.scheduler {
-            Scheduler::Shell if self.target_reached => text,
-            Scheduler::Shell => text + &by_hand(dispatch, self.at_once),
+            Scheduler::Shell if self.target_reached => {}
+            Scheduler::Shell => lines.extend(by_hand(dispatch, self.at_once)),
             Scheduler::Slurm => {
                 let Submission { commands, ranks, queued, left, jobs } = &self.submission;
                 if !queued.is_empty() {
-                    let _ = writeln!(text, "  on their way  {} tasks", queued.len());
+                    lines.push(format!("  on their way  {} tasks", queued.len()));
                 }
                 if !ranks.is_empty() {
                     let (first, last) = (ranks[0], ranks[ranks.len() - 1]);
-                    let _ = writeln!(text, "  submitted     {} tasks, ranks {first} to {last}", ranks.len());
+                    lines.push(format!("  submitted     {} tasks, ranks {first} to {last}", ranks.len()));
                 }
                 if *left > 0 {
-                    let _ = writeln!(
-                        text,
+                    lines.push(format!(
                         "  left          {left} tasks, which the queue has no room for: call this again later"
-                    );
+                    ));
                 }
                 if !jobs.is_empty() {
-                    let _ = writeln!(text, "  jobs          {}", jobs.join(", "));
+                    lines.push(format!("  jobs          {}", jobs.join(", ")));
                 }
                 let commands = commands.iter().filter(|_| arguments.dry_run);
                 for command in commands {
                     let words: Vec<String> = command.iter().map(|word| quoted(word)).collect();
-                    let _ = writeln!(text, "  would run     {}", words.join(" "));
+                    lines.push(format!("  would run     {}", words.join(" ")));
                 }
-                text
             }
         }
+        lines
     }
 }
 
 /// Returns the commands that start the scripts without a queue.
-fn by_hand(dispatch: &Dispatch, at_once: Option<u32>) -> String {
+fn by_hand(dispatch: &Dispatch, at_once: Option<u32>) -> [String; 2] {
     let script = |name: &str| quoted_path(&dispatch.folder.join(name));
     let (task, fuse) = (script("task.sh"), script("fuse.sh"));
     let last = dispatch.tasks.last().map_or(0, |task| task.rank);
     let jobs = at_once.unwrap_or(2);
-    format!(
-        "  one by one       for rank in $(seq {last}); do {task} $rank; done; {fuse}\n  \
-         with parallel    seq {last} | parallel -q -j {jobs} {task}; {fuse}\n"
-    )
+    [
+        format!("  one by one       for rank in $(seq {last}); do {task} $rank; done; {fuse}"),
+        format!("  with parallel    seq {last} | parallel -q -j {jobs} {task}; {fuse}"),
+    ]
 }

@@ -1,6 +1,6 @@
 //! `viewrank doctor`: finds problems of a project.
 
-use std::{fmt::Write, path::PathBuf};
+use std::path::PathBuf;
 
 use crate::{
     apps::doctor::{self, Diagnosis, Finding, Severity, ViewFinding},
@@ -9,7 +9,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Exit, Failure, Format, config, json, print, wrapped};
+use super::{Exit, Failure, Format, config, print, print_json, wrapped};
 
 /// Number of views listed by name; further ones are only counted.
 const LISTED: usize = 6;
@@ -47,10 +47,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let scene = project.read_scene()?;
     let diagnosis = doctor::examine(&project, &scene, &settings, &backends);
     match arguments.format {
-        Format::Json => print(&json(&diagnosis))?,
+        Format::Json => print_json(&diagnosis)?,
         Format::Text => {
-            let found = text(&diagnosis.findings, if arguments.all { usize::MAX } else { LISTED });
-            print(&(found + &checked(&diagnosis, &backends)))?;
+            let mut lines = text(&diagnosis.findings, if arguments.all { usize::MAX } else { LISTED });
+            lines.extend(checked(&diagnosis, &backends));
+            print(lines)?;
         }
     }
     verdict(&diagnosis.findings)
@@ -68,36 +69,37 @@ fn verdict(findings: &[Finding]) -> Result<(), Failure> {
     Err(Failure::already_printed(exit))
 }
 
-fn text(findings: &[Finding], listed: usize) -> String {
+fn text(findings: &[Finding], listed: usize) -> Vec<String> {
     if findings.is_empty() {
-        return "Nothing is wrong with this project.\n".into();
+        return vec!["Nothing is wrong with this project.".into()];
     }
-    let mut text = String::new();
+    let mut lines = Vec::new();
     for finding in findings {
         let severity = match finding.severity {
             Severity::Error => "ERROR  ",
             Severity::Warning => "warning",
             Severity::Note => "note   ",
         };
-        text += &wrapped(&format!("{severity} "), &finding.what);
+        lines.extend(wrapped(&format!("{severity} "), &finding.what));
         if !finding.backends.is_empty() {
-            text += &wrapped("        for     ", &finding.backends.join(", "));
+            lines.extend(wrapped("        for     ", &finding.backends.join(", ")));
         }
-        text += &wrapped("        do      ", &finding.cure);
+        lines.extend(wrapped("        do      ", &finding.cure));
         for ViewFinding { name, why } in finding.views.iter().take(listed) {
             let why = if why.is_empty() { String::new() } else { format!(": {why}") };
-            text += &wrapped("          - ", &format!("{name}{why}"));
+            lines.extend(wrapped("          - ", &format!("{name}{why}")));
         }
         if finding.views.len() > listed {
-            let _ = writeln!(text, "          and {} more (--all names them)", finding.views.len() - listed);
+            lines.push(format!("          and {} more (--all names them)", finding.views.len() - listed));
         }
-        text.push('\n');
+        lines.push(String::new());
     }
-    text + &counts(findings)
+    lines.push(counts(findings));
+    lines
 }
 
 /// Says what was checked.
-fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> String {
+fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> Vec<String> {
     let own = diagnosis.backend;
     let others: Vec<&str> = backends.iter().map(|backend| backend.name).filter(|name| *name != own).collect();
     let others = if others.is_empty() { String::new() } else { format!("; traps of {}", others.join(", ")) };
@@ -116,5 +118,5 @@ fn counts(findings: &[Finding]) -> String {
         let n = findings.iter().filter(|finding| finding.severity == severity).count();
         (n > 0).then(|| format!("{n} {name}{}", if n == 1 { "" } else { "s" }))
     };
-    kinds.into_iter().filter_map(count).collect::<Vec<_>>().join(", ") + ".\n"
+    kinds.into_iter().filter_map(count).collect::<Vec<_>>().join(", ") + "."
 }

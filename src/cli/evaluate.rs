@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeSet,
-    fmt::Write,
     path::{Path, PathBuf},
 };
 
@@ -25,7 +24,7 @@ use crate::{
 use clap::Args;
 use serde::Serialize;
 
-use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
+use super::{Failure, Format, print, print_json, progress::Progress, terminal::json, use_threads, warn};
 
 /// Measure finished depth maps: quality reached, what is missing and why.
 ///
@@ -172,11 +171,10 @@ fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: 
     progress.finish();
     let names: Vec<&String> = files.files.keys().collect();
     output(arguments, &names, || {
-        let list: String = names.iter().map(|name| format!("  {name}\n")).collect();
-        format!(
-            "{}\n{list}Match each, maps beside its clusters.txt, then: viewrank evaluate PROJECT --compare DIR\n",
-            folder.display()
-        )
+        let mut lines = vec![folder.display().to_string()];
+        lines.extend(names.iter().map(|name| format!("  {name}")));
+        lines.push("Match each, maps beside its clusters.txt, then: viewrank evaluate PROJECT --compare DIR".into());
+        lines
     })
 }
 
@@ -192,11 +190,11 @@ fn compare(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progres
     output(arguments, &compared, || compared_text(&compared))
 }
 
-fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> String) -> Result<(), Failure> {
+fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Vec<String>) -> Result<(), Failure> {
     match arguments.format {
-        Format::Json => print(&json(value)),
+        Format::Json => print_json(value),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print(&text()),
+        Format::Text => print(text()),
     }
 }
 
@@ -228,73 +226,70 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
     }
 }
 
-fn text(e: &Evaluation, out: &Path) -> String {
-    let mut text = String::new();
+fn text(e: &Evaluation, out: &Path) -> Vec<String> {
+    let mut lines = Vec::new();
     let truth = if e.reference { "against the reference" } else { "no reference: every depth counts as right" };
     let maps = match e.at_half_size() {
         0 => format!("{} depth maps", e.key_views.len()),
         half => format!("{} depth maps, {half} of them at half the size", e.key_views.len()),
     };
-    let _ = writeln!(text, "{maps}, {truth}");
-    let _ = writeln!(text, "  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors());
-    let _ = writeln!(text, "  reached: {}", e.reached_in_words());
-    let _ = writeln!(text, "  {}", e.enough_in_words());
+    lines.push(format!("{maps}, {truth}"));
+    lines.push(format!("  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors()));
+    lines.push(format!("  reached: {}", e.reached_in_words()));
+    lines.push(format!("  {}", e.enough_in_words()));
     if let Some(half) = &e.half_size {
-        let _ = writeln!(text, "  {}", half.in_words());
+        lines.push(format!("  {}", half.in_words()));
     }
     if let Some(clouds) = &e.clouds {
         for at in &clouds.within {
             let (completeness, precision) = (100.0 * at.completeness, 100.0 * at.precision);
-            let _ = writeln!(
-                text,
-                "  fused cloud within {:.0} GSD of the reference: completeness {completeness:.1} %, precision {precision:.1} %",
+            lines.push(format!("  fused cloud within {:.0} GSD of the reference: completeness {completeness:.1} %, precision {precision:.1} %",
                 at.gsd
-            );
+            ));
         }
     }
-    let _ = writeln!(text, "  fulfilment of these: {:.3} predicted, {:.3} real\n", e.predicted, e.real);
+    lines.push(format!("  fulfilment of these: {:.3} predicted, {:.3} real", e.predicted, e.real));
+    lines.push(String::new());
     if e.inside < 1.0 {
-        let _ = writeln!(text, "Fulfilment and shares are those inside the region.\n");
+        lines.extend(["Fulfilment and shares are those inside the region.", ""].map(String::from));
     }
-    let _ = writeln!(text, "shares of what these depth maps give together");
-    let _ = writeln!(text, "predicted share   key views   pairs   real share");
+    lines.push("shares of what these depth maps give together".into());
+    lines.push("predicted share   key views   pairs   real share".into());
     for gap in e.gap.chunk_by(|one, next| one.clusters == next.clusters).filter_map(<[_]>::last) {
         let (share, real) = (100.0 * gap.share, 100.0 * gap.real);
-        let _ = writeln!(text, "{share:13.0} % {:11} {:7} {real:10.1} %", gap.clusters, gap.pairs);
+        lines.push(format!("{share:13.0} % {:11} {:7} {real:10.1} %", gap.clusters, gap.pairs));
     }
     if !e.orders.is_empty() {
-        text += "\nkey views for\n";
-        e.orders[0].needed.iter().for_each(|n| text += &format!("{:4.0} %", 100.0 * n.share));
-        text.push('\n');
+        lines.extend(["", "key views for"].map(String::from));
+        lines.push(e.orders[0].needed.iter().map(|n| format!("{:4.0} %", 100.0 * n.share)).collect());
         for (names, cells) in baselines::rows(&e.orders, false) {
-            cells.iter().for_each(|cell| text += &format!("{cell:>6}"));
-            let _ = writeln!(text, "  {}", names.join(", "));
+            let cells: String = cells.iter().map(|cell| format!("{cell:>6}")).collect();
+            lines.push(format!("{cells}  {}", names.join(", ")));
         }
     }
-    let _ = writeln!(text, "\nmissing, of {} triangles", e.triangles);
+    lines.extend([String::new(), format!("missing, of {} triangles", e.triangles)]);
     for (missing, count) in &e.missing {
-        let _ = writeln!(text, "  {:6.1} % {}", 100.0 * *count as f64 / e.triangles.max(1) as f64, missing.words());
+        lines.push(format!("  {:6.1} % {}", 100.0 * *count as f64 / e.triangles.max(1) as f64, missing.words()));
     }
-    let _ = writeln!(text, "\nSee {}", out.join("evaluation.html").display());
-    text
+    lines.extend([String::new(), format!("See {}", out.join("evaluation.html").display())]);
+    lines
 }
 
-fn compared_text(compared: &[Comparison]) -> String {
-    let mut text = format!(
-        "{:17} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}\n",
+fn compared_text(compared: &[Comparison]) -> Vec<String> {
+    let mut lines = vec![format!(
+        "{:17} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}",
         "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"
-    );
+    )];
     for row in compared {
         let [outliers, rmse] = row.quality.errors();
-        let _ = writeln!(
-            text,
+        lines.push(format!(
             "{:17} {:9} {:7} {:11.2} % {outliers:>9} {rmse:>9} {:10.4}",
             row.name,
             row.clusters,
             row.pairs,
             100.0 * row.quality.completeness,
             row.real
-        );
+        ));
     }
-    text
+    lines
 }

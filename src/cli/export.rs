@@ -17,7 +17,7 @@ use crate::{
 use clap::{Args, builder::PossibleValue};
 use serde::Serialize;
 
-use super::{Failure, Format, json, print, warn, wrapped};
+use super::{Failure, Format, print, print_json, warn, wrapped};
 
 /// Write the input files of MVS programs for the chosen view clusters of a plan.
 ///
@@ -144,8 +144,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let reports = made.into_iter().map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));
     let reports: Vec<Report> = reports.collect::<Result<_, Failure>>()?;
     match arguments.format {
-        Format::Json => print(&json(&reports)),
-        Format::Text => reports.iter().try_for_each(|report| print(&report.text(arguments.dry_run))),
+        Format::Json => print_json(&reports),
+        Format::Text => reports.iter().try_for_each(|report| print(report.text(arguments.dry_run))),
     }
 }
 
@@ -241,42 +241,45 @@ impl PreparedExport {
 }
 
 impl Report {
-    fn text(&self, dry_run: bool) -> String {
-        let mut text = match &self.what {
+    fn text(&self, dry_run: bool) -> Vec<String> {
+        let mut lines: Vec<String> = match &self.what {
             What::Whole(record) => described(record, self.files, &self.folder, dry_run),
             What::Tiles { tiles, .. } => {
-                tiles.iter().map(|tile| described(&tile.record, tile.files, &tile.folder, dry_run)).collect()
+                tiles.iter().flat_map(|tile| described(&tile.record, tile.files, &tile.folder, dry_run)).collect()
             }
         };
-        self.unheeded.iter().for_each(|option| text += &format!("  not for it   {option}\n"));
+        lines.extend(self.unheeded.iter().map(|option| format!("  not for it   {option}")));
         if let Some(first) = self.written.removed.first() {
             let more = if self.written.removed.len() > 1 { ", ..." } else { "" };
             let count = self.written.removed.len();
-            text += &format!("  removed      {count} files of an earlier export: {first}{more}\n");
+            lines.push(format!("  removed      {count} files of an earlier export: {first}{more}"));
         }
-        self.written.kept.iter().for_each(|kept| text += &format!("  kept         {kept}: not written by viewrank\n"));
-        text
+        lines.extend(self.written.kept.iter().map(|kept| format!("  kept         {kept}: not written by viewrank")));
+        lines
     }
 }
 
-fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> String {
+fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> Vec<String> {
     let would = if dry_run { "would be " } else { "" };
     let folder = folder.display();
     let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views.is_none());
     let what = if matched { "view clusters" } else { "key views" };
     let what = if r.clusters.len() == 1 { what.trim_end_matches('s') } else { what };
-    let mut text = format!("{}: {} {what}, {files} files {would}in {folder}\n", r.backend, r.clusters.len());
-    text += &format!("  for          {}\n  way          {}\n", r.made_for, r.way);
+    let mut lines = vec![
+        format!("{}: {} {what}, {files} files {would}in {folder}", r.backend, r.clusters.len()),
+        format!("  for          {}", r.made_for),
+        format!("  way          {}", r.way),
+    ];
     if r.other_maps > 0 {
-        text += &format!("  depth maps   {} of key views and {} of others\n", r.key_maps, r.other_maps);
+        lines.push(format!("  depth maps   {} of key views and {} of others", r.key_maps, r.other_maps));
     }
     match &r.runner {
-        Some(runner) => text += &format!("  run there    ./{runner}\n"),
-        None => r.commands.iter().for_each(|command| text += &format!("  run there    {command}\n")),
+        Some(runner) => lines.push(format!("  run there    ./{runner}")),
+        None => lines.extend(r.commands.iter().map(|command| format!("  run there    {command}"))),
     }
-    r.not_honoured.iter().for_each(|what| text += &wrapped("  not honoured ", what));
-    r.warnings.iter().for_each(|warning| text += &wrapped("  warning      ", warning));
-    text
+    lines.extend(r.not_honoured.iter().flat_map(|what| wrapped("  not honoured ", what)));
+    lines.extend(r.warnings.iter().flat_map(|warning| wrapped("  warning      ", warning)));
+    lines
 }
 
 impl clap::ValueEnum for References {

@@ -1,6 +1,6 @@
 //! `viewrank inspect`: contents of a sparse model.
 
-use std::{collections::BTreeMap, io::IsTerminal, path::PathBuf};
+use std::{collections::BTreeMap, path::PathBuf};
 
 use crate::{
     io::project::{ModelFormat, ModelLocation, Project, ProjectKind},
@@ -9,7 +9,7 @@ use crate::{
 use clap::Args;
 use serde::Serialize;
 
-use super::{Failure, Format, config, json, print, wrapped};
+use super::{Failure, Format, config, print, print_json, terminal::is_stdout_terminal, wrapped};
 
 /// Number of names listed in the text; further ones are only counted.
 const LISTED: usize = 5;
@@ -67,8 +67,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = project.with_images(settings.images.as_deref());
     let inspection = Inspection { units: settings.units, ..inspect(&project, &project.read_scene()?) };
     match arguments.format {
-        Format::Text => print(&inspection.text()),
-        Format::Json => print(&json(&inspection)),
+        Format::Text => print(inspection.text()),
+        Format::Json => print_json(&inspection),
     }
 }
 
@@ -104,7 +104,7 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
 }
 
 impl Inspection {
-    fn text(&self) -> String {
+    fn text(&self) -> Vec<String> {
         let models = self.camera_models.iter().map(|(model, n)| format!("{n} {model}")).collect::<Vec<_>>().join(", ");
         let number = |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
         let units = match self.units {
@@ -130,11 +130,11 @@ impl Inspection {
             ("sub-model", format!("{} ({} images){}", m.name, m.registered, if m.used { ", used" } else { "" }))
         }));
         rows.extend(self.warnings.iter().map(|warning| ("warning", warning.clone())));
-        let line = |(name, value): &(&str, String)| match std::io::stdout().is_terminal() {
+        let line = |(name, value): &(&str, String)| match is_stdout_terminal() {
             true => wrapped(&format!("{name:<25}"), value),
-            false => format!("{name:<25}{value}\n"),
+            false => vec![format!("{name:<25}{value}")],
         };
-        rows.iter().map(line).collect()
+        rows.iter().flat_map(line).collect()
     }
 }
 

@@ -1,6 +1,6 @@
 //! The command line: one file per subcommand; arguments and printing, no method.
 //!
-//! Data goes to stdout, messages to stderr. A subcommand returns `Result<(), Failure>`; each error of the
+//! Data goes to stdout, messages to stderr, both through [`terminal`]. A subcommand returns `Result<(), Failure>`; each error of the
 //! library becomes a `Failure` by `?`, which [`main`] prints as `error: ...` and `hint: ...`.
 
 mod arguments;
@@ -12,6 +12,7 @@ mod doctor;
 mod evaluate;
 mod export;
 mod inspect;
+mod log;
 mod next;
 mod plan;
 mod predict;
@@ -21,25 +22,17 @@ mod report;
 mod run;
 mod status;
 mod summary;
+mod terminal;
 mod train;
 mod undistort;
 mod watch;
 
-use std::{
-    ffi::OsString,
-    io::{ErrorKind, IsTerminal, Write},
-    process::ExitCode,
-};
+use std::{ffi::OsString, process::ExitCode};
 
 use crate::base::error::Hint;
-use clap::{
-    Parser, Subcommand,
-    builder::styling::{AnsiColor, Style},
-};
+use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
-
-/// Width of text output, characters.
-const COLUMNS: usize = 80;
+use terminal::{COLUMNS, note, print, print_json, warn, wrapped};
 
 /// Exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +59,8 @@ impl From<Exit> for ExitCode {
 pub struct Failure {
     pub exit: Exit,
     message: String,
+    /// Lines that a program printed before it failed.
+    output: Vec<String>,
     hint: Option<String>,
     /// The message has been printed to stderr.
     is_printed: bool,
@@ -75,7 +70,13 @@ pub struct Failure {
 
 impl Failure {
     fn new(exit: Exit, message: impl Into<String>, hint: impl Into<Option<String>>) -> Self {
-        Self { exit, message: message.into(), hint: hint.into(), is_printed: false, has_result: false }
+        let (message, hint) = (message.into(), hint.into());
+        Self { exit, message, output: Vec::new(), hint, is_printed: false, has_result: false }
+    }
+
+    /// Adds what a program printed before it failed.
+    fn with_output(self, output: &str) -> Self {
+        Self { output: output.lines().map(String::from).collect(), ..self }
     }
 
     /// Returns a failure that the printed result describes.
@@ -91,85 +92,25 @@ impl Failure {
     /// Prints the error to stderr, and to stdout as JSON where results are JSON.
     pub fn print(&self) {
         if !self.is_printed {
-            complain(&format!("{ERROR}error:{ERROR:#} {}", self.message));
+            terminal::complain_of("error:", terminal::ERROR, &format!(" {}", self.message));
+            self.output.iter().for_each(|line| terminal::complain(&format!("  {line}")));
             if let Some(hint) = &self.hint {
-                complain(&format!("{HINT}hint:{HINT:#} {hint}"));
+                terminal::complain_of("hint:", terminal::HINT, &format!(" {hint}"));
             }
         }
         if arguments::asks_for_json() && !self.message.is_empty() && !self.has_result {
-            let error = serde_json::json!({ "error": self.message, "hint": self.hint, "exit": self.exit as u8 });
-            _ = print(&json(&error));
+            let lines: Vec<&str> = std::iter::once(&self.message).chain(&self.output).map(String::as_str).collect();
+            let error = serde_json::json!({ "error": lines.join("\n"), "hint": self.hint, "exit": self.exit as u8 });
+            _ = print_json(&error);
         }
     }
 }
-
-/// Styles of words on stderr, as clap's.
-const ERROR: Style = AnsiColor::Red.on_default().bold();
-const WARNING: Style = AnsiColor::Yellow.on_default().bold();
-const HINT: Style = AnsiColor::Green.on_default();
 
 impl<E: Hint> From<E> for Failure {
     fn from(error: E) -> Self {
         let exit = if error.is_usage() { Exit::Usage } else { Exit::Failed };
         Self::new(exit, error.to_string(), error.hint())
     }
-}
-
-/// Writes data to stdout. A reader that closes the pipe early (`| head`) is not an error.
-fn print(text: &str) -> Result<(), Failure> {
-    let mut stdout = std::io::stdout().lock();
-    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(Failure::new(Exit::Failed, format!("cannot write to stdout: {error}"), None))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Writes a line to stderr, with its colours on a terminal only; a closed stderr is not an error.
-fn complain(line: &str) {
-    _ = writeln!(anstream::stderr(), "{line}");
-}
-
-/// Prints a warning to stderr.
-fn warn(warning: &str) {
-    advise("warning:", WARNING, warning);
-}
-
-/// Prints an explanation of the following output to stderr.
-fn note(fact: &str) {
-    advise("note:", HINT, fact);
-}
-
-/// Prints a heading and words: wrapped on a terminal, else on a single line.
-fn advise(heading: &str, style: Style, words: &str) {
-    let text = match std::io::stderr().is_terminal() {
-        true => wrapped(&format!("{heading} "), words).trim_end().to_owned(),
-        false => format!("{heading} {words}"),
-    };
-    let words = text.strip_prefix(heading).unwrap_or_default();
-    complain(&format!("{style}{heading}{style:#}{words}"));
-}
-
-/// Wraps `words` after `heading` at [`COLUMNS`]; a longer word stays whole, so that it can be copied.
-fn wrapped(heading: &str, words: &str) -> String {
-    let indent = " ".repeat(heading.len());
-    let (mut text, mut line) = (String::new(), heading.to_owned());
-    let mut empty = true;
-    for word in words.split(' ') {
-        if !empty && line.chars().count() + 1 + word.chars().count() > COLUMNS {
-            text += &line;
-            text.push('\n');
-            line.clone_from(&indent);
-            empty = true;
-        }
-        if !empty {
-            line.push(' ');
-        }
-        line += word;
-        empty = false;
-    }
-    text + &line + "\n"
 }
 
 /// Sets the size of the global thread pool; `None`: a thread per core.
@@ -188,11 +129,6 @@ enum Format {
     Text,
     /// For programs.
     Json,
-}
-
-/// Formats a value as indented JSON with a final newline.
-fn json(value: &impl serde::Serialize) -> String {
-    serde_json::to_string_pretty(value).expect("what is printed is JSON") + "\n"
 }
 
 /// Ranks multi-view stereo view clusters before matching: which key views, with which partners, in which order.
@@ -262,19 +198,5 @@ fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
         Command::Status(arguments) => status::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => completions::man(&arguments),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lines_wrap_at_the_output_width() {
-        let text = wrapped("warning ", &"word ".repeat(60));
-        assert!(text.lines().all(|line| line.chars().count() <= COLUMNS) && text.lines().count() > 3);
-        assert_eq!(wrapped("- ", "one"), "- one\n");
-        let long = "x".repeat(100);
-        assert_eq!(wrapped("- ", &long), format!("- {long}\n"), "long words stay whole");
     }
 }

@@ -34,7 +34,7 @@ use crate::{backends, config::RegionChoice, show::files::files_of_same_model};
 use clap::Args;
 
 use super::{
-    Exit, Failure, Format, config, json, next, print, progress::Progress, summary::Summary, use_threads, warn,
+    Exit, Failure, Format, config, next, print, print_json, progress::Progress, summary::Summary, use_threads, warn,
 };
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
@@ -197,7 +197,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     progress.finish();
     report(arguments, &project, &plan, &files)?;
     if let (Some(page), Format::Text, false) = (page, arguments.format, arguments.quiet) {
-        print(&format!("{}\n", page.display()))?;
+        print([page.display().to_string()])?;
     }
     match &files.not_exported[..] {
         missing if arguments.backend.is_some() && !missing.is_empty() => {
@@ -420,8 +420,8 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
     };
     let summary = Summary::new(project, plan, files, arguments.dry_run, next);
     match arguments.format {
-        Format::Json => return print(&json(&summary)),
-        Format::Text if !arguments.quiet => print(&summary.text())?,
+        Format::Json => return print_json(&summary),
+        Format::Text if !arguments.quiet => print(summary.text())?,
         Format::Text => {}
     }
     // What the error will say is no warning as well.

@@ -16,7 +16,7 @@ use crate::{
 use clap::Args;
 use rayon::prelude::*;
 
-use super::{Failure, Format, json, print, progress::Progress};
+use super::{Failure, Format, print, print_json, progress::Progress};
 
 /// Draw where the backend is expected to succeed.
 ///
@@ -54,9 +54,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     if arguments.format == Format::Json {
         let written: Vec<PathBuf> = files.files.keys().map(|name| arguments.out.join(name)).collect();
-        return print(&json(&serde_json::json!({ "files": written })));
+        return print_json(&serde_json::json!({ "files": written }));
     }
-    print(&files.files.keys().map(|name| format!("{}\n", arguments.out.join(name).display())).collect::<String>())
+    print(files.files.keys().map(|name| arguments.out.join(name).display().to_string()))
 }
 
 /// The chosen key views of the written plan.

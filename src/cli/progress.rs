@@ -1,13 +1,14 @@
 //! Progress for people, on stderr: a bar with the time left on a terminal, a line per stage elsewhere.
 
 use std::{
-    io::{IsTerminal, stderr},
     sync::{Mutex, PoisonError},
     time::Instant,
 };
 
 use crate::base::progress::{Stage, Watcher};
 use indicatif::{ProgressBar, ProgressStyle};
+
+use super::terminal::{complain, is_stderr_terminal};
 
 pub struct Progress {
     kind: Kind,
@@ -30,7 +31,7 @@ struct RunningStage {
 
 impl Progress {
     pub fn new(quiet: bool) -> Self {
-        let kind = match (quiet, stderr().is_terminal()) {
+        let kind = match (quiet, is_stderr_terminal()) {
             (true, _) => Kind::None,
             (false, true) => Kind::Bars,
             (false, false) => Kind::Lines,
@@ -53,7 +54,7 @@ impl Progress {
     fn end(&self, running: &RunningStage) {
         running.bar.finish_and_clear();
         if self.kind == Kind::Lines {
-            super::complain(&format!("{}: {:.1} s", words(running.stage), running.since.elapsed().as_secs_f64()));
+            complain(&format!("{}: {:.1} s", words(running.stage), running.since.elapsed().as_secs_f64()));
         }
     }
 }

@@ -24,7 +24,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
+use super::{Failure, Format, print, print_json, progress::Progress, use_threads, warn};
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
@@ -71,9 +71,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         open(&page)?;
     }
     match arguments.format {
-        Format::Json => print(&json(&serde_json::json!({ "report": page }))),
+        Format::Json => print_json(&serde_json::json!({ "report": page })),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print(&format!("{}\n", page.display())),
+        Format::Text => print([page.display().to_string()]),
     }
 }
 
@@ -124,12 +124,11 @@ pub fn write_page(
     folders: &DepthMapFolders,
     progress: &Progress,
 ) -> Result<PathBuf, Failure> {
-    let seconds = planning_seconds(&project.home);
     let (root, name) = match out {
         Some(folder) => (folder, "report.html"),
         None => (&*project.home, REPORT_FILE),
     };
-    let contents = Contents::new(plan, project, exports, folders, seconds, progress)?;
+    let contents = Contents::new(plan, project, exports, folders, progress)?;
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(root, REPORT_SET);
     files.add_text(name, report::page(&contents));
@@ -140,12 +139,6 @@ pub fn write_page(
     files.write(&Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
     Ok(if out.is_some() { root.join(name) } else { report_path(root) })
-}
-
-/// Returns the seconds that planning took, as `viewrank plan` recorded them.
-fn planning_seconds(root: &Path) -> Option<f64> {
-    let timings = output::read_own(root, "viewrank/timings.json").ok()?;
-    serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
 }
 
 /// Opens the page in the desktop's default program.

@@ -12,7 +12,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, config, json, next, note, print, progress::Progress, ready, summary::duration, warn, wrapped,
+    Exit, Failure, Format, config, next, note, print, print_json, progress::Progress, ready, summary::duration,
+    terminal::complain, warn, wrapped,
 };
 use crate::{
     apps::{
@@ -112,8 +113,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let settings = config::load(Some(&project.root), arguments.typed(None, true))?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, why) = backends::chosen(&project, &settings)?;
-    let say = |text: &str| if arguments.is_silent() { Ok(()) } else { print(text) };
-    say(&format!("Backend: {} ({}).\n", backend.name, why.words()))?;
+    let say = |line: String| if arguments.is_silent() { Ok(()) } else { print([line]) };
+    say(format!("Backend: {} ({}).", backend.name, why.words()))?;
     let own = project.root.clone();
     let scene = project.read_scene()?;
     let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
@@ -127,7 +128,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let is_own = root == own;
     let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
-    say(&work.plan_in_words())?;
+    say(work.plan_in_words())?;
     let reached = work.compute()?;
     work.end(reached)
 }
@@ -300,10 +301,10 @@ impl<'a> Work<'a> {
         match (self.target(), &self.arguments.budget) {
             (Some(target), _) => {
                 let target = (1000.0 * target).round() / 10.0;
-                format!("Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give.\n")
+                format!("Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give.")
             }
-            (None, Some(budget)) => format!("Computing {tasks} of {all} depth maps{done} (--budget {budget}).\n"),
-            (None, None) => format!("Computing {tasks} of {all} depth maps{done}, to the limit of the settings.\n"),
+            (None, Some(budget)) => format!("Computing {tasks} of {all} depth maps{done} (--budget {budget})."),
+            (None, None) => format!("Computing {tasks} of {all} depth maps{done}, to the limit of the settings."),
         }
     }
 
@@ -390,7 +391,7 @@ impl<'a> Work<'a> {
         let target = self.target().map_or_else(String::new, |target| format!(" of {:.1} %", 100.0 * target));
         let share = self.share.map_or_else(String::new, |share| format!("{:5.1} %{target}", 100.0 * share));
         let (all, took) = (self.dispatch.tasks.len(), took.as_secs_f64());
-        super::complain(&format!(
+        complain(&format!(
             "{done:4} of {all}  {share:<14}  {:<28} {took:6.1} s, at most {} left",
             task.key,
             duration(left)
@@ -403,16 +404,17 @@ impl<'a> Work<'a> {
             ScriptResult::Done => {}
             ScriptResult::Stopped => return Err(self.stopped()),
             ScriptResult::Failed(output) => {
-                let message = format!("cannot fuse the depth maps, which are complete:\n{output}");
-                return Err(Failure::new(Exit::Failed, message, format!("to try again: {}", self.again())));
+                let message = "cannot fuse the depth maps, which are complete:";
+                let hint = format!("to try again: {}", self.again());
+                return Err(Failure::new(Exit::Failed, message, hint).with_output(&output));
             }
         }
         self.report(true);
         let result = self.result(reached);
         match self.arguments.format {
-            Format::Json => print(&json(&result))?,
+            Format::Json => print_json(&result)?,
             Format::Text if self.arguments.quiet => {}
-            Format::Text => print(&self.words(&result))?,
+            Format::Text => print(self.words(&result))?,
         }
         match self.failed.len() {
             0 => Ok(()),
@@ -439,7 +441,7 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn words(&self, result: &RunSummary) -> String {
+    fn words(&self, result: &RunSummary) -> Vec<String> {
         let measured = |share| format!("{:.1} % of what all would give, measured", 100.0 * share);
         let share = result.share.map_or("their share is not measured".into(), measured);
         let verdict = match result.target_reached {
@@ -460,14 +462,15 @@ impl<'a> Work<'a> {
             },
         };
         let result_line = format!("{} of {} depth maps: {share}; {verdict}.", result.done, result.tasks);
-        let mut text = format!("\n{}", wrapped("", &result_line));
+        let mut lines = vec![String::new()];
+        lines.extend(wrapped("", &result_line));
         if let Some(cloud) = &result.cloud {
-            text += &format!("Point cloud: {}\n", cloud.display());
+            lines.push(format!("Point cloud: {}", cloud.display()));
         }
         if let Some(report) = &result.report {
-            text += &format!("Report: {}\n", report.display());
+            lines.push(format!("Report: {}", report.display()));
         }
-        text
+        lines
     }
 
     /// Returns the command that continues.
@@ -484,7 +487,7 @@ impl<'a> Work<'a> {
     fn broken(&self, task: &Task, before: usize, output: &str) -> Failure {
         let in_a_row = if before > 0 { format!("{} key views in a row, the last ", before + 1) } else { String::new() };
         let (name, key, why) = (self.backend.name, &task.key, last_line(output));
-        let message = format!("{name} made no depth map of {in_a_row}{key}: {why}\n{output}");
+        let message = format!("{name} made no depth map of {in_a_row}{key}: {why}");
         let hint = match self.backend.name {
             _ if output.contains("No space left on device") => {
                 format!("free some space there; finished depth maps are kept, and this goes on: {}", self.again())
@@ -499,7 +502,7 @@ impl<'a> Work<'a> {
                 self.plan.project.as_argument()
             ),
         };
-        Failure::new(Exit::Failed, message, hint)
+        Failure::new(Exit::Failed, message, hint).with_output(output)
     }
 }
 
@@ -533,7 +536,7 @@ impl Lines {
     fn stage(&self, stage: &str, _percent: u8) {
         let mut last = self.stage.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if !self.is_silent && *last != stage {
-            super::complain(&format!("planning: {stage}"));
+            complain(&format!("planning: {stage}"));
             *last = stage.into();
         }
     }

@@ -9,14 +9,17 @@ use std::{
 use crate::{
     base::{error::Hint, shell::command_path},
     daemon::{
-        Line, PathDisplay,
+        Line,
         phase::{Phase, ProjectStatus},
         read_status, status_file,
     },
 };
 use clap::Args;
 
-use super::{Failure, Format, print};
+use super::{
+    Failure, Format, print, print_json,
+    terminal::{print_json_line, printable},
+};
 
 /// Show the state of the projects under a watched folder, even while the daemon is down.
 #[derive(Args)]
@@ -45,9 +48,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let line = read_status(&root).filter(|line| last.as_ref() != Some(line));
         if let Some(line) = line {
             match (arguments.json || arguments.format == Format::Json, arguments.follow) {
-                (false, _) => print(&as_text(&root, &line))?,
-                (true, false) => print(&format!("{:#}\n", as_json(&root, &line)))?,
-                (true, true) => print(&format!("{}\n", as_json(&root, &line)))?,
+                (false, _) => print(as_text(&root, &line))?,
+                (true, false) => print_json(&as_json(&root, &line))?,
+                (true, true) => print_json_line(&as_json(&root, &line))?,
             }
             last = Some(line);
         }
@@ -102,29 +105,27 @@ fn as_json(root: &Path, line: &Line) -> serde_json::Value {
     value
 }
 
-fn as_text(root: &Path, line: &Line) -> String {
+fn as_text(root: &Path, line: &Line) -> Vec<String> {
     let status = &line.status;
     let daemon = match line.running {
         true => format!("watched by process {} on {}", status.pid, status.host),
         false => "no daemon is running; this is how things stood when it ended".into(),
     };
-    let mut text = format!("{}: {daemon}\n", root.display());
-    for notice in &status.notices {
-        text += &format!("note: {notice}\n");
-    }
+    let mut lines = vec![format!("{}: {daemon}", root.display())];
+    lines.extend(status.notices.iter().map(|notice| format!("note: {notice}")));
     let width = status.projects.iter().map(|p| p.project.chars().count()).max().unwrap_or(0).min(32);
     for project in &status.projects {
-        let name = PathDisplay(Path::new(&project.project)).to_string();
+        let name = printable(&project.project);
         let measuring = if project.measuring { ", being measured" } else { "" };
-        text += &format!("  {name:width$}  {}{measuring} ({})\n", project.phase, age(project));
+        lines.push(format!("  {name:width$}  {}{measuring} ({})", project.phase, age(project)));
         if let Phase::Failed { hint: Some(hint), .. } = &project.phase {
-            text += &format!("  {:width$}  hint: {hint}\n", "");
+            lines.push(format!("  {:width$}  hint: {hint}", ""));
         }
     }
     if status.projects.is_empty() {
-        text += "  no projects yet\n";
+        lines.push("  no projects yet".into());
     }
-    text
+    lines
 }
 
 /// Formats the time since the project entered its state.

@@ -1,6 +1,6 @@
 //! Summary of a plan for users who don't know the method, at 80 columns; as JSON for programs.
 
-use std::{fmt::Write, path::Path};
+use std::path::Path;
 
 use crate::{
     backends,
@@ -111,32 +111,25 @@ impl<'a> Summary<'a> {
         }
     }
 
-    pub fn text(&self) -> String {
-        let mut text = self.found();
-        text += &self.advice();
-        text += &self.curve();
-        text += &self.worth();
-        text + &self.where_to_look()
+    pub fn text(&self) -> Vec<String> {
+        let parts = [self.found(), self.advice(), self.curve(), self.worth(), self.where_to_look()];
+        parts.join(&String::new())
     }
 
-    fn found(&self) -> String {
+    fn found(&self) -> Vec<String> {
         let length = if self.units == Units::Metric { "m" } else { "units" };
-        let on_disk = |size| format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).\n");
-        let disk = self.memory.on_disk().map(on_disk).unwrap_or_default();
-        let notes: String = self.notes.iter().map(|note| note.clone() + "\n").collect();
-        let region = self.region.map(|region| region.words(self.weight) + "\n").unwrap_or_default();
-        format!(
-            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel.\nBackend: {}{}.\n{notes}{region}",
-            grouped(self.views),
-            grouped(self.points),
-            grouped(self.triangles),
-            rounded(self.gsd),
-            self.backend,
-            self.chosen_for
-        )
+        let [views, points, triangles] = [self.views, self.points, self.triangles].map(grouped);
+        let on_disk = |size| format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).");
+        let mut lines = vec![format!("{views} views, {points} sparse points; a surface of {triangles} triangles.")];
+        lines.extend(self.memory.on_disk().map(on_disk));
+        lines.push(format!("Wanted: {} {length} per pixel.", rounded(self.gsd)));
+        lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
+        lines.extend(self.notes.iter().cloned());
+        lines.extend(self.region.map(|region| region.words(self.weight)));
+        lines
     }
 
-    fn advice(&self) -> String {
+    fn advice(&self) -> Vec<String> {
         let [maps, all] = [self.cut.clusters, self.forecast.all_maps].map(grouped);
         let [pairs, all_pairs] = [self.cut.pairs, self.forecast.all_pairs].map(grouped);
         let what = match self.use_of_views {
@@ -155,29 +148,26 @@ impl<'a> Summary<'a> {
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
         let (all_maps, expected) = match self.is_finished() {
-            true => (format!("all {all}"), String::new()),
-            false => ("all of them".into(), format!("Measured, it will likely be {}.\n", self.cut.share_band)),
+            true => (format!("all {all}"), None),
+            false => ("all of them".into(), Some(format!("Measured, it will likely be {}.", self.cut.share_band))),
         };
-        format!(
-            "\n{what}:\n{:.1} % of what {all_maps} together would give{}.\n{}{expected}{}{}{}{}",
-            self.cut.share * 100.0,
-            self.weight(),
-            self.area(),
-            self.certificate(),
-            self.given_up(),
-            self.beyond_gate(),
-            self.done()
-        )
+        let (share, weight) = (self.cut.share * 100.0, self.weight());
+        let mut lines =
+            vec![format!("{what}:"), format!("{share:.1} % of what {all_maps} together would give{weight}.")];
+        lines.extend(self.area().into_iter().chain(expected));
+        lines.extend(self.certificate());
+        lines.extend([self.given_up(), self.beyond_gate(), self.done()].into_iter().flatten());
+        lines
     }
 
     /// Share of the fused area, unless it is the headline's.
-    fn area(&self) -> String {
+    fn area(&self) -> Option<String> {
         let cluster = self.cut.clusters.checked_sub(1).and_then(|last| self.manifest.clusters.get(last));
         match cluster {
             Some(cluster) if self.weight != TriangleWeight::Area && self.use_of_views.is_none() => {
-                format!("The fused cloud will cover {:.0} % of the area of theirs.\n", 100.0 * cluster.area)
+                Some(format!("The fused cloud will cover {:.0} % of the area of theirs.", 100.0 * cluster.area))
             }
-            _ => String::new(),
+            _ => None,
         }
     }
 
@@ -194,37 +184,35 @@ impl<'a> Summary<'a> {
     }
 
     /// Formats the share of the target that all depth maps reach, and the proven bound on any better choice of equal length (method 5.2).
-    fn certificate(&self) -> String {
+    fn certificate(&self) -> Vec<String> {
         let Cut { reachable, reachable_band, fulfilment, .. } = self.cut;
-        let all =
-            format!("All together give {:.0} % of what is wanted (likely {reachable_band}).\n", 100.0 * reachable);
-        if fulfilment > 0.0 {
-            let alike = if self.forecast.maps_at_half > 0 { "work" } else { "length" };
-            all + &format!("No choice of the same {alike} is {} better.\n", self.cut.more_of_others())
-        } else {
-            all
-        }
+        let all = format!("All together give {:.0} % of what is wanted (likely {reachable_band}).", 100.0 * reachable);
+        let alike = if self.forecast.maps_at_half > 0 { "work" } else { "length" };
+        let bound = || format!("No choice of the same {alike} is {} better.", self.cut.more_of_others());
+        [Some(all), (fulfilment > 0.0).then(bound)].into_iter().flatten().collect()
     }
 
     /// Formats the areas that the cut gives up (method 5.3), as shares of what all depth maps give.
-    fn given_up(&self) -> String {
+    fn given_up(&self) -> Option<String> {
         let Cut { reachable, given_up: GivenUp { border, inside, single_map }, .. } = self.cut;
         if border + inside <= 0.0 {
-            return String::new();
+            return None;
         }
         let share = |weight: f64| format!("{:.1} %", 100.0 * weight / reachable);
         let alone = match single_map > 0.0 {
             true => format!("; {} of it has one map only", share(single_map)),
             false => String::new(),
         };
-        format!("Given up: {} at the border, {} inside{alone}.\n", share(border), share(inside))
+        Some(format!("Given up: {} at the border, {} inside{alone}.", share(border), share(inside)))
     }
 
-    fn beyond_gate(&self) -> String {
+    fn beyond_gate(&self) -> Option<String> {
         match self.cut.pairs_beyond_gate {
-            0 => String::new(),
-            1 => "One pair is beyond the limits of [partners.gate], for want of a better partner.\n".into(),
-            n => format!("{} pairs are beyond the limits of [partners.gate], for want of better ones.\n", grouped(n)),
+            0 => None,
+            1 => Some("One pair is beyond the limits of [partners.gate], for want of a better partner.".into()),
+            n => {
+                Some(format!("{} pairs are beyond the limits of [partners.gate], for want of better ones.", grouped(n)))
+            }
         }
     }
 
@@ -233,18 +221,18 @@ impl<'a> Summary<'a> {
         self.finished > 0 && self.finished == self.cut.clusters
     }
 
-    fn done(&self) -> String {
-        let Some(last) = self.finished.checked_sub(1) else { return String::new() };
+    fn done(&self) -> Option<String> {
+        let last = self.finished.checked_sub(1)?;
         let reached = self.manifest.clusters[last].share * 100.0;
         let which = match self.is_finished() {
             true => "Measured, they".into(),
             false => format!("{} of them are finished, the first of the list: they", grouped(self.finished)),
         };
-        format!("{which} really reach {reached:.1} % of that.\n")
+        Some(format!("{which} really reach {reached:.1} % of that."))
     }
 
     /// Formats a few points of the curve.
-    fn curve(&self) -> String {
+    fn curve(&self) -> Vec<String> {
         let clusters = &self.manifest.clusters;
         let length = |share: f64| clusters.iter().position(|c| c.share >= share).map(|i| i + 1);
         let mut lengths: Vec<usize> = STEPS.iter().filter_map(|&share| length(share)).collect();
@@ -253,11 +241,11 @@ impl<'a> Summary<'a> {
         lengths.dedup();
         let matched = self.use_of_views.is_none();
         let sizes = self.forecast.maps_at_half > 0;
-        let mut text = String::from(match (matched, sizes) {
-            (true, true) => "\n  depth maps     work    share\n",
-            (true, false) => "\n  depth maps    pairs    share\n",
-            (false, _) => "\n      images    share\n",
-        });
+        let mut lines = vec![String::from(match (matched, sizes) {
+            (true, true) => "  depth maps     work    share",
+            (true, false) => "  depth maps    pairs    share",
+            (false, _) => "      images    share",
+        })];
         for length in lengths {
             let pairs: usize = clusters[..length].iter().map(|c| c.partners.len()).sum();
             let quality = clusters[length - 1].share * 100.0;
@@ -272,16 +260,12 @@ impl<'a> Summary<'a> {
                 (true, false) => format!(" {:>8}", grouped(pairs)),
                 (false, _) => String::new(),
             };
-            let _ = writeln!(text, "  {:>10}{pairs}  {quality:>5.1} %{mark}", grouped(length));
+            lines.push(format!("  {:>10}{pairs}  {quality:>5.1} %{mark}", grouped(length)));
         }
         let first: Vec<&str> = clusters.iter().take(NAMED.min(self.cut.clusters)).map(|c| c.key.as_str()).collect();
-        let _ = writeln!(
-            text,
-            "\nBest first: {}{}",
-            first.join(", "),
-            if self.cut.clusters > NAMED { ", ..." } else { "" }
-        );
-        text
+        let more = if self.cut.clusters > NAMED { ", ..." } else { "" };
+        lines.extend([String::new(), format!("Best first: {}{more}", first.join(", "))]);
+        lines
     }
 
     /// Formats which one of several limits ends the plan.
@@ -296,7 +280,7 @@ impl<'a> Summary<'a> {
     }
 
     /// Formats whether planning is worth its time (method 5.6).
-    fn worth(&self) -> String {
+    fn worth(&self) -> Vec<String> {
         let planning = self.timings.total();
         let time = match (self.speed_up, self.forecast.seconds) {
             (Some(speed_up), Some(_)) if speed_up < 1.0 => {
@@ -309,33 +293,34 @@ impl<'a> Summary<'a> {
                     if self.finished > 0 { " that is left" } else { "" }
                 )
             }
-            _ if self.use_of_views.is_some() => return format!("\nPlanning took {planning:.1} s.\n"),
+            _ if self.use_of_views.is_some() => return vec![format!("Planning took {planning:.1} s.")],
             _ => match self.forecast.break_even(planning) {
                 Some(seconds) if planning >= 0.05 => {
                     format!("It pays if a depth map takes more than {} s.", rounded(seconds))
                 }
-                _ => return format!("\nPlanning took {planning:.1} s.\n"),
+                _ => return vec![format!("Planning took {planning:.1} s.")],
             },
         };
-        format!("\nPlanning took {planning:.1} s. {time}\n")
+        vec![format!("Planning took {planning:.1} s. {time}")]
     }
 
-    fn where_to_look(&self) -> String {
+    fn where_to_look(&self) -> Vec<String> {
         let folder = Path::new(&self.project).join("viewrank");
         match self.written {
-            true => format!(
-                "\nLook at {} and surface.ply.\nOn one page: {}\nNext: {}\n",
-                shown_path(&folder.join("curve.svg")),
-                self.look,
-                self.next
-            ),
-            false => format!(
-                "\nNothing was written (--dry-run). Would be written: {} files{} into {}.\nNext: {}\n",
-                self.files.len(),
-                if self.files.iter().all(|file| file.starts_with("viewrank/")) { "" } else { ", most" },
-                shown_path(&folder),
-                self.next
-            ),
+            true => vec![
+                format!("Look at {} and surface.ply.", shown_path(&folder.join("curve.svg"))),
+                format!("On one page: {}", self.look),
+                format!("Next: {}", self.next),
+            ],
+            false => vec![
+                format!(
+                    "Nothing was written (--dry-run). Would be written: {} files{} into {}.",
+                    self.files.len(),
+                    if self.files.iter().all(|file| file.starts_with("viewrank/")) { "" } else { ", most" },
+                    shown_path(&folder)
+                ),
+                format!("Next: {}", self.next),
+            ],
         }
     }
 }

@@ -24,7 +24,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, config, json, print, progress::Progress, use_threads};
+use super::{Failure, Format, config, print, print_json, progress::Progress, use_threads};
 
 /// Fit the confidence to finished depth maps.
 ///
@@ -87,9 +87,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     progress.finish();
     match arguments.format {
-        Format::Json => print(&json(&fitted)),
+        Format::Json => print_json(&fitted),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print(&text(arguments, &fitted, &settings)),
+        Format::Text => print(text(arguments, &fitted, &settings)),
     }
 }
 
@@ -176,13 +176,13 @@ fn settings(fitted: &Fitted, backend: &str) -> String {
     )
 }
 
-fn text(arguments: &Arguments, fitted: &Fitted, settings: &str) -> String {
+fn text(arguments: &Arguments, fitted: &Fitted, settings: &str) -> Vec<String> {
     let scores = |name: &str, s: &learn::Scores| {
-        format!("{name:<28} {:>10.3} {:>12.3} {:>18.3}\n", s.auc, s.brier, s.calibration_error)
+        format!("{name:<28} {:>10.3} {:>12.3} {:>18.3}", s.auc, s.brier, s.calibration_error)
     };
     let left_out = if arguments.projects.len() > 1 { "fitted to the other scenes" } else { "fitted to the other half" };
     let table = [
-        format!("{:<28} {:>10} {:>12} {:>18}\n", "", "ROC area", "Brier score", "calibration error"),
+        format!("{:<28} {:>10} {:>12} {:>18}", "", "ROC area", "Brier score", "calibration error"),
         scores("numbers of the backend", &fitted.before),
         scores(left_out, &fitted.after),
     ];
@@ -190,11 +190,12 @@ fn text(arguments: &Arguments, fitted: &Fitted, settings: &str) -> String {
         Some(out) => (format!("{}, for the top of viewrank.toml:", out.display()), &arguments.projects[0]),
         None => ("For the top of viewrank.toml:".into(), &arguments.projects[0]),
     };
-    format!(
-        "{} triangles of {} depth maps. How well they are predicted by\n\n{}\n{settings_of}\n\n{settings}\nNext: viewrank plan {}\n",
-        fitted.triangles,
-        fitted.depth_maps,
-        table.concat(),
-        command_path(project),
-    )
+    let what =
+        format!("{} triangles of {} depth maps. How well they are predicted by", fitted.triangles, fitted.depth_maps);
+    let mut lines = vec![what, String::new()];
+    lines.extend(table);
+    lines.extend([String::new(), settings_of, String::new()]);
+    lines.extend(settings.lines().map(String::from));
+    lines.extend([String::new(), format!("Next: viewrank plan {}", command_path(project))]);
+    lines
 }

@@ -10,7 +10,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, config, json, print, progress::Progress, warn};
+use super::{Failure, Format, config, print, print_json, progress::Progress, warn};
 
 /// Make the undistorted images that most MVS programs need, as a COLMAP dense workspace.
 ///
@@ -73,9 +73,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     progress.finish();
     done.warning().iter().for_each(|warning| warn(warning));
     match arguments.format {
-        Format::Json => print(&json(&done)),
+        Format::Json => print_json(&done),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print(&text(&done)),
+        Format::Text => print(text(&done)),
     }
 }
 
@@ -87,16 +87,12 @@ impl Arguments {
     }
 }
 
-fn text(done: &UndistortReport) -> String {
+fn text(done: &UndistortReport) -> Vec<String> {
     let folder = done.folder.display();
-    let kept = done.kept.iter().map(|kept| format!("kept {kept}: not written by viewrank\n"));
-    format!(
-        "{} images in {folder}, {} of them computed now.\n{}Next: viewrank plan {}\n",
-        done.images,
-        done.computed,
-        kept.collect::<String>(),
-        command_path(&done.folder)
-    )
+    let mut lines = vec![format!("{} images in {folder}, {} of them computed now.", done.images, done.computed)];
+    lines.extend(done.kept.iter().map(|kept| format!("kept {kept}: not written by viewrank")));
+    lines.push(format!("Next: viewrank plan {}", command_path(&done.folder)));
+    lines
 }
 
 fn share(text: &str) -> Result<f64, String> {

@@ -1,6 +1,6 @@
-//! `viewrank watch`: the daemon's arguments, signals and log.
+//! `viewrank watch`: the daemon's arguments and signals.
 
-use std::{io::IsTerminal, num::NonZeroUsize, path::PathBuf, process, thread, time::Duration};
+use std::{num::NonZeroUsize, path::PathBuf, process, thread, time::Duration};
 
 use crate::{
     base::{
@@ -12,9 +12,12 @@ use crate::{
     daemon::{PlanJob, PlanOptions, Signal, WatchOptions, platform as machine, state::OnBusy, watch_roots},
     io::output::Disk,
 };
-use clap::{Args, ValueEnum, builder::PossibleValue};
+use clap::{Args, builder::PossibleValue};
 
-use super::Failure;
+use super::{
+    Failure,
+    log::{self, LogFormat},
+};
 
 /// Default interval between scans of all projects.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(10);
@@ -83,14 +86,8 @@ pub struct Arguments {
     log_format: LogFormat,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum LogFormat {
-    Text,
-    Json,
-}
-
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
-    start_log(arguments.log_format);
+    log::start(arguments.log_format);
     machine::lower_priority();
     let once = arguments.once;
     let on_target = arguments.on_target.clone();
@@ -155,17 +152,6 @@ impl Hint for WatchFailure {
         let commands: Vec<String> =
             self.roots.iter().map(|root| format!("viewrank status {}", command_path(root))).collect();
         Some(format!("to see why: {}", commands.join(", ")))
-    }
-}
-
-/// Starts the log on standard error. RUST_LOG sets the level; under systemd the journal adds the times.
-fn start_log(format: LogFormat) {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "viewrank=info".into());
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_target(false).with_writer(std::io::stderr);
-    match format {
-        LogFormat::Json => log.json().init(),
-        LogFormat::Text if std::env::var_os("JOURNAL_STREAM").is_some() => log.without_time().with_ansi(false).init(),
-        LogFormat::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
     }
 }
 

@@ -15,7 +15,6 @@ use std::{
 use tracing::{info, warn};
 
 use super::{
-    PathDisplay,
     discover::{is_project, may_enter},
     follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::PlanCache,
@@ -239,7 +238,7 @@ impl PlanJob {
         if !self.options.is_run {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
         }
-        info!(project = %PathDisplay(job.project), "planning");
+        info!(project = %job.project.display(), "planning");
         let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         if let Some(empty) = EmptyPlan::detect(&plan) {
@@ -252,7 +251,7 @@ impl PlanJob {
             Progress::clear_target_reached(job.project).map_err(failed)?;
         }
         for warning in write(&plan, &project, record, job)? {
-            warn!(project = %PathDisplay(job.project), "{warning}");
+            warn!(project = %job.project.display(), "{warning}");
         }
         Ok(Outcome::Planned {
             fingerprint,
@@ -337,7 +336,7 @@ impl PlanJob {
                 true
             }
             Err(error) => {
-                warn!(project = %PathDisplay(project), %error, "cannot run the on_target command");
+                warn!(project = %project.display(), %error, "cannot run the on_target command");
                 false
             }
         }
@@ -384,9 +383,9 @@ impl PlanJob {
 /// Waits for the on_target command and logs its exit status.
 fn wait_for(mut command: Child, project: &Path) {
     match command.wait() {
-        Ok(status) if status.success() => info!(project = %PathDisplay(project), "on_target command succeeded"),
-        Ok(status) => warn!(project = %PathDisplay(project), %status, "on_target command failed"),
-        Err(error) => warn!(project = %PathDisplay(project), %error, "lost track of the on_target command"),
+        Ok(status) if status.success() => info!(project = %project.display(), "on_target command succeeded"),
+        Ok(status) => warn!(project = %project.display(), %status, "on_target command failed"),
+        Err(error) => warn!(project = %project.display(), %error, "lost track of the on_target command"),
     }
 }
 

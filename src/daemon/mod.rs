@@ -21,11 +21,7 @@ pub mod state;
 mod status;
 pub mod watch;
 
-use std::{
-    fmt,
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::{path::PathBuf, time::Duration};
 
 pub use job::{Job, PlanJob, PlanOptions, Planner};
 pub use run::{Signal, watch_roots};
@@ -82,27 +78,5 @@ impl Hint for DaemonError {
 
     fn is_usage(&self) -> bool {
         matches!(self, Self::Metrics(_))
-    }
-}
-
-/// A path to show on one line, with control characters escaped.
-pub struct PathDisplay<'a>(pub &'a Path);
-
-impl fmt::Display for PathDisplay<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.to_string_lossy().chars().try_for_each(|c| match c {
-            c if c.is_control() => write!(f, "{}", c.escape_default()),
-            c => write!(f, "{c}"),
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_path_with_a_line_break_is_shown_on_one_line() {
-        assert_eq!(PathDisplay(Path::new("/a b/c\nd\x1b[2Jé")).to_string(), "/a b/c\\nd\\u{1b}[2Jé");
     }
 }

@@ -25,7 +25,7 @@ pub fn machine_memory() -> u64 {
 
 #[cfg(unix)]
 fn physical_memory() -> Option<u64> {
-    // SAFETY: `sysconf` takes and returns plain numbers.
+    // SAFETY: `sysconf` takes and returns numbers, and may be called from any thread.
     let (pages, size) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGE_SIZE)) };
     u64::try_from(pages).ok()?.checked_mul(u64::try_from(size).ok()?)
 }

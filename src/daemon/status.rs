@@ -3,7 +3,6 @@
 use std::{
     collections::BTreeMap,
     fs::{File, TryLockError},
-    io::{self, Read, Seek, Write},
     path::{Path, PathBuf},
     thread,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
@@ -18,7 +17,7 @@ use super::{
     state::TrackedProject,
 };
 use crate::io::{
-    output::{self, Disk, OutputError},
+    output::{self, Disk},
     project::slashes,
 };
 
@@ -31,14 +30,11 @@ const TRIES: u32 = 5;
 /// Path of the lock, relative to the root.
 const LOCK: &str = "viewrank/watch.lock";
 const STATUS: &str = "viewrank/status.json";
-/// First word in the lock file.
-const HOLDER: &str = "process ";
-/// Limit in bytes of a lock file, enough for the longest host name.
-const LONGEST_NAME: u64 = 1024;
 /// Limit of notices in the status.
 const NOTICES: usize = 20;
 
-/// Lock on a root, released on drop or when the process ends, however it ends.
+/// Lock on a root, released on drop or when the process ends, however it ends. The file is locked and never written: it may be a second name
+/// of any file.
 pub struct Holder {
     /// Canonical path.
     pub root: PathBuf,
@@ -51,15 +47,15 @@ impl Holder {
     /// # Errors
     /// [`DaemonError::Held`] where a daemon holds the root, a folder above it or one in it.
     pub fn take(root: &Path, disk: &Disk) -> Result<Self, DaemonError> {
-        let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::find(path)? });
+        let error = |path: &Path| DaemonError::Held { path: path.into(), holder: holder(path) };
+        let held = |path: &Path| Self::is_held(path).then(|| error(path));
         let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
         let inside = inside.folders.iter().chain(&inside.projects).map(PathBuf::as_path);
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
             return Err(error);
         }
         output::make_own_folder(root, disk)?;
-        let failed = |source| DaemonError::Root { path: root.join(LOCK), source };
-        let mut lock = output::open_lock(root, LOCK)?;
+        let lock = output::open_lock(root, LOCK)?;
         // A process that only queries the holder of the root locks it for an instant.
         for _ in 0..TRIES {
             match lock.try_lock() {
@@ -68,18 +64,11 @@ impl Holder {
                     if let Err(TryLockError::Error(error)) = locked {
                         warn!("cannot lock {}: {error}; make sure that no other daemon watches it", root.display());
                     }
-                    if !is_name_of_holder(&mut lock).map_err(failed)? {
-                        let what = "another program's file";
-                        return Err(OutputError::Foreign { path: root.join(LOCK), what }.into());
-                    }
-                    let name = format!("{HOLDER}{} on {}\n", std::process::id(), host());
-                    let emptied = lock.set_len(0).and_then(|()| lock.rewind());
-                    emptied.and_then(|()| lock.write_all(name.as_bytes())).map_err(failed)?;
                     return Ok(Self { root: root.into(), _lock: lock });
                 }
             }
         }
-        Err(held(root).unwrap_or_else(|| failed(io::ErrorKind::WouldBlock.into())))
+        Err(error(root))
     }
 
     /// True unless the lock was removed, such as with the output folder.
@@ -95,22 +84,19 @@ impl Holder {
         Ok(())
     }
 
-    /// Returns the name of the daemon that holds the root now.
-    fn find(root: &Path) -> Option<String> {
-        let lock = output::open_own(root, LOCK).ok()?;
-        let Err(TryLockError::WouldBlock) = lock.try_lock_shared() else { return None };
-        let mut name = String::new();
-        // A holder whose name is unreadable is still a holder.
-        _ = lock.take(LONGEST_NAME).read_to_string(&mut name);
-        Some(name.trim().into())
+    /// Returns whether a daemon holds the root now.
+    fn is_held(root: &Path) -> bool {
+        let lock = output::open_own(root, LOCK).map(|lock| lock.try_lock_shared());
+        matches!(lock, Ok(Err(TryLockError::WouldBlock)))
     }
 }
 
-/// True if a lock file is new or written by viewrank. No other file may be emptied, however it is reached.
-fn is_name_of_holder(lock: &mut File) -> io::Result<bool> {
-    let mut text = Vec::new();
-    lock.take(LONGEST_NAME + 1).read_to_end(&mut text)?;
-    Ok(text.is_empty() || text.len() as u64 <= LONGEST_NAME && text.starts_with(HOLDER.as_bytes()))
+/// The daemon that holds a root, as its status names it: in the first moment of a new daemon, the one before.
+fn holder(root: &Path) -> String {
+    match status(root) {
+        Some(Status { pid, host, .. }) => format!("process {pid} on {host}"),
+        None => "another process".into(),
+    }
 }
 
 /// Writer of the status files of all roots and of the metrics.
@@ -344,9 +330,11 @@ pub fn status_file(root: &Path) -> PathBuf {
 
 /// Reads the status of a root; `None` where no daemon has watched it yet or the file can't be read.
 pub fn read_status(root: &Path) -> Option<Line> {
-    let text = output::read_own(root, STATUS).ok()?;
-    let status = serde_json::from_slice(&text).ok()?;
-    Some(Line { running: Holder::find(root).is_some(), status })
+    status(root).map(|status| Line { running: Holder::is_held(root), status })
+}
+
+fn status(root: &Path) -> Option<Status> {
+    serde_json::from_slice(&output::read_own(root, STATUS).ok()?).ok()
 }
 
 #[cfg(test)]

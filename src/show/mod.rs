@@ -1,5 +1,6 @@
 //! A plan as files: the manifest, tables, pictures.
 
+mod cell;
 pub mod files;
 pub mod manifest;
 mod outdated;

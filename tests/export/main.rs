@@ -163,7 +163,7 @@ impl Files {
     /// Where a link leads to.
     pub fn link(&self, path: &str) -> PathBuf {
         match &self.0.files.files[path] {
-            Contents::Link(target) => target.clone(),
+            Contents::Link { file, .. } => file.clone(),
             other => panic!("{path} is {other:?}"),
         }
     }

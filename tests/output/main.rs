@@ -113,9 +113,10 @@ fn links_scripts_copies_and_folders() {
     fs::create_dir_all(root.join("images")).unwrap();
     fs::write(root.join("images/1.jpg"), "picture").unwrap();
     fs::write(folder.path().join("outside.jpg"), "outside").unwrap();
+    let link = |name: &str, folder: &Path| Contents::Link { file: folder.join(name), folder: folder.into() };
     let mut set = FileSet::new(&root, "test");
-    set.add("out/deep/1.jpg", Contents::Link(root.join("images/1.jpg")));
-    set.add("out/outside.jpg", Contents::Link(folder.path().join("outside.jpg")));
+    set.add("out/deep/1.jpg", link("images/1.jpg", &root));
+    set.add("out/outside.jpg", link("outside.jpg", folder.path()));
     set.add("out/copy.jpg", Contents::Copy(root.join("images/1.jpg")));
     set.add("run.sh", Contents::Script(b"#!/bin/sh\n".to_vec()));
     set.add("maps", Contents::Folder);
@@ -135,6 +136,43 @@ fn links_scripts_copies_and_folders() {
 
     FileSet::new(&root, "test").write(&Disk::REAL).unwrap();
     assert_eq!(tree(&root), texts(&[("images", "folder"), ("images/1.jpg", "picture")]));
+}
+
+#[test]
+fn where_links_cannot_be_made_only_files_of_the_folder_are_copied() {
+    use std::os::unix::fs::symlink;
+    let folder = empty_folder();
+    let (root, store) = (folder.path().join("project"), folder.path().join("store"));
+    let images = root.join("images");
+    fs::create_dir_all(&root).unwrap();
+    fs::create_dir_all(store.join("day 1")).unwrap();
+    fs::write(store.join("1.jpg"), "picture").unwrap();
+    fs::write(store.join("day 1/2.jpg"), "second picture").unwrap();
+    fs::write(folder.path().join("id_rsa"), "secret").unwrap();
+    // The folder may be a link itself, and have links within it.
+    symlink(&store, &images).unwrap();
+    symlink("day 1/2.jpg", store.join("2.jpg")).unwrap();
+    symlink("../id_rsa", store.join("3.jpg")).unwrap();
+    symlink("..", store.join("up")).unwrap();
+    let without_links = |operation: Operation, _: &Path| match operation {
+        Operation::Link => Err(std::io::ErrorKind::PermissionDenied.into()),
+        _ => Ok(()),
+    };
+    let export = |name: &str| {
+        let mut set = FileSet::new(&root, "test");
+        set.add("out/image.jpg", Contents::Link { file: images.join(name), folder: images.clone() });
+        set.write(&Disk::guarded(&without_links)).map(|_| fs::read_to_string(root.join("out/image.jpg")).unwrap())
+    };
+    for name in ["3.jpg", "up/id_rsa", "../id_rsa", "../store/../id_rsa"] {
+        let refused = export(name);
+        assert!(
+            matches!(&refused, Err(OutputError::CopyOut { path, .. }) if *path == images.join(name)),
+            "{refused:?}"
+        );
+        assert!(!root.join("out").exists());
+    }
+    assert_eq!(export("1.jpg").unwrap(), "picture");
+    assert_eq!(export("2.jpg").unwrap(), "second picture");
 }
 
 #[test]

@@ -74,8 +74,6 @@ pub struct Contents {
     ramp: [[u8; 3]; 3],
     reasons: Vec<&'static str>,
     forecast: ForecastSettings,
-    /// Seconds that planning took; absent if not recorded.
-    planning_seconds: Option<f64>,
     clusters_total: usize,
     pairs_total: usize,
     views: ViewData,
@@ -182,13 +180,12 @@ struct HoleData {
 }
 
 impl Contents {
-    /// `exports`: those of the plan; `planning_seconds`: time that planning took.
+    /// `exports`: those of the plan.
     pub fn new(
         plan: &Plan,
         project: &Project,
         exports: &[ExportRecord],
         folders: &DepthMapFolders,
-        planning_seconds: Option<f64>,
         watcher: &dyn Watcher,
     ) -> Result<Self, ReportError> {
         let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
@@ -221,7 +218,6 @@ impl Contents {
             unregistered: plan.stages.scene.unregistered.clone(),
             reasons: Reason::NUMBERED.iter().map(|r| r.words()).collect(),
             forecast: plan.stages.settings.forecast.clone(),
-            planning_seconds,
             clusters_total: plan.decision.forecast.all_maps,
             pairs_total: plan.decision.forecast.all_pairs,
             views: ViewData::new(plan, &frame)?,

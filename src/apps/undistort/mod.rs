@@ -241,7 +241,7 @@ impl<'a> Undistortion<'a> {
             let name = self.scene.name(view);
             let path = self.images.file(name);
             let contents = match self.stays(view) {
-                true => Contents::Link(path),
+                true => self.images.link(name),
                 false => picture::undistort(&self.read(view)?, name, self.source(view), self.target(view))
                     .map(Contents::Bytes)
                     .map_err(|source| UndistortError::Image { path, source })?,

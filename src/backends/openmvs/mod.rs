@@ -160,7 +160,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     for view in selection.views() {
         let name = selection.scene.name(view);
-        files.add(format!("images/{name}"), Contents::Link(images.file(name)));
+        files.add(format!("images/{name}"), images.link(name));
     }
     let (common, overlaps) = common_project(selection);
     files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));

@@ -16,7 +16,7 @@ use std::{
 use tracing::{info, warn};
 
 use super::{
-    DaemonError, Job, PathDisplay, Planner, WatchOptions,
+    DaemonError, Job, Planner, WatchOptions,
     phase::Phase,
     platform::{self, Life, notify_supervisor},
     queue::{Full, JobQueue},
@@ -129,8 +129,8 @@ pub fn watch_roots(
     };
     for root in &daemon.roots {
         match daemon.poll {
-            Some(poll) => info!(root = %PathDisplay(root), "watching, with a scan every {} s", poll.as_secs_f64()),
-            None => info!(root = %PathDisplay(root), "watching for file events"),
+            Some(poll) => info!(root = %root.display(), "watching, with a scan every {} s", poll.as_secs_f64()),
+            None => info!(root = %root.display(), "watching for file events"),
         }
     }
     scope(|threads| daemon.run(threads, &events, disk))
@@ -224,8 +224,8 @@ impl<'a> Daemon<'a> {
         match tracked.result() {
             _ if abandoned => {}
             same if is_unchanged && *same == before => {}
-            Phase::Failed { reason, .. } => warn!(project = %PathDisplay(project), %reason, "failed"),
-            phase => info!(project = %PathDisplay(project), "{phase}"),
+            Phase::Failed { reason, .. } => warn!(project = %project.display(), %reason, "failed"),
+            phase => info!(project = %project.display(), "{phase}"),
         }
         // Changes after the job's last scan may have raised no event yet.
         self.scans.add_project(project.into(), now);

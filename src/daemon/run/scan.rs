@@ -12,7 +12,7 @@ use tracing::info;
 use super::{Daemon, NETWORK_POLL};
 use crate::{
     daemon::{
-        PathDisplay, WatchOptions,
+        WatchOptions,
         discover::{self, InputFolders},
         maps,
         settle::Stamp,
@@ -202,7 +202,7 @@ impl Daemon<'_> {
         gone.iter().for_each(|project| self.forget(project));
         found.retain(|project| !self.projects.contains_key(project));
         for project in &found {
-            info!(project = %PathDisplay(project), "found");
+            info!(project = %project.display(), "found");
             self.projects.insert(project.clone(), TrackedProject::new(project.clone(), now));
         }
         found
@@ -237,7 +237,7 @@ impl Daemon<'_> {
 
     /// Drops a project that is gone, or isn't one any more, and cancels its job.
     fn forget(&mut self, project: &Path) {
-        info!(project = %PathDisplay(project), "gone");
+        info!(project = %project.display(), "gone");
         if let Some(tracked) = self.projects.remove(project) {
             tracked.cancel();
         }

@@ -42,8 +42,12 @@ pub enum Contents {
     Script(Vec<u8>),
     /// A copy of this file.
     Copy(PathBuf),
-    /// A symbolic link to this file, relative if both are below the root; a copy if the file system has no links.
-    Link(PathBuf),
+    /// A symbolic link to this file, relative if both are below the root; where the file system has no links, a copy of a file that is in the
+    /// `folder`, also by its links: a stranger's link may lead to any file of the user's.
+    Link {
+        file: PathBuf,
+        folder: PathBuf,
+    },
     /// An empty folder.
     Folder,
 }
@@ -209,6 +213,8 @@ pub enum OutputError {
     Name { name: String },
     #[error("{}: a symbolic link leads out of {}", path.display(), root.display())]
     Escapes { path: PathBuf, root: PathBuf },
+    #[error("cannot copy {}: it leads out of {}", path.display(), folder.display())]
+    CopyOut { path: PathBuf, folder: PathBuf },
     #[error("{}: {what} in place of a file of viewrank's", path.display())]
     Foreign { path: PathBuf, what: &'static str },
     #[error("{}: {} is in the way", path.display(), if *folder { "a folder" } else { "a file" })]
@@ -263,6 +269,9 @@ impl Hint for OutputError {
             Self::Escapes { .. } => {
                 "replace the link with a folder; where there is --out, it can name the link's target".into()
             }
+            Self::CopyOut { .. } => {
+                "put the file itself there, or write where symbolic links can be made (to another disk, with --out)".into()
+            }
             Self::Foreign { .. } => "move it away: viewrank creates its own".into(),
             Self::InTheWay { .. } => "move it away, or choose another name".into(),
             Self::OtherFileSystem { .. } => "choose a folder on a single file system with --out".into(),
@@ -283,6 +292,7 @@ impl Hint for OutputError {
         match self {
             Self::Name { .. } => None,
             Self::Escapes { path, .. }
+            | Self::CopyOut { path, .. }
             | Self::Foreign { path, .. }
             | Self::InTheWay { path, .. }
             | Self::OtherFileSystem { path, .. }

@@ -119,11 +119,13 @@ impl Staging<'_> {
             Contents::Table { head, rows } => disk.write_new(at, Parts::new(head, rows), false),
             Contents::Script(bytes) => disk.write_new(at, bytes.as_slice(), true),
             Contents::Copy(from) => self.copy(from, at),
-            Contents::Link(to) => {
-                let link = link_target(to, target, &self.root.path);
-                let made = disk.symbolic_link(&link, at);
-                let made = if cfg!(windows) { made.or_else(|_| disk.hard_link(to, at)) } else { made };
-                made.or_else(|_| self.copy(to, at))
+            Contents::Link { file, folder } => {
+                let link = link_target(file, target, &self.root.path);
+                disk.symbolic_link(&link, at).or_else(|_| {
+                    let real = inside(file, folder)?;
+                    let made = if cfg!(windows) { disk.hard_link(&real, at).is_ok() } else { false };
+                    if made { Ok(()) } else { self.copy(&real, at) }
+                })
             }
             Contents::Folder => Ok(()),
         }
@@ -280,9 +282,11 @@ fn folders_above(path: &str) -> impl Iterator<Item = &str> {
 /// Returns whether the existing file has the wanted contents.
 fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) -> io::Result<bool> {
     match contents {
-        Contents::Link(to) if found.is_symlink() => Ok(fs::read_link(target)? == link_target(to, target, root)),
+        Contents::Link { file, .. } if found.is_symlink() => {
+            Ok(fs::read_link(target)? == link_target(file, target, root))
+        }
         _ if found.is_symlink() => Ok(false),
-        Contents::Link(from) | Contents::Copy(from) => {
+        Contents::Link { file: from, .. } | Contents::Copy(from) => {
             let source = input::open(from)?;
             Ok(source.metadata()?.len() == found.len() && record::same_contents(source, open::existing(target)?)?)
         }
@@ -298,6 +302,19 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
 
 fn is_bytes(target: &Path, found: &Metadata, bytes: &[u8]) -> io::Result<bool> {
     Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, open::existing(target)?)?)
+}
+
+/// The path of a file without links.
+///
+/// # Errors
+/// [`OutputError::CopyOut`] if it leads out of the folder.
+fn inside(file: &Path, folder: &Path) -> Result<PathBuf, OutputError> {
+    let real = |path: &Path| dunce::canonicalize(path).map_err(|error| OutputError::new(path, error));
+    let (path, within) = (real(file)?, real(folder)?);
+    match path.starts_with(within) {
+        true => Ok(path),
+        false => Err(OutputError::CopyOut { path: file.into(), folder: folder.into() }),
+    }
 }
 
 /// Target of a link: relative if both ends are below the root, so the project can be moved; otherwise absolute.

@@ -10,7 +10,7 @@ use std::{
 use walkdir::{DirEntry, WalkDir};
 
 use super::images::{candidates, is_image, slashes};
-use crate::model::scene::Scene;
+use crate::{io::output::Contents, model::scene::Scene};
 
 /// Name of a folder of masks: in the project, beside its image folder or in that.
 pub const MASKS: &str = "masks";
@@ -41,6 +41,11 @@ impl ImageFolder {
     pub fn file(&self, name: &str) -> PathBuf {
         let other = self.others.get().and_then(|others| others.get(name));
         self.path.join(other.map_or(name, String::as_str))
+    }
+
+    /// An image among the files of an export.
+    pub fn link(&self, name: &str) -> Contents {
+        Contents::Link { file: self.file(name), folder: self.path.clone() }
     }
 
     /// Name in the model and path in the folder of each image that is there under another name, by name.

@@ -27,6 +27,7 @@ use crate::{
         scene::{Units, ViewIndex},
     },
     plan::{Cut, Forecast, OutdatedMap, Plan, ViewStatus},
+    show::cell::cell,
 };
 
 /// Version of the format; readers accept only manifests with this number, and check it before anything else. Raised when an older reader would
@@ -184,7 +185,7 @@ impl Manifest {
         serde_json::to_string_pretty(self).expect("a manifest has string keys and finite numbers") + "\n"
     }
 
-    /// Returns the contents of `manifest.csv`: a line per cluster, for spreadsheets.
+    /// Returns the contents of `manifest.csv`: a line per cluster, for spreadsheets, with names as [cells](cell).
     pub fn to_csv(&self) -> String {
         let most = self.clusters.iter().map(|cluster| cluster.partners.len()).max().unwrap_or(0);
         let partners = (1..=most).map(|n| format!("partner_{n}"));
@@ -197,9 +198,9 @@ impl Manifest {
             let scale = cluster.scale.factor();
             let numbers =
                 [scale, cluster.work, cluster.gain, cluster.fulfilment, cluster.share].map(|number| number.to_string());
-            let start = [cluster.rank.to_string(), chosen.into(), cluster.key.clone()].into_iter().chain(numbers);
+            let start = [cluster.rank.to_string(), chosen.into(), cell(&cluster.key)].into_iter().chain(numbers);
             let empty = std::iter::repeat_n(String::new(), most - cluster.partners.len());
-            write(start.chain(cluster.partners.iter().cloned()).chain(empty).collect());
+            write(start.chain(cluster.partners.iter().map(|partner| cell(partner))).chain(empty).collect());
         }
         String::from_utf8(lines.into_inner().expect("written to memory")).expect("written from texts")
     }

@@ -65,15 +65,10 @@ function drawForecast() {
 
 // Method 5.6.
 function worth(cut) {
-  const planning = data.planning_seconds, saved = data.clusters_total - cut;
-  if (planning == null || !clusters || !cut) return '';
-  if (!timesKnown()) {
-    return saved > 0 && planning >= 0.05 ? `Planning took ${duration(planning)}; it pays off if a depth map takes more than ${rounded(planning / saved)} s.` : '';
-  }
-  const chosen = secondsUpTo(cut) + planning, left = data.clusters_total - data.finished;
+  const chosen = secondsUpTo(cut), left = data.clusters_total - data.finished;
+  if (!timesKnown() || !chosen) return '';
   const all = secondsFor(left, data.pairs_total - pairsUpTo[data.finished]);
-  return chosen < all ? `${(all / chosen).toFixed(1)} times faster than computing depth maps for each of the ${left} views ${data.finished ? 'still without one' : 'that can have one'}, including ${duration(planning)} of planning.`
-    : 'Computing all depth maps is as fast as planning and computing these.';
+  return `${(all / chosen).toFixed(1)} times faster than computing depth maps for each of the ${left} views ${data.finished ? 'still without one' : 'that can have one'}.`;
 }
 
 function setUpForecast() {

@@ -1,0 +1,66 @@
+//! Names in tables for spreadsheets.
+
+/// Beginnings of formulas, in full width too.
+const FORMULAS: [char; 8] = ['=', '+', '-', '@', '＝', '＋', '－', '＠'];
+/// Characters that begin a cell in a table of some language or program.
+const SEPARATORS: [char; 6] = [',', ';', '|', '\t', '\r', '\n'];
+
+/// Writes a name so that no spreadsheet takes it, or a part of it, for a formula: an apostrophe before each character that would begin one, and
+/// before an apostrophe in such a place, at the start and after a separator. Without the apostrophes in
+/// these places, a cell is the name again.
+pub fn cell(name: &str) -> String {
+    let mut before = None;
+    name.chars().fold(String::new(), |mut cell, c| {
+        if begins(before) && (c == '\'' || FORMULAS.contains(&c) || before.is_none() && c.is_control()) {
+            cell.push('\'');
+        }
+        before = Some(c);
+        cell.push(c);
+        cell
+    })
+}
+
+/// Returns whether a cell may begin after this character of a name; `None` at its start.
+fn begins(before: Option<char>) -> bool {
+    before.is_none_or(|c| SEPARATORS.contains(&c))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The name of a [`cell`].
+    fn name(cell: &str) -> String {
+        let (mut name, mut before) = (String::new(), None);
+        let mut rest = cell.chars();
+        while let Some(c) = rest.next() {
+            let Some(c) = (if begins(before) && c == '\'' { rest.next() } else { Some(c) }) else { break };
+            before = Some(c);
+            name.push(c);
+        }
+        name
+    }
+
+    #[test]
+    fn what_begins_a_formula_follows_an_apostrophe() {
+        for (name, expected) in [
+            ("IMG-1=2.jpg", "IMG-1=2.jpg"),
+            ("=1+2.jpg", "'=1+2.jpg"),
+            ("\t=1", "'\t'=1"),
+            ("a;=1,-2", "a;'=1,'-2"),
+            ("'a'", "''a'"),
+            ("＠a", "'＠a"),
+        ] {
+            assert_eq!(cell(name), expected);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_name_comes_back_from_its_cell(original in "[-=+@',;|\t\r\na＝]{0,12}") {
+            prop_assert_eq!(name(&cell(&original)), original);
+        }
+    }
+}
