@@ -10,7 +10,7 @@ use std::{
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     thread,
-    time::SystemTime,
+    time::{Duration, SystemTime},
 };
 
 use viewrank::internals::output::{
@@ -68,8 +68,8 @@ impl Place {
         self.folder.path().join("outside")
     }
 
-    /// Writes what a daemon writes; `version` makes each of the files another.
-    fn write(&self, version: usize, before: &(dyn Fn(Operation, &Path) -> io::Result<()> + Sync)) {
+    /// Writes what a daemon writes; `version` makes each of the files another. Returns whether the plan was written.
+    fn write(&self, version: usize, before: &(dyn Fn(Operation, &Path) -> io::Result<()> + Sync)) -> bool {
         let (root, project) = (self.root(), self.root().join("a/p"));
         let within = [root.clone(), project.clone()];
         let disk = Disk::guarded(before).within(&within);
@@ -82,12 +82,13 @@ impl Place {
         export.add_text("list", version.to_string());
         // Each of them may fail, and fails without harm.
         _ = recover(&project, &disk);
-        _ = write_all(&[plan, export], &disk);
+        let written = write_all(&[plan, export], &disk);
         _ = make_folder(&project.join("viewrank/dispatch/sgm"), &disk);
         _ = replace(&project.join("viewrank/progress.json"), b"progress", &disk);
         _ = remove(&project.join("viewrank/sgm/maps/1"), &disk);
         let own = [root.clone(), root.join("viewrank")];
         _ = replace(&root.join("viewrank/status.json"), b"status", &Disk::guarded(before).within(&own));
+        written.is_ok()
     }
 
     #[track_caller]
@@ -172,18 +173,24 @@ fn folders_exchanged_at_any_instant_lead_nothing_out() {
     let changes: usize = std::env::var("VIEWRANK_RACES").ok().and_then(|n| n.parse().ok()).unwrap_or(300);
     let place = Place::new();
     place.write(0, &|_, _| Ok(()));
-    let (is_over, exchanges) = (AtomicBool::new(false), AtomicUsize::new(0));
+    let (is_over, exchanges, mut written) = (AtomicBool::new(false), AtomicUsize::new(0), 0);
     thread::scope(|threads| {
         threads.spawn(|| {
             for folder in FOLDERS.iter().cycle().take_while(|_| !is_over.load(Ordering::Relaxed)) {
                 exchanges.fetch_add(usize::from(place.exchange(folder, thread::yield_now)), Ordering::Relaxed);
+                // Long enough for a part of a change.
+                thread::sleep(Duration::from_micros(200));
             }
         });
-        (1..=changes).for_each(|version| place.write(version, &|_, _| Ok(())));
+        written = (1..=changes).filter(|&version| place.write(version, &|_, _| Ok(()))).count();
         is_over.store(true, Ordering::Relaxed);
     });
     place.check(&format!("{changes} changes"));
-    assert!(exchanges.into_inner() > changes / 10);
+    let exchanges = exchanges.into_inner();
+    assert!(
+        exchanges > changes / 10 && (1..changes).contains(&written),
+        "{exchanges} exchanges, {written} of {changes} written"
+    );
     // Nobody disturbs it any more.
     place.write(changes + 1, &|_, _| Ok(()));
     place.write(changes + 2, &|_, _| Ok(()));
