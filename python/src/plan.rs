@@ -186,7 +186,7 @@ impl Plan {
                 return Err(Failure::without_folder());
             }
             let files = files::files_of_same_model(&self.0.plan, &self.0.project)?;
-            let uncached = files.write(&Disk::REAL)?;
+            let uncached = files.write(&self.0.project.disk())?;
             Ok((self.0.project.output_folder(), files.manifest.warnings.into_iter().chain(uncached).collect()))
         })
     }
@@ -223,7 +223,7 @@ impl Plan {
             let backend = backends::by_name(backend)?;
             let options = ExportOptions { out, refs, geometric, scene, scale };
             let (folder, files, record) = files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;
-            files.write(&Disk::REAL)?;
+            files.write(&self.0.project.disk())?;
             Ok((folder, Failure::json(&record)?))
         })
     }
@@ -248,7 +248,7 @@ impl Plan {
                 }
                 let mut files = FileSet::new(&project.root, files::REPORT_SET);
                 files.add_text(files::REPORT_FILE, page);
-                files.write(&Disk::REAL)?;
+                files.write(&project.disk())?;
                 return Ok(files::report_path(&project.root));
             };
             output::replace(&path, page.as_bytes(), &Disk::REAL)?;

@@ -34,18 +34,26 @@ pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
 /// Joins the files of exports below one folder, to be written together. Below the project they form a set of the project, so that links stay within
 /// it. A later set of the same folder replaces only this one.
 pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, project: &Project) -> FileSet {
-    let (root, real_folder) = (real(&project.home), real(folder));
-    let (mut set, base) = match real_folder.strip_prefix(&root) {
-        Ok(inner) => (FileSet::new(&project.home, &set_name(inner)), root),
-        Err(_) => (FileSet::new(&real_folder, &set_name(Path::new(""))), real_folder.clone()),
+    let folder = place(folder, project);
+    let (mut set, base) = match folder.strip_prefix(&project.home) {
+        Ok(inner) => (FileSet::new(&project.home, &set_name(inner)), &project.home),
+        Err(_) => (FileSet::new(&folder, &set_name(Path::new(""))), &folder),
     };
     for part in parts {
-        let at = real(&part.root);
-        let inner = slashes(at.strip_prefix(&base).unwrap_or(&at));
+        let at = place(&part.root, project);
+        let inner = slashes(at.strip_prefix(base).unwrap_or(&at));
         let path = |path: String| if inner.is_empty() { path } else { format!("{inner}/{path}") };
         set.files.extend(part.files.into_iter().map(|(name, contents)| (path(name), contents)));
     }
     set
+}
+
+/// The path below the project if it is one as written or through links, else the real one. A path below the project stays one if somebody puts a link
+/// into it.
+fn place(path: &Path, project: &Project) -> PathBuf {
+    let inner = output::below(&project.home, path);
+    let inner = inner.or_else(|| Some(real(path).strip_prefix(real(&project.home)).ok()?.to_path_buf()));
+    inner.map_or_else(|| real(path), |inner| project.home.join(inner))
 }
 
 /// Returns the set's name: determined by the folder, with a fixed length.

@@ -9,6 +9,8 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
+use cap_std::fs::Dir;
+
 /// Sets `O_NONBLOCK`, so that opening a pipe does not wait for its writer.
 pub fn never_block(options: &mut OpenOptions) {
     #[cfg(unix)]
@@ -16,21 +18,10 @@ pub fn never_block(options: &mut OpenOptions) {
     let _ = options;
 }
 
-/// Like [`never_block`], and makes opening a symbolic link fail; on Windows the link itself is opened, which is not a regular file.
-pub fn refuse_links(options: &mut OpenOptions) {
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::custom_flags(options, libc::O_NOFOLLOW | libc::O_NONBLOCK);
-    #[cfg(windows)]
-    {
-        const FILE_FLAG_OPEN_REPARSE_POINT: u32 = 0x0020_0000;
-        std::os::windows::fs::OpenOptionsExt::custom_flags(options, FILE_FLAG_OPEN_REPARSE_POINT);
-    }
-}
-
 /// Makes a new file executable, subject to the umask.
-pub fn make_executable(options: &mut OpenOptions) {
+pub fn make_executable(options: &mut cap_std::fs::OpenOptions) {
     #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(options, 0o777);
+    cap_std::fs::OpenOptionsExt::mode(options, 0o777);
     let _ = options;
 }
 
@@ -138,16 +129,20 @@ fn on_path(program: &Path) -> Option<PathBuf> {
 }
 
 /// Returns the inode number of a folder or, on Windows, the serial number of its volume and its index there.
-pub fn inode(folder: &Path) -> io::Result<String> {
+pub fn inode(folder: &Dir) -> io::Result<String> {
+    let folder = folder.try_clone()?.into_std_file();
     #[cfg(unix)]
-    return std::fs::metadata(folder).map(|found| std::os::unix::fs::MetadataExt::ino(&found).to_string());
+    return folder.metadata().map(|found| std::os::unix::fs::MetadataExt::ino(&found).to_string());
     #[cfg(windows)]
     {
-        let found = winapi_util::file::information(winapi_util::Handle::from_path_any(folder)?)?;
+        let found = winapi_util::file::information(&folder)?;
         Ok(format!("{} {}", found.volume_serial_number(), found.file_index()))
     }
     #[cfg(not(any(unix, windows)))]
-    return Err(io::ErrorKind::Unsupported.into());
+    {
+        let _ = folder;
+        Err(io::ErrorKind::Unsupported.into())
+    }
 }
 
 /// Time of the last change of content or name, ns since 1970, which no program can set, and inode number; `None` where the system has neither.
@@ -165,28 +160,28 @@ pub fn change_and_inode(found: &Metadata) -> Option<(u128, u64)> {
     }
 }
 
-/// Makes a symbolic link to a file. Windows lets only administrators and developers do so.
-pub fn link_file(target: &Path, at: &Path) -> io::Result<()> {
+/// Makes a symbolic link to a file. Windows lets only administrators and developers do so, and cap-std only to a relative target there.
+pub fn link_file(target: &Path, folder: &Dir, name: &str) -> io::Result<()> {
     #[cfg(unix)]
-    return std::os::unix::fs::symlink(target, at);
+    return folder.symlink_contents(target, name);
     #[cfg(windows)]
     {
-        std::os::windows::fs::symlink_file(target, at)?;
+        folder.symlink_file(target, name)?;
         // Wine reports success without making one.
-        std::fs::symlink_metadata(at).map(|_| ())
+        folder.symlink_metadata(name).map(|_| ())
     }
     #[cfg(not(any(unix, windows)))]
     {
-        let _ = (target, at);
+        let _ = (target, folder, name);
         Err(io::ErrorKind::Unsupported.into())
     }
 }
 
 /// Syncs the entries of a folder; Windows does so by itself, and opens no folders.
-pub fn sync_folder(folder: &Path) -> io::Result<()> {
+pub fn sync_folder(folder: &Dir, name: &Path) -> io::Result<()> {
     match cfg!(windows) {
         true => Ok(()),
-        false => std::fs::File::open(folder)?.sync_all(),
+        false => folder.open(name)?.sync_all(),
     }
 }
 

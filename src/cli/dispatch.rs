@@ -136,8 +136,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let export = exported.take().map(|export| export.files);
         let folder = export.as_ref().map(|files| files.root.clone());
         let export = folder.map(|folder| place::set_of_folder(&folder, export, &plan.project));
-        export.map_or(Ok(WriteReport::default()), |set| set.write(&Disk::REAL))?;
-        dispatch.files(&tools, &settings, &queue.lists()).write(&Disk::REAL)?;
+        export.map_or(Ok(WriteReport::default()), |set| set.write(&plan.project.disk()))?;
+        dispatch.files(&tools, &settings, &queue.lists()).write(&plan.project.disk())?;
         Ok(())
     };
     let submission = match (arguments.scheduler, arguments.dry_run) {
@@ -228,7 +228,7 @@ impl Arguments {
                     warn(&format!("cannot measure the existing depth maps: {reason}"));
                 }
                 // It refers to removed depth maps or another plan: no task may stop because of it.
-                follow::Progress::remove(root)?;
+                follow::Progress::remove(root, &Disk::REAL.within(&[root.to_path_buf()]))?;
                 Ok(false)
             }
         }

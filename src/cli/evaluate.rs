@@ -133,7 +133,7 @@ fn measure(
     files.add_text("evaluation.json", json(&evaluation));
     files.add_text("evaluation.html", evaluate::page(&evaluation, &title));
     files.add("evaluation.ply", Contents::Bytes(reached.ply(&model)));
-    files.write(&Disk::REAL)?;
+    files.write(&project.disk())?;
     if let Some(folder) = &arguments.dump_tables {
         let mut set = FileSet::new(folder, "tables");
         evaluate::tables::add(plan, &run, &mut set);

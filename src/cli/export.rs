@@ -7,10 +7,7 @@ use crate::{
     apps::dispatch::Dispatch,
     backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection, place},
     config::{Budget, Share},
-    io::{
-        output::{Disk, WriteReport},
-        project::Project,
-    },
+    io::{output::WriteReport, project::Project},
     model::cluster::RankedCluster,
     show::manifest::WrittenPlan,
 };
@@ -227,7 +224,7 @@ impl PreparedExport {
             sets.push(files);
         }
         let set = place::set_of_folder(&self.folder, sets, project);
-        let written = if dry_run { WriteReport::default() } else { set.write(&Disk::REAL)? };
+        let written = if dry_run { WriteReport::default() } else { set.write(&project.disk())? };
         let what = match tiles.pop() {
             Some(only) if !in_tiles => What::Whole(Box::new(only.record)),
             last => {

@@ -177,7 +177,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         backends::plan(&project, &settings, &progress).map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
         if !arguments.dry_run {
-            output::recover(&project.home, &Disk::REAL)?;
+            output::recover(&project.home, &project.disk())?;
         }
         let maps = MapFolder { folder, ready: &|_| true };
         plan = replan(plan, &earlier(&project)?, &maps, &progress)?.0;
@@ -188,7 +188,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let files = files_of_same_model(&plan, &project)
         .inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
-        write(arguments, &plan, &files, &progress)?;
+        write(arguments, &project, &plan, &files, &progress)?;
     }
     let page = match arguments.report {
         true => Some(page(&project, &mut plan, &files, &progress)?),
@@ -367,7 +367,13 @@ fn direction(text: &str) -> Result<[f64; 3], String> {
     Ok(numbers.try_into().map_err(|_| wrong)?)
 }
 
-fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {
+fn write(
+    arguments: &Arguments,
+    project: &Project,
+    plan: &Plan,
+    files: &PlanFiles,
+    progress: &Progress,
+) -> Result<(), Failure> {
     progress.progress(Stage::Write, 0, 1);
     // The plan is written last: if something else fails, it stays unchanged.
     if let Some(folder) = &arguments.dump_tables {
@@ -382,7 +388,7 @@ fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progr
             &Disk::REAL,
         )?;
     }
-    let uncached = files.write(&Disk::REAL)?;
+    let uncached = files.write(&project.disk())?;
     progress.progress(Stage::Write, 1, 1);
     uncached.iter().for_each(|warning| warn(warning));
     Ok(())

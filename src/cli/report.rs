@@ -136,7 +136,7 @@ pub fn write_page(
     for (file, text) in &contents.flight_files {
         files.add_text(format!("{folder}{file}"), text.clone());
     }
-    files.write(&Disk::REAL)?;
+    files.write(&project.disk())?;
     progress.progress(Stage::Write, 1, 1);
     Ok(if out.is_some() { root.join(name) } else { report_path(root) })
 }

@@ -24,7 +24,7 @@ use crate::{
     base::{platform, shell::command_path},
     config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
-    io::{output::Disk, project::Project},
+    io::project::Project,
     model::cluster::MapScale,
     show::{
         files::report_path,
@@ -141,7 +141,8 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
     }
     note(&format!("{} needs undistorted images: {}", backend.name, dense.display()));
     let progress = Progress::new(arguments.is_silent());
-    let done = undistort::undistort(&project, &undistort::UndistortOptions::default(), &dense, &Disk::REAL, &progress)?;
+    let done =
+        undistort::undistort(&project, &undistort::UndistortOptions::default(), &dense, &project.disk(), &progress)?;
     progress.finish();
     done.warning().iter().for_each(|warning| warn(warning));
     Ok(dense)
@@ -268,8 +269,8 @@ impl<'a> Work<'a> {
         let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
         let folder = export.files.root.clone();
         place::check(&folder, std::slice::from_ref(&export), &plan.project)?;
-        place::set_of_folder(&folder, [export.files], &plan.project).write(&Disk::REAL)?;
-        dispatch.files(&tools, &settings, &BTreeSet::new()).write(&Disk::REAL)?;
+        place::set_of_folder(&folder, [export.files], &plan.project).write(&plan.project.disk())?;
+        dispatch.files(&tools, &settings, &BTreeSet::new()).write(&plan.project.disk())?;
         let others = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task) && task.map.is_file()).count();
         if others > 0 {
             note(&format!("{others} depth maps that are there do not count for this plan: made again"));

@@ -6,7 +6,7 @@ use crate::{
     apps::undistort::{self, UndistortOptions, UndistortReport},
     base::shell::command_path,
     config::CommandLineSettings,
-    io::{output::Disk, project::Project},
+    io::project::Project,
 };
 use clap::Args;
 
@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = project.with_images(arguments.images.as_deref().or(images.as_deref()));
     let out = arguments.out.clone().unwrap_or_else(|| project.home.join("dense"));
     let progress = Progress::new(arguments.quiet);
-    let done = undistort::undistort(&project, &arguments.options(), &out, &Disk::REAL, &progress)?;
+    let done = undistort::undistort(&project, &arguments.options(), &out, &project.disk(), &progress)?;
     progress.finish();
     done.warning().iter().for_each(|warning| warn(warning));
     match arguments.format {

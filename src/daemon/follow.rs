@@ -76,9 +76,9 @@ pub struct Progress {
 
 impl Progress {
     /// Clears `target_reached` before a new plan is written, so that no queue stops for the target of the old one.
-    pub(super) fn clear_target_reached(root: &Path) -> Result<(), OutputError> {
+    pub(super) fn clear_target_reached(root: &Path, disk: &Disk) -> Result<(), OutputError> {
         match Self::read(root).filter(|progress| progress.target_reached) {
-            Some(progress) => Self { target_reached: false, ..progress }.write(root),
+            Some(progress) => Self { target_reached: false, ..progress }.write(root, disk),
             None => Ok(()),
         }
     }
@@ -106,14 +106,14 @@ impl Progress {
     ///
     /// # Errors
     /// Those of [`output::replace`].
-    pub fn write(&self, root: &Path) -> Result<(), OutputError> {
+    pub fn write(&self, root: &Path, disk: &Disk) -> Result<(), OutputError> {
         let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
-        output::replace(&output::own_path(root, PROGRESS_FILE)?, text.as_bytes(), &Disk::REAL)
+        output::replace(&progress_file(root), text.as_bytes(), disk)
     }
 
     /// Removes the progress of a project, if any.
-    pub fn remove(root: &Path) -> Result<(), OutputError> {
-        output::remove(&output::own_path(root, PROGRESS_FILE)?, &Disk::REAL)
+    pub fn remove(root: &Path, disk: &Disk) -> Result<(), OutputError> {
+        output::remove(&progress_file(root), disk)
     }
 }
 
@@ -139,7 +139,9 @@ pub fn follow(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher
 }
 
 fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
-    output::recover(root, &Disk::REAL).map_err(failed)?;
+    let within = [root.to_path_buf()];
+    let disk = Disk::REAL.within(&within);
+    output::recover(root, &disk).map_err(failed)?;
     let mut files = map_files(root, true).map_err(failed)?;
     files.retain(|path, _| counts(path));
     let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
@@ -151,7 +153,7 @@ fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher
         return Ok(Outcome::Abandoned);
     }
     progress.keep_announced(root);
-    progress.write(root).map_err(failed)?;
+    progress.write(root, &disk).map_err(failed)?;
     Ok(progress.outcome(None))
 }
 

@@ -179,25 +179,25 @@ impl PlanJob {
     }
 
     fn try_plan(&self, job: &Job) -> StepResult<Outcome> {
-        output::recover(job.project, &Disk::REAL).map_err(failed)?;
+        let within = self.within(job.project);
+        let disk = Disk::REAL.within(&within);
+        output::recover(job.project, &disk).map_err(failed)?;
         let is_by_hand = !job.project.join(RECORD).exists();
         let progress = progress_file(job.project);
         let had_maps = progress.is_file() || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
         if !had_maps || !map_files(job.project, job.follow_links).map_err(failed)?.is_empty() {
-            return self.plan_input(job, is_by_hand);
+            return self.plan_input(job, is_by_hand, &disk);
         }
         // The depth maps are gone: nothing is finished or reached any more. The progress is removed last, so that the next run completes
         // an interrupted one.
-        output::own_path(job.project, RECORD)
-            .and_then(|record| output::remove(&record, &Disk::REAL))
-            .map_err(failed)?;
-        let outcome = self.plan_input(job, is_by_hand)?;
-        Progress::remove(job.project).map_err(failed)?;
+        output::remove(&job.project.join(RECORD), &disk).map_err(failed)?;
+        let outcome = self.plan_input(job, is_by_hand, &disk)?;
+        Progress::remove(job.project, &disk).map_err(failed)?;
         Ok(outcome)
     }
 
     /// `is_by_hand`: a plan that is there is not the daemon's.
-    fn plan_input(&self, job: &Job, is_by_hand: bool) -> StepResult<Outcome> {
+    fn plan_input(&self, job: &Job, is_by_hand: bool, disk: &Disk) -> StepResult<Outcome> {
         if let Some(reason) = job.stamp.read_error() {
             let hint = Some("make it readable for the user who runs viewrank".into());
             return Err(Outcome::Failed { reason, hint });
@@ -248,9 +248,9 @@ impl PlanJob {
         let replaced = (is_by_hand && !self.options.is_run).then(|| another_than(&plan, &project)).flatten();
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.for_plan());
         if job.is_wanted() {
-            Progress::clear_target_reached(job.project).map_err(failed)?;
+            Progress::clear_target_reached(job.project, disk).map_err(failed)?;
         }
-        for warning in write(&plan, &project, record, job)? {
+        for warning in write(&plan, &project, record, job, disk)? {
             warn!(project = %job.project.display(), "{warning}");
         }
         Ok(Outcome::Planned {
@@ -264,7 +264,9 @@ impl PlanJob {
     }
 
     fn try_follow(&self, job: &Job) -> StepResult<Outcome> {
-        output::recover(job.project, &Disk::REAL).map_err(failed)?;
+        let within = self.within(job.project);
+        let disk = Disk::REAL.within(&within);
+        output::recover(job.project, &disk).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else {
             // Present maps may not have settled yet.
             let none = map_files(job.project, job.follow_links).map_err(failed)?.is_empty();
@@ -286,13 +288,13 @@ impl PlanJob {
         let following = FollowJob { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
         if self.options.replan {
-            write(&plan, &project, PlannedFrom::new(&plan, record.fingerprint, record.settings), job)?;
+            write(&plan, &project, PlannedFrom::new(&plan, record.fingerprint, record.settings), job, &disk)?;
         }
         progress.keep_announced(job.project);
-        progress.write(job.project).map_err(failed)?;
+        progress.write(job.project, &disk).map_err(failed)?;
         if progress.target_reached && !progress.announced {
             progress.announced = self.announce(job.project);
-            progress.write(job.project).map_err(failed)?;
+            progress.write(job.project, &disk).map_err(failed)?;
         }
         let note = self.settings(job.project).ok().and_then(|(_, note)| note);
         Ok(progress.outcome(note))
@@ -344,11 +346,19 @@ impl PlanJob {
 
     /// `viewrank.toml` of the watched folder that a project is in, whether it exists or not; `None` if the project is the folder itself.
     fn root_file(&self, project: &Path) -> Option<PathBuf> {
+        self.watched(project).map(|root| root.join("viewrank.toml"))
+    }
+
+    /// The watched folder that a project is in; `None` if the project is the folder itself.
+    fn watched(&self, project: &Path) -> Option<PathBuf> {
         let roots = self.options.roots.iter().filter_map(|root| dunce::canonicalize(root).ok());
-        let root = roots
-            .filter(|root| project.starts_with(root) && project != root)
-            .max_by_key(|root| root.components().count());
-        root.map(|root| root.join("viewrank.toml"))
+        roots.filter(|root| project.starts_with(root) && project != root).max_by_key(|root| root.components().count())
+    }
+
+    /// The watched folder and the project, for [`Disk::within`].
+    fn within(&self, project: &Path) -> Vec<PathBuf> {
+        let root = self.watched(project).filter(|_| !self.options.follow_links);
+        root.into_iter().chain([project.to_path_buf()]).collect()
     }
 
     /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at least those of its plan, with a note.
@@ -411,7 +421,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
 }
 
 /// Writes the plan, with the record of its input unless that has changed meanwhile; returns its warnings.
-fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> StepResult<Vec<String>> {
+fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job, disk: &Disk) -> StepResult<Vec<String>> {
     let files::PlanFiles { manifest, mut sets, outdated_exports, .. } = files::files(plan, project).map_err(failed)?;
     record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
@@ -422,7 +432,7 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
         return Err(Outcome::Abandoned);
     }
     // The record is in the first set, whose root comes last: without it the plan is made again.
-    output::write_all(&sets, &Disk::REAL).map_err(failed)?;
+    output::write_all(&sets, disk).map_err(failed)?;
     Ok(warnings_with(&manifest.warnings, &manifest.exports, &outdated_exports))
 }
 

@@ -11,7 +11,8 @@ use std::{
 use tracing::warn;
 
 use super::{
-    DaemonError, discover,
+    DaemonError,
+    discover::{self, OUTPUT_FOLDER},
     phase::{Phase, ProjectStatus, Status},
     platform::host,
     state::TrackedProject,
@@ -29,7 +30,7 @@ const RETRY: Duration = Duration::from_secs(10);
 const TRIES: u32 = 5;
 /// Path of the lock, relative to the root.
 const LOCK: &str = "viewrank/watch.lock";
-const STATUS: &str = "viewrank/status.json";
+const STATUS_FILE: &str = "status.json";
 /// Limit of notices in the status.
 const NOTICES: usize = 20;
 
@@ -223,9 +224,8 @@ impl Pace {
 
 fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(), DaemonError> {
     holder.renew(disk)?;
-    output::make_own_folder(&holder.root, disk)?;
     let text = serde_json::to_vec_pretty(status).unwrap_or_default();
-    Ok(output::replace(&output::own_path(&holder.root, STATUS)?, &text, disk)?)
+    Ok(output::replace_in(&output::make_own_folder(&holder.root, disk)?, STATUS_FILE, &text, disk)?)
 }
 
 impl RootStatus {
@@ -325,7 +325,7 @@ pub struct Line {
 
 /// Path of the status file of a root.
 pub fn status_file(root: &Path) -> PathBuf {
-    root.join(STATUS)
+    root.join(OUTPUT_FOLDER).join(STATUS_FILE)
 }
 
 /// Reads the status of a root; `None` where no daemon has watched it yet or the file can't be read.
@@ -334,7 +334,7 @@ pub fn read_status(root: &Path) -> Option<Line> {
 }
 
 fn status(root: &Path) -> Option<Status> {
-    serde_json::from_slice(&output::read_own(root, STATUS).ok()?).ok()
+    serde_json::from_slice(&output::read_own(root, &format!("{OUTPUT_FOLDER}/{STATUS_FILE}")).ok()?).ok()
 }
 
 #[cfg(test)]

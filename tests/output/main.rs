@@ -1,5 +1,7 @@
 //! Sets of files appear whole or not at all, whatever fails and whenever the process dies.
 
+#[cfg(unix)]
+mod races;
 mod strangers;
 
 use std::{

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use viewrank::internals::output::{Disk, OutputError, recover};
+use viewrank::internals::output::{Disk, OutputError, recover, replace};
 
 use super::{empty_folder, fail_at, prepare, prepare_again, set, texts, tree, undisturbed, write};
 
@@ -53,6 +53,37 @@ fn the_folder_of_outputs_may_be_a_link_inside_the_root_and_no_other() {
     write(&around, &[("viewrank/a", "a")]);
     assert_eq!(fs::read_to_string(root.join("outputs/a")).unwrap(), "a");
     assert_eq!(write(&around, &[]).removed, ["viewrank/a"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn an_absolute_link_counts_as_one_that_leads_out() {
+    let folder = empty_folder();
+    fs::create_dir(folder.path().join("outputs")).unwrap();
+    std::os::unix::fs::symlink(folder.path().join("outputs"), folder.path().join("viewrank")).unwrap();
+    let refused = set(folder.path(), &[("a", "a")]).write(&Disk::REAL);
+    assert!(matches!(refused, Err(OutputError::Escapes { .. })), "{refused:?}");
+    assert!(fs::read_dir(folder.path().join("outputs")).unwrap().next().is_none());
+}
+
+/// Else the plan of one project could be written into another.
+#[cfg(unix)]
+#[test]
+fn no_link_on_the_way_from_a_watched_root_to_a_project_is_followed_even_if_it_stays_inside() {
+    let folder = empty_folder();
+    let root = folder.path();
+    fs::create_dir_all(root.join("b/p")).unwrap();
+    std::os::unix::fs::symlink("b", root.join("a")).unwrap();
+    let project = root.join("a/p");
+    let within = [root.to_path_buf(), project.clone()];
+    let disk = Disk::REAL.within(&within);
+    let files = set(&project, &[("a", "a")]);
+    assert!(matches!(files.write(&disk), Err(OutputError::Foreign { .. })));
+    assert!(matches!(replace(&project.join("b"), b"b", &disk), Err(OutputError::Foreign { .. })));
+    assert!(fs::read_dir(root.join("b/p")).unwrap().next().is_none());
+    // The path that the user names may have links.
+    files.write(&Disk::REAL.within(&[project])).unwrap();
+    assert_eq!(fs::read_to_string(root.join("b/p/a")).unwrap(), "a");
 }
 
 /// A project whose images and notes are the user's, and which came with these files in `viewrank`.

@@ -235,10 +235,8 @@ impl Dispatch {
     /// Locks the project against other submissions until the file is dropped.
     pub fn hold(&self) -> Result<File, DispatchError> {
         self.refuse_strangers()?;
-        let name = format!("viewrank/dispatch/{}/lock", self.backend);
-        let path = output::own_path(&self.project, &name)?;
-        output::make_folder(path.parent().unwrap_or(&self.folder), &Disk::REAL)?;
-        let lock = output::open_lock(&self.project, &name)?;
+        output::make_folder(&self.folder, &Disk::REAL.within(std::slice::from_ref(&self.project)))?;
+        let lock = output::open_lock(&self.project, &format!("viewrank/dispatch/{}/lock", self.backend))?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => Err(DispatchError::Busy(self.folder.clone())),
             // On a file system without locks, the submission goes ahead unlocked.
@@ -260,10 +258,8 @@ impl Dispatch {
     /// [`DispatchError::Busy`].
     pub fn refuse_if_at_work_with(backend: &Backend, project: &Project) -> Result<(), DispatchError> {
         let name = format!("viewrank/dispatch/{}", backend.name);
-        let is_there = output::own_path(&project.home, &name).is_ok_and(|folder| folder.join("lock").is_file());
-        let lock = is_there.then(|| output::open_lock(&project.home, &format!("{name}/lock")));
-        match lock {
-            Some(Ok(lock)) if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) => {
+        match output::open_own(&project.home, &format!("{name}/lock")) {
+            Ok(lock) if matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)) => {
                 Err(DispatchError::Busy(project.home.join(name)))
             }
             _ => Ok(()),

@@ -12,17 +12,18 @@
 //! same happens at each mount of a file system that invents inodes and times (some FUSE file systems). In all these cases files are kept, never
 //! lost.
 
-use std::{fs, io, path::Path, time::UNIX_EPOCH};
+use std::{io, time::UNIX_EPOCH};
 
+use super::folder::Folder;
 use crate::base::platform;
 
 /// Returns the identity of a folder: creation time, inode number, or both; on Windows volume and index.
-pub(super) fn identity(folder: &Path) -> io::Result<String> {
-    let created = fs::metadata(folder)?.created().ok().filter(|_| !cfg!(windows));
+pub(super) fn identity(folder: &Folder) -> io::Result<String> {
+    let created = folder.metadata()?.created().ok().filter(|_| !cfg!(windows));
     let made = created.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let made = made.map(|time| format!("made {}.{:09}", time.as_secs(), time.subsec_nanos()));
     Ok(match made {
         Some(made) if cfg!(target_os = "linux") => made,
-        made => format!("{} inode {}", made.unwrap_or_default(), platform::inode(folder)?),
+        made => format!("{} inode {}", made.unwrap_or_default(), platform::inode(&folder.dir)?),
     })
 }

@@ -8,12 +8,13 @@
 //!   removed; a user's file at the path of a new one is kept as `NAME.before-viewrank`; no other file is touched.
 //! - Journals and records are valid only in the folder in which they were written (`identity.rs`): a copied or planted one removes and
 //!   replaces nothing outside `viewrank/`.
-//! - `open.rs` opens viewrank's own files. Neither a name nor a symbolic link can lead out of the set's root.
+//! - All of it happens in open folders (`folder.rs`): neither a name nor a symbolic link can lead out of the set's root, nor can somebody who exchanges
+//!   folders meanwhile.
 
 mod disk;
+mod folder;
 mod found;
 mod identity;
-mod open;
 mod record;
 mod staging;
 mod transaction;
@@ -25,7 +26,8 @@ use std::{
 };
 
 pub use disk::{Disk, Operation};
-pub(crate) use open::{open_own, own_path, read_own, refuse_to_leave};
+use folder::Folder;
+pub(crate) use folder::{below, open_own, read_own, refuse_to_leave};
 
 use crate::base::{error::Hint, packed::Packed};
 
@@ -129,7 +131,7 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
 
 /// Lists the files, below `root`, of all sets whose names begin with `prefix`: paths relative to the root, sorted. The records may be anybody's.
 pub fn recorded(root: &Path, prefix: &str) -> Vec<String> {
-    record::Records::read(root).paths(prefix)
+    Folder::open(root).map_or_else(|_| Vec::new(), |root| record::Records::read(&root).paths(prefix))
 }
 
 /// Completes or undoes the change that a killed process left unfinished below `root`, and removes its staged files; called before reading
@@ -159,42 +161,54 @@ pub fn refuse_unwritable(folder: &Path) -> Result<(), OutputError> {
     tempfile::tempfile_in(there).map(drop).map_err(|source| OutputError::new(there, source))
 }
 
-/// Replaces a file atomically, without a record: for viewrank's own files that change often (status, progress).
+/// Replaces a file atomically, without a record: for viewrank's own files that change often (status, progress). Its folder must exist.
 pub fn replace(path: &Path, bytes: &[u8], disk: &Disk) -> Result<(), OutputError> {
-    let name = path.file_name().ok_or_else(|| OutputError::Name { name: path.display().to_string() })?;
-    let draft = path.with_file_name(format!(".{}.new", name.to_string_lossy()));
+    let (folder, name) = place(path, disk)?;
+    replace_in(&folder, &name, bytes, disk)
+}
+
+/// As [`replace`], in an open folder.
+pub(crate) fn replace_in(folder: &Folder, name: &str, bytes: &[u8], disk: &Disk) -> Result<(), OutputError> {
+    let draft = format!(".{name}.new");
     // A killed process may have left its draft.
-    disk.remove(&draft)?;
-    let written = disk.write_new(&draft, bytes, false).and_then(|()| disk.rename(&draft, path));
-    written.map(|_| ()).inspect_err(|_| _ = disk.remove(&draft))
+    disk.remove(folder, &draft)?;
+    let written = disk.write_new(folder, &draft, bytes, false).and_then(|()| disk.rename(folder, &draft, name));
+    written.map(|_| ()).inspect_err(|_| _ = disk.remove(folder, &draft))
 }
 
 /// Removes a file written by [`replace`]; no error if it doesn't exist.
 pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
-    disk.remove(path)
+    match place(path, disk) {
+        Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => Ok(()),
+        found => found.and_then(|(folder, name)| disk.remove(&folder, &name)),
+    }
+}
+
+/// Opens the folder of a file.
+fn place(path: &Path, disk: &Disk) -> Result<(Folder, String), OutputError> {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let name = name.ok_or_else(|| OutputError::Name { name: path.display().to_string() })?;
+    Ok((disk.existing(path.parent().unwrap_or(path))?, name.into()))
 }
 
 /// Creates a folder and its missing ancestors.
 pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
-    transaction::make_folders(path, disk)
+    disk.make(path).map(drop)
 }
 
-/// Creates the folder `viewrank` of a root that others may write to.
+/// Opens the folder `viewrank` of a root that others may write to, after creating it if necessary.
 ///
 /// # Errors
-/// [`OutputError::Escapes`], [`OutputError::Foreign`] if it is a link: files that [`replace`] replaces would be somebody's.
-pub(crate) fn make_own_folder(root: &Path, disk: &Disk) -> Result<(), OutputError> {
-    own_path(root, "viewrank/any")?;
-    let folder = root.join("viewrank");
-    match folder.symlink_metadata() {
-        Ok(found) if found.is_symlink() => Err(OutputError::Foreign { path: folder, what: open::kind(&found) }),
-        _ => disk.make_folder(&folder),
-    }
+/// [`OutputError::Foreign`] if it is a link: files that [`replace_in`] replaces would be somebody's.
+pub(crate) fn make_own_folder(root: &Path, disk: &Disk) -> Result<Folder, OutputError> {
+    let root = disk.existing(root)?;
+    disk.make_folder(&root, "viewrank")?;
+    root.folder_without_links("viewrank")
 }
 
 /// Opens a lock file, creating it if necessary; doesn't lock or change it. Its folder must exist.
 pub(crate) fn open_lock(root: &Path, name: &str) -> Result<std::fs::File, OutputError> {
-    open::lock_file(&own_path(root, name)?)
+    Folder::open(root)?.lock_file(name)
 }
 
 /// Checks that a name is a relative path of plain components in canonical form.
@@ -248,8 +262,7 @@ impl OutputError {
     /// Returns whether the change may succeed without the set: nothing has changed, and the disk is full, or something is wrong in a folder with files of
     /// the set.
     fn spares(&self, set: &FileSet) -> bool {
-        // Error paths are canonical, `set.root` is as given.
-        let root = dunce::canonicalize(&set.root).unwrap_or_else(|_| set.root.clone());
+        let root = std::path::absolute(&set.root).unwrap_or_else(|_| set.root.clone());
         let folders = set.files.keys().filter_map(|path| Path::new(path).parent());
         let mut folders = folders.map(|folder| root.join(folder));
         match self {
@@ -267,7 +280,7 @@ impl Hint for OutputError {
                 "rename the image in the model: names are relative, without \"..\" or empty parts".into()
             }
             Self::Escapes { .. } => {
-                "replace the link with a folder; where there is --out, it can name the link's target".into()
+                "replace the link with a folder, or with a relative link; where there is --out, it can name the link's target".into()
             }
             Self::CopyOut { .. } => {
                 "put the file itself there, or write where symbolic links can be made (to another disk, with --out)".into()

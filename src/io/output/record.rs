@@ -5,15 +5,14 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs,
+    fs::File,
     io::{self, Read},
-    path::{Path, PathBuf},
     time::UNIX_EPOCH,
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{OutputError, check_name, identity::identity, open};
+use super::{OutputError, check_name, folder::Folder, identity::identity};
 use crate::base::input::{self, FileKind};
 
 /// Folder of the records, relative to the root.
@@ -34,10 +33,10 @@ pub(super) struct Record {
 }
 
 /// The records of all sets below a root.
-pub(super) struct Records {
+pub(super) struct Records<'a> {
     /// By name of the set.
     by_set: BTreeMap<String, Record>,
-    root: PathBuf,
+    root: &'a Folder,
     /// Identity of this folder.
     identity: Option<String>,
 }
@@ -49,18 +48,19 @@ pub(super) struct Claim {
     pub is_ours: bool,
 }
 
-impl Records {
+impl<'a> Records<'a> {
     /// Reads all records. Damaged ones are skipped: their files count as the user's and are kept.
-    pub fn read(root: &Path) -> Self {
-        let entries = fs::read_dir(root.join(FOLDER)).into_iter().flatten().flatten();
-        let records = entries.filter_map(|entry| {
-            let name = entry.file_name().to_str()?.strip_suffix(".json")?.to_owned();
-            let bytes = open::read_own(root, &format!("{FOLDER}/{name}.json")).ok()?;
+    pub fn read(root: &'a Folder) -> Self {
+        let records = root.names(FOLDER).into_iter().flatten().filter_map(|name| {
+            let name = name.to_str()?.strip_suffix(".json")?.to_owned();
+            let file = root.file(&format!("{FOLDER}/{name}.json")).ok()?;
+            let bytes = input::read_all(file, FileKind::State).ok()?;
             let record: Record = serde_json::from_slice(&bytes).ok()?;
             let sound = record.files.keys().chain(&record.folders).all(|path| check_name(path).is_ok());
             sound.then_some((name, record))
         });
-        Self { by_set: records.collect(), root: root.into(), identity: identity(&root.join("viewrank")).ok() }
+        let identity = root.folder("viewrank").ok().and_then(|folder| identity(&folder).ok());
+        Self { by_set: records.collect(), root, identity }
     }
 
     /// The trusted part of the record of a set.
@@ -74,7 +74,7 @@ impl Records {
     }
 
     fn is_own(&self, path: &str) -> bool {
-        path.starts_with(OWN) && !open::has_links(&self.root, path)
+        path.starts_with(OWN) && !self.root.has_links(path)
     }
 
     /// Paths of the files of sets whose names begin with `prefix`, sorted.
@@ -85,16 +85,16 @@ impl Records {
     }
 
     /// Returns a claim if the file has the contents that some record lists.
-    pub fn claim(&self, root: &Path, path: &str) -> Result<Option<Claim>, OutputError> {
-        let Some(hash) = self.recorded_hash(root, path, |_| true)? else { return Ok(None) };
+    pub fn claim(&self, path: &str) -> Result<Option<Claim>, OutputError> {
+        let Some(hash) = self.recorded_hash(path, |_| true)? else { return Ok(None) };
         let is_trusted = |r: &&Record| self.is_own(path) || self.identity.as_ref() == Some(&r.identity);
         let is_ours = self.by_set.values().filter(is_trusted).any(|r| r.files.get(path) == Some(&hash));
         Ok(Some(Claim { hash, is_ours }))
     }
 
     /// Returns whether a set other than `set` recorded the file with its current contents.
-    pub fn belongs_to_other(&self, set: &str, root: &Path, path: &str) -> Result<bool, OutputError> {
-        Ok(self.recorded_hash(root, path, |name| name != set)?.is_some())
+    pub fn belongs_to_other(&self, set: &str, path: &str) -> Result<bool, OutputError> {
+        Ok(self.recorded_hash(path, |name| name != set)?.is_some())
     }
 
     /// Returns whether the folder was created for a set other than `set`.
@@ -103,45 +103,40 @@ impl Records {
     }
 
     /// Returns the hash of the file if a set whose name passes `filter` recorded it.
-    fn recorded_hash(
-        &self,
-        root: &Path,
-        path: &str,
-        filter: impl Fn(&str) -> bool,
-    ) -> Result<Option<String>, OutputError> {
+    fn recorded_hash(&self, path: &str, filter: impl Fn(&str) -> bool) -> Result<Option<String>, OutputError> {
         let sets = self.by_set.iter().filter(|(name, _)| filter(name));
         let mut hashes = sets.filter_map(|(_, record)| record.files.get(path)).peekable();
         if hashes.peek().is_none() {
             return Ok(None);
         }
-        let found = hash(&root.join(path)).map_err(|error| OutputError::new(&root.join(path), error))?;
-        Ok(found.filter(|found| hashes.any(|recorded| recorded == found)))
+        Ok(hash(self.root, path)?.filter(|found| hashes.any(|recorded| recorded == found)))
     }
 }
 
 /// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is neither. Of a file with larger holes or longer than
 /// any of viewrank's, which would take minutes to read, what the file system says about it.
-pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
-    match fs::symlink_metadata(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error),
-        Ok(found) if found.is_symlink() => {
-            let target = fs::read_link(path)?;
-            Ok(Some(format!("link:{}", blake3::hash(target.as_os_str().as_encoded_bytes()))))
+pub(super) fn hash(root: &Folder, path: &str) -> Result<Option<String>, OutputError> {
+    match root.find(path)? {
+        Some(found) if found.is_symlink() => {
+            Ok(Some(format!("link:{}", blake3::hash(root.link(path)?.as_os_str().as_encoded_bytes()))))
         }
-        Ok(found) if found.is_file() => {
-            let file = open::existing(path)?;
-            if found.len() > FileKind::Sparse.limit() || input::large_holes(&file, found.len()).is_some() {
-                let modified = found.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
-                let inode = input::identity(&found).1;
-                return Ok(Some(format!("large:{} {} {inode}", found.len(), modified.as_nanos())));
-            }
-            let mut hasher = blake3::Hasher::new();
-            hasher.update_reader(file)?;
-            Ok(Some(hasher.finalize().to_string()))
+        Some(found) if found.is_file() => {
+            hash_of_file(&root.file(path)?).map(Some).map_err(|error| root.failed(path.as_ref(), error))
         }
-        Ok(_) => Ok(None),
+        _ => Ok(None),
     }
+}
+
+fn hash_of_file(file: &File) -> io::Result<String> {
+    let found = file.metadata()?;
+    if found.len() > FileKind::Sparse.limit() || input::large_holes(file, found.len()).is_some() {
+        let modified = found.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+        let inode = input::identity(&found).1;
+        return Ok(format!("large:{} {} {inode}", found.len(), modified.as_nanos()));
+    }
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(file)?;
+    Ok(hasher.finalize().to_string())
 }
 
 /// Returns whether both readers give the same bytes.

@@ -2,24 +2,28 @@
 
 use std::{
     collections::{BTreeSet, VecDeque},
-    fs::{self, Metadata},
+    fs::File,
     io::{self, Read},
     path::{Path, PathBuf},
 };
 
+use cap_std::fs::Metadata;
+
 use super::{
-    Contents, FileSet, OutputError, WriteReport, open,
-    record::{self, Record, Records},
-    transaction::{Change, Root, Step},
+    Contents, FileSet, OutputError, WriteReport,
+    folder::Folder,
+    record::{self, Record, Records, hash},
+    transaction::{Change, Root, STAGING, Step, staged},
 };
 use crate::base::{input, packed::Packed, platform};
 
 /// Stages the differences between the sets and the files on disk, as one change for all sets.
 pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<WriteReport>), OutputError> {
-    let records = Records::read(&root.path);
+    let records = Records::read(&root.folder);
     let wanted: BTreeSet<&str> = sets.iter().flat_map(|set| set.files.keys()).map(String::as_str).collect();
     let mut staging = Staging {
         root,
+        folder: &root.folder,
         records: &records,
         wanted: &wanted,
         record: Record::default(),
@@ -37,7 +41,8 @@ pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Write
 
 struct Staging<'a> {
     root: &'a Root<'a>,
-    records: &'a Records,
+    folder: &'a Folder,
+    records: &'a Records<'a>,
     /// Paths of all sets in this change.
     wanted: &'a BTreeSet<&'a str>,
     /// New record of the current set.
@@ -60,45 +65,35 @@ impl Staging<'_> {
     }
 
     fn file(&mut self, path: &str, contents: &Contents) -> Result<(), OutputError> {
-        let target = self.root.locate(path)?;
-        let found = fs::symlink_metadata(&target).ok();
+        let found = self.folder.find(path)?;
         if let Contents::Folder = contents {
-            return self.empty_folder(path, &target, found);
+            return self.missing_folders(&format!("{path}/"));
         }
         self.missing_folders(path)?;
         let Some(found) = found else { return self.replace(path, contents, false) };
         if found.is_dir() {
-            return Err(OutputError::InTheWay { path: target, folder: true });
+            return Err(OutputError::InTheWay { path: self.folder.path(path), folder: true });
         }
         if !found.is_file() && !found.is_symlink() {
-            return Err(OutputError::Foreign { path: target, what: open::kind(&found) });
+            return Err(self.folder.foreign(path, &found));
         }
-        let claim = self.records.claim(&self.root.path, path)?;
-        if is_same(&target, &found, contents, &self.root.path).map_err(|error| OutputError::new(&target, error))? {
+        let claim = self.records.claim(path)?;
+        if self.is_same(path, &found, contents)? {
             self.record.files.extend(claim.map(|claim| (path.to_owned(), claim.hash)));
             return Ok(());
         }
         if !claim.is_some_and(|claim| claim.is_ours) {
-            self.keep_original(path, &target)?;
+            self.keep_original(path)?;
         }
         self.replace(path, contents, true)
     }
 
-    fn empty_folder(&mut self, path: &str, target: &Path, found: Option<Metadata>) -> Result<(), OutputError> {
-        if found.is_some() && !target.is_dir() {
-            return Err(OutputError::InTheWay { path: target.to_path_buf(), folder: false });
-        }
-        self.missing_folders(&format!("{path}/"))
-    }
-
     /// Stages the new file, and a link to the current one.
     fn replace(&mut self, path: &str, contents: &Contents, has_old: bool) -> Result<(), OutputError> {
-        let target = self.root.locate(path)?;
-        let step = self.change.steps.len();
-        let new = self.root.staged(step, "new");
-        self.make(&new, &target, contents)?;
-        let old = if has_old { self.keep_old(&target)? } else { None };
-        let new = hash_of(&new)?;
+        let new = staged(self.change.steps.len(), "new");
+        self.make(&new, path, contents)?;
+        let old = if has_old { self.keep_old(path)? } else { None };
+        let new = hash(self.folder, &new)?;
         self.record.files.extend(new.clone().map(|hash| (path.to_owned(), hash)));
         self.written.changed.push(path.into());
         self.change.steps.push(Step { path: path.into(), new, old });
@@ -106,59 +101,64 @@ impl Staging<'_> {
     }
 
     /// Stages a link to the file that the next step replaces or removes, for undo; returns its hash.
-    fn keep_old(&self, target: &Path) -> Result<Option<String>, OutputError> {
-        let old = self.root.staged(self.change.steps.len(), "old");
-        self.link_or_copy(target, &old)?;
-        hash_of(&old)
+    fn keep_old(&self, path: &str) -> Result<Option<String>, OutputError> {
+        let old = staged(self.change.steps.len(), "old");
+        self.link_or_copy(path, &old)?;
+        hash(self.folder, &old)
     }
 
-    fn make(&self, at: &Path, target: &Path, contents: &Contents) -> Result<(), OutputError> {
-        let disk = self.root.disk;
+    /// Makes the staged file `at` for `path`.
+    fn make(&self, at: &str, path: &str, contents: &Contents) -> Result<(), OutputError> {
+        let (disk, folder) = (self.root.disk, self.folder);
         match contents {
-            Contents::Bytes(bytes) => disk.write_new(at, bytes.as_slice(), false),
-            Contents::Table { head, rows } => disk.write_new(at, Parts::new(head, rows), false),
-            Contents::Script(bytes) => disk.write_new(at, bytes.as_slice(), true),
-            Contents::Copy(from) => self.copy(from, at),
-            Contents::Link { file, folder } => {
-                let link = link_target(file, target, &self.root.path);
-                disk.symbolic_link(&link, at).or_else(|_| {
-                    let real = inside(file, folder)?;
-                    let made = if cfg!(windows) { disk.hard_link(&real, at).is_ok() } else { false };
-                    if made { Ok(()) } else { self.copy(&real, at) }
+            Contents::Bytes(bytes) => disk.write_new(folder, at, bytes.as_slice(), false),
+            Contents::Table { head, rows } => disk.write_new(folder, at, Parts::new(head, rows), false),
+            Contents::Script(bytes) => disk.write_new(folder, at, bytes.as_slice(), true),
+            Contents::Copy(from) => self.copy(open_source(from)?, at),
+            Contents::Link { file, folder: within } => {
+                disk.symbolic_link(&self.link_target(file, path), folder, at).or_else(|_| {
+                    let real = inside(file, within)?;
+                    let made = if cfg!(windows) { self.hard_link(&real, at).is_ok() } else { false };
+                    if made { Ok(()) } else { self.copy(open_source(&real)?, at) }
                 })
             }
             Contents::Folder => Ok(()),
         }
     }
 
-    fn copy(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
-        let source = input::open(from).map_err(|error| OutputError::new(from, error))?;
-        let executable = source.metadata().is_ok_and(|found| platform::is_executable(&found));
-        self.root.disk.write_new(to, source, executable)
+    fn copy(&self, from: File, to: &str) -> Result<(), OutputError> {
+        let executable = from.metadata().is_ok_and(|found| platform::is_executable(&found));
+        self.root.disk.write_new(self.folder, to, from, executable)
+    }
+
+    /// Makes a hard link to a file anywhere.
+    fn hard_link(&self, from: &Path, to: &str) -> Result<(), OutputError> {
+        let source = Folder::open(from.parent().unwrap_or(from))?;
+        self.root.disk.hard_link((&source, from.file_name().unwrap_or_default().as_ref()), (self.folder, to))
     }
 
     /// Makes a hard link, or a copy if the file system has none or forbids it.
-    fn link_or_copy(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
-        self.root.disk.hard_link(from, to).or_else(|_| match fs::read_link(from) {
-            Ok(target) => self.root.disk.symbolic_link(&target, to),
-            Err(_) => self.copy(from, to),
+    fn link_or_copy(&self, from: &str, to: &str) -> Result<(), OutputError> {
+        let (disk, folder) = (self.root.disk, self.folder);
+        disk.hard_link((folder, from.as_ref()), (folder, to)).or_else(|_| match folder.link(from) {
+            Ok(target) => disk.symbolic_link(&target, folder, to),
+            Err(_) => self.copy(folder.file(from)?, to),
         })
     }
 
     /// Keeps a user's file under a new name, unless an earlier run has done so.
-    fn keep_original(&mut self, path: &str, target: &Path) -> Result<(), OutputError> {
-        let original = hash_of(target)?;
+    fn keep_original(&mut self, path: &str) -> Result<(), OutputError> {
+        let original = hash(self.folder, path)?;
         let names = std::iter::once(format!("{path}.before-viewrank"))
             .chain((2..).map(|n| format!("{path}.before-viewrank-{n}")));
         for name in names {
-            let backup = self.root.locate(&name)?;
-            if fs::symlink_metadata(&backup).is_err() {
-                self.link_or_copy(target, &self.root.staged(self.change.steps.len(), "new"))?;
+            if self.folder.find(&name)?.is_none() {
+                self.link_or_copy(path, &staged(self.change.steps.len(), "new"))?;
                 self.change.steps.push(Step { path: name.clone(), new: original, old: None });
                 self.written.kept.push(name);
                 break;
             }
-            if hash_of(&backup)? == original {
+            if hash(self.folder, &name)? == original {
                 break;
             }
         }
@@ -169,23 +169,25 @@ impl Staging<'_> {
     /// systems.
     fn missing_folders(&mut self, path: &str) -> Result<(), OutputError> {
         for folder in folders_above(path) {
-            let at = self.root.locate(folder)?;
-            match fs::metadata(&at) {
-                Ok(found) => self.check_file_system(&at, &found)?,
-                Err(_) if self.change.new_folders.iter().any(|known| known == folder) => {}
-                Err(_) => self.change.new_folders.push(folder.into()),
+            match (self.folder.folder(folder), self.folder.find(folder)?) {
+                (Ok(_), _) => self.check_file_system(folder)?,
+                (Err(error), Some(_)) => return Err(error),
+                (Err(_), None) if self.change.new_folders.iter().any(|known| known == folder) => {}
+                (Err(_), None) => self.change.new_folders.push(folder.into()),
             }
         }
         Ok(())
     }
 
-    fn check_file_system(&self, folder: &Path, found: &Metadata) -> Result<(), OutputError> {
-        let staging = self.root.staging();
-        let home = fs::metadata(&staging).map_err(|error| OutputError::new(&staging, error))?;
-        if platform::file_system(found) == platform::file_system(&home) {
+    fn check_file_system(&self, folder: &str) -> Result<(), OutputError> {
+        let number = |folder: &str| {
+            let found = self.folder.folder(folder)?.metadata();
+            found.map(|found| platform::file_system(&found)).map_err(|error| self.folder.failed(folder.as_ref(), error))
+        };
+        if number(folder)? == number(STAGING)? {
             return Ok(());
         }
-        Err(OutputError::OtherFileSystem { path: folder.to_path_buf(), staging })
+        Err(OutputError::OtherFileSystem { path: self.folder.path(folder), staging: self.folder.path(STAGING) })
     }
 
     /// Removes the files of the earlier set that no set in this change has, if they are unmodified and belong to no other set.
@@ -193,13 +195,12 @@ impl Staging<'_> {
         let stale: Vec<String> =
             earlier.files.keys().filter(|path| !self.wanted.contains(path.as_str())).cloned().collect();
         for path in stale {
-            let target = self.root.locate(&path)?;
-            if !self.records.claim(&self.root.path, &path)?.is_some_and(|claim| claim.is_ours)
-                || self.records.belongs_to_other(set, &self.root.path, &path)?
+            if !self.records.claim(&path)?.is_some_and(|claim| claim.is_ours)
+                || self.records.belongs_to_other(set, &path)?
             {
                 continue;
             }
-            let old = self.keep_old(&target)?;
+            let old = self.keep_old(&path)?;
             self.change.steps.push(Step { path: path.clone(), new: None, old });
             self.written.removed.push(path);
         }
@@ -214,7 +215,7 @@ impl Staging<'_> {
         let unneeded = earlier
             .folders
             .difference(&needed)
-            .filter(|folder| !self.records.other_has_folder(&set.name, folder) && self.root.path.join(folder).is_dir());
+            .filter(|folder| !self.records.other_has_folder(&set.name, folder) && self.folder.folder(folder).is_ok());
         self.change.old_folders.extend(unneeded.cloned());
     }
 
@@ -225,26 +226,58 @@ impl Staging<'_> {
             return Ok(());
         }
         let path = format!("{}/{set}.json", record::FOLDER);
-        let target = self.root.locate(&path)?;
         // An earlier record is replaced without being kept: what is in a folder elsewhere is none.
-        let folder = self.root.path.join(record::FOLDER);
-        if let Some(link) = fs::symlink_metadata(&folder).ok().filter(Metadata::is_symlink) {
-            return Err(OutputError::Foreign { path: folder, what: open::kind(&link) });
+        if let Some(link) = self.folder.find(record::FOLDER)?.filter(Metadata::is_symlink) {
+            return Err(self.folder.foreign(record::FOLDER, &link));
         }
         self.missing_folders(&path)?;
-        let step = self.change.steps.len();
         let mut text = serde_json::to_vec_pretty(&self.record).expect("strings are JSON");
         text.push(b'\n');
-        let new = self.root.staged(step, "new");
-        self.root.disk.write_new(&new, text.as_slice(), false)?;
-        let old = if fs::symlink_metadata(&target).is_ok() { self.keep_old(&target)? } else { None };
-        self.change.steps.push(Step { path, new: hash_of(&new)?, old });
+        let new = staged(self.change.steps.len(), "new");
+        self.root.disk.write_new(self.folder, &new, text.as_slice(), false)?;
+        let old = if self.folder.find(&path)?.is_some() { self.keep_old(&path)? } else { None };
+        self.change.steps.push(Step { path, new: hash(self.folder, &new)?, old });
         Ok(())
+    }
+
+    /// Returns whether the existing file has the wanted contents.
+    fn is_same(&self, path: &str, found: &Metadata, contents: &Contents) -> Result<bool, OutputError> {
+        if let (Contents::Link { file, .. }, true) = (contents, found.is_symlink()) {
+            return Ok(self.folder.link(path)? == self.link_target(file, path));
+        }
+        if !found.is_file() {
+            return Ok(false);
+        }
+        let there = self.folder.file(path)?;
+        match contents {
+            Contents::Link { file: from, .. } | Contents::Copy(from) => is_copy(&there, &open_source(from)?),
+            Contents::Bytes(bytes) => has_bytes(&there, bytes),
+            Contents::Table { head, rows } => {
+                let length = head.len() + rows.iter().map(|part| part.as_bytes().len()).sum::<usize>();
+                has_contents(&there, length as u64, Parts::new(head, rows))
+            }
+            Contents::Script(bytes) => has_bytes(&there, bytes).and_then(|same| Ok(same && is_executable(&there)?)),
+            Contents::Folder => Ok(false),
+        }
+        .map_err(|error| self.folder.failed(path.as_ref(), error))
+    }
+
+    /// Target of a link: relative if both ends are below the root, so the project can be moved; otherwise absolute.
+    fn link_target(&self, to: &Path, path: &str) -> PathBuf {
+        let absolute = std::path::absolute(to).unwrap_or_else(|_| to.to_path_buf());
+        let real = match (absolute.parent().and_then(|folder| dunce::canonicalize(folder).ok()), absolute.file_name()) {
+            (Some(folder), Some(name)) => folder.join(name),
+            _ => absolute,
+        };
+        let root = dunce::canonicalize(self.folder.path("")).unwrap_or_default();
+        let Ok(to) = real.strip_prefix(root) else { return real };
+        let up = path.matches('/').count();
+        (0..up).map(|_| Path::new("..")).chain([to]).collect()
     }
 }
 
-fn hash_of(path: &Path) -> Result<Option<String>, OutputError> {
-    record::hash(path).map_err(|error| OutputError::new(path, error))
+fn open_source(path: &Path) -> Result<File, OutputError> {
+    input::open(path).map_err(|error| OutputError::new(path, error))
 }
 
 /// All folders above the files of a set.
@@ -279,29 +312,12 @@ fn folders_above(path: &str) -> impl Iterator<Item = &str> {
     path.match_indices('/').map(|(end, _)| &path[..end])
 }
 
-/// Returns whether the existing file has the wanted contents.
-fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) -> io::Result<bool> {
-    match contents {
-        Contents::Link { file, .. } if found.is_symlink() => {
-            Ok(fs::read_link(target)? == link_target(file, target, root))
-        }
-        _ if found.is_symlink() => Ok(false),
-        Contents::Link { file: from, .. } | Contents::Copy(from) => {
-            let source = input::open(from)?;
-            Ok(source.metadata()?.len() == found.len() && record::same_contents(source, open::existing(target)?)?)
-        }
-        Contents::Bytes(bytes) => is_bytes(target, found, bytes),
-        Contents::Table { head, rows } => {
-            let length = head.len() + rows.iter().map(|part| part.as_bytes().len()).sum::<usize>();
-            Ok(found.len() == length as u64 && record::same_contents(Parts::new(head, rows), open::existing(target)?)?)
-        }
-        Contents::Script(bytes) => Ok(platform::is_executable(found) && is_bytes(target, found, bytes)?),
-        Contents::Folder => Ok(found.is_dir()),
-    }
+fn is_copy(file: &File, source: &File) -> io::Result<bool> {
+    has_contents(file, source.metadata()?.len(), source)
 }
 
-fn is_bytes(target: &Path, found: &Metadata, bytes: &[u8]) -> io::Result<bool> {
-    Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, open::existing(target)?)?)
+fn has_bytes(file: &File, bytes: &[u8]) -> io::Result<bool> {
+    has_contents(file, bytes.len() as u64, bytes)
 }
 
 /// The path of a file without links.
@@ -317,14 +333,10 @@ fn inside(file: &Path, folder: &Path) -> Result<PathBuf, OutputError> {
     }
 }
 
-/// Target of a link: relative if both ends are below the root, so the project can be moved; otherwise absolute.
-fn link_target(to: &Path, from: &Path, root: &Path) -> PathBuf {
-    let absolute = std::path::absolute(to).unwrap_or_else(|_| to.to_path_buf());
-    let real = match (absolute.parent().and_then(|folder| dunce::canonicalize(folder).ok()), absolute.file_name()) {
-        (Some(folder), Some(name)) => folder.join(name),
-        _ => absolute,
-    };
-    let (Ok(to), Ok(from)) = (real.strip_prefix(root), from.strip_prefix(root)) else { return real };
-    let up = from.components().count() - 1;
-    (0..up).map(|_| Path::new("..")).chain([to]).collect()
+fn has_contents(file: &File, length: u64, contents: impl Read) -> io::Result<bool> {
+    Ok(file.metadata()?.len() == length && record::same_contents(contents, file)?)
+}
+
+fn is_executable(file: &File) -> io::Result<bool> {
+    Ok(platform::is_executable(&file.metadata()?))
 }

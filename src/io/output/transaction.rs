@@ -8,15 +8,11 @@
 //! remove has the hash from before or after the change. Otherwise the journal and its staged files are set aside, and no file is touched
 //! (`found.rs`).
 
-use std::{
-    collections::BTreeSet,
-    fs::File,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeSet, fs::File, path::Path};
 
 use serde::{Deserialize, Serialize};
 
-use super::{Disk, FileSet, OutputError, WriteReport, found, identity::identity, open::check_links, staging};
+use super::{Disk, FileSet, OutputError, WriteReport, folder::Folder, found, identity::identity, staging};
 
 pub(super) const FOLDER: &str = "viewrank";
 pub(super) const STAGING: &str = "viewrank/.staging";
@@ -60,8 +56,7 @@ pub(super) struct Journal {
 
 /// A locked root folder.
 pub(super) struct Root<'a> {
-    /// Canonical path.
-    pub path: PathBuf,
+    pub folder: Folder,
     pub disk: &'a Disk<'a>,
     /// Identity of the folder `viewrank`.
     pub identity: String,
@@ -83,8 +78,9 @@ pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<W
 }
 
 pub(super) fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
-    let has_journal = is_there(&root.join(JOURNAL));
-    if !has_journal && !is_there(&root.join(STAGING)) {
+    let is_there = |name: &str| root.join(name).symlink_metadata().is_ok();
+    let has_journal = is_there(JOURNAL);
+    if !has_journal && !is_there(STAGING) {
         return Ok(());
     }
     let settled = Root::open(root, disk).and_then(|root| root.settle());
@@ -95,36 +91,21 @@ pub(super) fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
 impl<'a> Root<'a> {
     /// Creates the folder if necessary and waits for its lock.
     fn open(path: &Path, disk: &'a Disk<'a>) -> Result<Self, OutputError> {
-        let failed = |error| OutputError::new(path, error);
-        make_folders(&std::path::absolute(path).map_err(failed)?, disk)?;
-        let path = dunce::canonicalize(path).map_err(failed)?;
-        check_links(&path, LOCK)?;
-        disk.make_folder(&path.join(FOLDER))?;
-        let lock = disk.lock(&path.join(LOCK))?;
-        let identity = identity(&path.join(FOLDER)).map_err(|error| OutputError::new(&path.join(FOLDER), error))?;
-        Ok(Self { path, disk, identity, _lock: lock })
-    }
-
-    /// Path of a file of the set, after checking the folders above it.
-    pub fn locate(&self, path: &str) -> Result<PathBuf, OutputError> {
-        check_links(&self.path, path)
-    }
-
-    pub fn staging(&self) -> PathBuf {
-        self.path.join(STAGING)
-    }
-
-    pub fn staged(&self, step: usize, which: &str) -> PathBuf {
-        self.staging().join(format!("{step}.{which}"))
+        let folder = disk.make(path)?;
+        disk.make_folder(&folder, FOLDER)?;
+        let lock = disk.lock(&folder, LOCK)?;
+        let own = folder.folder(FOLDER)?;
+        let identity = identity(&own).map_err(|error| folder.failed(FOLDER.as_ref(), error))?;
+        Ok(Self { folder, disk, identity, _lock: lock })
     }
 
     fn make_staging(&self) -> Result<(), OutputError> {
-        self.disk.make_new_folder(&self.staging())
+        self.disk.make_new_folder(&self.folder, STAGING)
     }
 
     /// Removes the staged files. Errors are ignored: the set is complete, and the next run removes the rest.
     fn clear_staging(&self) {
-        let _ = self.disk.remove_folder(&self.staging());
+        let _ = self.disk.remove_folder(&self.folder, STAGING);
     }
 
     /// Completes or undoes the change of an earlier process.
@@ -135,13 +116,13 @@ impl<'a> Root<'a> {
                 Direction::Undo => self.undo(&journal.change)?,
             }
         }
-        self.disk.remove_folder(&self.staging())
+        self.disk.remove_folder(&self.folder, STAGING)
     }
 
     fn carry_out(&self, change: Change) -> Result<(), OutputError> {
         let mut journal = Journal { direction: Direction::Finish, identity: self.identity.clone(), change };
         if let Err(failure) = self.write_journal(&journal)
-            && !is_there(&self.path.join(JOURNAL))
+            && matches!(self.folder.find(JOURNAL), Ok(None))
         {
             self.clear_staging();
             return Err(failure);
@@ -161,49 +142,47 @@ impl<'a> Root<'a> {
 
     /// Writes the journal: from now on the change will be completed or undone, even if this process is killed.
     fn write_journal(&self, journal: &Journal) -> Result<(), OutputError> {
-        let draft = self.staging().join(match journal.direction {
-            Direction::Finish => "finish",
-            Direction::Undo => "undo",
-        });
+        let draft = match journal.direction {
+            Direction::Finish => format!("{STAGING}/finish"),
+            Direction::Undo => format!("{STAGING}/undo"),
+        };
         let text = serde_json::to_vec(journal).expect("strings and booleans are JSON");
-        self.disk.write_new(&draft, text.as_slice(), false)?;
-        self.disk.sync_folder(&self.staging())?;
-        self.disk.rename(&draft, &self.path.join(JOURNAL))?;
-        self.disk.sync_folder(&self.path.join(FOLDER))
+        self.disk.write_new(&self.folder, &draft, text.as_slice(), false)?;
+        self.disk.sync_folder(&self.folder, STAGING)?;
+        self.disk.rename(&self.folder, &draft, JOURNAL)?;
+        self.disk.sync_folder(&self.folder, FOLDER)
     }
 
     fn finish(&self, change: &Change) -> Result<(), OutputError> {
         for folder in &change.new_folders {
-            self.disk.make_folder(&self.locate(folder)?)?;
+            self.disk.make_folder(&self.folder, folder)?;
         }
         for (i, step) in change.steps.iter().enumerate() {
-            let target = self.locate(&step.path)?;
             if step.new.is_some() {
-                self.disk.rename(&self.staged(i, "new"), &target)?;
+                self.disk.rename(&self.folder, &staged(i, "new"), &step.path)?;
             } else {
-                self.disk.remove(&target)?;
+                self.disk.remove(&self.folder, &step.path)?;
             }
         }
         for folder in &change.old_folders {
-            self.disk.remove_empty_folder(&self.locate(folder)?)?;
+            self.disk.remove_empty_folder(&self.folder, folder)?;
         }
         self.close(change)
     }
 
     fn undo(&self, change: &Change) -> Result<(), OutputError> {
         for folder in change.old_folders.iter().rev() {
-            self.disk.make_folder(&self.locate(folder)?)?;
+            self.disk.make_folder(&self.folder, folder)?;
         }
         for (i, step) in change.steps.iter().enumerate().rev() {
-            let target = self.locate(&step.path)?;
             if step.old.is_some() {
-                self.disk.rename(&self.staged(i, "old"), &target)?;
-            } else if step.new.is_some() && !is_there(&self.staged(i, "new")) {
-                self.disk.remove(&target)?;
+                self.disk.rename(&self.folder, &staged(i, "old"), &step.path)?;
+            } else if step.new.is_some() && self.folder.find(staged(i, "new"))?.is_none() {
+                self.disk.remove(&self.folder, &step.path)?;
             }
         }
         for folder in change.new_folders.iter().rev() {
-            self.disk.remove_empty_folder(&self.locate(folder)?)?;
+            self.disk.remove_empty_folder(&self.folder, folder)?;
         }
         self.close(change)
     }
@@ -211,27 +190,16 @@ impl<'a> Root<'a> {
     /// Syncs the changed folders, then removes the journal.
     fn close(&self, change: &Change) -> Result<(), OutputError> {
         let paths = change.steps.iter().map(|s| &s.path).chain(&change.new_folders).chain(&change.old_folders);
-        let parents: BTreeSet<PathBuf> =
-            paths.filter_map(|p| Some(self.path.join(p).parent()?.to_path_buf())).collect();
-        for folder in parents.iter().filter(|folder| folder.is_dir()) {
-            self.disk.sync_folder(folder)?;
+        let parents: BTreeSet<&Path> = paths.filter_map(|path| Path::new(path).parent()).collect();
+        for folder in parents.into_iter().filter(|folder| self.folder.folder(folder).is_ok()) {
+            self.disk.sync_folder(&self.folder, folder)?;
         }
-        self.disk.remove(&self.path.join(JOURNAL))?;
-        self.disk.sync_folder(&self.path.join(FOLDER))
+        self.disk.remove(&self.folder, JOURNAL)?;
+        self.disk.sync_folder(&self.folder, FOLDER)
     }
 }
 
-pub(super) fn make_folders(path: &Path, disk: &Disk) -> Result<(), OutputError> {
-    if path.is_file() {
-        return Err(OutputError::InTheWay { path: path.to_path_buf(), folder: false });
-    }
-    if let Some(parent) = path.parent().filter(|_| !path.is_dir()) {
-        make_folders(parent, disk)?;
-    }
-    disk.make_folder(path)
-}
-
-/// Returns whether the path exists, even as a broken link.
-pub(super) fn is_there(path: &Path) -> bool {
-    path.symlink_metadata().is_ok()
+/// Name of the new or old file of a step.
+pub(super) fn staged(step: usize, which: &str) -> String {
+    format!("{STAGING}/{step}.{which}")
 }

@@ -28,7 +28,10 @@ use crate::{
         error::Hint,
         shell::{command_path, command_word},
     },
-    io::formats::{Fault, colmap::ColmapModel},
+    io::{
+        formats::{Fault, colmap::ColmapModel},
+        output::Disk,
+    },
     model::scene::{ModelWarning, Scene, WarningKind},
 };
 
@@ -208,6 +211,11 @@ impl Project {
     /// viewrank's output folder: `home/viewrank`.
     pub fn output_folder(&self) -> PathBuf {
         self.home.join("viewrank")
+    }
+
+    /// The disk for results: nothing that is written below [`Self::home`] gets out of it.
+    pub fn disk(&self) -> Disk<'_> {
+        Disk::REAL.within(std::slice::from_ref(&self.home))
     }
 
     /// Reads the model, and adds the images of the image folder that it lacks to `unregistered`.
