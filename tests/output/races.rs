@@ -77,7 +77,10 @@ impl Place {
         let mut export = FileSet::new(project.join("viewrank/sgm"), "export");
         plan.add_text("viewrank/manifest.json", version.to_string());
         plan.add_text(format!("viewrank/sgm/maps/{}", version % 3), version.to_string());
-        plan.add("viewrank/sgm/images/1.jpg", Contents::Link(project.join("images/1.jpg")));
+        plan.add(
+            "viewrank/sgm/images/1.jpg",
+            Contents::Link { file: project.join("images/1.jpg"), folder: project.join("images") },
+        );
         plan.add("viewrank/sgm/copies/1.jpg", Contents::Copy(project.join("images/1.jpg")));
         export.add_text("list", version.to_string());
         // Each of them may fail, and fails without harm.
