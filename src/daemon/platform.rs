@@ -116,9 +116,9 @@ pub fn this_program() -> io::Result<Command> {
 
 /// Where memory runs out, lets the system end this process rather than others.
 pub fn prefer_to_be_killed() {
-    /// Between 0 and 1000, as parts of all memory.
+    /// Between -1000 and 1000, of which the daemon's own unit (integrations/systemd) has 500.
     #[cfg(target_os = "linux")]
-    const BADNESS: &str = "500";
+    const BADNESS: &str = "900";
     #[cfg(target_os = "linux")]
     let _ = std::fs::write("/proc/self/oom_score_adj", BADNESS);
 }
