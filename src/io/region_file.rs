@@ -110,9 +110,9 @@ pub fn parse_box(text: &str) -> Option<[f64; 6]> {
     numbers.try_into().ok().filter(|numbers: &[f64; 6]| numbers.iter().all(|x| x.abs() <= LARGEST))
 }
 
-/// Most positions of all polygons, and most triangles of a mesh: with their index and outline, a plan takes about 600 and 150 bytes for each.
+/// Most positions of all polygons, and most triangles of a mesh: with their index and outline, a plan takes about 600 and 300 bytes for each.
 const MOST_POSITIONS: usize = 1_000_000;
-const MOST_TRIANGLES: usize = 4_000_000;
+const MOST_TRIANGLES: usize = 1_000_000;
 
 /// An object of GeoJSON: a collection, a feature or a geometry. Nothing is kept of members that are not read.
 #[derive(Deserialize)]

@@ -121,7 +121,7 @@ pub struct Camera {
 const LARGEST_ROUNDING: f64 = 0.02;
 
 /// Pixels up to which an image may have more than its camera: models are made from scaled copies, too.
-const COPY_PIXELS: u64 = 1 << 26;
+const COPY_PIXELS: u64 = 1 << 25;
 
 impl Camera {
     /// Makes a camera from parameters in COLMAP's order for the model.
