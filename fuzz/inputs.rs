@@ -10,6 +10,7 @@ use viewrank::{
         confidence::{Image, image::Mask},
         config::{CommandLineSettings, Configuration, Files},
         depthmaps::{DepthMapFormat, parse},
+        pixels::PixelBound,
     },
     manifest,
 };
@@ -91,7 +92,7 @@ fn read_map(target: &str, data: &[u8]) -> bool {
         Ok(if is_mask { file("map.nuage.mask.tif", MASK) } else { file("map.nuage.depth.tif", DEPTH_IMAGE) }.to_vec())
     };
     let described = if target.ends_with(".tif") { CLOUD } else { data };
-    let Ok(map) = parse(described, format, &beside) else { return false };
+    let Ok(map) = parse(described, format, PixelBound::LARGEST, &beside) else { return false };
     assert_eq!(map.depth.len(), map.width as usize * map.height as usize);
     assert!(map.depth.iter().all(|z| z.is_finite() && *z >= 0.0));
     true
@@ -99,14 +100,14 @@ fn read_map(target: &str, data: &[u8]) -> bool {
 
 fn read_picture(data: &[u8]) -> bool {
     let half = |[width, height]: [u32; 2]| [width.div_ceil(2), height.div_ceil(2)];
-    if let Ok(mask) = Mask::decode(data) {
+    if let Ok(mask) = Mask::decode(data, PixelBound::LARGEST) {
         assert!((0.0..=1.0).contains(&mask.share([3, 2], 2, 1)));
     }
-    let grey = Image::decode_grey(data, half);
+    let grey = Image::decode_grey(data, PixelBound::LARGEST, half);
     if let Ok((grey, full)) = &grey {
         assert_eq!(([grey.width, grey.height], grey.pixels.len()), (half(*full), (grey.width * grey.height) as usize));
     }
-    let Ok(image) = Image::decode(data, half) else { return false };
+    let Ok(image) = Image::decode(data, PixelBound::LARGEST, half) else { return false };
     assert_eq!(image.rgb.len(), 3 * image.width as usize * image.height as usize);
     grey.is_ok()
 }

@@ -27,6 +27,8 @@ pub enum FileKind {
     Mesh,
     /// Polygons, a box or a closed mesh.
     Region,
+    /// What the daemon keeps about a plan; it looks at it often.
+    Record,
     /// A file of a sparse model.
     Sparse,
     /// A file of viewrank's own.
@@ -38,6 +40,7 @@ impl FileKind {
     pub const fn limit(self) -> u64 {
         match self {
             Self::Settings => 1 << 20,
+            Self::Record => 32 << 20,
             Self::Region => 64 << 20,
             Self::List => 256 << 20,
             Self::State => 1 << 30,
@@ -54,6 +57,7 @@ impl FileKind {
             Self::Picture => "an image, a mask or a depth map",
             Self::Mesh => "a mesh",
             Self::Region => "a region",
+            Self::Record => "the record of a plan",
             Self::Sparse => "a file of a sparse model",
             Self::State => "a file of viewrank's own",
         }
@@ -131,6 +135,17 @@ pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     // It may grow meanwhile, and some system files don't say how long they are.
     file.take(kind.limit() + 1).read_to_end(&mut bytes)?;
     check_length(bytes.len() as u64, kind)?;
+    Ok(bytes)
+}
+
+/// Reads the first `most` bytes of a regular file, or all of them if there are fewer, up to the limit of its kind.
+pub fn read_start(path: &Path, kind: FileKind, most: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let length = file.metadata()?.len();
+    check_length(length, kind)?;
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(length.min(most) as usize)?;
+    file.take(most).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 

@@ -1,4 +1,4 @@
-//! Foundations that all layers share: errors, progress, input files, paths, platform differences, large columns, packed lists, sets of bits, CSR offsets, nearest points, tiles of space, vectorised loops.
+//! Foundations that all layers share: errors, progress, input files, paths, platform differences, bounds of pixels, large columns, packed lists, sets of bits, CSR offsets, nearest points, tiles of space, vectorised loops.
 
 pub mod bits;
 pub mod column;
@@ -9,6 +9,7 @@ pub mod kd_tree;
 pub mod large_pages;
 pub mod packed;
 pub mod paths;
+pub mod pixels;
 pub mod platform;
 pub mod progress;
 pub mod rows;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::{
     apps::replan,
-    base::error::Hint,
+    base::{error::Hint, pixels::PixelBound},
     io::output::{Contents, Disk, FileSet},
     method::confidence::{Image, ImageError, drawn_size},
     model::cluster::ViewCluster,
@@ -68,7 +68,8 @@ fn predictions(project: &Path, arguments: &Arguments) -> Result<Vec<PredictionFi
     let model = plan.stages.model();
     let of_view = |cluster: &ViewCluster| {
         let name = plan.stages.scene.name(cluster.key);
-        let image = read(&folder.file(name))?;
+        let bound = plan.stages.scene.camera_of(cluster.key).most_picture_pixels();
+        let image = read(&folder.file(name), bound)?;
         let (width, height) = (image.width, image.height);
         let chances = expected_success(&model, cluster, width, height);
         let picture = confidence_picture(&image, |x, y| chances[(y * width + x) as usize]);
@@ -78,8 +79,8 @@ fn predictions(project: &Path, arguments: &Arguments) -> Result<Vec<PredictionFi
     plan.chosen().collect::<Vec<_>>().into_par_iter().map(of_view).collect()
 }
 
-fn read(path: &Path) -> Result<Image, Unreadable> {
-    Image::read(path, drawn_size).map_err(|source| Unreadable { path: path.into(), source })
+fn read(path: &Path, bound: PixelBound) -> Result<Image, Unreadable> {
+    Image::read(path, bound, drawn_size).map_err(|source| Unreadable { path: path.into(), source })
 }
 
 #[derive(Debug, thiserror::Error)]

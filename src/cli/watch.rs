@@ -9,7 +9,9 @@ use crate::{
         shell::command_path,
     },
     config::{self, Bytes, CommandLineSettings},
-    daemon::{PlanJob, PlanOptions, Signal, WatchOptions, platform as machine, state::OnBusy, watch_roots},
+    daemon::{
+        PlanJob, PlanOptions, Signal, WatchOptions, Workers, platform as machine, serve, state::OnBusy, watch_roots,
+    },
     io::output::Disk,
 };
 use clap::{Args, builder::PossibleValue};
@@ -84,7 +86,13 @@ pub struct Arguments {
     /// Format of the log on standard error.
     #[arg(long, visible_alias = "format", default_value = "text", value_name = "FORMAT")]
     log_format: LogFormat,
+    /// Plan for the daemon that started this process with its own arguments.
+    #[arg(long, hide = true)]
+    worker: bool,
 }
+
+/// Name of the hidden option.
+const WORKER: &str = "--worker";
 
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
     log::start(arguments.log_format);
@@ -94,13 +102,23 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     let planner = PlanJob::new(PlanOptions {
         on_target,
         replan: arguments.replan,
-        cache: arguments.cache.0,
+        // Each worker has its part.
+        cache: arguments.cache.0 / arguments.jobs.get() as u64,
         roots: arguments.roots.clone(),
         typed: arguments.typed()?,
         follow_links: arguments.follow_links,
         is_run: false,
     });
+    if arguments.worker {
+        // The daemon asks to stop, and gets the signals, too.
+        platform::on_signal(|_| {});
+        serve(&planner, arguments.follow_links, || process::exit(0));
+        return Ok(());
+    }
     let options = arguments.options();
+    let mut command = machine::this_program().map_err(NoProgram)?;
+    command.arg(WORKER);
+    let planner = Workers::new(planner, command);
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {
         failed if failed > 0 && once => {
@@ -135,6 +153,16 @@ impl Arguments {
             once: self.once,
             metrics: self.metrics,
         }
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("cannot find this program to start workers: {0}")]
+struct NoProgram(std::io::Error);
+
+impl Hint for NoProgram {
+    fn hint(&self) -> Option<String> {
+        Some("start it by its full path".into())
     }
 }
 

@@ -7,7 +7,7 @@ use std::{
     process::{Child, Stdio},
     sync::{
         Mutex,
-        atomic::{AtomicBool, AtomicU8, Ordering},
+        atomic::{AtomicU8, Ordering},
     },
     thread,
 };
@@ -15,14 +15,15 @@ use std::{
 use tracing::{info, warn};
 
 use super::{
-    discover::{is_project, may_enter},
+    Job, Planner,
+    discover::may_enter,
     follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::PlanCache,
-    maps::{MapFiles, map_files},
+    maps::map_files,
     planned_from::{PlannedFrom, RECORD},
     platform, queue,
-    settle::{Fingerprint, HashCache, Stamp, lock},
-    state::{OnBusy, Outcome},
+    settle::{Fingerprint, HashCache, lock},
+    state::Outcome,
 };
 use crate::{
     apps::{
@@ -45,75 +46,6 @@ use crate::{
         manifest::{RecordedPlan, WrittenPlanError, warnings_with},
     },
 };
-
-/// A project to plan or measure.
-pub struct Job<'a> {
-    pub project: &'a Path,
-    /// The input, which had settled.
-    pub stamp: &'a Stamp,
-    /// Files besides model and images that belong to the input.
-    pub named: &'a [PathBuf],
-    pub on_busy: OnBusy,
-    pub follow_links: bool,
-    /// Completely written depth maps.
-    pub maps: &'a MapFiles,
-    /// Bytes that planning may take.
-    pub most_memory: Option<u64>,
-    pub cancel: &'a AtomicBool,
-    /// Receives stage and percent.
-    pub progress: &'a (dyn Fn(&str, u8) + Sync),
-}
-
-impl Job<'_> {
-    pub fn is_cancelled(&self) -> bool {
-        self.cancel.load(Ordering::Relaxed)
-    }
-
-    /// True if the input is the same as when the job started.
-    pub fn is_current(&self) -> bool {
-        Stamp::read(self.project, self.follow_links).with(self.named) == *self.stamp
-    }
-
-    /// True if the plan may be written: the job isn't cancelled, and its input is unchanged or the next plan is queued behind it.
-    pub fn is_wanted(&self) -> bool {
-        let may_be_written = || match self.on_busy {
-            OnBusy::Queue => is_project(self.project, self.follow_links),
-            OnBusy::Restart => self.is_current(),
-        };
-        !self.is_cancelled() && may_be_written()
-    }
-}
-
-/// Plans and measures projects.
-pub trait Planner: Sync {
-    /// Estimates the peak memory in bytes of planning the input.
-    fn need(&self, stamp: &Stamp) -> u64 {
-        queue::need(stamp.bytes())
-    }
-
-    /// Lists files besides model and images that a plan of the project depends on, existing or not.
-    fn named_files(&self, project: &Path) -> Vec<PathBuf> {
-        let _ = project;
-        Vec::new()
-    }
-
-    /// True if all files of the project's plan still exist.
-    fn has_plan(&self, project: &Path) -> bool {
-        let _ = project;
-        true
-    }
-
-    /// Plans the project and writes the plan, unless the existing one is current.
-    fn plan(&self, job: &Job) -> Outcome;
-
-    /// Measures the finished depth maps of the project's plan.
-    fn follow(&self, job: &Job) -> Outcome;
-
-    /// Drops all caches of a project that is gone.
-    fn forget(&self, project: &Path) {
-        let _ = project;
-    }
-}
 
 /// Options of the planner of `viewrank watch`.
 #[derive(Clone, Debug)]
@@ -233,7 +165,7 @@ impl PlanJob {
             let mib = |bytes: u64| bytes.div_ceil(1 << 20);
             let reason = format!("the model alone has {} MiB, --max-memory allows {} MiB", mib(bytes), mib(most));
             let hint = Some(format!("give viewrank watch --max-memory {}M or more", mib(queue::need(bytes))));
-            return Err(Outcome::TooLarge { reason, hint });
+            return Err(Outcome::Aside { reason, hint });
         }
         if !self.options.is_run {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
@@ -331,7 +263,10 @@ impl PlanJob {
             },
         };
         let Some(command) = command else { return false };
-        match platform::shell(&command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
+        let mut command = platform::shell(&command);
+        // Standard output may be a worker's answers.
+        command.env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).stdout(io::stderr());
+        match command.spawn() {
             Ok(child) => {
                 let project = project.to_path_buf();
                 thread::spawn(move || wait_for(child, &project));
@@ -477,7 +412,7 @@ fn sort_out(error: PlanError) -> Outcome {
         PlanError::Cancelled(_) => Outcome::Abandoned,
         PlanError::Project(error) => incomplete(error),
         PlanError::NoViews(_) => Outcome::Incomplete { reason: error.to_string() },
-        PlanError::Refused { .. } => Outcome::TooLarge { reason: error.to_string(), hint: error.hint() },
+        PlanError::Refused { .. } => Outcome::Aside { reason: error.to_string(), hint: error.hint() },
         error => failed(error),
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! [`run`] is the main loop. [`watch`] reports file-system events, [`discover`] finds projects, [`settle`] detects input that is still and
 //! new, `maps` lists depth maps, [`state`] is the state machine of a project with its [`phase`], [`queue`] limits the work, `job` plans one
-//! project with the same functions as `viewrank plan`, `planned_from` records its input, [`follow`] measures depth maps, `status` writes the status files, [`platform`]
+//! project with the same functions as `viewrank plan`, `worker` does that in a process of its own, `planned_from` records its input, [`follow`] measures depth maps, `status` writes the status files, [`platform`]
 //! contains the differences between operating systems.
 
 pub mod discover;
@@ -13,6 +13,7 @@ mod kept;
 mod maps;
 pub mod phase;
 mod planned_from;
+mod planner;
 pub mod platform;
 pub mod queue;
 pub mod run;
@@ -20,12 +21,15 @@ pub mod settle;
 pub mod state;
 mod status;
 pub mod watch;
+mod worker;
 
 use std::{path::PathBuf, time::Duration};
 
-pub use job::{Job, PlanJob, PlanOptions, Planner};
+pub use job::{PlanJob, PlanOptions};
+pub use planner::{Job, Planner};
 pub use run::{Signal, watch_roots};
 pub use status::{Line, read_status, status_file};
+pub use worker::{Workers, serve};
 
 use crate::{base::error::Hint, io::output::OutputError};
 

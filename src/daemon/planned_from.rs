@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{discover::OUTPUT_FOLDER, settle::Fingerprint};
 use crate::{
+    base::input::{self, FileKind},
     config::Settings,
     io::output::{self, FileSet},
     plan::Plan,
@@ -14,6 +15,9 @@ use crate::{
 
 /// Path of the record, relative to the project.
 pub const RECORD: &str = "viewrank/planned_from.json";
+
+/// Most files of a plan that are looked for each time the record is read.
+const MOST_FILES: usize = 1 << 17;
 
 /// Content of [`RECORD`].
 #[derive(Debug, Serialize, Deserialize)]
@@ -51,7 +55,11 @@ impl PlannedFrom {
 
     /// Reads the record of a project's plan; `None` if the record or a file of the plan is missing, unreadable or of another version.
     pub fn read(project: &Path) -> Option<Self> {
-        let record: Self = serde_json::from_slice(&output::read_own(project, RECORD).ok()?).ok()?;
+        let bytes = input::read_all(output::open_own(project, RECORD).ok()?, FileKind::Record).ok()?;
+        let record: Self = serde_json::from_slice(&bytes).ok()?;
+        if record.files.len() > MOST_FILES {
+            return None;
+        }
         let exists = |file: &String| project.join(file).exists();
         let has_manifest = project.join(OUTPUT_FOLDER).join("manifest.json").is_file();
         (has_manifest && record.version == manifest::VERSION && record.files.iter().all(exists)).then_some(record)
@@ -59,7 +67,7 @@ impl PlannedFrom {
 
     /// Lists the files of the sets that are inside the project, except caches.
     pub fn list_files(&mut self, sets: &[FileSet], project: &Path) {
-        self.files = sets.iter().flat_map(|set| files_in(set, project)).collect();
+        self.files = sets.iter().flat_map(|set| files_in(set, project)).take(MOST_FILES).collect();
     }
 }
 

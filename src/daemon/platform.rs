@@ -1,6 +1,10 @@
 //! Calls that differ between operating systems. All other files of the daemon are portable.
 
-use std::{path::Path, process::Command};
+use std::{
+    io,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 /// Physical memory to assume, in bytes, where the system doesn't report it.
 const ASSUMED_MEMORY: u64 = 8 << 30;
@@ -89,6 +93,34 @@ pub fn shell(command: &str) -> Command {
     let mut shell = Command::new(shell);
     shell.arg(option).arg(command);
     shell
+}
+
+/// This program again, with the arguments of this process; the same one even if its file was replaced since, where the system can tell.
+///
+/// # Errors
+/// If the system does not say which program this is.
+pub fn this_program() -> io::Result<Command> {
+    let running = if cfg!(target_os = "linux") { PathBuf::from("/proc/self/exe") } else { PathBuf::new() };
+    let program = if running.exists() { running } else { std::env::current_exe()? };
+    let mut command = Command::new(program);
+    let mut arguments = std::env::args_os();
+    let name = arguments.next();
+    // An interpreter, such as that of the Python package, finds its files by the name that it was started with.
+    #[cfg(unix)]
+    name.map(|name| std::os::unix::process::CommandExt::arg0(&mut command, name));
+    #[cfg(not(unix))]
+    let _ = name;
+    command.args(arguments);
+    Ok(command)
+}
+
+/// Where memory runs out, lets the system end this process rather than others.
+pub fn prefer_to_be_killed() {
+    /// Between -1000 and 1000, of which the daemon's own unit (integrations/systemd) has 500.
+    #[cfg(target_os = "linux")]
+    const BADNESS: &str = "900";
+    #[cfg(target_os = "linux")]
+    let _ = std::fs::write("/proc/self/oom_score_adj", BADNESS);
 }
 
 /// State of the daemon that a supervisor may want to know.

@@ -17,7 +17,7 @@ use super::discover::{self, InputFolders};
 use crate::{base::input, io::project::is_image};
 
 /// Metadata of one file or folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Entry {
     length: u64,
     modified_ns: u128,

@@ -98,6 +98,8 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
         match element.name.as_str() {
             "vertex" => read_vertices(&mut body, element, &mut mesh.vertices)?,
             "face" => read_faces(&mut body, element, &mut mesh.triangles)?,
+            // Without properties it has no bytes, and any count fits.
+            _ if element.properties.is_empty() => {}
             _ => (0..element.count).try_for_each(|_| element.properties.iter().try_for_each(|p| body.skip(p)))?,
         }
     }

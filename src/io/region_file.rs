@@ -4,9 +4,12 @@
 //! properties `weight` and `gsd`; and the member `crs` of the 2008 specification, which QGIS still writes, if it is WGS 84 or null. It ignores
 //! everything else.
 
-use std::{io, path::Path};
+use std::{fmt, io, ops::RangeInclusive, path::Path};
 
-use serde_json::{Map, Value};
+use serde::{
+    Deserialize, Deserializer,
+    de::{self, Error, IgnoredAny, SeqAccess, Visitor},
+};
 
 use super::ply::{self, Mesh, PlyError};
 use crate::base::input::{self, FileKind};
@@ -14,9 +17,9 @@ use crate::base::input::{self, FileKind};
 /// Largest magnitude of a coordinate; no survey has larger ones, and their products stay finite.
 const LARGEST: f64 = 1e12;
 /// Range of weights: 0 leaves an area out, larger numbers would drown all others.
-const WEIGHTS: std::ops::RangeInclusive<f64> = 0.0..=1e6;
+const WEIGHTS: RangeInclusive<f64> = 0.0..=1e6;
 /// Range of wanted resolutions, scene units per pixel, which are kept as f32.
-const GSDS: std::ops::RangeInclusive<f64> = 1e-30..=1e30;
+const GSDS: RangeInclusive<f64> = 1e-30..=1e30;
 
 /// Contents of the file of a region.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,10 +71,10 @@ pub enum RegionFault {
     Unknown,
     #[error(transparent)]
     Json(#[from] serde_json::Error),
-    #[error("feature {number}: {what}")]
-    Feature { number: usize, what: String },
     #[error("{0}")]
     Collection(String),
+    #[error("more than {MOST_TRIANGLES} triangles: simplify the mesh")]
+    Triangles,
     #[error(transparent)]
     Ply(#[from] PlyError),
 }
@@ -87,8 +90,11 @@ pub fn parse(bytes: &[u8]) -> Result<RegionFile, RegionFault> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let start = bytes.iter().position(|b| !b.is_ascii_whitespace()).unwrap_or(0);
     match &bytes[start..] {
-        [b'{', ..] => Ok(RegionFile::Areas(areas(&serde_json::from_slice(bytes)?)?)),
-        [b'p', b'l', b'y', b'\n' | b'\r', ..] => Ok(RegionFile::Mesh(ply::read(&bytes[start..])?)),
+        [b'{', ..] => Ok(RegionFile::Areas(areas(serde_json::from_slice(bytes)?)?)),
+        [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
+            let mesh = ply::read(&bytes[start..])?;
+            if mesh.triangles.len() > MOST_TRIANGLES { Err(RegionFault::Triangles) } else { Ok(RegionFile::Mesh(mesh)) }
+        }
         text if text.len() < 4096 => {
             let numbers = std::str::from_utf8(text).ok().and_then(parse_box);
             numbers.map(RegionFile::Box).ok_or(RegionFault::Unknown)
@@ -104,128 +110,245 @@ pub fn parse_box(text: &str) -> Option<[f64; 6]> {
     numbers.try_into().ok().filter(|numbers: &[f64; 6]| numbers.iter().all(|x| x.abs() <= LARGEST))
 }
 
-fn areas(json: &Value) -> Result<Areas, RegionFault> {
-    let mut areas = Vec::new();
-    for (number, feature) in (1..).zip(features(json)?) {
-        let area = area(feature).map_err(|what| RegionFault::Feature { number, what })?;
-        areas.extend(area.filter(|area| !area.polygons.is_empty()));
-    }
-    match areas.is_empty() {
-        true => Err(RegionFault::Collection("it has no polygon".into())),
-        false => Ok(Areas { coordinates: coordinates(json).map_err(RegionFault::Collection)?, areas }),
+/// Most positions of all polygons, and most triangles of a mesh: with their index and outline, a plan takes about 600 and 300 bytes for each.
+const MOST_POSITIONS: usize = 1_000_000;
+const MOST_TRIANGLES: usize = 1_000_000;
+
+/// An object of GeoJSON: a collection, a feature or a geometry. Nothing is kept of members that are not read.
+#[derive(Deserialize)]
+struct Node {
+    #[serde(rename = "type")]
+    kind: Option<String>,
+    features: Option<Nodes>,
+    geometry: Option<Box<Node>>,
+    geometries: Option<Nodes>,
+    coordinates: Option<Nested>,
+    properties: Option<Properties>,
+    #[serde(default, deserialize_with = "even_if_null")]
+    crs: Option<Option<Crs>>,
+    axes: Option<[[f64; 3]; 3]>,
+}
+
+#[derive(Deserialize)]
+struct Properties {
+    weight: Option<f64>,
+    gsd: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Crs {
+    #[serde(default)]
+    properties: CrsProperties,
+}
+
+#[derive(Default, Deserialize)]
+struct CrsProperties {
+    #[serde(default)]
+    name: String,
+}
+
+/// Tells null from a member that is missing.
+fn even_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<Crs>>, D::Error> {
+    Deserialize::deserialize(deserializer).map(Some)
+}
+
+/// A list of features or geometries, of which those without a polygon are left out.
+struct Nodes(Vec<Area>);
+
+impl<'de> Deserialize<'de> for Nodes {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct List;
+        impl<'de> Visitor<'de> for List {
+            type Value = Nodes;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("a list of features or geometries")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Nodes, A::Error> {
+                let (mut areas, mut positions) = (Vec::new(), 0);
+                let mut number = 0;
+                while let Some(node) = list.next_element::<Node>()? {
+                    number += 1;
+                    let fault = |what| A::Error::custom(format!("number {number} of the list: {what}"));
+                    let area = area(node).map_err(fault)?.filter(|area| !area.polygons.is_empty());
+                    positions += area.iter().map(Area::positions).sum::<usize>();
+                    check_positions(positions).map_err(fault)?;
+                    areas.extend(area);
+                }
+                Ok(Nodes(areas))
+            }
+        }
+        deserializer.deserialize_seq(List)
     }
 }
 
-/// The features of a collection; a feature or a geometry alone is one.
-fn features(json: &Value) -> Result<Vec<&Value>, RegionFault> {
-    if json["type"] != "FeatureCollection" {
-        return Ok(vec![json]);
-    }
-    match &json["features"] {
-        Value::Array(features) => Ok(features.iter().collect()),
-        _ => Err(RegionFault::Collection("the collection has no list \"features\"".into())),
+/// Coordinates: positions in lists of lists.
+enum Nested {
+    Number(f64),
+    Position([f64; 2]),
+    List(Vec<Nested>),
+}
+
+impl<'de> Deserialize<'de> for Nested {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(NestedVisitor)
     }
 }
 
-/// The area of a feature; `None` for a feature without a geometry.
-fn area(feature: &Value) -> Result<Option<Area>, String> {
-    let empty = Map::new();
-    let (geometry, properties) = match feature["type"].as_str() {
-        Some("Feature") => (&feature["geometry"], feature["properties"].as_object().unwrap_or(&empty)),
-        _ => (feature, &empty),
+struct NestedVisitor;
+
+impl<'de> Visitor<'de> for NestedVisitor {
+    type Value = Nested;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a position or a list of positions")
+    }
+
+    fn visit_f64<E: de::Error>(self, number: f64) -> Result<Nested, E> {
+        Ok(Nested::Number(number))
+    }
+
+    fn visit_u64<E: de::Error>(self, number: u64) -> Result<Nested, E> {
+        Ok(Nested::Number(number as f64))
+    }
+
+    fn visit_i64<E: de::Error>(self, number: i64) -> Result<Nested, E> {
+        Ok(Nested::Number(number as f64))
+    }
+
+    /// What can be of no polygon is refused here, before there is more of it.
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Nested, A::Error> {
+        let mut members = Vec::new();
+        while let Some(member) = list.next_element::<Nested>()? {
+            match (member, members.first()) {
+                (Nested::Number(x), None) => {
+                    let y = list.next_element()?.ok_or_else(|| A::Error::custom("one number is not a position"))?;
+                    while list.next_element::<IgnoredAny>()?.is_some() {}
+                    let is_wrong = [x, y].iter().any(|x: &f64| x.abs() > LARGEST);
+                    let wrong = || A::Error::custom(format!("{x}, {y} is not a position"));
+                    return if is_wrong { Err(wrong()) } else { Ok(Nested::Position([x, y])) };
+                }
+                (Nested::Number(_), Some(_)) => return Err(A::Error::custom("a number among positions")),
+                (Nested::List(inner), _) if inner.is_empty() => return Err(A::Error::custom("a polygon has no ring")),
+                (member, _) => members.push(member),
+            }
+        }
+        match members.first() {
+            Some(Nested::Position(_)) if members.len() < 3 => Err(A::Error::custom(few(members.len()))),
+            _ => Ok(Nested::List(members)),
+        }
+    }
+}
+
+fn few(positions: usize) -> String {
+    format!("a ring of {positions} different positions encloses no area")
+}
+
+fn check_positions(positions: usize) -> Result<(), String> {
+    if positions <= MOST_POSITIONS {
+        return Ok(());
+    }
+    Err(format!("more than {MOST_POSITIONS} positions: simplify the polygons"))
+}
+
+impl Area {
+    fn positions(&self) -> usize {
+        self.polygons.iter().flatten().map(Vec::len).sum()
+    }
+}
+
+fn areas(mut node: Node) -> Result<Areas, RegionFault> {
+    let (crs, axes) = (node.crs.take(), node.axes);
+    let areas = if node.kind.as_deref() == Some("FeatureCollection") {
+        node.features.ok_or_else(|| RegionFault::Collection("the collection has no list \"features\"".into()))?.0
+    } else {
+        area(node).map_err(RegionFault::Collection)?.into_iter().collect()
     };
-    if geometry.is_null() {
-        return Ok(None);
+    if areas.iter().all(|area| area.polygons.is_empty()) {
+        return Err(RegionFault::Collection("it has no polygon".into()));
     }
-    let mut polygons = Vec::new();
-    collect(geometry, &mut polygons)?;
-    let weight = number(properties, "weight", WEIGHTS)?.unwrap_or(1.0);
-    Ok(Some(Area { polygons, weight, gsd: number(properties, "gsd", GSDS)? }))
+    check_positions(areas.iter().map(Area::positions).sum()).map_err(RegionFault::Collection)?;
+    Ok(Areas { coordinates: coordinates(crs, axes).map_err(RegionFault::Collection)?, areas })
 }
 
-/// A property that is a number; GIS programs write null where a field is empty.
-fn number(
-    properties: &Map<String, Value>,
-    name: &str,
-    range: std::ops::RangeInclusive<f64>,
-) -> Result<Option<f64>, String> {
-    match properties.get(name) {
-        None | Some(Value::Null) => Ok(None),
-        Some(value) => match value.as_f64().filter(|number| range.contains(number)) {
-            Some(number) => Ok(Some(number)),
-            None => Err(format!("{name} is {value}, not a number from {} to {:e}", range.start(), range.end())),
-        },
-    }
-}
-
-/// Appends the polygons of a geometry.
-fn collect(geometry: &Value, polygons: &mut Vec<Polygon>) -> Result<(), String> {
-    let list =
-        |member: &str| geometry[member].as_array().ok_or_else(|| format!("the geometry has no list \"{member}\""));
-    match geometry["type"].as_str() {
-        Some("Polygon") => polygons.push(polygon(list("coordinates")?)?),
-        Some("MultiPolygon") => {
-            for part in list("coordinates")? {
-                polygons.push(polygon(part.as_array().ok_or("a polygon is not a list of rings")?)?);
-            }
+/// The area of a feature or a bare geometry; `None` for a feature without a geometry.
+fn area(node: Node) -> Result<Option<Area>, String> {
+    let (geometry, properties) = match node.kind.as_deref() {
+        Some("Feature") => (node.geometry.map(|geometry| *geometry), node.properties),
+        _ => (Some(node), None),
+    };
+    let Some(geometry) = geometry else { return Ok(None) };
+    let within = |name: &str, number: Option<f64>, range: RangeInclusive<f64>| match number {
+        Some(number) if !range.contains(&number) => {
+            Err(format!("{name} is {number}, not a number from {} to {:e}", range.start(), range.end()))
         }
+        number => Ok(number),
+    };
+    let (weight, gsd) = properties.map_or((None, None), |properties| (properties.weight, properties.gsd));
+    Ok(Some(Area {
+        polygons: polygons(geometry)?,
+        weight: within("weight", weight, WEIGHTS)?.unwrap_or(1.0),
+        gsd: within("gsd", gsd, GSDS)?,
+    }))
+}
+
+fn polygons(geometry: Node) -> Result<Vec<Polygon>, String> {
+    let coordinates = || "the geometry has no list \"coordinates\"";
+    match geometry.kind.as_deref() {
+        Some("Polygon") => Ok(vec![polygon(geometry.coordinates.ok_or_else(coordinates)?)?]),
+        Some("MultiPolygon") => members(geometry.coordinates.ok_or_else(coordinates)?)?.map(polygon).collect(),
         Some("GeometryCollection") => {
-            for part in list("geometries")? {
-                collect(part, polygons)?;
-            }
+            let parts = geometry.geometries.ok_or("the geometry has no list \"geometries\"")?;
+            Ok(parts.0.into_iter().flat_map(|part| part.polygons).collect())
         }
-        Some(kind) => return Err(format!("a {kind} encloses no area")),
-        None => return Err("it has no \"type\"".into()),
+        Some(kind) => Err(format!("a {kind} encloses no area")),
+        None => Err("it has no \"type\"".into()),
     }
-    Ok(())
 }
 
-fn polygon(rings: &[Value]) -> Result<Polygon, String> {
-    if rings.is_empty() {
-        return Err("a polygon has no ring".into());
+fn members(list: Nested) -> Result<impl Iterator<Item = Nested>, String> {
+    match list {
+        Nested::List(members) => Ok(members.into_iter()),
+        Nested::Position([x, y]) => Err(format!("the position {x}, {y} where a list of positions belongs")),
+        Nested::Number(x) => Err(format!("the number {x} where a list of positions belongs")),
     }
-    rings.iter().map(ring).collect()
 }
 
-fn ring(ring: &Value) -> Result<Vec<[f64; 2]>, String> {
-    let positions = ring.as_array().ok_or("a ring is not a list of positions")?;
-    let positions: Vec<[f64; 2]> = positions.iter().map(position).collect::<Result<_, _>>()?;
-    let mut distinct = positions.clone();
-    distinct.dedup();
-    let is_closed = distinct.len() > 1 && distinct.first() == distinct.last();
-    match distinct.len() - usize::from(is_closed) {
+fn polygon(rings: Nested) -> Result<Polygon, String> {
+    let rings: Polygon = members(rings)?.map(ring).collect::<Result<_, _>>()?;
+    if rings.is_empty() { Err("a polygon has no ring".into()) } else { Ok(rings) }
+}
+
+fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
+    let position = |member| match member {
+        Nested::Position(position) => Ok(position),
+        _ => Err("a ring is not a list of positions".to_string()),
+    };
+    let positions: Vec<[f64; 2]> = members(ring)?.map(position).collect::<Result<_, _>>()?;
+    let changes = positions.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    let is_closed = changes > 0 && positions.first() == positions.last();
+    match (changes + 1).min(positions.len()) - usize::from(is_closed) {
         3.. => Ok(positions),
-        few => Err(format!("a ring of {few} different positions encloses no area")),
+        distinct => Err(few(distinct)),
     }
 }
 
-fn position(position: &Value) -> Result<[f64; 2], String> {
-    let wrong = || format!("{position} is not a position");
-    let numbers = position.as_array().filter(|numbers| numbers.len() >= 2).ok_or_else(wrong)?;
-    let at = |i: usize| numbers[i].as_f64().filter(|x| x.abs() <= LARGEST).ok_or_else(wrong);
-    Ok([at(0)?, at(1)?])
-}
-
-fn coordinates(json: &Value) -> Result<Coordinates, String> {
-    let Some(crs) = json.get("crs") else { return Ok(Coordinates::Unsaid) };
-    if crs.is_null() {
-        let axes = match json.get("axes") {
-            None => None,
-            Some(axes) => Some(serde_json::from_value(axes.clone()).map_err(|_| "axes are not three vectors")?),
-        };
-        return Ok(Coordinates::Model { axes });
-    }
-    let name = crs["properties"]["name"].as_str().unwrap_or_default();
+fn coordinates(crs: Option<Option<Crs>>, axes: Option<[[f64; 3]; 3]>) -> Result<Coordinates, String> {
+    let crs = match crs {
+        None => return Ok(Coordinates::Unsaid),
+        Some(None) => return Ok(Coordinates::Model { axes }),
+        Some(Some(crs)) => crs,
+    };
+    let name = crs.properties.name;
     let is_geodetic = ["CRS84", "CRS84h", "4326", "4979"].iter().any(|end| name.ends_with(end));
     match is_geodetic {
         true => Ok(Coordinates::Geodetic),
-        false => Err(format!("its coordinates are in {crs}, not in WGS 84")),
+        false => Err(format!("its coordinates are in {name:?}, not in WGS 84")),
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     use super::*;
 
@@ -299,6 +422,9 @@ mod tests {
             json!({ "type": "FeatureCollection", "features": [3, "x"] }).to_string(),
             "{\"type\": \"Polygon\", \"coordinates\": [[[0, 0], [NaN, 0], [1, 1]]]}".into(),
             "{".into(),
+            json!({ "type": "Polygon", "coordinates": [[[0], [1], [2]]] }).to_string(),
+            json!({ "type": "Polygon", "coordinates": [[[0, 0], 1, [1, 1]]] }).to_string(),
+            json!({ "type": "MultiPolygon", "coordinates": [[], []] }).to_string(),
             format!("{{\"type\": \"Polygon\", \"coordinates\": {}", "[".repeat(100_000)),
             "1 2 3 4 5 nan".into(),
             String::new(),

@@ -118,7 +118,7 @@ pub fn tried(
             return Some(ViewCluster { key: map.view, partners: reported.tried.clone() });
         }
         let ids = match map.format {
-            DepthMapFormat::OpenMvs => depthmaps::read(&map.path, map.format).map(|map| map.ids).unwrap_or_default(),
+            DepthMapFormat::OpenMvs => depthmaps::ids_of(&map.path).unwrap_or_default(),
             _ => Vec::new(),
         };
         let own = planned.iter().find(|c| c.key == map.view).cloned();

@@ -7,7 +7,7 @@ use npyz::WriterBuilder;
 
 use super::*;
 use crate::{
-    base::{column::Storage, progress::NoWatcher},
+    base::{column::Storage, pixels::PixelBound, progress::NoWatcher},
     config::{TargetMode, TargetSettings},
     io::depthmaps::{self, DepthMapError, DepthMapFormat},
     method::{
@@ -140,7 +140,7 @@ fn masks_limit_what_a_map_shows() {
     let key = ViewIndex(1);
     let shares = |town: &Fixture| {
         let path = maps.path().join(format!("{}.npy", town.scene.name(key)));
-        let map = depthmaps::read(&path, DepthMapFormat::Npy).unwrap();
+        let map = depthmaps::read(&path, DepthMapFormat::Npy, PixelBound::LARGEST).unwrap();
         measure(&town.model(), key, map, None, GSD).shares
     };
     let without = shares(&town);

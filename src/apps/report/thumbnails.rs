@@ -7,7 +7,10 @@ use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use rayon::prelude::*;
 
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::{
+        pixels::PixelBound,
+        progress::{Cancelled, Watcher},
+    },
     io::project::ImageFolder,
     method::confidence::Image,
     model::{cluster::ViewCluster, scene::ViewIndex},
@@ -34,7 +37,8 @@ pub fn thumbnails(
     };
     let of_view = |&view: &ViewIndex| {
         watcher.check()?;
-        let small = thumbnail(&images.file(plan.stages.scene.name(view)));
+        let scene = &plan.stages.scene;
+        let small = thumbnail(&images.file(scene.name(view)), scene.camera_of(view).most_picture_pixels());
         Ok(small.map(|jpeg| (view.0, BASE64_STANDARD.encode(jpeg))))
     };
     let all: Vec<Option<(u32, String)>> = views.par_iter().map(of_view).collect::<Result<_, Cancelled>>()?;
@@ -59,8 +63,8 @@ pub fn expected(plan: &Plan, watcher: &dyn Watcher) -> Result<BTreeMap<u32, Stri
     Ok(all.into_iter().flatten().collect())
 }
 
-fn thumbnail(path: &Path) -> Option<Vec<u8>> {
-    let small = Image::read(path, |full| within(full, SIDE)).ok()?;
+fn thumbnail(path: &Path, bound: PixelBound) -> Option<Vec<u8>> {
+    let small = Image::read(path, bound, |full| within(full, SIDE)).ok()?;
     encoded(&small.rgb, small.width, small.height)
 }
 

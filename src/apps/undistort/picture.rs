@@ -4,17 +4,19 @@ use std::{io::Cursor, path::Path};
 
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
 use image::{
-    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat, ImageReader, Limits,
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat,
     codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder},
 };
 use nalgebra::Point2;
 use rayon::prelude::*;
 
 use super::camera::at_size_of;
-use crate::model::camera::{Camera, CameraError};
+use crate::{
+    base::pixels::{PixelBound, TooManyPixels},
+    io::picture,
+    model::camera::{Camera, CameraError},
+};
 
-/// Limit on the memory for decoding one image, bytes.
-const MOST_BYTES: u64 = 4 << 30;
 /// JPEG quality without visible artefacts: they would be matched, too.
 const JPEG_QUALITY: u8 = 100;
 
@@ -23,6 +25,8 @@ const JPEG_QUALITY: u8 = 100;
 pub enum PictureError {
     #[error("{0}")]
     Broken(#[from] image::ImageError),
+    #[error(transparent)]
+    Large(#[from] TooManyPixels),
     #[error("it is {}x{} pixels, its camera {}x{}", found[0], found[1], camera[0], camera[1])]
     Size { found: [u32; 2], camera: [u32; 2] },
     #[error("only .jpg, .png and .tif images can be written")]
@@ -35,16 +39,12 @@ pub enum PictureError {
 /// colour profile are kept if the format supports them.
 pub fn undistort(bytes: &[u8], name: &str, source: &Camera, target: &Camera) -> Result<Vec<u8>, PictureError> {
     let format = ImageFormat::from_path(Path::new(name)).map_err(|_| PictureError::Format)?;
-    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(image::ImageError::from)?;
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(MOST_BYTES);
-    reader.limits(limits);
-    let mut decoder = reader.into_decoder()?;
-    let (exif, profile) = (decoder.exif_metadata().ok().flatten(), decoder.icc_profile().ok().flatten());
-    let (width, height) = decoder.dimensions();
+    let (width, height) = picture::header(Cursor::new(bytes))?.dimensions();
     if [width, height] != [source.width, source.height] {
         return Err(PictureError::Size { found: [width, height], camera: [source.width, source.height] });
     }
+    let mut decoder = picture::open::<PictureError>(bytes, PixelBound::LARGEST)?;
+    let (exif, profile) = (decoder.exif_metadata().ok().flatten(), decoder.icc_profile().ok().flatten());
     let picture = Raster::from(DynamicImage::from_decoder(decoder)?);
     picture.warped(source, &at_size_of(target, source)?).resized(target).encoded(format, exif, profile)
 }

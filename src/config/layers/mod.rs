@@ -247,15 +247,17 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
         Err(source) => return Err(ConfigError::Read { path: path.into(), source }),
         Ok(text) => text,
     };
+    let ends: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+    let line_of = |byte: usize| 1 + ends.partition_point(|&end| end < byte);
     let syntax = |error: toml::de::Error| {
-        let line = line_of(&text, error.span().map_or(0, |span| span.start));
+        let line = line_of(error.span().map_or(0, |span| span.start));
         let place = SettingLocation::File { path: path.into(), line };
         ConfigError::Syntax { place, why: error.message().replace('\n', ", ") }
     };
     let values: Value = toml::from_str(&text).map_err(syntax)?;
     let mut entries = Vec::new();
     collect(DeTable::parse(&text).map_err(syntax)?.get_ref(), "", &mut |key, at| {
-        let place = SettingLocation::File { path: path.into(), line: line_of(&text, at) };
+        let place = SettingLocation::File { path: path.into(), line: line_of(at) };
         let value = key.split('.').try_fold(&values, |value, part| value.get(part));
         let entry =
             value.map(|value| Entry { key: key.into(), value: from_file(key, value, path), place: place.clone() });
@@ -300,10 +302,6 @@ fn refuse_commands(entry: &Entry) -> Result<(), ConfigError> {
     let user_only = keys().iter().any(|key| key.name == entry.key && key.user_only);
     let refusal = || ConfigError::UserOnly { place: entry.place.clone(), key: entry.key.clone() };
     if user_only { Err(refusal()) } else { Ok(()) }
-}
-
-fn line_of(text: &str, byte: usize) -> usize {
-    1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
 }
 
 /// Resolves backend names, keeping the order and dropping duplicates.
@@ -439,8 +437,14 @@ impl Hint for ConfigError {
     }
 }
 
+/// Longest key that is compared with the known ones, bytes: the time grows with its length.
+const LONGEST_KEY: usize = 100;
+
 /// Finds the known key or section nearest to a misspelt one: similar as a whole, or in its last part.
 fn nearest(key: &str) -> Option<String> {
+    if key.len() > LONGEST_KEY {
+        return None;
+    }
     let parts =
         |key: &'_ str| key.rsplit_once('.').map_or((String::new(), key.into()), |(s, l)| (s.into(), String::from(l)));
     let (section, last) = parts(key);

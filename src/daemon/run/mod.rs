@@ -6,7 +6,6 @@
 use std::{
     cell::Cell,
     collections::BTreeMap,
-    panic::{AssertUnwindSafe, catch_unwind},
     path::{Path, PathBuf},
     sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel},
     thread::{Scope, scope},
@@ -18,6 +17,7 @@ use tracing::{info, warn};
 use super::{
     DaemonError, Job, Planner, WatchOptions,
     phase::Phase,
+    planner::outcome_of,
     platform::{self, Life, notify_supervisor},
     queue::{Full, JobQueue},
     state::{JobInput, Outcome, TrackedProject, Work},
@@ -319,16 +319,4 @@ impl<'a> Daemon<'a> {
             waiting: count(|p| matches!(p, Phase::Waiting { .. })),
         }
     }
-}
-
-/// Runs a job and returns its outcome. A panic fails only this project.
-fn outcome_of(planner: &dyn Planner, work: Work, job: &Job) -> Outcome {
-    let act = || match work {
-        Work::Plan => planner.plan(job),
-        Work::Follow => planner.follow(job),
-    };
-    catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|_| Outcome::Failed {
-        reason: "internal error; see the log".into(),
-        hint: Some("run `viewrank plan` on it and report its output".into()),
-    })
 }

@@ -9,6 +9,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use serde::{Deserialize, Serialize};
+
 use super::{
     maps::{MapFiles, MapTracker},
     phase::Phase,
@@ -21,7 +23,7 @@ const FIRST_RETRY: Duration = Duration::from_secs(10);
 const LONGEST_RETRY: Duration = Duration::from_secs(3600);
 
 /// Result of a job.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Outcome {
     /// A new plan was written, or the existing one is current.
     Planned {
@@ -52,15 +54,16 @@ pub enum Outcome {
         reason: String,
         hint: Option<String>,
     },
-    /// Planning the input takes more memory than is allowed: it fails again as long as both are the same, after the other jobs had to wait for it.
-    TooLarge {
+    /// Planning the input takes more memory than is allowed, or has ended its process: it does so again as long as the input is the same, after the
+    /// other jobs had to wait for it.
+    Aside {
         reason: String,
         hint: Option<String>,
     },
 }
 
 /// Kind of a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Work {
     Plan,
     /// Measure the finished depth maps of the plan.
@@ -76,7 +79,7 @@ pub struct JobInput {
 }
 
 /// Reaction to input that changes during planning.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnBusy {
     /// Cancel the plan and start again when the input is still.
     #[default]
@@ -263,7 +266,7 @@ impl TrackedProject {
                 return true;
             }
             (Work::Plan, _) => self.concluded = !job.overtaken,
-            (Work::Follow, Outcome::Failed { .. } | Outcome::TooLarge { .. }) => {}
+            (Work::Follow, Outcome::Failed { .. } | Outcome::Aside { .. }) => {}
             (Work::Follow, _) if cancelled => {}
             (Work::Follow, _) => self.maps.record_measured(input.maps, now - job.started, now),
         }
@@ -302,7 +305,7 @@ impl TrackedProject {
                 self.failures = failures;
                 self.fail(reason, hint, retry_after(failures), (now, work))
             }
-            Outcome::TooLarge { reason, hint } => self.fail(reason, hint, LONGEST_RETRY, (now, work)),
+            Outcome::Aside { reason, hint } => self.fail(reason, hint, LONGEST_RETRY, (now, work)),
         };
     }
 

@@ -260,7 +260,7 @@ fn a_plan_that_is_too_large_is_rarely_tried_again_unless_its_input_changes() {
     let (_root, stamp) = stamped(5);
     let now = Instant::now();
     let mut project = tracked(&stamp, now);
-    run(&mut project, Work::Plan, Outcome::TooLarge { reason: "5G".into(), hint: None }, now);
+    run(&mut project, Work::Plan, Outcome::Aside { reason: "5G".into(), hint: None }, now);
     assert!(project.has_failed());
     assert_eq!(project.due(SETTLE), Some((now + LONGEST_RETRY, Work::Plan)));
     project.observe(stamped(7).1, now + SETTLE, OnBusy::Restart);

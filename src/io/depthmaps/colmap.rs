@@ -1,15 +1,16 @@
 //! COLMAP's `NAME.geometric.bin`: ASCII `W&H&C&`, then W x H x C little-endian float32, plane by plane, row-major.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats};
+use crate::base::pixels::PixelBound;
 
-pub(super) fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], format: DepthMapFormat, bound: PixelBound) -> Parsed<DepthMap> {
     let (width, at) = number(bytes, 0)?;
     let (height, at) = number(bytes, at)?;
     let (channels, at) = number(bytes, at)?;
     if channels != 1 {
         return Err((0, format!("{channels} channels, expected 1 (is this a normal map?)")));
     }
-    Ok(DepthMap { format, width, height, depth: floats(bytes, at, width, height)?, ids: Vec::new() })
+    Ok(DepthMap { format, width, height, depth: floats(bytes, at, (width, height), bound)?, ids: Vec::new() })
 }
 
 /// Parses decimal digits up to `&`; returns the number and the offset after the `&`.

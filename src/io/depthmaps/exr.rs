@@ -3,13 +3,12 @@
 
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 
-use super::{DepthMap, DepthMapFormat, Parsed, u32_at};
+use super::{DepthMap, DepthMapFormat, Parsed, pixels, u32_at};
+use crate::base::{large_pages, pixels::PixelBound};
 
 /// Magic number, version 2 without flags (scan lines, one part), which may allow names of 255 characters.
 const MAGIC: u32 = 20_000_630;
 const LONG_NAMES: u32 = 0x400;
-/// Deflate shrinks data at most 1032 times.
-const MOST_SHRUNK: u64 = 1032;
 
 /// What the header says.
 #[derive(Default)]
@@ -23,7 +22,7 @@ struct Header {
     end: usize,
 }
 
-pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     if u32_at(bytes, 0)? != MAGIC {
         return Err((0, "not an OpenEXR file".into()));
     }
@@ -42,13 +41,11 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
     let side = |from: i32, to: i32| i64::from(to) - i64::from(from) + 1;
     let sides = (u32::try_from(side(left, right)), u32::try_from(side(top, bottom)));
     let (Ok(width @ 1..), Ok(height @ 1..)) = sides else { return Err((8, "the map has no pixels".into())) };
-    let pixels = u64::from(width) * u64::from(height);
-    if pixels.saturating_mul(sample as u64) > MOST_SHRUNK * bytes.len() as u64 {
-        return Err((8, format!("{width} x {height} pixels do not fit in {} bytes", bytes.len())));
-    }
-    let mut depth = vec![0.0; pixels as usize];
+    let (pixels, chunks) = (pixels(width, height, bound)?, height.div_ceil(rows_of_chunk) as usize);
+    // The memory is touched when a chunk is inflated, and there may be none.
+    let mut depth = large_pages::try_zeroed::<f32>(pixels).map_err(|error| (8, error.to_string()))?;
     let line = width as usize * sample;
-    for chunk in 0..height.div_ceil(rows_of_chunk) as usize {
+    for chunk in 0..chunks {
         let (low, high) = (u32_at(bytes, header.end + 8 * chunk)?, u32_at(bytes, header.end + 8 * chunk + 4)?);
         let at = usize::try_from(u64::from(low) | u64::from(high) << 32).map_err(|e| (header.end, e.to_string()))?;
         let row = i64::from(u32_at(bytes, at)? as i32) - i64::from(top);

@@ -334,16 +334,23 @@ fn by_suffix(scene: &Scene, path: &str, extension: &str) -> Option<ViewIndex> {
     starts.find_map(|start| scene.find(&path[start..]))
 }
 
+/// Returns the ids of the key view and its partners that OpenMVS's map names.
+///
+/// # Errors
+/// If the file cannot be read or is no such map.
+pub fn ids_of(map: &Path) -> Result<Vec<u32>, DepthMapError> {
+    dmap_header(map).map(|header| header.ids)
+}
+
 fn dmap_image(path: &Path) -> Result<String, DepthMapError> {
+    dmap_header(path).map(|header| header.image.replace('\\', "/"))
+}
+
+fn dmap_header(path: &Path) -> Result<openmvs::Header, DepthMapError> {
     let io = |source| DepthMapError::Io { path: path.into(), source };
     let mut bytes = Vec::new();
     input::open(path).map_err(io)?.take(DMAP_HEADER).read_to_end(&mut bytes).map_err(io)?;
-    let header = openmvs::header(&bytes);
-    header.map(|h| h.image.replace('\\', "/")).map_err(|(byte, what)| DepthMapError::Format {
-        path: path.into(),
-        byte,
-        what,
-    })
+    openmvs::header(&bytes).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
 }
 
 /// The numbers of `view_names.txt`, read at the first numbered map.

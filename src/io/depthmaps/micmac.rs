@@ -18,10 +18,13 @@ use tiff::{
     decoder::{Decoder, DecodingResult, Limits},
 };
 
-use super::{Beside, DepthMap, DepthMapFormat, Parsed};
-use crate::io::formats::{
-    Fault, Place, Problem,
-    xml::{Element, Xml},
+use super::{Beside, DepthMap, DepthMapFormat, Parsed, pixels};
+use crate::{
+    base::pixels::PixelBound,
+    io::formats::{
+        Fault, Place, Problem,
+        xml::{Element, Xml},
+    },
 };
 
 /// Distance from 1 of the product of DirFaisceaux, a unit vector, and the optical axis from which they differ.
@@ -38,11 +41,11 @@ struct Cloud {
     is_inverse: bool,
 }
 
-pub(super) fn parse(bytes: &[u8], beside: Beside) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound, beside: Beside) -> Parsed<DepthMap> {
     let cloud = cloud(bytes)?;
     let [width, height] = cloud.size;
+    let pixels = pixels(width, height, bound)?;
     let (values, mask) = (depth_image(&cloud, beside)?, mask(&cloud, beside)?);
-    let pixels = width as usize * height as usize;
     if [values.len(), mask.len()] != [pixels; 2] {
         return Err((0, format!("{} and {}: expected {pixels} pixels", cloud.image, cloud.mask)));
     }

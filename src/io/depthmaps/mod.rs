@@ -20,13 +20,14 @@ use crate::{
     base::{
         error::Hint,
         input::{self, FileKind},
+        pixels::PixelBound,
     },
     model::{camera::Camera, scene::Scene},
 };
 
 pub use find::{
     DepthMapFile, DepthMapSet, MICMAC_MARK, default_folders, files_of, files_with_depths, find, folder_of, folders,
-    is_of_a_map, list,
+    ids_of, is_of_a_map, list,
 };
 
 /// Depth map formats.
@@ -153,7 +154,7 @@ impl DepthMap {
 
     /// Takes out the depths whose confidence, in a file of the same form, is too low.
     fn keep_confident(&mut self, path: &Path) -> Result<(), DepthMapError> {
-        let confidence = read(path, self.format)?;
+        let confidence = read(path, self.format, PixelBound::new(self.depth.len() as u64))?;
         if (confidence.width, confidence.height) != (self.width, self.height) {
             let size = |map: &Self| format!("{} x {} pixels", map.width, map.height);
             let what = format!("{}, but the depth map has {}", size(&confidence), size(self));
@@ -241,12 +242,21 @@ type Parsed<T> = Result<T, (usize, String)>;
 /// Reads another file of a depth map's folder, by its name.
 pub type Beside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
-/// Reads one depth map as the file has it: some formats hold distances from the camera's centre, see [`read_of_view`].
-pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
-    let bytes =
-        input::read(path, FileKind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
-    let beside = |name: &str| input::read(&path.with_file_name(name), FileKind::Picture);
-    parse(&bytes, format, &beside).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
+/// Reads one depth map as the file has it: some formats hold distances from the camera's centre, see [`read_of_view`]. No more of the file is read
+/// than a map within the bound has.
+pub fn read(path: &Path, format: DepthMapFormat, bound: PixelBound) -> Result<DepthMap, DepthMapError> {
+    let read = |path: &Path| match format {
+        // A description in XML.
+        DepthMapFormat::MicMac => input::read(path, FileKind::Settings),
+        _ => input::read_start(path, FileKind::Picture, bound.file_bytes()),
+    };
+    let bytes = read(path).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    let beside = |name: &str| input::read_start(&path.with_file_name(name), FileKind::Picture, bound.file_bytes());
+    parse(&bytes, format, bound, &beside).map_err(|(byte, what)| DepthMapError::Format {
+        path: path.into(),
+        byte,
+        what,
+    })
 }
 
 /// Confidence that PatchmatchNet's fusion asks for by default (`--photo_thres`): it drops depths of no more.
@@ -263,7 +273,7 @@ pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, Dept
     if !(camera.is_pinhole() || file.format.takes_distorted()) {
         return Err(DepthMapError::Distorted { view: view(), model: camera.model().name() });
     }
-    let mut map = read(&file.path, file.format)?;
+    let mut map = read(&file.path, file.format, camera.most_map_pixels())?;
     let confidences = (file.format == DepthMapFormat::Pfm).then(|| confidences_of(&file.path)).flatten();
     if let Some(path) = confidences.filter(|path| path.is_file()) {
         map.keep_confident(&path)?;
@@ -281,18 +291,18 @@ fn confidences_of(map: &Path) -> Option<PathBuf> {
     Some(folder.with_file_name("confidence").join(map.file_name()?))
 }
 
-/// Parses the bytes of one depth map, with depths as the file has them. `beside` reads another file of its folder. Allocates memory proportional to the
-/// length of the files.
-pub fn parse(bytes: &[u8], format: DepthMapFormat, beside: Beside) -> Parsed<DepthMap> {
+/// Parses the bytes of one depth map, with depths as the file has them. `beside` reads another file of its folder. Allocates memory for no more
+/// pixels than the bound.
+pub fn parse(bytes: &[u8], format: DepthMapFormat, bound: PixelBound, beside: Beside) -> Parsed<DepthMap> {
     let mut map = match format {
-        DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format),
-        DepthMapFormat::OpenMvs => openmvs::parse(bytes),
-        DepthMapFormat::Pfm => pfm::parse(bytes),
-        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, format),
-        DepthMapFormat::Mve => mvei::parse(bytes),
-        DepthMapFormat::AliceVision => exr::parse(bytes),
-        DepthMapFormat::MicMac => micmac::parse(bytes, beside),
-        DepthMapFormat::Npy => npy::parse(bytes),
+        DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format, bound),
+        DepthMapFormat::OpenMvs => openmvs::parse(bytes, bound),
+        DepthMapFormat::Pfm => pfm::parse(bytes, bound),
+        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, format, bound),
+        DepthMapFormat::Mve => mvei::parse(bytes, bound),
+        DepthMapFormat::AliceVision => exr::parse(bytes, bound),
+        DepthMapFormat::MicMac => micmac::parse(bytes, bound, beside),
+        DepthMapFormat::Npy => npy::parse(bytes, bound),
     }?;
     for z in &mut map.depth {
         if !(z.is_finite() && *z > 0.0) {
@@ -302,20 +312,22 @@ pub fn parse(bytes: &[u8], format: DepthMapFormat, beside: Beside) -> Parsed<Dep
     Ok(map)
 }
 
+/// Returns the number of pixels of a map, which every reader needs before it allocates: at least one and within the bound.
+fn pixels(width: u32, height: u32, bound: PixelBound) -> Parsed<usize> {
+    match bound.admit(width, height) {
+        Ok(0) => Err((0, "the map has no pixels".into())),
+        admitted => admitted.map_err(|error| (0, error.to_string())),
+    }
+}
+
 /// Reads `width` x `height` little-endian f32 from `start`; checks the size before it allocates.
-fn floats(bytes: &[u8], start: usize, width: u32, height: u32) -> Parsed<Vec<f32>> {
-    let pixels = u64::from(width) * u64::from(height);
-    let left = bytes.len().saturating_sub(start) as u64;
-    if pixels == 0 {
-        return Err((0, "the map has no pixels".into()));
+fn floats(bytes: &[u8], start: usize, (width, height): (u32, u32), bound: PixelBound) -> Parsed<Vec<f32>> {
+    let pixels = pixels(width, height, bound)?;
+    let left = bytes.len().saturating_sub(start);
+    if left < pixels * 4 {
+        return Err((start, format!("{width} x {height} pixels need {} bytes, {left} are left", pixels * 4)));
     }
-    if left < pixels.saturating_mul(4) {
-        return Err((
-            start,
-            format!("{width} x {height} pixels need {} bytes, {left} are left", pixels.saturating_mul(4)),
-        ));
-    }
-    let data = &bytes[start..start + pixels as usize * 4];
+    let data = &bytes[start..start + pixels * 4];
     Ok(data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
 }
 

@@ -2,11 +2,12 @@
 //! from the camera's centre.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
+use crate::base::pixels::PixelBound;
 
 const SIGNATURE: &[u8] = b"\x89MVE_IMAGE\n";
 const FLOAT: u32 = 9;
 
-pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     if !bytes.starts_with(SIGNATURE) {
         return Err((0, "not an image of MVE, expected `\\x89MVE_IMAGE`".into()));
     }
@@ -16,6 +17,6 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
         let what = format!("{channels} channels of type {kind}, expected 1 channel of type {FLOAT} (float)");
         return Err((SIGNATURE.len() + 8, what));
     }
-    let depth = floats(bytes, SIGNATURE.len() + 16, width, height)?;
+    let depth = floats(bytes, SIGNATURE.len() + 16, (width, height), bound)?;
     Ok(DepthMap { format: DepthMapFormat::Mve, width, height, depth, ids: Vec::new() })
 }

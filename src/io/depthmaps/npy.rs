@@ -2,12 +2,13 @@
 
 use npyz::{DType, NpyFile, Order, TypeChar};
 
-use super::{DepthMap, DepthMapFormat, Parsed};
+use super::{DepthMap, DepthMapFormat, Parsed, pixels};
+use crate::base::pixels::PixelBound;
 
 /// Largest header that is parsed, bytes. That of a two-dimensional array has about 120; a longer one could be nested without bounds.
 const LONGEST_HEADER: u32 = 512;
 
-pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     let bad = |what: &str| (0, what.to_string());
     if header_length(bytes).ok_or_else(|| bad("not a NumPy file"))? > LONGEST_HEADER {
         return Err((8, format!("the header is longer than {LONGEST_HEADER} bytes")));
@@ -25,8 +26,8 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
     if kind.type_char() != TypeChar::Float || !(size == 4 || size == 8) {
         return Err(bad("expected float32 or float64"));
     }
-    let pixels = u64::from(width) * u64::from(height);
-    if pixels == 0 || pixels.saturating_mul(size) > bytes.len() as u64 {
+    let pixels = pixels(width, height, bound)?;
+    if (pixels as u64).saturating_mul(size) > bytes.len() as u64 {
         return Err((0, format!("{width} x {height} values do not fit in {} bytes", bytes.len())));
     }
     let depth = if size == 4 {

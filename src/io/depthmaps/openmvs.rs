@@ -2,6 +2,7 @@
 //! planes after it (normals, confidence, views) are ignored.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
+use crate::base::pixels::PixelBound;
 
 /// Fixed part of the header: magic, type, image and depth size, depth range.
 const FIXED: usize = 28;
@@ -10,13 +11,13 @@ const MATRICES: usize = (9 + 9 + 3) * 8;
 /// Largest plausible number of ids; OpenMVS uses 12 partners by default.
 const MOST_IDS: u32 = 4096;
 
-pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     let header = header(bytes)?;
     Ok(DepthMap {
         format: DepthMapFormat::OpenMvs,
         width: header.width,
         height: header.height,
-        depth: floats(bytes, header.length, header.width, header.height)?,
+        depth: floats(bytes, header.length, (header.width, header.height), bound)?,
         ids: header.ids,
     })
 }

@@ -1,8 +1,9 @@
 //! Portable float map: `Pf`, width and height, scale (negative: little-endian), then rows from bottom to top.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats};
+use crate::base::pixels::PixelBound;
 
-pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     let (magic, at) = word(bytes, 0)?;
     if magic != "Pf" {
         return Err((0, "expected `Pf` (one channel)".into()));
@@ -10,7 +11,7 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
     let (width, at) = number::<u32>(bytes, at)?;
     let (height, at) = number::<u32>(bytes, at)?;
     let (scale, at) = number::<f32>(bytes, at)?;
-    let mut depth = floats(bytes, at, width, height)?;
+    let mut depth = floats(bytes, at, (width, height), bound)?;
     if scale > 0.0 {
         depth.iter_mut().for_each(|z| *z = f32::from_bits(z.to_bits().swap_bytes()));
     }

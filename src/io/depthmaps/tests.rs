@@ -1,5 +1,7 @@
 //! Tests on literal bytes of each format, on files that the programs wrote (`fixtures/depthmaps`), and on corrupted bytes.
 
+mod bounds;
+
 use std::path::PathBuf;
 
 use nalgebra::{Rotation3, Vector3};
@@ -30,7 +32,7 @@ fn fixture(name: &str) -> PathBuf {
 
 /// Parses bytes with no other file beside them.
 fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
-    super::parse(bytes, format, &|_| Err(std::io::ErrorKind::NotFound.into()))
+    super::parse(bytes, format, PixelBound::LARGEST, &|_| Err(std::io::ErrorKind::NotFound.into()))
 }
 
 const CLOUD: &str = "MM-Malt-Img-IMG_9394/MMLastNuage.xml";
@@ -39,7 +41,7 @@ const CLOUD: &str = "MM-Malt-Img-IMG_9394/MMLastNuage.xml";
 fn micmac(xml: impl Fn(String) -> String, beside: impl Fn(&str, Vec<u8>) -> Vec<u8>) -> Parsed<DepthMap> {
     let path = fixture(CLOUD);
     let text = xml(std::fs::read_to_string(&path).unwrap());
-    super::parse(text.as_bytes(), DepthMapFormat::MicMac, &|name| {
+    super::parse(text.as_bytes(), DepthMapFormat::MicMac, PixelBound::LARGEST, &|name| {
         Ok(beside(name, std::fs::read(path.with_file_name(name))?))
     })
 }
@@ -65,13 +67,13 @@ fn reads_the_files_of_colmap_opencv_and_numpy() {
         ("00000003.pfm", DepthMapFormat::Pfm),
         ("IMG_9394.jpg.npy", DepthMapFormat::Npy),
     ] {
-        assert_is_ramp(&read(&fixture(name), format).unwrap());
+        assert_is_ramp(&read(&fixture(name), format, PixelBound::LARGEST).unwrap());
     }
 }
 
 #[test]
 fn reads_a_dmap_written_by_openmvs() {
-    let map = read(&fixture("depth0040.dmap"), DepthMapFormat::OpenMvs).unwrap();
+    let map = read(&fixture("depth0040.dmap"), DepthMapFormat::OpenMvs, PixelBound::LARGEST).unwrap();
     assert_eq!((map.width, map.height), (62, 46));
     assert_eq!(map.ids, [40, 43, 39, 41, 56]);
     // Values from an independent reader in Python.
@@ -96,7 +98,7 @@ const MVEI: &str = "view_00000068.mve/depth-L3.mvei";
 
 #[test]
 fn reads_a_map_written_by_mves_dmrecon() {
-    let map = read(&fixture(MVEI), DepthMapFormat::Mve).unwrap();
+    let map = read(&fixture(MVEI), DepthMapFormat::Mve, PixelBound::LARGEST).unwrap();
     assert_eq!((map.width, map.height), (75, 57));
     // Values from an independent reader in Python.
     assert_eq!(map.depth.iter().filter(|&&z| z > 0.0).count(), 3397);
@@ -110,7 +112,7 @@ fn reads_a_map_written_by_mves_dmrecon() {
 #[test]
 fn reads_openexr_in_the_ways_that_alicevision_writes_it() {
     for name in ["40_depthMap.exr", "41_depthMap.exr"] {
-        let map = read(&fixture(name), DepthMapFormat::AliceVision).unwrap();
+        let map = read(&fixture(name), DepthMapFormat::AliceVision, PixelBound::LARGEST).unwrap();
         assert_eq!((map.width, map.height), (70, 50));
         for (row, column) in (0..50).flat_map(|r| (0..70).map(move |c| (r, c))) {
             let depth = 10.0 + f64::from(row / 5) + f64::from(column / 8) / 8.0;
@@ -127,8 +129,8 @@ fn reads_openexr_in_the_ways_that_alicevision_writes_it() {
 
 #[test]
 fn reads_micmacs_inverse_depths_where_the_mask_has_them() {
-    let map = read(&fixture(CLOUD), DepthMapFormat::MicMac).unwrap();
-    let ramp = read(&fixture("00000003.pfm"), DepthMapFormat::Pfm).unwrap();
+    let map = read(&fixture(CLOUD), DepthMapFormat::MicMac, PixelBound::LARGEST).unwrap();
+    let ramp = read(&fixture("00000003.pfm"), DepthMapFormat::Pfm, PixelBound::LARGEST).unwrap();
     assert_eq!((map.width, map.height), (6, 4));
     assert!(map.depth.iter().zip(&ramp.depth).all(|(z, expected)| (z - expected).abs() < 1e-5), "{:?}", map.depth);
     assert_eq!(map.depth_at(2, 1), None, "the mask says so: the depth image has a value there, too");
@@ -334,7 +336,7 @@ fn scene(names: &[&str]) -> Scene {
 
 #[test]
 fn pixel_at_inverts_image_position() {
-    let map = read(&fixture("00000003.pfm"), DepthMapFormat::Pfm).unwrap();
+    let map = read(&fixture("00000003.pfm"), DepthMapFormat::Pfm, PixelBound::LARGEST).unwrap();
     assert_eq!(map.pixel_size(&camera()), (2.0, 2.0));
     assert_eq!(map.image_position(&camera(), 0, 0), Point2::new(1.0, 1.0));
     for (column, row) in (0..6).flat_map(|c| (0..4).map(move |r| (c, r))) {

@@ -13,7 +13,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Fault, Place, Problem,
+    Fault, Place, Problem, check_images,
     foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose},
     words::{Observation, Words},
 };
@@ -46,6 +46,7 @@ pub fn read(bundle: &[u8], list: &[u8], size_of: SizeLookup) -> Result<ForeignMo
         return Err(Words::new(bundle).unexpected("# Bundle file v0.3"));
     }
     let cameras = words.count("cameras", SMALLEST[0])?;
+    check_images(cameras)?;
     let points = words.count("points", SMALLEST[1])?;
     if names.len() != cameras {
         let message = format!("{} images in the list, but {cameras} cameras in the bundle file", names.len());

@@ -92,9 +92,8 @@ impl ForeignModel {
         let folder = |name: &str| name.rfind('/').map_or(0, |end| end + 1);
         let mut common = names().next().map_or(String::new(), |name| name[..folder(name)].into());
         for name in names() {
-            while !name.starts_with(&common) {
-                common.truncate(folder(&common[..common.len() - 1]));
-            }
+            let shared = common.bytes().zip(name.bytes()).take_while(|(a, b)| a == b).count();
+            common.truncate(common.as_bytes()[..shared].iter().rposition(|&b| b == b'/').map_or(0, |end| end + 1));
         }
         self.model.images.iter_mut().for_each(|image| _ = image.name.to_mut().drain(..common.len()));
         self.unregistered.iter_mut().for_each(|name| _ = name.drain(..common.len()));
@@ -104,12 +103,18 @@ impl ForeignModel {
     }
 }
 
+/// Most folders of a moved image's path that still hold.
+const KEPT_FOLDERS: usize = 16;
+
 /// The name, and if it is an absolute path what is left without its first folders: the image may have moved.
 pub(crate) fn last_parts(name: &str) -> Vec<String> {
     let slashes = if is_of_windows(name) { name.replace('\\', "/") } else { name.to_owned() };
     let is_absolute = slashes != name || name.starts_with('/');
-    let tails = slashes.match_indices('/').filter(|_| is_absolute).map(|(at, _)| slashes[at + 1..].to_owned());
-    std::iter::once(name.to_owned()).chain(tails).collect()
+    let ends = slashes.rmatch_indices('/').filter(|_| is_absolute).take(KEPT_FOLDERS);
+    let mut parts: Vec<String> = ends.map(|(at, _)| slashes[at + 1..].to_owned()).collect();
+    parts.push(name.to_owned());
+    parts.reverse();
+    parts
 }
 
 /// Returns whether a name is an absolute path of Windows: a drive or a server.

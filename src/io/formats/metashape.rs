@@ -17,7 +17,7 @@ use std::collections::{HashMap, HashSet};
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Fault, Problem,
+    Fault, Problem, check_images,
     colmap::StoredPose,
     foreign::{ForeignModel, camera, pose_with_centre},
     xml::{Element, Xml},
@@ -101,7 +101,10 @@ impl Chunk {
     fn read_cameras(&mut self, xml: &mut Xml) -> Result<(), Fault> {
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
-                "camera" => self.cameras.push(xml.whole(entered)?),
+                "camera" => {
+                    self.cameras.push(xml.whole(entered)?);
+                    check_images(self.cameras.len())?;
+                }
                 "group" => self.read_cameras(xml)?,
                 _ => xml.skip()?,
             }

@@ -141,6 +141,18 @@ impl Problem {
     }
 }
 
+/// Most images, and most cameras, of a model: each takes up to a kilobyte while the model is read, and a few bytes in some formats.
+const MOST_IMAGES: usize = 1 << 18;
+
+/// Checks the number of images or cameras of a model.
+fn check_images(count: usize) -> Result<(), Fault> {
+    if count <= MOST_IMAGES {
+        return Ok(());
+    }
+    let what = format!("{count} images, at most {MOST_IMAGES} are read");
+    Err(Fault::new("", Place::File, Problem::Unsupported { what, hint: "split the model" }))
+}
+
 /// Checks an image name relative to the image folder: not empty, not absolute, and not outside the parent of the image folder.
 /// `../other/a.jpg` occurs in practice and is allowed.
 pub fn check_name(name: &str) -> Result<(), Problem> {

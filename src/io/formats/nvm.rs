@@ -13,7 +13,7 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::{
-    Fault, Place, Problem,
+    Fault, Place, Problem, check_images,
     foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose_with_centre},
     words::{Observation, Words, name_and_numbers},
 };
@@ -41,6 +41,7 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
     let head = words.line().and_then(|line| line.strip_prefix(b"NVM_V3"));
     let fixed = head.ok_or_else(|| Words::new(nvm).unexpected("NVM_V3"))?;
     let count = words.count("cameras", 22)?;
+    check_images(count)?;
     words.line();
     let each = |n| nvm_camera(&mut words).map_err(|fault| fault.in_record(|| format!("camera {}", n + 1)));
     let cameras = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;

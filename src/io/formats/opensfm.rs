@@ -10,7 +10,7 @@ use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::{
-    Fault, Place, Problem,
+    Fault, Place, Problem, check_images,
     colmap::StoredPose,
     foreign::{ForeignModel, camera, json},
     words::parse,
@@ -90,6 +90,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
         let text = format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
         foreign.warn(WarningKind::OtherModels, text);
     }
+    check_images(largest.cameras.len().max(largest.shots.len()))?;
     let mut camera_ids = HashMap::new();
     for (n, (name, camera)) in largest.cameras.iter().enumerate() {
         camera_ids.insert(name.as_str(), (n as u32 + 1, camera));
@@ -142,7 +143,7 @@ fn observations<'a>(
         if line.is_empty() || line.starts_with(b"OPENSFM_TRACKS_VERSION") {
             continue;
         }
-        let fields: Vec<&[u8]> = line.split(|&b| b == b'\t').collect();
+        let fields: Vec<&[u8]> = line.split(|&b| b == b'\t').take(5).collect();
         let xy = fields.get(3..5).and_then(|xy| Some([parse::<f64>(xy[0]).ok()?, parse::<f64>(xy[1]).ok()?]));
         let Some([x, y]) = xy else {
             let found = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();

@@ -8,30 +8,32 @@
 //!
 //! Pixels are as in COLMAP, distortion as in OpenCV.
 
+use std::collections::HashMap;
+
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
+use serde_json::value::RawValue;
 
 use super::{
-    Fault, Place, Problem,
+    Fault, Place, Problem, check_images,
     colmap::StoredPose,
     foreign::{ForeignModel, SizeLookup, camera, json, pose_with_centre},
 };
 use crate::model::camera::{Camera, CameraModel};
 
+/// The file, without the lens of all frames, which is read from the same object. Frames are read one at a time.
 #[derive(Deserialize)]
-struct Transforms {
-    #[serde(flatten)]
-    lens: Lens,
-    frames: Vec<Frame>,
+struct Transforms<'a> {
+    #[serde(borrow)]
+    frames: Vec<&'a RawValue>,
     ply_file_path: Option<String>,
 }
 
+/// A frame without its lens.
 #[derive(Deserialize)]
 struct Frame {
     file_path: String,
     transform_matrix: Vec<[f64; 4]>,
-    #[serde(flatten)]
-    lens: Lens,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
@@ -61,21 +63,25 @@ pub fn read(
     size_of: SizeLookup,
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<(ForeignModel, Option<String>), Fault> {
-    let data: Transforms = json(bytes)?;
+    let (data, of_all): (Transforms, Lens) = (json(bytes)?, json(bytes)?);
+    check_images(data.frames.len())?;
     let mut foreign = ForeignModel::default();
-    let mut lenses: Vec<Lens> = Vec::new();
+    // Camera ids by the text of the lens, as numbers have no hash.
+    let mut known: HashMap<String, u32> = HashMap::new();
     for (n, frame) in (1..).zip(&data.frames) {
+        let in_frame = |fault: Fault| Fault { place: Place::File, ..fault }.in_record(|| format!("frame {n}"));
+        let text = frame.get().as_bytes();
+        let (frame, lens): (Frame, Lens) = (json(text).map_err(in_frame)?, json(text).map_err(in_frame)?);
         let what = || format!("frame {n}, {:?}", frame.file_path);
         let name = spelled(&frame.file_path.replace('\\', "/")).trim_start_matches("./").to_string();
-        let mut lens = frame.lens.clone().or(&data.lens);
+        let mut lens = lens.or(&of_all);
         if let (None, Some((width, height))) = (lens.w.zip(lens.h), size_of(&name)) {
             (lens.w, lens.h) = (Some(width.into()), Some(height.into()));
         }
-        let known = lenses.iter().position(|known| *known == lens);
-        let id = known.unwrap_or(lenses.len()) as u32 + 1;
-        if known.is_none() {
+        let next = known.len() as u32 + 1;
+        let id = *known.entry(format!("{lens:?}")).or_insert(next);
+        if id == next {
             foreign.model.cameras.push(lens.camera(id).map_err(|fault| fault.in_record(what))?);
-            lenses.push(lens);
         }
         let pose = frame.pose().map_err(|problem| Fault::new("", Place::File, problem).in_record(what))?;
         foreign.add_image(n, name, id, pose, Place::File);

@@ -13,6 +13,8 @@ use super::{Fault, Place, Problem, words::parse};
 /// Deepest nesting of elements, and most elements in one record.
 const DEEPEST: usize = 64;
 const MOST_ELEMENTS: usize = 1 << 18;
+/// Most attributes of an element.
+const MOST_ATTRIBUTES: usize = 1 << 10;
 
 /// An element with all that it contains.
 #[derive(Debug)]
@@ -188,6 +190,9 @@ impl<'a> Xml<'a> {
         let mut all = start.attributes();
         all.with_checks(false);
         for attribute in all {
+            if attributes.len() == MOST_ATTRIBUTES {
+                return Err(Fault::new("", at, Problem::Json(format!("more than {MOST_ATTRIBUTES} attributes"))));
+            }
             let attribute = attribute.map_err(|error| broken(at, &error))?;
             let value = attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|error| broken(at, &error))?;
             attributes.push((attribute.key.0.to_owned(), value.into_owned()));

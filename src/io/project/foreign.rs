@@ -5,13 +5,16 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{ModelFormat, ModelLocation, ProjectError, files, images};
+use super::{
+    ModelFormat, ModelLocation, ProjectError, files,
+    images::{self, ImageSearch},
+};
 use crate::{
     base::input::{self, FileKind},
     io::{
         formats::{
             Fault, Place, Problem, alicevision, blocks, bundler, cloud,
-            foreign::{ForeignModel, last_parts},
+            foreign::ForeignModel,
             metashape::{self, Frame},
             micmac, mve, nvm, openmvg,
             openmvs::Mvs,
@@ -191,11 +194,9 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
 
 /// Reads the model; its image sizes come from the image files for formats that don't store them.
 pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, ProjectError> {
-    let candidates = images::candidates(root, &model.path);
-    let size_of = |name: &str| {
-        let names = last_parts(name);
-        names.iter().find_map(|name| candidates.iter().find_map(|folder| images::size_by_header(&folder.join(name))))
-    };
+    let search = ImageSearch::new(images::candidates(root, &model.path));
+    let size_of = |name: &str| search.size_of(name);
+    let spelled = |name: &str| search.spelled(name);
     let at = |path: &Path, fault| ProjectError::Fault { path: path.into(), fault };
     let path = &model.path;
     if model.format == ModelFormat::Sure {
@@ -207,7 +208,6 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
     let bytes = files::read(path)?;
     let mut foreign = match model.format {
         ModelFormat::Transforms => {
-            let spelled = |name: &str| images::with_extension(&candidates, name);
             let (mut foreign, cloud) = transforms::read(&bytes, &size_of, &spelled).map_err(|fault| at(path, fault))?;
             let named =
                 cloud.map(|cloud| path.with_file_name(cloud.replace('\\', "/"))).filter(|cloud| cloud.is_file());
@@ -229,7 +229,6 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
                 .map_err(|fault| at(if fault.file == "tracks" { &tracks } else { path }, fault))?
         }
         ModelFormat::Metashape => {
-            let spelled = |name: &str| images::with_extension(&candidates, name);
             let read = |frame| metashape::read(&bytes, frame, &spelled).map_err(|fault| at(path, fault));
             let (world, chunk) = (read(Frame::World)?, read(Frame::Chunk)?);
             // Points may be exported in either; they are where the cameras look.
@@ -239,7 +238,8 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
         }
         ModelFormat::Blocks => blocks::read(&bytes).map_err(|fault| at(path, fault))?,
         ModelFormat::Mve => {
-            let size_of = |name: &str| images::size_by_header(&path.with_file_name("views").join(name));
+            let views = ImageSearch::new(vec![path.with_file_name("views")]);
+            let size_of = |name: &str| views.size_of(name);
             mve::read(&bytes, &mve_views(path), &size_of).map_err(|fault| at(path, fault))?
         }
         ModelFormat::Nvm => nvm::read(&bytes, &size_of).map_err(|fault| at(path, fault))?,
@@ -308,9 +308,10 @@ fn cloud_beside(model: &Path) -> Option<PathBuf> {
 /// The views beside a bundle of MVE, by their `meta.ini` and undistorted image.
 fn mve_views(bundle: &Path) -> Vec<mve::View> {
     let folder = bundle.with_file_name("views");
+    let search = ImageSearch::new(vec![folder.clone()]);
     let view = |name: &String| {
         let meta = input::read_text(&folder.join(name).join("meta.ini"), FileKind::Settings).ok()?;
-        let image = images::with_extension(std::slice::from_ref(&folder), &format!("{name}/undistorted.jpg"));
+        let image = search.spelled(&format!("{name}/undistorted.jpg"));
         mve::View::read(&meta, image)
     };
     file_names(&folder).iter().filter(|name| name.ends_with(".mve")).filter_map(view).collect()
@@ -352,8 +353,8 @@ fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
         let found = sure::read(&files::read(path)?, n as u32 + 1);
         oriented.push(found.map_err(|fault| ProjectError::Fault { path: path.clone(), fault })?);
     }
-    let candidates = images::candidates(root, folder);
-    let mut foreign = sure::model(oriented, |name| images::with_extension(&candidates, name));
+    let search = ImageSearch::new(images::candidates(root, folder));
+    let mut foreign = sure::model(oriented, |name| search.spelled(name));
     match sure_cloud(root) {
         None => {
             let text = "no points: copy a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; if only the \

@@ -1,20 +1,24 @@
 //! Finds the image folder of a project and checks the images in it.
 
 use std::{
+    cell::Cell,
     collections::{HashMap, HashSet},
     fs::File,
     io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
 };
 
-use image::{ImageFormat, ImageReader};
+use image::ImageFormat;
 use rayon::prelude::*;
 use walkdir::WalkDir;
 
 use super::{ImageFolder, MASKS, Project, folder};
 use crate::{
     base::input::{self, FileKind},
-    io::formats::foreign::ForeignModel,
+    io::{
+        formats::foreign::{ForeignModel, last_parts},
+        picture,
+    },
     model::scene::{Scene, ViewIndex},
 };
 
@@ -42,15 +46,43 @@ pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &ForeignModel) -
     })
 }
 
-/// Returns `name` if that image exists in one of the folders; otherwise `name` with the extension of an image that exists, if any.
-pub(super) fn with_extension(folders: &[PathBuf], name: &str) -> String {
-    if folders.iter().any(|folder| folder.join(name).is_file()) {
-        return name.into();
+/// Most names that are looked for in vain: each takes up to a hundred calls of the system, and a small file may name a million.
+const MOST_MISSING: usize = 10_000;
+
+/// Looks for the images of a model in some folders.
+pub(super) struct ImageSearch {
+    folders: Vec<PathBuf>,
+    missing: Cell<usize>,
+}
+
+impl ImageSearch {
+    pub fn new(folders: Vec<PathBuf>) -> Self {
+        Self { folders, missing: Cell::new(0) }
     }
-    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-    let spelled = EXTENSIONS.iter().flat_map(|e| [format!("{stem}.{e}"), format!("{stem}.{}", e.to_uppercase())]);
-    let mut there = spelled.filter(|name| folders.iter().any(|folder| folder.join(name).is_file()));
-    there.next().unwrap_or_else(|| name.into())
+
+    /// Returns `name` if that image exists; otherwise `name` with the extension of an image that exists, if any.
+    pub fn spelled(&self, name: &str) -> String {
+        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+        let others = EXTENSIONS.iter().flat_map(|e| [format!("{stem}.{e}"), format!("{stem}.{}", e.to_uppercase())]);
+        let exists = |name: &String| self.folders.iter().any(|folder| folder.join(name).is_file());
+        let look = || std::iter::once(name.to_owned()).chain(others).find(exists);
+        self.unless_most_are_missing(look).unwrap_or_else(|| name.into())
+    }
+
+    /// Returns width and height by the header of the image, or of that in a folder with the last parts of its path.
+    pub fn size_of(&self, name: &str) -> Option<(u32, u32)> {
+        let in_folders = |name: &String| self.folders.iter().find_map(|folder| size_by_header(&folder.join(name)));
+        self.unless_most_are_missing(|| last_parts(name).iter().find_map(in_folders))
+    }
+
+    fn unless_most_are_missing<T>(&self, look: impl FnOnce() -> Option<T>) -> Option<T> {
+        if self.missing.get() == MOST_MISSING {
+            return None;
+        }
+        let found = look();
+        self.missing.set(self.missing.get() + usize::from(found.is_none()));
+        found
+    }
 }
 
 /// `image_path` of the `project.ini` that COLMAP writes next to a model.
@@ -115,14 +147,17 @@ impl ImageFaults {
     /// Pixels of the largest image of a scene that can be read; 0 without one.
     pub fn most_pixels(&self, scene: &Scene) -> u64 {
         let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+        let admitted = |view: ViewIndex, pixels: u64| {
+            Some(pixels).filter(|&pixels| pixels <= scene.camera_of(view).most_picture_pixels().pixels())
+        };
         let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
         let others: HashMap<ViewIndex, [u32; 2]> =
             self.other_size.iter().chain(&self.other_aspect_ratio).copied().collect();
         let of_view = |view: ViewIndex| {
             let camera = scene.camera_of(view);
-            pixels(others.get(&view).copied().unwrap_or([camera.width, camera.height]))
+            admitted(view, pixels(others.get(&view).copied().unwrap_or([camera.width, camera.height])))
         };
-        scene.view_indices().filter(|view| !without.contains(view)).map(of_view).max().unwrap_or_default()
+        scene.view_indices().filter(|view| !without.contains(view)).filter_map(of_view).max().unwrap_or_default()
     }
 
     fn missing_or_unreadable(&self) -> impl Iterator<Item = ViewIndex> {
@@ -301,23 +336,15 @@ fn dimensions(file: &mut BufReader<File>, length: u64) -> Option<[u32; 2]> {
         file.rewind().ok()?;
         let mut head = Vec::new();
         file.take(bytes).read_to_end(&mut head).ok()?;
-        header_size(Cursor::new(head))
+        picture::size(Cursor::new(head))
     };
     let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(&mut from_head);
-    let (width, height) = match found {
-        Some(size) => size,
-        None => file.rewind().ok().and_then(|()| header_size(file))?,
-    };
-    Some([width, height])
+    found.or_else(|| file.rewind().ok().and_then(|()| picture::size(file)))
 }
 
 /// Width and height of an image file, wherever they are in it.
-pub(super) fn size_by_header(path: &Path) -> Option<(u32, u32)> {
-    header_size(BufReader::new(input::open(path).ok()?))
-}
-
-fn header_size(file: impl BufRead + Seek) -> Option<(u32, u32)> {
-    ImageReader::new(file).with_guessed_format().ok()?.into_dimensions().ok()
+fn size_by_header(path: &Path) -> Option<(u32, u32)> {
+    picture::size(BufReader::new(input::open(path).ok()?)).map(Into::into)
 }
 
 /// Images of the folder, other than masks, without a view in the scene, sorted; none if the folder has no image of the scene, since a foreign model

@@ -11,7 +11,7 @@ mod pictures;
 mod unary;
 
 pub use geometric::{Constellation, PairConfidence};
-pub use image::{Image, ImageError, MOST_PIXELS, drawn_size};
+pub use image::{Image, ImageError, drawn_size};
 pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;

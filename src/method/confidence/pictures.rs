@@ -114,7 +114,8 @@ impl Pictures {
             let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
             [width, height].map(|side| ((f64::from(side) * scale.min(1.0)).round() as u32).max(2))
         };
-        let (image, full) = Image::decode_grey(&input::read(&folder.file(name), FileKind::Picture)?, wanted)?;
+        let bytes = input::read(&folder.file(name), FileKind::Picture)?;
+        let (image, full) = Image::decode_grey(&bytes, camera.most_picture_pixels(), wanted)?;
         check_shape(full, camera)?;
         let grey = Grey::new(image.width as usize, image.height as usize, image.pixels);
         Ok(Some((grey, self.mask(scene, view)?)))
@@ -124,8 +125,9 @@ impl Pictures {
     pub(super) fn mask(&self, scene: &Scene, view: ViewIndex) -> Result<Option<Mask>, ImageError> {
         let path = self.mask_file(scene.name(view));
         let read = |path: PathBuf| {
-            let mask = Mask::decode(&input::read(&path, FileKind::Picture)?)?;
-            check_shape([mask.width, mask.height], scene.camera_of(view)).map(|()| mask)
+            let camera = scene.camera_of(view);
+            let mask = Mask::decode(&input::read(&path, FileKind::Picture)?, camera.most_picture_pixels())?;
+            check_shape([mask.width, mask.height], camera).map(|()| mask)
         };
         path.map(read).transpose().map_err(|fault| ImageError::Mask(Box::new(fault)))
     }
@@ -144,7 +146,10 @@ impl Pictures {
     /// Bytes of memory for reading the largest mask; 0 without one that can be read.
     pub fn most_mask_bytes(&self, scene: &Scene) -> u64 {
         let views: Vec<ViewIndex> = scene.view_indices().collect();
-        let bytes = |view: &ViewIndex| self.mask_file(scene.name(*view)).as_deref().and_then(Mask::reading_bytes);
+        let bytes = |view: &ViewIndex| {
+            let bound = scene.camera_of(*view).most_picture_pixels();
+            self.mask_file(scene.name(*view)).and_then(|path| Mask::reading_bytes(&path, bound))
+        };
         views.par_iter().filter_map(bytes).max().unwrap_or_default()
     }
 

@@ -5,6 +5,7 @@ mod lens;
 
 use nalgebra::{Matrix2x3, Point2, Point3, Unit, Vector2, Vector3};
 
+use crate::base::pixels::PixelBound;
 use lens::Lens;
 
 /// COLMAP's camera models, numbered as in its binary files.
@@ -119,6 +120,9 @@ pub struct Camera {
 /// Largest difference of aspect ratios that is taken for rounding; almost any image of a few pixels could be explained by it otherwise.
 const LARGEST_ROUNDING: f64 = 0.02;
 
+/// Pixels up to which an image may have more than its camera: models are made from scaled copies, too.
+const COPY_PIXELS: u64 = 1 << 25;
+
 impl Camera {
     /// Makes a camera from parameters in COLMAP's order for the model.
     ///
@@ -209,6 +213,16 @@ impl Camera {
     /// Focal lengths and principal point, pixels: the camera without its distortion (equirectangular: pixels per radian and the image centre).
     pub fn pinhole_part(&self) -> (Vector2<f64>, Point2<f64>) {
         (self.lens.focal, Point2::from(self.lens.centre))
+    }
+
+    /// Pixels that a depth map of this camera may have; programs round sides up.
+    pub fn most_map_pixels(&self) -> PixelBound {
+        PixelBound::new((u64::from(self.width) + 1).saturating_mul(u64::from(self.height) + 1))
+    }
+
+    /// Pixels that an image or a mask of this camera may have: as many as the camera, or as a picture of [`COPY_PIXELS`].
+    pub fn most_picture_pixels(&self) -> PixelBound {
+        PixelBound::new((u64::from(self.width) * u64::from(self.height)).max(COPY_PIXELS))
     }
 
     /// Returns whether an image of this width and height has the aspect ratio of the camera's, up to the rounding of their sides.

@@ -2,9 +2,9 @@
 
 use super::rows::Rows;
 use crate::{
+    base::pixels::PixelBound,
     config::{Bytes, ConfidenceSource, Settings},
     method::{
-        confidence::MOST_PIXELS,
         fulfilment::{BATCH, block::Block},
         ranking::PRICES,
     },
@@ -64,7 +64,7 @@ impl Basis {
             samples_row: where_true(compared, SAMPLES_ROW),
             candidates,
             choosers: threads.min(views).min(BATCH as u64),
-            picture: where_true(compared, PICTURE_PIXEL * pixels.min(MOST_PIXELS)),
+            picture: where_true(compared, PICTURE_PIXEL * PixelBound::new(pixels).pixels()),
             ranked: where_true(has_half, threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support),
         }
     }

@@ -120,15 +120,34 @@ fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
         .parse(input)
 }
 
+/// Lines parsed at once: a file may be nothing but short lines that are no records.
+const BATCH: usize = 1 << 16;
+
 /// Parses a file with one record per line, in parallel; returns the first fault in file order.
 fn records<'a, T: Send>(
     file: &'static str,
     bytes: &'a [u8],
-    record: impl Fn(Line<'a>) -> Result<T, Fault> + Sync + Send,
+    record: impl Fn(Line<'a>) -> Result<T, Fault> + Sync,
 ) -> Result<Vec<T>, Fault> {
-    let lines: Vec<_> = lines(file, bytes).filter(Line::is_record).collect();
-    let records: Vec<_> = lines.into_par_iter().map(record).collect();
-    records.into_iter().collect()
+    in_batches(lines(file, bytes).filter(Line::is_record), record)
+}
+
+/// Maps in parallel up to the first fault.
+fn in_batches<L: Send, T: Send>(
+    mut lines: impl Iterator<Item = L>,
+    record: impl Fn(L) -> Result<T, Fault> + Sync,
+) -> Result<Vec<T>, Fault> {
+    let mut records = Vec::new();
+    loop {
+        let batch: Vec<L> = lines.by_ref().take(BATCH).collect();
+        if batch.is_empty() {
+            return Ok(records);
+        }
+        let parsed: Vec<_> = batch.into_par_iter().map(&record).collect();
+        for record in parsed {
+            records.push(record?);
+        }
+    }
 }
 
 fn camera(mut line: Line) -> Result<Camera, Fault> {
@@ -165,13 +184,12 @@ pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
 }
 
 fn images<'a>(bytes: &'a [u8], warnings: &mut Vec<ModelWarning>) -> Result<Vec<ColmapImage<'a>>, Fault> {
-    let lines: Vec<_> = image_lines(bytes).collect();
-    if let Some((head, None)) = lines.last() {
+    let images = in_batches(image_lines(bytes), |(head, points)| image(head, points))?;
+    if let Some((head, None)) = image_lines(bytes).last() {
         let text = format!("images.txt, line {}: the last image has no line of 2D points", head.number);
         warnings.push(ModelWarning::new(WarningKind::Damaged, text));
     }
-    let images: Vec<_> = lines.into_par_iter().map(|(head, points)| image(head, points)).collect();
-    images.into_iter().collect()
+    Ok(images)
 }
 
 fn image<'a>(mut line: Line<'a>, points: Option<Line<'a>>) -> Result<ColmapImage<'a>, Fault> {

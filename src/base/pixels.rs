@@ -1,0 +1,78 @@
+//! Bounds the pixels for which readers of images, masks and depth maps allocate memory.
+//!
+//! The header of a file of a few kilobytes may claim any size, and deflated pixels shrink a thousandfold. The camera of the view says how many there are.
+
+/// Most pixels of a picture or depth map; decoding a progressive JPEG or 16-bit RGB of this size takes about 1 GB.
+const MOST: u64 = 160_000_000;
+/// Longest side: readers hold a few rows besides the pixels.
+const LONGEST_SIDE: u32 = 1 << 18;
+/// Most bytes of a pixel in the formats of depth maps.
+const BYTES_PER_PIXEL: u64 = 8;
+/// Most bytes of a header.
+const HEADER_BYTES: u64 = 1 << 20;
+
+/// Largest number of pixels to read from one file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PixelBound(u64);
+
+/// A picture or depth map with more pixels than its bound.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{width} x {height} pixels, at most {most} are read here")]
+pub struct TooManyPixels {
+    pub width: u32,
+    pub height: u32,
+    /// The bound.
+    pub most: u64,
+}
+
+impl PixelBound {
+    /// The bound where no camera is known.
+    pub const LARGEST: Self = Self(MOST);
+
+    /// Bounds by a number of pixels and by [`Self::LARGEST`].
+    pub const fn new(pixels: u64) -> Self {
+        Self(if pixels < MOST { pixels } else { MOST })
+    }
+
+    /// The bound, pixels.
+    pub const fn pixels(self) -> u64 {
+        self.0
+    }
+
+    /// Returns the number of pixels of this width and height.
+    ///
+    /// # Errors
+    /// If there are more than the bound.
+    pub fn admit(self, width: u32, height: u32) -> Result<usize, TooManyPixels> {
+        let pixels = u64::from(width) * u64::from(height);
+        if pixels <= self.0 && width.max(height) <= LONGEST_SIDE {
+            Ok(pixels as usize)
+        } else {
+            Err(TooManyPixels { width, height, most: self.0 })
+        }
+    }
+
+    /// Bytes that a depth map within the bound has up to the end of its depths.
+    pub const fn file_bytes(self) -> u64 {
+        HEADER_BYTES + self.0 * BYTES_PER_PIXEL
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_up_to_the_bound_are_admitted() {
+        let camera = PixelBound::new(600 * 400);
+        assert_eq!(camera.admit(600, 400), Ok(240_000));
+        assert_eq!(camera.admit(400, 600), Ok(240_000));
+        assert_eq!(camera.admit(601, 400), Err(TooManyPixels { width: 601, height: 400, most: 240_000 }));
+        for bound in [PixelBound::LARGEST, PixelBound::new(u64::MAX)] {
+            assert!(bound.admit(14_204, 10_652).is_ok(), "an aerial camera of 151 megapixels");
+            for (width, height) in [(124_000, 124_000), (u32::MAX, u32::MAX), (u32::MAX, 1), (1, 1_000_000)] {
+                assert!(bound.admit(width, height).is_err(), "{width} x {height}");
+            }
+        }
+    }
+}
