@@ -265,7 +265,9 @@ impl PlanJob {
         let Some(command) = command else { return false };
         let mut command = platform::shell(&command);
         // Standard output may be a worker's answers.
-        command.env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).stdout(io::stderr());
+        #[expect(clippy::disallowed_methods, reason = "the command's own words, not viewrank's")]
+        let output = io::stderr();
+        command.env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).stdout(output);
         match command.spawn() {
             Ok(child) => {
                 let project = project.to_path_buf();

@@ -93,6 +93,7 @@ enum Report {
 }
 
 /// Fails only without the daemon, and then the worker ends, too.
+#[expect(clippy::disallowed_methods, reason = "JSON for the daemon, not text for a terminal")]
 fn report(report: &Report) {
     _ = write_line(&mut io::stdout().lock(), report);
 }
