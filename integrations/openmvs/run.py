@@ -78,7 +78,10 @@ def main():
 def refuse_strangers():
     """Ends where anything here is neither a file nor a folder: it would be followed out of this folder, or a pipe waited for. links.txt lists the links that viewrank made;
     those of a run are in its folder below unfinished/."""
-    links = set((HERE / "links.txt").read_text(encoding="utf-8", errors="surrogateescape").splitlines())
+    listed = HERE / "links.txt"
+    if listed.is_symlink() or not listed.is_file():
+        sys.exit(f"error: {listed}: not the list that viewrank wrote; export again")
+    links = set(listed.read_text(encoding="utf-8", errors="surrogateescape").split("\n"))
     for folder, folders, files in os.walk(HERE):
         is_of_a_run = Path(folder).parent == UNFINISHED
         for name in [*folders, *files]:
