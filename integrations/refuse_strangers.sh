@@ -4,14 +4,20 @@ refuse_strangers() {
     links=$1
     shift
     if [ "$links" != /dev/null ] && { [ -L "$links" ] || [ ! -f "$links" ]; }; then
-        stranger=$links
-    else
-        # A line break in a name would make two entries of one.
-        stranger=$(find "$@" '(' ! -type f ! -type d -o -name '*
-*' ')' 2>/dev/null | grep -vxF -f "$links" | head -n 1)
+        refuse "$links"
     fi
-    if [ -n "$stranger" ]; then
-        echo "error: $stranger: not made by viewrank, and no file or folder that this script may use; move it away" >&2
-        exit 1
-    fi
+    # A folder that cannot be listed may hide links, and a line break in a name would make two entries of one. Names are bytes in any encoding. The word at
+    # the end says that all were looked at.
+    found=$(LC_ALL=C find "$@" '(' ! -type f ! -type d -o -type d ! -perm -500 -o -name '*
+*' ')' | LC_ALL=C awk -v links="$links" '
+        BEGIN { while ((getline link < links) > 0) known[link] }
+        !($0 in known) && !stranger { stranger = 1; print }
+        END { if (!stranger) print "none" }')
+    [ "$found" = none ] || refuse "$found"
+}
+# Ends the script because of a path, which is shown without what a terminal would obey.
+refuse() {
+    printf 'error: %s: not made by viewrank: move it away, or put the file or folder itself in the place of a link\n' \
+        "$(printf %s "$1" | LC_ALL=C tr -c ' -~' '?')" >&2
+    exit 1
 }

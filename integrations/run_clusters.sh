@@ -5,36 +5,59 @@ set -u
 cd "$(dirname "$0")" || exit 1
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
+mkdir -p older || exit 1
 failed=0
 fail() {
     echo "error: $1 failed" >&2
     failed=1
 }
+# Matches the hash at the end of a result's name.
+recipe='[0-9a-f]'
+recipe=$recipe$recipe$recipe$recipe
+recipe=$recipe$recipe$recipe$recipe
 # Gives a result its name: FROM TO. Where that is taken, somebody has changed this folder.
 move() {
-    if [ -e "$2" ]; then
-        echo "error: $2 is there already; move it away" >&2
-        exit 1
-    fi
+    [ ! -e "$2" ] || refuse "$2"
     mv "$1" "$2" || exit 1
 }
-# Leaves in the folder only those results that the plan has: FOLDER NAME... Others wait in older/ for a plan that has them. What is not named like a
-# result (with a hash of 16 digits, which `$result` matches) stays where it is.
+# Moves a file or folder to a new folder in older/.
+put_aside() {
+    aside=$(mktemp -d older/XXXXXX) && mv "$1" "$aside" || exit 1
+}
+# Leaves in the folder only those results that the plan has: FOLDER NAMES. Others wait in older/ for a plan that has them. What is not named like a
+# result, as `$result` says, stays where it is.
 only() {
-    folder=$1 names=" $2 "
-    mkdir -p "$folder" older || exit 1
-    for path in "$folder"/*; do
-        name=${path#"$folder"/}
+    mkdir -p "$1" || exit 1
+    for path in "$1"/*; do
+        name=${path#"$1"/}
         case $name in
         $result) ;;
         *) continue ;;
         esac
-        case $names in
+        case " $2 " in
         *" $name "*) ;;
         *) move "$path" "older/$name" ;;
         esac
     done
     for name in $2; do
-        [ ! -e "older/$name" ] || move "older/$name" "$folder/$name"
+        [ ! -e "older/$name" ] || move "older/$name" "$1/$name"
+    done
+}
+# Some programs join all maps of a folder. The maps of all plans are in kept/NAME-RECIPE/; those of this plan have second names in the folder.
+#
+# Takes from the folder a map of any plan: FILE NAME. One that is not in kept/ is put aside.
+withdraw() {
+    for kept in kept/"$2"-*/"${1##*/}"; do
+        if cmp -s "$1" "$kept"; then
+            rm -f "$1"
+            return
+        fi
+    done
+    put_aside "$1"
+}
+# Gives the maps of a key view their names in the folder: RESULT FOLDER
+present() {
+    for kept in kept/"$1"/*; do
+        ln "$kept" "$2" 2>/dev/null || cp -p "$kept" "$2" || exit 1
     done
 }

@@ -1,8 +1,5 @@
 #!/usr/bin/env python3
-"""Writes finished.sfm: keys.sfm with only those views that have a depth map in FOLDER (depthMaps unless given). Filtering and meshing open the maps of
-all views.
-
-    finished.py [FOLDER]"""
+"""Writes finished.sfm: keys.sfm with only those views that have a depth map in depthMaps/. Filtering and meshing open the maps of all views."""
 import os
 import sys
 
@@ -10,23 +7,21 @@ import sys
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
 import json
-import tempfile
 from pathlib import Path
 
 folder = Path(__file__).resolve().parent
-maps = folder / (sys.argv[1] if len(sys.argv) > 1 else "depthMaps")
 scene = json.loads((folder / "keys.sfm").read_text(encoding="utf-8"))
-scene["views"] = [view for view in scene["views"] if (maps / f"{view['viewId']}_depthMap.exr").is_file()]
+scene["views"] = [view for view in scene["views"] if (folder / f"depthMaps/{view['viewId']}_depthMap.exr").is_file()]
 ids = {view["viewId"] for view in scene["views"]}
 if not ids:
-    sys.exit(f"error: {maps} holds no map of a key view")
+    sys.exit("error: depthMaps holds no map of a key view")
 scene["poses"] = [pose for pose in scene["poses"] if pose["poseId"] in ids]
 for landmark in scene["structure"]:
     landmark["observations"] = [seen for seen in landmark["observations"] if seen["observationId"] in ids]
 scene["structure"] = [landmark for landmark in scene["structure"] if len(landmark["observations"]) > 1]
-# A new file: what somebody has put in the place of a draft is not written.
-descriptor, draft = tempfile.mkstemp(dir=folder)
-with open(descriptor, "w", encoding="utf-8") as file:
+# A new file: what somebody has put in the place of the draft is not written.
+draft = folder / "finished.sfm.part"
+draft.unlink(missing_ok=True)
+with open(draft, "x", encoding="utf-8") as file:
     json.dump(scene, file, indent=1)
-os.chmod(draft, 0o644)
 os.replace(draft, folder / "finished.sfm")

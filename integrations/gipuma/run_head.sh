@@ -1,5 +1,5 @@
 # fusibile takes every folder in results/ whose name is 2..._..._IMAGE, so only those of this plan stay there.
-result='2_????????????????_*'
+result="2_${recipe}_*"
 only results "$results"
 # Computes the map of a key view: NAME KEY.jpg PARTNER.jpg... OPTIONS. gipuma names its folder by the time and the key view.
 map() {

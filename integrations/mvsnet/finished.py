@@ -13,7 +13,6 @@ sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.di
 import contextlib
 import json
 import shutil
-import tempfile
 from array import array
 from pathlib import Path
 
@@ -51,15 +50,11 @@ def finished_size(view):
 @contextlib.contextmanager
 def new_file(path):
     """Writes a new file, which takes the place of an older one when it is complete."""
-    descriptor, draft = tempfile.mkstemp(dir=path.parent)
-    try:
-        with open(descriptor, "wb") as file:
-            yield file
-        os.chmod(draft, 0o644)
-        os.replace(draft, path)
-    except BaseException:
-        os.unlink(draft)
-        raise
+    draft = path.with_name(f"{path.name}.part")
+    draft.unlink(missing_ok=True)
+    with open(draft, "xb") as file:
+        yield file
+    os.replace(draft, path)
 
 
 def resize(path, to, wide, high):

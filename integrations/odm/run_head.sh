@@ -8,7 +8,6 @@ refuse_strangers links.txt .
 project=${DATASETS:?folder of the ODM projects, whole path}/${NAME:?name of the ODM project}
 for folder in "$project/opensfm" "$project/opensfm/undistorted"; do
     if [ -L "$folder" ]; then
-        echo "error: $folder is a link: put the folder itself there" >&2
-        exit 1
+        refuse "$folder"
     fi
 done

@@ -82,15 +82,21 @@ def refuse_strangers():
     if listed.is_symlink() or not listed.is_file():
         sys.exit(f"error: {listed}: not the list that viewrank wrote; export again")
     links = set(listed.read_text(encoding="utf-8", errors="surrogateescape").split("\n"))
-    for folder, folders, files in os.walk(HERE):
+    for folder, folders, files in os.walk(HERE, onerror=refuse_unlisted):
         is_of_a_run = Path(folder).parent == UNFINISHED
         for name in [*folders, *files]:
             path = Path(folder, name)
             with contextlib.suppress(FileNotFoundError):  # that of another run
                 mode = path.lstat().st_mode
-                is_known = stat.S_ISLNK(mode) and (is_of_a_run or f"./{path.relative_to(HERE)}" in links)
+                is_known = stat.S_ISLNK(mode) and (is_of_a_run or f"./{path.relative_to(HERE).as_posix()}" in links)
                 if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or is_known):
-                    sys.exit(f"error: {path}: not made by viewrank, and no file or folder that this script may use; move it away")
+                    sys.exit(f"error: {ascii(str(path))}: not made by viewrank: move it away, or put the file or folder itself in the place of a link")
+
+
+def refuse_unlisted(error):
+    """A folder that cannot be listed may hide links."""
+    if not isinstance(error, FileNotFoundError):  # that of another run
+        sys.exit(f"error: {ascii(error.filename)}: {error.strerror}")
 
 
 def at_full_size(row, program, report):
@@ -434,9 +440,11 @@ class Report:
         """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between."""
         for note in UNFINISHED.glob(f"{row['id']:04d}-*/row.json"):
             if note.is_symlink() or (note.parent / map_of(row).name).is_symlink():
-                sys.exit(f"error: {note.parent}: not made by this script; move it away")
-            with contextlib.suppress(FileNotFoundError):  # another run was faster
+                sys.exit(f"error: {ascii(str(note.parent))}: not made by this script; move it away")
+            with contextlib.suppress(FileNotFoundError, ValueError):  # another run was faster; not a row
                 result = json.loads(note.read_text(encoding="utf-8"))
+                if not isinstance(result, dict) or result.get("key") != row["key"]:
+                    continue
                 with contextlib.suppress(FileNotFoundError):
                     (note.parent / map_of(row).name).replace(map_of(row))
                 self.add(row, result)

@@ -11,7 +11,7 @@ import sys
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
 import struct
-import tempfile
+from pathlib import Path
 
 SIZES = {"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"}
 SIZES |= {"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "float64": "d"}
@@ -31,10 +31,10 @@ def main():
             break
         at = skip(data, at, count, properties)
     # A new file: what somebody has put in the place of a draft is not written.
-    descriptor, draft = tempfile.mkstemp(dir=os.path.dirname(os.path.abspath(target)))
-    with open(descriptor, "wb") as file:
+    draft = Path(target + ".tmp")
+    draft.unlink(missing_ok=True)
+    with open(draft, "xb") as file:
         file.write(data)
-    os.chmod(draft, 0o644)
     os.replace(draft, target)
 
 

@@ -12,7 +12,6 @@ import sys
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
 import re
-import tempfile
 from pathlib import Path
 
 SWITCHES = re.compile(rb'xcr:In(Meshing|Texturing)="[01]"')
@@ -35,10 +34,10 @@ def main(images):
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         # A new file: what somebody has put in the place of a draft is not written.
-        descriptor, draft = tempfile.mkstemp(dir=target.parent)
-        with open(descriptor, "wb") as file:
+        draft = target.with_name(target.name + ".new")
+        draft.unlink(missing_ok=True)
+        with open(draft, "xb") as file:
             file.write(new)
-        os.chmod(draft, 0o644)
         os.replace(draft, target)
     for target in left:
         print(f"{target}: holds more than the two switches, left as it is: add xcr:InMeshing and xcr:InTexturing by hand", file=sys.stderr)

@@ -3,7 +3,7 @@
 @HEAD@
 set -u
 @REFUSE_STRANGERS@
-refuse_strangers /dev/null "$folder" "$project/viewrank/progress.json"
+refuse_strangers /dev/null "$folder"
 tab=$(printf '\t')
 found=$folder/fused.$(uname -n).$$
 trap 'rm -f "$found"' EXIT

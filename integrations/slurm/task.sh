@@ -4,7 +4,7 @@
 @HEAD@
 set -u
 @REFUSE_STRANGERS@
-refuse_strangers /dev/null "$folder" "$project/viewrank/progress.json"
+refuse_strangers /dev/null "$folder"
 case ${1:-} in
 array) rank=$((${2:-0} + ${SLURM_ARRAY_TASK_ID:?is set by the queue})) ;;
 '' | *[!0-9]*)
@@ -15,7 +15,7 @@ array) rank=$((${2:-0} + ${SLURM_ARRAY_TASK_ID:?is set by the queue})) ;;
 esac
 
 reached() {
-    grep -Eq '"target_reached": *true' "$project/viewrank/progress.json" 2>/dev/null
+    [ -f "$project/viewrank/progress.json" ] && grep -Eq '"target_reached": *true' "$project/viewrank/progress.json"
 }
 # The tasks of this array that wait are not needed any more.
 stop() {

@@ -69,7 +69,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         let path = format!("clusters/{:04}.sfm", i + 1);
         files.add_text(&*path, cluster_file(scene, &points, cluster));
         let options = estimation(selection, cluster, &path);
-        script.cluster(name, &format!("[ -d maps/{name} ]"), &[format!("map {name} {options}")]);
+        script.cluster(name, &format!("[ -d kept/{name} ]"), &[format!("map {name} {options}")]);
         record.commands.push(format!("aliceVision_depthMapEstimation {options} -o depthMaps"));
         record.warnings.extend(dropped_partners(scene, &points, cluster));
     }

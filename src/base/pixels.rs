@@ -2,8 +2,8 @@
 //!
 //! The header of a file of a few kilobytes may claim any size, and deflated pixels shrink a thousandfold. The camera of the view says how many there are.
 
-/// Most pixels of a picture or depth map; decoding a progressive JPEG or 16-bit RGB of this size takes about 1 GB.
-const MOST: u64 = 160_000_000;
+/// Most pixels of a picture or depth map: those of large-format aerial cameras (20,010 x 13,080). Decoded to 8-bit RGB they take 0.8 GB.
+const MOST: u64 = 1 << 28;
 /// Longest side: readers hold a few rows besides the pixels.
 const LONGEST_SIDE: u32 = 1 << 18;
 /// Most bytes of a pixel in the formats of depth maps.

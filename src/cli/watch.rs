@@ -116,8 +116,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
         return Ok(());
     }
     let options = arguments.options();
-    let mut command = machine::this_program().map_err(NoProgram)?;
-    command.arg(WORKER);
+    let command = machine::this_program(WORKER).map_err(NoProgram)?;
     let planner = Workers::new(planner, command);
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {

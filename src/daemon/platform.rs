@@ -95,11 +95,12 @@ pub fn shell(command: &str) -> Command {
     shell
 }
 
-/// This program again, with the arguments of this process; the same one even if its file was replaced since, where the system can tell.
+/// This program again, with the arguments of this process and `--WORD` behind the subcommand; the same one even if its file was replaced since, where the
+/// system can tell.
 ///
 /// # Errors
 /// If the system does not say which program this is.
-pub fn this_program() -> io::Result<Command> {
+pub fn this_program(word: &str) -> io::Result<Command> {
     let running = if cfg!(target_os = "linux") { PathBuf::from("/proc/self/exe") } else { PathBuf::new() };
     let program = if running.exists() { running } else { std::env::current_exe()? };
     let mut command = Command::new(program);
@@ -110,7 +111,11 @@ pub fn this_program() -> io::Result<Command> {
     name.map(|name| std::os::unix::process::CommandExt::arg0(&mut command, name));
     #[cfg(not(unix))]
     let _ = name;
-    command.args(arguments);
+    // Behind the others it would be one of the folders where they end with `-- FOLDER`.
+    let arguments: Vec<_> = arguments.collect();
+    let (before, behind) =
+        arguments.split_at(arguments.iter().position(|argument| argument == "watch").map_or(0, |at| at + 1));
+    command.args(before).arg(word).args(behind);
     Ok(command)
 }
 

@@ -258,9 +258,15 @@ impl Drop for Worker {
 
 /// Outcome of a job whose process has ended.
 fn lost(status: Option<ExitStatus>, project: &Path) -> Outcome {
+    // A process that ends by itself has said why in the log.
+    let cause = if status.is_some_and(|status| status.code().is_some()) {
+        ""
+    } else {
+        ": no memory, perhaps, or a damaged file"
+    };
     let status = status.map_or("unknown".into(), |status| status.to_string());
     Outcome::Aside {
-        reason: format!("the process that worked on it ended ({status}): no memory, perhaps, or a damaged file"),
+        reason: format!("the process that worked on it ended ({status}){cause}"),
         hint: Some(format!("see the log, or run viewrank plan {}", command_path(project))),
     }
 }

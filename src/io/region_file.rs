@@ -10,6 +10,7 @@ use serde::{
     Deserialize, Deserializer,
     de::{self, Error, IgnoredAny, SeqAccess, Visitor},
 };
+use serde_json::value::RawValue;
 
 use super::ply::{self, Mesh, PlyError};
 use crate::base::input::{self, FileKind};
@@ -126,7 +127,8 @@ struct Node {
     properties: Option<Properties>,
     #[serde(default, deserialize_with = "even_if_null")]
     crs: Option<Option<Crs>>,
-    axes: Option<[[f64; 3]; 3]>,
+    /// Read only where `crs` is null: elsewhere it is anybody's.
+    axes: Option<Box<RawValue>>,
 }
 
 #[derive(Deserialize)]
@@ -257,7 +259,7 @@ impl Area {
 }
 
 fn areas(mut node: Node) -> Result<Areas, RegionFault> {
-    let (crs, axes) = (node.crs.take(), node.axes);
+    let (crs, axes) = (node.crs.take(), node.axes.take());
     let areas = if node.kind.as_deref() == Some("FeatureCollection") {
         node.features.ok_or_else(|| RegionFault::Collection("the collection has no list \"features\"".into()))?.0
     } else {
@@ -267,7 +269,7 @@ fn areas(mut node: Node) -> Result<Areas, RegionFault> {
         return Err(RegionFault::Collection("it has no polygon".into()));
     }
     check_positions(areas.iter().map(Area::positions).sum()).map_err(RegionFault::Collection)?;
-    Ok(Areas { coordinates: coordinates(crs, axes).map_err(RegionFault::Collection)?, areas })
+    Ok(Areas { coordinates: coordinates(crs, axes.as_deref()).map_err(RegionFault::Collection)?, areas })
 }
 
 /// The area of a feature or a bare geometry; `None` for a feature without a geometry.
@@ -332,10 +334,13 @@ fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
     }
 }
 
-fn coordinates(crs: Option<Option<Crs>>, axes: Option<[[f64; 3]; 3]>) -> Result<Coordinates, String> {
+fn coordinates(crs: Option<Option<Crs>>, axes: Option<&RawValue>) -> Result<Coordinates, String> {
     let crs = match crs {
         None => return Ok(Coordinates::Unsaid),
-        Some(None) => return Ok(Coordinates::Model { axes }),
+        Some(None) => {
+            let axes = axes.map(|axes| serde_json::from_str(axes.get())).transpose();
+            return Ok(Coordinates::Model { axes: axes.map_err(|error| format!("axes: {error}"))? });
+        }
         Some(Some(crs)) => crs,
     };
     let name = crs.properties.name;

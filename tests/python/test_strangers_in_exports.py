@@ -31,15 +31,15 @@ else:
 # Programs by name, the script with its arguments, and names that are in use only while it runs or after it was killed.
 CASES = {
     "alicevision": ({f"aliceVision_{name}": ALICEVISION for name in ("depthMapEstimation", "depthMapFiltering", "meshing")}, ["run.sh"],
-                    ["unfinished", "unfinished/maps", "older", "maps", "finished.sfm.part", "depthMaps", "done"]),
+                    ["unfinished", "unfinished/filtered", "older", "kept", "finished.sfm.part", "depthMaps", "filtered"]),
     "colmap": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh", "--replace"],
                ["stereo/viewrank/unfinished.ply", "stereo/viewrank/rank-1.cfg", "stereo/depth_maps/x.bin.before", "stereo/consistency_graphs/x"]),
     "colmap rank": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh", "--rank", "1"], ["stereo/viewrank/rank-1.cfg"]),
-    "gipuma": ({"gipuma": GIPUMA}, ["run.sh"], ["unfinished", "older", "scratch", "done", "results/2_0123456789abcdef_00000001"]),
+    "gipuma": ({"gipuma": GIPUMA}, ["run.sh"], ["unfinished", "older", "results/2_0123456789abcdef_00000001"]),
     "mve": ({"dmrecon": DMRECON, "scene2pset": SCENE2PSET}, ["run.sh"],
             ["unfinished", "kept", "synth_0.out", "unfinished.ply", "fused_half.ply", "kept/fused_half.ply", "views/view_00000099.mve", "older"]),
-    "sure": ({"sure": FAILING}, ["run.sh"], ["older", "projects/00000001-0123456789abcdef", "done"]),
-    "micmac": ({"mm3d": FAILING}, ["run.sh", "ORI"], ["Ori-viewrank", "done"]),
+    "sure": ({"sure": FAILING}, ["run.sh"], ["older", "projects/00000001-0123456789abcdef"]),
+    "micmac": ({"mm3d": FAILING}, ["run.sh", "ORI"], ["Ori-viewrank"]),
     "openmvs": ({"densify": STAND_IN.format(python=sys.executable)}, ["run.py", "--densify", "densify"],
                 ["unfinished/0001-abc", "rows", "rows/0001.json", "report.1.tmp", "fusing.mvs", "fuse.txt", "depth0001.dmap"]),
     "patchmatchnet": ({"python": EVAL}, ["run.sh"],
@@ -114,6 +114,12 @@ def put_pipe(path, _):
     os.mkfifo(path)
 
 
+def put_folder_that_hides_a_link(path, outside):
+    path.mkdir()
+    (path / "link").symlink_to(outside / "docs")
+    path.chmod(0o311)
+
+
 def put_hard_link(path, outside):
     os.link(outside / "profile", path)
 
@@ -122,7 +128,7 @@ def put_path_as_text(path, outside):
     path.write_text(f"/../../../../../../..{outside}/docs\n")
 
 
-REFUSED = [put_link_to_folder, put_link_to_file, put_dangling_link, put_pipe]
+REFUSED = [put_link_to_folder, put_link_to_file, put_dangling_link, put_pipe, put_folder_that_hides_a_link]
 FILES = [put_hard_link, put_path_as_text]
 
 
@@ -154,10 +160,19 @@ def test_nothing_outside_the_export_changes(case, viewrank, plans, tmp_path):  #
             put(path, place.outside)
             done = place.run()
             assert place.secrets() == before, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
-            if put in REFUSED and place.is_looked_at(name):
+            is_of_a_run = put is put_folder_that_hides_a_link and name.startswith("unfinished/")  # where run.py makes links itself
+            if put in REFUSED and place.is_looked_at(name) and not is_of_a_run:
                 assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
                 refused += 1
     assert refused > 20
+    if case.startswith("colmap"):
+        return
+    for name in (b"\xff", b"a\nb", "\x1b]0;owned\x07".encode(), b"\\033[2J"):
+        remove(place.folder)
+        shutil.copytree(finished, place.folder, symlinks=True)
+        os.symlink(place.outside / "docs", os.fsencode(place.folder) + b"/" + name)
+        done = place.run()
+        assert done.returncode != 0 and "error:" in done.stderr and "\x1b" not in done.stdout + done.stderr, done.stderr
 
 
 @pytest.mark.parametrize("script", ["task.sh", "fuse.sh"])
@@ -182,13 +197,14 @@ def test_scripts_of_a_queue(script, viewrank, plans, tmp_path):  # noqa: F811
     subprocess.run(["sh", folder / "fuse.sh"], check=True, capture_output=True)
     (marker,) = (folder / "done").iterdir()
     for name in ("done", f"done/{marker.name}", "fused", "logs", "logs/x", "../../progress.json"):
-        for put in REFUSED:
+        for put in REFUSED[:4]:
             kept = tmp_path / "kept"
             shutil.copytree(project, kept, symlinks=True)
             remove(folder / name)
             put(folder / name, outside)
             done = run()
-            assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
+            if not name.startswith(".."):
+                assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
             assert sorted(path.name for path in outside.rglob("*")) == ["docs", "profile"] and (outside / "profile").read_text() == "export PATH"
             remove(project)
             kept.rename(project)

@@ -197,10 +197,37 @@ fn jpeg(bytes: &[u8], bound: PixelBound, wanted: &impl Fn([u32; 2]) -> [u32; 2])
     Ok(Image { width: width.into(), height: height.into(), rgb, full })
 }
 
-/// Checks the number of scans; their mark cannot occur in scan data (ITU T.81, B.1.1.5).
+/// Checks the number of scans.
 fn check_scans(bytes: &[u8]) -> Result<(), ImageError> {
-    let scans = bytes.windows(2).filter(|pair| *pair == [0xff, 0xda]).count();
-    if scans > MOST_SCANS { Err(ImageError::Scans) } else { Ok(()) }
+    if scans(bytes) > MOST_SCANS { Err(ImageError::Scans) } else { Ok(()) }
+}
+
+/// Counts the scans up to the end of the image. Neither segments nor what follows the image (the film of a motion photo, say) count; scan data has no
+/// marker but restarts (ITU T.81, B.1.1.5).
+fn scans(bytes: &[u8]) -> usize {
+    const RESTARTS: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
+    let (mut at, mut scans) = (2, 0);
+    while let Some(next) = bytes.get(at..).and_then(|rest| rest.windows(2).position(|pair| is_marker(pair[0], pair[1])))
+    {
+        let marker = bytes[at + next + 1];
+        at += next + 2;
+        match marker {
+            0xd9 => break,
+            0x01 => {}
+            _ if RESTARTS.contains(&marker) => {}
+            _ => {
+                scans += usize::from(marker == 0xda);
+                let Some(length) = bytes.get(at..at + 2) else { break };
+                at += usize::from(u16::from_be_bytes([length[0], length[1]])).max(2);
+            }
+        }
+    }
+    scans
+}
+
+/// A stuffed byte or a fill byte is no marker.
+fn is_marker(first: u8, second: u8) -> bool {
+    first == 0xff && second != 0 && second != 0xff
 }
 
 /// Multiplies two shares in 255ths.
