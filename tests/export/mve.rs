@@ -115,7 +115,10 @@ fn mve_levels_of_two_sizes() {
     assert_eq!(levels, ["-s1", "-s2", "-s1", "-s2"]);
     assert_eq!(commands[8..], ["scene2pset -F1 -v0,2 . fused.ply", "scene2pset -F2 -v1,3 . fused_half.ply"]);
     let script = files.text("run.sh");
-    assert!(commands[8..].iter().all(|command| script.contains(command)));
+    for (command, cloud) in commands[8..].iter().zip(["fused.ply", "fused_half.ply"]) {
+        let whole = format!("{} && mv unfinished.ply {cloud}", command.replace(cloud, "unfinished.ply"));
+        assert!(script.contains(&whole), "{whole}");
+    }
     assert!(files.0.record.fusion.contains("fssrecon fused.ply fused_half.ply surface.ply"));
     // Without ids scene2pset would take all views.
     fixture.clusters.iter_mut().for_each(|cluster| cluster.scale = MapScale::Half);

@@ -171,7 +171,7 @@ fn micmac_one_malt_call_per_master() {
     let wanted: Vec<String> = fixture
         .named()
         .iter()
-        .map(|(k, _)| format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {k} viewrank Master=AUTO"))
+        .map(|(k, _)| format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {k} viewrank Master=AUTO &&"))
         .collect();
     assert_eq!(calls, wanted);
 }

@@ -273,7 +273,10 @@ mod tests {
         assert!(own("/p/viewrank/.staging/clusters.txt", true) && own("/p/viewrank/.lock", false));
         assert!(!own("/p/viewrank/openmvs/depth0001.dmap", false) && !own("/p/viewrank/openmvs", false));
         assert!(!own("/p/viewrank/micmac/MM-Malt-Img-a/Z_Num8.tif", false), "rewritten after the description");
-        assert!(!own("/p/viewrank/micmac/MM-Malt-Img-a/viewrank.recipe", false) && own("/p/viewrank/micmac/links.tif", false));
+        assert!(
+            !own("/p/viewrank/micmac/MM-Malt-Img-a/viewrank.recipe", false)
+                && own("/p/viewrank/micmac/links.tif", false)
+        );
         assert!(!own("/p/sparse/0/images.bin", false));
     }
 }
