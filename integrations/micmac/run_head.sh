@@ -19,6 +19,7 @@ if [ -e Ori-viewrank ] && [ ! -e Ori-viewrank/made-by-viewrank ]; then
     echo "error: $copy is there and not made by this script; move it away" >&2
     exit 1
 fi
+refuse_strangers /dev/null "$ori"
 rm -rf Ori-viewrank
 mkdir Ori-viewrank && : >Ori-viewrank/made-by-viewrank && cp -R "$ori"/. Ori-viewrank/ || exit 1
 # With other orientations all is to be computed anew.

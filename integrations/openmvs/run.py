@@ -290,12 +290,12 @@ def compute(row, program, report):
 
 @contextlib.contextmanager
 def workplace(name):
-    """A folder in which all that is here is linked except what is written there. It goes again, unless a finished map waits there for its place."""
+    """A folder in which all that is here is linked except what is written there, and options that somebody else left for the program. It goes again, unless a finished map waits there for its place."""
     make_folder(UNFINISHED)
     folder = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=UNFINISHED))
     try:
         for path in HERE.iterdir():
-            if path != UNFINISHED and not re.match(r"depth\d+\.|fusing", path.name):
+            if path != UNFINISHED and not re.match(r"depth\d+\.|fusing|DensifyPointCloud\.cfg$", path.name):
                 (folder / path.name).symlink_to(path, target_is_directory=path.is_dir())
         yield folder
     finally:

@@ -15,6 +15,7 @@ import rectify
 from rectify import Parallax, Refused
 from workspace import ImageError
 
+MOST_BYTES = 1 << 29  # of a pair in the cache, unpacked: 2 bytes per pixel of the largest images
 VERSION = 2  # raised when the same input gives other maps
 
 
@@ -137,6 +138,10 @@ def save(path, pair, mark):
 def load(path, mark):
     """The matched pair at `path` if it is whole and has this fingerprint, else None."""
     try:
+        with zipfile.ZipFile(path) as archive:
+            # Deflated, a small file may hold any number of zeros.
+            if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
+                return None
         with np.load(path) as file:
             if str(file["fingerprint"]) != mark:
                 return None

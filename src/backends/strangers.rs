@@ -16,7 +16,9 @@ pub fn with_refusal(script: &str) -> String {
 /// Adds `links.txt`, the links of an export, as `find .` names them: any other is refused.
 pub fn list_links(files: &mut FileSet) {
     let is_link = |(path, contents): (&String, &Contents)| {
-        matches!(contents, Contents::Link { .. }).then(|| format!("./{path}\n"))
+        // With a line break it would be two lines, of which one may name somebody else's link.
+        let is_named = matches!(contents, Contents::Link { .. }) && !path.contains(char::is_control);
+        is_named.then(|| format!("./{path}\n"))
     };
     let links: String = files.files.iter().filter_map(is_link).collect();
     files.add_text("links.txt", links);

@@ -2,7 +2,10 @@
 //! note with the recipe ([`MapRecipe::recipe`]) next to each map when it starts to compute it, and `maps.tsv` lists the wanted recipe of each map and
 //! the recipe of existing maps without a note. File times are not used: a run may outlast the plan that it was started for.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::BTreeMap,
+    path::{Component, Path},
+};
 
 use super::{cfg, cfg::Problem};
 use crate::base::input::{self, FileKind};
@@ -74,6 +77,9 @@ impl MapRecords {
         let line = |line: &str| {
             let mut parts = line.splitn(3, '\t');
             let (wanted, made, map) = (parts.next()?, parts.next()?, parts.next()?);
+            if !is_below(map) {
+                return None;
+            }
             Some((map.to_owned(), Entry { wanted: word(wanted), made: word(made) }))
         };
         Self(text.lines().filter_map(line).collect())
@@ -90,7 +96,8 @@ impl MapRecords {
         self.0.retain(|map, entry| {
             let earlier = before.0.get(map).cloned().unwrap_or_default();
             let noted = input::read_text(&folder.join(format!("{map}.made")), FileKind::List).ok();
-            let made = noted.map(|note| note.trim().to_owned()).or(earlier.made).or(earlier.wanted);
+            let noted = noted.map(|note| note.trim().to_owned()).filter(|note| is_recipe(note));
+            let made = noted.or(earlier.made).or(earlier.wanted);
             entry.made = folder.join(map).is_file().then(|| made.unwrap_or(UNKNOWN.into()));
             entry.wanted.is_some() || entry.made.is_some()
         });
@@ -102,6 +109,16 @@ impl MapRecords {
         let word = |word: &Option<String>| word.clone().unwrap_or(NONE.into());
         self.0.iter().map(|(map, entry)| format!("{}\t{}\t{map}\n", word(&entry.wanted), word(&entry.made))).collect()
     }
+}
+
+/// Returns whether a note, which may be anybody's, is a recipe.
+fn is_recipe(note: &str) -> bool {
+    note == UNKNOWN || note.len() == 16 && note.bytes().all(|byte| byte.is_ascii_hexdigit())
+}
+
+/// Returns whether a path of a list, which may be anybody's, stays below its folder.
+fn is_below(map: &str) -> bool {
+    Path::new(map).components().all(|part| matches!(part, Component::Normal(_)))
 }
 
 /// Returns the path of a map under `stereo/depth_maps` and `stereo/normal_maps`.

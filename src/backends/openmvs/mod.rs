@@ -95,7 +95,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     let map = |c: &RankedCluster| {
         Some(export.files.root.join(format!("depth{:04}.dmap", selection.scene.view(c.key).image_id)))
     };
-    let command = "\"$python\" run.py --densify \"$program\" --threads \"$threads\"";
+    let command = "\"$python\" -I run.py --densify \"$program\" --threads \"$threads\"";
     Some(TaskRunner {
         program: "DensifyPointCloud",
         variable: "DENSIFY",

@@ -85,7 +85,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     let folder = quoted_path(&out);
     let command = |what: &str| {
         format!(
-            "\"$python\" \"$program\" {what} \"$project\" --clusters {} --out {folder} --image-scale {}",
+            "cd / && \"$python\" \"$program\" {what} \"$project\" --clusters {} --out {folder} --image-scale {}",
             quoted_path(&export.files.root.join("clusters.txt")),
             export.record.image_scale
         )

@@ -358,10 +358,14 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
     images_below(folder, |name| !registered.contains(name) && !name.starts_with(MASKS))
 }
 
-/// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`; sorted.
+/// Most files and folders that are looked through: a project's settings may name any folder.
+const MOST_ENTRIES: usize = 500_000;
+
+/// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`; sorted. Links to folders are not followed: they may lead
+/// anywhere.
 pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<String> {
-    let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok);
-    let images = files.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
+    let entries = WalkDir::new(folder).follow_root_links(true).sort_by_file_name().into_iter().take(MOST_ENTRIES);
+    let images = entries.filter_map(Result::ok).filter(|entry| is_image(entry.path()) && entry.path().is_file());
     let names = images.filter_map(|entry| entry.path().strip_prefix(folder).ok().map(Path::to_path_buf));
     let mut wanted: Vec<String> = names.filter(|name| is_wanted(name)).map(|name| slashes(&name)).collect();
     wanted.sort_unstable();
