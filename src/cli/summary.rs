@@ -125,7 +125,8 @@ impl<'a> Summary<'a> {
         lines.push(format!("Wanted: {} {length} per pixel.", rounded(self.gsd)));
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
-        lines.extend(self.region.map(|region| region.words(self.weight)));
+        let region = self.region.map(|region| region.words(self.weight)).unwrap_or_default();
+        lines.extend(region.lines().map(String::from));
         lines
     }
 
