@@ -240,7 +240,7 @@ impl Plan {
         runner.run(py, |watcher| {
             let Planned { plan, project, exports, .. } = &*self.0;
             let folders = DepthMapFolders { depth_maps, reference };
-            let contents = Contents::new(plan, project, exports, &folders, Some(plan.timings.total()), watcher)?;
+            let contents = Contents::new(plan, project, exports, &folders, watcher)?;
             let page = report::page(&contents);
             let Some(path) = path else {
                 if self.0.is_temporary() {

@@ -688,8 +688,7 @@ def test_micmacs_maps_are_measured_where_the_model_is_distorted_once_they_are_ma
         shutil.copytree(fixtures / "depthmaps/MM-Malt-Img-IMG_9394", export / f"MM-Malt-Img-{Path(key).stem}")
         daemon.wait(lambda: daemon.status("p")["state"] != "planned" or "still being matched" in str(daemon.status("p")), "the map to be seen")
         assert not daemon.status("p").get("done")
-        (export / "done").mkdir()
-        (export / "done" / Path(key).stem).write_text("recipe")
+        (export / f"MM-Malt-Img-{Path(key).stem}" / "viewrank.recipe").write_text("recipe")
         daemon.wait(lambda: daemon.status("p").get("done") == 1, "the map to be measured")
         assert "counted" not in str(daemon.status("p").get("note")) and progress(project)["share"] is not None
 

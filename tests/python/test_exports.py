@@ -189,7 +189,10 @@ def test_finished_maps_of_other_partners_are_reported_and_replaced(viewrank, pla
     stale = [name for wanted, made, name in rows if "-" not in (wanted, made) and wanted != made]
     assert stale and f"{len(stale)} finished depth maps were made with other partners" in said[0] and "--replace" in said[0]
     assert reported() == said, "until they are gone"
-    environment = {"PATH": "/usr/bin:/bin", "COLMAP": "true"}
+    program = tmp_path / "colmap"
+    program.write_text('#!/bin/sh\n[ "$1" != stereo_fusion ] || for cloud; do :; done\n[ "$1" != stereo_fusion ] || echo points > "$cloud"\n')
+    program.chmod(0o755)
+    environment = {"PATH": "/usr/bin:/bin", "COLMAP": program}
     subprocess.run(["sh", folder / "stereo/viewrank/run.sh", "--replace"], env=environment, check=True)
     assert not any((folder / "stereo/depth_maps" / name).exists() for name in stale)
     kept = {path.name for path in maps} - {name for wanted, _, name in rows if wanted != "-"}
