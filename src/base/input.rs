@@ -27,7 +27,7 @@ pub enum FileKind {
     Mesh,
     /// Polygons, a box or a closed mesh.
     Region,
-    /// What the daemon keeps about a plan; it looks at it often.
+    /// Record that the daemon keeps of a plan and reads often.
     Record,
     /// A file of a sparse model.
     Sparse,

@@ -1,4 +1,4 @@
-//! What the daemon asks of whoever plans.
+//! Interface between the daemon and its planner.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},

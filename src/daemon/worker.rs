@@ -44,7 +44,7 @@ enum Request {
     Forget(OsString),
 }
 
-/// What of a [`Job`] the worker does not find out itself.
+/// The fields of a [`Job`] that the worker cannot read itself.
 #[derive(Debug, Serialize, Deserialize)]
 struct JobRequest {
     work: Work,

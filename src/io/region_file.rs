@@ -217,7 +217,7 @@ impl<'de> Visitor<'de> for NestedVisitor {
         Ok(Nested::Number(number as f64))
     }
 
-    /// What can be of no polygon is refused here, before there is more of it.
+    /// Refuses coordinates that fit no polygon before more of them are read.
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Nested, A::Error> {
         let mut members = Vec::new();
         while let Some(member) = list.next_element::<Nested>()? {

@@ -80,7 +80,7 @@ fn kinds_of_files_that_readers_trip_over_show_the_same_picture() {
     for name in ["baseline.jpg", "progressive.jpg", "rotated_by_exif.jpg", "cmyk.jpg"] {
         assert_is_ramp(&Image::read(&folder.join(name), PixelBound::LARGEST, whole).unwrap());
     }
-    // Half a picture is none, by either decoder.
+    // Neither decoder accepts half a picture.
     let cut = std::fs::read(folder.join("truncated.jpg")).unwrap();
     assert!(
         Image::decode(&cut, PixelBound::LARGEST, whole).is_err()
