@@ -177,8 +177,9 @@ def test_micmac_files_are_xml(export, planned):
 
 
 MM3D = """#!/bin/sh
-# Stands in for MicMac: notes its call and the secondary images that it would find.
+# Stands in for MicMac: notes its call and the secondary images that it would find, and leaves a folder.
 echo "$@ $(grep -c '<Images>' Ori-viewrank/ImSec-*.xml | wc -l)" >>calls.txt
+mkdir -p "MM-Malt-Img-${3%.*}"
 """
 
 
@@ -194,7 +195,8 @@ def test_micmac_never_deletes_what_it_is_given(export, planned, tmp_path):
     ours.mkdir()
     (ours / "Orientation-a.xml").write_text("<x/>")
     for _ in range(2):
-        shutil.rmtree(folder / "done", ignore_errors=True)
+        for mark in folder.glob("MM-Malt-Img-*/viewrank.recipe"):
+            mark.unlink()
         (folder / "calls.txt").unlink(missing_ok=True)
         done = run_micmac(folder, ours)
         assert done.returncode == 0, done.stderr
