@@ -43,9 +43,9 @@ only() {
         [ ! -e "older/$name" ] || move "older/$name" "$1/$name"
     done
 }
-# Some programs join all maps of a folder. The maps of all plans are in kept/NAME-RECIPE/; those of this plan have second names in the folder.
+# Some programs join all maps of a folder. The maps of all plans are in kept/NAME-RECIPE/; those of this plan are hard links (or copies) in the folder.
 #
-# Takes from the folder a map of any plan: FILE NAME. One that is not in kept/ is put aside.
+# Takes a map out of the folder: FILE NAME. One that is not in kept/ too is put aside.
 withdraw() {
     for kept in kept/"$2"-*/"${1##*/}"; do
         if cmp -s "$1" "$kept"; then
@@ -55,7 +55,7 @@ withdraw() {
     done
     put_aside "$1"
 }
-# Gives the maps of a key view their names in the folder: RESULT FOLDER
+# Links the maps of a key view into the folder: RESULT FOLDER
 present() {
     for kept in kept/"$1"/*; do
         ln "$kept" "$2" 2>/dev/null || cp -p "$kept" "$2" || exit 1

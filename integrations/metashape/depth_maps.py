@@ -11,7 +11,7 @@ is done.
 import os
 import sys
 
-# The folder may be a stranger's: a json.py that he put there is not imported.
+# The folder may be untrusted: a json.py in it, or in the current folder, is not imported.
 _HERE = {os.path.realpath(os.path.dirname(os.path.abspath(__file__))), os.path.realpath(os.curdir)}
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in _HERE]
 
