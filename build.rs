@@ -1,4 +1,5 @@
-//! Passes a fingerprint of the sources to the program: what another program has kept in a cache is not believed.
+//! Passes a fingerprint of the sources to the program: what another program has kept in a cache is
+//! not believed.
 
 use std::{
     fs,
@@ -26,7 +27,11 @@ fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
-        if path.is_dir() { files.extend(files_in(&path)?) } else { files.push(path) }
+        if path.is_dir() {
+            files.extend(files_in(&path)?)
+        } else {
+            files.push(path)
+        }
     }
     Ok(files)
 }

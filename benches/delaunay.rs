@@ -1,7 +1,8 @@
 //! Our side of `benches/delaunay.py` and `tests/python/test_delaunay.py`.
 //!
-//! Usage: delaunay POINTS [CELLS]. Reads little-endian f64 triples; prints dimension, vertices, finite cells, all cells, seconds;
-//! writes the finite cells as little-endian u32 quadruples of indices of points.
+//! Usage: delaunay POINTS [CELLS]. Reads little-endian f64 triples; prints dimension, vertices,
+//! finite cells, all cells, seconds; writes the finite cells as little-endian u32 quadruples of
+//! indices of points.
 
 use nalgebra::Point3;
 use std::time::Instant;
@@ -10,13 +11,20 @@ use viewrank::internals::surface::delaunay::Delaunay;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // `cargo bench` adds options of its own.
-    let mut arguments = std::env::args().skip(1).filter(|argument| !argument.starts_with("--"));
+    let mut arguments = std::env::args()
+        .skip(1)
+        .filter(|argument| !argument.starts_with("--"));
     let Some(path) = arguments.next() else {
-        eprintln!("usage: delaunay POINTS [CELLS]; benches/delaunay.py makes the points and compares with CGAL");
+        eprintln!(
+            "usage: delaunay POINTS [CELLS]; benches/delaunay.py makes the points and compares with CGAL"
+        );
         return Ok(());
     };
     let coordinates: Vec<f64> = bytemuck::pod_collect_to_vec(&std::fs::read(path)?);
-    let points: Vec<Point3<f64>> = coordinates.chunks_exact(3).map(|p| Point3::new(p[0], p[1], p[2])).collect();
+    let points: Vec<Point3<f64>> = coordinates
+        .chunks_exact(3)
+        .map(|p| Point3::new(p[0], p[1], p[2]))
+        .collect();
     drop(coordinates);
     let start = Instant::now();
     let delaunay = Delaunay::triangulate(&points, &NoWatcher)?;
@@ -35,7 +43,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             point_of_vertex[vertex as usize] = point as u32;
         }
         let corners = finite.flat_map(|cell| delaunay.cells[cell as usize].vertices);
-        let cells: Vec<u32> = corners.map(|vertex| point_of_vertex[vertex as usize]).collect();
+        let cells: Vec<u32> = corners
+            .map(|vertex| point_of_vertex[vertex as usize])
+            .collect();
         std::fs::write(path, bytemuck::cast_slice(&cells))?;
     }
     Ok(())

@@ -2,8 +2,9 @@
 //!
 //!     cargo bench --bench surface -- PROJECT... [--openmvs FOLDER]
 //!
-//! With `--openmvs`, the folder of OpenMVS's programs (v2.3.0): `InterfaceCOLMAP` and `ReconstructMesh` run on the same model in a
-//! temporary folder, without cleaning and with every point (`-d 0`), and the ratio of the raw surfaces' wall time is printed.
+//! With `--openmvs`, the folder of OpenMVS's programs (v2.3.0): `InterfaceCOLMAP` and
+//! `ReconstructMesh` run on the same model in a temporary folder, without cleaning and with every
+//! point (`-d 0`), and the ratio of the raw surfaces' wall time is printed.
 
 use std::{
     path::{Path, PathBuf},
@@ -15,7 +16,9 @@ use viewrank::internals::{
     config::SurfaceSettings,
     progress::NoWatcher,
     project::Project,
-    surface::{WantedGsd, carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
+    surface::{
+        WantedGsd, carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify,
+    },
     target::GSD_MARGIN,
 };
 
@@ -35,7 +38,10 @@ fn main() -> Fallible<()> {
         let ours = time_surface(project)?;
         if let Some(programs) = &openmvs {
             let theirs = time_openmvs(programs, project)?;
-            println!("  ReconstructMesh {theirs:.2} s, raw surface {ours:.2} s: {:.1} times faster", theirs / ours);
+            println!(
+                "  ReconstructMesh {theirs:.2} s, raw surface {ours:.2} s: {:.1} times faster",
+                theirs / ours
+            );
         }
     }
     Ok(())
@@ -44,7 +50,11 @@ fn main() -> Fallible<()> {
 /// Prints the time of each step and returns the sum of those up to the raw surface.
 fn time_surface(project: &Path) -> Fallible<f64> {
     let settings = SurfaceSettings::default();
-    let mut clock = Clock { last: Instant::now(), last_cpu: cpu_seconds(), total: 0.0 };
+    let mut clock = Clock {
+        last: Instant::now(),
+        last_cpu: cpu_seconds(),
+        total: 0.0,
+    };
     let scene = Project::open(project, None)?.read_scene()?;
     clock.step("read");
     clock.total = 0.0;
@@ -73,7 +83,10 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     let longest = wanted.lengths(&surface.vertices, settings.max_edge_factor);
     let surface = refine::refine(surface, longest, refine::MAX_TRIANGLES, &NoWatcher)?;
     clock.step(&format!("refine, {}", surface.triangles.len()));
-    println!("  raw surface {total:.2} s, whole surface {:.2} s", clock.total);
+    println!(
+        "  raw surface {total:.2} s, whole surface {:.2} s",
+        clock.total
+    );
     Ok(total)
 }
 
@@ -109,11 +122,15 @@ fn cpu_seconds() -> f64 {
 /// Largest resident set so far; 0 where the system does not tell.
 fn peak_memory_mb() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).and_then(|l| l.split_whitespace().next());
+    let peak = status
+        .lines()
+        .find_map(|l| l.strip_prefix("VmHWM:"))
+        .and_then(|l| l.split_whitespace().next());
     peak.and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
-/// OpenMVS reads the size of each image from its file: those of the project, or grey ones where it has none.
+/// OpenMVS reads the size of each image from its file: those of the project, or grey ones where it
+/// has none.
 fn link_images(project: &Path, folder: &Path) -> Fallible<()> {
     let images = std::path::absolute(project.join("images"))?;
     if images.is_dir() {
@@ -134,8 +151,15 @@ fn link_images(project: &Path, folder: &Path) -> Fallible<()> {
 
 fn time_openmvs(programs: &Path, project: &Path) -> Fallible<f64> {
     let folder = std::env::temp_dir().join(format!("viewrank-bench-{}", std::process::id()));
-    let model = [project.join("sparse/0"), project.join("sparse"), project.to_path_buf()];
-    let model = model.iter().find(|m| m.join("points3D.bin").exists()).ok_or("no binary COLMAP model")?;
+    let model = [
+        project.join("sparse/0"),
+        project.join("sparse"),
+        project.to_path_buf(),
+    ];
+    let model = model
+        .iter()
+        .find(|m| m.join("points3D.bin").exists())
+        .ok_or("no binary COLMAP model")?;
     std::fs::create_dir_all(folder.join("in/sparse"))?;
     for file in ["cameras.bin", "images.bin", "points3D.bin"] {
         std::fs::copy(model.join(file), folder.join("in/sparse").join(file))?;
@@ -143,8 +167,11 @@ fn time_openmvs(programs: &Path, project: &Path) -> Fallible<f64> {
     link_images(project, &folder.join("images"))?;
     let run = |program: &str, arguments: &[&str]| -> Fallible<f64> {
         let start = Instant::now();
-        let output =
-            Command::new(programs.join(program)).current_dir(&folder).args(["-w", "."]).args(arguments).output()?;
+        let output = Command::new(programs.join(program))
+            .current_dir(&folder)
+            .args(["-w", "."])
+            .args(arguments)
+            .output()?;
         let text = String::from_utf8_lossy(&output.stdout);
         if output.status.success() {
             Ok(start.elapsed().as_secs_f64())
@@ -152,9 +179,28 @@ fn time_openmvs(programs: &Path, project: &Path) -> Fallible<f64> {
             Err(format!("{program}: {text}").into())
         }
     };
-    run("InterfaceCOLMAP", &["-i", "in", "-o", "scene.mvs", "--image-folder", "images/"])?;
-    let cleaning = ["--smooth", "0", "--remove-spurious", "0", "--close-holes", "0", "--remove-spikes", "0"];
-    let seconds = run("ReconstructMesh", &[&["-i", "scene.mvs", "-o", "mesh.mvs", "-d", "0"][..], &cleaning].concat());
+    run(
+        "InterfaceCOLMAP",
+        &["-i", "in", "-o", "scene.mvs", "--image-folder", "images/"],
+    )?;
+    let cleaning = [
+        "--smooth",
+        "0",
+        "--remove-spurious",
+        "0",
+        "--close-holes",
+        "0",
+        "--remove-spikes",
+        "0",
+    ];
+    let seconds = run(
+        "ReconstructMesh",
+        &[
+            &["-i", "scene.mvs", "-o", "mesh.mvs", "-d", "0"][..],
+            &cleaning,
+        ]
+        .concat(),
+    );
     std::fs::remove_dir_all(&folder)?;
     seconds
 }

@@ -1,13 +1,18 @@
-//! How near is the surface from sparse points to an exact scene, and how right is what it says about visibility?
+//! How near is the surface from sparse points to an exact scene, and how right is what it says
+//! about visibility?
 //!
 //!     cargo bench --bench surface_truth -- [SETTINGS.toml...] FOLDER...
 //!
-//! Each folder holds a COLMAP model and `truth/scene.ply`, as the rendered sets of `benches/sets.py` do; each is measured with each file of
-//! settings, or with the defaults. Printed:
-//! - near: share of the surface's area within 3 g_d of the exact scene, and the median distance in g_d;
-//! - covered: share of what the views see of the exact scene that lies within 3 g_d of the surface, and the median distance;
-//! - precision and recall of (triangle, view) pairs, where a pair is right when the line of sight from the camera to the triangle's
-//!   centroid is free in the exact scene, up to the tolerance of method 2; strict: and meets the exact scene at the triangle.
+//! Each folder holds a COLMAP model and `truth/scene.ply`, as the rendered sets of
+//! `benches/sets.py` do; each is measured with each file of settings, or with the defaults.
+//! Printed:
+//! - near: share of the surface's area within 3 g_d of the exact scene, and the median distance in
+//!   g_d;
+//! - covered: share of what the views see of the exact scene that lies within 3 g_d of the surface,
+//!   and the median distance;
+//! - precision and recall of (triangle, view) pairs, where a pair is right when the line of sight
+//!   from the camera to the triangle's centroid is free in the exact scene, up to the tolerance of
+//!   method 2; strict: and meets the exact scene at the triangle.
 
 use std::{path::Path, time::Instant};
 
@@ -28,10 +33,17 @@ use viewrank::internals::{
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
 
 fn main() -> Fallible<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let arguments: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|a| a != "--bench")
+        .collect();
     let (files, folders): (Vec<_>, Vec<_>) = arguments.iter().partition(|a| a.ends_with(".toml"));
-    let read =
-        |file: &&String| -> Fallible<_> { Ok((file.to_string(), toml::from_str(&std::fs::read_to_string(file)?)?)) };
+    let read = |file: &&String| -> Fallible<_> {
+        Ok((
+            file.to_string(),
+            toml::from_str(&std::fs::read_to_string(file)?)?,
+        ))
+    };
     let mut settings: Vec<(String, Settings)> = files.iter().map(read).collect::<Fallible<_>>()?;
     if settings.is_empty() {
         settings.push(("defaults".into(), Settings::default()));
@@ -56,7 +68,11 @@ struct Exact {
 
 fn exact_surface(folder: &Path) -> Fallible<Surface> {
     let mesh = ply::read(&std::fs::read(folder.join("truth/scene.ply"))?)?;
-    Ok(Surface { kind: SurfaceKind::Mesh, vertices: mesh.vertices, triangles: mesh.triangles })
+    Ok(Surface {
+        kind: SurfaceKind::Mesh,
+        vertices: mesh.vertices,
+        triangles: mesh.triangles,
+    })
 }
 
 impl Exact {
@@ -64,7 +80,11 @@ impl Exact {
         let scene = Project::open(folder, None)?.read_scene()?;
         let mesh = Bvh::new(exact_surface(folder)?);
         let visible = visible_points(&scene, &mesh);
-        Ok(Self { scene, mesh, visible })
+        Ok(Self {
+            scene,
+            mesh,
+            visible,
+        })
     }
 }
 
@@ -73,7 +93,14 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
     let gsd = GSD_MARGIN * scene.median_gsd().ok_or("the model has no points")?;
     let start = Instant::now();
     let wanted = WantedGsd::finest(scene, gsd, GSD_MARGIN);
-    let (surface, stats) = surface::build(scene, &wanted, &settings.surface, None, MAX_TRIANGLES, &NoWatcher)?;
+    let (surface, stats) = surface::build(
+        scene,
+        &wanted,
+        &settings.surface,
+        None,
+        MAX_TRIANGLES,
+        &NoWatcher,
+    )?;
     let seconds = start.elapsed().as_secs_f64();
     let edge = settings.surface.edge_factor * gsd;
     let table = visibility::estimate(
@@ -92,10 +119,18 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
     println!("  {stats:?}");
     println!("  {} triangles in {seconds:.2} s", surface.triangles.len());
     for (name, distances) in [("near", near), ("covered", covered)] {
-        let below = |limit: f64| distances.partition_point(|&d| d <= limit) as f64 / distances.len() as f64;
-        println!("  {name} {:.3}, median {:.2} g_d", below(3.0), distances[distances.len() / 2]);
+        let below =
+            |limit: f64| distances.partition_point(|&d| d <= limit) as f64 / distances.len() as f64;
+        println!(
+            "  {name} {:.3}, median {:.2} g_d",
+            below(3.0),
+            distances[distances.len() / 2]
+        );
     }
-    println!("  pairs: {}", Pairs::count(exact, &surface, &table, settings, edge));
+    println!(
+        "  pairs: {}",
+        Pairs::count(exact, &surface, &table, settings, edge)
+    );
     Ok(())
 }
 
@@ -115,7 +150,10 @@ fn samples(surface: &Surface, spacing: f64) -> Vec<Point3<f64>> {
         due += surface.area(t) / (spacing * spacing);
         for i in 0..due as u32 {
             // The R2 sequence, folded into the triangle.
-            let (mut u, mut v) = ((0.754877666 * f64::from(i + t)).fract(), (0.569840291 * f64::from(i + t)).fract());
+            let (mut u, mut v) = (
+                (0.754877666 * f64::from(i + t)).fract(),
+                (0.569840291 * f64::from(i + t)).fract(),
+            );
             if u + v > 1.0 {
                 (u, v) = (1.0 - u, 1.0 - v);
             }
@@ -129,21 +167,33 @@ fn samples(surface: &Surface, spacing: f64) -> Vec<Point3<f64>> {
 /// Where the rays of a grid of pixels, every 40th along both axes, first meet the exact scene.
 fn visible_points(scene: &Scene, mesh: &Bvh) -> Vec<Point3<f64>> {
     let of_view = |view: u32| {
-        let (camera, pose) = (scene.camera_of(ViewIndex(view)), &scene.view(ViewIndex(view)).cam_from_world);
+        let (camera, pose) = (
+            scene.camera_of(ViewIndex(view)),
+            &scene.view(ViewIndex(view)).cam_from_world,
+        );
         let mut points = Vec::new();
         for y in (20..camera.height).step_by(40) {
             for x in (20..camera.width).step_by(40) {
-                let Some(ray) = camera.ray(&Point2::new(f64::from(x), f64::from(y))) else { continue };
+                let Some(ray) = camera.ray(&Point2::new(f64::from(x), f64::from(y))) else {
+                    continue;
+                };
                 let direction = pose.rotation.inverse() * ray.into_inner();
-                points.extend(mesh.first_hit(&pose.centre(), &direction).map(|t| pose.centre() + direction * t));
+                points.extend(
+                    mesh.first_hit(&pose.centre(), &direction)
+                        .map(|t| pose.centre() + direction * t),
+                );
             }
         }
         points
     };
-    (0..scene.views.len() as u32).into_par_iter().flat_map_iter(of_view).collect()
+    (0..scene.views.len() as u32)
+        .into_par_iter()
+        .flat_map_iter(of_view)
+        .collect()
 }
 
-/// Counts of (triangle, view) pairs, of every fifth triangle, that satisfy the conditions of method 2 other than occlusion.
+/// Counts of (triangle, view) pairs, of every fifth triangle, that satisfy the conditions of method
+/// 2 other than occlusion.
 #[derive(Default)]
 struct Pairs {
     /// In the table.
@@ -157,7 +207,13 @@ struct Pairs {
 }
 
 impl Pairs {
-    fn count(exact: &Exact, surface: &Surface, table: &Visibility, settings: &Settings, edge: f64) -> Self {
+    fn count(
+        exact: &Exact,
+        surface: &Surface,
+        table: &Visibility,
+        settings: &Settings,
+        edge: f64,
+    ) -> Self {
         let of_view = |view: u32| {
             let view = ViewIndex(view);
             let mut pairs = Self::default();
@@ -174,7 +230,10 @@ impl Pairs {
             }
             pairs
         };
-        let all: Vec<Self> = (0..exact.scene.views.len() as u32).into_par_iter().map(of_view).collect();
+        let all: Vec<Self> = (0..exact.scene.views.len() as u32)
+            .into_par_iter()
+            .map(of_view)
+            .collect();
         all.into_iter().fold(Self::default(), |a, b| Self {
             said: a.said + b.said,
             free: a.free + b.free,
@@ -188,28 +247,56 @@ impl std::fmt::Display for Pairs {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         let share = |part: u64, whole: u64| part as f64 / whole as f64;
         let (precision, strict) = (share(self.right, self.said), share(self.exact, self.said));
-        write!(f, "precision {precision:.3} (strict {strict:.3}), recall {:.3}", share(self.right, self.free))
+        write!(
+            f,
+            "precision {precision:.3} (strict {strict:.3}), recall {:.3}",
+            share(self.right, self.free)
+        )
     }
 }
 
-fn is_in_view(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, settings: &Settings) -> bool {
+fn is_in_view(
+    scene: &Scene,
+    surface: &Surface,
+    view: ViewIndex,
+    triangle: u32,
+    settings: &Settings,
+) -> bool {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
     let projects = |p: &Point3<f64>| camera.project(&pose.camera_from_world(p));
     let centroid = surface.centroid(triangle);
     let towards = pose.centre() - centroid;
-    let facing = surface.area_normal(triangle).normalize().dot(&towards.normalize());
-    surface.corners(triangle).iter().all(|p| projects(p).is_some())
+    let facing = surface
+        .area_normal(triangle)
+        .normalize()
+        .dot(&towards.normalize());
+    surface
+        .corners(triangle)
+        .iter()
+        .all(|p| projects(p).is_some())
         && projects(&centroid).is_some_and(|pixel| camera.contains(&pixel))
         && facing > settings.visibility.max_incidence_deg.to_radians().cos()
 }
 
-/// How far behind the triangle's centroid the line of sight first meets the exact scene, along the optical axis in tolerances of method 2.
-fn clearance(exact: &Exact, surface: &Surface, view: ViewIndex, triangle: u32, settings: &Settings, edge: f64) -> f64 {
+/// How far behind the triangle's centroid the line of sight first meets the exact scene, along the
+/// optical axis in tolerances of method 2.
+fn clearance(
+    exact: &Exact,
+    surface: &Surface,
+    view: ViewIndex,
+    triangle: u32,
+    settings: &Settings,
+    edge: f64,
+) -> f64 {
     let pose = &exact.scene.view(view).cam_from_world;
     let line = surface.centroid(triangle) - pose.centre();
     let depth = pose.camera_from_world(&surface.centroid(triangle)).z;
-    let tolerance = (settings.visibility.tolerance_edges * edge).max(settings.visibility.tolerance_depth * depth);
-    exact.mesh.first_hit(&pose.centre(), &line).map_or(f64::INFINITY, |t| (t - 1.0) * depth / tolerance)
+    let tolerance = (settings.visibility.tolerance_edges * edge)
+        .max(settings.visibility.tolerance_depth * depth);
+    exact
+        .mesh
+        .first_hit(&pose.centre(), &line)
+        .map_or(f64::INFINITY, |t| (t - 1.0) * depth / tolerance)
 }
 
 /// A hierarchy of boxes about the triangles of a mesh.
@@ -231,7 +318,11 @@ struct Node {
 impl Bvh {
     fn new(mesh: Surface) -> Self {
         let order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-        let mut bvh = Self { mesh, order, boxes: Vec::new() };
+        let mut bvh = Self {
+            mesh,
+            order,
+            boxes: Vec::new(),
+        };
         bvh.split(0..bvh.order.len());
         bvh
     }
@@ -246,13 +337,19 @@ impl Bvh {
             }
         }
         let index = self.boxes.len();
-        self.boxes.push(Node { low, high, range: range.clone(), second: 0 });
+        self.boxes.push(Node {
+            low,
+            high,
+            range: range.clone(),
+            second: 0,
+        });
         if range.len() > 4 {
             let axis = (high - low).imax();
             let middle = range.len() / 2;
             let mesh = &self.mesh;
             let key = |t: &u32| mesh.centroid(*t)[axis];
-            self.order[range.clone()].select_nth_unstable_by(middle, |a, b| key(a).total_cmp(&key(b)));
+            self.order[range.clone()]
+                .select_nth_unstable_by(middle, |a, b| key(a).total_cmp(&key(b)));
             self.split(range.start..range.start + middle);
             self.boxes[index].second = self.boxes.len();
             self.split(range.start + middle..range.end);
@@ -269,7 +366,10 @@ impl Bvh {
             }
             let node = &self.boxes[i];
             if node.second == 0 {
-                best = self.order[node.range.clone()].iter().map(|&t| value(t)).fold(best, f64::min);
+                best = self.order[node.range.clone()]
+                    .iter()
+                    .map(|&t| value(t))
+                    .fold(best, f64::min);
             } else {
                 let [a, b] = [i + 1, node.second].map(|child| (bound(&self.boxes[child]), child));
                 open.extend(if a.0 < b.0 { [b, a] } else { [a, b] });
@@ -279,7 +379,12 @@ impl Bvh {
     }
 
     fn distance(&self, point: &Point3<f64>) -> f64 {
-        let outside = |n: &Node| (n.low - point.coords).sup(&(point.coords - n.high)).sup(&Vector3::zeros()).norm();
+        let outside = |n: &Node| {
+            (n.low - point.coords)
+                .sup(&(point.coords - n.high))
+                .sup(&Vector3::zeros())
+                .norm()
+        };
         self.smallest(outside, |t| triangle_distance(point, self.mesh.corners(t)))
     }
 
@@ -287,17 +392,27 @@ impl Bvh {
     fn first_hit(&self, from: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
         let inverse = direction.map(|d| 1.0 / d);
         let entry = |n: &Node| {
-            let (a, b) =
-                ((n.low - from.coords).component_mul(&inverse), (n.high - from.coords).component_mul(&inverse));
+            let (a, b) = (
+                (n.low - from.coords).component_mul(&inverse),
+                (n.high - from.coords).component_mul(&inverse),
+            );
             let (enters, leaves) = (a.inf(&b).max().max(0.0), a.sup(&b).min());
-            if enters <= leaves { enters } else { f64::INFINITY }
+            if enters <= leaves {
+                enters
+            } else {
+                f64::INFINITY
+            }
         };
         let hit = |t| ray_triangle(from, direction, self.mesh.corners(t)).unwrap_or(f64::INFINITY);
         Some(self.smallest(entry, hit)).filter(|t| t.is_finite())
     }
 }
 
-fn ray_triangle(from: &Point3<f64>, direction: &Vector3<f64>, [a, b, c]: [Point3<f64>; 3]) -> Option<f64> {
+fn ray_triangle(
+    from: &Point3<f64>,
+    direction: &Vector3<f64>,
+    [a, b, c]: [Point3<f64>; 3],
+) -> Option<f64> {
     let (u, v) = (b - a, c - a);
     let p = direction.cross(&v);
     let determinant = u.dot(&p);

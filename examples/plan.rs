@@ -19,7 +19,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Best first: if matching stops early, the most useful clusters are done.
     let scene = &plan.stages.scene;
     for cluster in plan.chosen() {
-        let partners: Vec<&str> = cluster.partners.iter().map(|&view| scene.name(view)).collect();
+        let partners: Vec<&str> = cluster
+            .partners
+            .iter()
+            .map(|&view| scene.name(view))
+            .collect();
         println!("{}: {}", scene.name(cluster.key), partners.join(" "));
     }
 

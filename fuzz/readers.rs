@@ -1,5 +1,6 @@
-//! Shared code of the fuzz targets and of `tests/fuzz_readers.rs`: replaces one file of a small valid model by the fuzzer's bytes, and checks that
-//! a model that can be read is consistent and round-trips.
+//! Shared code of the fuzz targets and of `tests/fuzz_readers.rs`: replaces one file of a small
+//! valid model by the fuzzer's bytes, and checks that a model that can be read is consistent and
+//! round-trips.
 
 use viewrank::internals::{
     formats::{
@@ -53,7 +54,12 @@ pub fn read_region(data: &[u8]) {
     if let Ok(RegionFile::Areas(areas)) = region_file::parse(data) {
         let rings = areas.areas.iter().flat_map(|area| &area.polygons).flatten();
         assert!(rings.flatten().flatten().all(|x| x.is_finite()));
-        assert!(areas.areas.iter().all(|area| area.weight >= 0.0 && area.gsd.is_none_or(|gsd| gsd > 0.0)));
+        assert!(
+            areas
+                .areas
+                .iter()
+                .all(|area| area.weight >= 0.0 && area.gsd.is_none_or(|gsd| gsd > 0.0))
+        );
     }
 }
 
@@ -118,14 +124,30 @@ fn mvs() -> openmvs::Mvs {
         view_scores: Vec::new(),
     };
     let k = [90.0, 0.0, 49.5, 0.0, 90.0, 39.5, 0.0, 0.0, 1.0];
-    let camera = openmvs::Camera { width: 100, height: 80, k, r: unit, ..openmvs::Camera::default() };
-    let poses = vec![openmvs::Pose { r: unit, c: [1.0, 2.0, 3.0] }];
+    let camera = openmvs::Camera {
+        width: 100,
+        height: 80,
+        k,
+        r: unit,
+        ..openmvs::Camera::default()
+    };
+    let poses = vec![openmvs::Pose {
+        r: unit,
+        c: [1.0, 2.0, 3.0],
+    }];
     openmvs::Mvs {
-        platforms: vec![openmvs::Platform { name: b"p".to_vec(), cameras: vec![camera], poses }],
+        platforms: vec![openmvs::Platform {
+            name: b"p".to_vec(),
+            cameras: vec![camera],
+            poses,
+        }],
         images: vec![image("a.jpg", 3, 0), image("b.jpg", 4, openmvs::NO_POSE)],
         vertices: vec![openmvs::Vertex {
             x: [1.0, 2.0, 9.0],
-            views: vec![openmvs::VertexView { image: 0, confidence: 1.0 }],
+            views: vec![openmvs::VertexView {
+                image: 0,
+                confidence: 1.0,
+            }],
         }],
         colours: vec![[1, 2, 3]],
         ..openmvs::Mvs::default()
@@ -141,7 +163,9 @@ pub fn read_foreign(name: &str, data: &[u8]) {
         "sfm_data.json" => openmvg::read(data),
         "reconstruction.json" => opensfm::read(data, Some(b"a.jpg\t17\t0\t0.1\t0.1\n")),
         "scene.sfm" => alicevision::read(data),
-        "transforms.json" => transforms::read(data, &size, &str::to_owned).map(|(foreign, _)| foreign),
+        "transforms.json" => {
+            transforms::read(data, &size, &str::to_owned).map(|(foreign, _)| foreign)
+        }
         "cameras.xml" => metashape::read(data, Frame::World, &str::to_owned),
         "block.xml" => blocks::read(data).map(|mut foreign| {
             foreign.shorten_names();
@@ -149,11 +173,15 @@ pub fn read_foreign(name: &str, data: &[u8]) {
         }),
         "Orientation-a.jpg.xml" | "AutoCal.xml" => micmac_model(name, data),
         "synth_0.out" => {
-            let meta = |id: u32| format!("[camera]\nprincipal_point = 0.5 0.5\n[view]\nid = {id}\n");
-            let views = [0, 1].map(|id| mve::View::read(&meta(id), format!("view_000{id}.mve/undistorted.jpg")));
+            let meta =
+                |id: u32| format!("[camera]\nprincipal_point = 0.5 0.5\n[view]\nid = {id}\n");
+            let views = [0, 1]
+                .map(|id| mve::View::read(&meta(id), format!("view_000{id}.mve/undistorted.jpg")));
             mve::read(data, &views.map(|view| view.expect("it has an id")), &size)
         }
-        "image.ori" => sure::read(data, 1).map(|orientation| sure::model(vec![orientation], str::to_owned)),
+        "image.ori" => {
+            sure::read(data, 1).map(|orientation| sure::model(vec![orientation], str::to_owned))
+        }
         _ => openmvs::Mvs::read(data).and_then(|mvs| mvs.model(&size)),
     };
     match found.and_then(|foreign| Ok((foreign.scene()?, foreign))) {
@@ -164,10 +192,23 @@ pub fn read_foreign(name: &str, data: &[u8]) {
 
 /// A model of MicMac with the file of that name replaced.
 fn micmac_model(name: &str, data: &[u8]) -> Result<ForeignModel, Fault> {
-    let file = |of: &str| if name == of { data.to_vec() } else { foreign_model(of) };
+    let file = |of: &str| {
+        if name == of {
+            data.to_vec()
+        } else {
+            foreign_model(of)
+        }
+    };
     let (camera, _) = micmac::read_calibration(&file("AutoCal.xml"), 1)?;
     let cam_from_world = micmac::read_orientation(&file("Orientation-a.jpg.xml"))?.cam_from_world;
-    Ok(sure::model(vec![sure::Orientation { image: "a.jpg".into(), camera, cam_from_world }], str::to_owned))
+    Ok(sure::model(
+        vec![sure::Orientation {
+            image: "a.jpg".into(),
+            camera,
+            cam_from_world,
+        }],
+        str::to_owned,
+    ))
 }
 
 /// A COLMAP model: three images, a rig of two cameras, a third camera, and four points.
@@ -178,17 +219,31 @@ pub fn model(text: bool) -> Files {
     const POINTS: &[u8] =
         b"7 0 0 5 10 20 30 0.5 1 0 2 0\n8 1 0 5 10 20 30 -1 2 1\n9 1 1 5 1 2 3 0.5 1 2 7 1\n10 2 0 5 1 2 3 0.25 7 0\n";
     const RIGS: &[u8] = b"1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 1 0 0\n2 1 CAMERA 9\n";
-    const FRAMES: &[u8] = b"1 1 1 0 0 0 0 0 0 2 CAMERA 1 1 CAMERA 2 2\n2 1 0 1 0 0 0 0 3 1 CAMERA 1 7\n";
-    let bytes = Bytes { cameras: CAMERAS, images: IMAGES, points3d: POINTS, rigs: Some(RIGS), frames: Some(FRAMES) };
+    const FRAMES: &[u8] =
+        b"1 1 1 0 0 0 0 0 0 2 CAMERA 1 1 CAMERA 2 2\n2 1 0 1 0 0 0 0 3 1 CAMERA 1 7\n";
+    let bytes = Bytes {
+        cameras: CAMERAS,
+        images: IMAGES,
+        points3d: POINTS,
+        rigs: Some(RIGS),
+        frames: Some(FRAMES),
+    };
     let model = colmap_text::read(&bytes).expect("the model is valid");
-    if text { colmap_text::write(&model).expect("no blanks in names") } else { colmap_bin::write(&model) }
+    if text {
+        colmap_text::write(&model).expect("no blanks in names")
+    } else {
+        colmap_bin::write(&model)
+    }
 }
 
 /// Reads the model with the file `target` replaced by `data`, and checks the result.
 pub fn replace(target: &str, data: &[u8], files: &Files) {
     let file = |name: &str| {
         let stem_matches = |f: &&(&str, Vec<u8>)| f.0.split('.').next() == Some(name);
-        let found = files.iter().find(stem_matches).expect("the model has every file");
+        let found = files
+            .iter()
+            .find(stem_matches)
+            .expect("the model has every file");
         if found.0 == target { data } else { &found.1 }
     };
     let bytes = Bytes {
@@ -199,28 +254,52 @@ pub fn replace(target: &str, data: &[u8], files: &Files) {
         frames: Some(file("frames")),
     };
     // Also without rigs and frames: fewer contradictions, so more inputs are read to the end.
-    for bytes in [bytes, Bytes { rigs: None, frames: None, ..bytes }] {
+    for bytes in [
+        bytes,
+        Bytes {
+            rigs: None,
+            frames: None,
+            ..bytes
+        },
+    ] {
         match read(&bytes, target.ends_with("txt")) {
             Ok((model, scene)) => check(&model, &scene),
-            Err(fault) => assert!(!fault.to_string().is_empty() && !fault.problem.hint().is_empty()),
+            Err(fault) => {
+                assert!(!fault.to_string().is_empty() && !fault.problem.hint().is_empty())
+            }
         }
     }
 }
 
 fn read<'a>(bytes: &Bytes<'a>, text: bool) -> Result<(ColmapModel<'a>, Scene), Fault> {
-    let model = if text { colmap_text::read(bytes)? } else { colmap_bin::read(bytes)? };
+    let model = if text {
+        colmap_text::read(bytes)?
+    } else {
+        colmap_bin::read(bytes)?
+    };
     let scene = model.scene()?;
     Ok((model, scene))
 }
 
 fn check(model: &ColmapModel, scene: &Scene) {
-    assert_eq!((scene.views.len(), scene.points.len()), (model.images.len(), model.points.len()));
+    assert_eq!(
+        (scene.views.len(), scene.points.len()),
+        (model.images.len(), model.points.len())
+    );
     assert!(scene.views.is_sorted_by(|a, b| a.name < b.name));
     assert_eq!(scene.track_offsets.len(), scene.points.len() + 1);
     assert!(scene.track_offsets.is_sorted());
-    assert_eq!(*scene.track_offsets.last().unwrap(), scene.track_views.len());
+    assert_eq!(
+        *scene.track_offsets.last().unwrap(),
+        scene.track_views.len()
+    );
     assert_eq!(scene.track_pixels.len(), scene.track_views.len());
-    assert!(scene.track_views.iter().all(|v| v.index() < scene.views.len()));
+    assert!(
+        scene
+            .track_views
+            .iter()
+            .all(|v| v.index() < scene.views.len())
+    );
     assert!(scene.track_pixels.iter().flatten().all(|c| c.is_finite()));
     assert!(scene.points.iter().all(|p| p.iter().all(|c| c.is_finite())));
     for view in &scene.views {
@@ -233,13 +312,20 @@ fn check(model: &ColmapModel, scene: &Scene) {
     if let Ok(files) = colmap_text::write(model) {
         assert_round_trip(scene, &files, true);
     }
-    let reduced = model.reduced(|image| image.id % 2 == 1, 2).expect("a valid model can be reduced");
+    let reduced = model
+        .reduced(|image| image.id % 2 == 1, 2)
+        .expect("a valid model can be reduced");
     reduced.scene().expect("a reduced model is consistent");
 }
 
 /// Checks that the written files give the same scene.
 fn assert_round_trip(scene: &Scene, files: &Files, text: bool) {
-    let file = |name: &str| files.iter().find(|f| f.0.split('.').next() == Some(name)).map(|f| &f.1[..]);
+    let file = |name: &str| {
+        files
+            .iter()
+            .find(|f| f.0.split('.').next() == Some(name))
+            .map(|f| &f.1[..])
+    };
     let required = |name| file(name).expect("written");
     let (rigs, frames) = (file("rigs"), file("frames"));
     let bytes = Bytes {
@@ -250,8 +336,19 @@ fn assert_round_trip(scene: &Scene, files: &Files, text: bool) {
         frames,
     };
     let (_, other) = read(&bytes, text).expect("a written model can be read");
-    assert_eq!((&other.cameras, &other.points, &other.point_ids), (&scene.cameras, &scene.points, &scene.point_ids));
-    assert_eq!((&other.track_views, &other.track_pixels), (&scene.track_views, &scene.track_pixels));
-    let views = |s: &Scene| s.views.iter().map(|v| (v.name.clone(), v.image_id, v.cam_from_world)).collect::<Vec<_>>();
+    assert_eq!(
+        (&other.cameras, &other.points, &other.point_ids),
+        (&scene.cameras, &scene.points, &scene.point_ids)
+    );
+    assert_eq!(
+        (&other.track_views, &other.track_pixels),
+        (&scene.track_views, &scene.track_pixels)
+    );
+    let views = |s: &Scene| {
+        s.views
+            .iter()
+            .map(|v| (v.name.clone(), v.image_id, v.cam_from_world))
+            .collect::<Vec<_>>()
+    };
     assert_eq!(views(&other), views(scene));
 }

@@ -1,5 +1,5 @@
-//! Ranks multi-view stereo view clusters before any depth map is computed: which views should get one, against which others each should be
-//! matched, and in which order.
+//! Ranks multi-view stereo view clusters before any depth map is computed: which views should get
+//! one, against which others each should be matched, and in which order.
 //!
 //! ```
 //! use viewrank::{Project, Settings, NoWatcher};
@@ -16,20 +16,26 @@
 //!
 //! # Where to start
 //!
-//! - [`Project::open`] finds the sparse model (COLMAP, OpenMVS, AliceVision, OpenSfM, ...) and the images of a folder.
-//! - [`plan`] computes a [`Plan`]: the result of each stage ([`Stages`]) and the ranking with its cut ([`Decision`]).
-//! - [`files::files`] turns a plan into the files of a project, and [`output::write_all`] writes them, all or none.
-//! - [`manifest::WrittenPlan`] reads a written plan, and [`evaluate`] compares it with finished depth maps.
+//! - [`Project::open`] finds the sparse model (COLMAP, OpenMVS, AliceVision, OpenSfM, ...) and the
+//!   images of a folder.
+//! - [`plan`] computes a [`Plan`]: the result of each stage ([`Stages`]) and the ranking with its
+//!   cut ([`Decision`]).
+//! - [`files::files`] turns a plan into the files of a project, and [`output::write_all`] writes
+//!   them, all or none.
+//! - [`manifest::WrittenPlan`] reads a written plan, and [`evaluate`] compares it with finished
+//!   depth maps.
 //! - [`backends`] lists the MVS programs and writes their input files.
 //! - [`Scene::from_arrays`] and [`Project::create`] turn a model in memory into a project.
 //!
-//! `examples/` has a short program for each: `quickstart.rs`, `plan.rs`, `inspect.rs` and `evaluate.rs`; `python/` has the Python module.
+//! `examples/` has a short program for each: `quickstart.rs`, `plan.rs`, `inspect.rs` and
+//! `evaluate.rs`; `python/` has the Python module.
 //!
 //! # Conventions
 //!
-//! Poses map world to camera (`cam_from_world`: x right, y down, z forward). Lengths are in scene units, pixels have their centres at 0.5.
-//! The same input gives the same result with any number of threads. The library never prints and never exits; every error implements
-//! [`Hint`], which says what to do about it. A [`Watcher`] receives progress and can cancel a run.
+//! Poses map world to camera (`cam_from_world`: x right, y down, z forward). Lengths are in scene
+//! units, pixels have their centres at 0.5. The same input gives the same result with any number of
+//! threads. The library never prints and never exits; every error implements [`Hint`], which says
+//! what to do about it. A [`Watcher`] receives progress and can cancel a run.
 //!
 //! `docs/method.md` has the mathematics, `ARCHITECTURE.md` the structure of the source.
 
@@ -75,12 +81,13 @@ pub use model::{
     scene::{PointIndex, Pose, Scene, View, ViewIndex},
 };
 pub use plan::{
-    CurvePoint, Cut, Decision, FinishedMaps, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings,
-    ViewStatus, WorkPerMap,
+    CurvePoint, Cut, Decision, FinishedMaps, Forecast, Matcher, Plan, PlanError, PlanningNumbers,
+    Stages, Timings, ViewStatus, WorkPerMap,
 };
 pub use show::{files, manifest, pictures};
 
-/// The modules of all layers, for the tests, benchmarks and fuzz targets of this repository; not part of the public interface.
+/// The modules of all layers, for the tests, benchmarks and fuzz targets of this repository; not
+/// part of the public interface.
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {

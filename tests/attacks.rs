@@ -1,8 +1,10 @@
-//! What a stranger may plant in a project folder or a watched root, against the program itself: nothing outside is changed, nothing of the user's
-//! is lost, nothing is waited for, and no plan is stale. `tests/output/strangers.rs` and `tests/daemon_loop/` have the same for the library, with
+//! What a stranger may plant in a project folder or a watched root, against the program itself:
+//! nothing outside is changed, nothing of the user's is lost, nothing is waited for, and no plan is
+//! stale. `tests/output/strangers.rs` and `tests/daemon_loop/` have the same for the library, with
 //! every file of ours and every step of a change.
 //!
-//! Tests that need an ordinary user's rights are ignored; run them as one: `cargo test --test attacks -- --include-ignored`.
+//! Tests that need an ordinary user's rights are ignored; run them as one: `cargo test --test
+//! attacks -- --include-ignored`.
 #![cfg(unix)]
 
 use std::{
@@ -27,7 +29,10 @@ impl Place {
         for part in ["sparse", "images"] {
             for entry in walkdir::WalkDir::new(fixture.join(part)) {
                 let entry = entry.unwrap();
-                let target = folder.path().join("root/p").join(entry.path().strip_prefix(&fixture).unwrap());
+                let target = folder
+                    .path()
+                    .join("root/p")
+                    .join(entry.path().strip_prefix(&fixture).unwrap());
                 if entry.file_type().is_dir() {
                     fs::create_dir_all(target).unwrap();
                 } else {
@@ -68,7 +73,13 @@ impl Place {
 
     /// Plans with the confidence that is quickest.
     fn plan(&self) -> Output {
-        viewrank(&["plan", path(&self.project()), "--quiet", "--confidence", "geometric"])
+        viewrank(&[
+            "plan",
+            path(&self.project()),
+            "--quiet",
+            "--confidence",
+            "geometric",
+        ])
     }
 
     fn watch(&self) -> Output {
@@ -84,11 +95,14 @@ fn path(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Runs the program with nobody's own settings. One that waits for ever would be killed, which is a failure without an exit code.
+/// Runs the program with nobody's own settings. One that waits for ever would be killed, which is a
+/// failure without an exit code.
 fn viewrank(arguments: &[&str]) -> Output {
     let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let mut command = Command::new("timeout");
-    command.args(["--signal=KILL", "300", env!("CARGO_BIN_EXE_viewrank")]).args(arguments);
+    command
+        .args(["--signal=KILL", "300", env!("CARGO_BIN_EXE_viewrank")])
+        .args(arguments);
     command.env("XDG_CONFIG_HOME", nowhere).output().unwrap()
 }
 
@@ -104,7 +118,12 @@ fn succeeds(output: Output) {
 /// The error of a call that must end by itself, with an error.
 #[track_caller]
 fn fails(output: Output) -> String {
-    assert!(matches!(output.status.code(), Some(1 | 2)), "{:?}: {}", output.status, said(&output));
+    assert!(
+        matches!(output.status.code(), Some(1 | 2)),
+        "{:?}: {}",
+        output.status,
+        said(&output)
+    );
     said(&output)
 }
 
@@ -133,7 +152,10 @@ fn attack_1_the_locks_and_the_output_folder_are_links_out_of_the_root() {
 #[test]
 fn attack_2_a_planted_journal_removes_nothing_and_is_set_aside() {
     let place = Place::new();
-    let (notes, image) = (place.project().join("my_notes.txt"), place.images()[0].clone());
+    let (notes, image) = (
+        place.project().join("my_notes.txt"),
+        place.images()[0].clone(),
+    );
     fs::write(&notes, "notes").unwrap();
     fs::create_dir(place.project().join("viewrank")).unwrap();
     let image_name = image.file_name().unwrap().to_str().unwrap();
@@ -143,7 +165,10 @@ fn attack_2_a_planted_journal_removes_nothing_and_is_set_aside() {
     );
     fs::write(place.own(".journal.json"), &journal).unwrap();
     assert!(fails(place.plan()).contains("my_notes.txt"));
-    assert_eq!(fs::read_to_string(place.own(".journal.refused-1.json")).unwrap(), journal);
+    assert_eq!(
+        fs::read_to_string(place.own(".journal.refused-1.json")).unwrap(),
+        journal
+    );
     succeeds(place.plan());
     assert!(image.is_file() && fs::read_to_string(notes).unwrap() == "notes");
 }
@@ -155,7 +180,10 @@ fn a_planted_record_makes_no_file_of_the_user_part_of_a_report() {
     fs::write(&notes, "notes").unwrap();
     fs::create_dir_all(place.own(".sets")).unwrap();
     fs::write(place.own("report.html"), "<html lang=\"en\">").unwrap();
-    let record = format!(r#"{{"files":{{"my_notes.txt":"{}"}},"folders":[]}}"#, blake3::hash(b"notes"));
+    let record = format!(
+        r#"{{"files":{{"my_notes.txt":"{}"}},"folders":[]}}"#,
+        blake3::hash(b"notes")
+    );
     fs::write(place.own(".sets/report.json"), record).unwrap();
     succeeds(place.plan());
     succeeds(viewrank(&["report", path(&place.project()), "--quiet"]));
@@ -166,8 +194,15 @@ fn a_planted_record_makes_no_file_of_the_user_part_of_a_report() {
 fn attack_3_settings_name_a_device() {
     let place = Place::new();
     for key in ["confidence.source", "surface.mesh"] {
-        fs::write(place.project().join("viewrank.toml"), format!("{key} = \"/dev/zero\"\n")).unwrap();
-        assert!(fails(viewrank(&["plan", path(&place.project()), "--quiet"])).contains("/dev/zero"), "{key}");
+        fs::write(
+            place.project().join("viewrank.toml"),
+            format!("{key} = \"/dev/zero\"\n"),
+        )
+        .unwrap();
+        assert!(
+            fails(viewrank(&["plan", path(&place.project()), "--quiet"])).contains("/dev/zero"),
+            "{key}"
+        );
     }
 }
 
@@ -179,11 +214,17 @@ fn attack_4_pipes_in_place_of_an_image_and_a_mask_hold_nobody_up() {
     make_pipe(&images[0]);
     let masks = place.project().join("masks");
     fs::create_dir(&masks).unwrap();
-    make_pipe(&masks.join(format!("{}.png", images[1].file_name().unwrap().to_str().unwrap())));
+    make_pipe(&masks.join(format!(
+        "{}.png",
+        images[1].file_name().unwrap().to_str().unwrap()
+    )));
     succeeds(place.watch());
     let warnings = place.manifest()["warnings"].to_string();
     for image in &images[..2] {
-        assert!(warnings.contains(image.file_name().unwrap().to_str().unwrap()), "{warnings}");
+        assert!(
+            warnings.contains(image.file_name().unwrap().to_str().unwrap()),
+            "{warnings}"
+        );
     }
 }
 
@@ -195,11 +236,23 @@ fn attack_5_images_overwritten_in_place_are_planned_again_and_once() {
         place.manifest()["input"]["fingerprint"].clone()
     };
     let first = fingerprint();
-    let record = || fs::metadata(place.own("planned_from.json")).unwrap().modified().unwrap();
+    let record = || {
+        fs::metadata(place.own("planned_from.json"))
+            .unwrap()
+            .modified()
+            .unwrap()
+    };
     let written = record();
-    assert_eq!((fingerprint(), record()), (first.clone(), written), "after a restart");
+    assert_eq!(
+        (fingerprint(), record()),
+        (first.clone(), written),
+        "after a restart"
+    );
     let other = fs::read(&place.images()[0]).unwrap();
-    place.images().iter().for_each(|image| fs::write(image, &other).unwrap());
+    place
+        .images()
+        .iter()
+        .for_each(|image| fs::write(image, &other).unwrap());
     let second = fingerprint();
     assert_ne!(second, first);
     assert_eq!(fingerprint(), second);
@@ -214,10 +267,17 @@ fn attack_6_an_edited_manifest_is_used_by_no_command() {
     edited["clusters"][1]["partners"][0] = key;
     fs::write(place.own("manifest.json"), edited.to_string()).unwrap();
     let project = place.project();
-    let commands: [&[&str]; 3] = [&["export"], &["dispatch", "--scheduler", "shell"], &["report"]];
+    let commands: [&[&str]; 3] = [
+        &["export"],
+        &["dispatch", "--scheduler", "shell"],
+        &["report"],
+    ];
     for command in commands {
         let error = fails(viewrank(&[command, &[path(&project)]].concat()));
-        assert!(error.contains("manifest.json: clusters[1].partners"), "{command:?}: {error}");
+        assert!(
+            error.contains("manifest.json: clusters[1].partners"),
+            "{command:?}: {error}"
+        );
     }
 }
 
@@ -231,11 +291,16 @@ fn a_plan_of_another_version_says_so_and_is_made_again() {
         // Fields of another version are none of this one.
         let other = serde_json::json!({"version": version, "input": 1, "order": ["a.jpg"]});
         fs::write(place.own("manifest.json"), other.to_string()).unwrap();
-        let commands: [&[&str]; 4] =
-            [&["export"], &["dispatch", "--scheduler", "shell"], &["report"], &["predict", "--out", "nowhere"]];
+        let commands: [&[&str]; 4] = [
+            &["export"],
+            &["dispatch", "--scheduler", "shell"],
+            &["report"],
+            &["predict", "--out", "nowhere"],
+        ];
         for command in commands {
             let error = fails(viewrank(&[command, &[path(&project)]].concat()));
-            let says = error.contains("written by another version") && error.contains("plan again: viewrank plan");
+            let says = error.contains("written by another version")
+                && error.contains("plan again: viewrank plan");
             assert!(says, "{command:?}: {error}");
         }
         succeeds(place.plan());
@@ -247,13 +312,23 @@ fn a_plan_of_another_version_says_so_and_is_made_again() {
 #[test]
 fn attack_7_a_quoted_key_is_an_unknown_setting() {
     let place = Place::new();
-    fs::write(place.project().join("viewrank.toml"), "\"partners.k\" = 2\n").unwrap();
+    fs::write(
+        place.project().join("viewrank.toml"),
+        "\"partners.k\" = 2\n",
+    )
+    .unwrap();
     assert!(fails(place.plan()).contains("unknown setting"));
 }
 
 /// Files that the daemon reads back, of the project and of the root.
 fn state(place: &Place) -> Vec<PathBuf> {
-    let own = ["planned_from.json", "progress.json", "planned_views.json", "timings.json", "cache/confidence.maps"];
+    let own = [
+        "planned_from.json",
+        "progress.json",
+        "planned_views.json",
+        "timings.json",
+        "cache/confidence.maps",
+    ];
     let own = own.map(|name| place.own(name)).to_vec();
     [own, vec![place.root().join("viewrank/status.json")]].concat()
 }
@@ -261,10 +336,17 @@ fn state(place: &Place) -> Vec<PathBuf> {
 #[test]
 fn tampered_state_of_the_daemon_is_made_again() {
     let place = Place::new();
-    fs::write(place.project().join("viewrank.toml"), "confidence.source = \"geometric\"\n").unwrap();
+    fs::write(
+        place.project().join("viewrank.toml"),
+        "confidence.source = \"geometric\"\n",
+    )
+    .unwrap();
     succeeds(place.watch());
     let good = place.manifest();
-    for text in ["{", r#"{"fingerprint":"f","clusters":-1,"share":1e999,"files":["/etc/passwd","../../x"]}"#] {
+    for text in [
+        "{",
+        r#"{"fingerprint":"f","clusters":-1,"share":1e999,"files":["/etc/passwd","../../x"]}"#,
+    ] {
         for file in state(&place) {
             fs::create_dir_all(file.parent().unwrap()).unwrap();
             fs::write(&file, text).unwrap();
@@ -278,9 +360,16 @@ fn tampered_state_of_the_daemon_is_made_again() {
 #[test]
 fn links_and_pipes_in_place_of_state_are_never_followed_nor_waited_for() {
     let place = Place::new();
-    fs::write(place.project().join("viewrank.toml"), "confidence.source = \"geometric\"\n").unwrap();
+    fs::write(
+        place.project().join("viewrank.toml"),
+        "confidence.source = \"geometric\"\n",
+    )
+    .unwrap();
     succeeds(place.watch());
-    for plant in [&(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path), &make_pipe] {
+    for plant in [
+        &(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path),
+        &make_pipe,
+    ] {
         for file in state(&place) {
             fs::create_dir_all(file.parent().unwrap()).unwrap();
             _ = fs::remove_file(&file);
@@ -289,7 +378,9 @@ fn links_and_pipes_in_place_of_state_are_never_followed_nor_waited_for() {
         let ended = place.watch();
         assert!(ended.status.code().is_some(), "{:?}", ended.status);
         assert!(place.is_untouched());
-        state(&place).iter().for_each(|file| _ = fs::remove_file(file));
+        state(&place)
+            .iter()
+            .for_each(|file| _ = fs::remove_file(file));
         succeeds(place.watch());
     }
 }
@@ -297,22 +388,50 @@ fn links_and_pipes_in_place_of_state_are_never_followed_nor_waited_for() {
 #[test]
 fn links_and_pipes_in_place_of_a_dispatchs_state_are_refused() {
     let place = Place::new();
-    succeeds(viewrank(&["plan", path(&place.project()), "--quiet", "--confidence", "geometric", "--backend", "sgm"]));
-    let dispatch = || viewrank(&["dispatch", path(&place.project()), "--scheduler", "shell", "--program", "/bin/true"]);
+    succeeds(viewrank(&[
+        "plan",
+        path(&place.project()),
+        "--quiet",
+        "--confidence",
+        "geometric",
+        "--backend",
+        "sgm",
+    ]));
+    let dispatch = || {
+        viewrank(&[
+            "dispatch",
+            path(&place.project()),
+            "--scheduler",
+            "shell",
+            "--program",
+            "/bin/true",
+        ])
+    };
     succeeds(dispatch());
     let folder = place.own("dispatch/sgm");
-    let list = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path());
-    let list = list.into_iter().find(|file| file.extension().is_some_and(|ending| ending == "tsv")).unwrap();
+    let list = fs::read_dir(&folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let list = list
+        .into_iter()
+        .find(|file| file.extension().is_some_and(|ending| ending == "tsv"))
+        .unwrap();
     let text = fs::read_to_string(&list).unwrap();
     let marker = text.split('\t').nth(1).unwrap();
     fs::create_dir_all(folder.join("done")).unwrap();
-    for plant in [&(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path), &make_pipe] {
+    for plant in [
+        &(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path),
+        &make_pipe,
+    ] {
         for name in [&format!("done/{marker}"), "fused", "lock"] {
             let file = folder.join(name);
             _ = fs::remove_file(&file);
             plant(&file);
             let error = fails(dispatch());
-            assert!(error.contains("in place of a file of viewrank's") && place.is_untouched(), "{name}: {error}");
+            assert!(
+                error.contains("in place of a file of viewrank's") && place.is_untouched(),
+                "{name}: {error}"
+            );
             fs::remove_file(&file).unwrap();
         }
     }
@@ -330,14 +449,34 @@ fn no_folder_of_results_is_followed_out_of_the_project() {
     fs::create_dir(&maps).unwrap();
     let is_empty = || fs::read_dir(&outside).unwrap().next().is_none();
     succeeds(place.plan());
-    let dispatch = ["dispatch", "--scheduler", "shell", "--program", "/bin/true", "--backend", "sgm"];
+    let dispatch = [
+        "dispatch",
+        "--scheduler",
+        "shell",
+        "--program",
+        "/bin/true",
+        "--backend",
+        "sgm",
+    ];
     let commands: [(&[&str], &str); 7] = [
-        (&["plan", "--backend", "sgm", "--confidence", "geometric"], "viewrank/sgm"),
-        (&["plan", "--backend", "sgm", "--confidence", "geometric"], "viewrank"),
+        (
+            &["plan", "--backend", "sgm", "--confidence", "geometric"],
+            "viewrank/sgm",
+        ),
+        (
+            &["plan", "--backend", "sgm", "--confidence", "geometric"],
+            "viewrank",
+        ),
         (&["export", "--backend", "openmvs"], "viewrank/openmvs"),
-        (&["export", "--backend", "colmap", "--tiles", "2"], "viewrank/colmap-tiles"),
+        (
+            &["export", "--backend", "colmap", "--tiles", "2"],
+            "viewrank/colmap-tiles",
+        ),
         (&dispatch, "viewrank/sgm"),
-        (&["evaluate", "--depth-maps", path(&maps)], "viewrank/evaluation"),
+        (
+            &["evaluate", "--depth-maps", path(&maps)],
+            "viewrank/evaluation",
+        ),
         (&["undistort"], "dense"),
     ];
     for (command, folder) in commands {
@@ -367,7 +506,14 @@ fn links_in_circles_end() {
     symlink(place.root(), place.root().join("more")).unwrap();
     succeeds(place.plan());
     succeeds(place.watch());
-    succeeds(viewrank(&["watch", path(&place.root()), "--once", "--settle", "10ms", "--follow-links"]));
+    succeeds(viewrank(&[
+        "watch",
+        path(&place.root()),
+        "--once",
+        "--settle",
+        "10ms",
+        "--follow-links",
+    ]));
 }
 
 /// Takes the rights away while `act` runs; temporary folders could not be removed otherwise.
@@ -385,7 +531,12 @@ fn a_read_only_project_is_refused_before_it_is_planned_and_stays_as_it_is() {
     without_rights(&place.project(), 0o555, || {
         fails(place.plan());
         assert!(!place.project().join("viewrank").exists());
-        succeeds(viewrank(&["plan", path(&place.project()), "--quiet", "--dry-run"]));
+        succeeds(viewrank(&[
+            "plan",
+            path(&place.project()),
+            "--quiet",
+            "--dry-run",
+        ]));
     });
     succeeds(place.plan());
 }
@@ -397,8 +548,12 @@ fn rights_taken_away_lose_no_plan() {
     succeeds(place.plan());
     let before = fs::read(place.own("manifest.json")).unwrap();
     fs::write(place.project().join("viewrank.toml"), "partners.k = 3\n").unwrap();
-    without_rights(&place.project().join("viewrank"), 0o555, || _ = fails(place.plan()));
-    without_rights(&place.project().join("sparse"), 0o000, || _ = fails(place.plan()));
+    without_rights(&place.project().join("viewrank"), 0o555, || {
+        _ = fails(place.plan())
+    });
+    without_rights(&place.project().join("sparse"), 0o000, || {
+        _ = fails(place.plan())
+    });
     assert_eq!(fs::read(place.own("manifest.json")).unwrap(), before);
     succeeds(place.plan());
     assert_ne!(fs::read(place.own("manifest.json")).unwrap(), before);
@@ -412,20 +567,35 @@ fn files_that_are_mostly_holes_are_read_by_no_command() {
     succeeds(place.plan());
     let points = place.project().join("sparse/0/points3D.bin");
     let whole = fs::read(&points).unwrap();
-    fs::File::options().write(true).open(&points).and_then(|file| file.set_len(40 << 30)).unwrap();
+    fs::File::options()
+        .write(true)
+        .open(&points)
+        .and_then(|file| file.set_len(40 << 30))
+        .unwrap();
     let commands: [&[&str]; 3] = [&["plan"], &["inspect"], &["export"]];
     for command in commands {
         let error = fails(viewrank(&[command, &[path(&place.project())]].concat()));
-        assert!(error.contains("points3D.bin") && error.contains("were never written"), "{command:?}: {error}");
+        assert!(
+            error.contains("points3D.bin") && error.contains("were never written"),
+            "{command:?}: {error}"
+        );
     }
     fs::write(&points, whole).unwrap();
-    let name = place.images()[0].file_name().unwrap().to_string_lossy().into_owned();
+    let name = place.images()[0]
+        .file_name()
+        .unwrap()
+        .to_string_lossy()
+        .into_owned();
     let mask = place.project().join(format!("masks/{name}.png"));
     fs::create_dir_all(mask.parent().unwrap()).unwrap();
-    fs::File::create(&mask).and_then(|file| file.set_len(1 << 30)).unwrap();
+    fs::File::create(&mask)
+        .and_then(|file| file.set_len(1 << 30))
+        .unwrap();
     succeeds(place.plan());
     assert!(
-        place.manifest()["warnings"].to_string().contains("were never written"),
+        place.manifest()["warnings"]
+            .to_string()
+            .contains("were never written"),
         "{}",
         place.manifest()["warnings"]
     );
@@ -436,21 +606,49 @@ fn scripts_of_dispatch_wait_for_no_pipe_and_write_through_no_link() {
     let place = Place::new();
     let (project, outside) = (place.project(), place.folder.path().join("outside"));
     fs::create_dir(&outside).unwrap();
-    succeeds(viewrank(&["plan", path(&project), "--quiet", "--confidence", "geometric", "--backend", "sgm"]));
-    let dispatch = || viewrank(&["dispatch", path(&project), "--scheduler", "shell", "--program", "/bin/true"]);
+    succeeds(viewrank(&[
+        "plan",
+        path(&project),
+        "--quiet",
+        "--confidence",
+        "geometric",
+        "--backend",
+        "sgm",
+    ]));
+    let dispatch = || {
+        viewrank(&[
+            "dispatch",
+            path(&project),
+            "--scheduler",
+            "shell",
+            "--program",
+            "/bin/true",
+        ])
+    };
     for name in ["viewrank/progress.json", "viewrank/dispatch/sgm/fused"] {
         let at = project.join(name);
         fs::create_dir_all(at.parent().unwrap()).unwrap();
         make_pipe(&at);
-        assert!(fails(dispatch()).contains("a pipe or a device in place of a file of viewrank's"), "{name}");
+        assert!(
+            fails(dispatch()).contains("a pipe or a device in place of a file of viewrank's"),
+            "{name}"
+        );
         fs::remove_file(at).unwrap();
     }
-    for name in ["viewrank/dispatch/sgm/done", "viewrank/dispatch/sgm/logs", "sgm/depth_maps", "sgm"] {
+    for name in [
+        "viewrank/dispatch/sgm/done",
+        "viewrank/dispatch/sgm/logs",
+        "sgm/depth_maps",
+        "sgm",
+    ] {
         let at = project.join(name);
         fs::create_dir_all(at.parent().unwrap()).unwrap();
         _ = fs::remove_dir(&at);
         symlink(&outside, &at).unwrap();
-        assert!(fails(dispatch()).contains("a symbolic link leads out of"), "{name}");
+        assert!(
+            fails(dispatch()).contains("a symbolic link leads out of"),
+            "{name}"
+        );
         fs::remove_file(&at).unwrap();
     }
     assert!(fs::read_dir(outside).unwrap().next().is_none());

@@ -1,5 +1,6 @@
-//! Files whose contents take far more memory than they have bytes, against the program with a limit on its memory: each is refused or left out with
-//! a reason. And the daemon, which goes on whatever becomes of a plan.
+//! Files whose contents take far more memory than they have bytes, against the program with a limit
+//! on its memory: each is refused or left out with a reason. And the daemon, which goes on whatever
+//! becomes of a plan.
 #![cfg(target_os = "linux")]
 
 use std::{
@@ -44,7 +45,11 @@ impl Root {
     fn state_of(&self, project: &str) -> Option<Value> {
         let status = fs::read(self.folder.path().join("viewrank/status.json")).ok()?;
         let status: Value = serde_json::from_slice(&status).ok()?;
-        status["projects"].as_array()?.iter().find(|found| found["project"] == project).cloned()
+        status["projects"]
+            .as_array()?
+            .iter()
+            .find(|found| found["project"] == project)
+            .cloned()
     }
 
     fn watch(&self, options: &[&str]) -> Command {
@@ -66,8 +71,12 @@ fn text(path: &Path) -> &str {
 fn viewrank(arguments: &[&str]) -> Command {
     let mut command = Command::new("sh");
     let limited = format!("ulimit -c 0; ulimit -v {MOST_MEMORY_KIB}; exec \"$@\"");
-    command.args(["-c", &limited, "sh", env!("CARGO_BIN_EXE_viewrank")]).args(arguments);
-    command.env("XDG_CONFIG_HOME", env!("CARGO_TARGET_TMPDIR")).env("RAYON_NUM_THREADS", "2");
+    command
+        .args(["-c", &limited, "sh", env!("CARGO_BIN_EXE_viewrank")])
+        .args(arguments);
+    command
+        .env("XDG_CONFIG_HOME", env!("CARGO_TARGET_TMPDIR"))
+        .env("RAYON_NUM_THREADS", "2");
     command
 }
 
@@ -78,7 +87,12 @@ fn said(output: &Output) -> String {
 #[track_caller]
 fn succeeds(mut command: Command) -> String {
     let output = command.output().unwrap();
-    assert!(output.status.success(), "{}: {}", output.status, said(&output));
+    assert!(
+        output.status.success(),
+        "{}: {}",
+        output.status,
+        said(&output)
+    );
     said(&output)
 }
 
@@ -86,7 +100,12 @@ fn succeeds(mut command: Command) -> String {
 #[track_caller]
 fn fails(mut command: Command) -> String {
     let output = command.output().unwrap();
-    assert!(matches!(output.status.code(), Some(1 | 2)), "{}: {}", output.status, said(&output));
+    assert!(
+        matches!(output.status.code(), Some(1 | 2)),
+        "{}: {}",
+        output.status,
+        said(&output)
+    );
     said(&output)
 }
 
@@ -98,26 +117,49 @@ fn chunk(kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
         crc ^= u32::from(*byte);
         (0..8).for_each(|_| crc = crc >> 1 ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 });
     }
-    [&(data.len() as u32).to_be_bytes()[..], &checked, &(!crc).to_be_bytes()].concat()
+    [
+        &(data.len() as u32).to_be_bytes()[..],
+        &checked,
+        &(!crc).to_be_bytes(),
+    ]
+    .concat()
 }
 
 /// A PNG of 8-bit RGB whose pixels are `data`, deflated, after other chunks.
 fn png(width: u32, height: u32, others: &[u8], data: &[u8]) -> Vec<u8> {
-    let header = [&width.to_be_bytes()[..], &height.to_be_bytes(), &[8, 2, 0, 0, 0]].concat();
+    let header = [
+        &width.to_be_bytes()[..],
+        &height.to_be_bytes(),
+        &[8, 2, 0, 0, 0],
+    ]
+    .concat();
     let start = [b"\x89PNG\r\n\x1a\n", &chunk(b"IHDR", &header)[..]].concat();
     [&start, others, &chunk(b"IDAT", data), &chunk(b"IEND", b"")].concat()
 }
 
 /// Writes an OpenEXR of a few kilobytes and a hole that claims this many pixels in each direction.
 fn write_exr(path: &Path, side: i32) {
-    let mut bytes = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/depthmaps/40_depthMap.exr")).unwrap();
-    let at = bytes.windows(11).position(|w| w == b"dataWindow\0").unwrap() + 11 + 6 + 4;
+    let mut bytes =
+        fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/depthmaps/40_depthMap.exr"))
+            .unwrap();
+    let at = bytes
+        .windows(11)
+        .position(|w| w == b"dataWindow\0")
+        .unwrap()
+        + 11
+        + 6
+        + 4;
     for (axis, value) in [0, 0, side - 1, side - 1].into_iter().enumerate() {
         bytes[at + 4 * axis..][..4].copy_from_slice(&value.to_le_bytes());
     }
     fs::write(path, bytes).unwrap();
     // As many bytes as deflated pixels would have at least.
-    fs::File::options().write(true).open(path).unwrap().set_len(16 << 20).unwrap();
+    fs::File::options()
+        .write(true)
+        .open(path)
+        .unwrap()
+        .set_len(16 << 20)
+        .unwrap();
 }
 
 #[test]
@@ -129,9 +171,17 @@ fn a_depth_map_that_claims_gigapixels_is_left_out_by_evaluate_and_watch() {
     for id in 1..60 {
         write_exr(&maps.join(format!("{id}_depthMap.exr")), 60_000);
     }
-    let evaluation = viewrank(&["evaluate", text(&root.project("p")), "--depth-maps", text(&maps)]);
+    let evaluation = viewrank(&[
+        "evaluate",
+        text(&root.project("p")),
+        "--depth-maps",
+        text(&maps),
+    ]);
     let error = fails(evaluation);
-    assert!(error.contains("_depthMap.exr") && error.contains("60000 x 60000 pixels, at most"), "{error}");
+    assert!(
+        error.contains("_depthMap.exr") && error.contains("60000 x 60000 pixels, at most"),
+        "{error}"
+    );
     succeeds(root.watch(&["--once"]));
     assert_eq!(root.state_of("q").unwrap()["state"], "planned");
     let note = root.state_of("p").unwrap().to_string();
@@ -142,14 +192,25 @@ fn a_depth_map_that_claims_gigapixels_is_left_out_by_evaluate_and_watch() {
 fn images_and_masks_that_claim_too_many_pixels_or_a_large_profile_are_named() {
     let root = Root::new(&["p"]);
     let project = root.project("p");
-    let images: Vec<PathBuf> = fs::read_dir(project.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
+    let images: Vec<PathBuf> = fs::read_dir(project.join("images"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
     let name = |image: &Path| image.file_name().unwrap().to_str().unwrap().to_owned();
     let huge = png(20_000, 15_000, b"", &compress_to_vec_zlib(&[0; 1 << 20], 1));
     fs::write(&images[0], &huge).unwrap();
     // A profile of 600 MB in as many kilobytes.
-    let profile = [b"icc\0\0", &compress_to_vec_zlib(&vec![0; 600 << 20], 1)[..]].concat();
+    let profile = [
+        b"icc\0\0",
+        &compress_to_vec_zlib(&vec![0; 600 << 20], 1)[..],
+    ]
+    .concat();
     let pixels = compress_to_vec_zlib(&vec![0; (3 * 600 + 1) * 450], 1);
-    fs::write(&images[1], png(600, 450, &chunk(b"iCCP", &profile), &pixels)).unwrap();
+    fs::write(
+        &images[1],
+        png(600, 450, &chunk(b"iCCP", &profile), &pixels),
+    )
+    .unwrap();
     let masks = project.join("masks");
     fs::create_dir(&masks).unwrap();
     fs::write(masks.join(format!("{}.png", name(&images[2]))), &huge).unwrap();
@@ -157,8 +218,20 @@ fn images_and_masks_that_claim_too_many_pixels_or_a_large_profile_are_named() {
     let manifest = fs::read(project.join("viewrank/manifest.json")).unwrap();
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
     let warnings = manifest["warnings"].to_string();
-    assert!(warnings.contains(&format!("{}: 20000 x 15000 pixels, at most", name(&images[0]))), "{warnings}");
-    assert!(warnings.contains(&format!("{}: its mask: 20000 x 15000 pixels, at most", name(&images[2]))), "{warnings}");
+    assert!(
+        warnings.contains(&format!(
+            "{}: 20000 x 15000 pixels, at most",
+            name(&images[0])
+        )),
+        "{warnings}"
+    );
+    assert!(
+        warnings.contains(&format!(
+            "{}: its mask: 20000 x 15000 pixels, at most",
+            name(&images[2])
+        )),
+        "{warnings}"
+    );
     assert!(!warnings.contains(&name(&images[1])), "{warnings}");
 }
 
@@ -167,9 +240,21 @@ fn a_region_of_millions_of_positions_is_refused() {
     let root = Root::new(&["p"]);
     let region = root.folder.path().join("region.geojson");
     let ring = "[0,0],[0,1],".repeat(5_000_000);
-    fs::write(&region, format!("{{\"type\":\"Polygon\",\"coordinates\":[[{ring}[0,0]]]}}")).unwrap();
-    let error = fails(viewrank(&["plan", text(&root.project("p")), "--region", text(&region)]));
-    assert!(error.contains("more than 1000000 positions: simplify"), "{error}");
+    fs::write(
+        &region,
+        format!("{{\"type\":\"Polygon\",\"coordinates\":[[{ring}[0,0]]]}}"),
+    )
+    .unwrap();
+    let error = fails(viewrank(&[
+        "plan",
+        text(&root.project("p")),
+        "--region",
+        text(&region),
+    ]));
+    assert!(
+        error.contains("more than 1000000 positions: simplify"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -181,14 +266,26 @@ fn models_of_short_lines_and_unknown_fields_are_refused() {
         fs::write(model.join(name), "0\n".repeat(20_000_000)).unwrap();
     }
     let error = fails(viewrank(&["inspect", text(folder.path())]));
-    assert!(error.contains("cameras.txt") && error.contains("line 1"), "{error}");
+    assert!(
+        error.contains("cameras.txt") && error.contains("line 1"),
+        "{error}"
+    );
     let folder = tempfile::tempdir().unwrap();
-    let unknown = format!("{{\"unknown\":[{}0],\"frames\":[]}}", "0,".repeat(30_000_000));
+    let unknown = format!(
+        "{{\"unknown\":[{}0],\"frames\":[]}}",
+        "0,".repeat(30_000_000)
+    );
     fs::write(folder.path().join("transforms.json"), unknown).unwrap();
     succeeds(viewrank(&["inspect", text(folder.path())]));
     let long = format!("/{}x.jpg", "a/".repeat(1_000_000));
-    let frame = format!("{{\"file_path\":\"{long}\",\"transform_matrix\":[[1,0,0,0],[0,1,0,0],[0,0,1,0]]}}");
-    fs::write(folder.path().join("transforms.json"), format!("{{\"frames\":[{frame}]}}")).unwrap();
+    let frame = format!(
+        "{{\"file_path\":\"{long}\",\"transform_matrix\":[[1,0,0,0],[0,1,0,0],[0,0,1,0]]}}"
+    );
+    fs::write(
+        folder.path().join("transforms.json"),
+        format!("{{\"frames\":[{frame}]}}"),
+    )
+    .unwrap();
     fails(viewrank(&["inspect", text(folder.path())]));
 }
 
@@ -197,7 +294,9 @@ fn settings_are_refused_by_line_whatever_is_in_them() {
     let root = Root::new(&["p"]);
     let file = root.project("p").join("viewrank.toml");
     let inspect = || fails(viewrank(&["config", text(&root.project("p"))]));
-    let keys: String = (0..1_000_000 / 10).map(|i| format!("a{i:06}=\"\"\n")).collect::<String>();
+    let keys: String = (0..1_000_000 / 10)
+        .map(|i| format!("a{i:06}=\"\"\n"))
+        .collect::<String>();
     fs::write(&file, &keys[..1_000_000]).unwrap();
     assert!(inspect().contains("viewrank.toml"));
     fs::write(&file, format!("\n\n{} = 1\n", "a.".repeat(500_000) + "a")).unwrap();
@@ -226,7 +325,12 @@ impl Daemon {
             let children = fs::read_to_string(thread.path().join("children")).ok()?;
             children.split_whitespace().next()?.parse().ok()
         };
-        eventually(|| fs::read_dir(&threads).ok()?.filter_map(|thread| child(thread.ok()?)).next())
+        eventually(|| {
+            fs::read_dir(&threads)
+                .ok()?
+                .filter_map(|thread| child(thread.ok()?))
+                .next()
+        })
     }
 }
 
@@ -247,17 +351,35 @@ fn a_plan_that_is_killed_sets_its_project_aside_and_others_go_on() {
     let root = Root::new(&["p"]);
     let daemon = Daemon(root.watch(&[]).stderr(Stdio::null()).spawn().unwrap());
     let worker = daemon.worker();
-    assert!(Command::new("kill").args(["-KILL", &worker.to_string()]).status().unwrap().success());
-    let failed = eventually(|| root.state_of("p").filter(|found| found["state"] == "failed"));
-    assert!(failed["reason"].as_str().unwrap().contains("signal: 9"), "{failed}");
+    assert!(
+        Command::new("kill")
+            .args(["-KILL", &worker.to_string()])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let failed = eventually(|| {
+        root.state_of("p")
+            .filter(|found| found["state"] == "failed")
+    });
+    assert!(
+        failed["reason"].as_str().unwrap().contains("signal: 9"),
+        "{failed}"
+    );
     assert_eq!(failed["retry_after_s"], 3600);
     let added = Root::new(&["q"]);
     fs::rename(added.project("q"), root.project("q")).unwrap();
-    eventually(|| root.state_of("q").filter(|found| found["state"] == "planned"));
+    eventually(|| {
+        root.state_of("q")
+            .filter(|found| found["state"] == "planned")
+    });
     assert_eq!(root.state_of("p").unwrap()["state"], "failed");
     // Its input changes.
     fs::write(root.project("p").join("viewrank.toml"), "").unwrap();
-    eventually(|| root.state_of("p").filter(|found| found["state"] == "planned"));
+    eventually(|| {
+        root.state_of("p")
+            .filter(|found| found["state"] == "planned")
+    });
 }
 
 #[test]

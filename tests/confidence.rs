@@ -16,7 +16,9 @@ fn project() -> TempDir {
     for part in ["sparse", "images"] {
         for entry in walkdir::WalkDir::new(fixture.join(part)) {
             let entry = entry.unwrap();
-            let target = folder.path().join(entry.path().strip_prefix(&fixture).unwrap());
+            let target = folder
+                .path()
+                .join(entry.path().strip_prefix(&fixture).unwrap());
             if entry.file_type().is_dir() {
                 fs::create_dir_all(target).unwrap();
             } else {
@@ -29,19 +31,41 @@ fn project() -> TempDir {
 
 fn viewrank(arguments: &[&str]) -> Output {
     let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Command::new(env!("CARGO_BIN_EXE_viewrank")).args(arguments).env("XDG_CONFIG_HOME", nowhere).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_viewrank"))
+        .args(arguments)
+        .env("XDG_CONFIG_HOME", nowhere)
+        .output()
+        .unwrap()
 }
 
 /// Plans with pictures and returns the manifest.
 fn plan(project: &Path, options: &[&str]) -> Value {
-    let confidence = if options.contains(&"--confidence") { &[][..] } else { &["--confidence", "photometric"] };
-    let output = viewrank(&[&["plan", project.to_str().unwrap(), "--quiet"], options, confidence].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let confidence = if options.contains(&"--confidence") {
+        &[][..]
+    } else {
+        &["--confidence", "photometric"]
+    };
+    let output = viewrank(
+        &[
+            &["plan", project.to_str().unwrap(), "--quiet"],
+            options,
+            confidence,
+        ]
+        .concat(),
+    );
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     serde_json::from_slice(&fs::read(project.join("viewrank/manifest.json")).unwrap()).unwrap()
 }
 
 fn images(project: &Path) -> Vec<PathBuf> {
-    let mut images: Vec<_> = fs::read_dir(project.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
+    let mut images: Vec<_> = fs::read_dir(project.join("images"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
     images.sort();
     images
 }
@@ -49,11 +73,24 @@ fn images(project: &Path) -> Vec<PathBuf> {
 /// The share of each visible (view, triangle) that masks allow.
 fn allowed(project: &Path, options: &[&str]) -> Vec<(u32, f32)> {
     let tables = project.join("tables");
-    plan(project, &[options, &["--dump-tables", tables.to_str().unwrap()]].concat());
+    plan(
+        project,
+        &[options, &["--dump-tables", tables.to_str().unwrap()]].concat(),
+    );
     let read = |name: &str| fs::read(tables.join(name)).unwrap();
-    let views: Vec<u32> = npyz::NpyFile::new(&read("visible.npy")[..]).unwrap().into_vec().unwrap();
-    let values: Vec<f32> = npyz::NpyFile::new(&read("allowed.npy")[..]).unwrap().into_vec().unwrap();
-    views.chunks_exact(2).map(|row| row[0]).zip(values).collect()
+    let views: Vec<u32> = npyz::NpyFile::new(&read("visible.npy")[..])
+        .unwrap()
+        .into_vec()
+        .unwrap();
+    let values: Vec<f32> = npyz::NpyFile::new(&read("allowed.npy")[..])
+        .unwrap()
+        .into_vec()
+        .unwrap();
+    views
+        .chunks_exact(2)
+        .map(|row| row[0])
+        .zip(values)
+        .collect()
 }
 
 fn warnings(manifest: &Value) -> String {
@@ -63,16 +100,40 @@ fn warnings(manifest: &Value) -> String {
 #[test]
 fn auto_compares_the_pictures_where_there_are_any() {
     let project = project();
-    let source = |manifest: &Value| manifest["settings"]["confidence"]["source"].as_str().unwrap().to_owned();
-    let auto = |backend| plan(project.path(), &["--confidence", "auto", "--backend", backend]);
+    let source = |manifest: &Value| {
+        manifest["settings"]["confidence"]["source"]
+            .as_str()
+            .unwrap()
+            .to_owned()
+    };
+    let auto = |backend| {
+        plan(
+            project.path(),
+            &["--confidence", "auto", "--backend", backend],
+        )
+    };
     assert_eq!(source(&auto("sgm")), "photometric");
     assert_eq!(source(&auto("sure")), "photometric");
     fs::remove_dir_all(project.path().join("images")).unwrap();
-    let without =
-        viewrank(&["plan", project.path().to_str().unwrap(), "--confidence", "auto", "--backend", "sgm", "--quiet"]);
-    assert_eq!(without.status.code(), Some(1), "planned, but not exported: the matcher needs the images");
+    let without = viewrank(&[
+        "plan",
+        project.path().to_str().unwrap(),
+        "--confidence",
+        "auto",
+        "--backend",
+        "sgm",
+        "--quiet",
+    ]);
+    assert_eq!(
+        without.status.code(),
+        Some(1),
+        "planned, but not exported: the matcher needs the images"
+    );
     let manifest = fs::read(project.path().join("viewrank/manifest.json")).unwrap();
-    assert_eq!(source(&serde_json::from_slice(&manifest).unwrap()), "geometric");
+    assert_eq!(
+        source(&serde_json::from_slice(&manifest).unwrap()),
+        "geometric"
+    );
 }
 
 #[test]
@@ -81,13 +142,26 @@ fn views_without_a_picture_are_judged_by_their_geometry() {
     let all = images(project.path());
     fs::remove_file(&all[0]).unwrap();
     fs::write(&all[1], "no image").unwrap();
-    let manifest = plan(project.path(), &["--confidence", "photometric", "--threads", "1"]);
-    let named = |image: &Path| warnings(&manifest).contains(image.file_name().unwrap().to_str().unwrap());
+    let manifest = plan(
+        project.path(),
+        &["--confidence", "photometric", "--threads", "1"],
+    );
+    let named =
+        |image: &Path| warnings(&manifest).contains(image.file_name().unwrap().to_str().unwrap());
     assert!(named(&all[0]) && named(&all[1]) && !named(&all[2]));
-    assert!(warnings(&manifest).contains("images missing from"), "once, with its name");
+    assert!(
+        warnings(&manifest).contains("images missing from"),
+        "once, with its name"
+    );
     assert!(warnings(&manifest).contains("(not an image)"));
     assert!(manifest["cut"]["reachable"].as_f64().unwrap() > 0.5);
-    assert!(plan(project.path(), &["--confidence", "photometric", "--threads", "2"]) == manifest, "on two threads");
+    assert!(
+        plan(
+            project.path(),
+            &["--confidence", "photometric", "--threads", "2"]
+        ) == manifest,
+        "on two threads"
+    );
 }
 
 #[test]
@@ -98,13 +172,22 @@ fn a_second_plan_compares_no_pictures() {
     // The cache says that no pictures agree: the second plan takes its word for it.
     let cache = project.path().join("viewrank/cache/agreement.table");
     let table = fs::read(&cache).unwrap();
-    let head = 1 + (0..table.len()).filter(|&i| table[i] == b'\n').nth(1).unwrap();
+    let head = 1
+        + (0..table.len())
+            .filter(|&i| table[i] == b'\n')
+            .nth(1)
+            .unwrap();
     let values = vec![1; table.len() - head];
     let text = String::from_utf8(table[..head].to_vec()).unwrap();
     let facts: Value = serde_json::from_str(text.lines().nth(1).unwrap()).unwrap();
     let facts = facts["facts"].to_string();
     let hash = |values: &[u8]| blake3::hash(&[facts.as_bytes(), values].concat()).to_string();
-    let table = [text.replace(&hash(&table[head..]), &hash(&values)).as_bytes(), &values].concat();
+    let table = [
+        text.replace(&hash(&table[head..]), &hash(&values))
+            .as_bytes(),
+        &values,
+    ]
+    .concat();
     fs::write(&cache, &table).unwrap();
     // These are kept as results of the same pictures.
     for result in ["clusters.table", "ranking.table"] {
@@ -112,7 +195,12 @@ fn a_second_plan_compares_no_pictures() {
     }
     let second = plan(project.path(), &photometric);
     let reachable = |plan: &Value| plan["cut"]["reachable"].as_f64().unwrap();
-    assert!(reachable(&second) < 0.5 * reachable(&first), "{} {}", reachable(&second), reachable(&first));
+    assert!(
+        reachable(&second) < 0.5 * reachable(&first),
+        "{} {}",
+        reachable(&second),
+        reachable(&first)
+    );
     assert_eq!(fs::read(&cache).unwrap(), table);
     changed_images_are_read(project.path(), &photometric);
 }
@@ -122,8 +210,16 @@ fn changed_images_are_read(project: &Path, options: &[&str]) {
         fs::write(&image, "no image").unwrap();
     }
     let manifest = plan(project, options);
-    assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"), "{}", warnings(&manifest));
-    assert!(warnings(&manifest).contains("25 more like these"), "{}", warnings(&manifest));
+    assert!(
+        warnings(&manifest).contains("no JPEG, PNG or TIFF"),
+        "{}",
+        warnings(&manifest)
+    );
+    assert!(
+        warnings(&manifest).contains("25 more like these"),
+        "{}",
+        warnings(&manifest)
+    );
 }
 
 /// Programs that repair or rotate pictures keep their length and time at will.
@@ -138,11 +234,19 @@ fn an_image_overwritten_with_its_old_length_and_time_is_read_again() {
         bytes[head..end].fill(0);
         let time = fs::metadata(&image).unwrap().modified().unwrap();
         fs::write(&image, bytes).unwrap();
-        fs::OpenOptions::new().write(true).open(&image).unwrap().set_modified(time).unwrap();
+        fs::OpenOptions::new()
+            .write(true)
+            .open(&image)
+            .unwrap()
+            .set_modified(time)
+            .unwrap();
     }
     let second = plan(project.path(), &[]);
     assert_ne!(second["clusters"], first["clusters"]);
-    assert_ne!(second["input"]["fingerprint"], first["input"]["fingerprint"]);
+    assert_ne!(
+        second["input"]["fingerprint"],
+        first["input"]["fingerprint"]
+    );
 }
 
 #[test]
@@ -167,13 +271,21 @@ fn other_candidates_are_compared_anew() {
     let photometric = |k| plan(project.path(), &["--confidence", "photometric", "-k", k]);
     let (few, many) = (photometric("2"), photometric("8"));
     fs::remove_dir_all(project.path().join("viewrank")).unwrap();
-    assert!(photometric("8")["clusters"] == many["clusters"] && few["clusters"] != many["clusters"]);
+    assert!(
+        photometric("8")["clusters"] == many["clusters"] && few["clusters"] != many["clusters"]
+    );
 }
 
 #[test]
 fn a_dry_run_keeps_no_cache() {
     let project = project();
-    let output = viewrank(&["plan", project.path().to_str().unwrap(), "--confidence", "photometric", "--dry-run"]);
+    let output = viewrank(&[
+        "plan",
+        project.path().to_str().unwrap(),
+        "--confidence",
+        "photometric",
+        "--dry-run",
+    ]);
     assert!(output.status.success());
     assert!(!project.path().join("viewrank").exists());
 }
@@ -185,18 +297,30 @@ fn what_a_mask_forbids_has_no_confidence() {
     let name = image.file_name().unwrap().to_str().unwrap();
     let [width, height] = image::image_dimensions(image).map(|(w, h)| [w, h]).unwrap();
     fs::create_dir(project.path().join("masks")).unwrap();
-    let unused = &*format!("no image has a mask in {}", project.path().join("masks").display());
+    let unused = &*format!(
+        "no image has a mask in {}",
+        project.path().join("masks").display()
+    );
     for confidence in ["geometric", "geometric", "photometric"] {
         assert!(warnings(&plan(project.path(), &["--confidence", confidence])).contains(unused));
     }
     let mask = image::GrayImage::from_pixel(width, height, image::Luma([0]));
-    mask.save(project.path().join(format!("masks/{name}.png"))).unwrap();
+    mask.save(project.path().join(format!("masks/{name}.png")))
+        .unwrap();
     let allowed = allowed(project.path(), &["--confidence", "geometric"]);
-    assert!(allowed.iter().all(|&(view, m)| m == if view == 3 { 0.0 } else { 1.0 }));
-    // Nothing of the masked view can be matched, and nothing agrees with its picture: it can fulfil nothing.
+    assert!(
+        allowed
+            .iter()
+            .all(|&(view, m)| m == if view == 3 { 0.0 } else { 1.0 })
+    );
+    // Nothing of the masked view can be matched, and nothing agrees with its picture: it can fulfil
+    // nothing.
     let gains = |manifest: &Value| {
         let clusters = manifest["clusters"].as_array().unwrap().clone();
-        clusters.iter().filter(|cluster| cluster["key"] == name).count()
+        clusters
+            .iter()
+            .filter(|cluster| cluster["key"] == name)
+            .count()
     };
     for confidence in ["geometric", "photometric"] {
         let masked = plan(project.path(), &["--confidence", confidence]);
@@ -212,7 +336,11 @@ fn a_project_without_images_is_planned_with_a_warning() {
     let project = project();
     fs::remove_dir_all(project.path().join("images")).unwrap();
     let manifest = plan(project.path(), &[]);
-    assert!(warnings(&manifest).contains("no image folder"), "{}", warnings(&manifest));
+    assert!(
+        warnings(&manifest).contains("no image folder"),
+        "{}",
+        warnings(&manifest)
+    );
 }
 
 /// A device would be read without end, a pipe waited for.
@@ -221,17 +349,27 @@ fn a_project_without_images_is_planned_with_a_warning() {
 fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
     let folder = project();
     let pipe = folder.path().join("pipe");
-    let make_pipe = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+    let make_pipe =
+        |path: &Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
     make_pipe(&pipe);
     let root = folder.path().to_str().unwrap();
     for file in ["/dev/zero", "pipe"] {
-        fs::write(folder.path().join("viewrank.toml"), format!("surface.mesh = \"{file}\"\n")).unwrap();
+        fs::write(
+            folder.path().join("viewrank.toml"),
+            format!("surface.mesh = \"{file}\"\n"),
+        )
+        .unwrap();
         let output = viewrank(&["plan", root, "--quiet"]);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!output.status.success() && message.contains("not a regular file"), "{file}: {message}");
+        assert!(
+            !output.status.success() && message.contains("not a regular file"),
+            "{file}: {message}"
+        );
     }
     fs::remove_file(folder.path().join("viewrank.toml")).unwrap();
-    let [first, second, ..] = &images(folder.path())[..] else { panic!("no images") };
+    let [first, second, ..] = &images(folder.path())[..] else {
+        panic!("no images")
+    };
     fs::remove_file(first).unwrap();
     make_pipe(first);
     fs::remove_file(second).unwrap();
@@ -241,7 +379,11 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
         "images that cannot be read: 2 of 28, e.g. {} (not a regular file)",
         first.file_name().unwrap().to_str().unwrap()
     );
-    assert!(warnings(&manifest).contains(&both), "{}", warnings(&manifest));
+    assert!(
+        warnings(&manifest).contains(&both),
+        "{}",
+        warnings(&manifest)
+    );
 
     // What is ours is refused where it is something else.
     for name in ["manifest.json", ".journal.json", ".lock"] {
@@ -251,7 +393,10 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
         make_pipe(&own);
         let output = viewrank(&["plan", root, "--quiet"]);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!output.status.success() && message.contains(name), "{name}: {message}");
+        assert!(
+            !output.status.success() && message.contains(name),
+            "{name}: {message}"
+        );
         fs::remove_file(&own).unwrap();
         if was_there {
             fs::rename(&aside, &own).unwrap();
@@ -265,16 +410,31 @@ fn predict_draws_the_key_views_of_a_plan() {
     let project = project();
     let manifest = plan(project.path(), &["--confidence", "photometric"]);
     let out = tempfile::tempdir().unwrap();
-    let output = viewrank(&["predict", project.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = viewrank(&[
+        "predict",
+        project.path().to_str().unwrap(),
+        "--out",
+        out.path().to_str().unwrap(),
+    ]);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let chosen = manifest["cut"]["clusters"].as_u64().unwrap() as usize;
     let is_png = |path: PathBuf| path.extension().is_some_and(|extension| extension == "png");
-    let pictures = fs::read_dir(out.path()).unwrap().filter(|entry| is_png(entry.as_ref().unwrap().path()));
+    let pictures = fs::read_dir(out.path())
+        .unwrap()
+        .filter(|entry| is_png(entry.as_ref().unwrap().path()));
     assert_eq!(pictures.count(), chosen);
     let first = manifest["clusters"][0]["key"].as_str().unwrap();
     let array = fs::read(out.path().join(format!("{first}.npy"))).unwrap();
     let values: Vec<f32> = npyz::NpyFile::new(&array[..]).unwrap().into_vec().unwrap();
     let known = || values.iter().filter(|v| !v.is_nan());
-    assert!(known().all(|v| (0.0..=1.0).contains(v)) && known().any(|&v| v > 0.9) && known().any(|&v| v < 0.5));
+    assert!(
+        known().all(|v| (0.0..=1.0).contains(v))
+            && known().any(|&v| v > 0.9)
+            && known().any(|&v| v < 0.5)
+    );
     assert!(known().count() > values.len() / 2);
 }

@@ -1,4 +1,5 @@
-//! Kills the daemon at random instants while projects change: its final outputs equal those of an undisturbed run, byte for byte.
+//! Kills the daemon at random instants while projects change: its final outputs equal those of an
+//! undisturbed run, byte for byte.
 //!
 //! 300 kills by default; VIEWRANK_KILLS sets another number.
 
@@ -35,8 +36,23 @@ const LATEST: Duration = Duration::from_millis(500);
 const PATIENCE: Duration = Duration::from_secs(30);
 
 fn model(variant: u64) -> Vec<(&'static str, Vec<u8>)> {
-    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
-    let town = Town { grid: 3, points: 400, tilt: None, side: 40.0, boxes: 1, seed: variant, ..Town::new(camera) };
+    let camera = Camera::new(
+        1,
+        CameraModel::Pinhole,
+        400,
+        300,
+        vec![320.0, 320.0, 200.0, 150.0],
+    )
+    .expect("a camera");
+    let town = Town {
+        grid: 3,
+        points: 400,
+        tilt: None,
+        side: 40.0,
+        boxes: 1,
+        seed: variant,
+        ..Town::new(camera)
+    };
     colmap_bin::write(&ColmapModel::from_scene(&town.scene()))
 }
 
@@ -49,7 +65,8 @@ fn put_model(project: &Path, variant: u64) {
     }
 }
 
-/// Writes depth maps of these key views; every second pixel has the depth of the ground, the others none.
+/// Writes depth maps of these key views; every second pixel has the depth of the ground, the others
+/// none.
 fn put_maps(project: &Path, keys: &[String]) {
     let folder = project.join("sgm/depth_maps");
     fs::create_dir_all(&folder).expect("a folder");
@@ -61,41 +78,70 @@ fn put_maps(project: &Path, keys: &[String]) {
             .writer(&mut bytes)
             .begin_nd()
             .expect("a header");
-        writer.extend((0..150 * 200).map(|at| if at % 2 == 0 { 40.0f32 } else { 0.0 })).expect("depths");
+        writer
+            .extend((0..150 * 200).map(|at| if at % 2 == 0 { 40.0f32 } else { 0.0 }))
+            .expect("depths");
         writer.finish().expect("a map");
         let path = folder.join(format!("{key}.npy"));
         fs::write(&path, bytes).expect("a file");
         // The time per pair is computed from these times.
         let time = UNIX_EPOCH + Duration::from_secs(1_700_000_000 + 60 * i as u64);
-        fs::File::options().write(true).open(&path).and_then(|file| file.set_modified(time)).expect("a time");
+        fs::File::options()
+            .write(true)
+            .open(&path)
+            .and_then(|file| file.set_modified(time))
+            .expect("a time");
     }
 }
 
 fn daemon(root: &Path, options: &[&str]) -> Command {
     let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let mut command = Command::new(env!("CARGO_BIN_EXE_viewrank"));
-    command.arg("watch").arg(root).args(["--settle", "30ms", "--jobs", "2", "--replan"]).args(options);
-    command.env("XDG_CONFIG_HOME", nowhere).stderr(Stdio::null());
+    command
+        .arg("watch")
+        .arg(root)
+        .args(["--settle", "30ms", "--jobs", "2", "--replan"])
+        .args(options);
+    command
+        .env("XDG_CONFIG_HOME", nowhere)
+        .stderr(Stdio::null());
     command
 }
 
 /// Plans all projects, undisturbed.
 fn finish(root: &Path) {
-    let ended = daemon(root, &["--once"]).stderr(Stdio::piped()).output().expect("the program ends");
-    assert!(ended.status.success(), "{}: {}", ended.status, String::from_utf8_lossy(&ended.stderr));
+    let ended = daemon(root, &["--once"])
+        .stderr(Stdio::piped())
+        .output()
+        .expect("the program ends");
+    assert!(
+        ended.status.success(),
+        "{}: {}",
+        ended.status,
+        String::from_utf8_lossy(&ended.stderr)
+    );
 }
 
-/// Reads all files of the project's output folder, except those that differ from run to run. The project's path in warnings is replaced.
+/// Reads all files of the project's output folder, except those that differ from run to run. The
+/// project's path in warnings is replaced.
 fn outputs(project: &Path) -> Outputs {
     let folder = project.join("viewrank");
     // A running daemon may remove files during the walk.
-    let files = walkdir::WalkDir::new(&folder).into_iter().filter_map(Result::ok);
-    let files = files.filter(|e| e.file_type().is_file() && !NOT_COMPARED.iter().any(|name| e.file_name() == *name));
+    let files = walkdir::WalkDir::new(&folder)
+        .into_iter()
+        .filter_map(Result::ok);
+    let files = files.filter(|e| {
+        e.file_type().is_file() && !NOT_COMPARED.iter().any(|name| e.file_name() == *name)
+    });
     // As it is, and as JSON escapes the separators of Windows.
     let root = project.to_string_lossy();
     let escaped = root.replace('\\', r"\\");
     let read = |e: walkdir::DirEntry| {
-        let name = e.path().strip_prefix(&folder).expect("below the folder").to_path_buf();
+        let name = e
+            .path()
+            .strip_prefix(&folder)
+            .expect("below the folder")
+            .to_path_buf();
         let bytes = fs::read(e.path()).ok()?;
         let without = |text: String| text.replace(&escaped, "PROJECT").replace(&*root, "PROJECT");
         let text = String::from_utf8(bytes).map(|text| without(text).into_bytes());
@@ -104,9 +150,13 @@ fn outputs(project: &Path) -> Outputs {
     files.filter_map(read).collect()
 }
 
-/// Clears the records of file sets: they contain the hash of `timings.json`, so that only their names are compared.
+/// Clears the records of file sets: they contain the hash of `timings.json`, so that only their
+/// names are compared.
 fn without_hashes(mut outputs: Outputs) -> Outputs {
-    outputs.iter_mut().filter(|(path, _)| path.starts_with(".sets")).for_each(|(_, bytes)| bytes.clear());
+    outputs
+        .iter_mut()
+        .filter(|(path, _)| path.starts_with(".sets"))
+        .for_each(|(_, bytes)| bytes.clear());
     outputs
 }
 
@@ -139,17 +189,38 @@ struct Hits {
 impl Scene {
     fn new(seed: u64) -> Self {
         let start = Instant::now();
-        let planned: Vec<Outputs> = (0..VARIANTS).map(|variant| undisturbed(variant, &[])).collect();
+        let planned: Vec<Outputs> = (0..VARIANTS)
+            .map(|variant| undisturbed(variant, &[]))
+            .collect();
         let length = (start.elapsed() / VARIANTS as u32).min(LATEST);
-        let clusters = String::from_utf8(planned[0][Path::new("clusters.txt")].clone()).expect("text");
-        let keys: Vec<String> =
-            clusters.lines().take(MAPS).map(|line| line.split('\t').next().unwrap_or("").into()).collect();
+        let clusters =
+            String::from_utf8(planned[0][Path::new("clusters.txt")].clone()).expect("text");
+        let keys: Vec<String> = clusters
+            .lines()
+            .take(MAPS)
+            .map(|line| line.split('\t').next().unwrap_or("").into())
+            .collect();
         let computed = [planned[0].clone(), undisturbed(0, &keys)];
-        assert_ne!(computed[0][Path::new("manifest.json")], computed[1][Path::new("manifest.json")]);
+        assert_ne!(
+            computed[0][Path::new("manifest.json")],
+            computed[1][Path::new("manifest.json")]
+        );
         let root = tempfile::tempdir().expect("a temporary folder");
-        PROJECTS.iter().chain([&COMPUTED]).for_each(|project| put_model(&root.path().join(project), 0));
+        PROJECTS
+            .iter()
+            .chain([&COMPUTED])
+            .for_each(|project| put_model(&root.path().join(project), 0));
         let (random, variants) = (Pcg64::seed_from_u64(seed), [0; PROJECTS.len()]);
-        Self { root, random, variants, has_maps: false, keys, planned, computed, length }
+        Self {
+            root,
+            random,
+            variants,
+            has_maps: false,
+            keys,
+            planned,
+            computed,
+            length,
+        }
     }
 
     fn chance(&mut self, one_in: u32) -> bool {
@@ -190,25 +261,33 @@ impl Scene {
 
     /// Starts a daemon, changes a project and kills the daemon.
     fn kill_one(&mut self, hits: &mut Hits) {
-        let mut running = daemon(self.root.path(), &[]).spawn().expect("the program starts");
+        let mut running = daemon(self.root.path(), &[])
+            .spawn()
+            .expect("the program starts");
         let changed = self.change();
         if self.chance(2) {
             let end = Instant::now() + PATIENCE;
             let folder = self.root.path().join(changed);
             // Comparing all outputs is slow, so it is done rarely.
             let looks = (0..).take_while(|_| Instant::now() < end && !is_writing(&folder));
-            looks.map(|look| look % 50 == 49 && self.is_finished(changed)).take_while(|finished| !finished).for_each(
-                |_| {
+            looks
+                .map(|look| look % 50 == 49 && self.is_finished(changed))
+                .take_while(|finished| !finished)
+                .for_each(|_| {
                     thread::sleep(Duration::from_millis(1));
-                },
-            );
-            thread::sleep(Duration::from_micros(u64::from(self.random.next_u32() % 20_000)));
+                });
+            thread::sleep(Duration::from_micros(u64::from(
+                self.random.next_u32() % 20_000,
+            )));
         } else {
             thread::sleep(self.length * (self.random.next_u32() % 1000) / 1000);
         }
         running.kill().expect("SIGKILL");
         running.wait().expect("the end");
-        let writing = PROJECTS.iter().chain([&COMPUTED, &""]).any(|p| is_writing(&self.root.path().join(p)));
+        let writing = PROJECTS
+            .iter()
+            .chain([&COMPUTED, &""])
+            .any(|p| is_writing(&self.root.path().join(p)));
         hits.writing += u64::from(writing);
         hits.unfinished += u64::from(!self.is_finished(changed));
     }
@@ -216,31 +295,55 @@ impl Scene {
 
 /// True if a file set is staged, or a draft of a status or progress file exists.
 fn is_writing(folder: &Path) -> bool {
-    let unfinished = [".staging", ".journal.json", ".status.json.new", ".progress.json.new"];
-    unfinished.iter().any(|name| folder.join("viewrank").join(name).exists())
+    let unfinished = [
+        ".staging",
+        ".journal.json",
+        ".status.json.new",
+        ".progress.json.new",
+    ];
+    unfinished
+        .iter()
+        .any(|name| folder.join("viewrank").join(name).exists())
 }
 
 #[test]
 fn a_daemon_killed_at_any_instant_ends_with_the_outputs_of_an_undisturbed_one() {
-    let kills: u64 = std::env::var("VIEWRANK_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(300);
+    let kills: u64 = std::env::var("VIEWRANK_KILLS")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(300);
     let mut scene = Scene::new(kills);
     let mut hits = Hits::default();
     (0..kills).for_each(|_| scene.kill_one(&mut hits));
     eprintln!("{kills} kills: {hits:?}");
-    assert!(hits.unfinished >= kills / 3, "most kills must hit work: {hits:?}");
-    assert!(hits.writing >= kills / 20, "some kills must hit what is being written: {hits:?}");
+    assert!(
+        hits.unfinished >= kills / 3,
+        "most kills must hit work: {hits:?}"
+    );
+    assert!(
+        hits.writing >= kills / 20,
+        "some kills must hit what is being written: {hits:?}"
+    );
     finish(scene.root.path());
     for project in PROJECTS.iter().chain([&COMPUTED]) {
         let (found, expected) = (scene.found(project), scene.expected(project));
-        assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>(), "{project}");
+        assert_eq!(
+            found.keys().collect::<Vec<_>>(),
+            expected.keys().collect::<Vec<_>>(),
+            "{project}"
+        );
         for (path, bytes) in &found {
-            assert!(bytes == &expected[path], "{project}: {} differs", path.display());
+            assert!(
+                bytes == &expected[path],
+                "{project}: {} differs",
+                path.display()
+            );
         }
     }
 }
 
-/// Returns the outputs of an undisturbed run on a project with this model and depth maps of these views. The folder has the name of
-/// one of the projects, because a manifest may contain it.
+/// Returns the outputs of an undisturbed run on a project with this model and depth maps of these
+/// views. The folder has the name of one of the projects, because a manifest may contain it.
 fn undisturbed(variant: u64, maps: &[String]) -> Outputs {
     let root = tempfile::tempdir().expect("a temporary folder");
     let project = root.path().join(PROJECTS[0]);
@@ -250,7 +353,14 @@ fn undisturbed(variant: u64, maps: &[String]) -> Outputs {
     }
     finish(root.path());
     let outputs = without_hashes(outputs(&project));
-    assert!(outputs.contains_key(Path::new("manifest.json")), "{:?}", outputs.keys());
-    assert_eq!(outputs.contains_key(Path::new("progress.json")), !maps.is_empty());
+    assert!(
+        outputs.contains_key(Path::new("manifest.json")),
+        "{:?}",
+        outputs.keys()
+    );
+    assert_eq!(
+        outputs.contains_key(Path::new("progress.json")),
+        !maps.is_empty()
+    );
     outputs
 }

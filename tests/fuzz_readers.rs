@@ -82,7 +82,11 @@ impl Chance {
 
 fn change(data: &mut Vec<u8>, text: bool, chance: &mut Chance) {
     // The head of a long file decides most.
-    let reach = if chance.below(3) == 0 { data.len().min(HEAD) } else { data.len() };
+    let reach = if chance.below(3) == 0 {
+        data.len().min(HEAD)
+    } else {
+        data.len()
+    };
     let at = chance.below(reach + 1);
     let length = chance.below(64).min(data.len() - at);
     match chance.below(if text { 9 } else { 7 }) {
@@ -102,13 +106,21 @@ fn change(data: &mut Vec<u8>, text: bool, chance: &mut Chance) {
             data[at..end].copy_from_slice(&value[..end - at]);
         }
         6 => {
-            let bytes: Vec<u8> = (0..chance.below(16)).map(|_| chance.below(256) as u8).collect();
+            let bytes: Vec<u8> = (0..chance.below(16))
+                .map(|_| chance.below(256) as u8)
+                .collect();
             data.splice(at..at, bytes);
         }
         7 => {
             // A whole token becomes another one.
-            let start = data[..at].iter().rposition(|b| b.is_ascii_whitespace()).map_or(0, |p| p + 1);
-            let end = data[at..].iter().position(|b| b.is_ascii_whitespace()).map_or(data.len(), |p| at + p);
+            let start = data[..at]
+                .iter()
+                .rposition(|b| b.is_ascii_whitespace())
+                .map_or(0, |p| p + 1);
+            let end = data[at..]
+                .iter()
+                .position(|b| b.is_ascii_whitespace())
+                .map_or(data.len(), |p| at + p);
             data.splice(start..end, TOKENS[chance.below(TOKENS.len())].bytes());
         }
         _ => data.insert(at, b" \n\r\t"[chance.below(4)]),
@@ -136,11 +148,28 @@ fn change_value(value: &mut Value, chance: &mut Chance) {
         }
         Value::Object(fields) if deeper && !fields.is_empty() => {
             let chosen = chance.below(fields.len());
-            change_value(fields.values_mut().nth(chosen).expect("below the length"), chance);
+            change_value(
+                fields.values_mut().nth(chosen).expect("below the length"),
+                chance,
+            );
         }
         _ => {
-            let numbers = [json!(-1), json!(0), json!(0.5), json!(17), json!(1e300), json!(u64::MAX)];
-            let others = [json!(null), json!(true), json!(""), json!("../x"), json!([]), json!({})];
+            let numbers = [
+                json!(-1),
+                json!(0),
+                json!(0.5),
+                json!(17),
+                json!(1e300),
+                json!(u64::MAX),
+            ];
+            let others = [
+                json!(null),
+                json!(true),
+                json!(""),
+                json!("../x"),
+                json!([]),
+                json!({}),
+            ];
             let both = [numbers, others].concat();
             *value = both[chance.below(both.len())].clone();
         }
@@ -156,13 +185,18 @@ enum Grammar {
 
 /// Changes a valid file again and again and has each change read.
 fn fuzz(target: &str, valid: &[u8], grammar: Grammar, read: impl Fn(&[u8])) {
-    let is_slow = inputs::INPUTS.iter().any(|(name, _)| *name == target && !name.starts_with("map."));
+    let is_slow = inputs::INPUTS
+        .iter()
+        .any(|(name, _)| *name == target && !name.starts_with("map."));
     let changes = match () {
         () if apps::APPS.contains(&target) => FEWEST_CHANGES,
         () if is_slow || valid.len() >= LONG => FEW_CHANGES,
         () => CHANGES,
     };
-    let seconds = std::env::var("VIEWRANK_FUZZ_SECONDS").ok().and_then(|s| s.parse().ok()).map(Duration::from_secs);
+    let seconds = std::env::var("VIEWRANK_FUZZ_SECONDS")
+        .ok()
+        .and_then(|s| s.parse().ok())
+        .map(Duration::from_secs);
     // The long runs differ from each other.
     let seed = seconds.map_or(1, |_| std::process::id().into());
     let mut chance = Chance(Pcg64Mcg::seed_from_u64(seed));
@@ -182,11 +216,16 @@ fn fuzz(target: &str, valid: &[u8], grammar: Grammar, read: impl Fn(&[u8])) {
         }
         done += 1;
     }
-    eprintln!("{target}: {done} inputs in {:.0} s", start.elapsed().as_secs_f64());
+    eprintln!(
+        "{target}: {done} inputs in {:.0} s",
+        start.elapsed().as_secs_f64()
+    );
 }
 
 fn wanted(target: &str) -> bool {
-    std::env::var("VIEWRANK_FUZZ_TARGET").ok().is_none_or(|only| only == target)
+    std::env::var("VIEWRANK_FUZZ_TARGET")
+        .ok()
+        .is_none_or(|only| only == target)
 }
 
 #[test]
@@ -196,28 +235,41 @@ fn changed_files_are_errors_or_models() {
         let files = readers::model(text);
         let valid = &files.iter().find(|f| f.0 == target).unwrap().1;
         let grammar = if text { Grammar::Text } else { Grammar::Binary };
-        fuzz(target, valid, grammar, |data| readers::replace(target, data, &files));
+        fuzz(target, valid, grammar, |data| {
+            readers::replace(target, data, &files)
+        });
     }
 }
 
 #[test]
 fn changed_files_of_other_programs_are_errors_or_models() {
     for target in readers::FOREIGN.into_iter().filter(|target| wanted(target)) {
-        let grammar = if target == "scene.mvs" { Grammar::Binary } else { Grammar::Text };
-        fuzz(target, &readers::foreign_model(target), grammar, |data| readers::read_foreign(target, data));
+        let grammar = if target == "scene.mvs" {
+            Grammar::Binary
+        } else {
+            Grammar::Text
+        };
+        fuzz(target, &readers::foreign_model(target), grammar, |data| {
+            readers::read_foreign(target, data)
+        });
     }
 }
 
 #[test]
 fn changed_inputs_beside_the_model_are_errors_or_consistent() {
-    for (target, valid) in inputs::INPUTS.into_iter().filter(|(target, _)| wanted(target)) {
+    for (target, valid) in inputs::INPUTS
+        .into_iter()
+        .filter(|(target, _)| wanted(target))
+    {
         assert!(inputs::read_input(target, valid), "{target}");
         let grammar = match target {
             "viewrank.toml" => Grammar::Text,
             _ if inputs::is_json(target) => Grammar::Json,
             _ => Grammar::Binary,
         };
-        fuzz(target, valid, grammar, |data| _ = inputs::read_input(target, data));
+        fuzz(target, valid, grammar, |data| {
+            _ = inputs::read_input(target, data)
+        });
     }
 }
 
@@ -235,14 +287,21 @@ fn commands_over_changed_files_end_with_an_error_or_numbers() {
             Some("clusters") => Grammar::Text,
             _ => Grammar::Binary,
         };
-        fuzz(target, &valid, grammar, |data| _ = finished.run(target, data));
+        fuzz(target, &valid, grammar, |data| {
+            _ = finished.run(target, data)
+        });
     }
 }
 
 #[test]
 fn changed_regions_are_errors_or_regions() {
     if wanted("region") {
-        fuzz("region", readers::REGION.as_bytes(), Grammar::Json, readers::read_region);
+        fuzz(
+            "region",
+            readers::REGION.as_bytes(),
+            Grammar::Json,
+            readers::read_region,
+        );
     }
 }
 
@@ -254,5 +313,7 @@ fn the_valid_model_is_read() {
             readers::replace(name, bytes, &files);
         }
     }
-    readers::FOREIGN.into_iter().for_each(|name| readers::read_foreign(name, &readers::foreign_model(name)));
+    readers::FOREIGN
+        .into_iter()
+        .for_each(|name| readers::read_foreign(name, &readers::foreign_model(name)));
 }

@@ -1,4 +1,5 @@
-//! Results of stages that a project keeps for its next plan (`viewrank/cache`): the same plan with and without them, whatever has changed.
+//! Results of stages that a project keeps for its next plan (`viewrank/cache`): the same plan with
+//! and without them, whatever has changed.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -23,19 +24,43 @@ use viewrank::internals::{
 };
 
 /// All stages, in the order of the plan.
-const ALL: [&str; 6] = ["surface", "shown", "candidates", "confidence", "clusters", "ranking"];
+const ALL: [&str; 6] = [
+    "surface",
+    "shown",
+    "candidates",
+    "confidence",
+    "clusters",
+    "ranking",
+];
 /// Settings that no plan reads, or that name a folder which the tests lack.
 const NO_PART_OF_A_PLAN: [&str; 2] = ["on_target", "images"];
 
 fn town() -> Scene {
-    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).unwrap();
-    Town { grid: 4, points: 800, side: 40.0, boxes: 1, ..Town::new(camera) }.scene()
+    let camera = Camera::new(
+        1,
+        CameraModel::Pinhole,
+        400,
+        300,
+        vec![320.0, 320.0, 200.0, 150.0],
+    )
+    .unwrap();
+    Town {
+        grid: 4,
+        points: 800,
+        side: 40.0,
+        boxes: 1,
+        ..Town::new(camera)
+    }
+    .scene()
 }
 
 fn settings(text: &str) -> Settings {
     let settings: Settings = toml::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"));
     match settings.backends.is_empty() {
-        true => Settings { backends: vec!["sgm".into()], ..settings },
+        true => Settings {
+            backends: vec!["sgm".into()],
+            ..settings
+        },
         false => settings,
     }
 }
@@ -45,7 +70,8 @@ fn open(folder: &Path) -> Project {
 }
 
 fn plan(folder: &Path, text: &str) -> Plan {
-    backends::plan(&open(folder), &settings(text), &NoWatcher).unwrap_or_else(|error| panic!("{text}: {error}"))
+    backends::plan(&open(folder), &settings(text), &NoWatcher)
+        .unwrap_or_else(|error| panic!("{text}: {error}"))
 }
 
 fn write(plan: &Plan, folder: &Path) {
@@ -67,7 +93,11 @@ fn written(plan: &Plan, folder: &Path) -> BTreeMap<String, Vec<u8>> {
         Contents::Bytes(bytes) => bytes,
         other => panic!("{other:?}"),
     };
-    let mut all: BTreeMap<_, _> = own.files.into_iter().map(|(path, contents)| (path, bytes(contents))).collect();
+    let mut all: BTreeMap<_, _> = own
+        .files
+        .into_iter()
+        .map(|(path, contents)| (path, bytes(contents)))
+        .collect();
     all.remove("viewrank/timings.json").unwrap();
     all
 }
@@ -79,12 +109,24 @@ fn computed(plan: &Plan) -> Vec<String> {
 
 fn assert_same(kept: &Plan, anew: &Plan, folder: &Path, what: &str) {
     let (a, b) = (&kept.stages, &anew.stages);
-    assert!(a.surface.vertices == b.surface.vertices && a.surface.triangles == b.surface.triangles, "{what}: surface");
-    assert!(a.visibility == b.visibility && a.surface_stats == b.surface_stats, "{what}: visibility");
+    assert!(
+        a.surface.vertices == b.surface.vertices && a.surface.triangles == b.surface.triangles,
+        "{what}: surface"
+    );
+    assert!(
+        a.visibility == b.visibility && a.surface_stats == b.surface_stats,
+        "{what}: visibility"
+    );
     assert!(a.candidates == b.candidates, "{what}: candidates");
     assert!(a.unary == b.unary, "{what}: confidence");
-    assert!(a.clusters == b.clusters && a.fulfilment == b.fulfilment && a.half == b.half, "{what}: clusters");
-    assert!(kept.decision.ranking == anew.decision.ranking, "{what}: ranking");
+    assert!(
+        a.clusters == b.clusters && a.fulfilment == b.fulfilment && a.half == b.half,
+        "{what}: clusters"
+    );
+    assert!(
+        kept.decision.ranking == anew.decision.ranking,
+        "{what}: ranking"
+    );
     let (kept, anew) = (written(kept, folder), written(anew, folder));
     for (path, bytes) in &anew {
         assert!(kept[path] == *bytes, "{what}: {path}");
@@ -113,17 +155,27 @@ fn what_touches_only_cut_budget_or_region_computes_at_most_the_ranking() {
     assert_eq!(of("ranking.weight = 'area'"), ["ranking"]);
     assert_eq!(of("fulfilment.alpha = 0.3"), ["clusters", "ranking"]);
     assert_eq!(of("partners.k = 3"), ["candidates", "clusters", "ranking"]);
-    assert_eq!(of("target.gsd = 0.2"), ["surface", "shown", "confidence", "clusters", "ranking"]);
+    assert_eq!(
+        of("target.gsd = 0.2"),
+        ["surface", "shown", "confidence", "clusters", "ranking"]
+    );
 }
 
-/// With a limit, what else the tables hold decides whether a kept surface and its visibility may be in memory.
+/// With a limit, what else the tables hold decides whether a kept surface and its visibility may be
+/// in memory.
 #[test]
 fn with_a_limit_a_surface_is_kept_for_tables_of_the_same_size() {
     let folder = planned(&town());
-    assert_eq!(computed(&plan(folder.path(), "ranking.scales = [1.0, 0.5]")), ["clusters", "ranking"]);
+    assert_eq!(
+        computed(&plan(folder.path(), "ranking.scales = [1.0, 0.5]")),
+        ["clusters", "ranking"]
+    );
     let limited = |text: &str| plan(folder.path(), &format!("max_memory = '8G'\n{text}"));
     write(&limited(""), folder.path());
-    assert_eq!(computed(&limited("cut.target = '50%'")), Vec::<String>::new());
+    assert_eq!(
+        computed(&limited("cut.target = '50%'")),
+        Vec::<String>::new()
+    );
     assert!(computed(&limited("ranking.scales = [1.0, 0.5]")).contains(&"surface".into()));
 }
 
@@ -133,14 +185,20 @@ fn a_longer_cut_adds_to_what_is_kept() {
     let folder = planned(&town());
     let [short, long] = ["", "cut.target = '99%'"].map(|text| (text, plan(folder.path(), text)));
     assert!(short.1.decision.cut.clusters < long.1.decision.cut.clusters);
-    assert_eq!((computed(&short.1), computed(&long.1)), (vec![], vec!["ranking".to_owned()]));
+    assert_eq!(
+        (computed(&short.1), computed(&long.1)),
+        (vec![], vec!["ranking".to_owned()])
+    );
     write(&long.1, folder.path());
     let kept = [short, long].map(|(text, _)| (text, plan(folder.path(), text)));
     fs::remove_dir_all(folder.path().join("viewrank/cache")).unwrap();
     for (text, kept) in kept {
         assert_eq!(computed(&kept), Vec::<String>::new(), "{text}");
         let anew = plan(folder.path(), text);
-        assert!(written(&kept, folder.path()) == written(&anew, folder.path()), "{text}");
+        assert!(
+            written(&kept, folder.path()) == written(&anew, folder.path()),
+            "{text}"
+        );
         assert_eq!(kept.points_by_rank(), anew.points_by_rank(), "{text}");
     }
 }
@@ -149,7 +207,11 @@ fn a_longer_cut_adds_to_what_is_kept() {
 fn changes(folder: &Path) -> BTreeMap<&'static str, String> {
     let surface = plan(folder, "").stages.surface;
     let mesh = folder.join("mesh.ply");
-    fs::write(&mesh, ply::write(&surface.vertices, &surface.triangles[1..], &[], &[])).unwrap();
+    fs::write(
+        &mesh,
+        ply::write(&surface.vertices, &surface.triangles[1..], &[], &[]),
+    )
+    .unwrap();
     let mesh = format!("surface.mesh = '{}'", mesh.display());
     let text = "units = 'metric' | image_scale = 0.5 | seed = 7 | max_memory = '4G' | backends = ['openmvs'] \
         | region = '-10,-10,-20,10,10,20' | target.gsd = 0.2 | target.accuracy = 0.3 | target.mode = 'absolute' \
@@ -170,9 +232,17 @@ fn changes(folder: &Path) -> BTreeMap<&'static str, String> {
         | forecast.seconds_per_pair = 2.0 | forecast.seconds_per_map = 2.0 | forecast.points_per_map = 2.0 \
         | frame.origin = [50.0, 20.0, 100.0] | frame.utm = '33N' | frame.offset = [1.0, 2.0]; frame.utm = '33N' \
         | frame.gps = false";
-    let change = |part: &'static str| (part.split(" =").next().unwrap().trim(), part.replace("; ", "\n"));
+    let change = |part: &'static str| {
+        (
+            part.split(" =").next().unwrap().trim(),
+            part.replace("; ", "\n"),
+        )
+    };
     let mut all: BTreeMap<_, _> = text.split(" | ").map(change).collect();
-    all.insert("surface.mesh_as_is", format!("{mesh}\nsurface.mesh_as_is = true"));
+    all.insert(
+        "surface.mesh_as_is",
+        format!("{mesh}\nsurface.mesh_as_is = true"),
+    );
     all.insert("surface.mesh", mesh);
     all
 }
@@ -183,7 +253,11 @@ fn no_setting_changes_a_stage_without_its_fingerprint() {
     Project::create(other.path(), &town(), None).unwrap();
     let changes = changes(other.path());
     let is_tested = |key: &&str| !key.starts_with("dispatch.") && !NO_PART_OF_A_PLAN.contains(key);
-    let keys: BTreeSet<&str> = config::keys().iter().map(|key| key.name.as_str()).filter(is_tested).collect();
+    let keys: BTreeSet<&str> = config::keys()
+        .iter()
+        .map(|key| key.name.as_str())
+        .filter(is_tested)
+        .collect();
     assert_eq!(changes.keys().copied().collect::<BTreeSet<_>>(), keys);
     for (key, text) in changes {
         let (kept, anew) = (plan(folder.path(), &text), plan(other.path(), &text));
@@ -199,7 +273,11 @@ fn another_model_is_another_plan() {
     let mut fewer = town();
     fewer.track_views.swap_remove(0);
     fewer.track_pixels.swap_remove(0);
-    fewer.track_offsets.iter_mut().skip(1).for_each(|offset| *offset -= 1);
+    fewer
+        .track_offsets
+        .iter_mut()
+        .skip(1)
+        .for_each(|offset| *offset -= 1);
     let mut turned = town();
     turned.views[3].cam_from_world.translation.x += 0.1;
     let mut renamed = town();
@@ -214,13 +292,19 @@ fn another_model_is_another_plan() {
 #[test]
 fn another_mesh_is_another_surface() {
     let folder = planned(&town());
-    let mesh = "surface.mesh = 'mesh.ply'".replace("mesh.ply", folder.path().join("mesh.ply").to_str().unwrap());
+    let mesh = "surface.mesh = 'mesh.ply'"
+        .replace("mesh.ply", folder.path().join("mesh.ply").to_str().unwrap());
     let surface = plan(folder.path(), "").stages.surface;
-    let triangles = |from: usize| ply::write(&surface.vertices, &surface.triangles[from..], &[], &[]);
+    let triangles =
+        |from: usize| ply::write(&surface.vertices, &surface.triangles[from..], &[], &[]);
     for from in [0, 5] {
         fs::write(folder.path().join("mesh.ply"), triangles(from)).unwrap();
         let plan = plan(folder.path(), &mesh);
-        assert_eq!(computed(&plan), ["surface", "shown", "confidence", "clusters", "ranking"], "from {from}");
+        assert_eq!(
+            computed(&plan),
+            ["surface", "shown", "confidence", "clusters", "ranking"],
+            "from {from}"
+        );
         write(&plan, folder.path());
     }
 }
@@ -238,7 +322,14 @@ fn no_damaged_file_is_believed() {
             bad
         };
         let cut = good[..good.len() - 1].to_vec();
-        for bad in [changed(3), changed(40), changed(good.len() / 2), changed(good.len() - 1), cut, Vec::new()] {
+        for bad in [
+            changed(3),
+            changed(40),
+            changed(good.len() / 2),
+            changed(good.len() - 1),
+            cut,
+            Vec::new(),
+        ] {
             fs::write(&path, bad).unwrap();
             let plan = plan(folder.path(), "");
             assert_eq!(computed(&plan), [stage]);
@@ -253,8 +344,10 @@ fn no_damaged_file_is_believed() {
 fn a_cache_that_cannot_be_written_is_no_reason_to_fail() {
     let folder = planned(&town());
     let (cache, text) = (folder.path().join("viewrank/cache"), "cut.target = '50%'");
-    let in_the_way: [&dyn Fn(); 2] =
-        [&|| fs::create_dir(cache.join("ranking.table")).unwrap(), &|| fs::write(&cache, "mine").unwrap()];
+    let in_the_way: [&dyn Fn(); 2] = [
+        &|| fs::create_dir(cache.join("ranking.table")).unwrap(),
+        &|| fs::write(&cache, "mine").unwrap(),
+    ];
     for (target, block) in ["50%", "60%"].into_iter().zip(in_the_way) {
         fs::remove_dir_all(&cache).unwrap();
         if target == "50%" {
@@ -272,11 +365,16 @@ fn a_disk_that_is_full_has_room_for_a_plan_without_its_cache() {
         let folder = planned(&town());
         fs::remove_dir_all(folder.path().join("viewrank/cache")).unwrap();
         let changes = AtomicUsize::new(0);
-        let full_once = |_: Operation, _: &Path| match changes.fetch_add(1, Ordering::Relaxed) == at {
+        let full_once = |_: Operation, _: &Path| match changes.fetch_add(1, Ordering::Relaxed) == at
+        {
             true => Err(io::ErrorKind::StorageFull.into()),
             false => Ok(()),
         };
-        only_the_plan_is_written(folder.path(), &format!("cut.target = '{target}'"), &Disk::guarded(&full_once));
+        only_the_plan_is_written(
+            folder.path(),
+            &format!("cut.target = '{target}'"),
+            &Disk::guarded(&full_once),
+        );
         assert!(!folder.path().join("viewrank/cache").exists());
     }
 }
@@ -285,10 +383,20 @@ fn only_the_plan_is_written(folder: &Path, text: &str, disk: &Disk) {
     let plan = plan(folder, text);
     let sets = files(&plan, &open(folder)).unwrap().sets;
     let reports = output::write_all(&sets, disk).unwrap();
-    let failed = sets.iter().zip(&reports).filter(|(_, report)| report.failed.is_some());
-    assert_eq!(failed.map(|(set, _)| &*set.name).collect::<Vec<_>>(), ALL, "{text}");
+    let failed = sets
+        .iter()
+        .zip(&reports)
+        .filter(|(_, report)| report.failed.is_some());
+    assert_eq!(
+        failed.map(|(set, _)| &*set.name).collect::<Vec<_>>(),
+        ALL,
+        "{text}"
+    );
     let manifest = fs::read(folder.join("viewrank/manifest.json")).unwrap();
-    assert!(manifest == written(&plan, folder)["viewrank/manifest.json"], "{text}");
+    assert!(
+        manifest == written(&plan, folder)["viewrank/manifest.json"],
+        "{text}"
+    );
 }
 
 /// Somebody else's project may hold files whose hashes are right and whose numbers are not.
@@ -298,7 +406,13 @@ fn a_made_up_file_with_the_right_hash_is_no_reason_to_fail() {
     for stage in ALL {
         let path = folder.path().join(format!("viewrank/cache/{stage}.table"));
         let good = fs::read(&path).unwrap();
-        let start = 1 + good.iter().enumerate().filter(|(_, byte)| **byte == b'\n').nth(1).unwrap().0;
+        let start = 1 + good
+            .iter()
+            .enumerate()
+            .filter(|(_, byte)| **byte == b'\n')
+            .nth(1)
+            .unwrap()
+            .0;
         let (head, contents) = good.split_at(start);
         let head: serde_json::Value =
             serde_json::from_slice(&head[head.iter().position(|b| *b == b'{').unwrap()..]).unwrap();
@@ -307,11 +421,17 @@ fn a_made_up_file_with_the_right_hash_is_no_reason_to_fail() {
             let mut bad = contents.to_vec();
             bad[place] = !bad[place];
             let hash = blake3::hash(&[head["facts"].to_string().as_bytes(), &bad].concat());
-            let head =
-                serde_json::json!({ "inputs": head["inputs"], "hash": hash.to_string(), "facts": head["facts"] });
-            fs::write(&path, [format!("viewrank cache 1\n{head}\n").as_bytes(), &bad].concat()).unwrap();
+            let head = serde_json::json!({ "inputs": head["inputs"], "hash": hash.to_string(), "facts": head["facts"] });
+            fs::write(
+                &path,
+                [format!("viewrank cache 1\n{head}\n").as_bytes(), &bad].concat(),
+            )
+            .unwrap();
             let plan = backends::plan(&open(folder.path()), &settings(""), &NoWatcher);
-            assert!(plan.is_ok_and(|plan| files(&plan, &open(folder.path())).is_ok()), "{stage} at {place}");
+            assert!(
+                plan.is_ok_and(|plan| files(&plan, &open(folder.path())).is_ok()),
+                "{stage} at {place}"
+            );
         }
         fs::write(&path, good).unwrap();
     }

@@ -28,17 +28,34 @@ fn open(path: &Path) -> Project {
 }
 
 fn read(path: &Path) -> Scene {
-    open(path).read_scene().unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    open(path)
+        .read_scene()
+        .unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
 /// The scene again from files as `write` makes them.
 fn reread(files: &[(&str, Vec<u8>)]) -> Scene {
-    let bytes = |stem: &str| files.iter().find(|f| f.0.starts_with(stem)).map(|f| &f.1[..]);
+    let bytes = |stem: &str| {
+        files
+            .iter()
+            .find(|f| f.0.starts_with(stem))
+            .map(|f| &f.1[..])
+    };
     let parts = ["cameras", "images", "points3D"].map(|stem| bytes(stem).unwrap());
     let [cameras, images, points3d] = parts;
-    let bytes = Bytes { cameras, images, points3d, rigs: bytes("rigs"), frames: bytes("frames") };
+    let bytes = Bytes {
+        cameras,
+        images,
+        points3d,
+        rigs: bytes("rigs"),
+        frames: bytes("frames"),
+    };
     let text = files[0].0.ends_with(".txt");
-    let model = if text { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
+    let model = if text {
+        colmap_text::read(&bytes)
+    } else {
+        colmap_bin::read(&bytes)
+    };
     model.and_then(|model| model.scene()).unwrap()
 }
 
@@ -46,12 +63,26 @@ fn assert_same(a: &Scene, b: &Scene, what: &str) {
     assert_eq!(a.cameras, b.cameras, "{what}");
     let view = |s: &Scene, v: usize| {
         let view = &s.views[v];
-        (view.name.clone(), view.image_id, view.camera, view.file_position, view.cam_from_world)
+        (
+            view.name.clone(),
+            view.image_id,
+            view.camera,
+            view.file_position,
+            view.cam_from_world,
+        )
     };
     let views = |s: &Scene| (0..s.views.len()).map(|v| view(s, v)).collect::<Vec<_>>();
     assert_eq!(views(a), views(b), "{what}");
-    assert_eq!((&a.points, &a.point_ids, &a.colours), (&b.points, &b.point_ids, &b.colours), "{what}");
-    assert_eq!((&a.track_offsets, &a.track_views), (&b.track_offsets, &b.track_views), "{what}");
+    assert_eq!(
+        (&a.points, &a.point_ids, &a.colours),
+        (&b.points, &b.point_ids, &b.colours),
+        "{what}"
+    );
+    assert_eq!(
+        (&a.track_offsets, &a.track_views),
+        (&b.track_offsets, &b.track_views),
+        "{what}"
+    );
     assert_eq!(a.track_pixels, b.track_pixels, "{what}");
 }
 
@@ -70,7 +101,10 @@ fn all_colmap_models_have_the_expected_counts() {
         assert_eq!(scene.warnings, [], "{folder}");
         if let Some(error) = expected["error"].as_f64() {
             let found = scene.mean_reprojection_error().unwrap();
-            assert!((found - error).abs() < 1e-5, "{folder}: {found} instead of {error}");
+            assert!(
+                (found - error).abs() < 1e-5,
+                "{folder}: {found} instead of {error}"
+            );
         }
     }
 }
@@ -88,7 +122,12 @@ fn text_and_binary_are_the_same_model() {
         let (a, b) = (read(&formats.join(folder)), read(&formats.join(&text)));
         assert_eq!(a.track_views, b.track_views, "{folder}");
         let pixels = a.track_pixels.iter().zip(&b.track_pixels);
-        assert!(pixels.flat_map(|(a, b)| [a[0] - b[0], a[1] - b[1]]).all(|d| d.abs() < 1e-9), "{folder}");
+        assert!(
+            pixels
+                .flat_map(|(a, b)| [a[0] - b[0], a[1] - b[1]])
+                .all(|d| d.abs() < 1e-9),
+            "{folder}"
+        );
         compared += 1;
     }
     assert!(compared > 20);
@@ -97,10 +136,20 @@ fn text_and_binary_are_the_same_model() {
 #[test]
 fn colmap_text_name_cut() {
     let formats = formats();
-    let names =
-        |folder: &str| -> Vec<String> { read(&formats.join(folder)).views.iter().map(|v| v.name.clone()).collect() };
+    let names = |folder: &str| -> Vec<String> {
+        read(&formats.join(folder))
+            .views
+            .iter()
+            .map(|v| v.name.clone())
+            .collect()
+    };
     assert_eq!(names("names/txt"), names("names/bin"));
-    for name in ["flug 2/straße/Übersicht ö.jpg", "日本/写真 2.png", "quote'd \"name\".jpg", "back\\slash.jpg"] {
+    for name in [
+        "flug 2/straße/Übersicht ö.jpg",
+        "日本/写真 2.png",
+        "quote'd \"name\".jpg",
+        "back\\slash.jpg",
+    ] {
         assert!(names("names/txt").contains(&name.to_string()), "{name}");
     }
 }
@@ -108,9 +157,17 @@ fn colmap_text_name_cut() {
 #[test]
 fn quaternions_are_normalised() {
     let formats = formats();
-    let (a, b) = (read(&formats.join("txt_unnormalised_quaternion")), read(&formats.join("ids_unordered/txt")));
+    let (a, b) = (
+        read(&formats.join("txt_unnormalised_quaternion")),
+        read(&formats.join("ids_unordered/txt")),
+    );
     for (a, b) in a.views.iter().zip(&b.views) {
-        assert!((a.cam_from_world.rotation.matrix() - b.cam_from_world.rotation.matrix()).norm() < 1e-12, "{}", a.name);
+        assert!(
+            (a.cam_from_world.rotation.matrix() - b.cam_from_world.rotation.matrix()).norm()
+                < 1e-12,
+            "{}",
+            a.name
+        );
     }
 }
 
@@ -125,25 +182,42 @@ fn what_is_written_is_what_was_read() {
         let binary = colmap_bin::write(&model);
         if project.model.format == ModelFormat::ColmapBinary {
             for (name, bytes) in &binary {
-                assert_eq!(&std::fs::read(project.model.path.join(name)).unwrap(), bytes, "{folder}/{name}");
+                assert_eq!(
+                    &std::fs::read(project.model.path.join(name)).unwrap(),
+                    bytes,
+                    "{folder}/{name}"
+                );
             }
         }
         assert_same(&reread(&binary), &scene, folder);
         if folder.starts_with("names/") {
             assert!(colmap_text::write(&model).is_err());
         } else {
-            assert_same(&reread(&colmap_text::write(&model).unwrap()), &scene, folder);
+            assert_same(
+                &reread(&colmap_text::write(&model).unwrap()),
+                &scene,
+                folder,
+            );
         }
         // By way of the scene alone.
         let again = reread(&colmap_bin::write(&ColmapModel::from_scene(&scene)));
-        assert_eq!((&again.track_views, &again.track_pixels), (&scene.track_views, &scene.track_pixels), "{folder}");
+        assert_eq!(
+            (&again.track_views, &again.track_pixels),
+            (&scene.track_views, &scene.track_pixels),
+            "{folder}"
+        );
     }
 }
 
 #[test]
 fn reduced_models_are_consistent() {
     let formats = formats();
-    for folder in ["base_colmap42_bin", "ids_unordered/bin", "many_cameras/txt", "rig_oblique5/bin"] {
+    for folder in [
+        "base_colmap42_bin",
+        "ids_unordered/bin",
+        "many_cameras/txt",
+        "rig_oblique5/bin",
+    ] {
         let files = open(&formats.join(folder)).colmap_files().unwrap();
         let model = files.model().unwrap();
         let whole = model.scene().unwrap();
@@ -152,14 +226,19 @@ fn reduced_models_are_consistent() {
         let reduced = model.reduced(|image| ids.contains(&image.id), 2).unwrap();
         assert!(reduced.rigs.is_none() && reduced.frames.is_none());
         let used: Vec<u32> = reduced.images.iter().map(|i| i.camera_id).collect();
-        assert!(reduced.cameras.iter().all(|c| used.contains(&c.id)), "{folder}");
+        assert!(
+            reduced.cameras.iter().all(|c| used.contains(&c.id)),
+            "{folder}"
+        );
         // 2D points stay in place, linked only to points that are there.
         for image in &reduced.images {
             let before = model.images.iter().find(|i| i.id == image.id).unwrap();
             assert_eq!(before.points2d.len(), image.points2d.len());
             for (before, after) in before.points2d.iter().zip(image.points2d.iter()) {
                 assert_eq!(before.pixel(), after.pixel());
-                let id = before.point().filter(|id| reduced.points.iter().any(|p| p.id == *id));
+                let id = before
+                    .point()
+                    .filter(|id| reduced.points.iter().any(|p| p.id == *id));
                 assert_eq!(after.point(), id);
             }
         }
@@ -168,7 +247,9 @@ fn reduced_models_are_consistent() {
         for p in 0..whole.points.len() {
             let track = whole.track(viewrank::internals::scene::PointIndex(p as u32));
             let names = track.filter(|&o| kept.contains(&whole.track_views[o]));
-            let names: Vec<_> = names.map(|o| (whole.name(whole.track_views[o]), whole.track_pixels[o])).collect();
+            let names: Vec<_> = names
+                .map(|o| (whole.name(whole.track_views[o]), whole.track_pixels[o]))
+                .collect();
             let mut distinct: Vec<_> = names.iter().map(|n| n.0).collect();
             distinct.dedup();
             if distinct.len() >= 2 {
@@ -179,7 +260,9 @@ fn reduced_models_are_consistent() {
         assert_eq!(scene.points.len(), expected.len(), "{folder}");
         for (p, (id, names)) in expected.iter().enumerate() {
             let track = scene.track(viewrank::internals::scene::PointIndex(p as u32));
-            let found: Vec<_> = track.map(|o| (scene.name(scene.track_views[o]), scene.track_pixels[o])).collect();
+            let found: Vec<_> = track
+                .map(|o| (scene.name(scene.track_views[o]), scene.track_pixels[o]))
+                .collect();
             assert_eq!((scene.point_ids[p], &found), (*id, names), "{folder}");
         }
     }
@@ -208,10 +291,15 @@ fn pixels_whose_points_do_not_know_them_are_counted() {
     let scene = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley"));
     assert_eq!(scene.warnings, []);
     let mut model = ColmapModel::from_scene(&scene);
-    let stray = [Some(u64::MAX - 1), Some(scene.point_ids[0])].map(|point| Point2d::new([3.0, 4.0], point));
+    let stray =
+        [Some(u64::MAX - 1), Some(scene.point_ids[0])].map(|point| Point2d::new([3.0, 4.0], point));
     model.images[2].points2d.to_mut().extend(stray);
     let read = reread(&colmap_bin::write(&model));
-    assert!(read.warnings[0].text.starts_with("2 of "), "{:?}", read.warnings);
+    assert!(
+        read.warnings[0].text.starts_with("2 of "),
+        "{:?}",
+        read.warnings
+    );
     assert_eq!(read.observations(), scene.observations());
 }
 
@@ -220,11 +308,18 @@ fn the_sub_model_with_most_images_is_taken() {
     let formats = formats();
     let path = formats.join("project_two_models");
     let project = open(&path);
-    assert_eq!((project.kind, project.model.name().as_str()), (ProjectKind::Colmap, "0"));
+    assert_eq!(
+        (project.kind, project.model.name().as_str()),
+        (ProjectKind::Colmap, "0")
+    );
     let scene = project.read_scene().unwrap();
     assert_eq!(scene.views.len(), 7);
     assert_eq!(scene.warnings.len(), 1);
-    assert!(scene.warnings[0].text.contains("1 (6 images)"), "{:?}", scene.warnings);
+    assert!(
+        scene.warnings[0].text.contains("1 (6 images)"),
+        "{:?}",
+        scene.warnings
+    );
     let other = Project::open(&path, Some("1")).unwrap();
     assert_eq!(other.read_scene().unwrap().views.len(), 6);
     let error = Project::open(&path, Some("7")).unwrap_err();
@@ -236,16 +331,33 @@ fn the_sub_model_with_most_images_is_taken() {
 fn unregistered_images_are_those_of_the_folder() {
     let folder = tempfile::tempdir().unwrap();
     let (model, images) = (folder.path().join("sparse/0"), folder.path().join("images"));
-    [&model, &images].iter().for_each(|path| std::fs::create_dir_all(path).unwrap());
+    [&model, &images]
+        .iter()
+        .for_each(|path| std::fs::create_dir_all(path).unwrap());
     for file in ["cameras.bin", "images.bin", "points3D.bin"] {
-        std::fs::copy(formats().join("unregistered_colmap311/bin").join(file), model.join(file)).unwrap();
+        std::fs::copy(
+            formats().join("unregistered_colmap311/bin").join(file),
+            model.join(file),
+        )
+        .unwrap();
     }
-    let all: Vec<String> = read(&formats().join("base_colmap38_bin")).views.iter().map(|v| v.name.clone()).collect();
-    all.iter().for_each(|name| std::fs::write(images.join(name), "").unwrap());
+    let all: Vec<String> = read(&formats().join("base_colmap38_bin"))
+        .views
+        .iter()
+        .map(|v| v.name.clone())
+        .collect();
+    all.iter()
+        .for_each(|name| std::fs::write(images.join(name), "").unwrap());
     let scene = read(folder.path());
     assert_eq!(scene.views.len(), 9);
-    let missing: Vec<_> = all.into_iter().filter(|name| scene.find(name).is_none()).collect();
-    assert_eq!((scene.unregistered.len(), &scene.unregistered), (3, &missing));
+    let missing: Vec<_> = all
+        .into_iter()
+        .filter(|name| scene.find(name).is_none())
+        .collect();
+    assert_eq!(
+        (scene.unregistered.len(), &scene.unregistered),
+        (3, &missing)
+    );
 }
 
 #[test]
@@ -262,14 +374,20 @@ fn a_project_is_recognised_by_what_lies_in_it() {
     };
     let error = Project::open(root, None).unwrap_err();
     assert!(matches!(error, ProjectError::NoModel { .. }), "{error}");
-    assert!(matches!(Project::open(&root.join("nowhere"), None).unwrap_err(), ProjectError::NotFound(_)));
+    assert!(matches!(
+        Project::open(&root.join("nowhere"), None).unwrap_err(),
+        ProjectError::NotFound(_)
+    ));
 
     copy("sparse/10");
     copy("sparse/2");
     std::fs::create_dir(root.join("images")).unwrap();
     let project = open(root);
     // As many images in both: the first by name, 2 before 10.
-    assert_eq!((project.kind, project.model.name().as_str()), (ProjectKind::Colmap, "2"));
+    assert_eq!(
+        (project.kind, project.model.name().as_str()),
+        (ProjectKind::Colmap, "2")
+    );
     assert_eq!(project.images.unwrap().to_path_buf(), root.join("images"));
     assert_eq!(project.dense_workspace, None);
 
@@ -279,15 +397,30 @@ fn a_project_is_recognised_by_what_lies_in_it() {
     copy("dense/2/sparse");
     assert_eq!(open(root).dense_workspace, Some(root.join("dense/2")));
     for file in ["cameras.bin", "images.bin", "points3D.bin"] {
-        std::fs::copy(formats.join("names/bin").join(file), root.join("dense/2/sparse").join(file)).unwrap();
+        std::fs::copy(
+            formats.join("names/bin").join(file),
+            root.join("dense/2/sparse").join(file),
+        )
+        .unwrap();
     }
     let other = open(root);
     assert_eq!(other.dense_workspace, None);
     let warnings = other.read_scene().unwrap().warnings;
-    assert!(warnings.iter().any(|w| w.text.contains("writes nothing into it")), "{warnings:?}");
+    assert!(
+        warnings
+            .iter()
+            .any(|w| w.text.contains("writes nothing into it")),
+        "{warnings:?}"
+    );
     assert_eq!(open(&root.join("sparse/10")).kind, ProjectKind::BareModel);
-    assert_eq!(open(&root.join("sparse/10")).images.unwrap().to_path_buf(), root.join("images"));
-    assert_eq!(open(&root.join("sparse/10/cameras.bin")).model.path, root.join("sparse/10"));
+    assert_eq!(
+        open(&root.join("sparse/10")).images.unwrap().to_path_buf(),
+        root.join("images")
+    );
+    assert_eq!(
+        open(&root.join("sparse/10/cameras.bin")).model.path,
+        root.join("sparse/10")
+    );
 
     std::fs::remove_dir_all(root.join("sparse")).unwrap();
     copy("sparse");
@@ -300,7 +433,11 @@ fn a_project_is_recognised_by_what_lies_in_it() {
     assert!(error.to_string().contains("points3D.bin"), "{error}");
     // Text is read where binary is not whole.
     for file in ["cameras.txt", "images.txt", "points3D.txt"] {
-        std::fs::copy(formats.join("unregistered_colmap311/txt").join(file), root.join("sparse").join(file)).unwrap();
+        std::fs::copy(
+            formats.join("unregistered_colmap311/txt").join(file),
+            root.join("sparse").join(file),
+        )
+        .unwrap();
     }
     assert_eq!(open(root).model.format, ModelFormat::ColmapText);
     assert_eq!(read(root).views.len(), 9);
@@ -314,13 +451,26 @@ fn inspect_prints_the_counts() {
     let formats = formats();
     let inspect = |folder: &str, format: &str| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_viewrank"));
-        let output = command.arg("inspect").arg(formats.join(folder)).args(["--format", format]).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let output = command
+            .arg("inspect")
+            .arg(formats.join(folder))
+            .args(["--format", format])
+            .output()
+            .unwrap();
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
         String::from_utf8(output.stdout).unwrap()
     };
     for (folder, expected) in &expected(&formats) {
         let found: serde_json::Value = serde_json::from_str(&inspect(folder, "json")).unwrap();
-        let format = if expected["format"] == "bin" { "colmap_binary" } else { "colmap_text" };
+        let format = if expected["format"] == "bin" {
+            "colmap_binary"
+        } else {
+            "colmap_text"
+        };
         assert_eq!(found["format"], format, "{folder}");
         for (key, expected_key) in [
             ("registered", "registered"),
@@ -330,10 +480,19 @@ fn inspect_prints_the_counts() {
         ] {
             assert_eq!(found[key], expected[expected_key], "{folder} {key}");
         }
-        let (error, expected) = (found["mean_reprojection_error_px"].as_f64(), expected["error"].as_f64());
+        let (error, expected) = (
+            found["mean_reprojection_error_px"].as_f64(),
+            expected["error"].as_f64(),
+        );
         assert_eq!(error.is_some(), expected.is_some(), "{folder}");
-        assert!((error.unwrap_or(0.0) - expected.unwrap_or(0.0)).abs() < 1e-5, "{folder}: {error:?}");
+        assert!(
+            (error.unwrap_or(0.0) - expected.unwrap_or(0.0)).abs() < 1e-5,
+            "{folder}: {error:?}"
+        );
     }
     let text = inspect("project_two_models", "text");
-    assert!(text.contains("7 registered") && text.contains("1 (6 images)"), "{text}");
+    assert!(
+        text.contains("7 registered") && text.contains("1 (6 images)"),
+        "{text}"
+    );
 }

@@ -29,21 +29,45 @@ fn project() -> TempDir {
 
 fn viewrank(arguments: &[&str]) -> Output {
     let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Command::new(env!("CARGO_BIN_EXE_viewrank")).args(arguments).env("XDG_CONFIG_HOME", nowhere).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_viewrank"))
+        .args(arguments)
+        .env("XDG_CONFIG_HOME", nowhere)
+        .output()
+        .unwrap()
 }
 
 /// Plans and returns the manifest.
 fn planned(project: &Path, options: &[&str]) -> Value {
-    let output = viewrank(&[&["plan", project.to_str().unwrap(), "--backend", "openmvs"], options].concat());
+    let output = viewrank(
+        &[
+            &["plan", project.to_str().unwrap(), "--backend", "openmvs"],
+            options,
+        ]
+        .concat(),
+    );
     // Without images the plan is written, and its export is not.
-    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(
+        output.status.code(),
+        Some(1),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     serde_json::from_slice(&fs::read(project.join("viewrank/manifest.json")).unwrap()).unwrap()
 }
 
 /// Exit code and stderr of a plan that must fail.
 fn refused(project: &Path, region: &str) -> (i32, String) {
-    let output = viewrank(&["plan", project.to_str().unwrap(), "--quiet", "--region", region]);
-    (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+    let output = viewrank(&[
+        "plan",
+        project.to_str().unwrap(),
+        "--quiet",
+        "--region",
+        region,
+    ]);
+    (
+        output.status.code().unwrap(),
+        String::from_utf8(output.stderr).unwrap(),
+    )
 }
 
 fn file(project: &Path, name: &str, contents: impl AsRef<[u8]>) -> PathBuf {
@@ -54,13 +78,23 @@ fn file(project: &Path, name: &str, contents: impl AsRef<[u8]>) -> PathBuf {
 
 /// Georeferences the project by its settings.
 fn georeferenced(project: &Path, further: &str) {
-    file(project, "viewrank.toml", format!("{further}\n[frame]\norigin = [{LATITUDE}, {LONGITUDE}, 40.0]\n"));
+    file(
+        project,
+        "viewrank.toml",
+        format!("{further}\n[frame]\norigin = [{LATITUDE}, {LONGITUDE}, 40.0]\n"),
+    );
 }
 
-/// A rectangle as a ring in longitude and latitude; a degree of a sphere of the earth's mean radius is within a third of a per cent.
+/// A rectangle as a ring in longitude and latitude; a degree of a sphere of the earth's mean radius
+/// is within a third of a per cent.
 fn on_earth([x0, y0, x1, y1]: [f64; 4]) -> Value {
     let degree = 111_195.0;
-    let at = |x: f64, y: f64| [LONGITUDE + x / degree / LATITUDE.to_radians().cos(), LATITUDE + y / degree];
+    let at = |x: f64, y: f64| {
+        [
+            LONGITUDE + x / degree / LATITUDE.to_radians().cos(),
+            LATITUDE + y / degree,
+        ]
+    };
     json!([at(x0, y0), at(x1, y0), at(x1, y1), at(x0, y1), at(x0, y0)])
 }
 
@@ -88,25 +122,43 @@ fn a_surveyors_polygons_weigh_what_is_inside() {
     let whole = planned(&project().keep(), &[]);
     let manifest = planned(root, &["--dump-tables", tables.to_str().unwrap()]);
     let region = &manifest["region"];
-    assert_eq!((&region["kind"], &whole["region"]), (&json!("polygons"), &Value::Null));
+    assert_eq!(
+        (&region["kind"], &whole["region"]),
+        (&json!("polygons"), &Value::Null)
+    );
     let bounds: Vec<f64> = serde_json::from_value(region["bounds"].clone()).unwrap();
     let wanted = [-6.0, -6.0, 11.0, 7.0];
-    for (found, wanted) in [bounds[0], bounds[1], bounds[3], bounds[4]].iter().zip(wanted) {
+    for (found, wanted) in [bounds[0], bounds[1], bounds[3], bounds[4]]
+        .iter()
+        .zip(wanted)
+    {
         // Edges are up to 3.3 m long.
         assert!((found - wanted).abs() < 3.5, "{bounds:?}");
     }
     assert!(region["share_of_area"].as_f64().unwrap() < 0.5);
     assert_ne!(manifest["clusters"], whole["clusters"]);
-    let gsd: Vec<f32> =
-        npyz::NpyFile::new(&fs::read(tables.join("triangle_gsd.npy")).unwrap()[..]).unwrap().into_vec().unwrap();
+    let gsd: Vec<f32> = npyz::NpyFile::new(&fs::read(tables.join("triangle_gsd.npy")).unwrap()[..])
+        .unwrap()
+        .into_vec()
+        .unwrap();
     assert!(gsd.contains(&0.011) && !gsd.iter().all(|&gsd| gsd == 0.011));
     let surface = fs::read(root.join("viewrank/surface.ply")).unwrap();
     assert!(surface.windows(21).any(|w| w == b"property float region"));
-    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views.geojson")).unwrap()).unwrap();
+    let map: Value =
+        serde_json::from_slice(&fs::read(root.join("viewrank/views.geojson")).unwrap()).unwrap();
     let drawn = map["features"].as_array().unwrap().last().unwrap();
-    assert_eq!(drawn["properties"], json!({ "what": "region", "kind": "polygons" }));
-    assert_eq!(drawn["geometry"]["coordinates"][0][1], on_earth([-2.0, -2.0, 1.0, 1.0]));
-    assert_eq!(drawn["geometry"]["coordinates"].as_array().unwrap().len(), 3);
+    assert_eq!(
+        drawn["properties"],
+        json!({ "what": "region", "kind": "polygons" })
+    );
+    assert_eq!(
+        drawn["geometry"]["coordinates"][0][1],
+        on_earth([-2.0, -2.0, 1.0, 1.0])
+    );
+    assert_eq!(
+        drawn["geometry"]["coordinates"].as_array().unwrap().len(),
+        3
+    );
 }
 
 #[test]
@@ -118,17 +170,31 @@ fn a_polygon_in_model_units_is_a_box_of_all_heights() {
         if crs {
             geojson["crs"] = Value::Null;
         }
-        file(root, "yard.json", geojson.to_string()).to_str().unwrap().to_owned()
+        file(root, "yard.json", geojson.to_string())
+            .to_str()
+            .unwrap()
+            .to_owned()
     };
     let [x0, y0, x1, y1] = YARD;
-    let boxed = planned(root, &["--region", &format!("{x0},{y0},-1e3,{x1},{y1},1e3")]);
+    let boxed = planned(
+        root,
+        &["--region", &format!("{x0},{y0},-1e3,{x1},{y1},1e3")],
+    );
     assert_eq!(boxed["region"]["kind"], "box");
-    assert_eq!(ranking(&planned(root, &["--region", &polygon(false)])), ranking(&boxed));
-    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views_local.json")).unwrap()).unwrap();
-    let drawn = &map["features"].as_array().unwrap().last().unwrap()["geometry"]["coordinates"][0][0];
+    assert_eq!(
+        ranking(&planned(root, &["--region", &polygon(false)])),
+        ranking(&boxed)
+    );
+    let map: Value =
+        serde_json::from_slice(&fs::read(root.join("viewrank/views_local.json")).unwrap()).unwrap();
+    let drawn =
+        &map["features"].as_array().unwrap().last().unwrap()["geometry"]["coordinates"][0][0];
     assert_eq!([&drawn[0][0], &drawn[2][1]], [&json!(x0), &json!(y1)]);
     georeferenced(root, "");
-    assert_eq!(ranking(&planned(root, &["--region", &polygon(true)])), ranking(&boxed));
+    assert_eq!(
+        ranking(&planned(root, &["--region", &polygon(true)])),
+        ranking(&boxed)
+    );
 }
 
 #[test]
@@ -136,20 +202,36 @@ fn a_closed_mesh_of_a_box_is_the_box() {
     let folder = project();
     let root = folder.path();
     let [x0, y0, x1, y1] = YARD;
-    let corners = (0..8).map(|i| format!("{} {} {}\n", [x0, x1][i & 1], [y0, y1][i >> 1 & 1], [-9, 9][i >> 2]));
+    let corners = (0..8).map(|i| {
+        format!(
+            "{} {} {}\n",
+            [x0, x1][i & 1],
+            [y0, y1][i >> 1 & 1],
+            [-9, 9][i >> 2]
+        )
+    });
     let faces = "4 0 2 3 1\n4 4 5 7 6\n4 0 1 5 4\n4 2 6 7 3\n4 0 4 6 2\n4 1 3 7 5\n";
     let header = "ply\nformat ascii 1.0\nelement vertex 8\nproperty double x\nproperty double y\nproperty double z\n\
                   element face 6\nproperty list uchar int vertex_indices\nend_header\n";
     let ply = header.to_owned() + &corners.collect::<String>() + faces;
-    let mesh = planned(root, &["--region", file(root, "yard.ply", &ply).to_str().unwrap()]);
+    let mesh = planned(
+        root,
+        &["--region", file(root, "yard.ply", &ply).to_str().unwrap()],
+    );
     assert_eq!(mesh["region"]["kind"], "mesh");
     let boxed = planned(root, &["--region", &format!("{x0},{y0},-9,{x1},{y1},9")]);
     assert_eq!(ranking(&mesh), ranking(&boxed));
     let listed = file(root, "yard.txt", format!("{x1} {y0} 9\n{x0} {y1} -9\n"));
-    assert_eq!(ranking(&planned(root, &["--region", listed.to_str().unwrap()])), ranking(&boxed));
+    assert_eq!(
+        ranking(&planned(root, &["--region", listed.to_str().unwrap()])),
+        ranking(&boxed)
+    );
     let open = file(root, "open.ply", ply.replace("face 6", "face 5"));
     let (code, stderr) = refused(root, open.to_str().unwrap());
-    assert!(code == 1 && stderr.contains("it is open: ") && stderr.contains("hint: "), "{stderr}");
+    assert!(
+        code == 1 && stderr.contains("it is open: ") && stderr.contains("hint: "),
+        "{stderr}"
+    );
 }
 
 #[test]
@@ -161,21 +243,49 @@ fn auto_says_what_it_takes_and_is_the_same_on_any_number_of_threads() {
     for part in ["region", "clusters", "cut", "views", "surface"] {
         assert_eq!(by_one[part], by_four[part]);
     }
-    for name in ["manifest.csv", "surface.ply", "views_local.json", "curve.svg"] {
-        let [a, b] = [&one, &four].map(|folder| fs::read(folder.path().join("viewrank").join(name)).unwrap());
+    for name in [
+        "manifest.csv",
+        "surface.ply",
+        "views_local.json",
+        "curve.svg",
+    ] {
+        let [a, b] = [&one, &four]
+            .map(|folder| fs::read(folder.path().join("viewrank").join(name)).unwrap());
         assert!(a == b, "{name}");
     }
     assert_eq!(by_one["region"]["kind"], "auto");
     assert!(
-        by_one["region"]["share_of_weight"].as_f64().unwrap() > by_one["region"]["share_of_area"].as_f64().unwrap()
+        by_one["region"]["share_of_weight"].as_f64().unwrap()
+            > by_one["region"]["share_of_area"].as_f64().unwrap()
     );
     let bounds: Vec<f64> = serde_json::from_value(by_one["region"]["bounds"].clone()).unwrap();
-    let corners = bounds.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
-    assert_eq!(ranking(&planned(one.path(), &["--region", &corners])), ranking(&by_one), "{corners}");
-    let summary = viewrank(&["plan", one.path().to_str().unwrap(), "--region", "auto", "--dry-run"]);
+    let corners = bounds
+        .iter()
+        .map(f64::to_string)
+        .collect::<Vec<_>>()
+        .join(",");
+    assert_eq!(
+        ranking(&planned(one.path(), &["--region", &corners])),
+        ranking(&by_one),
+        "{corners}"
+    );
+    let summary = viewrank(&[
+        "plan",
+        one.path().to_str().unwrap(),
+        "--region",
+        "auto",
+        "--dry-run",
+    ]);
     let summary = String::from_utf8(summary.stdout).unwrap();
-    assert!(summary.contains("\nRegion: auto, the box -") && summary.contains(" inside the region, "), "{summary}");
-    assert!(summary.lines().all(|line| line.chars().count() <= 80 || line.contains(one.path().to_str().unwrap())));
+    assert!(
+        summary.contains("\nRegion: auto, the box -") && summary.contains(" inside the region, "),
+        "{summary}"
+    );
+    assert!(
+        summary
+            .lines()
+            .all(|line| line.chars().count() <= 80 || line.contains(one.path().to_str().unwrap()))
+    );
 }
 
 #[test]
@@ -193,10 +303,20 @@ fn views_of_elsewhere_say_so() {
     let folder = project();
     let corner = planned(folder.path(), &["--region=-30,-30,-9,-12,-10,9"]);
     let views = corner["views"].as_array().unwrap();
-    assert!(views.iter().any(|view| view["reason"] == "outside_region"), "{views:?}");
+    assert!(
+        views.iter().any(|view| view["reason"] == "outside_region"),
+        "{views:?}"
+    );
     let keys = corner["clusters"].as_array().unwrap();
-    let outside = |key: &Value| views.iter().any(|v| v["name"] == key["key"] && v["reason"] == "outside_region");
-    assert!(!keys.iter().any(outside), "a view that gives something inside is ranked");
+    let outside = |key: &Value| {
+        views
+            .iter()
+            .any(|v| v["name"] == key["key"] && v["reason"] == "outside_region")
+    };
+    assert!(
+        !keys.iter().any(outside),
+        "a view that gives something inside is ranked"
+    );
 }
 
 #[test]
@@ -207,25 +327,45 @@ fn a_plan_of_another_region_is_outdated() {
         file(
             root,
             "yard.json",
-            json!({ "type": "Polygon", "coordinates": [in_model([-half, -half, half, half])] }).to_string(),
+            json!({ "type": "Polygon", "coordinates": [in_model([-half, -half, half, half])] })
+                .to_string(),
         )
     };
     file(root, "viewrank.toml", "region = \"yard.json\"\n");
     region(6.0);
     let first = planned(root, &[]);
     let out = root.join("out");
-    let export = || viewrank(&["export", root.to_str().unwrap(), "--backend", "mve", "--out", out.to_str().unwrap()]);
+    let export = || {
+        viewrank(&[
+            "export",
+            root.to_str().unwrap(),
+            "--backend",
+            "mve",
+            "--out",
+            out.to_str().unwrap(),
+        ])
+    };
     let report = || viewrank(&["report", root.to_str().unwrap()]);
     let done = report();
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
     let page = fs::read_to_string(root.join("viewrank/report.html")).unwrap();
     assert!(page.contains("\"region\":{\"words\":\"Region: polygons"));
     region(5.0);
     for output in [export(), report()] {
         let stderr = String::from_utf8(output.stderr).unwrap();
-        assert!(!output.status.success() && stderr.contains("have changed since"), "{stderr}");
+        assert!(
+            !output.status.success() && stderr.contains("have changed since"),
+            "{stderr}"
+        );
     }
-    assert_ne!(planned(root, &[])["input"]["fingerprint"], first["input"]["fingerprint"]);
+    assert_ne!(
+        planned(root, &[])["input"]["fingerprint"],
+        first["input"]["fingerprint"]
+    );
 }
 
 #[test]
@@ -242,7 +382,11 @@ fn regions_that_cannot_be_used_are_refused_with_a_hint() {
         ),
         (
             "utm.json",
-            polygon(json!([[391_000, 5_818_000], [391_100, 5_818_000], [391_000, 5_818_100]])),
+            polygon(json!([
+                [391_000, 5_818_000],
+                [391_100, 5_818_000],
+                [391_000, 5_818_100]
+            ])),
             "is not a longitude",
         ),
         (
@@ -250,19 +394,35 @@ fn regions_that_cannot_be_used_are_refused_with_a_hint() {
             "{\"type\": \"Polygon\", \"coordinates\": [[[NaN, 0], [1, 0], [1, 1]]]}".into(),
             "cannot read the region",
         ),
-        ("line.json", json!({ "type": "LineString", "coordinates": [[0, 0], [1, 1]] }).to_string(), "encloses no area"),
+        (
+            "line.json",
+            json!({ "type": "LineString", "coordinates": [[0, 0], [1, 1]] }).to_string(),
+            "encloses no area",
+        ),
         ("text.txt", "the yard".into(), "neither GeoJSON nor PLY"),
     ];
     for (name, contents, words) in cases {
         let (code, stderr) = refused(root, file(root, name, contents).to_str().unwrap());
-        assert!(code == 1 && stderr.contains(words) && stderr.contains("\nhint: "), "{name}: {stderr}");
+        assert!(
+            code == 1 && stderr.contains(words) && stderr.contains("\nhint: "),
+            "{name}: {stderr}"
+        );
     }
     let (code, stderr) = refused(root, "1,2,3");
-    assert!(code == 2 && stderr.contains("--region") && stderr.contains("x0,y0,z0,x1,y1,z1"), "{stderr}");
+    assert!(
+        code == 2 && stderr.contains("--region") && stderr.contains("x0,y0,z0,x1,y1,z1"),
+        "{stderr}"
+    );
     let (code, stderr) = refused(root, "500,0,0,501,1,1");
-    assert!(code == 1 && stderr.contains("it covers x 500.000000 to 501.000000"), "{stderr}");
+    assert!(
+        code == 1 && stderr.contains("it covers x 500.000000 to 501.000000"),
+        "{stderr}"
+    );
     let (code, stderr) = refused(root, "nowhere.geojson");
-    assert!(code == 1 && stderr.contains("nowhere.geojson") && stderr.contains("\nhint: "), "{stderr}");
+    assert!(
+        code == 1 && stderr.contains("nowhere.geojson") && stderr.contains("\nhint: "),
+        "{stderr}"
+    );
     assert!(!root.join("viewrank/manifest.json").exists());
 }
 
@@ -271,12 +431,24 @@ fn regions_that_cannot_be_used_are_refused_with_a_hint() {
 #[ignore = "needs VIEWRANK_DATA: statue, room, lewis"]
 fn auto_takes_the_subject() {
     let data = std::env::var_os("VIEWRANK_DATA").expect("the folder of the sets");
-    // Set, a box that must be inside and one that must hold it: the bust and its pedestal's top; the furniture and the walls; the ground
-    // within 100 m of the cameras and within 600 m.
+    // Set, a box that must be inside and one that must hold it: the bust and its pedestal's top;
+    // the furniture and the walls; the ground within 100 m of the cameras and within 600 m.
     let sets = [
-        ("statue", [-2.33, -1.34, 1.0, -1.86, -0.98, 1.62], [-2.6, -1.7, 0.7, -1.6, -0.6, 1.8]),
-        ("room", [-2.9, -2.4, 0.0, 2.9, 2.4, 1.8], [-3.7, -3.2, -0.5, 3.7, 3.2, 3.2]),
-        ("lewis", [-80.0, -100.0, -95.0, 90.0, 90.0, -40.0], [-650.0, -650.0, -300.0, 650.0, 650.0, 200.0]),
+        (
+            "statue",
+            [-2.33, -1.34, 1.0, -1.86, -0.98, 1.62],
+            [-2.6, -1.7, 0.7, -1.6, -0.6, 1.8],
+        ),
+        (
+            "room",
+            [-2.9, -2.4, 0.0, 2.9, 2.4, 1.8],
+            [-3.7, -3.2, -0.5, 3.7, 3.2, 3.2],
+        ),
+        (
+            "lewis",
+            [-80.0, -100.0, -95.0, 90.0, 90.0, -40.0],
+            [-650.0, -650.0, -300.0, 650.0, 650.0, 200.0],
+        ),
     ];
     for (name, inner, outer) in sets {
         let folder = tempfile::tempdir().unwrap();
@@ -286,8 +458,13 @@ fn auto_takes_the_subject() {
             fs::copy(model.join(file), folder.path().join("sparse/0").join(file)).unwrap();
         }
         let manifest = planned(folder.path(), &["--region", "auto"]);
-        let bounds: [f64; 6] = serde_json::from_value(manifest["region"]["bounds"].clone()).unwrap();
-        let holds = |a: &[f64; 6], b: &[f64; 6]| (0..3).all(|i| a[i] <= b[i] && b[i + 3] <= a[i + 3]);
-        assert!(holds(&bounds, &inner) && holds(&outer, &bounds), "{name}: {bounds:?}");
+        let bounds: [f64; 6] =
+            serde_json::from_value(manifest["region"]["bounds"].clone()).unwrap();
+        let holds =
+            |a: &[f64; 6], b: &[f64; 6]| (0..3).all(|i| a[i] <= b[i] && b[i + 3] <= a[i + 3]);
+        assert!(
+            holds(&bounds, &inner) && holds(&outer, &bounds),
+            "{name}: {bounds:?}"
+        );
     }
 }

@@ -34,8 +34,23 @@ const FOCAL: f64 = 320.0;
 const ALTITUDE: f64 = 40.0;
 
 fn town() -> Scene {
-    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![FOCAL, FOCAL, 200.0, 150.0]).unwrap();
-    let town = Town { grid: 4, points: 800, tilt: None, side: 40.0, altitude: ALTITUDE, boxes: 1, ..Town::new(camera) };
+    let camera = Camera::new(
+        1,
+        CameraModel::Pinhole,
+        400,
+        300,
+        vec![FOCAL, FOCAL, 200.0, 150.0],
+    )
+    .unwrap();
+    let town = Town {
+        grid: 4,
+        points: 800,
+        tilt: None,
+        side: 40.0,
+        altitude: ALTITUDE,
+        boxes: 1,
+        ..Town::new(camera)
+    };
     town.scene()
 }
 
@@ -64,21 +79,45 @@ impl Planned {
         for &cluster in &self.plan.decision.ranking.order[ranks] {
             let key = self.plan.stages.clusters[cluster as usize].key;
             let depths = depths(&self.plan, key, &keep);
-            write_map(&self.maps().join(format!("{}.npy", self.plan.stages.scene.name(key))), [400, 300], depths);
+            write_map(
+                &self
+                    .maps()
+                    .join(format!("{}.npy", self.plan.stages.scene.name(key))),
+                [400, 300],
+                depths,
+            );
         }
     }
 
     /// The plan of the model that is there now, around the maps.
     fn again(&self) -> Plan {
         let project = Project::open(self.folder.path(), None).unwrap();
-        let maps = MapFolder { folder: &self.maps(), ready: &|_| true };
+        let maps = MapFolder {
+            folder: &self.maps(),
+            ready: &|_| true,
+        };
         let plan = plan_of(self.folder.path());
-        replan(plan, &EarlierPlan::read(&project).unwrap(), &maps, &NoWatcher).unwrap().0
+        replan(
+            plan,
+            &EarlierPlan::read(&project).unwrap(),
+            &maps,
+            &NoWatcher,
+        )
+        .unwrap()
+        .0
     }
 
     fn keys(&self, ranks: std::ops::Range<usize>) -> Vec<&str> {
-        let key = |&c: &u32| self.plan.stages.scene.name(self.plan.stages.clusters[c as usize].key);
-        self.plan.decision.ranking.order[ranks].iter().map(key).collect()
+        let key = |&c: &u32| {
+            self.plan
+                .stages
+                .scene
+                .name(self.plan.stages.clusters[c as usize].key)
+        };
+        self.plan.decision.ranking.order[ranks]
+            .iter()
+            .map(key)
+            .collect()
     }
 }
 
@@ -91,27 +130,45 @@ fn write_model(project: &Path, scene: &Scene) {
 }
 
 fn plan_of(folder: &Path) -> Plan {
-    let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
+    let settings = Settings {
+        backends: vec!["sgm".into()],
+        ..Settings::default()
+    };
     backends::plan(&Project::open(folder, None).unwrap(), &settings, &NoWatcher).unwrap()
 }
 
 fn write(plan: &Plan, folder: &Path) {
     let files = files(plan, &Project::open(folder, None).unwrap()).unwrap();
-    files.sets.iter().for_each(|set| drop(set.write(&Disk::REAL).unwrap()));
+    files
+        .sets
+        .iter()
+        .for_each(|set| drop(set.write(&Disk::REAL).unwrap()));
 }
 
 /// Depth of the plan's surface in each pixel of the view.
 fn depths(plan: &Plan, view: ViewIndex, keep: impl Fn(u32, u32) -> bool) -> Vec<f32> {
     let camera = plan.stages.scene.camera_of(view);
     let pose = &plan.stages.scene.view(view).cam_from_world;
-    let front = visibility::front(&plan.stages.scene, &plan.stages.surface, view, camera.width, camera.height);
+    let front = visibility::front(
+        &plan.stages.scene,
+        &plan.stages.surface,
+        view,
+        camera.width,
+        camera.height,
+    );
     let depth = |(at, &t): (usize, &u32)| {
         let (column, row) = (at as u32 % camera.width, at as u32 / camera.width);
         if t == visibility::NOTHING || !keep(column, row) {
             return 0.0;
         }
-        let ray = camera.ray(&Point2::new(f64::from(column) + 0.5, f64::from(row) + 0.5)).unwrap();
-        let [a, b, c] = plan.stages.surface.corners(t).map(|p| pose.camera_from_world(&p));
+        let ray = camera
+            .ray(&Point2::new(f64::from(column) + 0.5, f64::from(row) + 0.5))
+            .unwrap();
+        let [a, b, c] = plan
+            .stages
+            .surface
+            .corners(t)
+            .map(|p| pose.camera_from_world(&p));
         let normal = (b - a).cross(&(c - a));
         (normal.dot(&a.coords) / normal.dot(&ray) * ray.z) as f32
     };
@@ -120,7 +177,9 @@ fn depths(plan: &Plan, view: ViewIndex, keep: impl Fn(u32, u32) -> bool) -> Vec<
 
 fn write_map(path: &Path, [width, height]: [u64; 2], depths: Vec<f32>) {
     let mut bytes = Vec::new();
-    let options = npyz::WriteOptions::new().default_dtype().shape(&[height, width]);
+    let options = npyz::WriteOptions::new()
+        .default_dtype()
+        .shape(&[height, width]);
     let mut writer = options.writer(&mut bytes).begin_nd().unwrap();
     writer.extend(depths).unwrap();
     writer.finish().unwrap();
@@ -135,19 +194,45 @@ fn finished_maps_at_half_the_size_stay_such_and_are_no_measure_of_what_can_be_re
     let full = planned.again();
     for key in planned.keys(0..3) {
         let path = planned.maps().join(format!("{key}.npy"));
-        let map = npyz::NpyFile::new(&*fs::read(&path).unwrap()).unwrap().into_vec::<f32>().unwrap();
-        let half = (0..150 * 200).map(|at| map[2 * (at / 200) * 400 + 2 * (at % 200)]).collect();
+        let map = npyz::NpyFile::new(&*fs::read(&path).unwrap())
+            .unwrap()
+            .into_vec::<f32>()
+            .unwrap();
+        let half = (0..150 * 200)
+            .map(|at| map[2 * (at / 200) * 400 + 2 * (at % 200)])
+            .collect();
         write_map(&path, [200, 150], half);
     }
     let half = planned.again();
     assert_eq!(half.decision.finished.clusters, 3);
-    let scales = |plan: &Plan| plan.decision.ranking.scales.iter().filter(|&&scale| scale == MapScale::Half).count();
+    let scales = |plan: &Plan| {
+        plan.decision
+            .ranking
+            .scales
+            .iter()
+            .filter(|&&scale| scale == MapScale::Half)
+            .count()
+    };
     assert_eq!((scales(&full), scales(&half)), (0, 3));
-    assert!(half.decision.ranking.scales[..3].iter().all(|&scale| scale == MapScale::Half));
+    assert!(
+        half.decision.ranking.scales[..3]
+            .iter()
+            .all(|&scale| scale == MapScale::Half)
+    );
     let [of_full, of_half] = [&full, &half].map(|plan| &plan.decision.ranking);
-    assert!(of_half.kept[2] < of_full.kept[2], "{} {}", of_half.kept[2], of_full.kept[2]);
-    // What the other views would give is corrected by what was measured, but these three count at full size.
-    assert!(of_half.reachable > 0.98 * planned.plan.decision.ranking.reachable, "{}", of_half.reachable);
+    assert!(
+        of_half.kept[2] < of_full.kept[2],
+        "{} {}",
+        of_half.kept[2],
+        of_full.kept[2]
+    );
+    // What the other views would give is corrected by what was measured, but these three count at
+    // full size.
+    assert!(
+        of_half.reachable > 0.98 * planned.plan.decision.ranking.reachable,
+        "{}",
+        of_half.reachable
+    );
     assert!(of_half.share(of_half.order.len()) < 1.0);
 }
 
@@ -162,9 +247,17 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     assert_eq!(again.stages.clusters, before.stages.clusters);
     let finished = &before.decision.ranking.order[..3];
     let expected = |c: usize| -> Vec<(u32, f32)> {
-        let from = if finished.contains(&(c as u32)) { &again.stages.fulfilment } else { &before.stages.fulfilment };
+        let from = if finished.contains(&(c as u32)) {
+            &again.stages.fulfilment
+        } else {
+            &before.stages.fulfilment
+        };
         let (triangles, values) = from.row(c);
-        triangles.iter().copied().zip(values.iter().copied()).collect()
+        triangles
+            .iter()
+            .copied()
+            .zip(values.iter().copied())
+            .collect()
     };
     let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
     assert_eq!(again.stages.fulfilment, table);
@@ -184,7 +277,10 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
     let first = planned.plan.decision.ranking.order[0] as usize;
     let mut lowered = 0;
     for c in (0..again.stages.clusters.len()).filter(|&c| c != first) {
-        let (before, after) = (planned.plan.stages.fulfilment.row(c), again.stages.fulfilment.row(c));
+        let (before, after) = (
+            planned.plan.stages.fulfilment.row(c),
+            again.stages.fulfilment.row(c),
+        );
         assert_eq!(before.0, after.0);
         assert!(before.1.iter().zip(after.1).all(|(b, a)| a <= b));
         lowered += before.1.iter().zip(after.1).filter(|(b, a)| a < b).count();
@@ -193,13 +289,28 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
     // Triangles that the failed half of the map does not show are expected as before.
     let failed: Vec<u32> = {
         let key = planned.plan.stages.clusters[first].key;
-        let picture = visibility::front(&planned.plan.stages.scene, &planned.plan.stages.surface, key, 400, 300);
+        let picture = visibility::front(
+            &planned.plan.stages.scene,
+            &planned.plan.stages.surface,
+            key,
+            400,
+            300,
+        );
         let left = |&(at, _): &(usize, &u32)| at % 400 < 200;
-        picture.iter().enumerate().filter(left).map(|(_, t)| *t).collect()
+        picture
+            .iter()
+            .enumerate()
+            .filter(left)
+            .map(|(_, t)| *t)
+            .collect()
     };
     for c in (0..again.stages.clusters.len()).filter(|&c| c != first) {
         let (triangles, before) = planned.plan.stages.fulfilment.row(c);
-        for ((t, b), a) in triangles.iter().zip(before).zip(again.stages.fulfilment.row(c).1) {
+        for ((t, b), a) in triangles
+            .iter()
+            .zip(before)
+            .zip(again.stages.fulfilment.row(c).1)
+        {
             assert!(a == b || failed.contains(t));
         }
     }
@@ -215,12 +326,19 @@ fn finished_clusters_stay_at_the_head_of_the_files_and_of_the_cut() {
     write(&again, planned.folder.path());
     assert!(again.decision.cut.clusters >= 2);
     let text = fs::read_to_string(planned.folder.path().join("viewrank/clusters.txt")).unwrap();
-    let keys: Vec<&str> = text.lines().map(|line| line.split('\t').next().unwrap()).collect();
+    let keys: Vec<&str> = text
+        .lines()
+        .map(|line| line.split('\t').next().unwrap())
+        .collect();
     assert_eq!(keys[..2], planned.keys(all - 2..all));
     let manifest = fs::read(planned.folder.path().join("viewrank/manifest.json")).unwrap();
     let manifest: serde_json::Value = serde_json::from_slice(&manifest).unwrap();
-    let finished: Vec<bool> =
-        manifest["clusters"].as_array().unwrap().iter().map(|c| c["finished"].as_bool().unwrap()).collect();
+    let finished: Vec<bool> = manifest["clusters"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| c["finished"].as_bool().unwrap())
+        .collect();
     assert!(finished[..2].iter().all(|&f| f) && finished[2..].iter().all(|&f| !f));
     // Nothing new has come: the same bytes.
     let once_more = planned.again();
@@ -234,17 +352,35 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     planned.write_maps(all - 2..all, |column, _| column >= 100);
     let again = planned.again();
     write(&again, planned.folder.path());
-    let keys = |plan: &Plan| plan.ranked().map(|c| (c.key, c.partners)).collect::<Vec<_>>();
+    let keys = |plan: &Plan| {
+        plan.ranked()
+            .map(|c| (c.key, c.partners))
+            .collect::<Vec<_>>()
+    };
     assert_ne!(keys(&again), keys(&planned.plan));
     let (_, read, _) = as_written(planned.folder.path(), &NoWatcher).unwrap();
     assert_eq!(keys(&read), keys(&again));
-    assert_eq!((read.decision.cut.clusters, read.decision.finished.clusters), (again.decision.cut.clusters, 2));
+    assert_eq!(
+        (read.decision.cut.clusters, read.decision.finished.clusters),
+        (again.decision.cut.clusters, 2)
+    );
     assert_eq!(read.decision.views, again.decision.views);
     assert!(read.unwritten().is_empty(), "what is kept is predicted");
-    assert!(read.decision.warnings.starts_with(&again.decision.warnings), "and what writing the plan found");
-    let near = |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
-    assert!(near(&read.decision.ranking.gains, &again.decision.ranking.gains));
-    assert!(near(&read.decision.ranking.fulfilment, &again.decision.ranking.fulfilment));
+    assert!(
+        read.decision.warnings.starts_with(&again.decision.warnings),
+        "and what writing the plan found"
+    );
+    let near = |a: &[f64], b: &[f64]| {
+        a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12)
+    };
+    assert!(near(
+        &read.decision.ranking.gains,
+        &again.decision.ranking.gains
+    ));
+    assert!(near(
+        &read.decision.ranking.fulfilment,
+        &again.decision.ranking.fulfilment
+    ));
     assert_eq!(
         keys(&replan::again(planned.folder.path(), &NoWatcher).unwrap().1),
         keys(&planned.plan),
@@ -253,8 +389,12 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
 
     // A cluster that is not finished and not this program's.
     let path = planned.folder.path().join("viewrank/manifest.json");
-    let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-    manifest["clusters"][2]["partners"].as_array_mut().unwrap().pop();
+    let mut manifest: serde_json::Value =
+        serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    manifest["clusters"][2]["partners"]
+        .as_array_mut()
+        .unwrap()
+        .pop();
     manifest["cut"]["pairs"] = (manifest["cut"]["pairs"].as_u64().unwrap() - 1).into();
     fs::write(&path, manifest.to_string()).unwrap();
     let error = as_written(planned.folder.path(), &NoWatcher).unwrap_err();
@@ -268,13 +408,22 @@ fn kept_stages_change_nothing_and_hold_predictions() {
     planned.write_maps(0..3, |column, _| column > 100);
     let cache = planned.folder.path().join("viewrank/cache");
     let kept_files = || {
-        let mut files: Vec<_> = fs::read_dir(&cache).unwrap().map(|entry| entry.unwrap().path()).collect();
+        let mut files: Vec<_> = fs::read_dir(&cache)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
         files.sort();
-        files.into_iter().map(|path| (path.clone(), fs::read(path).unwrap())).collect::<Vec<_>>()
+        files
+            .into_iter()
+            .map(|path| (path.clone(), fs::read(path).unwrap()))
+            .collect::<Vec<_>>()
     };
     let before = kept_files();
     let fast = planned.again();
-    assert!(fast.unwritten().is_empty(), "nothing was computed but the ranking");
+    assert!(
+        fast.unwritten().is_empty(),
+        "nothing was computed but the ranking"
+    );
     fs::remove_dir_all(&cache).unwrap();
     let slow = planned.again();
     let manifest = |plan: &Plan| {
@@ -283,7 +432,8 @@ fn kept_stages_change_nothing_and_hold_predictions() {
     };
     assert_eq!(manifest(&fast), manifest(&slow));
     assert!(
-        fast.stages.fulfilment == slow.stages.fulfilment && fast.stages.fulfilment != planned.plan.stages.fulfilment
+        fast.stages.fulfilment == slow.stages.fulfilment
+            && fast.stages.fulfilment != planned.plan.stages.fulfilment
     );
     write(&slow, planned.folder.path());
     assert!(kept_files() == before);
@@ -292,7 +442,8 @@ fn kept_stages_change_nothing_and_hold_predictions() {
 fn shifted(scene: &Scene, name: &str, pixels: f64) -> Scene {
     let mut scene = scene.clone();
     let view = scene.find(name).unwrap();
-    scene.views[view.index()].cam_from_world.translation += Vector3::new(pixels * ALTITUDE / FOCAL, 0.0, 0.0);
+    scene.views[view.index()].cam_from_world.translation +=
+        Vector3::new(pixels * ALTITUDE / FOCAL, 0.0, 0.0);
     scene
 }
 
@@ -305,7 +456,14 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     let moved = planned.plan.stages.scene.name(cluster.partners[0]);
     write_model(planned.folder.path(), &shifted(&scene, moved, 0.4));
     let again = planned.again();
-    assert_eq!((again.decision.finished.clusters, again.decision.finished.outdated.len()), (4, 0), "within a pixel");
+    assert_eq!(
+        (
+            again.decision.finished.clusters,
+            again.decision.finished.outdated.len()
+        ),
+        (4, 0),
+        "within a pixel"
+    );
     assert!(!again.decision.finished.made_with.is_empty());
     write(&again, planned.folder.path());
 
@@ -316,18 +474,36 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
         let uses = |&&c: &&u32| {
             let cluster = &planned.plan.stages.clusters[c as usize];
             cluster.key == planned.plan.stages.scene.find(moved).unwrap()
-                || cluster.partners.contains(&planned.plan.stages.scene.find(moved).unwrap())
+                || cluster
+                    .partners
+                    .contains(&planned.plan.stages.scene.find(moved).unwrap())
         };
         let order = &planned.plan.decision.ranking.order[..4];
         order
             .iter()
             .filter(uses)
-            .map(|&c| planned.plan.stages.scene.name(planned.plan.stages.clusters[c as usize].key))
+            .map(|&c| {
+                planned
+                    .plan
+                    .stages
+                    .scene
+                    .name(planned.plan.stages.clusters[c as usize].key)
+            })
             .collect()
     };
     with_moved.sort_unstable();
-    let named: Vec<&str> = later.decision.finished.outdated.iter().map(|o| o.key.as_str()).collect();
-    assert_eq!(named, with_moved, "{moved} moved: {:?}", later.decision.finished.outdated);
+    let named: Vec<&str> = later
+        .decision
+        .finished
+        .outdated
+        .iter()
+        .map(|o| o.key.as_str())
+        .collect();
+    assert_eq!(
+        named, with_moved,
+        "{moved} moved: {:?}",
+        later.decision.finished.outdated
+    );
     assert_eq!(later.decision.finished.clusters, 4 - with_moved.len());
     for outdated in &later.decision.finished.outdated {
         let pixels = outdated.moved_px.unwrap();
@@ -345,7 +521,13 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
         depths(&planned.plan, view, |column, _| column % 2 == 0),
     );
     let last = planned.again();
-    let named: Vec<&str> = last.decision.finished.outdated.iter().map(|o| o.key.as_str()).collect();
+    let named: Vec<&str> = last
+        .decision
+        .finished
+        .outdated
+        .iter()
+        .map(|o| o.key.as_str())
+        .collect();
     assert_eq!(named, with_moved[1..]);
 }
 
@@ -356,10 +538,21 @@ fn an_outdated_map_stays_named_while_its_view_has_no_partners() {
     planned.write_maps(0..2, |_, _| true);
     let moved = planned.keys(0..1)[0];
     let later = shifted(&scene, moved, 3.0);
-    for model in [later.clone(), unobserved(&later, later.find(moved).unwrap()), later] {
+    for model in [
+        later.clone(),
+        unobserved(&later, later.find(moved).unwrap()),
+        later,
+    ] {
         write_model(planned.folder.path(), &model);
         let again = planned.again();
-        assert!(again.decision.finished.outdated.iter().any(|outdated| outdated.key == moved));
+        assert!(
+            again
+                .decision
+                .finished
+                .outdated
+                .iter()
+                .any(|outdated| outdated.key == moved)
+        );
         write(&again, planned.folder.path());
     }
 }
@@ -375,11 +568,23 @@ fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_
     planned.write_maps(0..3, |_, _| true);
     write_model(planned.folder.path(), &transformed(&scene, 1.0));
     let again = planned.again();
-    assert_eq!((again.decision.finished.clusters, again.decision.finished.outdated.len()), (3, 0));
+    assert_eq!(
+        (
+            again.decision.finished.clusters,
+            again.decision.finished.outdated.len()
+        ),
+        (3, 0)
+    );
     assert!(again.stages.scene.views.len() > planned.plan.stages.scene.views.len());
     write_model(planned.folder.path(), &transformed(&scene, 1.1));
     let again = planned.again();
-    assert_eq!((again.decision.finished.clusters, again.decision.finished.outdated.len()), (0, 3));
+    assert_eq!(
+        (
+            again.decision.finished.clusters,
+            again.decision.finished.outdated.len()
+        ),
+        (0, 3)
+    );
 }
 
 /// The scene without its last view.
@@ -434,11 +639,22 @@ fn a_map_that_is_cut_off_says_nothing_about_the_others() {
     }
     write_model(planned.folder.path(), &moved);
     let plan = planned.again();
-    let outdated: Vec<&str> = plan.decision.finished.outdated.iter().map(|outdated| outdated.key.as_str()).collect();
+    let outdated: Vec<&str> = plan
+        .decision
+        .finished
+        .outdated
+        .iter()
+        .map(|outdated| outdated.key.as_str())
+        .collect();
     let mut keys = planned.keys(0..2);
     keys.sort_unstable();
     assert_eq!((plan.decision.finished.clusters, outdated), (0, keys));
-    assert_eq!(plan.decision.finished.unreadable.len(), 2, "{:?}", plan.decision.finished.unreadable);
+    assert_eq!(
+        plan.decision.finished.unreadable.len(),
+        2,
+        "{:?}",
+        plan.decision.finished.unreadable
+    );
     assert!(plan.decision.finished.unreadable[0].contains("depth0009.dmap"));
 }
 
@@ -452,9 +668,21 @@ fn a_manifest_that_contradicts_itself_is_refused_with_its_field() {
     let clusters = written["clusters"].as_array().unwrap();
     let [first, second] = [0, 1].map(|i| clusters[i]["key"].clone());
     let edits: [(&str, serde_json::Value, &str); 23] = [
-        ("/clusters/1/partners/0", second.clone(), "clusters[1].partners: "),
-        ("/clusters/1/partners", vec![first.clone(); 5].into(), "clusters[1].partners: "),
-        ("/clusters/1/partners/0", "nobody.jpg".into(), "clusters[1].partners: "),
+        (
+            "/clusters/1/partners/0",
+            second.clone(),
+            "clusters[1].partners: ",
+        ),
+        (
+            "/clusters/1/partners",
+            vec![first.clone(); 5].into(),
+            "clusters[1].partners: ",
+        ),
+        (
+            "/clusters/1/partners/0",
+            "nobody.jpg".into(),
+            "clusters[1].partners: ",
+        ),
         ("/clusters/1/key", first.clone(), "clusters[1].key: "),
         ("/clusters/1/key", "nobody.jpg".into(), "clusters[1].key: "),
         ("/clusters/1/rank", (-1).into(), "clusters[1].rank: "),
@@ -463,18 +691,38 @@ fn a_manifest_that_contradicts_itself_is_refused_with_its_field() {
         ("/clusters/1/share", 0.0.into(), "clusters[1].share: "),
         ("/clusters/1/share", f64::NAN.into(), "null"),
         ("/clusters/1/gain", (-0.5).into(), "clusters[1].gain: "),
-        ("/clusters/1/fulfilment", 0.0.into(), "clusters[1].fulfilment: "),
-        ("/clusters/1/finished", true.into(), "clusters[1].finished: "),
+        (
+            "/clusters/1/fulfilment",
+            0.0.into(),
+            "clusters[1].fulfilment: ",
+        ),
+        (
+            "/clusters/1/finished",
+            true.into(),
+            "clusters[1].finished: ",
+        ),
         ("/cut/clusters", 1_000_000_000.into(), "cut.clusters: "),
         ("/cut/clusters", (-1).into(), "-1"),
         ("/cut/pairs", 1.into(), "cut.pairs: "),
         ("/cut/share", 17.into(), "cut.share: "),
         ("/cut/reachable", (-1).into(), "cut.reachable: "),
         ("/backend", "nobody".into(), "backend: "),
-        ("/views/1/name", written["views"][0]["name"].clone(), "views[1].name: "),
-        ("/settings/fulfilment/alpha", 17.into(), "settings.fulfilment.alpha"),
+        (
+            "/views/1/name",
+            written["views"][0]["name"].clone(),
+            "views[1].name: ",
+        ),
+        (
+            "/settings/fulfilment/alpha",
+            17.into(),
+            "settings.fulfilment.alpha",
+        ),
         ("/settings/image_scale", 0.into(), "settings.image_scale"),
-        ("/settings/surface/up", vec![0; 3].into(), "settings.surface.up"),
+        (
+            "/settings/surface/up",
+            vec![0; 3].into(),
+            "settings.surface.up",
+        ),
     ];
     for (place, value, words) in edits {
         let mut edited = written.clone();
@@ -487,7 +735,13 @@ fn a_manifest_that_contradicts_itself_is_refused_with_its_field() {
             other => panic!("{place}: {:?}", other.map(|plan| plan.clusters)),
         }
         let project = Project::open(root, None).unwrap();
-        assert!(matches!(EarlierPlan::read(&project), Err(WrittenPlanError::Manifest { .. })), "{place}");
+        assert!(
+            matches!(
+                EarlierPlan::read(&project),
+                Err(WrittenPlanError::Manifest { .. })
+            ),
+            "{place}"
+        );
     }
 }
 
@@ -504,18 +758,39 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
     let of_status = Progress::read(root).unwrap().share.unwrap();
 
     let (project, plan, exports) = as_written(root, &NoWatcher).unwrap();
-    let folders = DepthMapFolders { depth_maps: Some(planned.maps()), reference: None };
+    let folders = DepthMapFolders {
+        depth_maps: Some(planned.maps()),
+        reference: None,
+    };
     let contents = Contents::new(&plan, &project, &exports, &folders, &NoWatcher).unwrap();
     let contents = serde_json::to_value(&contents).unwrap();
-    let of_report = contents["real"]["share"].as_array().unwrap()[2].as_f64().unwrap();
+    let of_report = contents["real"]["share"].as_array().unwrap()[2]
+        .as_f64()
+        .unwrap();
 
-    let clusters: Vec<_> =
-        plan.decision.ranking.order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect();
+    let clusters: Vec<_> = plan
+        .decision
+        .ranking
+        .order
+        .iter()
+        .map(|&c| plan.stages.clusters[c as usize].clone())
+        .collect();
     let maps = planned.maps();
-    let run = MeasuredClusters::new(&EvaluationInput::new(&plan.stages, &clusters, &maps, None), &NoWatcher).unwrap();
+    let run = MeasuredClusters::new(
+        &EvaluationInput::new(&plan.stages, &clusters, &maps, None),
+        &NoWatcher,
+    )
+    .unwrap();
     let of_evaluate = MeasuredProgress::new(&plan.stages, &run).share.unwrap();
 
-    for (shown, share) in [("status", of_status), ("report", of_report), ("evaluate", of_evaluate)] {
-        assert!((share - of_plan).abs() < 1e-9, "{shown}: {share}, plan: {of_plan}");
+    for (shown, share) in [
+        ("status", of_status),
+        ("report", of_report),
+        ("evaluate", of_evaluate),
+    ] {
+        assert!(
+            (share - of_plan).abs() < 1e-9,
+            "{shown}: {share}, plan: {of_plan}"
+        );
     }
 }

@@ -12,26 +12,61 @@ use viewrank::internals::{
     scene::{CameraIndex, Pose, Scene, View, ViewIndex},
 };
 
-/// Scenes with one to three cameras, ids out of order, and an origin that may be that of a map projection.
+/// Scenes with one to three cameras, ids out of order, and an origin that may be that of a map
+/// projection.
 fn scenes(pinhole: bool) -> impl Strategy<Value = Scene> {
-    let cameras = vec((100u64..5000, 100u64..5000, 50.0..9000.0f64, -0.3..0.3f64), 1..4);
+    let cameras = vec(
+        (100u64..5000, 100u64..5000, 50.0..9000.0f64, -0.3..0.3f64),
+        1..4,
+    );
     let views = vec((any::<[i16; 3]>(), any::<[i16; 3]>(), any::<Index>()), 2..7);
-    let points = vec((any::<[i16; 3]>(), vec((any::<Index>(), -50.0..6000.0f64), 1..6)), 0..12);
-    let origin = prop_oneof![Just(Vector3::zeros()), Just(Vector3::new(431_234.5, 5_412_345.25, -31.125))];
+    let points = vec(
+        (
+            any::<[i16; 3]>(),
+            vec((any::<Index>(), -50.0..6000.0f64), 1..6),
+        ),
+        0..12,
+    );
+    let origin = prop_oneof![
+        Just(Vector3::zeros()),
+        Just(Vector3::new(431_234.5, 5_412_345.25, -31.125))
+    ];
     (cameras, views, points, origin).prop_map(move |(cameras, views, points, origin)| {
-        let mut scene = Scene { track_offsets: vec![0], ..Scene::default() };
+        let mut scene = Scene {
+            track_offsets: vec![0],
+            ..Scene::default()
+        };
         for (i, (width, height, f, k)) in (1..).zip(cameras) {
             let centre = [width as f64 * 0.51, height as f64 * 0.48];
             let [cx, cy] = centre;
             let (model, params) = match (pinhole, i % 3) {
                 (true, _) => (CameraModel::Pinhole, vec![f, f * 1.01, cx, cy]),
-                (_, 0) => (CameraModel::OpenCvFisheye, vec![f, 1.01 * f, cx, cy, k, -k * k, 0.1 * k, 0.0]),
+                (_, 0) => (
+                    CameraModel::OpenCvFisheye,
+                    vec![f, 1.01 * f, cx, cy, k, -k * k, 0.1 * k, 0.0],
+                ),
                 (_, 1) => (CameraModel::Radial, vec![f, cx, cy, k, -k * k]),
-                _ => {
-                    (CameraModel::FullOpenCv, vec![f, 0.99 * f, cx, cy, k, -k * k, 1e-3, -2e-3, 0.01, 0.02, 0.0, -0.01])
-                }
+                _ => (
+                    CameraModel::FullOpenCv,
+                    vec![
+                        f,
+                        0.99 * f,
+                        cx,
+                        cy,
+                        k,
+                        -k * k,
+                        1e-3,
+                        -2e-3,
+                        0.01,
+                        0.02,
+                        0.0,
+                        -0.01,
+                    ],
+                ),
             };
-            scene.cameras.push(Camera::new(10 - i, model, width, height, params).unwrap());
+            scene
+                .cameras
+                .push(Camera::new(10 - i, model, width, height, params).unwrap());
         }
         let count = views.len() as u32;
         for (i, (angles, centre, camera)) in (0..).zip(views) {
@@ -43,15 +78,23 @@ fn scenes(pinhole: bool) -> impl Strategy<Value = Scene> {
                 image_id: 3 * (count - i),
                 file_position: i,
                 camera: CameraIndex(camera.index(scene.cameras.len()) as u32),
-                cam_from_world: Pose { rotation, translation: -(rotation * centre) },
+                cam_from_world: Pose {
+                    rotation,
+                    translation: -(rotation * centre),
+                },
             });
         }
         scene.views.sort_by(|a, b| a.name.cmp(&b.name));
         for (id, (x, track)) in (5..).zip(points) {
-            scene.points.push(Point3::from(Vector3::from(x.map(|c| f64::from(c) / 16.0)) + origin));
+            scene.points.push(Point3::from(
+                Vector3::from(x.map(|c| f64::from(c) / 16.0)) + origin,
+            ));
             scene.point_ids.push(id * id);
             scene.colours.push([id as u8, 200, 7]);
-            let mut track: Vec<(u32, f64)> = track.iter().map(|(v, x)| (v.index(count as usize) as u32, *x)).collect();
+            let mut track: Vec<(u32, f64)> = track
+                .iter()
+                .map(|(v, x)| (v.index(count as usize) as u32, *x))
+                .collect();
             track.sort_by_key(|(v, _)| *v);
             track.dedup_by_key(|(v, _)| *v);
             for (view, x) in track {
@@ -65,11 +108,24 @@ fn scenes(pinhole: bool) -> impl Strategy<Value = Scene> {
 }
 
 fn reread(files: &[(&str, Vec<u8>)]) -> Scene {
-    let file = |stem: &str| files.iter().find(|(name, _)| name.starts_with(stem)).map_or(&[][..], |(_, b)| b);
-    let bytes =
-        Bytes { cameras: file("cameras"), images: file("images"), points3d: file("points3D"), ..Bytes::default() };
+    let file = |stem: &str| {
+        files
+            .iter()
+            .find(|(name, _)| name.starts_with(stem))
+            .map_or(&[][..], |(_, b)| b)
+    };
+    let bytes = Bytes {
+        cameras: file("cameras"),
+        images: file("images"),
+        points3d: file("points3D"),
+        ..Bytes::default()
+    };
     let text = files[0].0.ends_with(".txt");
-    let model = if text { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
+    let model = if text {
+        colmap_text::read(&bytes)
+    } else {
+        colmap_bin::read(&bytes)
+    };
     model.unwrap().scene().unwrap()
 }
 
@@ -81,17 +137,28 @@ fn assert_same(a: &Scene, b: &Scene, apart: f64) -> Result<(), TestCaseError> {
         let v = ViewIndex(v as u32);
         let (one_camera, other_camera) = (a.camera_of(v), b.camera_of(v));
         prop_assert_eq!(one_camera.model(), other_camera.model());
-        prop_assert_eq!((one_camera.width, one_camera.height), (other_camera.width, other_camera.height));
+        prop_assert_eq!(
+            (one_camera.width, one_camera.height),
+            (other_camera.width, other_camera.height)
+        );
         for (p, q) in one_camera.params().iter().zip(other_camera.params()) {
             prop_assert!((p - q).abs() <= 1e-12 * p.abs().max(1.0), "{p} {q}");
         }
         let (p, q) = (&one.cam_from_world, &other.cam_from_world);
         prop_assert!((p.rotation.matrix() - q.rotation.matrix()).norm() < 1e-14 * 10.0);
-        prop_assert!((p.centre() - q.centre()).norm() < apart, "{} {}", p.centre(), q.centre());
+        prop_assert!(
+            (p.centre() - q.centre()).norm() < apart,
+            "{} {}",
+            p.centre(),
+            q.centre()
+        );
     }
     prop_assert_eq!(&a.points, &b.points);
     prop_assert_eq!((&a.point_ids, &a.colours), (&b.point_ids, &b.colours));
-    prop_assert_eq!((&a.track_offsets, &a.track_views), (&b.track_offsets, &b.track_views));
+    prop_assert_eq!(
+        (&a.track_offsets, &a.track_views),
+        (&b.track_offsets, &b.track_views)
+    );
     prop_assert_eq!(&a.track_pixels, &b.track_pixels);
     Ok(())
 }
@@ -102,7 +169,11 @@ fn project() -> Project {
         root: "/nowhere".into(),
         home: "/nowhere".into(),
         kind: ProjectKind::BareModel,
-        model: ModelLocation { format: ModelFormat::OpenMvs, path: "/nowhere/scene.mvs".into(), registered: 0 },
+        model: ModelLocation {
+            format: ModelFormat::OpenMvs,
+            path: "/nowhere/scene.mvs".into(),
+            registered: 0,
+        },
         model_is_named: false,
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),
@@ -111,11 +182,17 @@ fn project() -> Project {
     }
 }
 
-/// The whole scene in one cluster, as a backend writes it, and the origin that its coordinates count from.
+/// The whole scene in one cluster, as a backend writes it, and the origin that its coordinates
+/// count from.
 fn exported(scene: &Scene, backend: &str, path: &str) -> (Vec<u8>, Vector3<f64>) {
     let mut views: Vec<ViewIndex> = scene.view_indices().collect();
     let key = views.remove(0);
-    let clusters = [RankedCluster { key, partners: views, scale: MapScale::Full, share: 1.0 }];
+    let clusters = [RankedCluster {
+        key,
+        partners: views,
+        scale: MapScale::Full,
+        share: 1.0,
+    }];
     let project = project();
     let image_faults = &Default::default();
     let selection = Selection {
@@ -127,7 +204,10 @@ fn exported(scene: &Scene, backend: &str, path: &str) -> (Vec<u8>, Vector3<f64>)
         planned_for: backend,
         image_faults,
     };
-    let export = by_name(backend).unwrap().export(&selection, &ExportOptions::default()).unwrap();
+    let export = by_name(backend)
+        .unwrap()
+        .export(&selection, &ExportOptions::default())
+        .unwrap();
     match &export.files.files[path] {
         Contents::Bytes(bytes) => (bytes.clone(), export.record.origin.into()),
         other => panic!("{path} is {other:?}"),
@@ -168,7 +248,8 @@ proptest! {
         }
     }
 
-    /// AliceVision's file names are those of its prepared images; what the key view observes comes back.
+    /// AliceVision's file names are those of its prepared images; what the key view observes comes
+    /// back.
     #[test]
     fn alicevision_scene_files(scene in scenes(true)) {
         let (bytes, origin) = exported(&scene, "alicevision", "clusters/0001.sfm");

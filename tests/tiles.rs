@@ -1,4 +1,5 @@
-//! A surface in tiles against the whole one: the same model, and what the tiled order reaches on the whole surface.
+//! A surface in tiles against the whole one: the same model, and what the tiled order reaches on
+//! the whole surface.
 
 use std::{fs, path::Path};
 
@@ -17,26 +18,48 @@ use viewrank::internals::{
 };
 
 fn fixture() -> Project {
-    Project::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley"), None).unwrap()
+    Project::open(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley"),
+        None,
+    )
+    .unwrap()
 }
 
 fn planned(project: &Project, change: impl FnOnce(&mut Settings)) -> Plan {
-    let mut settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
+    let mut settings = Settings {
+        backends: vec!["sgm".into()],
+        ..Settings::default()
+    };
     change(&mut settings);
     plan(project, &settings, &NoWatcher).unwrap()
 }
 
 /// f_o, on the whole surface, of the first i clusters of the tiled plan.
 fn on_the_whole(whole: &Plan, tiled: &Plan) -> Vec<f64> {
-    let table = fulfilment::table(&whole.stages.model(), &tiled.stages.clusters, &NoWatcher).unwrap();
-    ReachCurve::new(&table, &whole.stages.objective, &tiled.stages.clusters, &tiled.decision.ranking.order).fulfilment
+    let table =
+        fulfilment::table(&whole.stages.model(), &tiled.stages.clusters, &NoWatcher).unwrap();
+    ReachCurve::new(
+        &table,
+        &whole.stages.objective,
+        &tiled.stages.clusters,
+        &tiled.decision.ranking.order,
+    )
+    .fulfilment
 }
 
-/// Most fulfilment that the tiled order lacks at equal length, over what the whole one reaches with all.
+/// Most fulfilment that the tiled order lacks at equal length, over what the whole one reaches with
+/// all.
 fn loss(whole: &Plan, tiled: &Plan) -> f64 {
     let reached = on_the_whole(whole, tiled);
     let lacks = |(i, f): (usize, &f64)| f - reached[(i + 1).min(reached.len() - 1)];
-    whole.decision.ranking.fulfilment.iter().enumerate().map(lacks).fold(0.0, f64::max)
+    whole
+        .decision
+        .ranking
+        .fulfilment
+        .iter()
+        .enumerate()
+        .map(lacks)
+        .fold(0.0, f64::max)
         / whole.decision.ranking.fulfilment.last().unwrap()
 }
 
@@ -47,7 +70,13 @@ fn one_tile_is_the_whole() {
     let one = planned(&project, |s| s.surface.tile_points = Some(u32::MAX));
     assert_eq!(whole.stages.surface.vertices, one.stages.surface.vertices);
     assert_eq!(whole.decision.ranking, one.decision.ranking);
-    assert_eq!((whole.stages.surface_stats.tiles, one.stages.surface_stats.tiles), (1, 1));
+    assert_eq!(
+        (
+            whole.stages.surface_stats.tiles,
+            one.stages.surface_stats.tiles
+        ),
+        (1, 1)
+    );
 }
 
 #[test]
@@ -56,10 +85,24 @@ fn tiles_lose_next_to_nothing() {
     let whole = planned(&project, |_| ());
     let tiled = planned(&project, |s| s.surface.tile_points = Some(4000));
     assert_eq!(tiled.stages.surface_stats.tiles, 4);
-    assert!(tiled.decision.warnings.iter().any(|w| w.contains("4 tiles")));
-    let area =
-        |plan: &Plan| (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum::<f64>();
-    assert!((area(&tiled) / area(&whole) - 1.0).abs() < 0.05, "{} {}", area(&tiled), area(&whole));
+    assert!(
+        tiled
+            .decision
+            .warnings
+            .iter()
+            .any(|w| w.contains("4 tiles"))
+    );
+    let area = |plan: &Plan| {
+        (0..plan.stages.surface.triangles.len() as u32)
+            .map(|t| plan.stages.surface.area(t))
+            .sum::<f64>()
+    };
+    assert!(
+        (area(&tiled) / area(&whole) - 1.0).abs() < 0.05,
+        "{} {}",
+        area(&tiled),
+        area(&whole)
+    );
     let loss = loss(&whole, &tiled);
     eprintln!("fixtures/valley in 4 tiles: loss {:.3} %", 100.0 * loss);
     assert!(loss < 0.02, "{loss}");
@@ -67,8 +110,20 @@ fn tiles_lose_next_to_nothing() {
 
 #[test]
 fn tables_on_disk_change_nothing() {
-    let camera = Camera::new(1, CameraModel::Pinhole, 300, 225, vec![280.0, 280.0, 150.0, 112.5]).unwrap();
-    let town = Town { grid: 12, tilt: Some(35.0), points: 6000, ..Town::new(camera) };
+    let camera = Camera::new(
+        1,
+        CameraModel::Pinhole,
+        300,
+        225,
+        vec![280.0, 280.0, 150.0, 112.5],
+    )
+    .unwrap();
+    let town = Town {
+        grid: 12,
+        tilt: Some(35.0),
+        points: 6000,
+        ..Town::new(camera)
+    };
     let scene = town.scene();
     // More views than are read at a time.
     assert!(scene.views.len() > 256);
@@ -81,7 +136,8 @@ fn tables_on_disk_change_nothing() {
     let project = Project::open(folder.path(), None).unwrap();
     let memory = planned(&project, |_| ());
     // What would do without an eighth of its rows.
-    let limit = memory.stages.memory.visibility - memory.stages.visibility.triangles.len() as u64 / 4;
+    let limit =
+        memory.stages.memory.visibility - memory.stages.visibility.triangles.len() as u64 / 4;
     let disk = planned(&project, |s| s.max_memory = Some(Bytes(limit)));
     assert!(
         memory.stages.memory.disk == 0
@@ -89,17 +145,39 @@ fn tables_on_disk_change_nothing() {
     );
     assert!(disk.stages.memory.peak() <= limit && disk.stages.surface_stats.tiles == 1);
     assert_eq!(
-        [disk.stages.visibility.triangles.storage(), disk.stages.fulfilment.values.storage()],
+        [
+            disk.stages.visibility.triangles.storage(),
+            disk.stages.fulfilment.values.storage()
+        ],
         [Storage::Disk; 2]
     );
     // Too large to be kept for the next plan: what was kept before is removed.
-    let kept = |plan: &Plan| plan.unwritten().iter().filter(|set| !set.files.is_empty()).count();
-    assert_eq!((kept(&disk), disk.unwritten().len(), kept(&memory)), (3, 6, 6));
-    assert_eq!(disk.stages.visibility, memory.stages.visibility);
-    assert_eq!((&disk.stages.unary, &disk.stages.fulfilment), (&memory.stages.unary, &memory.stages.fulfilment));
+    let kept = |plan: &Plan| {
+        plan.unwritten()
+            .iter()
+            .filter(|set| !set.files.is_empty())
+            .count()
+    };
     assert_eq!(
-        (&disk.stages.clusters, &disk.decision.ranking, disk.decision.cut),
-        (&memory.stages.clusters, &memory.decision.ranking, memory.decision.cut)
+        (kept(&disk), disk.unwritten().len(), kept(&memory)),
+        (3, 6, 6)
+    );
+    assert_eq!(disk.stages.visibility, memory.stages.visibility);
+    assert_eq!(
+        (&disk.stages.unary, &disk.stages.fulfilment),
+        (&memory.stages.unary, &memory.stages.fulfilment)
+    );
+    assert_eq!(
+        (
+            &disk.stages.clusters,
+            &disk.decision.ranking,
+            disk.decision.cut
+        ),
+        (
+            &memory.stages.clusters,
+            &memory.decision.ranking,
+            memory.decision.cut
+        )
     );
     assert_eq!(
         (&disk.decision.views, &disk.decision.triangle_reasons),
@@ -116,7 +194,8 @@ fn tables_on_disk_change_nothing() {
 #[ignore = "needs VIEWRANK_DATA: survey"]
 fn a_survey_in_tiles() {
     let default = || concat!(env!("CARGO_MANIFEST_DIR"), "/target/data").into();
-    let folder = Path::new(&std::env::var_os("VIEWRANK_DATA").unwrap_or_else(default)).join("survey");
+    let folder =
+        Path::new(&std::env::var_os("VIEWRANK_DATA").unwrap_or_else(default)).join("survey");
     let project = Project::open(Path::new(&folder), None).unwrap();
     let whole = planned(&project, |_| ());
     let most = project.read_scene().unwrap().points.len() as u32 / 4;
@@ -134,11 +213,19 @@ fn a_survey_in_tiles() {
 #[test]
 fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
     use viewrank::internals::error::Hint;
-    let settings = Settings { max_memory: Some(Bytes(60 << 20)), ..Settings::default() };
+    let settings = Settings {
+        max_memory: Some(Bytes(60 << 20)),
+        ..Settings::default()
+    };
     let error = plan(&fixture(), &settings, &NoWatcher).unwrap_err();
-    let PlanError::Memory { need, .. } = error else { panic!("{error}") };
+    let PlanError::Memory { need, .. } = error else {
+        panic!("{error}")
+    };
     assert!(error.hint().unwrap().contains("--max-memory"));
-    let enough = Settings { max_memory: Some(Bytes(need + need / 20)), ..Settings::default() };
+    let enough = Settings {
+        max_memory: Some(Bytes(need + need / 20)),
+        ..Settings::default()
+    };
     let plan = plan(&fixture(), &enough, &NoWatcher).unwrap();
     assert!(plan.stages.memory.peak() <= need + need / 20);
     assert_eq!(plan.stages.settings.max_memory, enough.max_memory);

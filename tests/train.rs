@@ -1,4 +1,5 @@
-//! `viewrank train`: settings of the confidence from made-up depth maps of the fixture, which have a depth where pictures agree.
+//! `viewrank train`: settings of the confidence from made-up depth maps of the fixture, which have
+//! a depth where pictures agree.
 
 use std::{
     fs,
@@ -27,23 +28,34 @@ const MATCHES: u8 = 150;
 
 fn viewrank(arguments: &[&str]) -> Output {
     let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Command::new(env!("CARGO_BIN_EXE_viewrank")).args(arguments).env("XDG_CONFIG_HOME", nowhere).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_viewrank"))
+        .args(arguments)
+        .env("XDG_CONFIG_HOME", nowhere)
+        .output()
+        .unwrap()
 }
 
 fn done(arguments: &[&str]) -> String {
     let output = viewrank(arguments);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// The fixture with depth maps in `sgm`, planned for that backend: a depth where the pictures of at least two partners agree.
+/// The fixture with depth maps in `sgm`, planned for that backend: a depth where the pictures of at
+/// least two partners agree.
 fn project() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
     for part in ["sparse", "images"] {
         for entry in walkdir::WalkDir::new(fixture.join(part)) {
             let entry = entry.unwrap();
-            let target = folder.path().join(entry.path().strip_prefix(&fixture).unwrap());
+            let target = folder
+                .path()
+                .join(entry.path().strip_prefix(&fixture).unwrap());
             if entry.file_type().is_dir() {
                 fs::create_dir_all(target).unwrap();
             } else {
@@ -51,9 +63,18 @@ fn project() -> TempDir {
             }
         }
     }
-    done(&["plan", folder.path().to_str().unwrap(), "--backend", "sgm", "--quiet"]);
+    done(&[
+        "plan",
+        folder.path().to_str().unwrap(),
+        "--backend",
+        "sgm",
+        "--quiet",
+    ]);
     let project = Project::open(folder.path(), None).unwrap();
-    let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
+    let settings = Settings {
+        backends: vec!["sgm".into()],
+        ..Settings::default()
+    };
     let plan = backends::plan(&project, &settings, &NoWatcher).unwrap();
     fs::create_dir(folder.path().join("sgm")).unwrap();
     for cluster in 0..plan.stages.clusters.len() {
@@ -72,14 +93,22 @@ fn matched(plan: &Plan, cluster: usize) -> Vec<f32> {
     let seen = stages.visibility.triangles_seen_by(cluster.key);
     let mut agreeing = vec![0; seen.len()];
     for &partner in &cluster.partners {
-        let PairAgreement::Compared(values) = stages.agreement.of_pair(cluster.key, partner) else { panic!() };
-        values.iter().zip(&mut agreeing).for_each(|(&value, count)| *count += i32::from(value >= MATCHES));
+        let PairAgreement::Compared(values) = stages.agreement.of_pair(cluster.key, partner) else {
+            panic!()
+        };
+        values
+            .iter()
+            .zip(&mut agreeing)
+            .for_each(|(&value, count)| *count += i32::from(value >= MATCHES));
     }
     let depth = |&triangle: &u32| match seen.binary_search(&triangle) {
         Ok(row) if triangle != NOTHING && agreeing[row] >= 2 => 10.0,
         _ => 0.0,
     };
-    front(&stages.scene, &stages.surface, cluster.key, WIDTH, HEIGHT).iter().map(depth).collect()
+    front(&stages.scene, &stages.surface, cluster.key, WIDTH, HEIGHT)
+        .iter()
+        .map(depth)
+        .collect()
 }
 
 #[test]
@@ -87,23 +116,45 @@ fn what_was_learnt_is_a_settings_file_that_predicts_better() {
     let project = project();
     let root = project.path().to_str().unwrap();
     let out: PathBuf = project.path().join("learnt.toml");
-    let train = ["train", root, "--depth-maps", "sgm", "--format", "json", "--out", out.to_str().unwrap()];
+    let train = [
+        "train",
+        root,
+        "--depth-maps",
+        "sgm",
+        "--format",
+        "json",
+        "--out",
+        out.to_str().unwrap(),
+    ];
     let fitted: Value = serde_json::from_str(&done(&train)).unwrap();
     let numbers = &fitted["numbers"];
     let number = |name: &str| numbers[name].as_f64().unwrap();
     assert_eq!(numbers["min_matches"], 2);
     assert!(number("agree") > 0.9 && number("differ") < 0.2, "{numbers}");
     let score = |of: &str, name: &str| fitted[of][name].as_f64().unwrap();
-    assert!(score("after", "auc") > 0.9 && score("after", "brier") < score("before", "brier"), "{fitted}");
-    assert!(score("after", "calibration_error") < score("before", "calibration_error"), "{fitted}");
+    assert!(
+        score("after", "auc") > 0.9 && score("after", "brier") < score("before", "brier"),
+        "{fitted}"
+    );
+    assert!(
+        score("after", "calibration_error") < score("before", "calibration_error"),
+        "{fitted}"
+    );
     assert!(fitted["triangles"].as_u64().unwrap() > 1000);
 
     fs::copy(&out, project.path().join("viewrank.toml")).unwrap();
     done(&["plan", root, "--quiet"]);
     let manifest = fs::read(project.path().join("viewrank/manifest.json")).unwrap();
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
-    assert_eq!(manifest["settings"]["confidence"]["differ"], numbers["differ"]);
-    assert_eq!(viewrank(&train).status.code(), Some(1), "the file is the user's now");
+    assert_eq!(
+        manifest["settings"]["confidence"]["differ"],
+        numbers["differ"]
+    );
+    assert_eq!(
+        viewrank(&train).status.code(),
+        Some(1),
+        "the file is the user's now"
+    );
 }
 
 #[test]
@@ -128,7 +179,12 @@ fn training_is_the_same_on_any_number_of_threads() {
 fn a_stale_plan_and_missing_pictures_teach_nothing() {
     let project = project();
     let refused = || {
-        let output = viewrank(&["train", project.path().to_str().unwrap(), "--depth-maps", "sgm"]);
+        let output = viewrank(&[
+            "train",
+            project.path().to_str().unwrap(),
+            "--depth-maps",
+            "sgm",
+        ]);
         assert_eq!(output.status.code(), Some(1));
         String::from_utf8(output.stderr).unwrap()
     };

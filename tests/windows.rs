@@ -1,4 +1,5 @@
-//! Differences of Windows: its paths and quotes, files held open by other programs, no symbolic links. Also run by `.ci/windows`, under Wine.
+//! Differences of Windows: its paths and quotes, files held open by other programs, no symbolic
+//! links. Also run by `.ci/windows`, under Wine.
 #![cfg(windows)]
 
 use std::{
@@ -11,19 +12,30 @@ use std::{
 /// The program, with `arguments` and the settings of no user.
 fn viewrank(arguments: &[&str]) -> Output {
     let nowhere = std::env::temp_dir().join("no settings");
-    Command::new(env!("CARGO_BIN_EXE_viewrank")).args(arguments).env("APPDATA", nowhere).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_viewrank"))
+        .args(arguments)
+        .env("APPDATA", nowhere)
+        .output()
+        .unwrap()
 }
 
 fn done(arguments: &[&str]) -> String {
     let output = viewrank(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8(output.stdout).unwrap()
 }
 
 fn copy(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
-        let (from, to) = (entry.as_ref().unwrap().path(), to.join(entry.unwrap().file_name()));
+        let (from, to) = (
+            entry.as_ref().unwrap().path(),
+            to.join(entry.unwrap().file_name()),
+        );
         if from.is_dir() {
             copy(&from, &to);
         } else {
@@ -43,7 +55,12 @@ impl Valley {
         let root = tempfile::tempdir().unwrap();
         let project = root.path().join(folder);
         for part in ["sparse", "images"] {
-            copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley").join(part), &project.join(part));
+            copy(
+                &Path::new(env!("CARGO_MANIFEST_DIR"))
+                    .join("fixtures/valley")
+                    .join(part),
+                &project.join(part),
+            );
         }
         Self { root, project }
     }
@@ -59,14 +76,30 @@ impl Valley {
 
 #[test]
 fn blanks_other_scripts_and_more_than_260_characters() {
-    for folder in ["my väl ley".into(), "Ψηφίδες 地図".into(), ["a long name of a folder"; 8].join("\\")] {
+    for folder in [
+        "my väl ley".into(),
+        "Ψηφίδες 地図".into(),
+        ["a long name of a folder"; 8].join("\\"),
+    ] {
         let valley = Valley::new(&folder);
         done(&["plan", valley.path(), "--backend", "colmap,openmvs"]);
         done(&["doctor", valley.path(), "--backend", "sgm"]);
         done(&["report", valley.path()]);
-        for file in ["manifest.json", "report.html", "colmap/stereo/viewrank/export.json", "openmvs/run.py"] {
+        for file in [
+            "manifest.json",
+            "report.html",
+            "colmap/stereo/viewrank/export.json",
+            "openmvs/run.py",
+        ] {
             assert!(valley.file(file).is_file(), "{folder}: {file}");
-            assert!(folder.len() < 180 || valley.file("colmap/stereo/viewrank/export.json").as_os_str().len() > 260);
+            assert!(
+                folder.len() < 180
+                    || valley
+                        .file("colmap/stereo/viewrank/export.json")
+                        .as_os_str()
+                        .len()
+                        > 260
+            );
         }
     }
 }
@@ -84,11 +117,27 @@ fn parts_of_a_project_lead_to_it() {
 #[test]
 fn without_symbolic_links_the_images_of_an_export_are_the_project_s() {
     let valley = Valley::new("valley");
-    let backends = ["colmap", "openmvs", "mvsnet", "gipuma", "alicevision", "pmvs", "splat"];
-    done(&["plan", valley.path(), "--backend", &backends.join(","), "-q"]);
+    let backends = [
+        "colmap",
+        "openmvs",
+        "mvsnet",
+        "gipuma",
+        "alicevision",
+        "pmvs",
+        "splat",
+    ];
+    done(&[
+        "plan",
+        valley.path(),
+        "--backend",
+        &backends.join(","),
+        "-q",
+    ]);
     let same = |image: &Path| {
         let bytes = fs::read(image).unwrap();
-        fs::read_dir(valley.project.join("images")).unwrap().any(|own| fs::read(own.unwrap().path()).unwrap() == bytes)
+        fs::read_dir(valley.project.join("images"))
+            .unwrap()
+            .any(|own| fs::read(own.unwrap().path()).unwrap() == bytes)
     };
     for backend in backends {
         let mut folders = vec![valley.file(backend)];
@@ -103,7 +152,10 @@ fn without_symbolic_links_the_images_of_an_export_are_the_project_s() {
                 }
             }
         }
-        assert!(images.len() >= 7 && images.iter().all(|image| same(image)), "{backend}: {images:?}");
+        assert!(
+            images.len() >= 7 && images.iter().all(|image| same(image)),
+            "{backend}: {images:?}"
+        );
     }
 }
 
@@ -111,11 +163,21 @@ fn without_symbolic_links_the_images_of_an_export_are_the_project_s() {
 fn the_commands_shown_are_those_of_cmd() {
     let valley = Valley::new("it's a väl ley & more");
     let summary = done(&["plan", valley.path(), "--backend", "sgm"]);
-    let shown = summary.lines().find_map(|line| line.strip_prefix("On one page: viewrank ")).unwrap();
-    let typed =
-        format!("/C \"\"{}\" {}\"", env!("CARGO_BIN_EXE_viewrank").replace('/', "\\"), shown.replace(" --open", ""));
+    let shown = summary
+        .lines()
+        .find_map(|line| line.strip_prefix("On one page: viewrank "))
+        .unwrap();
+    let typed = format!(
+        "/C \"\"{}\" {}\"",
+        env!("CARGO_BIN_EXE_viewrank").replace('/', "\\"),
+        shown.replace(" --open", "")
+    );
     let ran = Command::new("cmd").raw_arg(&typed).output().unwrap();
-    assert!(ran.status.success(), "{typed}: {}", String::from_utf8_lossy(&ran.stderr));
+    assert!(
+        ran.status.success(),
+        "{typed}: {}",
+        String::from_utf8_lossy(&ran.stderr)
+    );
     assert!(valley.file("report.html").is_file());
 }
 
@@ -123,31 +185,58 @@ fn the_commands_shown_are_those_of_cmd() {
 fn a_file_held_open_by_another_program_is_named_and_the_earlier_plan_stays() {
     let valley = Valley::new("valley");
     done(&["plan", valley.path(), "-q"]);
-    let files = ["manifest.json", "clusters.txt", "curve.svg", "surface.ply"].map(|name| valley.file(name));
+    let files =
+        ["manifest.json", "clusters.txt", "curve.svg", "surface.ply"].map(|name| valley.file(name));
     let before = files.each_ref().map(|file| fs::read(file).unwrap());
     for held in &files {
         let open = File::options().read(true).share_mode(0).open(held).unwrap();
         let refused = viewrank(&["plan", valley.path(), "-q", "-k", "3"]);
         let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-        assert!(!refused.status.success() && said.contains(held.file_name().unwrap().to_str().unwrap()), "{said}");
+        assert!(
+            !refused.status.success() && said.contains(held.file_name().unwrap().to_str().unwrap()),
+            "{said}"
+        );
         drop(open);
-        assert_eq!(files.each_ref().map(|file| fs::read(file).unwrap()), before, "{}", held.display());
+        assert_eq!(
+            files.each_ref().map(|file| fs::read(file).unwrap()),
+            before,
+            "{}",
+            held.display()
+        );
     }
     done(&["plan", valley.path(), "-q", "-k", "3"]);
     assert_ne!(fs::read(&files[0]).unwrap(), before[0]);
-    let left = fs::read_dir(valley.file("")).unwrap().map(|entry| entry.unwrap().file_name());
-    assert!(!left.into_iter().any(|name| name == ".staging" || name == ".journal.json"));
+    let left = fs::read_dir(valley.file(""))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name());
+    assert!(
+        !left
+            .into_iter()
+            .any(|name| name == ".staging" || name == ".journal.json")
+    );
 }
 
 #[test]
 fn a_watched_folder_is_planned_once() {
     let valley = Valley::new(r"site 1\väl ley");
     let root = valley.root.path().to_str().unwrap();
-    done(&["watch", root, "--once", "--settle", "100ms", "--poll", "200ms"]);
-    let written = || fs::metadata(valley.file("timings.json")).unwrap().modified().unwrap();
+    done(&[
+        "watch", root, "--once", "--settle", "100ms", "--poll", "200ms",
+    ]);
+    let written = || {
+        fs::metadata(valley.file("timings.json"))
+            .unwrap()
+            .modified()
+            .unwrap()
+    };
     let first = written();
     let status = done(&["status", root]);
-    assert!(status.contains(root) && status.contains("site 1/väl ley"), "{status}");
-    done(&["watch", root, "--once", "--settle", "100ms", "--poll", "200ms"]);
+    assert!(
+        status.contains(root) && status.contains("site 1/väl ley"),
+        "{status}"
+    );
+    done(&[
+        "watch", root, "--once", "--settle", "100ms", "--poll", "200ms",
+    ]);
     assert_eq!(written(), first, "the plan is current");
 }

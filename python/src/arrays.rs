@@ -9,9 +9,13 @@ use pyo3::prelude::*;
 /// A read-only view of `values` that keeps `owner` alive.
 ///
 /// `owner` must be the Python object that holds the value behind `values`.
-pub fn view<'py, T: Element>(owner: &Bound<'py, PyAny>, values: &[T]) -> PyResult<Bound<'py, PyUntypedArray>> {
-    // SAFETY: the classes of this crate are frozen and hold their values in an `Arc` that nothing changes, so that the slice lives, unmoved and
-    // unchanged, as long as `owner`, which the array keeps alive; the array is made read-only.
+pub fn view<'py, T: Element>(
+    owner: &Bound<'py, PyAny>,
+    values: &[T],
+) -> PyResult<Bound<'py, PyUntypedArray>> {
+    // SAFETY: the classes of this crate are frozen and hold their values in an `Arc` that nothing
+    // changes, so that the slice lives, unmoved and unchanged, as long as `owner`, which the array
+    // keeps alive; the array is made read-only.
     let array = unsafe { PyArray1::borrow_from_array(&ArrayView1::from(values), owner.clone()) };
     read_only(array.as_untyped().clone())
 }
@@ -22,7 +26,8 @@ pub fn rows<'py, T: Element>(
     values: &[T],
     columns: usize,
 ) -> PyResult<Bound<'py, PyUntypedArray>> {
-    let rows = ArrayView2::from_shape((values.len() / columns, columns), values).expect("whole rows");
+    let rows =
+        ArrayView2::from_shape((values.len() / columns, columns), values).expect("whole rows");
     // SAFETY: as in `view`.
     let array = unsafe { PyArray2::borrow_from_array(&rows, owner.clone()) };
     read_only(array.as_untyped().clone())

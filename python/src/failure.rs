@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use pyo3::{exceptions::PyRuntimeError, prelude::*};
 use viewrank::{
-    ArraysError, CreateError, Hint, PlanError, ProjectError, backends::BackendError, config, evaluate::EvaluateError,
-    files::FilesError, manifest::WrittenPlanError, output::OutputError, replan::AgainError, report::ReportError,
+    ArraysError, CreateError, Hint, PlanError, ProjectError, backends::BackendError, config,
+    evaluate::EvaluateError, files::FilesError, manifest::WrittenPlanError, output::OutputError,
+    replan::AgainError, report::ReportError,
 };
 
 /// An error on its way to Python.
@@ -20,7 +21,11 @@ pub struct Failure {
 
 impl Failure {
     fn new(exception: &'static str, error: &dyn Hint) -> Self {
-        let exception = if error.is_usage() { "SettingsError" } else { exception };
+        let exception = if error.is_usage() {
+            "SettingsError"
+        } else {
+            exception
+        };
         Self {
             exception,
             message: error.to_string(),
@@ -53,16 +58,26 @@ impl Failure {
 impl From<Failure> for PyErr {
     fn from(failure: Failure) -> Self {
         Python::attach(|py| {
-            let class = py.import("viewrank._errors").and_then(|module| module.getattr(failure.exception));
-            let error = class.and_then(|class| class.call1((&failure.message, failure.hint, failure.path)));
-            error.map_or_else(|_| PyRuntimeError::new_err(failure.message), PyErr::from_value)
+            let class = py
+                .import("viewrank._errors")
+                .and_then(|module| module.getattr(failure.exception));
+            let error =
+                class.and_then(|class| class.call1((&failure.message, failure.hint, failure.path)));
+            error.map_or_else(
+                |_| PyRuntimeError::new_err(failure.message),
+                PyErr::from_value,
+            )
         })
     }
 }
 
 impl From<PlanError> for Failure {
     fn from(error: PlanError) -> Self {
-        let exception = if matches!(error, PlanError::Project(_)) { "ReadError" } else { "PlanError" };
+        let exception = if matches!(error, PlanError::Project(_)) {
+            "ReadError"
+        } else {
+            "PlanError"
+        };
         Self::new(exception, &error)
     }
 }

@@ -1,5 +1,5 @@
-//! The native part of the Python package `viewrank`: conversions between Python and the library, nothing else. `python/viewrank` has the public
-//! names and their documentation.
+//! The native part of the Python package `viewrank`: conversions between Python and the library,
+//! nothing else. `python/viewrank` has the public names and their documentation.
 
 mod arrays;
 mod failure;
@@ -25,7 +25,8 @@ mod _viewrank {
     #[pymodule_export]
     const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-    /// Runs the program with these arguments, the first of which is its name; returns its exit code.
+    /// Runs the program with these arguments, the first of which is its name; returns its exit
+    /// code.
     #[pyfunction]
     fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
         py.detach(|| viewrank::cli::run_with(arguments) as u8)
@@ -43,7 +44,11 @@ mod _viewrank {
         runner.run(py, |_| {
             let project = Project::open(&project, model.as_deref())?;
             let settings = options::load(&project.root, Default::default())?;
-            let wanted = if names.is_empty() { &settings.backends } else { &names };
+            let wanted = if names.is_empty() {
+                &settings.backends
+            } else {
+                &names
+            };
             let backends = doctor::backends_to_check(&project, wanted, names.is_empty())?;
             let scene = project.read_scene()?;
             Failure::json(&doctor::examine(&project, &scene, &settings, &backends))
@@ -53,6 +58,9 @@ mod _viewrank {
     /// Names of all backends.
     #[pyfunction]
     fn backend_names() -> Vec<&'static str> {
-        backends::BACKENDS.iter().map(|backend| backend.name).collect()
+        backends::BACKENDS
+            .iter()
+            .map(|backend| backend.name)
+            .collect()
     }
 }

@@ -38,7 +38,8 @@ type GivenCamera = (String, u64, u64, Vec<f64>);
 
 #[pymethods]
 impl Model {
-    /// Reads the sparse model of a project. `images`: the image folder, if it is not found beside the model.
+    /// Reads the sparse model of a project. `images`: the image folder, if it is not found beside
+    /// the model.
     #[staticmethod]
     fn read(
         py: Python<'_>,
@@ -50,13 +51,21 @@ impl Model {
         runner.run(py, |_| {
             let project = Project::open(&project, model.as_deref())?;
             let images = images.map(|images| std::path::absolute(&images).unwrap_or(images));
-            let project = Project { images: images.map(Into::into).or(project.images.clone()), ..project };
+            let project = Project {
+                images: images.map(Into::into).or(project.images.clone()),
+                ..project
+            };
             let scene = project.read_scene()?;
-            Ok(Self(Arc::new(Held { project, scene, temporary: None })))
+            Ok(Self(Arc::new(Held {
+                project,
+                scene,
+                temporary: None,
+            })))
         })
     }
 
-    /// Makes a model of what `write` writes to a folder in COLMAP's format, in `folder` or in a temporary folder.
+    /// Makes a model of what `write` writes to a folder in COLMAP's format, in `folder` or in a
+    /// temporary folder.
     #[staticmethod]
     fn written_by(
         py: Python<'_>,
@@ -76,18 +85,32 @@ impl Model {
             let images = images.map(|images| std::path::absolute(&images).unwrap_or(images));
             if let Some(images) = &images {
                 let path = model.join("project.ini");
-                output::replace(&path, format!("image_path={}\n", images.display()).as_bytes(), &Disk::REAL)?;
+                output::replace(
+                    &path,
+                    format!("image_path={}\n", images.display()).as_bytes(),
+                    &Disk::REAL,
+                )?;
             }
             let project = Project::open(&folder, None)?;
-            let project = Project { images: images.map(Into::into).or(project.images.clone()), ..project };
+            let project = Project {
+                images: images.map(Into::into).or(project.images.clone()),
+                ..project
+            };
             let scene = project.read_scene()?;
-            Ok(Self(Arc::new(Held { project, scene, temporary })))
+            Ok(Self(Arc::new(Held {
+                project,
+                scene,
+                temporary,
+            })))
         })
     }
 
     /// Makes a model of arrays in `folder`, or in a temporary folder.
     #[staticmethod]
-    #[expect(clippy::too_many_arguments, reason = "one per array; the Python side names them")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one per array; the Python side names them"
+    )]
     fn from_arrays(
         py: Python<'_>,
         names: Vec<String>,
@@ -105,13 +128,22 @@ impl Model {
         let arrays = SceneArrays {
             cameras: cameras
                 .into_iter()
-                .map(|(model, width, height, params)| Intrinsics { model, width, height, params })
+                .map(|(model, width, height, params)| Intrinsics {
+                    model,
+                    width,
+                    height,
+                    params,
+                })
                 .collect(),
             names,
             camera: camera.as_slice()?.iter().map(|&i| index(i)).collect(),
             cam_from_world: bytemuck::cast_slice(cam_from_world.as_slice()?).to_vec(),
             points: bytemuck::cast_slice(points.as_slice()?).to_vec(),
-            observations: observations.as_slice()?.chunks(2).map(|row| [index(row[0]), index(row[1])]).collect(),
+            observations: observations
+                .as_slice()?
+                .chunks(2)
+                .map(|row| [index(row[0]), index(row[1])])
+                .collect(),
             pixels: bytemuck::cast_slice(pixels.as_slice()?).to_vec(),
         };
         runner.run(py, |_| {
@@ -120,43 +152,71 @@ impl Model {
             let project = Project::create(&folder, &scene, images.as_deref())?;
             // As a project on disk is read, so that the plan is that of the program.
             let scene = project.read_scene()?;
-            Ok(Self(Arc::new(Held { project, scene, temporary })))
+            Ok(Self(Arc::new(Held {
+                project,
+                scene,
+                temporary,
+            })))
         })
     }
 
     /// Folder of the project; `None` where it is temporary.
     #[getter]
     fn folder(&self) -> Option<PathBuf> {
-        self.0.temporary.is_none().then(|| self.0.project.root.clone())
+        self.0
+            .temporary
+            .is_none()
+            .then(|| self.0.project.root.clone())
     }
 
     #[getter]
     fn images(&self) -> Option<PathBuf> {
-        self.0.project.images.as_ref().map(|folder| folder.to_path_buf())
+        self.0
+            .project
+            .images
+            .as_ref()
+            .map(|folder| folder.to_path_buf())
     }
 
     #[getter]
     fn names(&self) -> Vec<&str> {
-        self.0.scene.views.iter().map(|view| view.name.as_str()).collect()
+        self.0
+            .scene
+            .views
+            .iter()
+            .map(|view| view.name.as_str())
+            .collect()
     }
 
     /// Model, width, height and parameters of each camera.
     #[getter]
     fn cameras(&self) -> Vec<(&'static str, u32, u32, Vec<f64>)> {
         let cameras = self.0.scene.cameras.iter();
-        cameras.map(|c| (c.model().name(), c.width, c.height, c.params().to_vec())).collect()
+        cameras
+            .map(|c| (c.model().name(), c.width, c.height, c.params().to_vec()))
+            .collect()
     }
 
     #[getter]
     fn camera(&self) -> Vec<usize> {
-        self.0.scene.views.iter().map(|view| view.camera.index()).collect()
+        self.0
+            .scene
+            .views
+            .iter()
+            .map(|view| view.camera.index())
+            .collect()
     }
 
     /// Views x 12: `[R | t]` row by row.
     fn cam_from_world<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let row = |view: &viewrank::View| {
             let pose = view.cam_from_world;
-            let row = |i: usize| [0, 1, 2].map(|j| pose.rotation[(i, j)]).into_iter().chain([pose.translation[i]]);
+            let row = |i: usize| {
+                [0, 1, 2]
+                    .map(|j| pose.rotation[(i, j)])
+                    .into_iter()
+                    .chain([pose.translation[i]])
+            };
             (0..3).flat_map(row).collect()
         };
         let table: Vec<Vec<f64>> = self.0.scene.views.iter().map(row).collect();
@@ -167,7 +227,11 @@ impl Model {
     }
 
     fn points<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(slf.as_any(), bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.points), 3)
+        rows(
+            slf.as_any(),
+            bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.points),
+            3,
+        )
     }
 
     fn point_ids<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
@@ -175,7 +239,11 @@ impl Model {
     }
 
     fn colours<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(slf.as_any(), bytemuck::cast_slice::<_, u8>(&slf.get().0.scene.colours), 3)
+        rows(
+            slf.as_any(),
+            bytemuck::cast_slice::<_, u8>(&slf.get().0.scene.colours),
+            3,
+        )
     }
 
     fn track_offsets<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
@@ -187,7 +255,11 @@ impl Model {
     }
 
     fn track_pixels<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(slf.as_any(), bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.track_pixels), 2)
+        rows(
+            slf.as_any(),
+            bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.track_pixels),
+            2,
+        )
     }
 
     #[getter]
@@ -197,7 +269,12 @@ impl Model {
 
     #[getter]
     fn warnings(&self) -> Vec<String> {
-        self.0.scene.warnings.iter().map(|warning| warning.text.clone()).collect()
+        self.0
+            .scene
+            .warnings
+            .iter()
+            .map(|warning| warning.text.clone())
+            .collect()
     }
 }
 
@@ -207,6 +284,9 @@ fn folder_or_temporary(folder: Option<PathBuf>) -> Result<(PathBuf, Option<TempD
         return Ok((folder, None));
     }
     let folder = tempfile::Builder::new().prefix("viewrank-").tempdir();
-    let folder = folder.map_err(|source| viewrank::ProjectError::Io { path: std::env::temp_dir(), source })?;
+    let folder = folder.map_err(|source| viewrank::ProjectError::Io {
+        path: std::env::temp_dir(),
+        source,
+    })?;
     Ok((folder.path().into(), Some(folder)))
 }

@@ -40,13 +40,20 @@ const KEYWORDS: [(&str, &str); 18] = [
 /// Replaces the program's options in a hint by keywords: `--gsd` by `gsd=`.
 pub fn as_keywords(hint: &str) -> String {
     KEYWORDS.iter().fold(hint.to_owned(), |hint, (keyword, _)| {
-        hint.replace(&format!("--{}", keyword.replace('_', "-")), &format!("{keyword}="))
+        hint.replace(
+            &format!("--{}", keyword.replace('_', "-")),
+            &format!("{keyword}="),
+        )
     })
 }
 
 /// The settings of the user's file, the project's file and the keywords, later ones first.
 pub fn load(root: &Path, typed: CommandLineSettings) -> Result<Settings, Failure> {
-    let files = Files { user: user_file(), root: None, project: Some(root.join("viewrank.toml")) };
+    let files = Files {
+        user: user_file(),
+        root: None,
+        project: Some(root.join("viewrank.toml")),
+    };
     Ok(Configuration::load(&files, typed, backends::canonical_name)?.settings)
 }
 
@@ -65,8 +72,11 @@ pub fn typed(keywords: &Bound<'_, PyDict>) -> PyResult<CommandLineSettings> {
             }
             continue;
         }
-        let known = KEYWORDS.iter().find(|(keyword, key)| *keyword == name && !key.is_empty());
-        let (keyword, key) = known.ok_or_else(|| PyTypeError::new_err(format!("unknown keyword {name}")))?;
+        let known = KEYWORDS
+            .iter()
+            .find(|(keyword, key)| *keyword == name && !key.is_empty());
+        let (keyword, key) =
+            known.ok_or_else(|| PyTypeError::new_err(format!("unknown keyword {name}")))?;
         typed.set(keyword, key, Some(amount(key, &value)?));
     }
     Ok(typed)
@@ -74,7 +84,10 @@ pub fn typed(keywords: &Bound<'_, PyDict>) -> PyResult<CommandLineSettings> {
 
 /// The value of a setting; shares, seconds and boxes in the form in which the program takes them.
 fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
-    let number = value.extract::<f64>().ok().filter(|_| !value.is_instance_of::<PyBool>());
+    let number = value
+        .extract::<f64>()
+        .ok()
+        .filter(|_| !value.is_instance_of::<PyBool>());
     let is_whole = value.is_instance_of::<PyInt>();
     let text = match (key, number) {
         // 0.9 is 90 %, 1 is all; 90 is what `--target 90` is.
@@ -83,10 +96,12 @@ fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
         ("cut.budget", Some(share)) if !is_whole => Some(format!("{}%", 100.0 * share)),
         ("cut.time", Some(seconds)) => Some(format!("{seconds}s")),
         ("cut.points" | "max_memory", Some(count)) => Some(format!("{count}")),
-        ("region", None) if !value.is_instance_of::<PyString>() => match value.extract::<[f64; 6]>() {
-            Ok(corners) => Some(corners.map(|x| x.to_string()).join(",")),
-            Err(_) => Some(absolute(&value.extract::<PathBuf>()?)),
-        },
+        ("region", None) if !value.is_instance_of::<PyString>() => {
+            match value.extract::<[f64; 6]>() {
+                Ok(corners) => Some(corners.map(|x| x.to_string()).join(",")),
+                Err(_) => Some(absolute(&value.extract::<PathBuf>()?)),
+            }
+        }
         ("surface.mesh", _) => Some(absolute(&value.extract::<PathBuf>()?)),
         ("backends", _) if value.is_instance_of::<PyString>() => {
             return Ok(Value::Array(vec![value.extract::<String>()?.into()]));
@@ -101,7 +116,10 @@ fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
 }
 
 fn absolute(path: &Path) -> String {
-    std::path::absolute(path).unwrap_or(path.into()).to_string_lossy().into_owned()
+    std::path::absolute(path)
+        .unwrap_or(path.into())
+        .to_string_lossy()
+        .into_owned()
 }
 
 fn setting(value: &Bound<'_, PyAny>) -> PyResult<Value> {
@@ -118,7 +136,13 @@ fn setting(value: &Bound<'_, PyAny>) -> PyResult<Value> {
         return Ok(text.into());
     }
     if let Ok(members) = value.cast::<PySequence>() {
-        return members.try_iter()?.map(|member| setting(&member?)).collect::<PyResult<Vec<Value>>>().map(Value::Array);
+        return members
+            .try_iter()?
+            .map(|member| setting(&member?))
+            .collect::<PyResult<Vec<Value>>>()
+            .map(Value::Array);
     }
-    value.extract::<PathBuf>().map(|path| absolute(&path).into())
+    value
+        .extract::<PathBuf>()
+        .map(|path| absolute(&path).into())
 }

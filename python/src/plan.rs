@@ -40,12 +40,18 @@ struct Planned {
 
 impl Planned {
     fn is_temporary(&self) -> bool {
-        self.model.as_ref().is_some_and(|model| model.temporary.is_some())
+        self.model
+            .as_ref()
+            .is_some_and(|model| model.temporary.is_some())
     }
 }
 
 /// Fulfilment by the chosen clusters and by all, and chosen key views, by triangle.
-type States<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<u16>>);
+type States<'py> = (
+    Bound<'py, PyArray1<f32>>,
+    Bound<'py, PyArray1<f32>>,
+    Bound<'py, PyArray1<u16>>,
+);
 
 /// A cluster: key view, partners, gain, share.
 type Ranked = (String, Vec<String>, f64, f64, f64);
@@ -54,13 +60,23 @@ type Ranked = (String, Vec<String>, f64, f64, f64);
 impl Plan {
     /// Plans a model; `keywords` are those of `viewrank.plan` that are settings.
     #[staticmethod]
-    fn new(py: Python<'_>, model: &Model, keywords: &Bound<'_, PyDict>, runner: Runner) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        model: &Model,
+        keywords: &Bound<'_, PyDict>,
+        runner: Runner,
+    ) -> PyResult<Self> {
         let typed = options::typed(keywords)?;
         let held = model.held();
         runner.run(py, move |watcher| {
             let settings = options::load(&held.project.root, typed)?;
             let plan = backends::plan_scene(&held.project, held.scene.clone(), &settings, watcher)?;
-            Ok(Self(Arc::new(Planned { plan, project: held.project.clone(), exports: Vec::new(), model: Some(held) })))
+            Ok(Self(Arc::new(Planned {
+                plan,
+                project: held.project.clone(),
+                exports: Vec::new(),
+                model: Some(held),
+            })))
         })
     }
 
@@ -69,7 +85,12 @@ impl Plan {
     fn load(py: Python<'_>, project: PathBuf, runner: Runner) -> PyResult<Self> {
         runner.run(py, |watcher| {
             let (project, plan, exports) = replan::as_written(&project, watcher)?;
-            Ok(Self(Arc::new(Planned { plan, project, exports, model: None })))
+            Ok(Self(Arc::new(Planned {
+                plan,
+                project,
+                exports,
+                model: None,
+            })))
         })
     }
 
@@ -86,13 +107,29 @@ impl Plan {
 
     #[getter]
     fn names(&self) -> Vec<&str> {
-        self.0.plan.stages.scene.views.iter().map(|view| view.name.as_str()).collect()
+        self.0
+            .plan
+            .stages
+            .scene
+            .views
+            .iter()
+            .map(|view| view.name.as_str())
+            .collect()
     }
 
     #[getter]
     fn warnings(&self) -> Vec<String> {
-        let scene = self.0.plan.stages.scene.warnings.iter().map(|warning| warning.text.clone());
-        scene.chain(self.0.plan.decision.warnings.iter().cloned()).collect()
+        let scene = self
+            .0
+            .plan
+            .stages
+            .scene
+            .warnings
+            .iter()
+            .map(|warning| warning.text.clone());
+        scene
+            .chain(self.0.plan.decision.warnings.iter().cloned())
+            .collect()
     }
 
     /// The settings in force, as JSON.
@@ -110,8 +147,18 @@ impl Plan {
         let scene = &self.0.plan.stages.scene;
         let gains = &self.0.plan.decision.ranking.gains;
         let cluster = |(cluster, gain): (viewrank::RankedCluster, &f64)| {
-            let partners = cluster.partners.iter().map(|&view| scene.name(view).to_owned()).collect();
-            (scene.name(cluster.key).to_owned(), partners, *gain, cluster.share, cluster.scale.factor())
+            let partners = cluster
+                .partners
+                .iter()
+                .map(|&view| scene.name(view).to_owned())
+                .collect();
+            (
+                scene.name(cluster.key).to_owned(),
+                partners,
+                *gain,
+                cluster.share,
+                cluster.scale.factor(),
+            )
         };
         self.0.plan.ranked().zip(gains).map(cluster).collect()
     }
@@ -121,7 +168,10 @@ impl Plan {
         let curve = py.detach(|| self.0.plan.curve());
         let columns = PyDict::new(py);
         let whole = |name: &str, value: fn(&viewrank::CurvePoint) -> usize| {
-            columns.set_item(name, PyArray1::from_iter(py, curve.iter().map(|point| value(point) as i64)))
+            columns.set_item(
+                name,
+                PyArray1::from_iter(py, curve.iter().map(|point| value(point) as i64)),
+            )
         };
         whole("clusters", |point| point.clusters)?;
         whole("pairs", |point| point.pairs)?;
@@ -137,14 +187,23 @@ impl Plan {
     }
 
     fn vertices<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(slf.as_any(), bytemuck::cast_slice::<_, f64>(&slf.get().0.plan.stages.surface.vertices), 3)
+        rows(
+            slf.as_any(),
+            bytemuck::cast_slice::<_, f64>(&slf.get().0.plan.stages.surface.vertices),
+            3,
+        )
     }
 
     fn triangles<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(slf.as_any(), bytemuck::cast_slice::<_, u32>(&slf.get().0.plan.stages.surface.triangles), 3)
+        rows(
+            slf.as_any(),
+            bytemuck::cast_slice::<_, u32>(&slf.get().0.plan.stages.surface.triangles),
+            3,
+        )
     }
 
-    /// Fulfilment of each triangle by the chosen clusters and by all, and the number of chosen key views that fulfil it.
+    /// Fulfilment of each triangle by the chosen clusters and by all, and the number of chosen key
+    /// views that fulfil it.
     fn triangle_states<'py>(&self, py: Python<'py>, clusters: usize) -> States<'py> {
         let states = py.detach(|| pictures::triangle_states(&self.0.plan, clusters));
         (
@@ -155,7 +214,10 @@ impl Plan {
     }
 
     fn visibility_offsets<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), slf.get().0.plan.stages.visibility.offsets.as_slice())
+        view(
+            slf.as_any(),
+            slf.get().0.plan.stages.visibility.offsets.as_slice(),
+        )
     }
 
     fn visibility_triangles<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
@@ -164,7 +226,13 @@ impl Plan {
 
     /// View of the key view of each row of the fulfilment table.
     fn fulfilment_keys(&self) -> Vec<u32> {
-        self.0.plan.stages.clusters.iter().map(|cluster| cluster.key.0).collect()
+        self.0
+            .plan
+            .stages
+            .clusters
+            .iter()
+            .map(|cluster| cluster.key.0)
+            .collect()
     }
 
     fn fulfilment_offsets<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
@@ -187,12 +255,23 @@ impl Plan {
             }
             let files = files::files_of_same_model(&self.0.plan, &self.0.project)?;
             let uncached = files.write(&self.0.project.disk())?;
-            Ok((self.0.project.output_folder(), files.manifest.warnings.into_iter().chain(uncached).collect()))
+            Ok((
+                self.0.project.output_folder(),
+                files
+                    .manifest
+                    .warnings
+                    .into_iter()
+                    .chain(uncached)
+                    .collect(),
+            ))
         })
     }
 
     /// Writes the files of a backend; returns their folder and the record of the export as JSON.
-    #[expect(clippy::too_many_arguments, reason = "one per option; the Python side names them")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one per option; the Python side names them"
+    )]
     fn export(
         &self,
         py: Python<'_>,
@@ -211,7 +290,8 @@ impl Plan {
             Some("keys+partners") => Some(References::KeysAndPartners),
             Some("all") => Some(References::All),
             Some(other) => {
-                let wanted = format!("refs must be \"keys\", \"keys+partners\" or \"all\", not {other:?}");
+                let wanted =
+                    format!("refs must be \"keys\", \"keys+partners\" or \"all\", not {other:?}");
                 return Err(pyo3::exceptions::PyValueError::new_err(wanted));
             }
         };
@@ -221,8 +301,15 @@ impl Plan {
             }
             self.0.project.refuse_changed_model()?;
             let backend = backends::by_name(backend)?;
-            let options = ExportOptions { out, refs, geometric, scene, scale };
-            let (folder, files, record) = files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;
+            let options = ExportOptions {
+                out,
+                refs,
+                geometric,
+                scene,
+                scale,
+            };
+            let (folder, files, record) =
+                files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;
             files.write(&self.0.project.disk())?;
             Ok((folder, Failure::json(&record)?))
         })
@@ -238,8 +325,16 @@ impl Plan {
         runner: Runner,
     ) -> PyResult<PathBuf> {
         runner.run(py, |watcher| {
-            let Planned { plan, project, exports, .. } = &*self.0;
-            let folders = DepthMapFolders { depth_maps, reference };
+            let Planned {
+                plan,
+                project,
+                exports,
+                ..
+            } = &*self.0;
+            let folders = DepthMapFolders {
+                depth_maps,
+                reference,
+            };
             let contents = Contents::new(plan, project, exports, &folders, watcher)?;
             let page = report::page(&contents);
             let Some(path) = path else {
@@ -267,7 +362,8 @@ impl Plan {
     ) -> PyResult<String> {
         runner.run(py, |watcher| {
             let reference = reference.as_deref().map(Path::new);
-            let evaluation = Evaluation::of_plan(&self.0.plan, &depth_maps, reference, baselines, watcher)?;
+            let evaluation =
+                Evaluation::of_plan(&self.0.plan, &depth_maps, reference, baselines, watcher)?;
             Failure::json(&evaluation)
         })
     }

@@ -1,4 +1,5 @@
-//! Long calls: the library runs in a thread of its own without the interpreter's lock, while the calling thread passes progress on and listens for Ctrl-C.
+//! Long calls: the library runs in a thread of its own without the interpreter's lock, while the
+//! calling thread passes progress on and listens for Ctrl-C.
 
 use std::{
     panic::resume_unwind,
@@ -21,7 +22,8 @@ const LOOK: Duration = Duration::from_millis(50);
 /// How to run a long call.
 #[derive(FromPyObject)]
 pub struct Runner {
-    /// Called with stage, steps done and steps in total, in the calling thread; an exception cancels the call.
+    /// Called with stage, steps done and steps in total, in the calling thread; an exception
+    /// cancels the call.
     #[pyo3(attribute("progress"))]
     progress: Option<Py<PyAny>>,
     /// Number of threads; `None`: one per core.
@@ -51,7 +53,9 @@ impl Shared {
 
     /// Waits until the call is done or it is time to look for Ctrl-C; returns the news.
     fn wait(&self) -> (Vec<(Stage, u64, u64)>, bool) {
-        let waited = self.changed.wait_timeout_while(self.news(), LOOK, |news| !news.is_done);
+        let waited = self
+            .changed
+            .wait_timeout_while(self.news(), LOOK, |news| !news.is_done);
         let mut news = waited.map_or_else(|poisoned| poisoned.into_inner().0, |(news, _)| news);
         (std::mem::take(&mut news.stages), news.is_done)
     }
@@ -83,7 +87,8 @@ impl Drop for Done<'_> {
 }
 
 impl Runner {
-    /// Runs `work` and returns its result; raises what the progress callback or Ctrl-C raises, after `work` has stopped.
+    /// Runs `work` and returns its result; raises what the progress callback or Ctrl-C raises,
+    /// after `work` has stopped.
     pub fn run<T: Send>(
         &self,
         py: Python<'_>,
@@ -94,7 +99,9 @@ impl Runner {
                 rayon::ThreadPoolBuilder::new()
                     .num_threads(threads)
                     .build()
-                    .map_err(|error| PyRuntimeError::new_err(format!("cannot start {threads} threads: {error}")))?,
+                    .map_err(|error| {
+                        PyRuntimeError::new_err(format!("cannot start {threads} threads: {error}"))
+                    })?,
             ),
             None => None,
         };
@@ -108,7 +115,9 @@ impl Runner {
                 }
             });
             let raised = self.follow(py, shared);
-            let result = py.detach(|| worker.join()).unwrap_or_else(|panic| resume_unwind(panic));
+            let result = py
+                .detach(|| worker.join())
+                .unwrap_or_else(|panic| resume_unwind(panic));
             raised?;
             Ok(result?)
         })
@@ -131,7 +140,9 @@ impl Runner {
     }
 
     fn report(&self, py: Python<'_>, stages: &[(Stage, u64, u64)]) -> PyResult<()> {
-        let Some(progress) = &self.progress else { return Ok(()) };
+        let Some(progress) = &self.progress else {
+            return Ok(());
+        };
         stages.iter().try_for_each(|&(stage, done, total)| {
             let name = format!("{stage:?}").to_lowercase();
             progress.call1(py, (name, done, total)).map(drop)

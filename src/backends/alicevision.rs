@@ -1,12 +1,14 @@
-//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. AliceVision reads no lists of views or partners: each cluster becomes a scene
-//! file in which the key view shares landmarks with its partners only, and the key view is named by its position.
+//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. AliceVision reads no lists of
+//! views or partners: each cluster becomes a scene file in which the key view shares landmarks with
+//! its partners only, and the key view is named by its position.
 
 use std::{fmt::Write, path::Path};
 
 use serde_json::{Value, json};
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
+    Selection,
     clusters::{ClusterScript, recipe},
     selection,
     strangers::list_links,
@@ -61,21 +63,41 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let points = scene.view_points();
     let mut record = ExportRecord::new(&BACKEND, selection, |v| scene.view(v).image_id.to_string());
-    record.not_honoured.extend(["the order of the partners of a key view".into()]);
+    record
+        .not_honoured
+        .extend(["the order of the partners of a key view".into()]);
     record.moved(near.origin);
-    let names: Vec<String> = selection.clusters.iter().map(|cluster| result_name(selection, cluster)).collect();
+    let names: Vec<String> = selection
+        .clusters
+        .iter()
+        .map(|cluster| result_name(selection, cluster))
+        .collect();
     let mut script = ClusterScript::new(&names, RUNNER_HEAD);
     for (i, (cluster, name)) in selection.clusters.iter().zip(&names).enumerate() {
         let path = format!("clusters/{:04}.sfm", i + 1);
         files.add_text(&*path, cluster_file(scene, &points, cluster));
         let options = estimation(selection, cluster, &path);
-        script.cluster(name, &format!("[ -d kept/{name} ]"), &[format!("map {name} {options}")]);
-        record.commands.push(format!("aliceVision_depthMapEstimation {options} -o depthMaps"));
-        record.warnings.extend(dropped_partners(scene, &points, cluster));
+        script.cluster(
+            name,
+            &format!("[ -d kept/{name} ]"),
+            &[format!("map {name} {options}")],
+        );
+        record.commands.push(format!(
+            "aliceVision_depthMapEstimation {options} -o depthMaps"
+        ));
+        record
+            .warnings
+            .extend(dropped_partners(scene, &points, cluster));
     }
     let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
-    files.add_text("keys.sfm", scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())));
-    files.add("finished.py", Contents::Script(include_bytes!("../../integrations/alicevision/finished.py").to_vec()));
+    files.add_text(
+        "keys.sfm",
+        scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())),
+    );
+    files.add(
+        "finished.py",
+        Contents::Script(include_bytes!("../../integrations/alicevision/finished.py").to_vec()),
+    );
     record.commands.extend([
         "python3 finished.py".into(),
         "rm -rf filtered && mkdir filtered".into(),
@@ -89,7 +111,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.made_for = "AliceVision (ca8300f; read, not run)".into();
     record.way = "one scene file and one call per cluster".into();
     record.note_scale(selection, |_| 1.0 / downscale(selection));
-    record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
+    record.fusion =
+        "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
     files.add("run.sh", script.finish(&[format!("join {FILTERING}")]));
     list_links(&mut files);
     files.add_text("export.json", record.to_json());
@@ -119,11 +142,16 @@ fn dropped_partners(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster)
     dropped.collect()
 }
 
-/// Options for the key view, by its position among the views of the file, which are ordered by ascending id. All angles are admitted
-/// and tiles do not select partners, so that every partner is used.
+/// Options for the key view, by its position among the views of the file, which are ordered by
+/// ascending id. All angles are admitted and tiles do not select partners, so that every partner is
+/// used.
 fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> String {
     let id = |v: &ViewIndex| selection.scene.view(*v).image_id;
-    let position = cluster.partners.iter().filter(|p| id(p) < id(&cluster.key)).count();
+    let position = cluster
+        .partners
+        .iter()
+        .filter(|p| id(p) < id(&cluster.key))
+        .count();
     let k = cluster.partners.len();
     let downscale = downscale(selection);
     format!(
@@ -139,17 +167,21 @@ fn downscale(selection: &Selection) -> f64 {
 }
 
 fn image_path(scene: &Scene, view: ViewIndex) -> String {
-    let extension =
-        Path::new(scene.name(view)).extension().map_or("jpg".into(), |e| e.to_string_lossy().to_ascii_lowercase());
+    let extension = Path::new(scene.name(view))
+        .extension()
+        .map_or("jpg".into(), |e| e.to_string_lossy().to_ascii_lowercase());
     format!("images/{}.{extension}", scene.view(view).image_id)
 }
 
 /// A landmark and its observers.
 type Landmark = (PointIndex, Vec<ViewIndex>);
 
-/// Key view and partners, with a landmark per point that the key view shares with a partner, repeated if too few.
+/// Key view and partners, with a landmark per point that the key view shares with a partner,
+/// repeated if too few.
 fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> String {
-    let members: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
+    let members: Vec<_> = std::iter::once(cluster.key)
+        .chain(cluster.partners.iter().copied())
+        .collect();
     let mut landmarks: Vec<Landmark> = points
         .observed_by(cluster.key)
         .iter()
@@ -157,20 +189,42 @@ fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> 
         .filter(|(_, v)| v.len() > 1)
         .collect();
     for &partner in &cluster.partners {
-        let shared: Vec<_> = landmarks.iter().filter(|(_, v)| v.contains(&partner)).map(|l| l.0).collect();
+        let shared: Vec<_> = landmarks
+            .iter()
+            .filter(|(_, v)| v.contains(&partner))
+            .map(|l| l.0)
+            .collect();
         let missing = LEAST_LANDMARKS.saturating_sub(shared.len());
-        landmarks.extend(shared.iter().cycle().take(missing).map(|&p| (p, vec![cluster.key, partner])));
+        landmarks.extend(
+            shared
+                .iter()
+                .cycle()
+                .take(missing)
+                .map(|&p| (p, vec![cluster.key, partner])),
+        );
     }
     scene_file(scene, &members, &landmarks)
 }
 
 fn all_landmarks(scene: &Scene, is_key: &[bool]) -> Vec<Landmark> {
     let points = (0..scene.points.len() as u32).map(PointIndex);
-    points.map(|p| (p, observers(scene, p, |v| is_key[v.index()]))).filter(|(_, v)| v.len() > 1).collect()
+    points
+        .map(|p| (p, observers(scene, p, |v| is_key[v.index()])))
+        .filter(|(_, v)| v.len() > 1)
+        .collect()
 }
 
-fn observers(scene: &Scene, point: PointIndex, among: impl Fn(ViewIndex) -> bool) -> Vec<ViewIndex> {
-    let mut views: Vec<_> = scene.track_views(point).iter().copied().filter(|&v| among(v)).collect();
+fn observers(
+    scene: &Scene,
+    point: PointIndex,
+    among: impl Fn(ViewIndex) -> bool,
+) -> Vec<ViewIndex> {
+    let mut views: Vec<_> = scene
+        .track_views(point)
+        .iter()
+        .copied()
+        .filter(|&v| among(v))
+        .collect();
     views.dedup();
     views
 }
@@ -216,8 +270,8 @@ fn view_entry(scene: &Scene, view: ViewIndex) -> Value {
     })
 }
 
-/// Focal length in mm of the sensor, and (since 1.2.5) the second one over it; the principal point is an offset from the middle of the
-/// image, pixel centres are integers.
+/// Focal length in mm of the sensor, and (since 1.2.5) the second one over it; the principal point
+/// is an offset from the middle of the image, pixel centres are integers.
 fn intrinsic_entry(scene: &Scene, camera: u32) -> Value {
     let entry = &scene.cameras[camera as usize];
     let (f, c) = entry.pinhole_part();

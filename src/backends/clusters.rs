@@ -1,4 +1,5 @@
-//! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is its head.
+//! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is
+//! its head.
 
 use super::{Selection, strangers};
 use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
@@ -9,17 +10,24 @@ const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
 pub struct ClusterScript(String);
 
 impl ClusterScript {
-    /// `results`: names of the results of the plan, which end with a hash of what they are made from ([`recipe`]); `preparation`: lines of sh that follow
-    /// the head.
+    /// `results`: names of the results of the plan, which end with a hash of what they are made
+    /// from ([`recipe`]); `preparation`: lines of sh that follow the head.
     pub fn new(results: &[String], preparation: &str) -> Self {
         let head = strangers::with_refusal(HEAD);
-        Self(format!("{head}results='{}'\n{preparation}", results.join(" ")))
+        Self(format!(
+            "{head}results='{}'\n{preparation}",
+            results.join(" ")
+        ))
     }
 
-    /// Adds a cluster: its commands, each run if the previous one succeeds, unless the sh condition `is_there` holds.
+    /// Adds a cluster: its commands, each run if the previous one succeeds, unless the sh condition
+    /// `is_there` holds.
     pub fn cluster(&mut self, name: &str, is_there: &str, commands: &[String]) {
         let commands = commands.join(" &&\n    ");
-        self.0 += &format!("{is_there} || {{\n    {commands}\n}} || fail {}\n", quoted(name));
+        self.0 += &format!(
+            "{is_there} || {{\n    {commands}\n}} || fail {}\n",
+            quoted(name)
+        );
     }
 
     /// Adds lines of sh verbatim.
@@ -27,23 +35,41 @@ impl ClusterScript {
         self.0 += &format!("{line}\n");
     }
 
-    /// Returns the script, with the commands that fuse the results, each run if the previous one succeeds.
+    /// Returns the script, with the commands that fuse the results, each run if the previous one
+    /// succeeds.
     pub fn finish(mut self, joining: &[String]) -> Contents {
         if !joining.is_empty() {
-            self.0 += &format!("{{\n    {}\n}} || fail 'the fusion'\n", joining.join(" &&\n    "));
+            self.0 += &format!(
+                "{{\n    {}\n}} || fail 'the fusion'\n",
+                joining.join(" &&\n    ")
+            );
         }
         self.0 += "exit \"$failed\"\n";
         Contents::Script(self.0.into_bytes())
     }
 }
 
-/// Returns the cache key of a depth map: a hash of views, cameras and poses of key view and partners, and of the program's `options`.
+/// Returns the cache key of a depth map: a hash of views, cameras and poses of key view and
+/// partners, and of the program's `options`.
 pub fn recipe(selection: &Selection, cluster: &RankedCluster, options: &str) -> String {
     let mut text = options.to_owned();
     for view in std::iter::once(cluster.key).chain(cluster.partners.iter().copied()) {
-        let (camera, pose) = (selection.scene.camera_of(view), &selection.scene.view(view).cam_from_world);
-        let numbers = [camera.params(), pose.rotation.matrix().as_slice(), pose.translation.as_slice()].concat();
-        text += &format!("\n{} {} {} {numbers:?}", selection.scene.name(view), camera.width, camera.height);
+        let (camera, pose) = (
+            selection.scene.camera_of(view),
+            &selection.scene.view(view).cam_from_world,
+        );
+        let numbers = [
+            camera.params(),
+            pose.rotation.matrix().as_slice(),
+            pose.translation.as_slice(),
+        ]
+        .concat();
+        text += &format!(
+            "\n{} {} {} {numbers:?}",
+            selection.scene.name(view),
+            camera.width,
+            camera.height
+        );
     }
     blake3::hash(text.as_bytes()).to_hex()[..16].into()
 }

@@ -15,11 +15,22 @@ pub enum BackendError {
     #[error(transparent)]
     Unknown(#[from] UnknownBackend),
     #[error("{backend} cannot take the image name \"{name}\": {why}")]
-    Name { backend: &'static str, name: String, why: String },
+    Name {
+        backend: &'static str,
+        name: String,
+        why: String,
+    },
     #[error("{backends}: unknown option {option}")]
-    Option { option: &'static str, backends: String },
+    Option {
+        option: &'static str,
+        backends: String,
+    },
     #[error("{backend} needs {what}")]
-    Needs { backend: &'static str, what: String, hint: String },
+    Needs {
+        backend: &'static str,
+        what: String,
+        hint: String,
+    },
     #[error("cannot export to {}: it belongs to the project", _0.display())]
     OwnFile(PathBuf),
     #[error("cannot export next to {}: it belongs to another model", _0.display())]
@@ -42,15 +53,27 @@ impl Hint for BackendError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Unknown(error) => return error.hint(),
-            Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
+            Self::Name { .. } => {
+                "rename the image file and its entry in the model, then plan again".into()
+            }
             Self::Option { option, .. } => {
-                let takers = BACKENDS.iter().filter(|b| b.options.contains(option)).map(|b| b.name);
-                format!("leave it out; it is for {}", takers.collect::<Vec<_>>().join(", "))
+                let takers = BACKENDS
+                    .iter()
+                    .filter(|b| b.options.contains(option))
+                    .map(|b| b.name);
+                format!(
+                    "leave it out; it is for {}",
+                    takers.collect::<Vec<_>>().join(", ")
+                )
             }
             Self::Needs { hint, .. } => hint.clone(),
             Self::OwnFile(_) => "write to another folder with --out".into(),
-            Self::OtherModel(_) => "write to another folder with --out, or move that model away".into(),
-            Self::OtherExport { .. } => "write to another folder with --out, or remove that one first".into(),
+            Self::OtherModel(_) => {
+                "write to another folder with --out, or move that model away".into()
+            }
+            Self::OtherExport { .. } => {
+                "write to another folder with --out, or remove that one first".into()
+            }
             Self::Place(error) => return error.hint(),
             Self::Model(error) => return error.hint(),
         })
@@ -62,7 +85,9 @@ impl Hint for BackendError {
 
     fn path(&self) -> Option<&Path> {
         match self {
-            Self::OwnFile(path) | Self::OtherModel(path) | Self::OtherExport { folder: path, .. } => Some(path),
+            Self::OwnFile(path)
+            | Self::OtherModel(path)
+            | Self::OtherExport { folder: path, .. } => Some(path),
             Self::Place(error) => error.path(),
             Self::Model(error) => error.path(),
             _ => None,

@@ -1,8 +1,9 @@
-//! Gipuma: `docs/backends.md` 6. One call per key view; the first image is the key view, the others its partners.
+//! Gipuma: `docs/backends.md` 6. One call per key view; the first image is the key view, the others
+//! its partners.
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PATCH_MATCH, Selection, Trap,
     clusters::{ClusterScript, recipe},
     pmvs, selection,
     strangers::list_links,
@@ -36,7 +37,13 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    patient.without_points("gipuma-depth-range-mandatory", "its depth range is not known").into_iter().collect()
+    patient
+        .without_points(
+            "gipuma-depth-range-mandatory",
+            "its depth range is not known",
+        )
+        .into_iter()
+        .collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -47,11 +54,18 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut names = vec![String::new(); selection.scene.views.len()];
     let mut files = options.file_set(&BACKEND, selection);
     for &view in &views {
-        // Result folders are named by the name less four characters: an extension of three letters. The id of the image is the
-        // same in each plan, so that no result is taken for that of another image.
+        // Result folders are named by the name less four characters: an extension of three letters.
+        // The id of the image is the same in each plan, so that no result is taken for that of
+        // another image.
         let name = format!("{:08}.jpg", selection.scene.view(view).image_id);
-        files.add_text(format!("p/{name}.P"), pmvs::projection(selection.scene, view));
-        files.add(format!("images/{name}"), images.link(selection.scene.name(view)));
+        files.add_text(
+            format!("p/{name}.P"),
+            pmvs::projection(selection.scene, view),
+        );
+        files.add(
+            format!("images/{name}"),
+            images.link(selection.scene.name(view)),
+        );
         names[view.index()] = name;
     }
     let points = selection.scene.view_points();
@@ -67,30 +81,43 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         let image = names[cluster.key.index()].trim_end_matches(".jpg");
         // As fusibile wants it: 2, date, time, image.
         results.push(format!("2_{recipe}_{image}"));
-        record.commands.push(format!("gipuma {call} -output_folder results/"));
+        record
+            .commands
+            .push(format!("gipuma {call} -output_folder results/"));
         calls.push(call);
     }
     let mut script = ClusterScript::new(&results, RUNNER_HEAD);
     for (result, call) in results.iter().zip(calls) {
-        script.cluster(result, &format!("[ -d results/{result} ]"), &[format!("map {result} {call}")]);
+        script.cluster(
+            result,
+            &format!("[ -d results/{result} ]"),
+            &[format!("map {result} {call}")],
+        );
     }
     record.note_scale(selection, |_| 1.0);
-    record.fusion = format!("{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone");
+    record.fusion = format!(
+        "{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone"
+    );
     files.add("run.sh", script.finish(&[]));
     list_links(&mut files);
-    let table = views.iter().map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
+    let table = views
+        .iter()
+        .map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
     files.add_text("view_names.txt", table.collect::<String>());
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
 
-/// Joins the maps where two agree, as the plan assumes (support 2): `num_consistent` counts the other one.
-const FUSIBILE: &str = "fusibile -input_folder results/ -p_folder p/ -images_folder images/ --num_consistent=1";
+/// Joins the maps where two agree, as the plan assumes (support 2): `num_consistent` counts the
+/// other one.
+const FUSIBILE: &str =
+    "fusibile -input_folder results/ -p_folder p/ -images_folder images/ --num_consistent=1";
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/gipuma/run_head.sh");
 
-/// Images and options of a call. Folders end with a slash, since they are put in front of names as they are. The depth range is given, since
-/// it would be guessed otherwise, and `-view_selection` is not, since it chooses at random.
+/// Images and options of a call. Folders end with a slash, since they are put in front of names as
+/// they are. The depth range is given, since it would be guessed otherwise, and `-view_selection`
+/// is not, since it chooses at random.
 fn call(
     selection: &Selection,
     cluster: &RankedCluster,
@@ -98,13 +125,20 @@ fn call(
     names: &[String],
 ) -> Result<String, BackendError> {
     let key = cluster.key;
-    let range = selection::depth_range(selection.scene, points, key).ok_or_else(|| BackendError::Needs {
-        backend: "gipuma",
-        what: format!("a depth range, and {} observes no sparse point in front of it", selection.scene.name(key)),
-        hint: "leave the view out of the model".into(),
+    let range = selection::depth_range(selection.scene, points, key).ok_or_else(|| {
+        BackendError::Needs {
+            backend: "gipuma",
+            what: format!(
+                "a depth range, and {} observes no sparse point in front of it",
+                selection.scene.name(key)
+            ),
+            hint: "leave the view out of the model".into(),
+        }
     })?;
-    let images: Vec<&str> =
-        std::iter::once(&key).chain(&cluster.partners).map(|v: &ViewIndex| names[v.index()].as_str()).collect();
+    let images: Vec<&str> = std::iter::once(&key)
+        .chain(&cluster.partners)
+        .map(|v: &ViewIndex| names[v.index()].as_str())
+        .collect();
     Ok(format!(
         "{} -images_folder images/ -p_folder p/ --depth_min={} --depth_max={}",
         images.join(" "),

@@ -1,8 +1,8 @@
 //! A plain list of images, for any program with a choice of images.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    References, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
+    PlanningNumbers, References, Selection,
 };
 use crate::model::{cluster::Gate, scene::ViewIndex};
 
@@ -37,15 +37,17 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.not_honoured = vec!["matching partners".into()];
     record.fusion = "the program's own".into();
     let folder = selection.images_in_commands();
-    record.commands =
-        vec![format!("rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/")];
+    record.commands = vec![format!(
+        "rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/"
+    )];
     let mut files = options.file_set(&BACKEND, selection);
     files.add_text("images.txt", name_lines(selection, &views));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
 
-/// Numbers for programs that choose pairs themselves: no pair is excluded, and a place should be in several images.
+/// Numbers for programs that choose pairs themselves: no pair is excluded, and a place should be in
+/// several images.
 pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
     reach: None,
     gate: Gate::OPEN,
@@ -55,21 +57,32 @@ pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
     ..PATCH_MATCH
 };
 
-/// Returns the views for a program without partner lists, best first: the key views, each followed by its partners if wanted.
+/// Returns the views for a program without partner lists, best first: the key views, each followed
+/// by its partners if wanted.
 pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> Vec<ViewIndex> {
     let mut listed = vec![false; selection.scene.views.len()];
     let with_partners = refs.is_some_and(|r| r != References::Keys);
     let clusters = selection.clusters.iter();
     let mut views: Vec<_> = clusters
-        .flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied().filter(move |_| with_partners)))
+        .flat_map(|c| {
+            std::iter::once(c.key).chain(c.partners.iter().copied().filter(move |_| with_partners))
+        })
         .filter(|v| !std::mem::replace(&mut listed[v.index()], true))
         .collect();
     if refs == Some(References::All) {
-        views.extend(selection.scene.view_indices().filter(|v| !listed[v.index()]));
+        views.extend(
+            selection
+                .scene
+                .view_indices()
+                .filter(|v| !listed[v.index()]),
+        );
     }
     views
 }
 
 pub(super) fn name_lines(selection: &Selection, views: &[ViewIndex]) -> String {
-    views.iter().map(|&v| selection.scene.name(v).to_owned() + "\n").collect()
+    views
+        .iter()
+        .map(|&v| selection.scene.name(v).to_owned() + "\n")
+        .collect()
 }

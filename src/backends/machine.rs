@@ -34,9 +34,12 @@ impl Why {
     }
 }
 
-/// Returns the backend of the project and the reason: the first of the settings, else the one that the project is set up for, else OpenMVS or a COLMAP with CUDA
-/// on the PATH, else `sgm`.
-pub fn chosen(project: &Project, settings: &Settings) -> Result<(&'static Backend, Why), UnknownBackend> {
+/// Returns the backend of the project and the reason: the first of the settings, else the one that
+/// the project is set up for, else OpenMVS or a COLMAP with CUDA on the PATH, else `sgm`.
+pub fn chosen(
+    project: &Project,
+    settings: &Settings,
+) -> Result<(&'static Backend, Why), UnknownBackend> {
     match settings.backends.first() {
         Some(name) => super::by_name(name).map(|backend| (backend, Why::Named)),
         None => Ok(by_default(project)),
@@ -45,9 +48,11 @@ pub fn chosen(project: &Project, settings: &Settings) -> Result<(&'static Backen
 
 /// Like [`chosen`], for settings that name no backend.
 pub fn by_default(project: &Project) -> (&'static Backend, Why) {
-    // A workspace of `viewrank undistort` says that images were distorted, not which program will match them.
+    // A workspace of `viewrank undistort` says that images were distorted, not which program will
+    // match them.
     let is_set_up = |backend: &Backend| {
-        (backend.serves)(project) && !(backend.name == colmap::BACKEND.name && project.has_undistorted_workspace())
+        (backend.serves)(project)
+            && !(backend.name == colmap::BACKEND.name && project.has_undistorted_workspace())
     };
     if let Some(backend) = BACKENDS.iter().copied().find(|backend| is_set_up(backend)) {
         return (backend, Why::Project);
@@ -67,7 +72,8 @@ fn densify() -> Option<PathBuf> {
 
 /// Returns COLMAP if it can match: its dense stereo needs CUDA.
 fn colmap_with_cuda() -> Option<PathBuf> {
-    installed("COLMAP", "colmap").filter(|program| help(program).is_some_and(|help| help.contains("with CUDA")))
+    installed("COLMAP", "colmap")
+        .filter(|program| help(program).is_some_and(|help| help.contains("with CUDA")))
 }
 
 /// Returns the Python that runs scripts: `PYTHON`, else `python3`.
@@ -97,42 +103,69 @@ pub struct Obstacle {
     pub cure: &'static str,
 }
 
-/// Returns why the backend's program, or the Python that it needs, cannot match, as far as that can be known before the first map.
+/// Returns why the backend's program, or the Python that it needs, cannot match, as far as that can
+/// be known before the first map.
 pub fn obstacle(backend: &Backend, program: &Path, python: &Path) -> Option<Obstacle> {
     if backend.name == colmap::BACKEND.name && help(program)?.contains("without CUDA") {
         return Some(Obstacle {
-            what: format!("{} was built without CUDA and cannot compute depth maps", program.display()),
+            what: format!(
+                "{} was built without CUDA and cannot compute depth maps",
+                program.display()
+            ),
             cure: "name a COLMAP with CUDA with --program, or match with --backend openmvs or --backend sgm",
         });
     }
-    let missing = if backend.name == sgm::BACKEND.name { import_error(python)? } else { return None };
+    let missing = if backend.name == sgm::BACKEND.name {
+        import_error(python)?
+    } else {
+        return None;
+    };
     Some(Obstacle {
-        what: format!("sgm computes no depth maps with {}: {missing}", python.display()),
+        what: format!(
+            "sgm computes no depth maps with {}: {missing}",
+            python.display()
+        ),
         cure: "pip install numpy opencv-python-headless, or name a Python that has them by the variable PYTHON",
     })
 }
 
 /// Returns what `colmap help` prints, which says how it was built.
 fn help(program: &Path) -> Option<String> {
-    let output = Command::new(program).arg("help").stdin(Stdio::null()).output().ok()?;
+    let output = Command::new(program)
+        .arg("help")
+        .stdin(Stdio::null())
+        .output()
+        .ok()?;
     Some(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Returns the last line of the error if this Python does not have the packages of `integrations/sgm`.
+/// Returns the last line of the error if this Python does not have the packages of
+/// `integrations/sgm`.
 fn import_error(python: &Path) -> Option<String> {
-    let Some(program) = platform::located(python) else { return Some("no such program".into()) };
+    let Some(program) = platform::located(python) else {
+        return Some("no such program".into());
+    };
     // In an empty folder: the current one may be a stranger's, with a numpy.py of his.
     let empty = match tempfile::tempdir() {
         Ok(empty) => empty,
         Err(error) => return Some(error.to_string()),
     };
     let mut command = Command::new(program);
-    command.args(["-c", "import numpy, cv2"]).env("PYTHONSAFEPATH", "1").current_dir(empty.path());
+    command
+        .args(["-c", "import numpy, cv2"])
+        .env("PYTHONSAFEPATH", "1")
+        .current_dir(empty.path());
     match command.stdin(Stdio::null()).output() {
         Ok(output) if output.status.success() => None,
         Ok(output) => {
             let text = String::from_utf8_lossy(&output.stderr);
-            Some(text.trim_end().lines().last().unwrap_or("it does not start").to_owned())
+            Some(
+                text.trim_end()
+                    .lines()
+                    .last()
+                    .unwrap_or("it does not start")
+                    .to_owned(),
+            )
         }
         Err(error) => Some(error.to_string()),
     }

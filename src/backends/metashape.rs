@@ -1,11 +1,11 @@
-//! Metashape: `docs/backends.md` 9, from the vendor's reference; not run. A script that finds cameras by label and makes depth maps of the key
-//! views, with key views and partners enabled.
+//! Metashape: `docs/backends.md` 9, from the vendor's reference; not run. A script that finds
+//! cameras by label and makes depth maps of the key views, with key views and partners enabled.
 
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
-    PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
 };
 use crate::io::output::Contents;
 
@@ -19,7 +19,10 @@ pub static BACKEND: Backend = Backend {
         fusion: "buildPointCloud",
         notes: "partners are Metashape's own choice among the enabled cameras: key views and chosen partners",
     },
-    planning: PlanningNumbers { support: 2, ..ANY_PROGRAM },
+    planning: PlanningNumbers {
+        support: 2,
+        ..ANY_PROGRAM
+    },
     options: &[],
     use_of_views: None,
     own_scale: super::full_size,
@@ -35,13 +38,22 @@ pub static BACKEND: Backend = Backend {
 /// Finds equal file names: they are the labels by which the script finds cameras.
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let label = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
-    patient.same_names("metashape-duplicate-labels", "the same camera label in Metashape", label).into_iter().collect()
+    patient
+        .same_names(
+            "metashape-duplicate-labels",
+            "the same camera label in Metashape",
+            label,
+        )
+        .into_iter()
+        .collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     let downscale = 1.0 / selection.halved();
     let names = |views: &mut dyn Iterator<Item = crate::model::scene::ViewIndex>| {
-        views.map(|v| selection.scene.name(v).to_owned()).collect::<Vec<_>>()
+        views
+            .map(|v| selection.scene.name(v).to_owned())
+            .collect::<Vec<_>>()
     };
     let list = json!({
         "keys": names(&mut selection.clusters.iter().map(|c| c.key)),
@@ -50,13 +62,23 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "downscale": downscale,
     });
     let mut files = options.file_set(&BACKEND, selection);
-    files.add_text("clusters.json", serde_json::to_string_pretty(&list).expect("string keys") + "\n");
-    files.add("depth_maps.py", Contents::Script(include_bytes!("../../integrations/metashape/depth_maps.py").to_vec()));
+    files.add_text(
+        "clusters.json",
+        serde_json::to_string_pretty(&list).expect("string keys") + "\n",
+    );
+    files.add(
+        "depth_maps.py",
+        Contents::Script(include_bytes!("../../integrations/metashape/depth_maps.py").to_vec()),
+    );
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     record.made_for = "Metashape 1.6 to 2.x (from its reference; not run)".into();
     record.way = "script, cameras by label".into();
-    record.commands = vec!["metashape.sh -r depth_maps.py \"${PSX:?the Metashape project, a .psx file}\"".into()];
-    record.not_honoured.extend(["matching partners (only how many)".into(), "the rank order".into()]);
+    record.commands =
+        vec!["metashape.sh -r depth_maps.py \"${PSX:?the Metashape project, a .psx file}\"".into()];
+    record.not_honoured.extend([
+        "matching partners (only how many)".into(),
+        "the rank order".into(),
+    ]);
     record.note_scale(selection, |_| 1.0 / downscale);
     record.fusion = "buildPointCloud (buildDenseCloud before 2.0)".into();
     files.add_text("export.json", record.to_json());

@@ -1,11 +1,12 @@
-//! MicMac: `docs/backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and MMByP; `ImSec/` names the secondary images of each
-//! master for Malt GeomImage, one call per key view. Orientations stay those of the user's own `Ori-` folder.
+//! MicMac: `docs/backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and
+//! MMByP; `ImSec/` names the secondary images of each master for Malt GeomImage, one call per key
+//! view. Orientations stay those of the user's own `Ori-` folder.
 
 use std::collections::BTreeMap;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PATCH_MATCH, Selection, Trap,
     clusters::{ClusterScript, recipe},
     strangers::list_links,
     sure::stem,
@@ -42,7 +43,11 @@ pub static BACKEND: Backend = Backend {
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let same = "the same folder to MicMac, which names it without the extension";
     let same = patient.same_names("micmac-same-stem", same, |name| stem(name).to_owned());
-    patient.bad_names("micmac-name", check_name).into_iter().chain(same).collect()
+    patient
+        .bad_names("micmac-name", check_name)
+        .into_iter()
+        .chain(same)
+        .collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -59,7 +64,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     files.add_text("pairs.xml", pair_file(selection));
     for cluster in selection.clusters {
         let name = selection.scene.name(cluster.key);
-        files.add_text(format!("ImSec/ImSec-{name}.xml"), secondary_images(selection, cluster));
+        files.add_text(
+            format!("ImSec/ImSec-{name}.xml"),
+            secondary_images(selection, cluster),
+        );
     }
     files.add_text("ImSec/FileImSel.xml", masters(selection));
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
@@ -78,19 +86,26 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// Names are relative to the working folder, a blank separates two of them, and Malt takes them as regular expressions and hands them to a
-/// shell without quotes. The remaining characters need no escape in XML.
+/// Names are relative to the working folder, a blank separates two of them, and Malt takes them as
+/// regular expressions and hands them to a shell without quotes. The remaining characters need no
+/// escape in XML.
 fn check_name(name: &str) -> Result<(), BackendError> {
     let why = if name.contains(char::is_whitespace) {
         "a blank separates the two names of a pair"
     } else if name.contains('/') {
         "images are in the working folder itself"
-    } else if name.contains(|c: char| c.is_ascii() && !c.is_ascii_alphanumeric() && !"._-".contains(c)) {
+    } else if name
+        .contains(|c: char| c.is_ascii() && !c.is_ascii_alphanumeric() && !"._-".contains(c))
+    {
         "Malt takes names as regular expressions and hands them to a shell: letters, digits, '.', '_' and '-' only"
     } else {
         return Ok(());
     };
-    Err(BackendError::Name { backend: "micmac", name: name.into(), why: why.into() })
+    Err(BackendError::Name {
+        backend: "micmac",
+        name: name.into(),
+        why: why.into(),
+    })
 }
 
 /// Refuses key views that differ in the extension alone: their maps would be in one folder.
@@ -99,9 +114,14 @@ fn check_stems(selection: &Selection) -> Result<(), BackendError> {
     for cluster in selection.clusters {
         let name = selection.scene.name(cluster.key);
         if let Some(other) = keys.insert(stem(name), name) {
-            let why =
-                format!("without the extension, by which MicMac names the folder of a map, it is the same as {other}");
-            return Err(BackendError::Name { backend: "micmac", name: name.into(), why });
+            let why = format!(
+                "without the extension, by which MicMac names the folder of a map, it is the same as {other}"
+            );
+            return Err(BackendError::Name {
+                backend: "micmac",
+                name: name.into(),
+                why,
+            });
         }
     }
     Ok(())
@@ -111,7 +131,10 @@ fn pair_file(selection: &Selection) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" ?>\n<SauvegardeNamedRel>\n");
     for cluster in selection.clusters {
         for &partner in &cluster.partners {
-            let (key, partner) = (selection.scene.name(cluster.key), selection.scene.name(partner));
+            let (key, partner) = (
+                selection.scene.name(cluster.key),
+                selection.scene.name(partner),
+            );
             xml += &format!("  <Cple>{key} {partner}</Cple>\n");
         }
     }
@@ -121,7 +144,11 @@ fn pair_file(selection: &Selection) -> String {
 /// Returns the secondary images as a single solution with a positive score, which Malt then takes.
 fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
     let name = |v| selection.scene.name(v);
-    let images: String = cluster.partners.iter().map(|&p| format!("    <Images>{}</Images>\n", name(p))).collect();
+    let images: String = cluster
+        .partners
+        .iter()
+        .map(|&p| format!("    <Images>{}</Images>\n", name(p)))
+        .collect();
     format!(
         "<?xml version=\"1.0\" ?>\n<ImSecOfMaster>\n  <Master>{}</Master>\n  <Sols>\n{images}    <Coverage>1</Coverage>\n    <Score>1</Score>\n  \
          </Sols>\n</ImSecOfMaster>\n",
@@ -130,21 +157,39 @@ fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
 }
 
 fn masters(selection: &Selection) -> String {
-    let names = selection.clusters.iter().map(|c| format!("  <Name>{}</Name>\n", selection.scene.name(c.key)));
-    format!("<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n", names.collect::<String>())
+    let names = selection
+        .clusters
+        .iter()
+        .map(|c| format!("  <Name>{}</Name>\n", selection.scene.name(c.key)));
+    format!(
+        "<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n",
+        names.collect::<String>()
+    )
 }
 
-/// Returns the script, described at its head. Malt uses the pattern of images as the name of the master, so the pattern is the name itself.
+/// Returns the script, described at its head. Malt uses the pattern of images as the name of the
+/// master, so the pattern is the name itself.
 fn runner(selection: &Selection) -> Contents {
     let mut script = ClusterScript::new(&[], RUNNER_HEAD);
     for cluster in selection.clusters {
         let name = selection.scene.name(cluster.key);
-        let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(name));
+        let call = format!(
+            "\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO",
+            quoted(name)
+        );
         let stem = stem(name);
         let recipe = format!("\"{}-$orientations\"", recipe(selection, cluster, ""));
         let mark = quoted(&format!("MM-Malt-Img-{stem}/{MICMAC_MARK}"));
-        let commands = [format!("rm -f {mark}"), call, format!("echo {recipe} >{mark}")];
-        script.cluster(stem, &format!("[ \"$(cat {mark} 2>/dev/null)\" = {recipe} ]"), &commands);
+        let commands = [
+            format!("rm -f {mark}"),
+            call,
+            format!("echo {recipe} >{mark}"),
+        ];
+        script.cluster(
+            stem,
+            &format!("[ \"$(cat {mark} 2>/dev/null)\" = {recipe} ]"),
+            &commands,
+        );
     }
     script.finish(&[])
 }

@@ -1,7 +1,9 @@
-//! The MVS programs that viewrank writes for, in one table: [`BACKENDS`]. Everything about a program is in its own file.
+//! The MVS programs that viewrank writes for, in one table: [`BACKENDS`]. Everything about a
+//! program is in its own file.
 //!
-//! A [`Backend`] gives the numbers that a plan is made with (gate, confidence, support), and turns a [`Selection`] into the files that
-//! make the program compute the chosen view clusters. It returns the files; [`crate::io::output`] writes them.
+//! A [`Backend`] gives the numbers that a plan is made with (gate, confidence, support), and turns
+//! a [`Selection`] into the files that make the program compute the chosen view clusters. It
+//! returns the files; [`crate::io::output`] writes them.
 
 use std::path::PathBuf;
 
@@ -75,7 +77,8 @@ pub static BACKENDS: &[&Backend] = &[
     &images::BACKEND,
 ];
 
-/// An MVS program: its name, what it honours of a plan, the numbers it is planned with, and its files.
+/// An MVS program: its name, what it honours of a plan, the numbers it is planned with, and its
+/// files.
 pub struct Backend {
     /// Value of `--backend`.
     pub name: &'static str,
@@ -95,9 +98,11 @@ pub struct Backend {
     pub takes_masks: bool,
     /// True if the project is set up for it; `plan` then writes its files by default.
     pub serves: fn(&Project) -> bool,
-    /// True if its exports match key views at full and at half size, and fuse their depth maps (method 5.8).
+    /// True if its exports match key views at full and at half size, and fuse their depth maps
+    /// (method 5.8).
     pub mixes_sizes: bool,
-    /// Runner for the tasks of a queue, for exports with the default options; `None` if the program can only run as a whole.
+    /// Runner for the tasks of a queue, for exports with the default options; `None` if the program
+    /// can only run as a whole.
     pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
     /// Faults of a project that break the backend with any plan, besides distorted cameras.
     pub traps: fn(&ExaminedProject) -> Vec<Trap>,
@@ -105,22 +110,38 @@ pub struct Backend {
 }
 
 impl Backend {
-    /// Makes the files for a selection, at the backend's default image size unless the user has set one; writes nothing.
+    /// Makes the files for a selection, at the backend's default image size unless the user has set
+    /// one; writes nothing.
     ///
     /// # Errors
     /// Fails on unsupported images, names or cameras, and on options that do not fit the project.
-    pub fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    pub fn export(
+        &self,
+        selection: &Selection,
+        options: &ExportOptions,
+    ) -> Result<Export, BackendError> {
         match selection.own_size {
             true => {
                 let image_scale = self.matcher().image_scale(selection.scene);
-                (self.export)(&Selection { image_scale, ..*selection }, options)
+                (self.export)(
+                    &Selection {
+                        image_scale,
+                        ..*selection
+                    },
+                    options,
+                )
             }
             false => (self.export)(selection, options),
         }
     }
 
     fn matcher(&self) -> Matcher {
-        Matcher { name: self.name, numbers: self.planning, own_scale: self.own_scale, mixes_sizes: self.mixes_sizes }
+        Matcher {
+            name: self.name,
+            numbers: self.planning,
+            own_scale: self.own_scale,
+            mixes_sizes: self.mixes_sizes,
+        }
     }
 }
 
@@ -131,21 +152,29 @@ fn full_size(_: &Camera) -> f64 {
 
 /// Normalises a name: lower case without blanks, `-` and `_`.
 fn plain(name: &str) -> String {
-    name.chars().filter(|c| !c.is_whitespace() && !"-_".contains(*c)).flat_map(char::to_lowercase).collect()
+    name.chars()
+        .filter(|c| !c.is_whitespace() && !"-_".contains(*c))
+        .flat_map(char::to_lowercase)
+        .collect()
 }
 
 /// Returns the backend with this name or alias, as given to `--backend`.
 pub fn by_name(name: &str) -> Result<&'static Backend, UnknownBackend> {
     let wanted = plain(name);
     let meant = |b: &&&Backend| b.name == wanted || b.aliases.contains(&&*wanted);
-    BACKENDS.iter().find(meant).copied().ok_or_else(|| UnknownBackend {
-        name: name.trim().into(),
-        meant: nearest(name),
-        known: BACKENDS.iter().map(|b| b.name).collect(),
-    })
+    BACKENDS
+        .iter()
+        .find(meant)
+        .copied()
+        .ok_or_else(|| UnknownBackend {
+            name: name.trim().into(),
+            meant: nearest(name),
+            known: BACKENDS.iter().map(|b| b.name).collect(),
+        })
 }
 
-/// Resolves a name or alias to the backend's name; [`Configuration::load`](crate::config::Configuration::load) checks settings with it.
+/// Resolves a name or alias to the backend's name;
+/// [`Configuration::load`](crate::config::Configuration::load) checks settings with it.
 pub fn canonical_name(name: &str) -> Result<&'static str, UnknownBackend> {
     by_name(name).map(|backend| backend.name)
 }
@@ -165,10 +194,15 @@ pub fn by_names(names: &[String]) -> Result<Vec<&'static Backend>, UnknownBacken
 /// Returns the known name most similar to the given one.
 fn nearest(name: &str) -> Option<&'static str> {
     let wanted = plain(name);
-    let others = BACKENDS.iter().flat_map(|b| b.aliases.iter().map(|other| (*other, b.name)));
+    let others = BACKENDS
+        .iter()
+        .flat_map(|b| b.aliases.iter().map(|other| (*other, b.name)));
     let known = BACKENDS.iter().map(|b| (b.name, b.name)).chain(others);
     let rated = known.map(|(known, name)| (strsim::jaro_winkler(known, &wanted), name));
-    rated.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.8).map(|(_, name)| name)
+    rated
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(likeness, _)| *likeness > 0.8)
+        .map(|(_, name)| name)
 }
 
 /// Returns the backend that the project is planned for: the [chosen] one.
@@ -176,9 +210,13 @@ pub fn planned_for(project: &Project, settings: &Settings) -> Result<Matcher, Un
     chosen(project, settings).map(|(backend, _)| backend.matcher())
 }
 
-/// Plans which views of the project become key views, with which partners, in which order, for the backend that the settings name, else the
-/// default one.
-pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
+/// Plans which views of the project become key views, with which partners, in which order, for the
+/// backend that the settings name, else the default one.
+pub fn plan(
+    project: &Project,
+    settings: &Settings,
+    watcher: &dyn Watcher,
+) -> Result<Plan, PlanError> {
     Plan::new(project, settings, &planned_for(project, settings)?, watcher)
 }
 
@@ -190,7 +228,14 @@ pub fn plan_scene(
     watcher: &dyn Watcher,
 ) -> Result<Plan, PlanError> {
     let matcher = planned_for(project, settings)?;
-    Plan::from_scene(project, scene, settings, &matcher, Timings::start(), watcher)
+    Plan::from_scene(
+        project,
+        scene,
+        settings,
+        &matcher,
+        Timings::start(),
+        watcher,
+    )
 }
 
 /// Degree to which a backend honours a part of the plan.
@@ -218,10 +263,16 @@ pub struct Capabilities {
     pub notes: &'static str,
 }
 
-/// By COLMAP's photometric depth maps of a room, the only ones of a PatchMatch on a GPU (method 7.4).
-const BY_COLMAPS_MAPS: Photometric = Photometric { agree: 0.95, differ: 0.02, full_agreement: 0.9 };
+/// By COLMAP's photometric depth maps of a room, the only ones of a PatchMatch on a GPU (method
+/// 7.4).
+const BY_COLMAPS_MAPS: Photometric = Photometric {
+    agree: 0.95,
+    differ: 0.02,
+    full_agreement: 0.9,
+};
 
-/// OpenMVS's numbers, for PatchMatch programs without measurements; `support` 2, since their fusion keeps depths on which maps agree.
+/// OpenMVS's numbers, for PatchMatch programs without measurements; `support` 2, since their fusion
+/// keeps depths on which maps agree.
 const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     reach: None,
     gate: Gate {
@@ -242,8 +293,8 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
 
 /// Commands by which tasks of a queue compute the clusters of an export (`viewrank dispatch`).
 ///
-/// `compute` and `fuse` are lines of sh that run in the folder of the export with `$project`, `$rank` (from 1), `$threads`,
-/// `$program` and `$python` set.
+/// `compute` and `fuse` are lines of sh that run in the folder of the export with `$project`,
+/// `$rank` (from 1), `$threads`, `$program` and `$python` set.
 #[derive(Clone, Debug)]
 pub struct TaskRunner {
     /// Name of the program on the PATH.
@@ -267,10 +318,21 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_found() {
-        let names = || BACKENDS.iter().flat_map(|b| b.aliases.iter().chain([&b.name]).map(|name| (*name, b.name)));
+        let names = || {
+            BACKENDS.iter().flat_map(|b| {
+                b.aliases
+                    .iter()
+                    .chain([&b.name])
+                    .map(|name| (*name, b.name))
+            })
+        };
         for (name, meant) in names() {
             assert_eq!(by_name(name).unwrap().name, meant);
-            assert_eq!(names().filter(|(other, _)| *other == name).count(), 1, "{name}");
+            assert_eq!(
+                names().filter(|(other, _)| *other == name).count(),
+                1,
+                "{name}"
+            );
             assert_eq!(plain(name), name);
         }
         assert!(by_name("nothing").is_err_and(|e| e.hint().unwrap().contains("sure")));
@@ -288,7 +350,10 @@ mod tests {
             assert_eq!(by_name(typed).unwrap().name, meant);
         }
         let once = by_names(&["openmvs".into(), "COLMAP".into(), "OpenMVS".into()]).unwrap();
-        assert_eq!(once.iter().map(|b| b.name).collect::<Vec<_>>(), ["openmvs", "colmap"]);
+        assert_eq!(
+            once.iter().map(|b| b.name).collect::<Vec<_>>(),
+            ["openmvs", "colmap"]
+        );
         let hint = |name: &str| by_name(name).err().unwrap().hint().unwrap();
         assert!(hint("colmpa").starts_with("did you mean colmap? take one of sure, "));
         assert!(hint("xyz").starts_with("take one of sure, "));

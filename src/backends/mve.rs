@@ -1,11 +1,12 @@
-//! MVE's dmrecon: `docs/backends.md` 5. It reads no partner lists but selects by shared features, so each cluster gets a bundle in which only its
-//! partners share features with the key view. The views share one scene; `run.sh` installs one bundle after the other.
+//! MVE's dmrecon: `docs/backends.md` 5. It reads no partner lists but selects by shared features,
+//! so each cluster gets a bundle in which only its partners share features with the key view. The
+//! views share one scene; `run.sh` installs one bundle after the other.
 
 use std::path::Path;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    PlanningNumbers, Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PATCH_MATCH, PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     strangers::list_links,
 };
@@ -20,7 +21,8 @@ use crate::{
     },
 };
 
-/// Partners that must agree on each patch. dmrecon's default of 4 is meant for 20 neighbours: of 5 partners, 4 rarely see the same place.
+/// Partners that must agree on each patch. dmrecon's default of 4 is meant for 20 neighbours: of 5
+/// partners, 4 rarely see the same place.
 const LOCAL_NEIGHBOURS: usize = 2;
 
 pub static BACKEND: Backend = Backend {
@@ -34,7 +36,11 @@ pub static BACKEND: Backend = Backend {
         notes: "only the partners can be chosen, but dmrecon may leave some of them out",
     },
     planning: PlanningNumbers {
-        photometric: Photometric { agree: 0.52, differ: 0.12, full_agreement: 0.96 },
+        photometric: Photometric {
+            agree: 0.52,
+            differ: 0.12,
+            full_agreement: 0.96,
+        },
         support: 1,
         measured: "4 sets, in part",
         source: "agreement: viewrank train on 101 maps of bf2279f of boruszyn, lewis and statue, of the rendered one only depths within 1 % of the \
@@ -63,9 +69,16 @@ fn own_scale(camera: &Camera) -> f64 {
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let views = patient.project.root.join("views");
     let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
-    let cure = format!("export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei", command_path(&views));
+    let cure = format!(
+        "export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei",
+        command_path(&views)
+    );
     let maps = patient.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
-    patient.bad_names("mve-extension", extension).into_iter().chain(maps).collect()
+    patient
+        .bad_names("mve-extension", extension)
+        .into_iter()
+        .chain(maps)
+        .collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -74,14 +87,20 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let images = selection.undistorted_images(BACKEND.name)?;
     let views = selection.keys_first();
     let mut ids = vec![None; selection.scene.views.len()];
-    views.iter().enumerate().for_each(|(i, v)| ids[v.index()] = Some(i));
+    views
+        .iter()
+        .enumerate()
+        .for_each(|(i, v)| ids[v.index()] = Some(i));
     let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
     let mut files = options.file_set(&BACKEND, selection);
     for (i, &view) in views.iter().enumerate() {
         let name = selection.scene.name(view);
         let folder = format!("views/{}", folder(selection.scene, view));
         files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
-        files.add(format!("{folder}/undistorted.{}", extension(name)?), images.link(name));
+        files.add(
+            format!("{folder}/undistorted.{}", extension(name)?),
+            images.link(name),
+        );
     }
     let points = selection.scene.view_points();
     for (i, cluster) in selection.clusters.iter().enumerate() {
@@ -96,7 +115,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.made_for = "MVE (bf2279f)".into();
     record.way = "one bundle per cluster in one scene".into();
     record.note_scale(selection, |_| selection.halved());
-    record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
+    record
+        .not_honoured
+        .push("that every partner is used: dmrecon chooses among them".into());
     let script = runner(selection, &mut record);
     files.add("run.sh", script);
     list_links(&mut files);
@@ -106,19 +127,38 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 
 /// Returns `run.sh`, and adds to the record what it does.
 fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
-    let choices: Vec<String> = selection.clusters.iter().map(|cluster| choice(selection, cluster)).collect();
+    let choices: Vec<String> = selection
+        .clusters
+        .iter()
+        .map(|cluster| choice(selection, cluster))
+        .collect();
     let result = |(cluster, choice): (&RankedCluster, &String)| {
         let folder = folder(selection.scene, cluster.key);
-        format!("{}-{}", folder.trim_end_matches(".mve"), recipe(selection, cluster, choice))
+        format!(
+            "{}-{}",
+            folder.trim_end_matches(".mve"),
+            recipe(selection, cluster, choice)
+        )
     };
-    let results: Vec<String> = selection.clusters.iter().zip(&choices).map(result).collect();
+    let results: Vec<String> = selection
+        .clusters
+        .iter()
+        .zip(&choices)
+        .map(result)
+        .collect();
     let mut script = ClusterScript::new(&results, RUNNER_HEAD);
     for (i, (result, choice)) in results.iter().zip(&choices).enumerate() {
         let bundle = format!("{:04}.out", i + 1);
         // The id of a key view is its rank.
         let options = format!("{choice} -m{i}");
-        script.cluster(result, &format!("[ -d kept/{result} ]"), &[format!("map {result} {bundle} {options}")]);
-        record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
+        script.cluster(
+            result,
+            &format!("[ -d kept/{result} ]"),
+            &[format!("map {result} {bundle} {options}")],
+        );
+        record
+            .commands
+            .push(format!("cp bundles/{bundle} synth_0.out"));
         record.commands.push(format!("dmrecon {options} ."));
     }
     let (points, clouds) = joining(selection);
@@ -131,7 +171,10 @@ fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
     }
     record.commands.extend(points.iter().cloned());
     let whole = |(command, cloud): (&String, &&str)| {
-        format!("rm -f unfinished.ply && {} && mv unfinished.ply {cloud}", command.replace(cloud, "unfinished.ply"))
+        format!(
+            "rm -f unfinished.ply && {} && mv unfinished.ply {cloud}",
+            command.replace(cloud, "unfinished.ply")
+        )
     };
     let points: Vec<String> = points.iter().zip(&clouds).map(whole).collect();
     script.finish(&points)
@@ -139,54 +182,86 @@ fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
 
 /// Size and partners of a map, as options of dmrecon.
 fn choice(selection: &Selection, cluster: &RankedCluster) -> String {
-    let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
-    format!("-s{level} --neighbors={partners} --local-neighbors={}", partners.min(LOCAL_NEIGHBOURS))
+    let (partners, level) = (
+        cluster.partners.len(),
+        selection.pyramid_level(cluster.scale),
+    );
+    format!(
+        "-s{level} --neighbors={partners} --local-neighbors={}",
+        partners.min(LOCAL_NEIGHBOURS)
+    )
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");
 
 /// The clouds of each size.
-const CLOUDS: [(MapScale, &str); 2] = [(MapScale::Full, "fused.ply"), (MapScale::Half, "fused_half.ply")];
+const CLOUDS: [(MapScale, &str); 2] = [
+    (MapScale::Full, "fused.ply"),
+    (MapScale::Half, "fused_half.ply"),
+];
 
-/// Returns the commands that join the maps of each size, and the files that they make: `scene2pset` takes maps of one size, `fssrecon` any number of point
-/// sets, in which each point has its own scale.
+/// Returns the commands that join the maps of each size, and the files that they make: `scene2pset`
+/// takes maps of one size, `fssrecon` any number of point sets, in which each point has its own
+/// scale.
 fn joining(selection: &Selection) -> (Vec<String>, Vec<&'static str>) {
     let of_size = |(scale, cloud): (MapScale, &'static str)| {
         // The ids of the key views are their ranks. Without any, scene2pset would take all views.
-        let keys = (0..).zip(selection.clusters).filter(|(_, c)| c.scale == scale);
+        let keys = (0..)
+            .zip(selection.clusters)
+            .filter(|(_, c)| c.scale == scale);
         let keys: Vec<String> = keys.map(|(id, _): (usize, _)| id.to_string()).collect();
         let level = selection.pyramid_level(scale);
-        (!keys.is_empty()).then(|| (format!("scene2pset -F{level} -v{} . {cloud}", keys.join(",")), cloud))
+        (!keys.is_empty()).then(|| {
+            (
+                format!("scene2pset -F{level} -v{} . {cloud}", keys.join(",")),
+                cloud,
+            )
+        })
     };
     CLOUDS.into_iter().filter_map(of_size).unzip()
 }
 
-/// Folder of a view and its depth map, named by the id of the image, which is the same in each plan. MVE's own id, in `meta.ini`,
-/// counts from 0, since MVE refuses large ones.
+/// Folder of a view and its depth map, named by the id of the image, which is the same in each
+/// plan. MVE's own id, in `meta.ini`, counts from 0, since MVE refuses large ones.
 fn folder(scene: &Scene, view: ViewIndex) -> String {
     format!("view_{:08}.mve", scene.view(view).image_id)
 }
 
 /// MVE finds the decoder by the extension.
 fn extension(name: &str) -> Result<&'static str, BackendError> {
-    let given = Path::new(name).extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let given = Path::new(name)
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_ascii_lowercase();
     match given.as_str() {
         "jpg" | "jpeg" => Ok("jpg"),
         "png" => Ok("png"),
         _ => {
             let why = "it reads undistorted images as jpg and png, by the extension".into();
-            Err(BackendError::Name { backend: "mve", name: name.into(), why })
+            Err(BackendError::Name {
+                backend: "mve",
+                name: name.into(),
+                why,
+            })
         }
     }
 }
 
-/// Returns `meta.ini`: focal length in units of the larger side, principal point in units of each side.
+/// Returns `meta.ini`: focal length in units of the larger side, principal point in units of each
+/// side.
 fn meta(scene: &Scene, view: ViewIndex, id: usize) -> String {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
     let (f, c) = camera.pinhole_part();
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let r = pose.rotation.matrix().transpose();
-    let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    let numbers = |values: &[f64]| {
+        values
+            .iter()
+            .map(f64::to_string)
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
     format!(
         "[camera]\nfocal_length = {}\npixel_aspect = {}\nprincipal_point = {} {}\nradial_distortion = 0 0\nrotation = {}\ntranslation = {}\n\n\
          [view]\nid = {id}\nname = {}\n",
@@ -200,14 +275,28 @@ fn meta(scene: &Scene, view: ViewIndex, id: usize) -> String {
     )
 }
 
-/// Returns the focal length in units of the larger side, measured after applying the pixels' aspect ratio.
+/// Returns the focal length in units of the larger side, measured after applying the pixels' aspect
+/// ratio.
 fn focal_length(fx: f64, fy: f64, width: f64, height: f64) -> f64 {
-    if width * fy / fx < height { fy / height } else { fx / width }
+    if width * fy / fx < height {
+        fy / height
+    } else {
+        fx / width
+    }
 }
 
-/// Returns `synth_0.out` with the points that the key view shares with a partner; other cameras are zero.
-fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Option<usize>], views: usize) -> String {
-    let members: Vec<ViewIndex> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
+/// Returns `synth_0.out` with the points that the key view shares with a partner; other cameras are
+/// zero.
+fn bundle(
+    scene: &Scene,
+    points: &ViewPoints,
+    cluster: &RankedCluster,
+    ids: &[Option<usize>],
+    views: usize,
+) -> String {
+    let members: Vec<ViewIndex> = std::iter::once(cluster.key)
+        .chain(cluster.partners.iter().copied())
+        .collect();
     let mut cameras = vec!["0 0 0\n".repeat(5); views];
     for &view in &members {
         if let Some(id) = ids[view.index()] {
@@ -215,7 +304,11 @@ fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Op
         }
     }
     let observers = |p: PointIndex| {
-        let mut track: Vec<_> = scene.track_views(p).iter().filter(|v| members.contains(v)).collect();
+        let mut track: Vec<_> = scene
+            .track_views(p)
+            .iter()
+            .filter(|v| members.contains(v))
+            .collect();
         track.dedup();
         track
     };
@@ -229,7 +322,10 @@ fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Op
     for (i, (p, observers)) in shared.iter().enumerate() {
         let (x, [r, g, b]) = (scene.points[p.index()], scene.colours[p.index()]);
         text += &format!("{} {} {}\n{r} {g} {b}\n{}", x.x, x.y, x.z, observers.len());
-        observers.iter().filter_map(|v| ids[v.index()]).for_each(|id| text += &format!(" {id} {i} 0"));
+        observers
+            .iter()
+            .filter_map(|v| ids[v.index()])
+            .for_each(|id| text += &format!(" {id} {i} 0"));
         text.push('\n');
     }
     text
@@ -244,5 +340,13 @@ fn bundle_camera(scene: &Scene, view: ViewIndex) -> String {
         format!("{} {} {}\n", r[0], r[1], r[2])
     };
     let t = pose.translation;
-    format!("{length} 0 0\n{}{}{}{} {} {}\n", row(0), row(1), row(2), t.x, t.y, t.z)
+    format!(
+        "{length} 0 0\n{}{}{}{} {} {}\n",
+        row(0),
+        row(1),
+        row(2),
+        t.x,
+        t.y,
+        t.z
+    )
 }

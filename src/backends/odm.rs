@@ -1,9 +1,10 @@
-//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an existing `openmvs/scene.mvs`; in ours each key view shares points with its
-//! partners only, and every other image is too poorly connected to be computed.
+//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an existing `openmvs/scene.mvs`;
+//! in ours each key view shares points with its partners only, and every other image is too poorly
+//! connected to be computed.
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, Selection,
-    Trap, openmvs, selection,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, Selection, Trap, openmvs, selection,
     strangers::{list_links, with_refusal},
 };
 use crate::{
@@ -41,8 +42,8 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-/// `get_depthmap_resolution` and `stages/openmvs.py` with the default `--pc-quality medium`: an eighth, more of small images and less of
-/// large ones, by OpenMVS's resolution levels.
+/// `get_depthmap_resolution` and `stages/openmvs.py` with the default `--pc-quality medium`: an
+/// eighth, more of small images and less of large ones, by OpenMVS's resolution levels.
 fn own_scale(camera: &Camera) -> f64 {
     let side = camera.width.max(camera.height);
     let megapixels = f64::from(camera.width) * f64::from(camera.height) / 1e6;
@@ -60,9 +61,11 @@ fn own_scale(camera: &Camera) -> f64 {
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let root = &patient.project.root;
-    let [inside, below] = ["openmvs", "opensfm/undistorted/openmvs"].map(|folder| root.join(folder));
+    let [inside, below] =
+        ["openmvs", "opensfm/undistorted/openmvs"].map(|folder| root.join(folder));
     let folder = if inside.is_dir() { inside } else { below };
-    let [dense, scene] = ["scene_dense_dense_filtered.ply", "scene.mvs"].map(|file| folder.join(file));
+    let [dense, scene] =
+        ["scene_dense_dense_filtered.ply", "scene.mvs"].map(|file| folder.join(file));
     let there = |name, path: &std::path::Path, what: &str, cure: &str| {
         path.is_file().then(|| Trap {
             name,
@@ -71,9 +74,18 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
             views: Vec::new(),
         })
     };
-    let skipped = there("odm-existing-model-skips-stage", &dense, "so that ODM skips the dense stage", "rm");
-    let kept =
-        there("odm-existing-scene", &scene, "and ODM takes it unless ours replaces it", "put our scene.mvs over");
+    let skipped = there(
+        "odm-existing-model-skips-stage",
+        &dense,
+        "so that ODM skips the dense stage",
+        "rm",
+    );
+    let kept = there(
+        "odm-existing-scene",
+        &scene,
+        "and ODM takes it unless ours replaces it",
+        "put our scene.mvs over",
+    );
     skipped.or(kept).into_iter().collect()
 }
 
@@ -81,27 +93,37 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     openmvs::check_names(BACKEND.name, selection)?;
     let images = selection.undistorted_images(BACKEND.name)?;
     let mut files = options.file_set(&BACKEND, selection);
-    // ODM calls OpenMVS in the working folder openmvs/depthmaps, whose absolute path depends on the container.
+    // ODM calls OpenMVS in the working folder openmvs/depthmaps, whose absolute path depends on the
+    // container.
     let mvs = openmvs::joint_scene(selection, |name| format!("../images/{name}"));
     files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
     for view in selection.views() {
         let name = selection.scene.name(view);
         files.add(format!("openmvs/images/{name}"), images.link(name));
     }
-    let mut record =
-        ExportRecord::new(&BACKEND, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| {
+        format!("depth{:04}.dmap", selection.scene.view(v).image_id)
+    });
     record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
     record.way = "openmvs/scene.mvs in place of ODM's own".into();
     record.commands = vec![
         format!("rm -rf \"{DATASETS}/{NAME}/opensfm/undistorted/openmvs\""),
         format!("cp -rL openmvs \"{DATASETS}/{NAME}/opensfm/undistorted/\""),
-        format!("docker run --rm -v \"{DATASETS}\":/datasets opendronemap/odm --project-path /datasets \"{NAME}\""),
+        format!(
+            "docker run --rm -v \"{DATASETS}\":/datasets opendronemap/odm --project-path /datasets \"{NAME}\""
+        ),
     ];
     record.runner = Some("run.sh".into());
     let script = format!("{RUNNER_HEAD}{}\n", record.commands.join("\n"));
-    files.add("run.sh", Contents::Script(with_refusal(&script).into_bytes()));
+    files.add(
+        "run.sh",
+        Contents::Script(with_refusal(&script).into_bytes()),
+    );
     list_links(&mut files);
-    record.not_honoured.extend(["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()]);
+    record.not_honoured.extend([
+        "the rank order".into(),
+        "partners beyond the fifth (CUDA: eighth)".into(),
+    ]);
     record.note_own_scale(selection);
     record.warnings.extend([
         "ODM must be run the second time without any --rerun, which would delete the scene".into(),
@@ -116,8 +138,12 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
                 .into(),
         );
     }
-    let ruined = |rounding| format!("{rounding}: the cloud would be ruined, and ODM's own coordinates are smaller");
-    record.warnings.extend(selection::rounding(selection.scene).map(ruined));
+    let ruined = |rounding| {
+        format!("{rounding}: the cloud would be ruined, and ODM's own coordinates are smaller")
+    };
+    record
+        .warnings
+        .extend(selection::rounding(selection.scene).map(ruined));
     record.pixel_shift = -0.5;
     record.fusion = "ODM's own options: number-views-fuse 2".into();
     files.add_text("export.json", record.to_json());

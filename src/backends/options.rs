@@ -29,7 +29,8 @@ pub struct ExportOptions {
     pub out: Option<PathBuf>,
     /// COLMAP; unset: `keys+partners` with geometric consistency, else `keys`.
     pub refs: Option<References>,
-    /// COLMAP: depth maps checked against those of their partners. Unset: off, unless `refs` asks for partners' maps.
+    /// COLMAP: depth maps checked against those of their partners. Unset: off, unless `refs` asks
+    /// for partners' maps.
     pub geometric: Option<bool>,
     /// OpenMVS: a list of neighbours for this scene instead of a scene per cluster.
     pub scene: Option<PathBuf>,

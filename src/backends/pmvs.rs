@@ -1,10 +1,11 @@
-//! PMVS2: `docs/backends.md` 4. Key views are `timages`, other partners `oimages`, the partner lists `vis.dat`.
+//! PMVS2: `docs/backends.md` 4. Key views are `timages`, other partners `oimages`, the partner
+//! lists `vis.dat`.
 
 use std::path::Path;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    PlanningNumbers, Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PATCH_MATCH, PlanningNumbers, Selection, Trap,
 };
 use crate::{
     io::output::Contents,
@@ -45,7 +46,10 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    patient.bad_names("pmvs-extension", extension).into_iter().collect()
+    patient
+        .bad_names("pmvs-extension", extension)
+        .into_iter()
+        .collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -54,12 +58,18 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let images = selection.undistorted_images(BACKEND.name)?;
     let views = selection.keys_first();
     let mut index = vec![0; selection.scene.views.len()];
-    views.iter().enumerate().for_each(|(i, v)| index[v.index()] = i);
+    views
+        .iter()
+        .enumerate()
+        .for_each(|(i, v)| index[v.index()] = i);
     let mut files = options.file_set(&BACKEND, selection);
     for (i, &view) in views.iter().enumerate() {
         let name = selection.scene.name(view);
         let extension = extension(name)?;
-        files.add_text(format!("txt/{i:08}.txt"), format!("CONTOUR\n{}", projection(selection.scene, view)));
+        files.add_text(
+            format!("txt/{i:08}.txt"),
+            format!("CONTOUR\n{}", projection(selection.scene, view)),
+        );
         files.add(format!("visualize/{i:08}.{extension}"), images.link(name));
     }
     files.add("models", Contents::Folder);
@@ -81,18 +91,25 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// Returns P = K [R | t], row major, in COLMAP's pixel convention (as COLMAP's own export for PMVS).
+/// Returns P = K [R | t], row major, in COLMAP's pixel convention (as COLMAP's own export for
+/// PMVS).
 pub(super) fn projection(scene: &Scene, view: ViewIndex) -> String {
     let pose = &scene.view(view).cam_from_world;
     let (f, c) = scene.camera_of(view).pinhole_part();
     let k = nalgebra::Matrix3::new(f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0);
     let (r, t) = (k * pose.rotation.matrix(), k * pose.translation);
-    (0..3).map(|i| format!("{} {} {} {}\n", r[(i, 0)], r[(i, 1)], r[(i, 2)], t[i])).collect()
+    (0..3)
+        .map(|i| format!("{} {} {} {}\n", r[(i, 0)], r[(i, 1)], r[(i, 2)], t[i]))
+        .collect()
 }
 
 /// PMVS2 chooses the decoder by the extension.
 fn extension(name: &str) -> Result<&'static str, BackendError> {
-    let given = Path::new(name).extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let given = Path::new(name)
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_ascii_lowercase();
     match given.as_str() {
         "jpg" | "jpeg" => Ok("jpg"),
         "png" => Ok("png"),
@@ -106,10 +123,12 @@ fn extension(name: &str) -> Result<&'static str, BackendError> {
     }
 }
 
-/// Returns `vis.dat`: rows are identified by position, one for each image, also for those without partners.
+/// Returns `vis.dat`: rows are identified by position, one for each image, also for those without
+/// partners.
 ///
-/// Behind a key view's partners stand the other images of the export that observe a point with it. PMVS2 holds them anyway, and chooses the best
-/// of the row for each patch: with the partners alone, patches end where those of another key view should go on.
+/// Behind a key view's partners stand the other images of the export that observe a point with it.
+/// PMVS2 holds them anyway, and chooses the best of the row for each patch: with the partners
+/// alone, patches end where those of another key view should go on.
 fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> String {
     let together = observed_together(selection, views, index);
     let mut text = format!("VISDATA\n{}\n", views.len());
@@ -117,7 +136,10 @@ fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> St
         let partners = selection.clusters.get(i).map_or(&[][..], |c| &c.partners);
         let mut row: Vec<usize> = partners.iter().map(|p| index[p.index()]).collect();
         if let Some(together) = together.get(i) {
-            row.extend((0..views.len()).filter(|&other| together[other] && !partners.contains(&views[other])));
+            row.extend(
+                (0..views.len())
+                    .filter(|&other| together[other] && !partners.contains(&views[other])),
+            );
         }
         text += &format!("{i} {}", row.len());
         row.iter().for_each(|other| text += &format!(" {other}"));
@@ -127,7 +149,11 @@ fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> St
 }
 
 /// For each key view, which of the exported images observe a point that it observes.
-fn observed_together(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> Vec<Vec<bool>> {
+fn observed_together(
+    selection: &Selection,
+    views: &[ViewIndex],
+    index: &[usize],
+) -> Vec<Vec<bool>> {
     let keys = selection.clusters.len();
     let mut together = vec![vec![false; views.len()]; keys];
     for point in 0..selection.scene.points.len() {
@@ -139,7 +165,10 @@ fn observed_together(selection: &Selection, views: &[ViewIndex], index: &[usize]
             .map(|(_, i)| i)
             .collect();
         for &key in exported.iter().filter(|&&i| i < keys) {
-            exported.iter().filter(|&&other| other != key).for_each(|&other| together[key][other] = true);
+            exported
+                .iter()
+                .filter(|&&other| other != key)
+                .for_each(|&other| together[key][other] = true);
         }
     }
     together

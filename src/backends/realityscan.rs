@@ -1,11 +1,11 @@
-//! RealityScan (RealityCapture): `docs/backends.md` 10, from the vendor's pages; not run. An XMP side file
-//! next to an image can exclude it from meshing; nothing else is configurable.
+//! RealityScan (RealityCapture): `docs/backends.md` 10, from the vendor's pages; not run. An XMP
+//! side file next to an image can exclude it from meshing; nothing else is configurable.
 
 use std::collections::HashMap;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, Selection,
-    Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
 use crate::{
@@ -38,8 +38,11 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let same =
-        patient.same_names("realityscan-xmp-same-stem", "the same side file (.xmp)", |name| stem(name).to_owned());
+    let same = patient.same_names(
+        "realityscan-xmp-same-stem",
+        "the same side file (.xmp)",
+        |name| stem(name).to_owned(),
+    );
     same.into_iter().chain(poses_beside(patient)).collect()
 }
 
@@ -52,16 +55,32 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         let stem = stem(name);
         if let Some(other) = by_stem.insert(stem, name) {
             let why = format!("its side file would be that of {other} too");
-            return Err(BackendError::Name { backend: BACKEND.name, name: name.into(), why });
+            return Err(BackendError::Name {
+                backend: BACKEND.name,
+                name: name.into(),
+                why,
+            });
         }
-        files.add_text(format!("xmp/{stem}.xmp"), side_file(used.binary_search(&view).is_ok()));
+        files.add_text(
+            format!("xmp/{stem}.xmp"),
+            side_file(used.binary_search(&view).is_ok()),
+        );
     }
     files.add_text("images.txt", name_lines(selection, &used));
-    let mut record = ExportRecord::new(&BACKEND, selection, |v| format!("xmp/{}.xmp", stem(scene.name(v))));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| {
+        format!("xmp/{}.xmp", stem(scene.name(v)))
+    });
     record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
-    record.way = "side files that switch meshing, to lie beside the images before these are added".into();
-    files.add("switch.py", Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()));
-    record.commands = vec![format!("python3 switch.py {}", selection.images_in_commands())];
+    record.way =
+        "side files that switch meshing, to lie beside the images before these are added".into();
+    files.add(
+        "switch.py",
+        Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()),
+    );
+    record.commands = vec![format!(
+        "python3 switch.py {}",
+        selection.images_in_commands()
+    )];
     record.not_honoured.extend([
         "matching partners".into(),
         "depth maps of key views only: partners take part in meshing as well".into(),
@@ -98,10 +117,14 @@ fn poses_beside(patient: &ExaminedProject) -> Option<Trap> {
 /// Returns the path without the extension.
 fn stem(name: &str) -> &str {
     let file = name.rfind('/').map_or(0, |slash| slash + 1);
-    name[file..].rfind('.').filter(|&dot| dot > 0).map_or(name, |dot| &name[..file + dot])
+    name[file..]
+        .rfind('.')
+        .filter(|&dot| dot > 0)
+        .map_or(name, |dot| &name[..file + dot])
 }
 
-/// Returns a side file with only the switches: RealityScan would interpret further attributes as a pose.
+/// Returns a side file with only the switches: RealityScan would interpret further attributes as a
+/// pose.
 fn side_file(used: bool) -> String {
     let switch = u8::from(used);
     format!(

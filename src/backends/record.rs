@@ -51,7 +51,8 @@ pub struct ExportRecord {
     pub scale: f64,
     /// Added to COLMAP's pixel coordinates (centre of the first pixel 0.5, 0.5) in the files.
     pub pixel_shift: f64,
-    /// World coordinates of the origin of the files, scene units (f32 loses the decimals of map coordinates).
+    /// World coordinates of the origin of the files, scene units (f32 loses the decimals of map
+    /// coordinates).
     pub origin: [f64; 3],
     /// Options of the fusion, with reasons.
     pub fusion: String,
@@ -83,15 +84,26 @@ pub struct ExportedView {
     pub target: String,
 }
 
-/// Returns a warning if key views are planned at half the size, for a program that matches all at one size.
+/// Returns a warning if key views are planned at half the size, for a program that matches all at
+/// one size.
 pub(super) fn at_full_size(selection: &Selection) -> Option<String> {
-    let half = selection.clusters.iter().filter(|cluster| cluster.scale == MapScale::Half).count();
-    (half > 0).then(|| format!("{half} key views that are planned at half the size are matched at full size"))
+    let half = selection
+        .clusters
+        .iter()
+        .filter(|cluster| cluster.scale == MapScale::Half)
+        .count();
+    (half > 0).then(|| {
+        format!("{half} key views that are planned at half the size are matched at full size")
+    })
 }
 
 impl ExportRecord {
     /// Starts a record for the selection; `target` names a view in the backend's files.
-    pub(super) fn new(backend: &Backend, selection: &Selection, target: impl Fn(ViewIndex) -> String) -> Self {
+    pub(super) fn new(
+        backend: &Backend,
+        selection: &Selection,
+        target: impl Fn(ViewIndex) -> String,
+    ) -> Self {
         let view = |v: ViewIndex| ExportedView {
             name: selection.scene.name(v).into(),
             image_id: selection.scene.view(v).image_id,
@@ -101,7 +113,11 @@ impl ExportRecord {
             rank: i + 1,
             key: view(c.key),
             partners: c.partners.iter().map(|&p| view(p)).collect(),
-            scale: if backend.mixes_sizes { c.scale } else { MapScale::Full },
+            scale: if backend.mixes_sizes {
+                c.scale
+            } else {
+                MapScale::Full
+            },
         };
         let faults = selection.image_faults.among(&selection.views());
         Self {
@@ -133,7 +149,8 @@ impl ExportRecord {
         }
     }
 
-    /// Records the images that are not matched at the planned size; `scale` is the size over the image's that the files ask for.
+    /// Records the images that are not matched at the planned size; `scale` is the size over the
+    /// image's that the files ask for.
     pub(super) fn note_scale(&mut self, selection: &Selection, scale: impl Fn(&Camera) -> f64) {
         let wanted = selection.image_scale;
         let scale_of = |view: ViewIndex| scale(selection.scene.camera_of(view));
@@ -154,24 +171,40 @@ impl ExportRecord {
     pub(super) fn note_own_scale(&mut self, selection: &Selection) {
         if !selection.own_size && selection.image_scale != 1.0 {
             let scale = selection.image_scale;
-            self.warnings.push(format!("image_scale {scale}: the program's own options choose the size"));
+            self.warnings.push(format!(
+                "image_scale {scale}: the program's own options choose the size"
+            ));
         }
     }
 
     /// Returns the contents of `export.json`.
     pub(super) fn to_json(&self) -> String {
-        serde_json::to_string_pretty(self).expect("a record has string keys and finite numbers") + "\n"
+        serde_json::to_string_pretty(self).expect("a record has string keys and finite numbers")
+            + "\n"
     }
 }
 
-/// Warns of view clusters that cannot be computed as planned because images are missing; `missing` is ascending.
+/// Warns of view clusters that cannot be computed as planned because images are missing; `missing`
+/// is ascending.
 fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String> {
     let is_missing = |view: &ViewIndex| missing.binary_search(view).is_ok();
     let lacks = |c: &RankedCluster| std::iter::once(&c.key).chain(&c.partners).any(is_missing);
-    let ranks = (1..).zip(selection.clusters).filter(|(_, c)| lacks(c)).map(|(rank, _): (usize, _)| rank.to_string());
+    let ranks = (1..)
+        .zip(selection.clusters)
+        .filter(|(_, c)| lacks(c))
+        .map(|(rank, _): (usize, _)| rank.to_string());
     let ranks: Vec<String> = ranks.collect();
-    let some = ranks.iter().take(NAMED_RANKS).cloned().collect::<Vec<_>>().join(", ");
-    let more = if ranks.len() > NAMED_RANKS { ", ..." } else { "" };
+    let some = ranks
+        .iter()
+        .take(NAMED_RANKS)
+        .cloned()
+        .collect::<Vec<_>>()
+        .join(", ");
+    let more = if ranks.len() > NAMED_RANKS {
+        ", ..."
+    } else {
+        ""
+    };
     (!ranks.is_empty())
         .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
 }
@@ -179,7 +212,12 @@ fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String
 /// Warns that masks are left to the user, if one of the views has a mask.
 fn masks(selection: &Selection) -> Option<String> {
     let pictures = Pictures::new(selection.project);
-    let folder = pictures.masks_of(selection.views().iter().map(|view| selection.scene.name(*view)))?;
+    let folder = pictures.masks_of(
+        selection
+            .views()
+            .iter()
+            .map(|view| selection.scene.name(*view)),
+    )?;
     Some(format!(
         "masks (as in {}) are not passed on: give them to the program yourself, if it takes any",
         folder.display()
@@ -191,15 +229,26 @@ const NAMED_RANKS: usize = 10;
 
 /// Returns a warning if the selection has no view cluster.
 fn nothing_chosen(selection: &Selection) -> Option<String> {
-    let why = || format!("{}/manifest.json says why", selection.project.output_folder().display());
-    selection.clusters.is_empty().then(|| format!("no view cluster is chosen, there is nothing to compute: {}", why()))
+    let why = || {
+        format!(
+            "{}/manifest.json says why",
+            selection.project.output_folder().display()
+        )
+    };
+    selection.clusters.is_empty().then(|| {
+        format!(
+            "no view cluster is chosen, there is nothing to compute: {}",
+            why()
+        )
+    })
 }
 
 /// Returns a warning if the plan was made for a backend that matches differently.
 fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
     let planned_for = by_name(selection.planned_for).ok()?;
     let (is, was) = (&backend.planning, &planned_for.planning);
-    let differs = is.gate != was.gate || is.confidence != was.confidence || is.support != was.support;
+    let differs =
+        is.gate != was.gate || is.confidence != was.confidence || is.support != was.support;
     let why = match backend.use_of_views {
         Some(_) => "whose depth maps need other support",
         None => "which matches other pairs or needs other support",
@@ -214,7 +263,8 @@ fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
     })
 }
 
-/// Returns the scale of images whose long side is limited to the same number of pixels for all cameras.
+/// Returns the scale of images whose long side is limited to the same number of pixels for all
+/// cameras.
 pub(super) fn capped_scale(cap: u32) -> impl Fn(&Camera) -> f64 {
     move |camera| (f64::from(cap) / f64::from(camera.width.max(camera.height))).min(1.0)
 }

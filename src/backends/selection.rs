@@ -41,7 +41,10 @@ pub struct NearOrigin<'a> {
 
 impl NearOrigin<'_> {
     pub fn selection(&self) -> Selection<'_> {
-        Selection { scene: &self.scene, ..self.selection }
+        Selection {
+            scene: &self.scene,
+            ..self.selection
+        }
     }
 }
 
@@ -50,16 +53,27 @@ impl<'a> Selection<'a> {
     pub fn near_origin(&self) -> NearOrigin<'a> {
         let origin = origin_among(&centres(self.scene), self.scene.median_gsd());
         let moved = origin != Vector3::zeros();
-        let scene = if moved { Cow::Owned(self.scene.moved(origin)) } else { Cow::Borrowed(self.scene) };
-        NearOrigin { selection: *self, scene, origin }
+        let scene = if moved {
+            Cow::Owned(self.scene.moved(origin))
+        } else {
+            Cow::Borrowed(self.scene)
+        };
+        NearOrigin {
+            selection: *self,
+            scene,
+            origin,
+        }
     }
 }
 
 impl Selection<'_> {
     /// Returns all key views and partners, ascending by name.
     pub fn views(&self) -> Vec<ViewIndex> {
-        let mut views: Vec<_> =
-            self.clusters.iter().flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied())).collect();
+        let mut views: Vec<_> = self
+            .clusters
+            .iter()
+            .flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied()))
+            .collect();
         views.sort_unstable();
         views.dedup();
         views
@@ -73,56 +87,89 @@ impl Selection<'_> {
             hint: format!("put the images into {}", folder.display()),
         };
         let Some(folder) = self.project.images.as_ref() else {
-            return Err(needs("the images, and there is no image folder".into(), &self.project.root.join("images")));
+            return Err(needs(
+                "the images, and there is no image folder".into(),
+                &self.project.root.join("images"),
+            ));
         };
         let views = self.views();
         if !views.is_empty() && self.image_faults.among(&views).missing.len() == views.len() {
-            return Err(needs(format!("the images, and none of them is in {}", folder.display()), folder));
+            return Err(needs(
+                format!("the images, and none of them is in {}", folder.display()),
+                folder,
+            ));
         }
         Ok(folder)
     }
 
-    /// Returns the folder of the images for a command that runs in any folder; if unknown, a shell variable that the command requires.
+    /// Returns the folder of the images for a command that runs in any folder; if unknown, a shell
+    /// variable that the command requires.
     pub fn images_in_commands(&self) -> String {
-        let absolute =
-            |folder: &ImageFolder| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
-        self.project.images.as_ref().map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
+        let absolute = |folder: &ImageFolder| {
+            quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()))
+        };
+        self.project
+            .images
+            .as_ref()
+            .map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
     }
 
     /// Returns the folder of the images if these are undistorted.
     ///
     /// # Errors
-    /// Fails on distorted cameras, with the command that undistorts as the hint, and on a folder without images.
+    /// Fails on distorted cameras, with the command that undistorts as the hint, and on a folder
+    /// without images.
     pub fn undistorted_images(&self, backend: &'static str) -> Result<&ImageFolder, BackendError> {
-        let distorted = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole());
-        let Some(view) = distorted else { return self.images(backend) };
+        let distorted = self
+            .views()
+            .into_iter()
+            .find(|v| !self.scene.camera_of(*v).is_pinhole());
+        let Some(view) = distorted else {
+            return self.images(backend);
+        };
         let camera = self.scene.camera_of(view).model().name();
         let hint = match &self.project.dense_workspace {
             Some(dense) => {
-                format!("plan and export the undistorted images instead: viewrank plan {}", command_path(dense))
+                format!(
+                    "plan and export the undistorted images instead: viewrank plan {}",
+                    command_path(dense)
+                )
             }
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
                 let dense = command_path(&self.project.root.join("dense"));
                 let images = self.project.images.as_ref();
-                let images = images.map_or_else(|| self.project.root.join("images"), |images| images.to_path_buf());
+                let images = images.map_or_else(
+                    || self.project.root.join("images"),
+                    |images| images.to_path_buf(),
+                );
                 let colmap = format!(
                     " (or `colmap image_undistorter --image_path {} --input_path {} --output_path {dense}`)",
                     command_path(&images),
                     command_path(&model.path)
                 );
-                let colmap = if model.format.is_colmap() { colmap } else { String::new() };
-                format!("make them with `viewrank undistort {root}`{colmap}, then `viewrank plan {dense}`")
+                let colmap = if model.format.is_colmap() {
+                    colmap
+                } else {
+                    String::new()
+                };
+                format!(
+                    "make them with `viewrank undistort {root}`{colmap}, then `viewrank plan {dense}`"
+                )
             }
         };
         Err(BackendError::Needs {
             backend,
-            what: format!("undistorted images, but the camera of {} is {camera}", self.scene.name(view)),
+            what: format!(
+                "undistorted images, but the camera of {} is {camera}",
+                self.scene.name(view)
+            ),
             hint,
         })
     }
 
-    /// Returns the level of an image pyramid, each of half the side of the one before, at which maps of this size are matched.
+    /// Returns the level of an image pyramid, each of half the side of the one before, at which
+    /// maps of this size are matched.
     pub fn pyramid_level(&self, scale: MapScale) -> u32 {
         let full = (1.0 / self.image_scale).log2().round().max(0.0) as u32;
         full + u32::from(scale == MapScale::Half)
@@ -137,39 +184,62 @@ impl Selection<'_> {
     pub fn keys_first(&self) -> Vec<ViewIndex> {
         let is_key = self.is_key();
         let partners = self.views().into_iter().filter(|v| !is_key[v.index()]);
-        self.clusters.iter().map(|c| c.key).chain(partners).collect()
+        self.clusters
+            .iter()
+            .map(|c| c.key)
+            .chain(partners)
+            .collect()
     }
 
     /// Returns, for each view of the scene, whether it is a key view.
     pub fn is_key(&self) -> Vec<bool> {
         let mut is_key = vec![false; self.scene.views.len()];
-        self.clusters.iter().for_each(|c| is_key[c.key.index()] = true);
+        self.clusters
+            .iter()
+            .for_each(|c| is_key[c.key.index()] = true);
         is_key
     }
 
     /// Returns the long side of the largest image of the clusters, pixels.
     pub fn long_side(&self) -> u32 {
-        self.views().into_iter().map(|v| self.scene.camera_of(v)).map(|c| c.width.max(c.height)).max().unwrap_or(0)
+        self.views()
+            .into_iter()
+            .map(|v| self.scene.camera_of(v))
+            .map(|c| c.width.max(c.height))
+            .max()
+            .unwrap_or(0)
     }
 
     /// Returns the largest number of partners of a cluster.
     pub fn most_partners(&self) -> usize {
-        self.clusters.iter().map(|c| c.partners.len()).max().unwrap_or(0)
+        self.clusters
+            .iter()
+            .map(|c| c.partners.len())
+            .max()
+            .unwrap_or(0)
     }
 
-    /// Returns the median, over the sparse points that a key view observes, of the number of key views that observe the point.
+    /// Returns the median, over the sparse points that a key view observes, of the number of key
+    /// views that observe the point.
     pub fn typical_key_views_per_point(&self) -> usize {
         let is_key = self.is_key();
         let mut counts: Vec<usize> = (0..self.scene.points.len() as u32)
             .map(|p| {
-                let mut views: Vec<_> = self.scene.track_views(crate::model::scene::PointIndex(p)).to_vec();
+                let mut views: Vec<_> = self
+                    .scene
+                    .track_views(crate::model::scene::PointIndex(p))
+                    .to_vec();
                 views.dedup();
                 views.iter().filter(|v| is_key[v.index()]).count()
             })
             .filter(|&n| n > 0)
             .collect();
         let middle = counts.len() / 2;
-        if counts.is_empty() { 0 } else { *counts.select_nth_unstable(middle).1 }
+        if counts.is_empty() {
+            0
+        } else {
+            *counts.select_nth_unstable(middle).1
+        }
     }
 }
 
@@ -186,7 +256,8 @@ pub fn rounding(scene: &Scene) -> Option<String> {
     ))
 }
 
-/// Returns the origin for coordinates near these camera centres: their mean in whole units if f32 is too coarse for them, else zero. `gsd`: units per pixel.
+/// Returns the origin for coordinates near these camera centres: their mean in whole units if f32
+/// is too coarse for them, else zero. `gsd`: units per pixel.
 pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> {
     match too_coarse(centres, gsd) {
         Some(_) => (centres.iter().sum::<Vector3<f64>>() / centres.len() as f64).map(f64::round),
@@ -196,37 +267,61 @@ pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> 
 
 /// Returns the largest coordinate and the spacing of f32 there; `None` if it is fine enough.
 fn too_coarse(centres: &[Vector3<f64>], gsd: Option<f64>) -> Option<(f64, f64)> {
-    let largest = centres.iter().map(|centre| centre.amax()).fold(0.0, f64::max);
+    let largest = centres
+        .iter()
+        .map(|centre| centre.amax())
+        .fold(0.0, f64::max);
     let step = largest * f64::from(f32::EPSILON);
-    gsd.filter(|gsd| step >= COARSE_PX * gsd).map(|_| (largest, step))
+    gsd.filter(|gsd| step >= COARSE_PX * gsd)
+        .map(|_| (largest, step))
 }
 
 fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
-    scene.views.iter().map(|view| view.cam_from_world.centre().coords).collect()
+    scene
+        .views
+        .iter()
+        .map(|view| view.cam_from_world.centre().coords)
+        .collect()
 }
 
 /// Returns the depths of the points that the view observes, in front of it, ascending, scene units.
 pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let pose = &scene.view(view).cam_from_world;
-    let depth = |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
-    let mut depths: Vec<f64> = points.observed_by(view).iter().map(depth).filter(|z| *z > 0.0).collect();
+    let depth =
+        |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
+    let mut depths: Vec<f64> = points
+        .observed_by(view)
+        .iter()
+        .map(depth)
+        .filter(|z| *z > 0.0)
+        .collect();
     depths.sort_unstable_by(f64::total_cmp);
     depths
 }
 
-/// Returns the 1 % and 99 % quantiles of the depths of the view's sparse points; if it observes none, of all points in front of it.
+/// Returns the 1 % and 99 % quantiles of the depths of the view's sparse points; if it observes
+/// none, of all points in front of it.
 pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Option<[f64; 2]> {
     let mut all = depths(scene, points, view);
     if all.is_empty() {
         let pose = &scene.view(view).cam_from_world;
-        all = scene.points.iter().map(|x| pose.camera_from_world(x).z).filter(|z| *z > 0.0).collect();
+        all = scene
+            .points
+            .iter()
+            .map(|x| pose.camera_from_world(x).z)
+            .filter(|z| *z > 0.0)
+            .collect();
         all.sort_unstable_by(f64::total_cmp);
     }
-    let at = |share: f64| all.get(((all.len().checked_sub(1)? as f64) * share).round() as usize).copied();
+    let at = |share: f64| {
+        all.get(((all.len().checked_sub(1)? as f64) * share).round() as usize)
+            .copied()
+    };
     Some([at(0.01)?, at(0.99)?])
 }
 
-/// Returns the number of sparse points that each view of the scene shares with `view`; 0 for itself.
+/// Returns the number of sparse points that each view of the scene shares with `view`; 0 for
+/// itself.
 pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<u32> {
     let mut shared = vec![0; scene.views.len()];
     for &p in points.observed_by(view) {

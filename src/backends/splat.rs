@@ -1,5 +1,6 @@
-//! Gaussian splatting and NeRF: `docs/backends.md` 13. They know no partners, only which images train: a reduced COLMAP model with nothing
-//! else beside it, and the lists of those programs that read lists.
+//! Gaussian splatting and NeRF: `docs/backends.md` 13. They know no partners, only which images
+//! train: a reduced COLMAP model with nothing else beside it, and the lists of those programs that
+//! read lists.
 
 use std::collections::HashMap;
 
@@ -7,8 +8,8 @@ use nalgebra::{Matrix3, Matrix4};
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, Selection,
-    Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
     workspace::add_workspace,
 };
@@ -23,7 +24,16 @@ const JUDGED: usize = 8;
 
 pub static BACKEND: Backend = Backend {
     name: "splat",
-    aliases: &["3dgs", "gaussiansplatting", "splatting", "splats", "gsplat", "brush", "nerf", "nerfstudio"],
+    aliases: &[
+        "3dgs",
+        "gaussiansplatting",
+        "splatting",
+        "splats",
+        "gsplat",
+        "brush",
+        "nerf",
+        "nerfstudio",
+    ],
     capabilities: Capabilities {
         partners: Honours::No,
         key_subset: Honours::Yes,
@@ -45,28 +55,49 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let same = "the same image to gaussian-splatting, which cuts folders and what follows the first dot";
-    patient.same_names("splat-duplicate-names", same, |name| short_name(name).to_owned()).into_iter().collect()
+    let same =
+        "the same image to gaussian-splatting, which cuts folders and what follows the first dot";
+    patient
+        .same_names("splat-duplicate-names", same, |name| {
+            short_name(name).to_owned()
+        })
+        .into_iter()
+        .collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     let near = selection.near_origin();
     let views = listed_views(selection, options.refs);
     let mut files = options.file_set(&BACKEND, selection);
-    add_workspace(BACKEND.name, &mut files, selection, &views, "sparse/0", 2, near.origin)?;
+    add_workspace(
+        BACKEND.name,
+        &mut files,
+        selection,
+        &views,
+        "sparse/0",
+        2,
+        near.origin,
+    )?;
     let selection = &near.selection();
-    files.add("sparse/0/points3D.ply", Contents::Bytes(seeds(selection, &views)));
+    files.add(
+        "sparse/0/points3D.ply",
+        Contents::Bytes(seeds(selection, &views)),
+    );
     add_lists(&mut files, selection, &views);
-    let mut record = ExportRecord::new(&BACKEND, selection, |v| format!("images/{}", selection.scene.name(v)));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| {
+        format!("images/{}", selection.scene.name(v))
+    });
     record.moved(near.origin);
     record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
     record.way = format!("reduced model of {} images", views.len());
     record.commands = commands(selection, &views);
     record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
-    let first = views
-        .iter()
-        .min()
-        .map(|&v| format!("{}: gsplat holds the first image by name out of training, always", selection.scene.name(v)));
+    let first = views.iter().min().map(|&v| {
+        format!(
+            "{}: gsplat holds the first image by name out of training, always",
+            selection.scene.name(v)
+        )
+    });
     record.not_honoured.extend(first);
     record.note_own_scale(selection);
     record.fusion = "none".into();
@@ -77,32 +108,47 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 
 /// Commands, one for each program; gaussian-splatting only if it supports the images.
 fn commands(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
-    let pinhole = views.iter().all(|&v| selection.scene.camera_of(v).is_pinhole());
+    let pinhole = views
+        .iter()
+        .all(|&v| selection.scene.camera_of(v).is_pinhole());
     let gsplat = format!(
         "python \"${{GSPLAT:?folder of gsplat}}\"/examples/simple_trainer.py default --data_dir . --data_factor 1 --test_every {}",
         views.len() + 1
     );
-    let original = "python \"${GAUSSIAN_SPLATTING:?folder of gaussian-splatting}\"/train.py -s .".to_owned();
-    let nerfstudio =
-        "ns-train splatfacto --data . colmap --colmap-path sparse/0 --images-path images --downscale-factor 1";
-    [gsplat].into_iter().chain(pinhole.then_some(original)).chain(["brush .".into(), nerfstudio.into()]).collect()
+    let original =
+        "python \"${GAUSSIAN_SPLATTING:?folder of gaussian-splatting}\"/train.py -s .".to_owned();
+    let nerfstudio = "ns-train splatfacto --data . colmap --colmap-path sparse/0 --images-path images --downscale-factor 1";
+    [gsplat]
+        .into_iter()
+        .chain(pinhole.then_some(original))
+        .chain(["brush .".into(), nerfstudio.into()])
+        .collect()
 }
 
-/// Adds nerfstudio's lists. It requires all splits if one exists; it checks for `validation_list.txt` but opens `val_list.txt`.
+/// Adds nerfstudio's lists. It requires all splits if one exists; it checks for
+/// `validation_list.txt` but opens `val_list.txt`.
 fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex]) {
     let judged: Vec<ViewIndex> = views.iter().copied().step_by(JUDGED).collect();
     files.add_text("train_list.txt", name_lines(selection, views));
     for list in ["test_list.txt", "val_list.txt", "validation_list.txt"] {
         files.add_text(list, name_lines(selection, &judged));
     }
-    if views.iter().all(|&v| selection.scene.camera_of(v).is_pinhole()) {
-        let text = serde_json::to_string_pretty(&transforms(selection, views, &judged)).expect("string keys");
+    if views
+        .iter()
+        .all(|&v| selection.scene.camera_of(v).is_pinhole())
+    {
+        let text = serde_json::to_string_pretty(&transforms(selection, views, &judged))
+            .expect("string keys");
         files.add_text("transforms.json", text + "\n");
     }
 }
 
 /// Returns nerfstudio's `transforms.json`: camera to world, with y up and z backward in the camera.
-fn transforms(selection: &Selection, views: &[ViewIndex], judged: &[ViewIndex]) -> serde_json::Value {
+fn transforms(
+    selection: &Selection,
+    views: &[ViewIndex],
+    judged: &[ViewIndex],
+) -> serde_json::Value {
     let path = |&v: &ViewIndex| format!("images/{}", selection.scene.name(v));
     let frame = |v: &ViewIndex| {
         let view = selection.scene.view(*v);
@@ -127,32 +173,51 @@ fn transforms(selection: &Selection, views: &[ViewIndex], judged: &[ViewIndex]) 
 }
 
 fn world_from_nerf_camera(pose: &crate::model::scene::Pose) -> [[f64; 4]; 4] {
-    let rotation =
-        pose.rotation.matrix().transpose() * Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0));
+    let rotation = pose.rotation.matrix().transpose()
+        * Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0));
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&pose.centre().coords);
+    matrix
+        .fixed_view_mut::<3, 1>(0, 3)
+        .copy_from(&pose.centre().coords);
     std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
 }
 
-/// Returns the points that at least two of the views observe, as PLY. Gaussian-splatting writes this file once and never updates it, so we do.
+/// Returns the points that at least two of the views observe, as PLY. Gaussian-splatting writes
+/// this file once and never updates it, so we do.
 fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     let scene = selection.scene;
     let mut chosen = vec![false; scene.views.len()];
     views.iter().for_each(|v| chosen[v.index()] = true);
     let seen = |p: &PointIndex| {
-        let mut track: Vec<_> = scene.track_views(*p).iter().filter(|v| chosen[v.index()]).collect();
+        let mut track: Vec<_> = scene
+            .track_views(*p)
+            .iter()
+            .filter(|v| chosen[v.index()])
+            .collect();
         track.dedup();
         track.len() >= 2
     };
-    let points: Vec<PointIndex> = (0..scene.points.len() as u32).map(PointIndex).filter(seen).collect();
-    let mut ply = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", points.len());
-    ["x", "y", "z", "nx", "ny", "nz"].iter().for_each(|name| ply += &format!("property float {name}\n"));
-    ["red", "green", "blue"].iter().for_each(|name| ply += &format!("property uchar {name}\n"));
+    let points: Vec<PointIndex> = (0..scene.points.len() as u32)
+        .map(PointIndex)
+        .filter(seen)
+        .collect();
+    let mut ply = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
+        points.len()
+    );
+    ["x", "y", "z", "nx", "ny", "nz"]
+        .iter()
+        .for_each(|name| ply += &format!("property float {name}\n"));
+    ["red", "green", "blue"]
+        .iter()
+        .for_each(|name| ply += &format!("property uchar {name}\n"));
     let mut bytes = (ply + "end_header\n").into_bytes();
     for p in points {
         let x = scene.points[p.index()];
-        [x.x, x.y, x.z, 0.0, 0.0, 0.0].iter().for_each(|v| bytes.extend((*v as f32).to_le_bytes()));
+        [x.x, x.y, x.z, 0.0, 0.0, 0.0]
+            .iter()
+            .for_each(|v| bytes.extend((*v as f32).to_le_bytes()));
         bytes.extend(scene.colours[p.index()]);
     }
     bytes
@@ -166,7 +231,10 @@ fn short_name(name: &str) -> &str {
 
 fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     let mut warnings = Vec::new();
-    if views.iter().any(|&v| !selection.scene.camera_of(v).is_pinhole()) {
+    if views
+        .iter()
+        .any(|&v| !selection.scene.camera_of(v).is_pinhole())
+    {
         warnings.push(format!(
             "the cameras are distorted: gsplat and brush take that, gaussian-splatting stops, and transforms.json is left out; \
              `viewrank undistort {}` makes undistorted images, as does `colmap image_undistorter`",

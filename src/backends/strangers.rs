@@ -1,4 +1,5 @@
-//! Refusal of what somebody else has put into the folder of an export, by the scripts that run there: a link, a pipe or the like.
+//! Refusal of what somebody else has put into the folder of an export, by the scripts that run
+//! there: a link, a pipe or the like.
 
 use crate::io::output::{Contents, FileSet};
 
@@ -17,7 +18,8 @@ pub fn with_refusal(script: &str) -> String {
 pub fn list_links(files: &mut FileSet) {
     let is_link = |(path, contents): (&String, &Contents)| {
         // With a line break it would be two lines, of which one may name somebody else's link.
-        let is_named = matches!(contents, Contents::Link { .. }) && !path.contains(char::is_control);
+        let is_named =
+            matches!(contents, Contents::Link { .. }) && !path.contains(char::is_control);
         is_named.then(|| format!("./{path}\n"))
     };
     let links: String = files.files.iter().filter_map(is_link).collect();

@@ -1,8 +1,9 @@
-//! SURE (nFrames): `docs/backends.md` 12. Closed; the files follow the vendor's public pages and three public writers of `.ori`.
+//! SURE (nFrames): `docs/backends.md` 12. Closed; the files follow the vendor's public pages and
+//! three public writers of `.ori`.
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
-    PlanningNumbers, Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     sgm,
     strangers::list_links,
@@ -66,10 +67,11 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let same =
-        patient.same_names("sure-same-stem", "the same image to SURE, which ignores folders and extensions", |name| {
-            stem(&name.replace('/', "_")).to_lowercase()
-        });
+    let same = patient.same_names(
+        "sure-same-stem",
+        "the same image to SURE, which ignores folders and extensions",
+        |name| stem(&name.replace('/', "_")).to_lowercase(),
+    );
     let bad = patient.bad_names("sure-name", |name| checked_name("sure", name).map(|_| ()));
     same.into_iter().chain(bad).collect()
 }
@@ -80,8 +82,14 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut files = options.file_set(&BACKEND, selection);
     for view in selection.views() {
         let name = &names[view.index()];
-        files.add(format!("images/{name}"), images.link(selection.scene.name(view)));
-        files.add_text(format!("ori/{}.ori", stem(name)), orientation(selection, view, name));
+        files.add(
+            format!("images/{name}"),
+            images.link(selection.scene.name(view)),
+        );
+        files.add_text(
+            format!("ori/{}.ori", stem(name)),
+            orientation(selection, view, name),
+        );
     }
     let [clusters, pairs, _] = lists_of_pairs(selection, |v| Ok(names[v.index()].as_str()))?;
     for (name, text) in [clusters, pairs] {
@@ -95,8 +103,16 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         &selection.clusters.iter().map(|c| c.key).collect::<Vec<_>>(),
     );
     for cluster in selection.clusters {
-        let views: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
-        add_lists(&mut files, &format!("clusters/{}/", project(selection, cluster)), &names, &views, &[cluster.key]);
+        let views: Vec<_> = std::iter::once(cluster.key)
+            .chain(cluster.partners.iter().copied())
+            .collect();
+        add_lists(
+            &mut files,
+            &format!("clusters/{}/", project(selection, cluster)),
+            &names,
+            &views,
+            &[cluster.key],
+        );
     }
     let record = record_of(selection, &names);
     files.add("run.sh", shell_script(selection));
@@ -109,19 +125,28 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
     let mut record = ExportRecord::new(&BACKEND, selection, |v| names[v.index()].clone());
     record.runner = Some("run.sh".into());
-    record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
+    record.made_for =
+        "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
     record.way = "one project per cluster; lists for a joint project beside".into();
     for cluster in selection.clusters {
         let folder = format!("projects/{}", project(selection, cluster));
         let [prepare, compute] = calls(selection, cluster, &folder, "sure");
-        record.commands.extend([format!("mkdir -p {folder} && {prepare}"), compute]);
+        record
+            .commands
+            .extend([format!("mkdir -p {folder} && {prepare}"), compute]);
     }
     record.not_honoured.extend([
         "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
         "partners that SURE itself rejects by angle or overlap".into(),
     ]);
-    if selection.clusters.iter().any(|cluster| cluster.scale == MapScale::Half) {
-        record.not_honoured.push("sizes in a joint project: -pyr is one for all its images".into());
+    if selection
+        .clusters
+        .iter()
+        .any(|cluster| cluster.scale == MapScale::Half)
+    {
+        record
+            .not_honoured
+            .push("sizes in a joint project: -pyr is one for all its images".into());
     }
     record.warnings.extend([
         "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
@@ -131,7 +156,8 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
     ]);
     record.note_scale(selection, |_| selection.halved());
     record.pixel_shift = -0.5;
-    record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
+    record.fusion =
+        "each project gives points of its key view; one DSM or mesh run joins them".into();
     record
 }
 
@@ -141,13 +167,24 @@ fn project(selection: &Selection, cluster: &RankedCluster) -> String {
 }
 
 /// Returns the two calls of the program for a cluster, whose project is in this folder already.
-fn calls(selection: &Selection, cluster: &RankedCluster, folder: &str, program: &str) -> [String; 2] {
+fn calls(
+    selection: &Selection,
+    cluster: &RankedCluster,
+    folder: &str,
+    program: &str,
+) -> [String; 2] {
     let lists = format!("clusters/{}", project(selection, cluster));
-    let lists = format!("-img {lists}/images.txt -ori {lists}/ori.txt -select {lists}/baseImages.txt");
-    let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
+    let lists =
+        format!("-img {lists}/images.txt -ori {lists}/ori.txt -select {lists}/baseImages.txt");
+    let (partners, level) = (
+        cluster.partners.len(),
+        selection.pyramid_level(cluster.scale),
+    );
     let fold = partners.clamp(1, 2);
     [
-        format!("{program} -basepath {folder} {lists} -fold {fold} -pyr {level} -maxmodels {partners} -prep"),
+        format!(
+            "{program} -basepath {folder} {lists} -fold {fold} -pyr {level} -maxmodels {partners} -prep"
+        ),
         format!("{program} -basepath {folder}"),
     ]
 }
@@ -155,20 +192,34 @@ fn calls(selection: &Selection, cluster: &RankedCluster, folder: &str, program: 
 /// Returns the name of a project in `run.sh`, with the hash of what it is made from.
 fn result_name(selection: &Selection, cluster: &RankedCluster) -> String {
     let name = project(selection, cluster);
-    let recipe = recipe(selection, cluster, &calls(selection, cluster, &name, "sure").concat());
+    let recipe = recipe(
+        selection,
+        cluster,
+        &calls(selection, cluster, &name, "sure").concat(),
+    );
     format!("{name}-{recipe}")
 }
 
 /// Returns `run.sh`, with two calls per cluster.
 fn shell_script(selection: &Selection) -> Contents {
-    let names: Vec<String> = selection.clusters.iter().map(|cluster| result_name(selection, cluster)).collect();
-    let mut script = ClusterScript::new(&names, include_str!("../../integrations/sure/run_head.sh"));
+    let names: Vec<String> = selection
+        .clusters
+        .iter()
+        .map(|cluster| result_name(selection, cluster))
+        .collect();
+    let mut script =
+        ClusterScript::new(&names, include_str!("../../integrations/sure/run_head.sh"));
     for (cluster, name) in selection.clusters.iter().zip(&names) {
         let folder = format!("projects/{name}");
         // SURE may note the paths of its projects, which therefore stay where they are made.
         let finished = format!("{folder}/viewrank.finished");
         let [prepare, compute] = calls(selection, cluster, &folder, "\"${SURE:-sure}\"");
-        let commands = [format!("mkdir -p {folder}"), prepare, compute, format!(": >{finished}")];
+        let commands = [
+            format!("mkdir -p {folder}"),
+            prepare,
+            compute,
+            format!(": >{finished}"),
+        ];
         script.cluster(name, &format!("[ -f {finished} ]"), &commands);
     }
     script.finish(&[])
@@ -179,9 +230,13 @@ fn batch_script(selection: &Selection) -> String {
     let cluster = |cluster: &RankedCluster| {
         let name = project(selection, cluster);
         let folder = format!("projects/{name}");
-        let calls = calls(selection, cluster, &folder, "sure.exe").join(" && ").replace('/', "\\");
+        let calls = calls(selection, cluster, &folder, "sure.exe")
+            .join(" && ")
+            .replace('/', "\\");
         let folder = folder.replace('/', "\\");
-        format!("(if not exist {folder} mkdir {folder}) && {calls} || (echo error: {name} failed & set failed=1)\r\n")
+        format!(
+            "(if not exist {folder} mkdir {folder}) && {calls} || (echo error: {name} failed & set failed=1)\r\n"
+        )
     };
     let clusters: String = selection.clusters.iter().map(cluster).collect();
     format!("@echo off\r\ncd /d \"%~dp0\"\r\nset failed=0\r\n{clusters}exit /b %failed%\r\n")
@@ -195,8 +250,15 @@ fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
         let name = selection.scene.name(view);
         let flat = checked_name("sure", name)?.replace('/', "_");
         if let Some(other) = by_stem.insert(stem(&flat).to_lowercase(), view) {
-            let why = format!("without folder and extension it is the same as {}", selection.scene.name(other));
-            return Err(BackendError::Name { backend: "sure", name: name.into(), why });
+            let why = format!(
+                "without folder and extension it is the same as {}",
+                selection.scene.name(other)
+            );
+            return Err(BackendError::Name {
+                backend: "sure",
+                name: name.into(),
+                why,
+            });
         }
         names[view.index()] = flat;
     }
@@ -210,30 +272,68 @@ pub(super) fn stem(name: &str) -> &str {
 
 fn orientation(selection: &Selection, view: ViewIndex, name: &str) -> String {
     let scene = selection.scene;
-    let text = sure::write(name, scene.camera_of(view), &scene.view(view).cam_from_world);
+    let text = sure::write(
+        name,
+        scene.camera_of(view),
+        &scene.view(view).cam_from_world,
+    );
     text.expect("`undistorted_images` refuses cameras with distortion")
 }
 
-/// Adds the lists of images and orientations, which SURE associates by their order, and of base images.
-fn add_lists(files: &mut FileSet, folder: &str, names: &[String], views: &[ViewIndex], keys: &[ViewIndex]) {
-    let list = |line: &dyn Fn(&str) -> String| views.iter().map(|v| line(&names[v.index()])).collect::<String>();
+/// Adds the lists of images and orientations, which SURE associates by their order, and of base
+/// images.
+fn add_lists(
+    files: &mut FileSet,
+    folder: &str,
+    names: &[String],
+    views: &[ViewIndex],
+    keys: &[ViewIndex],
+) {
+    let list = |line: &dyn Fn(&str) -> String| {
+        views
+            .iter()
+            .map(|v| line(&names[v.index()]))
+            .collect::<String>()
+    };
     let up = "../".repeat(folder.matches('/').count());
-    files.add_text(format!("{folder}images.txt"), list(&|name| format!("{up}images/{name}\n")));
-    files.add_text(format!("{folder}ori.txt"), list(&|name| format!("{up}ori/{}.ori\n", stem(name))));
-    let keys = keys.iter().map(|k| format!("{}\n", stem(&names[k.index()])));
+    files.add_text(
+        format!("{folder}images.txt"),
+        list(&|name| format!("{up}images/{name}\n")),
+    );
+    files.add_text(
+        format!("{folder}ori.txt"),
+        list(&|name| format!("{up}ori/{}.ori\n", stem(name))),
+    );
+    let keys = keys
+        .iter()
+        .map(|k| format!("{}\n", stem(&names[k.index()])));
     files.add_text(format!("{folder}baseImages.txt"), keys.collect::<String>());
 }
 
-/// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for other programs, and `sizes.txt` if key views are planned at half the size.
-pub fn pair_files(backend: &'static str, selection: &Selection) -> Result<Vec<(&'static str, String)>, BackendError> {
-    let lists = lists_of_pairs(selection, |view| checked_name(backend, selection.scene.name(view)))?;
-    Ok(lists.into_iter().chain(sizes(selection).map(|text| ("sizes.txt", text))).collect())
+/// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for other programs, and `sizes.txt`
+/// if key views are planned at half the size.
+pub fn pair_files(
+    backend: &'static str,
+    selection: &Selection,
+) -> Result<Vec<(&'static str, String)>, BackendError> {
+    let lists = lists_of_pairs(selection, |view| {
+        checked_name(backend, selection.scene.name(view))
+    })?;
+    Ok(lists
+        .into_iter()
+        .chain(sizes(selection).map(|text| ("sizes.txt", text)))
+        .collect())
 }
 
-/// Returns `sizes.txt`: the key views whose size differs from the others', each with the ratio of the two; `None` if all have one size.
+/// Returns `sizes.txt`: the key views whose size differs from the others', each with the ratio of
+/// the two; `None` if all have one size.
 fn sizes(selection: &Selection) -> Option<String> {
-    let smaller = selection.clusters.iter().filter(|cluster| cluster.scale != MapScale::Full);
-    let line = |c: &RankedCluster| format!("{}\t{}\n", selection.scene.name(c.key), c.scale.factor());
+    let smaller = selection
+        .clusters
+        .iter()
+        .filter(|cluster| cluster.scale != MapScale::Full);
+    let line =
+        |c: &RankedCluster| format!("{}\t{}\n", selection.scene.name(c.key), c.scale.factor());
     let text: String = smaller.map(line).collect();
     (!text.is_empty()).then_some(text)
 }
@@ -254,11 +354,18 @@ fn lists_of_pairs<'a>(
         clusters.push('\n');
         keys += &format!("{key}\n");
     }
-    Ok([("clusters.txt", clusters), ("pairs.txt", pairs), ("baseImages.txt", keys)])
+    Ok([
+        ("clusters.txt", clusters),
+        ("pairs.txt", pairs),
+        ("baseImages.txt", keys),
+    ])
 }
 
 /// Refuses a name that cannot be written to a tab-separated file with `#` comments.
-pub(super) fn checked_name<'a>(backend: &'static str, name: &'a str) -> Result<&'a str, BackendError> {
+pub(super) fn checked_name<'a>(
+    backend: &'static str,
+    name: &'a str,
+) -> Result<&'a str, BackendError> {
     let why = if name.contains(['\t', '\n', '\r']) {
         "a tab or line break separates entries in the pair files"
     } else if name.starts_with('#') {
@@ -266,5 +373,9 @@ pub(super) fn checked_name<'a>(backend: &'static str, name: &'a str) -> Result<&
     } else {
         return Ok(name);
     };
-    Err(BackendError::Name { backend, name: name.into(), why: why.into() })
+    Err(BackendError::Name {
+        backend,
+        name: name.into(),
+        why: why.into(),
+    })
 }

@@ -41,17 +41,22 @@ impl ExaminedProject<'_> {
             Err(BackendError::Name { why, .. }) => Some((view, why)),
             _ => None,
         };
-        let faults: Vec<(ViewIndex, String)> = self.scene.view_indices().filter_map(fault).collect();
+        let faults: Vec<(ViewIndex, String)> =
+            self.scene.view_indices().filter_map(fault).collect();
         let (first, why) = faults.first()?;
         Some(Trap {
             name: trap,
-            what: format!("image names that it cannot take, as \"{}\": {why}", self.scene.name(*first)),
+            what: format!(
+                "image names that it cannot take, as \"{}\": {why}",
+                self.scene.name(*first)
+            ),
             cure: "rename the images, in the folder and in the model".into(),
             views: faults.iter().map(|(view, _)| *view).collect(),
         })
     }
 
-    /// Finds finished depth maps below a folder, which the program keeps regardless of their origin.
+    /// Finds finished depth maps below a folder, which the program keeps regardless of their
+    /// origin.
     pub(super) fn finished_maps(
         &self,
         trap: &'static str,
@@ -60,8 +65,13 @@ impl ExaminedProject<'_> {
         is_map: impl Fn(&str) -> bool,
         cure: String,
     ) -> Option<Trap> {
-        let files = WalkDir::new(folder).max_depth(depth).into_iter().filter_map(Result::ok);
-        let maps = files.filter(|entry| entry.file_name().to_str().is_some_and(&is_map)).count();
+        let files = WalkDir::new(folder)
+            .max_depth(depth)
+            .into_iter()
+            .filter_map(Result::ok);
+        let maps = files
+            .filter(|entry| entry.file_name().to_str().is_some_and(&is_map))
+            .count();
         (maps > 0).then(|| Trap {
             name: trap,
             what: format!(
@@ -74,17 +84,31 @@ impl ExaminedProject<'_> {
     }
 
     /// Finds views that the backend cannot distinguish.
-    pub(super) fn same_names(&self, trap: &'static str, same: &str, known_by: impl Fn(&str) -> String) -> Option<Trap> {
+    pub(super) fn same_names(
+        &self,
+        trap: &'static str,
+        same: &str,
+        known_by: impl Fn(&str) -> String,
+    ) -> Option<Trap> {
         let mut by_key: BTreeMap<String, Vec<ViewIndex>> = BTreeMap::new();
         for view in self.scene.view_indices() {
-            by_key.entry(known_by(self.scene.name(view))).or_default().push(view);
+            by_key
+                .entry(known_by(self.scene.name(view)))
+                .or_default()
+                .push(view);
         }
-        let groups: Vec<&Vec<ViewIndex>> = by_key.values().filter(|views| views.len() > 1).collect();
+        let groups: Vec<&Vec<ViewIndex>> =
+            by_key.values().filter(|views| views.len() > 1).collect();
         let first = groups.first()?;
         Some(Trap {
             name: trap,
-            what: format!("{} and {} are {same}", self.scene.name(first[0]), self.scene.name(first[1])),
-            cure: "rename the images, in the folder and in the model, so that no two are alike".into(),
+            what: format!(
+                "{} and {} are {same}",
+                self.scene.name(first[0]),
+                self.scene.name(first[1])
+            ),
+            cure: "rename the images, in the folder and in the model, so that no two are alike"
+                .into(),
             views: groups.into_iter().flatten().copied().collect(),
         })
     }

@@ -14,8 +14,8 @@ use crate::{
     model::scene::ViewIndex,
 };
 
-/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views, in coordinates relative to `origin`, without points
-/// that fewer than `least_views` of them observe.
+/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views, in coordinates
+/// relative to `origin`, without points that fewer than `least_views` of them observe.
 pub fn add_workspace(
     backend: &'static str,
     files: &mut FileSet,
@@ -33,14 +33,19 @@ pub fn add_workspace(
         let name = selection.scene.name(view);
         if name.split('/').any(|part| matches!(part, "" | "." | "..")) {
             let why = "it leads out of the image folder".into();
-            return Err(BackendError::Name { backend, name: name.into(), why });
+            return Err(BackendError::Name {
+                backend,
+                name: name.into(),
+                why,
+            });
         }
         files.add(format!("images/{name}"), images.link(name));
     }
     Ok(())
 }
 
-/// Returns the files of the model reduced to the views. Everything else in a COLMAP model except coordinates is kept.
+/// Returns the files of the model reduced to the views. Everything else in a COLMAP model except
+/// coordinates is kept.
 fn reduced_model(
     selection: &Selection,
     views: &[ViewIndex],
@@ -52,6 +57,12 @@ fn reduced_model(
         let reduced = model.reduced(|image| names.contains(&*image.name), least_views)?;
         Ok(colmap_bin::write(&reduced.moved(origin)?))
     };
-    let fault = |fault| ProjectError::Fault { path: selection.project.model.path.clone(), fault };
-    Ok(selection.project.with_colmap_model(selection.scene, write)?.map_err(fault)?)
+    let fault = |fault| ProjectError::Fault {
+        path: selection.project.model.path.clone(),
+        fault,
+    };
+    Ok(selection
+        .project
+        .with_colmap_model(selection.scene, write)?
+        .map_err(fault)?)
 }

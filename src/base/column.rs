@@ -1,5 +1,6 @@
-//! Columns of the large tables: rows are appended while a stage runs and only read from then on, in memory or, where memory is short, in an
-//! unlinked temporary file that the system reads page by page.
+//! Columns of the large tables: rows are appended while a stage runs and only read from then on, in
+//! memory or, where memory is short, in an unlinked temporary file that the system reads page by
+//! page.
 
 use std::{
     env,
@@ -21,7 +22,8 @@ use crate::base::{error::Hint, progress::Cancelled};
 pub enum Storage {
     #[default]
     Memory,
-    /// In an unlinked temporary file in `$TMPDIR`, else in `/var/tmp`; the system frees it when the process ends.
+    /// In an unlinked temporary file in `$TMPDIR`, else in `/var/tmp`; the system frees it when the
+    /// process ends.
     Disk,
 }
 
@@ -55,8 +57,9 @@ impl<T> Column<T> {
     pub fn release(&self) {
         #[cfg(unix)]
         if let Backing::Disk(map) = &self.0 {
-            // SAFETY: the map is shared and read-only, of a file without a name whose handles are closed: nobody writes to it, so that its pages
-            // are read again unchanged, even while others read them.
+            // SAFETY: the map is shared and read-only, of a file without a name whose handles are
+            // closed: nobody writes to it, so that its pages are read again unchanged, even while
+            // others read them.
             _ = unsafe { map.unchecked_advise(memmap2::UncheckedAdvice::DontNeed) };
         }
     }
@@ -141,7 +144,11 @@ pub struct ColumnBuilder<T>(BuilderBacking<T>);
 
 enum BuilderBacking<T> {
     Memory(Vec<T>),
-    Disk { file: File, folder: PathBuf, is_empty: bool },
+    Disk {
+        file: File,
+        folder: PathBuf,
+        is_empty: bool,
+    },
 }
 
 impl<T: Pod> ColumnBuilder<T> {
@@ -153,8 +160,13 @@ impl<T: Pod> ColumnBuilder<T> {
     }
 
     fn in_folder(folder: &Path) -> Result<Self, DiskError> {
-        let file = tempfile::tempfile_in(folder).map_err(|source| DiskError::new(folder, source))?;
-        Ok(Self(BuilderBacking::Disk { file, folder: folder.to_path_buf(), is_empty: true }))
+        let file =
+            tempfile::tempfile_in(folder).map_err(|source| DiskError::new(folder, source))?;
+        Ok(Self(BuilderBacking::Disk {
+            file,
+            folder: folder.to_path_buf(),
+            is_empty: true,
+        }))
     }
 
     /// Reserves memory for `rows` more rows; does nothing on disk.
@@ -168,9 +180,15 @@ impl<T: Pod> ColumnBuilder<T> {
     pub fn extend(&mut self, rows: &[T]) -> Result<(), DiskError> {
         match &mut self.0 {
             BuilderBacking::Memory(list) => list.extend_from_slice(rows),
-            BuilderBacking::Disk { file, folder, is_empty } => {
-                // Written, not mapped: a full disk is an error here but would be a fatal signal in a mapping.
-                file.write_all(bytemuck::cast_slice(rows)).map_err(|source| DiskError::new(folder, source))?;
+            BuilderBacking::Disk {
+                file,
+                folder,
+                is_empty,
+            } => {
+                // Written, not mapped: a full disk is an error here but would be a fatal signal in
+                // a mapping.
+                file.write_all(bytemuck::cast_slice(rows))
+                    .map_err(|source| DiskError::new(folder, source))?;
                 *is_empty &= rows.is_empty();
             }
         }
@@ -184,9 +202,12 @@ impl<T: Pod> ColumnBuilder<T> {
             BuilderBacking::Disk { is_empty: true, .. } => Ok(Column::default()),
             BuilderBacking::Disk { file, folder, .. } => {
                 // Some file systems report a full disk only on sync.
-                file.sync_data().map_err(|source| DiskError::new(&folder, source))?;
-                // SAFETY: the file has no name, and this is its last handle, dropped here: nobody writes to it or shortens it later.
-                let map = unsafe { Mmap::map(&file) }.map_err(|source| DiskError::new(&folder, source))?;
+                file.sync_data()
+                    .map_err(|source| DiskError::new(&folder, source))?;
+                // SAFETY: the file has no name, and this is its last handle, dropped here: nobody
+                // writes to it or shortens it later.
+                let map = unsafe { Mmap::map(&file) }
+                    .map_err(|source| DiskError::new(&folder, source))?;
                 Ok(Column(Backing::Disk(Arc::new(map))))
             }
         }
@@ -196,11 +217,15 @@ impl<T: Pod> ColumnBuilder<T> {
 /// The folder for spilled tables: not `/tmp`, which is in memory on many systems.
 fn folder() -> PathBuf {
     let usual = || Some(PathBuf::from("/var/tmp")).filter(|folder| folder.is_dir());
-    env::var_os("TMPDIR").map(PathBuf::from).or_else(usual).unwrap_or_else(env::temp_dir)
+    env::var_os("TMPDIR")
+        .map(PathBuf::from)
+        .or_else(usual)
+        .unwrap_or_else(env::temp_dir)
 }
 
-/// Maps `work` over `items` in parallel, `at_a_time` items per batch, and passes each batch's results to `take` in order. `work` gets scratch
-/// made by `start`, reused between items: some is as large as the surface and takes longer to make than to use.
+/// Maps `work` over `items` in parallel, `at_a_time` items per batch, and passes each batch's
+/// results to `take` in order. `work` gets scratch made by `start`, reused between items: some is
+/// as large as the surface and takes longer to make than to use.
 pub fn in_order<A: Sync, S: Send, R: Send>(
     items: &[A],
     at_a_time: usize,
@@ -209,7 +234,13 @@ pub fn in_order<A: Sync, S: Send, R: Send>(
     mut take: impl FnMut(&[A], Vec<R>) -> Result<(), DiskError>,
 ) -> Result<(), TableError> {
     let resting = Mutex::new(Vec::new());
-    let wake = || resting.lock().ok().and_then(|mut resting| resting.pop()).unwrap_or_else(&start);
+    let wake = || {
+        resting
+            .lock()
+            .ok()
+            .and_then(|mut resting| resting.pop())
+            .unwrap_or_else(&start)
+    };
     for batch in items.chunks(at_a_time) {
         let one = |item: &A| {
             let mut value = wake();
@@ -225,7 +256,8 @@ pub fn in_order<A: Sync, S: Send, R: Send>(
 /// Views or clusters whose rows are read between two releases of a table on disk.
 pub const READ_AT_ONCE: usize = 256;
 
-/// Maps `work` over items that read tables, in order; `release` is called after each part to free the pages read.
+/// Maps `work` over items that read tables, in order; `release` is called after each part to free
+/// the pages read.
 pub fn read_by_parts<A: Sync, R: Send>(
     items: &[A],
     work: impl Fn(&A) -> R + Sync + Send,
@@ -267,13 +299,18 @@ pub struct DiskError {
 
 impl DiskError {
     fn new(folder: &Path, source: io::Error) -> Self {
-        Self { folder: folder.to_path_buf(), source }
+        Self {
+            folder: folder.to_path_buf(),
+            source,
+        }
     }
 }
 
 impl Hint for DiskError {
     fn hint(&self) -> Option<String> {
-        Some("set TMPDIR to a folder on a disk with room, or allow more memory: --max-memory".into())
+        Some(
+            "set TMPDIR to a folder on a disk with room, or allow more memory: --max-memory".into(),
+        )
     }
 }
 
@@ -315,7 +352,12 @@ mod tests {
     #[test]
     fn a_folder_that_takes_no_file_is_named() {
         let folder = tempfile::tempdir().unwrap().path().join("gone");
-        let Err(error) = ColumnBuilder::<u32>::in_folder(&folder) else { panic!("there is no such folder") };
-        assert!(error.to_string().contains("gone") && error.hint().unwrap().contains("TMPDIR"), "{error}");
+        let Err(error) = ColumnBuilder::<u32>::in_folder(&folder) else {
+            panic!("there is no such folder")
+        };
+        assert!(
+            error.to_string().contains("gone") && error.hint().unwrap().contains("TMPDIR"),
+            "{error}"
+        );
     }
 }

@@ -1,8 +1,11 @@
 //! Connected components of a graph.
 
-/// Returns the connected components, each with its nodes ascending, sorted by their first nodes. `neighbours` gives the neighbours of a
-/// node; an edge may be listed at either end.
-pub fn components<I: Iterator<Item = u32>>(nodes: usize, neighbours: impl Fn(u32) -> I) -> Vec<Vec<u32>> {
+/// Returns the connected components, each with its nodes ascending, sorted by their first nodes.
+/// `neighbours` gives the neighbours of a node; an edge may be listed at either end.
+pub fn components<I: Iterator<Item = u32>>(
+    nodes: usize,
+    neighbours: impl Fn(u32) -> I,
+) -> Vec<Vec<u32>> {
     let mut first: Vec<u32> = (0..nodes as u32).collect();
     for node in 0..nodes as u32 {
         for other in neighbours(node) {

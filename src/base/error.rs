@@ -1,7 +1,8 @@
 //! The trait of all errors of this crate.
 
-/// Errors are interface: `Display` says what went wrong and where (file with byte or line, view, setting), its cause included;
-/// `hint` says what to do about it. Only the program prints them, in one place.
+/// Errors are interface: `Display` says what went wrong and where (file with byte or line, view,
+/// setting), its cause included; `hint` says what to do about it. Only the program prints them, in
+/// one place.
 pub trait Hint: std::error::Error {
     /// Returns advice, an imperative; `None` if there is none.
     fn hint(&self) -> Option<String>;

@@ -1,8 +1,10 @@
 //! Opens files that a project or the user names.
 //!
-//! A project may come from a stranger, and its settings name files. Links are followed, for images often live elsewhere, but
-//! only a regular file is read: a pipe would block and a device never end. Files that are read whole have a size limit. A file that is
-//! mostly a hole costs its sender nothing and the reader minutes, so it is refused; so is a download that stopped after its space was reserved.
+//! A project may come from a stranger, and its settings name files. Links are followed, for images
+//! often live elsewhere, but only a regular file is read: a pipe would block and a device never
+//! end. Files that are read whole have a size limit. A file that is mostly a hole costs its sender
+//! nothing and the reader minutes, so it is refused; so is a download that stopped after its space
+//! was reserved.
 
 use std::{
     fs::{File, Metadata},
@@ -70,7 +72,8 @@ const HOLES: u64 = 256 << 20;
 /// Opens a regular file, through links or not.
 ///
 /// # Errors
-/// Fails with the kind `InvalidInput` for anything else, with `InvalidData` for a file with holes of more than 256 MiB.
+/// Fails with the kind `InvalidInput` for anything else, with `InvalidData` for a file with holes
+/// of more than 256 MiB.
 pub fn open(path: &Path) -> io::Result<File> {
     open_with_metadata(path).map(|(file, _)| file)
 }
@@ -85,28 +88,49 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
         check_holes(&file, found.len())?;
         return Ok((file, found));
     }
-    let what = if found.is_dir() { "a folder" } else { "a pipe or a device" };
-    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("not a regular file but {what}: name a file")))
+    let what = if found.is_dir() {
+        "a folder"
+    } else {
+        "a pipe or a device"
+    };
+    Err(io::Error::new(
+        io::ErrorKind::InvalidInput,
+        format!("not a regular file but {what}: name a file"),
+    ))
 }
 
 /// Returns the bytes in holes of a file, if that is more than in any that somebody wrote.
 pub fn large_holes(file: &File, length: u64) -> Option<u64> {
-    (length > HOLES).then(|| platform::hole_bytes(file, length)).filter(|&holes| holes > HOLES)
+    (length > HOLES)
+        .then(|| platform::hole_bytes(file, length))
+        .filter(|&holes| holes > HOLES)
 }
 
 fn check_holes(file: &File, length: u64) -> io::Result<()> {
-    let Some(holes) = large_holes(file, length) else { return Ok(()) };
+    let Some(holes) = large_holes(file, length) else {
+        return Ok(());
+    };
     let holes = holes >> 20;
-    let why = format!("{holes} of its {} MiB were never written: copy the file again", length >> 20);
+    let why = format!(
+        "{holes} of its {} MiB were never written: copy the file again",
+        length >> 20
+    );
     Err(io::Error::new(io::ErrorKind::InvalidData, why))
 }
 
-/// Identifies a file beyond length and modification time: when its content or name last changed, in ns since 1970 (no program can
-/// set that time), and its inode. Where the system has neither, the time of modification and 0.
+/// Identifies a file beyond length and modification time: when its content or name last changed, in
+/// ns since 1970 (no program can set that time), and its inode. Where the system has neither, the
+/// time of modification and 0.
 pub fn identity(metadata: &Metadata) -> (u128, u64) {
     platform::change_and_inode(metadata).unwrap_or_else(|| {
         let modified = metadata.modified().unwrap_or(std::time::UNIX_EPOCH);
-        (modified.duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_nanos(), 0)
+        (
+            modified
+                .duration_since(std::time::UNIX_EPOCH)
+                .unwrap_or_default()
+                .as_nanos(),
+            0,
+        )
     })
 }
 
@@ -123,7 +147,8 @@ pub fn read(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
 
 /// Reads a UTF-8 text file whole, up to the limit of its kind.
 pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
-    String::from_utf8(read(path, kind)?).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
+    String::from_utf8(read(path, kind)?)
+        .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
 }
 
 /// Reads an open file whole, up to the limit of its kind.
@@ -138,7 +163,8 @@ pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Reads the first `most` bytes of a regular file, or all of them if there are fewer, up to the limit of its kind.
+/// Reads the first `most` bytes of a regular file, or all of them if there are fewer, up to the
+/// limit of its kind.
 pub fn read_start(path: &Path, kind: FileKind, most: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let length = file.metadata()?.len();
@@ -149,20 +175,29 @@ pub fn read_start(path: &Path, kind: FileKind, most: u64) -> io::Result<Vec<u8>>
     Ok(bytes)
 }
 
-/// Reads an open file whole on all threads, up to the limit of its kind; most of the time goes into copying and page faults.
+/// Reads an open file whole on all threads, up to the limit of its kind; most of the time goes into
+/// copying and page faults.
 ///
 /// # Errors
 /// Fails with the kind `InvalidData` if the length changes meanwhile.
 pub fn read_large(file: &File, kind: FileKind) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     check_length(length, kind)?;
-    let changed =
-        || io::Error::new(io::ErrorKind::InvalidData, "it changed while it was read: try again once it is complete");
+    let changed = || {
+        io::Error::new(
+            io::ErrorKind::InvalidData,
+            "it changed while it was read: try again once it is complete",
+        )
+    };
     let bytes = read_range(file, 0..length).map_err(|error| match error.kind() {
         io::ErrorKind::UnexpectedEof => changed(),
         _ => error,
     })?;
-    if file.metadata()?.len() == length { Ok(bytes) } else { Err(changed()) }
+    if file.metadata()?.len() == length {
+        Ok(bytes)
+    } else {
+        Err(changed())
+    }
 }
 
 /// Reads a range of bytes of a file on all threads.
@@ -171,7 +206,9 @@ pub fn read_range(file: &File, range: Range<u64>) -> io::Result<Vec<u8>> {
     let length = range.end.saturating_sub(range.start);
     let mut bytes = large_pages::try_zeroed(usize::try_from(length).unwrap_or(usize::MAX))?;
     let parts = bytes.par_chunks_mut(PART).enumerate();
-    parts.try_for_each(|(n, part)| platform::read_exact_at(file, part, range.start + (n * PART) as u64))?;
+    parts.try_for_each(|(n, part)| {
+        platform::read_exact_at(file, part, range.start + (n * PART) as u64)
+    })?;
     Ok(bytes)
 }
 
@@ -180,7 +217,11 @@ pub fn check_length(length: u64, kind: FileKind) -> io::Result<()> {
     if length <= kind.limit() {
         return Ok(());
     }
-    let why = format!("larger than {} MiB, the limit for {}: give a smaller file", kind.limit() >> 20, kind.name());
+    let why = format!(
+        "larger than {} MiB, the limit for {}: give a smaller file",
+        kind.limit() >> 20,
+        kind.name()
+    );
     Err(io::Error::new(io::ErrorKind::FileTooLarge, why))
 }
 
@@ -196,9 +237,16 @@ mod tests {
         std::fs::write(&path, &bytes).unwrap();
         let file = open(&path).unwrap();
         for (start, end) in [(0, 99), (0, 0), (7, 8), (3, 11), (50, 99), (99, 99)] {
-            assert_eq!(read_range(&file, start as u64..end as u64).unwrap(), bytes[start..end], "{start} to {end}");
+            assert_eq!(
+                read_range(&file, start as u64..end as u64).unwrap(),
+                bytes[start..end],
+                "{start} to {end}"
+            );
         }
-        assert_eq!(read_range(&file, 90..100).unwrap_err().kind(), io::ErrorKind::UnexpectedEof);
+        assert_eq!(
+            read_range(&file, 90..100).unwrap_err().kind(),
+            io::ErrorKind::UnexpectedEof
+        );
         assert_eq!(read_large(&file, FileKind::State).unwrap(), bytes);
     }
 
@@ -208,20 +256,43 @@ mod tests {
         let [file, link, pipe] = ["file", "link", "pipe"].map(|name| folder.path().join(name));
         std::fs::write(&file, "text").expect("a file");
         std::os::unix::fs::symlink("file", &link).expect("a link");
-        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
-        assert_eq!(read_text(&link, FileKind::Settings).expect("the file"), "text");
+        assert!(
+            std::process::Command::new("mkfifo")
+                .arg(&pipe)
+                .status()
+                .expect("mkfifo")
+                .success()
+        );
+        assert_eq!(
+            read_text(&link, FileKind::Settings).expect("the file"),
+            "text"
+        );
         for path in [&pipe, Path::new("/dev/zero"), folder.path()] {
             let error = read(path, FileKind::Settings).expect_err("refused");
-            assert_eq!(error.kind(), io::ErrorKind::InvalidInput, "{}", path.display());
+            assert_eq!(
+                error.kind(),
+                io::ErrorKind::InvalidInput,
+                "{}",
+                path.display()
+            );
         }
     }
 
     #[test]
     fn a_file_above_the_limit_is_not_read() {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
-        file.as_file().set_len(FileKind::Settings.limit()).expect("a length");
-        assert_eq!(read(file.path(), FileKind::Settings).expect("just so").len() as u64, FileKind::Settings.limit());
-        file.as_file().set_len(FileKind::Settings.limit() + 1).expect("a length");
+        file.as_file()
+            .set_len(FileKind::Settings.limit())
+            .expect("a length");
+        assert_eq!(
+            read(file.path(), FileKind::Settings)
+                .expect("just so")
+                .len() as u64,
+            FileKind::Settings.limit()
+        );
+        file.as_file()
+            .set_len(FileKind::Settings.limit() + 1)
+            .expect("a length");
         let error = read(file.path(), FileKind::Settings).expect_err("too large");
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
         assert!(error.to_string().contains(" 1 MiB"), "{error}");
@@ -233,8 +304,15 @@ mod tests {
         use std::os::unix::fs::FileExt;
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
         let written = |length: u64, data: &[u8], places: u64| {
-            file.as_file().set_len(0).and_then(|()| file.as_file().set_len(length)).expect("a length");
-            (0..places).for_each(|i| file.as_file().write_all_at(data, i * length / places).expect("data"));
+            file.as_file()
+                .set_len(0)
+                .and_then(|()| file.as_file().set_len(length))
+                .expect("a length");
+            (0..places).for_each(|i| {
+                file.as_file()
+                    .write_all_at(data, i * length / places)
+                    .expect("data")
+            });
             open(file.path())
         };
         let mut start = [0];
@@ -244,7 +322,12 @@ mod tests {
         for places in [0, 1, 64] {
             let error = written(40 << 30, b"data", places).expect_err("mostly holes");
             assert_eq!(error.kind(), io::ErrorKind::InvalidData);
-            assert!(error.to_string().contains("of its 40960 MiB were never written"), "{error}");
+            assert!(
+                error
+                    .to_string()
+                    .contains("of its 40960 MiB were never written"),
+                "{error}"
+            );
         }
     }
 }

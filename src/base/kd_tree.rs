@@ -19,18 +19,32 @@ impl KdTree {
         let mut indices: Vec<u32> = (0..points.len() as u32).collect();
         let mut axes = vec![0; points.len()];
         split(points, &mut indices, &mut axes);
-        let places = indices.iter().map(|&index| points[index as usize]).collect();
-        Self { places, indices, axes }
+        let places = indices
+            .iter()
+            .map(|&index| points[index as usize])
+            .collect();
+        Self {
+            places,
+            indices,
+            axes,
+        }
     }
 
-    /// Returns the indices of the N nearest points, nearest first, ties by index; fewer points are followed by `u32::MAX`.
+    /// Returns the indices of the N nearest points, nearest first, ties by index; fewer points are
+    /// followed by `u32::MAX`.
     pub fn nearest<const N: usize>(&self, to: &Point3<f64>) -> [u32; N] {
         let mut found = [(f64::INFINITY, u32::MAX); N];
         self.look(to, 0, self.places.len(), &mut found);
         found.map(|(_, index)| index)
     }
 
-    fn look<const N: usize>(&self, to: &Point3<f64>, from: usize, end: usize, found: &mut [(f64, u32); N]) {
+    fn look<const N: usize>(
+        &self,
+        to: &Point3<f64>,
+        from: usize,
+        end: usize,
+        found: &mut [(f64, u32); N],
+    ) {
         if end - from <= LEAF {
             (from..end).for_each(|at| self.offer(to, at, found));
             return;
@@ -38,8 +52,11 @@ impl KdTree {
         let middle = from + (end - from) / 2;
         let axis = self.axes[middle] as usize;
         let ahead = to[axis] - self.places[middle][axis];
-        let (near, far) =
-            if ahead < 0.0 { ([from, middle], [middle + 1, end]) } else { ([middle + 1, end], [from, middle]) };
+        let (near, far) = if ahead < 0.0 {
+            ([from, middle], [middle + 1, end])
+        } else {
+            ([middle + 1, end], [from, middle])
+        };
         self.look(to, near[0], near[1], found);
         self.offer(to, middle, found);
         if found[N - 1].1 == u32::MAX || ahead * ahead <= found[N - 1].0 {
@@ -50,8 +67,12 @@ impl KdTree {
     #[inline]
     fn offer<const N: usize>(&self, to: &Point3<f64>, at: usize, found: &mut [(f64, u32); N]) {
         // Not a number counts as infinitely far.
-        let entry = ((self.places[at] - to).norm_squared().min(f64::INFINITY), self.indices[at]);
-        let is_nearer = |other: &(f64, u32)| entry.0 < other.0 || entry.0 == other.0 && entry.1 < other.1;
+        let entry = (
+            (self.places[at] - to).norm_squared().min(f64::INFINITY),
+            self.indices[at],
+        );
+        let is_nearer =
+            |other: &(f64, u32)| entry.0 < other.0 || entry.0 == other.0 && entry.1 < other.1;
         if is_nearer(&found[N - 1]) {
             let place = found.partition_point(|other| !is_nearer(other));
             found[place..].rotate_right(1);
@@ -70,14 +91,23 @@ fn split(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
         along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
     };
     let lengths = [0, 1, 2].map(length);
-    let axis = (0..3).fold(0, |longest, axis| if lengths[axis] > lengths[longest] { axis } else { longest });
+    let axis = (0..3).fold(0, |longest, axis| {
+        if lengths[axis] > lengths[longest] {
+            axis
+        } else {
+            longest
+        }
+    });
     let middle = order.len() / 2;
     let along = |p: &u32| points[*p as usize][axis];
     order.select_nth_unstable_by(middle, |a, b| along(a).total_cmp(&along(b)).then(a.cmp(b)));
     axes[middle] = axis as u8;
     let (before, after) = order.split_at_mut(middle);
     let (axes_before, axes_after) = axes.split_at_mut(middle);
-    rayon::join(|| split(points, before, axes_before), || split(points, &mut after[1..], &mut axes_after[1..]));
+    rayon::join(
+        || split(points, before, axes_before),
+        || split(points, &mut after[1..], &mut axes_after[1..]),
+    );
 }
 
 #[cfg(test)]
@@ -112,9 +142,19 @@ mod tests {
     #[test]
     fn distances_that_are_no_numbers_hide_no_points() {
         let far = [1e200, -1e200].map(|x| Point3::new(x, 0.0, 0.0));
-        assert_eq!(KdTree::new(&far).nearest::<3>(&Point3::origin()), [0, 1, u32::MAX]);
-        let many: Vec<_> = (0..100).map(|x| Point3::new(f64::from(x), 0.0, 0.0)).collect();
+        assert_eq!(
+            KdTree::new(&far).nearest::<3>(&Point3::origin()),
+            [0, 1, u32::MAX]
+        );
+        let many: Vec<_> = (0..100)
+            .map(|x| Point3::new(f64::from(x), 0.0, 0.0))
+            .collect();
         let nowhere = Point3::new(f64::NAN, 0.0, 0.0);
-        assert!(KdTree::new(&many).nearest::<100>(&nowhere).iter().all(|&found| found < 100));
+        assert!(
+            KdTree::new(&many)
+                .nearest::<100>(&nowhere)
+                .iter()
+                .all(|&found| found < 100)
+        );
     }
 }

@@ -1,4 +1,6 @@
-//! Foundations that all layers share: errors, progress, input files, paths, platform differences, bounds of pixels, large columns, packed lists, sets of bits, CSR offsets, nearest points, tiles of space, vectorised loops.
+//! Foundations that all layers share: errors, progress, input files, paths, platform differences,
+//! bounds of pixels, large columns, packed lists, sets of bits, CSR offsets, nearest points, tiles
+//! of space, vectorised loops.
 
 pub mod bits;
 pub mod column;

@@ -1,6 +1,7 @@
 //! Lists of numbers as bytes, one after the other, for files that only this program reads.
 //!
-//! The bytes may be damaged or forged: the length of each list is checked before memory is allocated.
+//! The bytes may be damaged or forged: the length of each list is checked before memory is
+//! allocated.
 
 use std::{fmt::Debug, sync::Arc};
 
@@ -26,19 +27,22 @@ pub struct Packer {
 impl Packer {
     /// Appends a list: its length, then its numbers as they are in memory.
     pub fn list<T: Pod>(&mut self, numbers: &[T]) {
-        self.bytes.extend_from_slice(&(numbers.len() as u64).to_le_bytes());
+        self.bytes
+            .extend_from_slice(&(numbers.len() as u64).to_le_bytes());
         self.bytes.extend_from_slice(bytemuck::cast_slice(numbers));
     }
 
     /// Appends a column as [`Self::list`] does, without a copy.
     pub fn column<T: Pod + Debug + Send + Sync>(&mut self, column: &Column<T>) {
-        self.bytes.extend_from_slice(&(column.len() as u64).to_le_bytes());
+        self.bytes
+            .extend_from_slice(&(column.len() as u64).to_le_bytes());
         self.end_part();
         self.parts.push(Arc::new(column.clone()));
     }
 
     fn end_part(&mut self) {
-        self.parts.push(Arc::new(Column::from(std::mem::take(&mut self.bytes))));
+        self.parts
+            .push(Arc::new(Column::from(std::mem::take(&mut self.bytes))));
     }
 
     pub fn finish(mut self) -> Packed {
@@ -60,7 +64,9 @@ impl<'a> Unpacker<'a> {
         const PART: usize = if cfg!(test) { 5 } else { 1 << 20 };
         let bytes = self.bytes_of(size_of::<T>())?;
         let mut list = large_pages::zeroed(bytes.len() / size_of::<T>());
-        let parts = bytemuck::cast_slice_mut(&mut list).par_chunks_mut(PART).zip(bytes.par_chunks(PART));
+        let parts = bytemuck::cast_slice_mut(&mut list)
+            .par_chunks_mut(PART)
+            .zip(bytes.par_chunks(PART));
         parts.for_each(|(to, from)| to.copy_from_slice(from));
         Some(list)
     }
@@ -72,7 +78,9 @@ impl<'a> Unpacker<'a> {
 
     fn bytes_of(&mut self, size: usize) -> Option<&'a [u8]> {
         let (length, rest) = self.0.split_first_chunk()?;
-        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?.checked_mul(size)?;
+        let length = usize::try_from(u64::from_le_bytes(*length))
+            .ok()?
+            .checked_mul(size)?;
         let (list, rest) = rest.split_at_checked(length)?;
         self.0 = rest;
         Some(list)
@@ -102,8 +110,8 @@ pub fn count_gaps(bytes: &[u8]) -> usize {
     bytes.iter().filter(|&&byte| byte < 0x80).count()
 }
 
-/// Reads all numbers of [`push_gaps`]; `None` if one is not below `end`, the bytes are cut off, or `numbers` does not have the length that
-/// [`count_gaps`] returns.
+/// Reads all numbers of [`push_gaps`]; `None` if one is not below `end`, the bytes are cut off, or
+/// `numbers` does not have the length that [`count_gaps`] returns.
 pub fn read_gaps(bytes: &[u8], end: u32, numbers: &mut [u32]) -> Option<()> {
     let (mut numbers, mut next) = (numbers.iter_mut(), 0u64);
     let (mut gap, mut shift) = (0u64, 0);
@@ -175,13 +183,20 @@ mod tests {
         packer.list::<u32>(&[]);
         packer.column(&Column::from(vec![3.5f32]));
         packer.list(&[9u8]);
-        let bytes = packer.finish().iter().flat_map(|part| part.as_bytes().to_vec()).collect::<Vec<_>>();
+        let bytes = packer
+            .finish()
+            .iter()
+            .flat_map(|part| part.as_bytes().to_vec())
+            .collect::<Vec<_>>();
         let mut lists = Unpacker::new(&bytes);
         assert_eq!(lists.list::<f64>(), Some(vec![1.5, -2.0]));
         assert_eq!(lists.bytes(), Some(&[7][..]));
         assert!(!lists.is_at_end());
         assert_eq!(lists.list::<u32>(), Some(vec![]));
-        assert_eq!((lists.list::<f32>(), lists.bytes()), (Some(vec![3.5]), Some(&[9][..])));
+        assert_eq!(
+            (lists.list::<f32>(), lists.bytes()),
+            (Some(vec![3.5]), Some(&[9][..]))
+        );
         assert!(lists.is_at_end() && lists.list::<u32>().is_none());
         // A length that no memory holds.
         assert!(Unpacker::new(&[255; 16]).list::<f64>().is_none());

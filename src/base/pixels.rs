@@ -1,8 +1,10 @@
 //! Bounds the pixels for which readers of images, masks and depth maps allocate memory.
 //!
-//! The header of a file of a few kilobytes may claim any size, and deflated pixels shrink a thousandfold. The camera of the view says how many there are.
+//! The header of a file of a few kilobytes may claim any size, and deflated pixels shrink a
+//! thousandfold. The camera of the view says how many there are.
 
-/// Most pixels of a picture or depth map: those of large-format aerial cameras (20,010 x 13,080). Decoded to 8-bit RGB they take 0.8 GB.
+/// Most pixels of a picture or depth map: those of large-format aerial cameras (20,010 x 13,080).
+/// Decoded to 8-bit RGB they take 0.8 GB.
 const MOST: u64 = 1 << 28;
 /// Longest side: readers hold a few rows besides the pixels.
 const LONGEST_SIDE: u32 = 1 << 18;
@@ -48,7 +50,11 @@ impl PixelBound {
         if pixels <= self.0 && width.max(height) <= LONGEST_SIDE {
             Ok(pixels as usize)
         } else {
-            Err(TooManyPixels { width, height, most: self.0 })
+            Err(TooManyPixels {
+                width,
+                height,
+                most: self.0,
+            })
         }
     }
 
@@ -67,10 +73,25 @@ mod tests {
         let camera = PixelBound::new(600 * 400);
         assert_eq!(camera.admit(600, 400), Ok(240_000));
         assert_eq!(camera.admit(400, 600), Ok(240_000));
-        assert_eq!(camera.admit(601, 400), Err(TooManyPixels { width: 601, height: 400, most: 240_000 }));
+        assert_eq!(
+            camera.admit(601, 400),
+            Err(TooManyPixels {
+                width: 601,
+                height: 400,
+                most: 240_000
+            })
+        );
         for bound in [PixelBound::LARGEST, PixelBound::new(u64::MAX)] {
-            assert!(bound.admit(14_204, 10_652).is_ok(), "an aerial camera of 151 megapixels");
-            for (width, height) in [(124_000, 124_000), (u32::MAX, u32::MAX), (u32::MAX, 1), (1, 1_000_000)] {
+            assert!(
+                bound.admit(14_204, 10_652).is_ok(),
+                "an aerial camera of 151 megapixels"
+            );
+            for (width, height) in [
+                (124_000, 124_000),
+                (u32::MAX, u32::MAX),
+                (u32::MAX, 1),
+                (1, 1_000_000),
+            ] {
                 assert!(bound.admit(width, height).is_err(), "{width} x {height}");
             }
         }

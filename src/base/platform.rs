@@ -1,5 +1,6 @@
-//! Differences between operating systems below the daemon: files and links, signals to stop, groups of processes, the user, memory. Each function has a
-//! plain equivalent for systems other than Unix.
+//! Differences between operating systems below the daemon: files and links, signals to stop, groups
+//! of processes, the user, memory. Each function has a plain equivalent for systems other than
+//! Unix.
 
 use std::{
     fs::{File, Metadata, OpenOptions},
@@ -55,7 +56,11 @@ pub fn read_exact_at(file: &File, buffer: &mut [u8], at: u64) -> io::Result<()> 
     {
         let mut read = 0;
         while read < buffer.len() {
-            match std::os::windows::fs::FileExt::seek_read(file, &mut buffer[read..], at + read as u64) {
+            match std::os::windows::fs::FileExt::seek_read(
+                file,
+                &mut buffer[read..],
+                at + read as u64,
+            ) {
                 Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
                 Ok(more) => read += more,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
@@ -71,8 +76,8 @@ pub fn read_exact_at(file: &File, buffer: &mut [u8], at: u64) -> io::Result<()> 
     }
 }
 
-/// Returns the number of bytes in holes of a file, which read as zeros and are stored nowhere, and goes back to its start; 0 where the system
-/// does not tell.
+/// Returns the number of bytes in holes of a file, which read as zeros and are stored nowhere, and
+/// goes back to its start; 0 where the system does not tell.
 pub fn hole_bytes(file: &File, length: u64) -> u64 {
     #[cfg(any(target_os = "linux", target_os = "macos"))]
     {
@@ -81,15 +86,26 @@ pub fn hole_bytes(file: &File, length: u64) -> u64 {
         const PIECES: usize = 1 << 16;
         let (mut holes, mut at) = (0, 0);
         for _ in 0..PIECES {
-            let Some(hole) = seek(file, SeekFrom::Hole(at)).ok().filter(|&hole| hole < length) else { break };
+            let Some(hole) = seek(file, SeekFrom::Hole(at))
+                .ok()
+                .filter(|&hole| hole < length)
+            else {
+                break;
+            };
             // No data behind it: it reaches to the end.
-            at = seek(file, SeekFrom::Data(hole)).unwrap_or(length).min(length);
+            at = seek(file, SeekFrom::Data(hole))
+                .unwrap_or(length)
+                .min(length);
             holes += at - hole;
             if at == length {
                 break;
             }
         }
-        if seek(file, SeekFrom::Start(0)).is_ok() { holes } else { 0 }
+        if seek(file, SeekFrom::Start(0)).is_ok() {
+            holes
+        } else {
+            0
+        }
     }
     #[cfg(not(any(target_os = "linux", target_os = "macos")))]
     {
@@ -98,11 +114,13 @@ pub fn hole_bytes(file: &File, length: u64) -> u64 {
     }
 }
 
-/// Returns memory that was freed to the system where the allocator keeps it: glibc holds on to hundreds of megabytes after a stage that
-/// many threads worked on, which the next large table then comes on top of.
+/// Returns memory that was freed to the system where the allocator keeps it: glibc holds on to
+/// hundreds of megabytes after a stage that many threads worked on, which the next large table then
+/// comes on top of.
 pub fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: it takes a number, may be called from any thread, and returns pages of free blocks alone.
+    // SAFETY: it takes a number, may be called from any thread, and returns pages of free blocks
+    // alone.
     unsafe {
         libc::malloc_trim(0);
     }
@@ -116,7 +134,8 @@ pub fn located(program: &Path) -> Option<PathBuf> {
     }
 }
 
-/// Finds a program on the PATH, and only there: a file of that name in the current folder may be a stranger's. On Windows, `.exe` may be left out.
+/// Finds a program on the PATH, and only there: a file of that name in the current folder may be a
+/// stranger's. On Windows, `.exe` may be left out.
 fn on_path(program: &Path) -> Option<PathBuf> {
     let mut names = vec![program.to_path_buf()];
     if cfg!(windows) && program.extension().is_none() {
@@ -125,18 +144,27 @@ fn on_path(program: &Path) -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     // An empty entry is the current folder, too.
     let folders = std::env::split_paths(&path).filter(|folder| folder.is_absolute());
-    folders.flat_map(|folder| names.iter().map(move |name| folder.join(name))).find(|path| path.is_file())
+    folders
+        .flat_map(|folder| names.iter().map(move |name| folder.join(name)))
+        .find(|path| path.is_file())
 }
 
-/// Returns the inode number of a folder or, on Windows, the serial number of its volume and its index there.
+/// Returns the inode number of a folder or, on Windows, the serial number of its volume and its
+/// index there.
 pub fn inode(folder: &Dir) -> io::Result<String> {
     let folder = folder.try_clone()?.into_std_file();
     #[cfg(unix)]
-    return folder.metadata().map(|found| std::os::unix::fs::MetadataExt::ino(&found).to_string());
+    return folder
+        .metadata()
+        .map(|found| std::os::unix::fs::MetadataExt::ino(&found).to_string());
     #[cfg(windows)]
     {
         let found = winapi_util::file::information(&folder)?;
-        Ok(format!("{} {}", found.volume_serial_number(), found.file_index()))
+        Ok(format!(
+            "{} {}",
+            found.volume_serial_number(),
+            found.file_index()
+        ))
     }
     #[cfg(not(any(unix, windows)))]
     {
@@ -145,13 +173,20 @@ pub fn inode(folder: &Dir) -> io::Result<String> {
     }
 }
 
-/// Time of the last change of content or name, ns since 1970, which no program can set, and inode number; `None` where the system has neither.
+/// Time of the last change of content or name, ns since 1970, which no program can set, and inode
+/// number; `None` where the system has neither.
 pub fn change_and_inode(found: &Metadata) -> Option<(u128, u64)> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt;
-        let (seconds, ns) = (found.ctime().try_into().unwrap_or(0), found.ctime_nsec().try_into().unwrap_or(0));
-        Some((std::time::Duration::new(seconds, ns).as_nanos(), found.ino()))
+        let (seconds, ns) = (
+            found.ctime().try_into().unwrap_or(0),
+            found.ctime_nsec().try_into().unwrap_or(0),
+        );
+        Some((
+            std::time::Duration::new(seconds, ns).as_nanos(),
+            found.ino(),
+        ))
     }
     #[cfg(not(unix))]
     {
@@ -160,7 +195,8 @@ pub fn change_and_inode(found: &Metadata) -> Option<(u128, u64)> {
     }
 }
 
-/// Makes a symbolic link to a file. Windows lets only administrators and developers do so, and cap-std only to a relative target there.
+/// Makes a symbolic link to a file. Windows lets only administrators and developers do so, and
+/// cap-std only to a relative target there.
 pub fn link_file(target: &Path, folder: &Dir, name: &str) -> io::Result<()> {
     #[cfg(unix)]
     return folder.symlink_contents(target, name);
@@ -185,11 +221,13 @@ pub fn sync_folder(folder: &Dir, name: &Path) -> io::Result<()> {
     }
 }
 
-/// Sets the flag at Ctrl-C and, where the system has them, at other requests to end. A second Ctrl-C ends the program at once.
+/// Sets the flag at Ctrl-C and, where the system has them, at other requests to end. A second
+/// Ctrl-C ends the program at once.
 pub fn stop_flag() -> io::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        // Registered before the handler that sets the flag, so that only a second signal ends the program.
+        // Registered before the handler that sets the flag, so that only a second signal ends the
+        // program.
         signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop))?;
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
     }
@@ -210,9 +248,17 @@ pub fn on_signal(act: impl Fn(Request) + Send + 'static) {
     #[cfg(unix)]
     {
         use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-        let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGTERM, SIGINT, SIGHUP]) else { return };
+        let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGTERM, SIGINT, SIGHUP]) else {
+            return;
+        };
         std::thread::spawn(move || {
-            signals.forever().for_each(|signal| act(if signal == SIGHUP { Request::Rescan } else { Request::Stop }));
+            signals.forever().for_each(|signal| {
+                act(if signal == SIGHUP {
+                    Request::Rescan
+                } else {
+                    Request::Stop
+                })
+            });
         });
     }
     #[cfg(not(unix))]
@@ -236,10 +282,14 @@ pub fn in_own_group(command: &mut Command) -> &mut Command {
     command
 }
 
-/// Ends a child that was started [in its own group](in_own_group) with all its descendants; elsewhere than on Unix the child alone.
+/// Ends a child that was started [in its own group](in_own_group) with all its descendants;
+/// elsewhere than on Unix the child alone.
 pub fn end_group(child: &mut Child) {
     #[cfg(unix)]
-    if let Some(group) = i32::try_from(child.id()).ok().and_then(rustix::process::Pid::from_raw) {
+    if let Some(group) = i32::try_from(child.id())
+        .ok()
+        .and_then(rustix::process::Pid::from_raw)
+    {
         _ = rustix::process::kill_process_group(group, rustix::process::Signal::TERM);
     }
     #[cfg(not(unix))]

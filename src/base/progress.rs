@@ -1,4 +1,5 @@
-//! Progress and cancellation of a running stage. Terminal bars are in `cli/`, state files in `daemon/`.
+//! Progress and cancellation of a running stage. Terminal bars are in `cli/`, state files in
+//! `daemon/`.
 
 /// The stages of a plan, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
@@ -18,7 +19,8 @@ pub enum Stage {
 
 /// Receives progress and can cancel the run. Called from several threads at once.
 pub trait Watcher: Sync {
-    /// `done` of `total` steps of the stage are finished; a stage starts with 0 and ends with `done == total`.
+    /// `done` of `total` steps of the stage are finished; a stage starts with 0 and ends with `done
+    /// == total`.
     fn progress(&self, stage: Stage, done: u64, total: u64);
 
     /// Returns whether to stop. Stages ask at least every 50 ms and then return [`Cancelled`].
@@ -26,14 +28,19 @@ pub trait Watcher: Sync {
         false
     }
 
-    /// Bytes of memory beyond which the run fails; `None`: no limit. Unlike the limit of the settings, it never changes how the run computes.
+    /// Bytes of memory beyond which the run fails; `None`: no limit. Unlike the limit of the
+    /// settings, it never changes how the run computes.
     fn most_memory(&self) -> Option<u64> {
         None
     }
 
     /// `Err` when cancelled, for use with `?`.
     fn check(&self) -> Result<(), Cancelled> {
-        if self.cancelled() { Err(Cancelled) } else { Ok(()) }
+        if self.cancelled() {
+            Err(Cancelled)
+        } else {
+            Ok(())
+        }
     }
 }
 

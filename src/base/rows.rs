@@ -41,7 +41,8 @@ impl Offsets {
         self.0[self.0.len() - 1]
     }
 
-    /// Splits a flat array of the table into its rows, for threads that fill them; panics if its length is not [`Self::entries`].
+    /// Splits a flat array of the table into its rows, for threads that fill them; panics if its
+    /// length is not [`Self::entries`].
     pub fn split_mut<'a, T>(&self, mut entries: &'a mut [T]) -> Vec<&'a mut [T]> {
         assert_eq!(entries.len(), self.entries());
         let split = |row| {
@@ -66,13 +67,27 @@ mod tests {
     fn rows_follow_each_other_without_gaps() {
         let mut offsets = Offsets::from_lengths([2, 0]);
         offsets.push(3);
-        assert_eq!((0..offsets.rows()).map(|row| offsets.row(row)).collect::<Vec<_>>(), [0..2, 2..2, 2..5]);
-        assert_eq!((offsets.entries(), offsets.as_slice()), (5, &[0, 2, 2, 5][..]));
-        assert_eq!(offsets.split_mut(&mut [4, 5, 6, 7, 8]), [&[4, 5][..], &[], &[6, 7, 8]]);
+        assert_eq!(
+            (0..offsets.rows())
+                .map(|row| offsets.row(row))
+                .collect::<Vec<_>>(),
+            [0..2, 2..2, 2..5]
+        );
+        assert_eq!(
+            (offsets.entries(), offsets.as_slice()),
+            (5, &[0, 2, 2, 5][..])
+        );
+        assert_eq!(
+            offsets.split_mut(&mut [4, 5, 6, 7, 8]),
+            [&[4, 5][..], &[], &[6, 7, 8]]
+        );
     }
 
     #[test]
     fn an_empty_table_has_one_offset() {
-        assert_eq!((Offsets::default().rows(), Offsets::default().as_slice()), (0, &[0][..]));
+        assert_eq!(
+            (Offsets::default().rows(), Offsets::default().as_slice()),
+            (0, &[0][..])
+        );
     }
 }

@@ -4,7 +4,11 @@ use std::path::Path;
 
 /// Quotes a word for a script of POSIX sh, if it needs quotes.
 pub fn quoted(word: &str) -> String {
-    if is_plain(word) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
+    if is_plain(word) {
+        word.into()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
 }
 
 /// Quotes a path for a script of POSIX sh.
@@ -14,7 +18,11 @@ pub fn quoted_path(path: &Path) -> String {
 
 /// Quotes a word for a command that the user types: in sh, on Windows in cmd or PowerShell.
 pub fn command_word(word: &str) -> String {
-    if cfg!(windows) { for_windows(word) } else { quoted(word) }
+    if cfg!(windows) {
+        for_windows(word)
+    } else {
+        quoted(word)
+    }
 }
 
 /// Quotes a path for a command that the user types.
@@ -24,16 +32,24 @@ pub fn command_path(path: &Path) -> String {
 
 /// Two commands for the user to type; PowerShell has no `&&`.
 pub fn one_after_other(first: &str, second: &str) -> String {
-    format!("{first}{} {second}", if cfg!(windows) { ", then" } else { " &&" })
+    format!(
+        "{first}{} {second}",
+        if cfg!(windows) { ", then" } else { " &&" }
+    )
 }
 
 /// Returns a path as the system writes it: on Windows, joined paths have both kinds of separators.
 pub fn shown_path(path: &Path) -> String {
     let path = path.display().to_string();
-    if cfg!(windows) { path.replace('/', r"\") } else { path }
+    if cfg!(windows) {
+        path.replace('/', r"\")
+    } else {
+        path
+    }
 }
 
-/// Quotes for both cmd and PowerShell; what PowerShell expands between double quotes gets the quotes of PowerShell.
+/// Quotes for both cmd and PowerShell; what PowerShell expands between double quotes gets the
+/// quotes of PowerShell.
 fn for_windows(word: &str) -> String {
     if is_plain(&word.replace('\\', "/")) && !word.contains([',', '%', '@']) {
         return word.into();
@@ -47,7 +63,10 @@ fn for_windows(word: &str) -> String {
 }
 
 fn is_plain(word: &str) -> bool {
-    !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c))
+    !word.is_empty()
+        && word
+            .chars()
+            .all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c))
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! Partition of space into tiles with about equal numbers of points.
 //!
-//! The bounding box is halved across its longest side, at the median, until each part has few enough; the outermost tiles extend to
-//! infinity, so that every point of space is in exactly one tile.
+//! The bounding box is halved across its longest side, at the median, until each part has few
+//! enough; the outermost tiles extend to infinity, so that every point of space is in exactly one
+//! tile.
 
 use nalgebra::Point3;
 
@@ -13,7 +14,10 @@ pub struct Tile {
 }
 
 impl Tile {
-    const EVERYTHING: Self = Self { low: [f64::NEG_INFINITY; 3], high: [f64::INFINITY; 3] };
+    const EVERYTHING: Self = Self {
+        low: [f64::NEG_INFINITY; 3],
+        high: [f64::INFINITY; 3],
+    };
 
     pub fn contains(&self, point: &Point3<f64>) -> bool {
         (0..3).all(|axis| self.low[axis] <= point[axis] && point[axis] < self.high[axis])
@@ -21,7 +25,9 @@ impl Tile {
 
     /// Returns whether the point is in the tile or within `margin` of it along each axis.
     pub fn is_near(&self, point: &Point3<f64>, margin: f64) -> bool {
-        (0..3).all(|axis| self.low[axis] - margin <= point[axis] && point[axis] < self.high[axis] + margin)
+        (0..3).all(|axis| {
+            self.low[axis] - margin <= point[axis] && point[axis] < self.high[axis] + margin
+        })
     }
 }
 
@@ -32,17 +38,29 @@ pub fn split(points: &[Point3<f64>], most: usize) -> Vec<Tile> {
     tiles
 }
 
-/// Returns `count` tiles with about equal numbers of points; fewer if there are fewer distinct points.
+/// Returns `count` tiles with about equal numbers of points; fewer if there are fewer distinct
+/// points.
 pub fn split_into(points: &[Point3<f64>], count: usize) -> Vec<Tile> {
     let mut tiles = Vec::new();
-    part(points.to_vec(), Tile::EVERYTHING, count.clamp(1, points.len().max(1)), &mut tiles);
+    part(
+        points.to_vec(),
+        Tile::EVERYTHING,
+        count.clamp(1, points.len().max(1)),
+        &mut tiles,
+    );
     tiles
 }
 
 fn halve(mut points: Vec<Point3<f64>>, tile: Tile, most: usize, tiles: &mut Vec<Tile>) {
     let middle = points.len() / 2;
-    let cut = if points.len() > most { cut(&mut points, middle) } else { None };
-    let Some((axis, at)) = cut else { return tiles.push(tile) };
+    let cut = if points.len() > most {
+        cut(&mut points, middle)
+    } else {
+        None
+    };
+    let Some((axis, at)) = cut else {
+        return tiles.push(tile);
+    };
     let [(left, below), (right, above)] = cut_at(points, tile, axis, at);
     halve(left, below, most, tiles);
     halve(right, above, most, tiles);
@@ -52,15 +70,26 @@ fn halve(mut points: Vec<Point3<f64>>, tile: Tile, most: usize, tiles: &mut Vec<
 fn part(mut points: Vec<Point3<f64>>, tile: Tile, count: usize, tiles: &mut Vec<Tile>) {
     let few = count / 2;
     let rank = points.len() * few / count;
-    let cut = if count > 1 && points.len() > 1 { cut(&mut points, rank) } else { None };
-    let Some((axis, at)) = cut else { return tiles.push(tile) };
+    let cut = if count > 1 && points.len() > 1 {
+        cut(&mut points, rank)
+    } else {
+        None
+    };
+    let Some((axis, at)) = cut else {
+        return tiles.push(tile);
+    };
     let [(left, below), (right, above)] = cut_at(points, tile, axis, at);
     part(left, below, few, tiles);
     part(right, above, count - few, tiles);
 }
 
 /// Returns the points and the part of the tile on each side.
-fn cut_at(points: Vec<Point3<f64>>, tile: Tile, axis: usize, at: f64) -> [(Vec<Point3<f64>>, Tile); 2] {
+fn cut_at(
+    points: Vec<Point3<f64>>,
+    tile: Tile,
+    axis: usize,
+    at: f64,
+) -> [(Vec<Point3<f64>>, Tile); 2] {
     let (mut below, mut above) = (tile, tile);
     below.high[axis] = at;
     above.low[axis] = at;
@@ -68,16 +97,20 @@ fn cut_at(points: Vec<Point3<f64>>, tile: Tile, axis: usize, at: f64) -> [(Vec<P
     [(left, below), (right, above)]
 }
 
-/// Returns the axis of the longest side and the coordinate of that rank along it; `None` if no cut separates the points.
+/// Returns the axis of the longest side and the coordinate of that rank along it; `None` if no cut
+/// separates the points.
 fn cut(points: &mut [Point3<f64>], rank: usize) -> Option<(usize, f64)> {
     let extent = |axis: usize| {
         let coordinates = || points.iter().map(|point| point[axis]);
-        coordinates().fold(f64::NEG_INFINITY, f64::max) - coordinates().fold(f64::INFINITY, f64::min)
+        coordinates().fold(f64::NEG_INFINITY, f64::max)
+            - coordinates().fold(f64::INFINITY, f64::min)
     };
     let mut axes: Vec<(f64, usize)> = (0..3).map(|axis| (extent(axis), axis)).collect();
     axes.sort_by(|a, b| b.0.total_cmp(&a.0));
     let (_, axis) = *axes.first()?;
-    let at = points.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis])).1[axis];
+    let at = points
+        .select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis]))
+        .1[axis];
     if points.iter().any(|point| point[axis] < at) {
         return Some((axis, at));
     }
@@ -133,10 +166,15 @@ mod tests {
 
     #[test]
     fn a_flight_is_halved_across_its_longest_side() {
-        let points: Vec<_> = (0..100).map(|i| Point3::new(f64::from(i), f64::from(i % 7), 0.0)).collect();
+        let points: Vec<_> = (0..100)
+            .map(|i| Point3::new(f64::from(i), f64::from(i % 7), 0.0))
+            .collect();
         let tiles = split(&points, 25);
         assert_eq!(
-            tiles.iter().map(|tile| points.iter().filter(|p| tile.contains(p)).count()).collect::<Vec<_>>(),
+            tiles
+                .iter()
+                .map(|tile| points.iter().filter(|p| tile.contains(p)).count())
+                .collect::<Vec<_>>(),
             [25; 4]
         );
         assert!(tiles[0].is_near(&points[26], 2.5) && !tiles[0].is_near(&points[28], 2.5));

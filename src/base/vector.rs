@@ -1,14 +1,15 @@
 //! Inner loops compiled for several sets of vector instructions, chosen at run time.
 
-/// An inner loop for [`vectorised`]. Mark `run`, and every function that it calls in its loops, `#[inline(always)]`: only inlined code is compiled
-/// for the vector instructions.
+/// An inner loop for [`vectorised`]. Mark `run`, and every function that it calls in its loops,
+/// `#[inline(always)]`: only inlined code is compiled for the vector instructions.
 pub trait Kernel {
     type Output;
 
     fn run(self) -> Self::Output;
 }
 
-/// Runs `work`, compiled for AVX-512 or AVX2 if the processor has it. No operation is fused or reordered, so every variant gives the same bits.
+/// Runs `work`, compiled for AVX-512 or AVX2 if the processor has it. No operation is fused or
+/// reordered, so every variant gives the same bits.
 #[inline(always)]
 pub fn vectorised<R>(work: impl Kernel<Output = R>) -> R {
     #[cfg(target_arch = "x86_64")]
@@ -26,7 +27,8 @@ pub fn vectorised<R>(work: impl Kernel<Output = R>) -> R {
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl");
         if has_all {
-            // SAFETY: the processor has all features that the function is compiled for, as was just checked.
+            // SAFETY: the processor has all features that the function is compiled for, as was just
+            // checked.
             return unsafe { widest(work) };
         }
         if is_x86_feature_detected!("avx2") {

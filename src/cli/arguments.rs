@@ -37,17 +37,46 @@ const SUBCOMMANDS: [(&str, &[&str]); 13] = [
     ),
     (
         "run",
-        &["match", "densify", "dense", "compute", "start", "reconstruct", "mvs", "stereo", "patch_match_stereo", "go"],
+        &[
+            "match",
+            "densify",
+            "dense",
+            "compute",
+            "start",
+            "reconstruct",
+            "mvs",
+            "stereo",
+            "patch_match_stereo",
+            "go",
+        ],
     ),
-    ("inspect", &["info", "show", "stat", "stats", "print", "model", "list"]),
-    ("doctor", &["check", "validate", "verify", "diagnose", "lint"]),
-    ("config", &["settings", "setting", "configuration", "init", "set"]),
+    (
+        "inspect",
+        &["info", "show", "stat", "stats", "print", "model", "list"],
+    ),
+    (
+        "doctor",
+        &["check", "validate", "verify", "diagnose", "lint"],
+    ),
+    (
+        "config",
+        &["settings", "setting", "configuration", "init", "set"],
+    ),
     ("report", &["html", "page", "view", "open", "plot"]),
-    ("evaluate", &["measure", "eval", "score", "benchmark", "quality"]),
+    (
+        "evaluate",
+        &["measure", "eval", "score", "benchmark", "quality"],
+    ),
     ("export", &["write", "convert", "save", "output"]),
     ("backends", &["programs", "formats", "engines"]),
-    ("undistort", &["rectify", "image_undistorter", "undistorted"]),
-    ("dispatch", &["slurm", "submit", "queue", "sbatch", "parallel"]),
+    (
+        "undistort",
+        &["rectify", "image_undistorter", "undistorted"],
+    ),
+    (
+        "dispatch",
+        &["slurm", "submit", "queue", "sbatch", "parallel"],
+    ),
     ("train", &["learn", "fit"]),
     ("watch", &["daemon", "monitor", "follow", "serve"]),
 ];
@@ -56,10 +85,39 @@ const SUBCOMMANDS: [(&str, &[&str]); 13] = [
 const OPTIONS: [(&str, &[&str]); 12] = [
     (
         "--images",
-        &["--image-path", "--image_path", "--image-dir", "--image-folder", "--imgs", "--photos", "--pictures"],
+        &[
+            "--image-path",
+            "--image_path",
+            "--image-dir",
+            "--image-folder",
+            "--imgs",
+            "--photos",
+            "--pictures",
+        ],
     ),
-    ("--out", &["--output", "--output-path", "--output_path", "--output-dir", "--dest", "--destination", "-o"]),
-    ("--target", &["--quality", "--share", "--percent", "--goal", "--stop-at", "-t"]),
+    (
+        "--out",
+        &[
+            "--output",
+            "--output-path",
+            "--output_path",
+            "--output-dir",
+            "--dest",
+            "--destination",
+            "-o",
+        ],
+    ),
+    (
+        "--target",
+        &[
+            "--quality",
+            "--share",
+            "--percent",
+            "--goal",
+            "--stop-at",
+            "-t",
+        ],
+    ),
     (
         "--budget",
         &[
@@ -74,23 +132,71 @@ const OPTIONS: [(&str, &[&str]); 12] = [
             "-n",
         ],
     ),
-    ("--gsd", &["--resolution", "--ground-sampling-distance", "--pixel-size", "--res"]),
-    ("-k", &["--k", "--neighbors", "--neighbours", "--num-neighbors", "--partner", "--sources", "--num-sources"]),
-    ("--backend", &["--engine", "--mvs", "--matcher", "--format-for", "--program-name", "-b"]),
-    ("--region", &["--roi", "--aoi", "--bbox", "--box", "--area", "--polygon"]),
+    (
+        "--gsd",
+        &[
+            "--resolution",
+            "--ground-sampling-distance",
+            "--pixel-size",
+            "--res",
+        ],
+    ),
+    (
+        "-k",
+        &[
+            "--k",
+            "--neighbors",
+            "--neighbours",
+            "--num-neighbors",
+            "--partner",
+            "--sources",
+            "--num-sources",
+        ],
+    ),
+    (
+        "--backend",
+        &[
+            "--engine",
+            "--mvs",
+            "--matcher",
+            "--format-for",
+            "--program-name",
+            "-b",
+        ],
+    ),
+    (
+        "--region",
+        &["--roi", "--aoi", "--bbox", "--box", "--area", "--polygon"],
+    ),
     ("--max-memory", &["--memory", "--mem", "--ram", "-m"]),
-    ("--threads", &["--jobs", "--num-threads", "--num_threads", "--cpus", "-j"]),
+    (
+        "--threads",
+        &["--jobs", "--num-threads", "--num_threads", "--cpus", "-j"],
+    ),
     ("--format json", &["--json", "--as-json"]),
-    ("--dry-run", &["--dryrun", "--no-write", "--simulate", "--pretend"]),
+    (
+        "--dry-run",
+        &["--dryrun", "--no-write", "--simulate", "--pretend"],
+    ),
 ];
 
 /// Words that people type where something else than another option is meant.
 const ADVICE: [(&str, &[&str]); 4] = [
     (
         "settings are in PROJECT/viewrank.toml; viewrank config PROJECT lists them",
-        &["--config", "--settings", "--set", "--option", "--config-file", "-c"],
+        &[
+            "--config",
+            "--settings",
+            "--set",
+            "--option",
+            "--config-file",
+            "-c",
+        ],
     ),
-    ("write units = \"metric\" into PROJECT/viewrank.toml", &["--units", "--unit", "--metric", "--metres", "--meters"]),
+    (
+        "write units = \"metric\" into PROJECT/viewrank.toml",
+        &["--units", "--unit", "--metric", "--metres", "--meters"],
+    ),
     (
         "name the project without an option, as in viewrank plan PROJECT",
         &[
@@ -105,7 +211,10 @@ const ADVICE: [(&str, &[&str]); 4] = [
             "-p",
         ],
     ),
-    ("everything is said already; --quiet says less", &["--verbose", "--debug", "-v"]),
+    (
+        "everything is said already; --quiet says less",
+        &["--verbose", "--debug", "-v"],
+    ),
 ];
 
 /// Returns whether the command line asks for JSON, even if the rest of it is invalid.
@@ -115,7 +224,11 @@ pub fn asks_for_json() -> bool {
 }
 
 fn is_json(typed: &[String]) -> bool {
-    let typed: Vec<&str> = typed.iter().map(String::as_str).take_while(|word| *word != "--").collect();
+    let typed: Vec<&str> = typed
+        .iter()
+        .map(String::as_str)
+        .take_while(|word| *word != "--")
+        .collect();
     typed.contains(&"--format=json") || typed.windows(2).any(|two| two == ["--format", "json"])
 }
 
@@ -127,28 +240,43 @@ pub fn parse(typed: Vec<OsString>) -> Result<Arguments, Failure> {
         }
         _ = error.print();
         let rendered = error.render().to_string();
-        let message = rendered.lines().next().unwrap_or_default().trim_start_matches("error: ");
-        let tip = rendered.lines().find_map(|line| line.trim().strip_prefix("tip: "));
-        Failure { is_printed: true, ..Failure::new(Exit::Usage, message, tip.map(String::from)) }
+        let message = rendered
+            .lines()
+            .next()
+            .unwrap_or_default()
+            .trim_start_matches("error: ");
+        let tip = rendered
+            .lines()
+            .find_map(|line| line.trim().strip_prefix("tip: "));
+        Failure {
+            is_printed: true,
+            ..Failure::new(Exit::Usage, message, tip.map(String::from))
+        }
     })
 }
 
 fn parse_from(typed: Vec<OsString>) -> Result<Arguments, Error> {
     let mut definition = definition();
-    let mut matches = definition.try_get_matches_from_mut(typed).map_err(in_words)?;
-    Arguments::from_arg_matches_mut(&mut matches).map_err(|error| in_words(error.format(&mut definition)))
+    let mut matches = definition
+        .try_get_matches_from_mut(typed)
+        .map_err(in_words)?;
+    Arguments::from_arg_matches_mut(&mut matches)
+        .map_err(|error| in_words(error.format(&mut definition)))
 }
 
-/// Returns the error as it is printed: with the probable meaning, and typed words printable, which a pattern of the shell may have made of any
-/// file's name.
+/// Returns the error as it is printed: with the probable meaning, and typed words printable, which
+/// a pattern of the shell may have made of any file's name.
 fn in_words(error: Error) -> Error {
-    let typed = text(&error, ContextKind::InvalidArg) + &text(&error, ContextKind::InvalidSubcommand);
+    let typed =
+        text(&error, ContextKind::InvalidArg) + &text(&error, ContextKind::InvalidSubcommand);
     let mut error = suggest(error);
     if printable(&typed) != typed {
         // A tip of clap's repeats the word.
         error.remove(ContextKind::Suggested);
     }
-    let why = std::error::Error::source(&error).map(ToString::to_string).unwrap_or_default();
+    let why = std::error::Error::source(&error)
+        .map(ToString::to_string)
+        .unwrap_or_default();
     if printable(&why) != why {
         let what = [
             "invalid value '",
@@ -162,11 +290,18 @@ fn in_words(error: Error) -> Error {
     }
     let shown = |value: &ContextValue| match value {
         ContextValue::String(text) => Some(ContextValue::String(printable(text))),
-        ContextValue::Strings(texts) => Some(ContextValue::Strings(texts.iter().map(|text| printable(text)).collect())),
+        ContextValue::Strings(texts) => Some(ContextValue::Strings(
+            texts.iter().map(|text| printable(text)).collect(),
+        )),
         _ => None,
     };
-    let typed: Vec<_> = error.context().filter_map(|(kind, value)| Some((kind, shown(value)?))).collect();
-    typed.into_iter().for_each(|(kind, value)| _ = error.insert(kind, value));
+    let typed: Vec<_> = error
+        .context()
+        .filter_map(|(kind, value)| Some((kind, shown(value)?)))
+        .collect();
+    typed
+        .into_iter()
+        .for_each(|(kind, value)| _ = error.insert(kind, value));
     error
 }
 
@@ -177,12 +312,14 @@ fn text(error: &Error, kind: ContextKind) -> String {
     }
 }
 
-/// Returns the definition of the command line. A negative number after an option is its value, so that the error names the option.
+/// Returns the definition of the command line. A negative number after an option is its value, so
+/// that the error names the option.
 fn definition() -> Command {
-    let with_negative = |argument: Arg| match argument.get_action().takes_values() && !argument.is_positional() {
-        true => argument.allow_negative_numbers(true),
-        false => argument,
-    };
+    let with_negative =
+        |argument: Arg| match argument.get_action().takes_values() && !argument.is_positional() {
+            true => argument.allow_negative_numbers(true),
+            false => argument,
+        };
     Arguments::command().mut_subcommands(|subcommand| subcommand.mut_args(with_negative))
 }
 
@@ -194,23 +331,37 @@ fn suggest(mut error: Error) -> Error {
             let typed = text(&error, ContextKind::InvalidSubcommand);
             if Path::new(&typed).exists() {
                 let tip = format!("to plan a project: viewrank plan {}", command_word(&typed));
-                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+                error.insert(
+                    ContextKind::Suggested,
+                    ContextValue::StyledStrs(vec![tip.into()]),
+                );
                 error.remove(ContextKind::SuggestedSubcommand);
             } else if let Some(meant) = meant_by(&typed.to_lowercase(), &SUBCOMMANDS) {
                 error.insert(ContextKind::SuggestedSubcommand, one(meant));
             } else if typed == "version" {
-                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec!["viewrank --version".into()]));
+                error.insert(
+                    ContextKind::Suggested,
+                    ContextValue::StyledStrs(vec!["viewrank --version".into()]),
+                );
             }
         }
         ErrorKind::UnknownArgument => {
             let typed = text(&error, ContextKind::InvalidArg);
-            let typed = typed.split_once('=').map_or(typed.as_str(), |(name, _)| name).to_lowercase();
+            let typed = typed
+                .split_once('=')
+                .map_or(typed.as_str(), |(name, _)| name)
+                .to_lowercase();
             let option = meant_by(&typed, &OPTIONS).filter(|meant| is_known(meant));
             let tip = option.map(|meant| format!("the option is {meant}"));
-            let tip = tip.or_else(|| meant_by(&typed, &ADVICE).map(str::to_owned)).or_else(|| meant_by_word(&typed));
+            let tip = tip
+                .or_else(|| meant_by(&typed, &ADVICE).map(str::to_owned))
+                .or_else(|| meant_by_word(&typed));
             let has_none = error.get(ContextKind::SuggestedArg).is_none();
             if let Some(tip) = tip.or_else(|| has_none.then(options_of_subcommand).flatten()) {
-                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+                error.insert(
+                    ContextKind::Suggested,
+                    ContextValue::StyledStrs(vec![tip.into()]),
+                );
                 error.remove(ContextKind::SuggestedArg);
             }
         }
@@ -220,10 +371,14 @@ fn suggest(mut error: Error) -> Error {
 }
 
 fn meant_by(typed: &str, table: &[(&'static str, &[&str])]) -> Option<&'static str> {
-    table.iter().find(|(_, words)| words.contains(&typed)).map(|(meant, _)| *meant)
+    table
+        .iter()
+        .find(|(_, words)| words.contains(&typed))
+        .map(|(meant, _)| *meant)
 }
 
-/// Returns the probable meaning of a word that is no option and that the subcommand has no place for.
+/// Returns the probable meaning of a word that is no option and that the subcommand has no place
+/// for.
 fn meant_by_word(typed: &str) -> Option<String> {
     if typed.starts_with('-') {
         return None;
@@ -239,8 +394,12 @@ fn meant_by_word(typed: &str) -> Option<String> {
 
 /// Returns where the options of the typed subcommand are listed.
 fn options_of_subcommand() -> Option<String> {
-    typed_subcommand(&definition())
-        .map(|subcommand| format!("viewrank {} --help lists the options", subcommand.get_name()))
+    typed_subcommand(&definition()).map(|subcommand| {
+        format!(
+            "viewrank {} --help lists the options",
+            subcommand.get_name()
+        )
+    })
 }
 
 fn typed_subcommand(definition: &Command) -> Option<&Command> {
@@ -251,11 +410,16 @@ fn typed_subcommand(definition: &Command) -> Option<&Command> {
 fn is_known(option: &str) -> bool {
     let name = option.split(' ').next().unwrap_or_default();
     let definition = definition();
-    let Some(subcommand) = typed_subcommand(&definition) else { return false };
+    let Some(subcommand) = typed_subcommand(&definition) else {
+        return false;
+    };
     subcommand.get_arguments().any(|argument| {
         let long = argument.get_long().map(|long| format!("--{long}"));
         let short = argument.get_short().map(|short| format!("-{short}"));
-        [long, short].into_iter().flatten().any(|known| known == name)
+        [long, short]
+            .into_iter()
+            .flatten()
+            .any(|known| known == name)
     })
 }
 
@@ -268,11 +432,16 @@ pub fn folder() -> impl TypedValueParser<Value = PathBuf> {
     })
 }
 
-/// Parses a project. A part may name it: a file of its sparse model, its database, `sparse`, `sparse/0`, its images or its results.
+/// Parses a project. A part may name it: a file of its sparse model, its database, `sparse`,
+/// `sparse/0`, its images or its results.
 pub fn project() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(|typed| match project::containing(&typed) {
         Some(project) => {
-            super::note(&format!("{} belongs to the project {}", typed.display(), project.display()));
+            super::note(&format!(
+                "{} belongs to the project {}",
+                typed.display(),
+                project.display()
+            ));
             project
         }
         None => typed,
@@ -281,7 +450,9 @@ pub fn project() -> impl TypedValueParser<Value = PathBuf> {
 
 /// Reads one of the sizes that a key view may be matched at.
 pub(super) fn scale(text: &str) -> Result<f64, String> {
-    text.trim().parse().map_err(|_| "a size is 1 or 0.5, as in --scales 1,0.5".into())
+    text.trim()
+        .parse()
+        .map_err(|_| "a size is 1 or 0.5, as in --scales 1,0.5".into())
 }
 
 #[cfg(test)]
@@ -293,7 +464,9 @@ mod tests {
         let known = Arguments::command();
         for (meant, words) in SUBCOMMANDS {
             assert!(known.find_subcommand(meant).is_some(), "{meant}");
-            words.iter().for_each(|word| assert!(known.find_subcommand(word).is_none(), "{word}"));
+            words
+                .iter()
+                .for_each(|word| assert!(known.find_subcommand(word).is_none(), "{word}"));
         }
     }
 
@@ -304,7 +477,10 @@ mod tests {
         for (meant, _) in OPTIONS {
             let name = meant.split(' ').next().unwrap().trim_start_matches('-');
             let is_meant = |argument: &clap::Arg| {
-                argument.get_long() == Some(name) || argument.get_short().is_some_and(|short| short.to_string() == name)
+                argument.get_long() == Some(name)
+                    || argument
+                        .get_short()
+                        .is_some_and(|short| short.to_string() == name)
             };
             assert!(plan.get_arguments().any(is_meant), "{meant}");
         }
@@ -312,8 +488,19 @@ mod tests {
 
     #[test]
     fn json_is_asked_for_by_an_option() {
-        let is = |typed: &[&str]| is_json(&typed.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>());
-        assert!(is(&["viewrank", "plan", "--format", "json"]) && is(&["viewrank", "--format=json"]));
-        assert!(!is(&["viewrank", "plan", "--", "--format=json"]) && !is(&["viewrank", "plan", "json"]));
+        let is = |typed: &[&str]| {
+            is_json(
+                &typed
+                    .iter()
+                    .map(|word| (*word).to_owned())
+                    .collect::<Vec<_>>(),
+            )
+        };
+        assert!(
+            is(&["viewrank", "plan", "--format", "json"]) && is(&["viewrank", "--format=json"])
+        );
+        assert!(
+            !is(&["viewrank", "plan", "--", "--format=json"]) && !is(&["viewrank", "plan", "json"])
+        );
     }
 }

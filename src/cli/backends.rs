@@ -40,7 +40,11 @@ impl Entry {
             capabilities: backend.capabilities,
             planning: backend.planning,
             options: backend.options,
-            scales: if backend.mixes_sizes { &[1.0, 0.5] } else { &[1.0] },
+            scales: if backend.mixes_sizes {
+                &[1.0, 0.5]
+            } else {
+                &[1.0]
+            },
             matches: backend.use_of_views.is_none(),
         }
     }
@@ -68,7 +72,16 @@ fn word(honours: Honours) -> &'static str {
 
 /// At most 80 columns.
 fn table(entries: &[Entry]) -> Vec<String> {
-    let head = ["name", "partners", "only keys", "order", "angles", "scale", "maps", "measured on"];
+    let head = [
+        "name",
+        "partners",
+        "only keys",
+        "order",
+        "angles",
+        "scale",
+        "maps",
+        "measured on",
+    ];
     let mut lines = vec![row(head.map(String::from))];
     for entry in entries {
         let (c, p) = (&entry.capabilities, &entry.planning);
@@ -110,14 +123,22 @@ fn row(cells: [String; 8]) -> String {
 
 fn details(entry: &Entry) -> Vec<String> {
     let (c, p) = (&entry.capabilities, &entry.planning);
-    let number = |value: Option<f64>, unit: &str| value.map_or("none".into(), |v| format!("{v}{unit}"));
+    let number =
+        |value: Option<f64>, unit: &str| value.map_or("none".into(), |v| format!("{v}{unit}"));
     let mut lines = vec![entry.name.to_owned()];
     let mut add = |what: &str, value: &str| lines.extend(wrapped(what, value));
     add("exactly the given partners", word(c.partners));
     add("only the key views", word(c.key_subset));
     add("rank order", word(c.order));
     if entry.matches {
-        add("scales of depth maps", if entry.scales.len() > 1 { "1 and 0.5 (viewrank plan --scales)" } else { "1" });
+        add(
+            "scales of depth maps",
+            if entry.scales.len() > 1 {
+                "1 and 0.5 (viewrank plan --scales)"
+            } else {
+                "1"
+            },
+        );
     }
     add("fusion", c.fusion);
     add("notes", c.notes);
@@ -125,9 +146,19 @@ fn details(entry: &Entry) -> Vec<String> {
         octaves if octaves.is_finite() => format!(", scale ratio up to {:.2}", octaves.exp2()),
         _ => String::new(),
     };
-    let epipole = if p.gate.epipole_inside { "" } else { ", epipole outside of both images" };
-    let angles = format!("{} to {} degrees", p.gate.min_angle_deg, p.gate.max_angle_deg);
-    let pairs = format!("at least {} shared points, {angles}{scale}{epipole}", p.gate.min_shared_points);
+    let epipole = if p.gate.epipole_inside {
+        ""
+    } else {
+        ", epipole outside of both images"
+    };
+    let angles = format!(
+        "{} to {} degrees",
+        p.gate.min_angle_deg, p.gate.max_angle_deg
+    );
+    let pairs = format!(
+        "at least {} shared points, {angles}{scale}{epipole}",
+        p.gate.min_shared_points
+    );
     add("pairs that can be matched", &pairs);
     let confidence = format!(
         "min_matches {}, p0 {}, cosine_power {}, scale_octaves {}, full_angle {}",
@@ -138,13 +169,29 @@ fn details(entry: &Entry) -> Vec<String> {
         number(p.confidence.full_angle_deg, " degrees"),
     );
     add("geometric confidence", &confidence);
-    let Photometric { agree, differ, full_agreement } = p.photometric;
-    add("photometric", &format!("agree {agree}, differ {differ}, full_agreement {full_agreement}"));
-    let work = format!("{} + Mpx ({} + partners), in Mpx matched with one partner", p.work.fixed, p.work.per_map);
+    let Photometric {
+        agree,
+        differ,
+        full_agreement,
+    } = p.photometric;
+    add(
+        "photometric",
+        &format!("agree {agree}, differ {differ}, full_agreement {full_agreement}"),
+    );
+    let work = format!(
+        "{} + Mpx ({} + partners), in Mpx matched with one partner",
+        p.work.fixed, p.work.per_map
+    );
     if entry.matches {
         add("work of a depth map", &work);
     }
-    add("support", &counted(p.support as usize, if entry.matches { "depth map" } else { "image" }));
+    add(
+        "support",
+        &counted(
+            p.support as usize,
+            if entry.matches { "depth map" } else { "image" },
+        ),
+    );
     add("source", p.source);
     if !entry.options.is_empty() {
         add("options of export", &entry.options.join(", "));
@@ -186,10 +233,16 @@ mod tests {
     #[test]
     fn the_documentation_names_the_backends_that_mix_sizes() {
         let numbers = include_str!("../../docs/numbers.md");
-        let (_, list) = numbers.split_once("With `--scales 1,0.5` (backends ").expect("the list");
+        let (_, list) = numbers
+            .split_once("With `--scales 1,0.5` (backends ")
+            .expect("the list");
         let (list, _) = list.split_once(')').expect("its end");
         let named: Vec<&str> = list.split('`').skip(1).step_by(2).collect();
-        let mut expected: Vec<&str> = backends::BACKENDS.iter().filter(|b| b.mixes_sizes).map(|b| b.name).collect();
+        let mut expected: Vec<&str> = backends::BACKENDS
+            .iter()
+            .filter(|b| b.mixes_sizes)
+            .map(|b| b.name)
+            .collect();
         expected.sort_by_key(|name| named.iter().position(|n| n == name));
         assert_eq!(named, expected);
     }
@@ -197,7 +250,11 @@ mod tests {
     #[test]
     fn wrapping_loses_no_word() {
         let value = "one two ".repeat(40);
-        let words: Vec<String> = wrapped("what", &value).join("\n").split_whitespace().map(String::from).collect();
+        let words: Vec<String> = wrapped("what", &value)
+            .join("\n")
+            .split_whitespace()
+            .map(String::from)
+            .collect();
         assert_eq!(words.len(), 81);
     }
 }

@@ -1,4 +1,5 @@
-//! `viewrank completions` and `viewrank man`: both come from the definitions that parse the command line.
+//! `viewrank completions` and `viewrank man`: both come from the definitions that parse the command
+//! line.
 
 use clap::{Args, Command, CommandFactory};
 use clap_complete::Shell;
@@ -24,24 +25,37 @@ pub struct ManArguments {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut script = Vec::new();
-    clap_complete::generate(arguments.shell, &mut super::Arguments::command(), "viewrank", &mut script);
+    clap_complete::generate(
+        arguments.shell,
+        &mut super::Arguments::command(),
+        "viewrank",
+        &mut script,
+    );
     print_data(&String::from_utf8_lossy(&script))
 }
 
 pub fn man(arguments: &ManArguments) -> Result<(), Failure> {
     let definition = definition(arguments.subcommand.as_deref())?;
-    let title = definition.get_display_name().unwrap_or("viewrank").to_owned();
+    let title = definition
+        .get_display_name()
+        .unwrap_or("viewrank")
+        .to_owned();
     let mut page = Vec::new();
-    let rendered = clap_mangen::Man::new(definition).title(title).render(&mut page);
+    let rendered = clap_mangen::Man::new(definition)
+        .title(title)
+        .render(&mut page);
     rendered.expect("writing to memory does not fail");
     print_data(&String::from_utf8_lossy(&page))
 }
 
-/// Returns the definition of the program, or of a subcommand under its full name (`viewrank-plan`, the name of its manual page).
+/// Returns the definition of the program, or of a subcommand under its full name (`viewrank-plan`,
+/// the name of its manual page).
 fn definition(subcommand: Option<&str>) -> Result<Command, Failure> {
     let mut program = super::Arguments::command();
     program.build();
-    let Some(name) = subcommand else { return Ok(program) };
+    let Some(name) = subcommand else {
+        return Ok(program);
+    };
     match program.find_subcommand(name) {
         Some(found) => Ok(found.clone()),
         None => Err(UnknownSubcommand(name.into()).into()),

@@ -30,11 +30,21 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    if let Some(missing) = arguments.project.as_ref().filter(|project| !project.exists()) {
+    if let Some(missing) = arguments
+        .project
+        .as_ref()
+        .filter(|project| !project.exists())
+    {
         return Err(ProjectError::NotFound(missing.clone()).into());
     }
     // The settings of a model's file are in its folder.
-    let folder = arguments.project.as_deref().map(|p| if p.is_file() { p.parent().unwrap_or(p) } else { p });
+    let folder = arguments.project.as_deref().map(|p| {
+        if p.is_file() {
+            p.parent().unwrap_or(p)
+        } else {
+            p
+        }
+    });
     let configuration = load(folder, CommandLineSettings::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
     match arguments.format {
@@ -43,11 +53,20 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage error.
+/// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage
+/// error.
 pub fn load(project: Option<&Path>, typed: CommandLineSettings) -> Result<Configuration, Failure> {
     let project = project.map(|folder| folder.join("viewrank.toml"));
-    let files = Files { user: user_file(), root: None, project };
-    Ok(Configuration::load(&files, typed, backends::canonical_name)?)
+    let files = Files {
+        user: user_file(),
+        root: None,
+        project,
+    };
+    Ok(Configuration::load(
+        &files,
+        typed,
+        backends::canonical_name,
+    )?)
 }
 
 fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {
@@ -59,11 +78,17 @@ fn of_backend(settings: &Settings) -> Option<(&'static str, Value)> {
     let backend = backends::by_name(settings.backends.first()?).ok()?;
     let numbers = &backend.planning;
     let gate = serde_json::to_value(numbers.gate.settings()).expect("settings are JSON");
-    Some((backend.name, json!({ "partners": { "gate": gate }, "ranking": { "support": numbers.support } })))
+    Some((
+        backend.name,
+        json!({ "partners": { "gate": gate }, "ranking": { "support": numbers.support } }),
+    ))
 }
 
 /// Returns the backend's number for an unset key, and the backend's name.
-fn number_of<'a>(of_backend: &'a Option<(&'static str, Value)>, key: &Key) -> Option<(&'a Value, &'static str)> {
+fn number_of<'a>(
+    of_backend: &'a Option<(&'static str, Value)>,
+    key: &Key,
+) -> Option<(&'a Value, &'static str)> {
     let (name, numbers) = of_backend.as_ref()?;
     Some((value_of(numbers, key), *name)).filter(|(value, _)| !value.is_null())
 }
@@ -72,7 +97,10 @@ fn as_json(configuration: &Configuration, values: &Value) -> Value {
     let units = configuration.settings.units;
     let of_backend = of_backend(&configuration.settings);
     let entry = |key: &Key| {
-        let (mut value, mut source) = (value_of(values, key), configuration.source(&key.name).to_string());
+        let (mut value, mut source) = (
+            value_of(values, key),
+            configuration.source(&key.name).to_string(),
+        );
         if let Some((number, backend)) = number_of(&of_backend, key).filter(|_| value.is_null()) {
             (value, source) = (number, format!("backend {backend}"));
         }
@@ -103,15 +131,25 @@ fn as_toml(configuration: &Configuration, values: &Value) -> String {
         comment(&mut text, &facts(key, configuration.settings.units));
         let value = value_of(values, key);
         // Commands are written as comments: a project's file must not set them.
-        let mark = if value.is_null() || key.user_only { "# " } else { "" };
+        let mark = if value.is_null() || key.user_only {
+            "# "
+        } else {
+            ""
+        };
         text += &match (value.is_null(), configuration.source(&key.name)) {
             (true, _) => match number_of(&of_backend, key) {
-                Some((number, backend)) => format!("{mark}{name} = {number}  # backend {backend}\n\n"),
+                Some((number, backend)) => {
+                    format!("{mark}{name} = {number}  # backend {backend}\n\n")
+                }
                 None => format!("{mark}{name} =\n\n"),
             },
             (false, Source::Default) => format!("{mark}{name} = {value}\n\n"),
             (false, Source::Written(place)) => {
-                format!("{mark}{name} = {}  # {}\n\n", toml_escaped(&value.to_string()), printable(&place.to_string()))
+                format!(
+                    "{mark}{name} = {}  # {}\n\n",
+                    toml_escaped(&value.to_string()),
+                    printable(&place.to_string())
+                )
             }
         };
     }
@@ -123,8 +161,16 @@ fn as_toml(configuration: &Configuration, values: &Value) -> String {
 fn facts(key: &Key, units: Option<Units>) -> String {
     let unit = key.unit(units).map(|unit| format!("Unit: {unit}."));
     let range = key.range().map(|range| format!("Range: {range}."));
-    let default = if key.default.is_null() { "Default: unset.".into() } else { format!("Default: {}.", key.default) };
-    [unit, range, Some(default)].into_iter().flatten().collect::<Vec<_>>().join(" ")
+    let default = if key.default.is_null() {
+        "Default: unset.".into()
+    } else {
+        format!("Default: {}.", key.default)
+    };
+    [unit, range, Some(default)]
+        .into_iter()
+        .flatten()
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 /// Appends words as comment lines of at most [`COLUMNS`].
@@ -148,9 +194,16 @@ mod tests {
     fn the_user_s_commands_are_printed_as_comments() {
         let folder = tempfile::tempdir().unwrap();
         let user = folder.path().join("user.toml");
-        std::fs::write(&user, "on_target = \"stop\"\nseed = 5\n[dispatch]\nsetup = \"module load colmap\"\n").unwrap();
+        std::fs::write(
+            &user,
+            "on_target = \"stop\"\nseed = 5\n[dispatch]\nsetup = \"module load colmap\"\n",
+        )
+        .unwrap();
         let configuration = Configuration::load(
-            &Files { user: Some(user), ..Files::default() },
+            &Files {
+                user: Some(user),
+                ..Files::default()
+            },
             CommandLineSettings::default(),
             backends::canonical_name,
         )
@@ -158,18 +211,25 @@ mod tests {
         let values = serde_json::to_value(&configuration.settings).unwrap();
         let text = as_toml(&configuration, &values);
         assert!(
-            text.contains("\n# on_target = \"stop\"  # ") && text.contains("\n# setup = \"module load colmap\"  # ")
+            text.contains("\n# on_target = \"stop\"  # ")
+                && text.contains("\n# setup = \"module load colmap\"  # ")
         );
         let project = folder.path().join("viewrank.toml");
         std::fs::write(&project, &text).unwrap();
         let again = Configuration::load(
-            &Files { project: Some(project), ..Files::default() },
+            &Files {
+                project: Some(project),
+                ..Files::default()
+            },
             CommandLineSettings::default(),
             backends::canonical_name,
         )
         .unwrap();
         assert_eq!(again.settings.seed, 5);
-        assert_eq!((again.settings.on_target, again.settings.dispatch.setup), (None, String::new()));
+        assert_eq!(
+            (again.settings.on_target, again.settings.dispatch.setup),
+            (None, String::new())
+        );
     }
 
     #[test]
@@ -177,17 +237,27 @@ mod tests {
         let configuration = Configuration::default();
         let values = serde_json::to_value(&configuration.settings).unwrap();
         let text = as_toml(&configuration, &values);
-        assert_eq!(toml::from_str::<Settings>(&text).unwrap(), configuration.settings);
+        assert_eq!(
+            toml::from_str::<Settings>(&text).unwrap(),
+            configuration.settings
+        );
         assert!(text.lines().all(|line| line.len() <= COLUMNS));
         let folder = tempfile::tempdir().unwrap();
         let project = folder.path().join("viewrank.toml");
         std::fs::write(&project, &text).unwrap();
         let of_project = Configuration::load(
-            &Files { project: Some(project), ..Files::default() },
+            &Files {
+                project: Some(project),
+                ..Files::default()
+            },
             CommandLineSettings::default(),
             backends::canonical_name,
         );
-        assert_eq!(of_project.unwrap().settings, configuration.settings, "and one that a project may have");
+        assert_eq!(
+            of_project.unwrap().settings,
+            configuration.settings,
+            "and one that a project may have"
+        );
         assert!(text.contains("# Unit: px. Range: above 0. Default: 0.5.\nsigma_px = 0.5\n"));
     }
 }

@@ -22,10 +22,12 @@ use serde::Serialize;
 
 use super::{Failure, Format, config, print, print_json, progress::Progress, warn};
 
-/// Submit the view clusters of a plan to a queue: a task per depth map, best first, and a task that fuses them.
+/// Submit the view clusters of a plan to a queue: a task per depth map, best first, and a task that
+/// fuses them.
 ///
-/// Can be run again at any time: finished, queued and running tasks are kept, missing ones submitted again, waiting ones cancelled once the
-/// existing depth maps reach the target. Defaults for the resources of a task come from viewrank.toml, section dispatch.
+/// Can be run again at any time: finished, queued and running tasks are kept, missing ones
+/// submitted again, waiting ones cancelled once the existing depth maps reach the target. Defaults
+/// for the resources of a task come from viewrank.toml, section dispatch.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -38,13 +40,16 @@ pub struct Arguments {
     /// Backend that computes the depth maps [default: the plan's]
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
-    /// Take the first N view clusters, or P % of the number of registered views (of a plan of two sizes: of the work of all) [default: the plan's cut]
+    /// Take the first N view clusters, or P % of the number of registered views (of a plan of two
+    /// sizes: of the work of all) [default: the plan's cut]
     #[arg(long, value_name = "N|P%")]
     budget: Option<Budget>,
-    /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's cut]
+    /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's
+    /// cut]
     #[arg(long, value_name = "P%")]
     target: Option<Share>,
-    /// The backend's program: sgm.py, DensifyPointCloud, colmap [default: $SGM, $DENSIFY, $COLMAP, else from the PATH]
+    /// The backend's program: sgm.py, DensifyPointCloud, colmap [default: $SGM, $DENSIFY, $COLMAP,
+    /// else from the PATH]
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
 
@@ -73,7 +78,12 @@ pub struct Arguments {
     #[arg(long, value_name = "N", help_heading = "Task")]
     at_once: Option<i64>,
     /// Further option of sbatch; repeatable
-    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "Task")]
+    #[arg(
+        long,
+        value_name = "OPTION",
+        allow_hyphen_values = true,
+        help_heading = "Task"
+    )]
     option: Vec<String>,
     /// Lines of sh to run at the start of each task, such as "module load colmap"
     #[arg(long, value_name = "LINES", help_heading = "Task")]
@@ -109,13 +119,20 @@ struct Report<'a> {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // Jobs are identified by the project's canonical path.
-    let root = dunce::canonicalize(&arguments.project).unwrap_or_else(|_| arguments.project.clone());
+    let root =
+        dunce::canonicalize(&arguments.project).unwrap_or_else(|_| arguments.project.clone());
     let plan = WrittenPlan::read(&root)?;
     if let Some(wanted) = arguments.target.filter(|wanted| wanted.0 > plan.target.0) {
-        return Err(DispatchError::Target { wanted, planned: plan.target }.into());
+        return Err(DispatchError::Target {
+            wanted,
+            planned: plan.target,
+        }
+        .into());
     }
     let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend))?;
-    let settings = config::load(Some(&plan.project.root), arguments.typed())?.settings.dispatch;
+    let settings = config::load(Some(&plan.project.root), arguments.typed())?
+        .settings
+        .dispatch;
     let selection = Selection {
         project: &plan.project,
         scene: &plan.scene,
@@ -128,7 +145,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let exported = backend.export(&selection, &Default::default())?;
     output::refuse_to_leave(&plan.project.home, &exported.files.root)?;
     let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
-    let _held = if arguments.dry_run { None } else { Some(dispatch.hold()?) };
+    let _held = if arguments.dry_run {
+        None
+    } else {
+        Some(dispatch.hold()?)
+    };
     let tools = arguments.tools(&dispatch, &settings)?;
     let reached = arguments.target_reached(&plan.project.root, &dispatch)?;
     let mut exported = Some(exported);
@@ -136,25 +157,39 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let export = exported.take().map(|export| export.files);
         let folder = export.as_ref().map(|files| files.root.clone());
         let export = folder.map(|folder| place::set_of_folder(&folder, export, &plan.project));
-        export.map_or(Ok(WriteReport::default()), |set| set.write(&plan.project.disk()))?;
-        dispatch.files(&tools, &settings, &queue.lists()).write(&plan.project.disk())?;
+        export.map_or(Ok(WriteReport::default()), |set| {
+            set.write(&plan.project.disk())
+        })?;
+        dispatch
+            .files(&tools, &settings, &queue.lists())
+            .write(&plan.project.disk())?;
         Ok(())
     };
     let submission = match (arguments.scheduler, arguments.dry_run) {
         (Scheduler::Slurm, true) => {
-            let missing: Vec<&Task> = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task)).collect();
+            let missing: Vec<&Task> = dispatch
+                .tasks
+                .iter()
+                .filter(|task| !dispatch.is_done(task))
+                .collect();
             queue_or_empty(&dispatch).rehearse(&dispatch, &missing, &settings, reached)
         }
         (Scheduler::Slurm, false) => slurm::submit(&dispatch, &settings, reached, write)?,
         (Scheduler::Shell, dry_run) => {
             if !dry_run {
                 // Queued tasks may still read older lists.
-                write(&SlurmQueue::read(&dispatch).unwrap_or_else(|_| SlurmQueue::empty(&dispatch)))?;
+                write(
+                    &SlurmQueue::read(&dispatch).unwrap_or_else(|_| SlurmQueue::empty(&dispatch)),
+                )?;
             }
             Submission::default()
         }
     };
-    let done = dispatch.tasks.iter().filter(|task| dispatch.is_done(task)).count();
+    let done = dispatch
+        .tasks
+        .iter()
+        .filter(|task| dispatch.is_done(task))
+        .count();
     let report = Report {
         backend: dispatch.backend,
         folder: &dispatch.folder,
@@ -168,7 +203,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         Format::Json => print_json(&report),
         Format::Text if arguments.dry_run => {
             let files = dispatch.files(&tools, &settings, &Default::default());
-            print(scripts(&files).into_iter().chain(report.text(arguments, &dispatch)))
+            print(
+                scripts(&files)
+                    .into_iter()
+                    .chain(report.text(arguments, &dispatch)),
+            )
         }
         Format::Text => print(report.text(arguments, &dispatch)),
     }
@@ -177,7 +216,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Reads the state of the queue; empty, with a warning, if the query fails.
 fn queue_or_empty(dispatch: &Dispatch) -> SlurmQueue {
     SlurmQueue::read(dispatch).unwrap_or_else(|error| {
-        warn(&format!("cannot query the queue, assuming it is empty: {error}"));
+        warn(&format!(
+            "cannot query the queue, assuming it is empty: {error}"
+        ));
         SlurmQueue::empty(dispatch)
     })
 }
@@ -194,15 +235,26 @@ impl Arguments {
         typed.set("--cpus", "dispatch.cpus", self.cpus);
         typed.set("--gpus", "dispatch.gpus", self.gpus);
         typed.set("--at-once", "dispatch.at_once", self.at_once);
-        typed.set("--option", "dispatch.options", (!self.option.is_empty()).then(|| self.option.clone()));
+        typed.set(
+            "--option",
+            "dispatch.options",
+            (!self.option.is_empty()).then(|| self.option.clone()),
+        );
         typed.set("--setup", "dispatch.setup", self.setup.clone());
         typed
     }
 
-    /// Returns the programs that tasks run; by name if not found here (dry runs, or only the nodes have them).
-    fn tools(&self, dispatch: &Dispatch, settings: &DispatchSettings) -> Result<Tools, DispatchError> {
+    /// Returns the programs that tasks run; by name if not found here (dry runs, or only the nodes
+    /// have them).
+    fn tools(
+        &self,
+        dispatch: &Dispatch,
+        settings: &DispatchSettings,
+    ) -> Result<Tools, DispatchError> {
         match Tools::find(dispatch, self.program.as_deref()) {
-            Err(_) if !settings.setup.is_empty() && self.program.is_none() => Ok(Tools::unseen(dispatch.runner())),
+            Err(_) if !settings.setup.is_empty() && self.program.is_none() => {
+                Ok(Tools::unseen(dispatch.runner()))
+            }
             Err(error) if self.dry_run => {
                 warn(&error.to_string());
                 Ok(Tools::unseen(dispatch.runner()))
@@ -211,7 +263,8 @@ impl Arguments {
         }
     }
 
-    /// Returns whether the existing depth maps reach the target. Measured, so that tasks which start now find it in `progress.json`.
+    /// Returns whether the existing depth maps reach the target. Measured, so that tasks which
+    /// start now find it in `progress.json`.
     fn target_reached(&self, root: &Path, dispatch: &Dispatch) -> Result<bool, Failure> {
         if self.dry_run {
             return Ok(follow::target_reached(root));
@@ -251,21 +304,35 @@ fn scripts(files: &FileSet) -> Vec<String> {
 impl Report<'_> {
     fn text(&self, arguments: &Arguments, dispatch: &Dispatch) -> Vec<String> {
         let (folder, all) = (self.folder.display(), self.tasks);
-        let mut lines = vec![format!("{}: {all} view clusters, {} finished; {folder}", self.backend, self.done)];
+        let mut lines = vec![format!(
+            "{}: {all} view clusters, {} finished; {folder}",
+            self.backend, self.done
+        )];
         if self.target_reached {
-            lines.push("  the existing depth maps reach the target: no more tasks are started".into());
+            lines.push(
+                "  the existing depth maps reach the target: no more tasks are started".into(),
+            );
         }
         match arguments.scheduler {
             Scheduler::Shell if self.target_reached => {}
             Scheduler::Shell => lines.extend(by_hand(dispatch, self.at_once)),
             Scheduler::Slurm => {
-                let Submission { commands, ranks, queued, left, jobs } = &self.submission;
+                let Submission {
+                    commands,
+                    ranks,
+                    queued,
+                    left,
+                    jobs,
+                } = &self.submission;
                 if !queued.is_empty() {
                     lines.push(format!("  on their way  {} tasks", queued.len()));
                 }
                 if !ranks.is_empty() {
                     let (first, last) = (ranks[0], ranks[ranks.len() - 1]);
-                    lines.push(format!("  submitted     {} tasks, ranks {first} to {last}", ranks.len()));
+                    lines.push(format!(
+                        "  submitted     {} tasks, ranks {first} to {last}",
+                        ranks.len()
+                    ));
                 }
                 if *left > 0 {
                     lines.push(format!(

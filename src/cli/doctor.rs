@@ -14,17 +14,20 @@ use super::{Exit, Failure, Format, config, print, print_json, wrapped};
 /// Number of views listed by name; further ones are only counted.
 const LISTED: usize = 6;
 
-/// Find problems of a project: views without partners and why, weak links, impossible units, traps of MVS programs.
+/// Find problems of a project: views without partners and why, weak links, impossible units, traps
+/// of MVS programs.
 ///
-/// Needs no plan. Exit code 0: no findings, or only notes; 3: warnings; 4: errors. Views without partners (at the border of a block, say)
-/// are a note if other views see their area, a warning from 1 % of the sparse points lost or 10 % of the views, an error from 50 % of either.
+/// Needs no plan. Exit code 0: no findings, or only notes; 3: warnings; 4: errors. Views without
+/// partners (at the border of a block, say) are a note if other views see their area, a warning
+/// from 1 % of the sparse points lost or 10 % of the views, an error from 50 % of either.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
-    /// Backends to check; partners are checked for the first [default: all; partners for the planned one, else the one set up]
+    /// Backends to check; partners are checked for the first [default: all; partners for the
+    /// planned one, else the one set up]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     backend: Vec<String>,
     /// Sub-model to check [default: the one with most images]
@@ -42,14 +45,21 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project.root), Default::default())?.settings;
     let project = project.with_images(settings.images.as_deref());
-    let wanted = if arguments.backend.is_empty() { &settings.backends } else { &arguments.backend };
+    let wanted = if arguments.backend.is_empty() {
+        &settings.backends
+    } else {
+        &arguments.backend
+    };
     let backends = doctor::backends_to_check(&project, wanted, arguments.backend.is_empty())?;
     let scene = project.read_scene()?;
     let diagnosis = doctor::examine(&project, &scene, &settings, &backends);
     match arguments.format {
         Format::Json => print_json(&diagnosis)?,
         Format::Text => {
-            let mut lines = text(&diagnosis.findings, if arguments.all { usize::MAX } else { LISTED });
+            let mut lines = text(
+                &diagnosis.findings,
+                if arguments.all { usize::MAX } else { LISTED },
+            );
             lines.extend(checked(&diagnosis, &backends));
             print(lines)?;
         }
@@ -59,7 +69,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Returns the exit code of the worst finding.
 fn verdict(findings: &[Finding]) -> Result<(), Failure> {
-    let count = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
+    let count = |severity| {
+        findings
+            .iter()
+            .filter(|finding| finding.severity == severity)
+            .count()
+    };
     let (errors, warnings) = (count(Severity::Error), count(Severity::Warning));
     let exit = match (errors, warnings) {
         (0, 0) => return Ok(()),
@@ -86,11 +101,18 @@ fn text(findings: &[Finding], listed: usize) -> Vec<String> {
         }
         lines.extend(wrapped("        do      ", &finding.cure));
         for ViewFinding { name, why } in finding.views.iter().take(listed) {
-            let why = if why.is_empty() { String::new() } else { format!(": {why}") };
+            let why = if why.is_empty() {
+                String::new()
+            } else {
+                format!(": {why}")
+            };
             lines.extend(wrapped("          - ", &format!("{name}{why}")));
         }
         if finding.views.len() > listed {
-            lines.push(format!("          and {} more (--all names them)", finding.views.len() - listed));
+            lines.push(format!(
+                "          and {} more (--all names them)",
+                finding.views.len() - listed
+            ));
         }
         lines.push(String::new());
     }
@@ -101,9 +123,21 @@ fn text(findings: &[Finding], listed: usize) -> Vec<String> {
 /// Says what was checked.
 fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> Vec<String> {
     let own = diagnosis.backend;
-    let others: Vec<&str> = backends.iter().map(|backend| backend.name).filter(|name| *name != own).collect();
-    let others = if others.is_empty() { String::new() } else { format!("; traps of {}", others.join(", ")) };
-    let links = if diagnosis.partners_judged { " partners of each view, weak links," } else { "" };
+    let others: Vec<&str> = backends
+        .iter()
+        .map(|backend| backend.name)
+        .filter(|name| *name != own)
+        .collect();
+    let others = if others.is_empty() {
+        String::new()
+    } else {
+        format!("; traps of {}", others.join(", "))
+    };
+    let links = if diagnosis.partners_judged {
+        " partners of each view, weak links,"
+    } else {
+        ""
+    };
     let what = format!(
         "cameras, poses and points of the model, its units,{links} image files and their sizes, masks, traps of {own}, which the project would be \
          planned for{others}."
@@ -113,10 +147,22 @@ fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> Vec<String> {
 
 /// Counts findings by severity, on one line.
 fn counts(findings: &[Finding]) -> String {
-    let kinds = [(Severity::Error, "error"), (Severity::Warning, "warning"), (Severity::Note, "note")];
+    let kinds = [
+        (Severity::Error, "error"),
+        (Severity::Warning, "warning"),
+        (Severity::Note, "note"),
+    ];
     let count = |(severity, name): (Severity, &str)| {
-        let n = findings.iter().filter(|finding| finding.severity == severity).count();
+        let n = findings
+            .iter()
+            .filter(|finding| finding.severity == severity)
+            .count();
         (n > 0).then(|| format!("{n} {name}{}", if n == 1 { "" } else { "s" }))
     };
-    kinds.into_iter().filter_map(count).collect::<Vec<_>>().join(", ") + "."
+    kinds
+        .into_iter()
+        .filter_map(count)
+        .collect::<Vec<_>>()
+        .join(", ")
+        + "."
 }

@@ -1,4 +1,5 @@
-//! `viewrank evaluate`: measures finished depth maps against the plan, a reference, and other choices.
+//! `viewrank evaluate`: measures finished depth maps against the plan, a reference, and other
+//! choices.
 
 use std::{
     collections::BTreeSet,
@@ -9,8 +10,8 @@ use crate::{
     apps::{
         doctor::counted,
         evaluate::{
-            self, CloudComparison, Comparison, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
-            MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
+            self, CloudComparison, Comparison, Evaluation, EvaluationInput, EvaluationOptions,
+            MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
         },
         replan,
     },
@@ -24,12 +25,15 @@ use crate::{
 use clap::Args;
 use serde::Serialize;
 
-use super::{Failure, Format, print, print_json, progress::Progress, terminal::json, use_threads, warn};
+use super::{
+    Failure, Format, print, print_json, progress::Progress, terminal::json, use_threads, warn,
+};
 
 /// Measure finished depth maps: quality reached, what is missing and why.
 ///
-/// Needs a plan of PROJECT (viewrank plan). The depth maps are those of COLMAP (stereo/depth_maps), OpenMVS, MVSNet, ACMM,
-/// Gipuma, MVE, AliceVision, MicMac or integrations/sgm. Writes PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
+/// Needs a plan of PROJECT (viewrank plan). The depth maps are those of COLMAP (stereo/depth_maps),
+/// OpenMVS, MVSNet, ACMM, Gipuma, MVE, AliceVision, MicMac or integrations/sgm. Writes
+/// PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -39,10 +43,12 @@ pub struct Arguments {
     /// Folder of the finished depth maps
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), required_unless_present_any = ["write_baselines", "compare"])]
     depth_maps: Option<PathBuf>,
-    /// Folder of reference depth maps, such as those with all partners [default: every depth counts as right]
+    /// Folder of reference depth maps, such as those with all partners [default: every depth counts
+    /// as right]
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     reference: Option<PathBuf>,
-    /// Fused cloud of a full run, to compare --cloud with: area, completeness, precision, error (PLY)
+    /// Fused cloud of a full run, to compare --cloud with: area, completeness, precision, error
+    /// (PLY)
     #[arg(long, value_name = "FILE", requires = "cloud")]
     reference_cloud: Option<PathBuf>,
     /// Fused cloud of these depth maps (PLY)
@@ -54,11 +60,13 @@ pub struct Arguments {
     /// Folder of depth maps of the same clusters, matched at half the size, to compare with
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
     half_size: Option<PathBuf>,
-    /// Also compare the order with others: nocp, realupdate, replan, maxpts, every n-th, farthest view, random, optimum
+    /// Also compare the order with others: nocp, realupdate, replan, maxpts, every n-th, farthest
+    /// view, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
 
-    /// Write the view clusters of other partner rules to DIR/kK/RULE/clusters.txt, to be matched there
+    /// Write the view clusters of other partner rules to DIR/kK/RULE/clusters.txt, to be matched
+    /// there
     #[arg(long, value_name = "DIR", conflicts_with = "depth_maps")]
     write_baselines: Option<PathBuf>,
     /// Partners per key view of those clusters
@@ -89,7 +97,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
     let (project, plan, _) = replan::as_written(&arguments.project, &progress)?;
-    match (&arguments.write_baselines, &arguments.compare, &arguments.depth_maps) {
+    match (
+        &arguments.write_baselines,
+        &arguments.compare,
+        &arguments.depth_maps,
+    ) {
         (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
         (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
         (_, _, Some(folder)) => measure(arguments, &project, &plan, folder, &progress),
@@ -104,21 +116,42 @@ fn measure(
     folder: &Path,
     progress: &Progress,
 ) -> Result<(), Failure> {
-    let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
+    let out = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| project.output_folder().join("evaluation"));
     refuse_to_leave(&project.home, &out)?;
     let clusters = match &arguments.clusters {
         Some(file) => clusters::read(file, &plan.stages.scene)?,
         None => planned(plan),
     };
-    let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
+    let run = task(
+        plan,
+        &clusters,
+        folder,
+        arguments.reference.as_deref(),
+        progress,
+    )?;
     let model = plan.stages.model();
     let reached = MeasuredSurface::new(&model, &run);
     let so_far = MeasuredProgress::new(&plan.stages, &run);
-    let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
-    let clouds = arguments.cloud.as_ref().zip(arguments.reference_cloud.as_ref());
-    let clouds = clouds.map(|(cloud, reference)| CloudComparison::read(cloud, reference, gsd)).transpose()?;
+    let gsd = plan
+        .stages
+        .settings
+        .target
+        .gsd
+        .expect("a plan's settings are filled in");
+    let clouds = arguments
+        .cloud
+        .as_ref()
+        .zip(arguments.reference_cloud.as_ref());
+    let clouds = clouds
+        .map(|(cloud, reference)| CloudComparison::read(cloud, reference, gsd))
+        .transpose()?;
     let reference = arguments.reference.as_deref();
-    let half = |folder: &PathBuf| MeasuredClusters::at_half_size(&plan.stages, &clusters, folder, reference, progress);
+    let half = |folder: &PathBuf| {
+        MeasuredClusters::at_half_size(&plan.stages, &clusters, folder, reference, progress)
+    };
     let half = arguments.half_size.as_ref().map(half).transpose()?;
     let how = EvaluationOptions {
         objective: &plan.stages.objective,
@@ -128,7 +161,11 @@ fn measure(
         half: half.as_ref(),
     };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
-    let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
+    let title = project
+        .root
+        .file_name()
+        .unwrap_or(project.root.as_os_str())
+        .to_string_lossy();
     let mut files = FileSet::new(&out, "evaluation");
     files.add_text("evaluation.json", json(&evaluation));
     files.add_text("evaluation.html", evaluate::page(&evaluation, &title));
@@ -146,8 +183,14 @@ fn measure(
 
 /// All clusters of the plan, those without predicted gain last.
 fn planned(plan: &Plan) -> Vec<ViewCluster> {
-    let order = orders::completed(plan.decision.ranking.order.clone(), plan.stages.clusters.len());
-    order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
+    let order = orders::completed(
+        plan.decision.ranking.order.clone(),
+        plan.stages.clusters.len(),
+    );
+    order
+        .iter()
+        .map(|&c| plan.stages.clusters[c as usize].clone())
+        .collect()
 }
 
 fn task(
@@ -157,14 +200,25 @@ fn task(
     reference: Option<&Path>,
     progress: &Progress,
 ) -> Result<MeasuredClusters, Failure> {
-    Ok(MeasuredClusters::new(&EvaluationInput::new(&plan.stages, clusters, depth_maps, reference), progress)?)
+    Ok(MeasuredClusters::new(
+        &EvaluationInput::new(&plan.stages, clusters, depth_maps, reference),
+        progress,
+    )?)
 }
 
-fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {
+fn write_baselines(
+    arguments: &Arguments,
+    plan: &Plan,
+    folder: &Path,
+    progress: &Progress,
+) -> Result<(), Failure> {
     let mut files = FileSet::new(folder, "baselines");
     for &k in &arguments.k {
         for choice in evaluate::choices(plan, k, progress)? {
-            files.add_text(format!("k{k}/{}/clusters.txt", choice.rule), choice.text(plan));
+            files.add_text(
+                format!("k{k}/{}/clusters.txt", choice.rule),
+                choice.text(plan),
+            );
         }
     }
     files.write(&Disk::REAL)?;
@@ -178,19 +232,41 @@ fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: 
     })
 }
 
-fn compare(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {
+fn compare(
+    arguments: &Arguments,
+    plan: &Plan,
+    folder: &Path,
+    progress: &Progress,
+) -> Result<(), Failure> {
     let mut runs = Vec::new();
     for path in evaluate::clusters::folders(folder)? {
         let clusters = clusters::read(&path.join("clusters.txt"), &plan.stages.scene)?;
-        let name = path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
-        runs.push((name, task(plan, &clusters, &path, arguments.reference.as_deref(), progress)?));
+        let name = path
+            .strip_prefix(folder)
+            .unwrap_or(&path)
+            .to_string_lossy()
+            .into_owned();
+        runs.push((
+            name,
+            task(
+                plan,
+                &clusters,
+                &path,
+                arguments.reference.as_deref(),
+                progress,
+            )?,
+        ));
     }
     let compared = evaluate::compare(plan, &runs, progress)?;
     progress.finish();
     output(arguments, &compared, || compared_text(&compared))
 }
 
-fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Vec<String>) -> Result<(), Failure> {
+fn output(
+    arguments: &Arguments,
+    value: &impl Serialize,
+    text: impl Fn() -> Vec<String>,
+) -> Result<(), Failure> {
     match arguments.format {
         Format::Json => print_json(value),
         Format::Text if arguments.quiet => Ok(()),
@@ -199,42 +275,79 @@ fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Vec<
 }
 
 fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
-    let listed: BTreeSet<ViewIndex> = plan.ranked().take(plan.decision.cut.clusters).map(|c| c.key).collect();
-    let missing = run.without_map.iter().filter(|key| listed.contains(*key)).count();
+    let listed: BTreeSet<ViewIndex> = plan
+        .ranked()
+        .take(plan.decision.cut.clusters)
+        .map(|c| c.key)
+        .collect();
+    let missing = run
+        .without_map
+        .iter()
+        .filter(|key| listed.contains(*key))
+        .count();
     if missing > 0 {
         let what = counted(missing, "key view");
-        warn(&format!("{what} of the plan without a depth map; shares are relative to the others"));
+        warn(&format!(
+            "{what} of the plan without a depth map; shares are relative to the others"
+        ));
     }
-    let beyond = run.clusters.iter().filter(|cluster| !listed.contains(&cluster.key));
-    let beyond: Vec<&str> = beyond.map(|cluster| plan.stages.scene.name(cluster.key)).collect();
+    let beyond = run
+        .clusters
+        .iter()
+        .filter(|cluster| !listed.contains(&cluster.key));
+    let beyond: Vec<&str> = beyond
+        .map(|cluster| plan.stages.scene.name(cluster.key))
+        .collect();
     if let Some(first) = beyond.first() {
         let what = counted(beyond.len(), "depth map");
-        warn(&format!("{what} beyond the plan's list, the first of {first}: measured, but not in a cloud of the list"));
+        warn(&format!(
+            "{what} beyond the plan's list, the first of {first}: measured, but not in a cloud of the list"
+        ));
     }
     if let Some(view) = evaluation.other_partners.first() {
         let what = counted(evaluation.other_partners.len(), "depth map");
-        warn(&format!("{what} made with other partners than planned, the first of {view}"));
+        warn(&format!(
+            "{what} made with other partners than planned, the first of {view}"
+        ));
     }
     if let Some(view) = evaluation.other_sizes.first() {
         let what = counted(evaluation.other_sizes.len(), "depth map");
-        warn(&format!("{what} of neither the planned size nor half of it, the first of {view}: the nearer one counts"));
+        warn(&format!(
+            "{what} of neither the planned size nor half of it, the first of {view}: the nearer one counts"
+        ));
     }
-    run.unreadable.iter().for_each(|why| warn(&format!("left out: {why}")));
+    run.unreadable
+        .iter()
+        .for_each(|why| warn(&format!("left out: {why}")));
     if let Some(file) = run.strangers.first() {
         let what = counted(run.strangers.len(), "depth map");
-        warn(&format!("{what} of no view of this model or export, the first is {}", file.display()));
+        warn(&format!(
+            "{what} of no view of this model or export, the first is {}",
+            file.display()
+        ));
     }
 }
 
 fn text(e: &Evaluation, out: &Path) -> Vec<String> {
     let mut lines = Vec::new();
-    let truth = if e.reference { "against the reference" } else { "no reference: every depth counts as right" };
+    let truth = if e.reference {
+        "against the reference"
+    } else {
+        "no reference: every depth counts as right"
+    };
     let maps = match e.at_half_size() {
         0 => format!("{} depth maps", e.key_views.len()),
-        half => format!("{} depth maps, {half} of them at half the size", e.key_views.len()),
+        half => format!(
+            "{} depth maps, {half} of them at half the size",
+            e.key_views.len()
+        ),
     };
     lines.push(format!("{maps}, {truth}"));
-    lines.push(format!("  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors()));
+    lines.push(format!(
+        "  completeness {:.1} %{}",
+        100.0 * e.quality.completeness,
+        e.errors()
+    ));
     lines.push(format!("  reached: {}", e.reached_in_words()));
     lines.push(format!("  {}", e.enough_in_words()));
     if let Some(half) = &e.half_size {
@@ -248,30 +361,56 @@ fn text(e: &Evaluation, out: &Path) -> Vec<String> {
             ));
         }
     }
-    lines.push(format!("  fulfilment of these: {:.3} predicted, {:.3} real", e.predicted, e.real));
+    lines.push(format!(
+        "  fulfilment of these: {:.3} predicted, {:.3} real",
+        e.predicted, e.real
+    ));
     lines.push(String::new());
     if e.inside < 1.0 {
         lines.extend(["Fulfilment and shares are those inside the region.", ""].map(String::from));
     }
     lines.push("shares of what these depth maps give together".into());
     lines.push("predicted share   key views   pairs   real share".into());
-    for gap in e.gap.chunk_by(|one, next| one.clusters == next.clusters).filter_map(<[_]>::last) {
+    for gap in e
+        .gap
+        .chunk_by(|one, next| one.clusters == next.clusters)
+        .filter_map(<[_]>::last)
+    {
         let (share, real) = (100.0 * gap.share, 100.0 * gap.real);
-        lines.push(format!("{share:13.0} % {:11} {:7} {real:10.1} %", gap.clusters, gap.pairs));
+        lines.push(format!(
+            "{share:13.0} % {:11} {:7} {real:10.1} %",
+            gap.clusters, gap.pairs
+        ));
     }
     if !e.orders.is_empty() {
         lines.extend(["", "key views for"].map(String::from));
-        lines.push(e.orders[0].needed.iter().map(|n| format!("{:4.0} %", 100.0 * n.share)).collect());
+        lines.push(
+            e.orders[0]
+                .needed
+                .iter()
+                .map(|n| format!("{:4.0} %", 100.0 * n.share))
+                .collect(),
+        );
         for (names, cells) in baselines::rows(&e.orders, false) {
             let cells: String = cells.iter().map(|cell| format!("{cell:>6}")).collect();
             lines.push(format!("{cells}  {}", names.join(", ")));
         }
     }
-    lines.extend([String::new(), format!("missing, of {} triangles", e.triangles)]);
+    lines.extend([
+        String::new(),
+        format!("missing, of {} triangles", e.triangles),
+    ]);
     for (missing, count) in &e.missing {
-        lines.push(format!("  {:6.1} % {}", 100.0 * *count as f64 / e.triangles.max(1) as f64, missing.words()));
+        lines.push(format!(
+            "  {:6.1} % {}",
+            100.0 * *count as f64 / e.triangles.max(1) as f64,
+            missing.words()
+        ));
     }
-    lines.extend([String::new(), format!("See {}", out.join("evaluation.html").display())]);
+    lines.extend([
+        String::new(),
+        format!("See {}", out.join("evaluation.html").display()),
+    ]);
     lines
 }
 

@@ -1,11 +1,15 @@
-//! `viewrank export`: writes a plan for other backends, or with another cut, without planning again.
+//! `viewrank export`: writes a plan for other backends, or with another cut, without planning
+//! again.
 
 use std::path::{Path, PathBuf};
 
 use crate::backends::clusters_by_area;
 use crate::{
     apps::dispatch::Dispatch,
-    backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection, place},
+    backends::{
+        self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection,
+        place,
+    },
     config::{Budget, Share},
     io::{output::WriteReport, project::Project},
     model::cluster::RankedCluster,
@@ -18,8 +22,9 @@ use super::{Failure, Format, print, print_json, warn, wrapped};
 
 /// Write the input files of MVS programs for the chosen view clusters of a plan.
 ///
-/// Reads the ranking from PROJECT/viewrank/manifest.json (written by viewrank plan); viewrank backends lists the programs. Without --out the
-/// files go to PROJECT/viewrank/NAME, those for COLMAP into the project's dense workspace where there is one.
+/// Reads the ranking from PROJECT/viewrank/manifest.json (written by viewrank plan); viewrank
+/// backends lists the programs. Without --out the files go to PROJECT/viewrank/NAME, those for
+/// COLMAP into the project's dense workspace where there is one.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -29,23 +34,30 @@ pub struct Arguments {
     /// Backends to write for [default: the plan's]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     backend: Vec<String>,
-    /// Take the first N view clusters, or P % of the number of registered views (of a plan of two sizes: of the work of all) [default: the plan's cut]
+    /// Take the first N view clusters, or P % of the number of registered views (of a plan of two
+    /// sizes: of the work of all) [default: the plan's cut]
     #[arg(long, value_name = "N|P%")]
     budget: Option<Budget>,
-    /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's cut]
+    /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's
+    /// cut]
     #[arg(long, value_name = "P%")]
     target: Option<Share>,
     /// Folder to write to; with several backends each gets a folder of its name in it
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
-    /// Split the view clusters by area into N projects of about equal size (at most one per cluster), in OUT/tile_01 and so on, each with
-    /// the partners from beyond its borders
+    /// Split the view clusters by area into N projects of about equal size (at most one per
+    /// cluster), in OUT/tile_01 and so on, each with the partners from beyond its borders
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "scene")]
     tiles: Option<u32>,
 
     /// COLMAP: views that get depth maps. Programs without partner lists: views that are listed
-    #[arg(long, value_enum, value_name = "WHICH", help_heading = "For some backends")]
+    #[arg(
+        long,
+        value_enum,
+        value_name = "WHICH",
+        help_heading = "For some backends"
+    )]
     refs: Option<References>,
     /// COLMAP: geometric consistency, which needs depth maps of the partners
     #[arg(long, value_name = "on|off", value_parser = switch, help_heading = "For some backends")]
@@ -121,35 +133,53 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         planned_for: &plan.backend,
         image_faults: &plan.project.image_faults(&plan.scene),
     };
-    let tiles = arguments.tiles.map(|count| clusters_by_area(&selection, count as usize));
+    let tiles = arguments
+        .tiles
+        .map(|count| clusters_by_area(&selection, count as usize));
     if let (Some(count), Some(tiles)) = (arguments.tiles, &tiles)
         && tiles.len() < count as usize
     {
-        warn(&format!("the key views of the plan fill only {} of {count} tiles", tiles.len()));
+        warn(&format!(
+            "the key views of the plan fill only {} of {count} tiles",
+            tiles.len()
+        ));
     }
-    // All exports are built and checked before any is written: an error in one stops the others, too.
-    let make = |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());
-    let made: Vec<PreparedExport> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
-    made.iter().try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
+    // All exports are built and checked before any is written: an error in one stops the others,
+    // too.
+    let make =
+        |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());
+    let made: Vec<PreparedExport> = backends
+        .iter()
+        .map(make)
+        .collect::<Result<_, BackendError>>()?;
+    made.iter()
+        .try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
     for (made, backend) in made.iter().zip(&backends).filter(|_| !arguments.dry_run) {
         // A run works in this folder.
         let own = std::path::absolute(plan.project.output_folder().join(backend.name));
-        if own.is_ok_and(|own| std::path::absolute(&made.folder).is_ok_and(|folder| folder == own)) {
+        if own.is_ok_and(|own| std::path::absolute(&made.folder).is_ok_and(|folder| folder == own))
+        {
             Dispatch::refuse_if_at_work_with(backend, &plan.project)?;
         }
     }
-    let reports = made.into_iter().map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));
+    let reports = made
+        .into_iter()
+        .map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));
     let reports: Vec<Report> = reports.collect::<Result<_, Failure>>()?;
     match arguments.format {
         Format::Json => print_json(&reports),
-        Format::Text => reports.iter().try_for_each(|report| print(report.text(arguments.dry_run))),
+        Format::Text => reports
+            .iter()
+            .try_for_each(|report| print(report.text(arguments.dry_run))),
     }
 }
 
-/// Warns if the list of the plan ends below the wanted share, and of another end than the plan's at two sizes, which are chosen for that.
+/// Warns if the list of the plan ends below the wanted share, and of another end than the plan's at
+/// two sizes, which are chosen for that.
 fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
     let wanted = arguments.target.zip(plan.clusters.last());
-    let missed = wanted.filter(|(target, last)| length == plan.clusters.len() && last.share < target.0);
+    let missed =
+        wanted.filter(|(target, last)| length == plan.clusters.len() && last.share < target.0);
     if let Some((target, last)) = missed {
         warn(&format!(
             "all {length} depth maps of the plan give {:.1} %, less than --target: plan again with --target {}",
@@ -157,18 +187,27 @@ fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
             String::from(target)
         ));
     } else if plan.settings.ranking.has_half() && length != plan.cut {
-        warn("the sizes were chosen for the target or budget of the plan: for another one, plan again with it");
+        warn(
+            "the sizes were chosen for the target or budget of the plan: for another one, plan again with it",
+        );
     }
 }
 
 impl Arguments {
     fn backends(&self, plan: &WrittenPlan) -> Result<Vec<&'static Backend>, BackendError> {
         let planned_for = std::slice::from_ref(&plan.backend);
-        let names = if self.backend.is_empty() { planned_for } else { &self.backend };
+        let names = if self.backend.is_empty() {
+            planned_for
+        } else {
+            &self.backend
+        };
         let backends = backends::by_names(names)?;
         for option in self.given() {
             if !backends.iter().any(|b| b.options.contains(&option)) {
-                return Err(BackendError::Option { option, backends: names.join(", ") });
+                return Err(BackendError::Option {
+                    option,
+                    backends: names.join(", "),
+                });
             }
         }
         Ok(backends)
@@ -181,13 +220,27 @@ impl Arguments {
             ("--geometric", self.geometric.is_some()),
             ("--scene", self.scene.is_some()),
         ];
-        all.into_iter().filter(|(_, given)| *given).map(|(option, _)| option)
+        all.into_iter()
+            .filter(|(_, given)| *given)
+            .map(|(option, _)| option)
     }
 
     fn options(&self, backend: &Backend, backends: usize) -> ExportOptions {
-        let out = self.out.as_ref().map(|out| if backends > 1 { out.join(backend.name) } else { out.clone() });
+        let out = self.out.as_ref().map(|out| {
+            if backends > 1 {
+                out.join(backend.name)
+            } else {
+                out.clone()
+            }
+        });
         let scene = self.scene.clone();
-        ExportOptions { out, refs: self.refs, geometric: self.geometric, scene, scale: self.scale }
+        ExportOptions {
+            out,
+            refs: self.refs,
+            geometric: self.geometric,
+            scene,
+            scale: self.scale,
+        }
     }
 
     fn make(
@@ -198,19 +251,48 @@ impl Arguments {
         tiles: Option<&[Vec<RankedCluster>]>,
     ) -> Result<PreparedExport, BackendError> {
         let options = self.options(backend, backends);
-        let unheeded = self.given().filter(|option| !backend.options.contains(option)).collect();
+        let unheeded = self
+            .given()
+            .filter(|option| !backend.options.contains(option))
+            .collect();
         let Some(tiles) = tiles else {
             let export = backend.export(selection, &options)?;
-            return Ok(PreparedExport { folder: export.files.root.clone(), exports: vec![export], unheeded });
+            return Ok(PreparedExport {
+                folder: export.files.root.clone(),
+                exports: vec![export],
+                unheeded,
+            });
         };
-        let own = || selection.project.output_folder().join(format!("{}-tiles", backend.name));
+        let own = || {
+            selection
+                .project
+                .output_folder()
+                .join(format!("{}-tiles", backend.name))
+        };
         let folder = options.out.clone().unwrap_or_else(own);
         let export = |(i, clusters): (usize, &Vec<RankedCluster>)| {
             let out = Some(folder.join(format!("tile_{:02}", i + 1)));
-            backend.export(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
+            backend.export(
+                &Selection {
+                    clusters,
+                    ..*selection
+                },
+                &ExportOptions {
+                    out,
+                    ..options.clone()
+                },
+            )
         };
-        let exports = tiles.iter().enumerate().map(export).collect::<Result<_, _>>()?;
-        Ok(PreparedExport { folder, exports, unheeded })
+        let exports = tiles
+            .iter()
+            .enumerate()
+            .map(export)
+            .collect::<Result<_, _>>()?;
+        Ok(PreparedExport {
+            folder,
+            exports,
+            unheeded,
+        })
     }
 }
 
@@ -220,20 +302,37 @@ impl PreparedExport {
         let mut sets = Vec::new();
         let mut tiles = Vec::new();
         for Export { files, record } in self.exports {
-            tiles.push(Tile { folder: files.root.clone(), files: files.files.len(), record });
+            tiles.push(Tile {
+                folder: files.root.clone(),
+                files: files.files.len(),
+                record,
+            });
             sets.push(files);
         }
         let set = place::set_of_folder(&self.folder, sets, project);
-        let written = if dry_run { WriteReport::default() } else { set.write(&project.disk())? };
+        let written = if dry_run {
+            WriteReport::default()
+        } else {
+            set.write(&project.disk())?
+        };
         let what = match tiles.pop() {
             Some(only) if !in_tiles => What::Whole(Box::new(only.record)),
             last => {
                 tiles.extend(last);
-                let backend = tiles.first().map(|tile| tile.record.backend.clone()).unwrap_or_default();
+                let backend = tiles
+                    .first()
+                    .map(|tile| tile.record.backend.clone())
+                    .unwrap_or_default();
                 What::Tiles { backend, tiles }
             }
         };
-        Ok(Report { folder: self.folder, files: set.files.len(), written, unheeded: self.unheeded, what })
+        Ok(Report {
+            folder: self.folder,
+            files: set.files.len(),
+            written,
+            unheeded: self.unheeded,
+            what,
+        })
     }
 }
 
@@ -241,17 +340,33 @@ impl Report {
     fn text(&self, dry_run: bool) -> Vec<String> {
         let mut lines: Vec<String> = match &self.what {
             What::Whole(record) => described(record, self.files, &self.folder, dry_run),
-            What::Tiles { tiles, .. } => {
-                tiles.iter().flat_map(|tile| described(&tile.record, tile.files, &tile.folder, dry_run)).collect()
-            }
+            What::Tiles { tiles, .. } => tiles
+                .iter()
+                .flat_map(|tile| described(&tile.record, tile.files, &tile.folder, dry_run))
+                .collect(),
         };
-        lines.extend(self.unheeded.iter().map(|option| format!("  not for it   {option}")));
+        lines.extend(
+            self.unheeded
+                .iter()
+                .map(|option| format!("  not for it   {option}")),
+        );
         if let Some(first) = self.written.removed.first() {
-            let more = if self.written.removed.len() > 1 { ", ..." } else { "" };
+            let more = if self.written.removed.len() > 1 {
+                ", ..."
+            } else {
+                ""
+            };
             let count = self.written.removed.len();
-            lines.push(format!("  removed      {count} files of an earlier export: {first}{more}"));
+            lines.push(format!(
+                "  removed      {count} files of an earlier export: {first}{more}"
+            ));
         }
-        lines.extend(self.written.kept.iter().map(|kept| format!("  kept         {kept}: not written by viewrank")));
+        lines.extend(
+            self.written
+                .kept
+                .iter()
+                .map(|kept| format!("  kept         {kept}: not written by viewrank")),
+        );
         lines
     }
 }
@@ -260,22 +375,49 @@ fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> Ve
     let would = if dry_run { "would be " } else { "" };
     let folder = folder.display();
     let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views.is_none());
-    let what = if matched { "view clusters" } else { "key views" };
-    let what = if r.clusters.len() == 1 { what.trim_end_matches('s') } else { what };
+    let what = if matched {
+        "view clusters"
+    } else {
+        "key views"
+    };
+    let what = if r.clusters.len() == 1 {
+        what.trim_end_matches('s')
+    } else {
+        what
+    };
     let mut lines = vec![
-        format!("{}: {} {what}, {files} files {would}in {folder}", r.backend, r.clusters.len()),
+        format!(
+            "{}: {} {what}, {files} files {would}in {folder}",
+            r.backend,
+            r.clusters.len()
+        ),
         format!("  for          {}", r.made_for),
         format!("  way          {}", r.way),
     ];
     if r.other_maps > 0 {
-        lines.push(format!("  depth maps   {} of key views and {} of others", r.key_maps, r.other_maps));
+        lines.push(format!(
+            "  depth maps   {} of key views and {} of others",
+            r.key_maps, r.other_maps
+        ));
     }
     match &r.runner {
         Some(runner) => lines.push(format!("  run there    ./{runner}")),
-        None => lines.extend(r.commands.iter().map(|command| format!("  run there    {command}"))),
+        None => lines.extend(
+            r.commands
+                .iter()
+                .map(|command| format!("  run there    {command}")),
+        ),
     }
-    lines.extend(r.not_honoured.iter().flat_map(|what| wrapped("  not honoured ", what)));
-    lines.extend(r.warnings.iter().flat_map(|warning| wrapped("  warning      ", warning)));
+    lines.extend(
+        r.not_honoured
+            .iter()
+            .flat_map(|what| wrapped("  not honoured ", what)),
+    );
+    lines.extend(
+        r.warnings
+            .iter()
+            .flat_map(|warning| wrapped("  warning      ", warning)),
+    );
     lines
 }
 

@@ -14,7 +14,8 @@ use super::{Failure, Format, config, print, print_json, terminal::is_stdout_term
 /// Number of names listed in the text; further ones are only counted.
 const LISTED: usize = 5;
 
-/// Print the contents of a sparse model: views, cameras, points, observations, errors, units, sub-models.
+/// Print the contents of a sparse model: views, cameras, points, observations, errors, units,
+/// sub-models.
 #[derive(Args)]
 pub struct Arguments {
     /// Project folder, model folder or model file.
@@ -65,7 +66,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.model, arguments.sub_model.as_deref())?;
     let settings = config::load(Some(&project.root), Default::default())?.settings;
     let project = project.with_images(settings.images.as_deref());
-    let inspection = Inspection { units: settings.units, ..inspect(&project, &project.read_scene()?) };
+    let inspection = Inspection {
+        units: settings.units,
+        ..inspect(&project, &project.read_scene()?)
+    };
     match arguments.format {
         Format::Text => print(inspection.text()),
         Format::Json => print_json(&inspection),
@@ -74,14 +78,24 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn inspect(project: &Project, scene: &Scene) -> Inspection {
     let mut camera_models = BTreeMap::new();
-    scene.cameras.iter().for_each(|camera| *camera_models.entry(camera.model().name()).or_insert(0) += 1);
+    scene
+        .cameras
+        .iter()
+        .for_each(|camera| *camera_models.entry(camera.model().name()).or_insert(0) += 1);
     let sub_model = |model: &ModelLocation, used| SubModel {
         name: model.name(),
         path: model.path.clone(),
-        registered: if used { scene.views.len() as u64 } else { model.registered },
+        registered: if used {
+            scene.views.len() as u64
+        } else {
+            model.registered
+        },
         used,
     };
-    let others = project.other_models.iter().map(|model| sub_model(model, false));
+    let others = project
+        .other_models
+        .iter()
+        .map(|model| sub_model(model, false));
     let points = scene.points.len();
     Inspection {
         format: project.model.format,
@@ -95,41 +109,89 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
         points,
         observations: scene.observations(),
         mean_track_length: (points > 0).then(|| scene.observations() as f64 / points as f64),
-        mean_reprojection_error_px: scene.mean_reprojection_error().filter(|_| project.model.format.has_pixels()),
+        mean_reprojection_error_px: scene
+            .mean_reprojection_error()
+            .filter(|_| project.model.format.has_pixels()),
         median_gsd: scene.median_gsd(),
         units: None,
-        sub_models: [sub_model(&project.model, true)].into_iter().chain(others).collect(),
-        warnings: scene.warnings.iter().map(|warning| warning.text.clone()).collect(),
+        sub_models: [sub_model(&project.model, true)]
+            .into_iter()
+            .chain(others)
+            .collect(),
+        warnings: scene
+            .warnings
+            .iter()
+            .map(|warning| warning.text.clone())
+            .collect(),
     }
 }
 
 impl Inspection {
     fn text(&self) -> Vec<String> {
-        let models = self.camera_models.iter().map(|(model, n)| format!("{n} {model}")).collect::<Vec<_>>().join(", ");
-        let number = |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
+        let models = self
+            .camera_models
+            .iter()
+            .map(|(model, n)| format!("{n} {model}"))
+            .collect::<Vec<_>>()
+            .join(", ");
+        let number =
+            |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
         let units = match self.units {
             Some(Units::Metric) => "metres (units = \"metric\" in the settings)",
             Some(Units::Relative) => "relative: lengths are in units of the model",
-            None => "unknown: lengths are in units of the model; if these are metres, set units = \"metric\"",
+            None => {
+                "unknown: lengths are in units of the model; if these are metres, set units = \"metric\""
+            }
         };
-        let images = self.image_folder.as_ref().map_or("not found".into(), |folder| folder.display().to_string());
+        let images = self
+            .image_folder
+            .as_ref()
+            .map_or("not found".into(), |folder| folder.display().to_string());
         let mut rows = vec![
-            ("model", format!("{} ({})", self.path.display(), self.format.name())),
+            (
+                "model",
+                format!("{} ({})", self.path.display(), self.format.name()),
+            ),
             ("images", images),
-            ("views", format!("{} registered, {} not", self.registered, list(&self.unregistered))),
+            (
+                "views",
+                format!(
+                    "{} registered, {} not",
+                    self.registered,
+                    list(&self.unregistered)
+                ),
+            ),
             ("cameras", format!("{} ({models})", self.cameras)),
             ("points", self.points.to_string()),
             ("observations", self.observations.to_string()),
             ("mean track length", number(self.mean_track_length, 2)),
-            ("mean reprojection error", format!("{} px", number(self.mean_reprojection_error_px, 4))),
-            ("median GSD", format!("{} units per pixel", number(self.median_gsd, 6))),
+            (
+                "mean reprojection error",
+                format!("{} px", number(self.mean_reprojection_error_px, 4)),
+            ),
+            (
+                "median GSD",
+                format!("{} units per pixel", number(self.median_gsd, 6)),
+            ),
             ("units", units.into()),
         ];
         let sub_models = self.sub_models.iter().filter(|_| self.sub_models.len() > 1);
         rows.extend(sub_models.map(|m| {
-            ("sub-model", format!("{} ({} images){}", m.name, m.registered, if m.used { ", used" } else { "" }))
+            (
+                "sub-model",
+                format!(
+                    "{} ({} images){}",
+                    m.name,
+                    m.registered,
+                    if m.used { ", used" } else { "" }
+                ),
+            )
         }));
-        rows.extend(self.warnings.iter().map(|warning| ("warning", warning.clone())));
+        rows.extend(
+            self.warnings
+                .iter()
+                .map(|warning| ("warning", warning.clone())),
+        );
         let line = |(name, value): &(&str, String)| match is_stdout_terminal() {
             true => wrapped(&format!("{name:<25}"), value),
             false => vec![format!("{name:<25}{value}")],
@@ -144,7 +206,11 @@ fn list(names: &[String]) -> String {
         [] => "0".into(),
         _ => {
             let more = if names.len() > LISTED { ", ..." } else { "" };
-            format!("{} ({}{more})", names.len(), names[..names.len().min(LISTED)].join(", "))
+            format!(
+                "{} ({}{more})",
+                names.len(),
+                names[..names.len().min(LISTED)].join(", ")
+            )
         }
     }
 }

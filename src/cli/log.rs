@@ -17,7 +17,9 @@ pub enum LogFormat {
 #[expect(clippy::disallowed_methods, reason = "values are escaped")]
 pub fn start(format: LogFormat) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| "viewrank=info".into());
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_target(false);
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_target(false);
     // The library's own format leaves values as they are.
     let values = format::debug_fn(|text: &mut format::Writer<'_>, field, value| {
         let value = printable(&format!("{value:?}"));
@@ -29,7 +31,9 @@ pub fn start(format: LogFormat) {
     match format {
         LogFormat::Json => log.json().with_writer(|| JsonLines(io::stderr())).init(),
         LogFormat::Text => {
-            let log = log.fmt_fields(values.delimited(" ")).with_writer(io::stderr);
+            let log = log
+                .fmt_fields(values.delimited(" "))
+                .with_writer(io::stderr);
             match std::env::var_os("JOURNAL_STREAM") {
                 Some(_) => log.without_time().with_ansi(false).init(),
                 None => log.with_ansi(is_stderr_terminal()).init(),
@@ -43,7 +47,8 @@ struct JsonLines<W>(W);
 
 impl<W: Write> Write for JsonLines<W> {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        self.0.write_all(json_escaped(&String::from_utf8_lossy(line)).as_bytes())?;
+        self.0
+            .write_all(json_escaped(&String::from_utf8_lossy(line)).as_bytes())?;
         Ok(line.len())
     }
 

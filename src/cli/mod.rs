@@ -1,7 +1,8 @@
 //! The command line: one file per subcommand; arguments and printing, no method.
 //!
-//! Data goes to stdout, messages to stderr, both through [`terminal`]. A subcommand returns `Result<(), Failure>`; each error of the
-//! library becomes a `Failure` by `?`, which [`main`] prints as `error: ...` and `hint: ...`.
+//! Data goes to stdout, messages to stderr, both through [`terminal`]. A subcommand returns
+//! `Result<(), Failure>`; each error of the library becomes a `Failure` by `?`, which [`main`]
+//! prints as `error: ...` and `hint: ...`.
 
 mod arguments;
 mod backends;
@@ -71,35 +72,56 @@ pub struct Failure {
 impl Failure {
     fn new(exit: Exit, message: impl Into<String>, hint: impl Into<Option<String>>) -> Self {
         let (message, hint) = (message.into(), hint.into());
-        Self { exit, message, output: Vec::new(), hint, is_printed: false, has_result: false }
+        Self {
+            exit,
+            message,
+            output: Vec::new(),
+            hint,
+            is_printed: false,
+            has_result: false,
+        }
     }
 
     /// Adds what a program printed before it failed.
     fn with_output(self, output: &str) -> Self {
-        Self { output: output.lines().map(String::from).collect(), ..self }
+        Self {
+            output: output.lines().map(String::from).collect(),
+            ..self
+        }
     }
 
     /// Returns a failure that the printed result describes.
     fn already_printed(exit: Exit) -> Self {
-        Self { is_printed: true, ..Self::new(exit, "", None) }
+        Self {
+            is_printed: true,
+            ..Self::new(exit, "", None)
+        }
     }
 
     /// Returns a failure to be printed after a result.
     fn behind_result(self) -> Self {
-        Self { has_result: true, ..self }
+        Self {
+            has_result: true,
+            ..self
+        }
     }
 
     /// Prints the error to stderr, and to stdout as JSON where results are JSON.
     pub fn print(&self) {
         if !self.is_printed {
             terminal::complain_of("error:", terminal::ERROR, &format!(" {}", self.message));
-            self.output.iter().for_each(|line| terminal::complain(&format!("  {line}")));
+            self.output
+                .iter()
+                .for_each(|line| terminal::complain(&format!("  {line}")));
             if let Some(hint) = &self.hint {
                 terminal::complain_of("hint:", terminal::HINT, &format!(" {hint}"));
             }
         }
         if arguments::asks_for_json() && !self.message.is_empty() && !self.has_result {
-            let lines: Vec<&str> = std::iter::once(&self.message).chain(&self.output).map(String::as_str).collect();
+            let lines: Vec<&str> = std::iter::once(&self.message)
+                .chain(&self.output)
+                .map(String::as_str)
+                .collect();
             let error = serde_json::json!({ "error": lines.join("\n"), "hint": self.hint, "exit": self.exit as u8 });
             _ = print_json(&error);
         }
@@ -108,7 +130,11 @@ impl Failure {
 
 impl<E: Hint> From<E> for Failure {
     fn from(error: E) -> Self {
-        let exit = if error.is_usage() { Exit::Usage } else { Exit::Failed };
+        let exit = if error.is_usage() {
+            Exit::Usage
+        } else {
+            Exit::Failed
+        };
         Self::new(exit, error.to_string(), error.hint())
     }
 }
@@ -116,7 +142,9 @@ impl<E: Hint> From<E> for Failure {
 /// Sets the size of the global thread pool; `None`: a thread per core.
 fn use_threads(threads: Option<u16>) {
     if let Some(threads) = threads {
-        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads.into())
+            .build_global();
         pool.expect("no other pool was made before");
     }
 }
@@ -131,9 +159,15 @@ enum Format {
     Json,
 }
 
-/// Ranks multi-view stereo view clusters before matching: which key views, with which partners, in which order.
+/// Ranks multi-view stereo view clusters before matching: which key views, with which partners, in
+/// which order.
 #[derive(Parser)]
-#[command(name = "viewrank", version, arg_required_else_help = true, max_term_width = 80)]
+#[command(
+    name = "viewrank",
+    version,
+    arg_required_else_help = true,
+    max_term_width = 80
+)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

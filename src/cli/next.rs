@@ -10,43 +10,74 @@ use crate::{
 
 /// Appends the options that have a value to a command.
 pub fn with_options<const N: usize>(start: String, options: [(&str, Option<String>); N]) -> String {
-    let typed = options.into_iter().filter_map(|(name, value)| Some(format!(" {name} {}", command_word(&value?))));
+    let typed = options
+        .into_iter()
+        .filter_map(|(name, value)| Some(format!(" {name} {}", command_word(&value?))));
     typed.fold(start, |command, option| command + &option)
 }
 
 /// Returns the value of `--scales`, as it was typed.
 pub fn scales(scales: Option<&[f64]>) -> Option<String> {
-    scales.map(|scales| scales.iter().map(f64::to_string).collect::<Vec<_>>().join(","))
+    scales.map(|scales| {
+        scales
+            .iter()
+            .map(f64::to_string)
+            .collect::<Vec<_>>()
+            .join(",")
+    })
 }
 
 /// Returns the same command without `--dry-run`.
 pub fn not_dry() -> String {
-    let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
-    typed.fold("viewrank".into(), |command, argument| command + " " + &command_word(&argument))
+    let typed = std::env::args()
+        .skip(1)
+        .filter(|argument| argument != "--dry-run");
+    typed.fold("viewrank".into(), |command, argument| {
+        command + " " + &command_word(&argument)
+    })
 }
 
-/// Returns what makes depth maps of a plan: `run` where this machine can match, else the first command of a backend whose files were written, or the
-/// command that writes such files. `run`: the command of `viewrank run` that makes the same plan.
+/// Returns what makes depth maps of a plan: `run` where this machine can match, else the first
+/// command of a backend whose files were written, or the command that writes such files. `run`: the
+/// command of `viewrank run` that makes the same plan.
 pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<String>) -> String {
     let root = project.as_argument();
     let backend = backends::by_name(plan.stages.backend).ok();
-    let has_images =
-        project.images.is_some() && plan.stages.image_faults.is_any_readable(plan.stages.scene.views.len());
+    let has_images = project.images.is_some()
+        && plan
+            .stages
+            .image_faults
+            .is_any_readable(plan.stages.scene.views.len());
     let can_match = || cfg!(unix) && has_images && backend.is_some_and(backends::can_match_here);
-    let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());
+    let distorted = || {
+        plan.stages
+            .scene
+            .view_indices()
+            .any(|view| !plan.stages.scene.camera_of(view).is_pinhole())
+    };
     match (run.filter(|_| can_match()), &files.command) {
         (Some(run), _) => run,
         (None, Some(command)) => command.clone(),
         (None, None) if !has_images => {
-            let images = project.images.as_ref().map_or(project.root.join("images"), |folder| folder.to_path_buf());
+            let images = project
+                .images
+                .as_ref()
+                .map_or(project.root.join("images"), |folder| folder.to_path_buf());
             let images = command_path(&images);
-            format!("put the images into {images}, then viewrank plan {root} --backend {}", plan.stages.backend)
+            format!(
+                "put the images into {images}, then viewrank plan {root} --backend {}",
+                plan.stages.backend
+            )
         }
         (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {
             let dense = command_path(&project.home.join("dense"));
             let plan = format!("viewrank plan {dense} --backend {}", plan.stages.backend);
             one_after_other(&format!("viewrank undistort {root}"), &plan)
         }
-        (None, None) => format!("viewrank export {} --backend {}", command_path(&project.home), files.manifest.backend),
+        (None, None) => format!(
+            "viewrank export {} --backend {}",
+            command_path(&project.home),
+            files.manifest.backend
+        ),
     }
 }

@@ -34,15 +34,18 @@ use crate::{backends, config::RegionChoice, show::files::files_of_same_model};
 use clap::Args;
 
 use super::{
-    Exit, Failure, Format, config, next, print, print_json, progress::Progress, summary::Summary, use_threads, warn,
+    Exit, Failure, Format, config, next, print, print_json, progress::Progress, summary::Summary,
+    use_threads, warn,
 };
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
-/// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/), the folder of a sparse model, or a model
-/// (or its folder) of Bundler, VisualSFM (.nvm), OpenMVG, OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs), SURE (.ori), MVE
-/// (synth_0.out), MicMac (Ori-...), Metashape (cameras.xml), ContextCapture (BlocksExchange XML) or nerfstudio (transforms.json). Lengths are in
-/// model units, which are metres if viewrank.toml says units = "metric".
+/// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/),
+/// the folder of a sparse model, or a model (or its folder) of Bundler, VisualSFM (.nvm), OpenMVG,
+/// OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs), SURE (.ori), MVE (synth_0.out), MicMac
+/// (Ori-...), Metashape (cameras.xml), ContextCapture (BlocksExchange XML) or nerfstudio
+/// (transforms.json). Lengths are in model units, which are metres if viewrank.toml says units =
+/// "metric".
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -52,10 +55,12 @@ pub struct Arguments {
     /// Matching partners per key view; more give more image pairs to match [default: 5]
     #[arg(short, value_name = "N", help_heading = "Selection")]
     k: Option<String>,
-    /// Stop after N view clusters, or after P % of the registered views (with --scales, of the work of all)
+    /// Stop after N view clusters, or after P % of the registered views (with --scales, of the work
+    /// of all)
     #[arg(long, value_name = "N|P%", help_heading = "Selection")]
     budget: Option<String>,
-    /// Stop at P % of what all view clusters together reach [default: 90%, if no other limit is set]
+    /// Stop at P % of what all view clusters together reach [default: 90%, if no other limit is
+    /// set]
     #[arg(long, value_name = "P%", help_heading = "Selection")]
     target: Option<String>,
     /// Stop before the forecast time of matching exceeds T, such as 2h or 90min
@@ -67,24 +72,30 @@ pub struct Arguments {
 
     /// Plan for this part of the scene: a file of GeoJSON polygons or a closed PLY mesh,
     /// a box in the frame of the model, or auto, the part that the photographs show most densely
-    #[arg(long, value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Target")]
+    #[arg(
+        long,
+        value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto",
+        allow_hyphen_values = true,
+        help_heading = "Target"
+    )]
     region: Option<String>,
-    /// Wanted ground sampling distance, model units per pixel; with units = "metric" also as 2cm [default: from the model]
+    /// Wanted ground sampling distance, model units per pixel; with units = "metric" also as 2cm
+    /// [default: from the model]
     #[arg(long, value_name = "L", help_heading = "Target")]
     gsd: Option<String>,
     /// Wanted accuracy of a point, as --gsd [default: as --gsd]
     #[arg(long, value_name = "L", help_heading = "Target")]
     accuracy: Option<String>,
 
-    /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two, each gets one such that the
-    /// plan gives most for its work [default: 1]
+    /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two,
+    /// each gets one such that the plan gives most for its work [default: 1]
     #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = super::arguments::scale, help_heading = "Method")]
     scales: Option<Vec<f64>>,
     /// Choice of partners: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "Method")]
     partners: Option<String>,
-    /// What predicts success: photometric (agreement of the pictures), geometric, none or auto [default: auto, which is
-    /// photometric where there are images]
+    /// What predicts success: photometric (agreement of the pictures), geometric, none or auto
+    /// [default: auto, which is photometric where there are images]
     #[arg(long, value_name = "SOURCE", value_parser = ["photometric", "geometric", "none", "auto"], help_heading = "Method")]
     confidence: Option<String>,
     /// Surface: 3d, terrain (nadir flights) or auto [default: auto]
@@ -101,7 +112,12 @@ pub struct Arguments {
     mesh_as_is: bool,
     /// Write for these backends; the plan is made for the first [default: as the project is set
     /// up, else what is installed]
-    #[arg(long, value_name = "NAME,...", value_delimiter = ',', help_heading = "Method")]
+    #[arg(
+        long,
+        value_name = "NAME,...",
+        value_delimiter = ',',
+        help_heading = "Method"
+    )]
     backend: Option<Vec<String>>,
     /// Sub-model to plan for [default: the one with most images]
     #[arg(long, value_name = "N", help_heading = "Method")]
@@ -112,27 +128,40 @@ pub struct Arguments {
     /// Don't place the model on earth by the GPS positions in its images
     #[arg(long, help_heading = "Method")]
     no_gps: bool,
-    /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and re-rank the rest by their measured quality
+    /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and
+    /// re-rank the rest by their measured quality
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), help_heading = "Method")]
     finished: Option<PathBuf>,
     /// Seed of all random choices [default: 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "Method")]
     seed: Option<i64>,
-    /// Memory limit, such as 8G; larger surfaces are built in tiles, larger tables kept on disk [default: no limit]
+    /// Memory limit, such as 8G; larger surfaces are built in tiles, larger tables kept on disk
+    /// [default: no limit]
     #[arg(long, value_name = "SIZE", help_heading = "Method")]
     max_memory: Option<String>,
     /// Threads to use; the plan is the same for any number [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Method")]
     threads: Option<u16>,
 
-    /// Write to DIR/viewrank and nothing into PROJECT; DIR then takes the place of PROJECT in later commands
+    /// Write to DIR/viewrank and nothing into PROJECT; DIR then takes the place of PROJECT in later
+    /// commands
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Also write all tables of the plan as NumPy files
-    #[arg(long, value_name = "DIR", conflicts_with = "dry_run", help_heading = "Output")]
+    #[arg(
+        long,
+        value_name = "DIR",
+        conflicts_with = "dry_run",
+        help_heading = "Output"
+    )]
     dump_tables: Option<PathBuf>,
     /// Also write the bare surface as a PLY file
-    #[arg(long, value_name = "FILE", conflicts_with = "dry_run", help_heading = "Output")]
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with = "dry_run",
+        help_heading = "Output"
+    )]
     dump_surface: Option<PathBuf>,
     /// Also write the page of viewrank report
     #[arg(long, conflicts_with = "dry_run", help_heading = "Output")]
@@ -167,26 +196,48 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     refuse_other_plan(&project)?;
     if !arguments.dry_run {
         Dispatch::refuse_if_at_work(&project)?;
-        output::refuse_unwritable(&project.output_folder())
-            .map_err(|error| elsewhere(error, project.is_elsewhere(), "plan", &command_path(&project.root)))?;
-        let dumps = [arguments.dump_tables.as_deref(), arguments.dump_surface.as_deref().and_then(Path::parent)];
-        dumps.into_iter().flatten().try_for_each(output::refuse_unwritable)?;
+        output::refuse_unwritable(&project.output_folder()).map_err(|error| {
+            elsewhere(
+                error,
+                project.is_elsewhere(),
+                "plan",
+                &command_path(&project.root),
+            )
+        })?;
+        let dumps = [
+            arguments.dump_tables.as_deref(),
+            arguments.dump_surface.as_deref().and_then(Path::parent),
+        ];
+        dumps
+            .into_iter()
+            .flatten()
+            .try_for_each(output::refuse_unwritable)?;
     }
     let progress = Progress::new(arguments.quiet);
-    let mut plan =
-        backends::plan(&project, &settings, &progress).map_err(|error| far_off(error, &project, &settings))?;
+    let mut plan = backends::plan(&project, &settings, &progress)
+        .map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
         if !arguments.dry_run {
             output::recover(&project.home, &project.disk())?;
         }
-        let maps = MapFolder { folder, ready: &|_| true };
+        let maps = MapFolder {
+            folder,
+            ready: &|_| true,
+        };
         plan = replan(plan, &earlier(&project)?, &maps, &progress)?.0;
         if plan.decision.finished.clusters == 0 {
-            warn(&format!("no depth map in {} fits the plan; planning without finished ones", folder.display()));
+            warn(&format!(
+                "no depth map in {} fits the plan; planning without finished ones",
+                folder.display()
+            ));
         }
     }
-    let files = files_of_same_model(&plan, &project)
-        .inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
+    let files = files_of_same_model(&plan, &project).inspect_err(|_| {
+        plan.decision
+            .warnings
+            .iter()
+            .for_each(|warning| warn(warning))
+    })?;
     if !arguments.dry_run {
         write(arguments, &project, &plan, &files, &progress)?;
     }
@@ -223,8 +274,15 @@ fn refuse_nested(out: &Path) -> Result<(), Failure> {
     let out = std::path::absolute(out).unwrap_or(out.into());
     match (out.file_name(), out.parent()) {
         (Some(name), Some(above)) if name == "viewrank" && out.join("manifest.json").exists() => {
-            let what = format!("{}: a plan is written into a folder viewrank of --out, and this is one", out.display());
-            Err(Failure::new(Exit::Usage, what, format!("give the folder above: --out {}", command_path(above))))
+            let what = format!(
+                "{}: a plan is written into a folder viewrank of --out, and this is one",
+                out.display()
+            );
+            Err(Failure::new(
+                Exit::Usage,
+                what,
+                format!("give the folder above: --out {}", command_path(above)),
+            ))
         }
         _ => Ok(()),
     }
@@ -233,15 +291,17 @@ fn refuse_nested(out: &Path) -> Result<(), Failure> {
 /// Fails if the folder of `--images` does not exist.
 fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
     match &project.images {
-        Some(images) if !images.is_dir() => {
-            Err(Failure::new(Exit::Usage, format!("{}: no such folder of images", images.display()), None))
-        }
+        Some(images) if !images.is_dir() => Err(Failure::new(
+            Exit::Usage,
+            format!("{}: no such folder of images", images.display()),
+            None,
+        )),
         _ => Ok(()),
     }
 }
 
-/// Adds the resolution of the model to the error of a surface for which a far coarser or finer one was asked. If none was asked for, adds what else may be
-/// the cause.
+/// Adds the resolution of the model to the error of a surface for which a far coarser or finer one
+/// was asked. If none was asked for, adds what else may be the cause.
 fn far_off(error: PlanError, project: &Project, settings: &Settings) -> Failure {
     if let (PlanError::Surface(SurfaceError::Refine(_)), None) = (&error, settings.target.gsd) {
         let hint = format!(
@@ -252,7 +312,10 @@ fn far_off(error: PlanError, project: &Project, settings: &Settings) -> Failure 
         return Failure::new(Exit::Failed, error.to_string(), hint);
     }
     let own = match (&error, settings.target.gsd) {
-        (PlanError::Surface(_), Some(_)) => project.read_scene().ok().and_then(|scene| scene.median_gsd()),
+        (PlanError::Surface(_), Some(_)) => project
+            .read_scene()
+            .ok()
+            .and_then(|scene| scene.median_gsd()),
         _ => None,
     };
     match (own, settings.target.gsd) {
@@ -286,8 +349,16 @@ impl Arguments {
     /// Command-line options as settings.
     fn typed(&self) -> CommandLineSettings {
         let mut typed = CommandLineSettings::default();
-        let path = |path: &PathBuf| std::path::absolute(path).unwrap_or(path.clone()).to_string_lossy().into_owned();
-        let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
+        let path = |path: &PathBuf| {
+            std::path::absolute(path)
+                .unwrap_or(path.clone())
+                .to_string_lossy()
+                .into_owned()
+        };
+        let k = self.k.as_ref().map(|k| {
+            k.parse()
+                .map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer)
+        });
         typed.set("-k", "partners.k", k);
         typed.set("--budget", "cut.budget", self.budget.clone());
         typed.set("--target", "cut.target", self.target.clone());
@@ -306,7 +377,11 @@ impl Arguments {
         typed.set("--surface", "surface.kind", self.surface.clone());
         typed.set("--up", "surface.up", self.up.map(Vec::from));
         typed.set("--mesh", "surface.mesh", self.mesh.as_ref().map(path));
-        typed.set("--mesh-as-is", "surface.mesh_as_is", self.mesh_as_is.then_some(true));
+        typed.set(
+            "--mesh-as-is",
+            "surface.mesh_as_is",
+            self.mesh_as_is.then_some(true),
+        );
         typed.set("--images", "images", self.images.as_ref().map(path));
         typed.set("--no-gps", "frame.gps", self.no_gps.then_some(false));
         typed.set("--backend", "backends", self.backend.clone());
@@ -315,11 +390,14 @@ impl Arguments {
         typed
     }
 
-    /// Returns the `viewrank run` that makes the same plan; `None` if it lacks an option that was typed, or has one backend where more were.
-    /// `maps_of_run`: the folder of its depth maps.
+    /// Returns the `viewrank run` that makes the same plan; `None` if it lacks an option that was
+    /// typed, or has one backend where more were. `maps_of_run`: the folder of its depth maps.
     fn as_run(&self, maps_of_run: &Path) -> Option<String> {
         let place = |path: &Path| path.canonicalize().ok();
-        let other_maps = self.finished.as_ref().is_some_and(|maps| place(maps) != place(maps_of_run));
+        let other_maps = self
+            .finished
+            .as_ref()
+            .is_some_and(|maps| place(maps) != place(maps_of_run));
         let is_elsewhere = self.model.is_some() || self.out.is_some() || other_maps;
         let backends = self.backend.as_deref().unwrap_or_default();
         let options = [
@@ -328,18 +406,31 @@ impl Arguments {
             ("--budget", self.budget.clone()),
             ("-k", self.k.clone()),
             ("--scales", next::scales(self.scales.as_deref())),
-            ("--images", self.images.as_ref().map(|path| path.display().to_string())),
+            (
+                "--images",
+                self.images.as_ref().map(|path| path.display().to_string()),
+            ),
         ];
-        let has_all = self.typed().are_among(&options.each_ref().map(|(name, _)| *name));
+        let has_all = self
+            .typed()
+            .are_among(&options.each_ref().map(|(name, _)| *name));
         let is_possible = has_all && !is_elsewhere && backends.len() <= 1;
-        is_possible.then(|| next::with_options(format!("viewrank run {}", command_path(&self.project)), options))
+        is_possible.then(|| {
+            next::with_options(
+                format!("viewrank run {}", command_path(&self.project)),
+                options,
+            )
+        })
     }
 }
 
 /// A folder holds one plan; that of another sub-model is not overwritten.
 fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
     let planned = planned_model(project);
-    let other = project.other_models.iter().find(|model| Some(model.name()) == planned);
+    let other = project
+        .other_models
+        .iter()
+        .find(|model| Some(model.name()) == planned);
     let Some(other) = other else { return Ok(()) };
     let manifest = project.output_folder().join("manifest.json");
     let own = match project.model.path.is_dir() {
@@ -363,7 +454,10 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
 
 fn direction(text: &str) -> Result<[f64; 3], String> {
     let wrong = "three numbers with commas between, such as 0,0,1";
-    let numbers: Vec<f64> = text.split(',').map(|n| n.trim().parse().map_err(|_| wrong)).collect::<Result<_, _>>()?;
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|n| n.trim().parse().map_err(|_| wrong))
+        .collect::<Result<_, _>>()?;
     Ok(numbers.try_into().map_err(|_| wrong)?)
 }
 
@@ -384,7 +478,12 @@ fn write(
     if let Some(path) = &arguments.dump_surface {
         output::replace(
             path,
-            &ply::write(&plan.stages.surface.vertices, &plan.stages.surface.triangles, &[], &[]),
+            &ply::write(
+                &plan.stages.surface.vertices,
+                &plan.stages.surface.triangles,
+                &[],
+                &[],
+            ),
             &Disk::REAL,
         )?;
     }
@@ -397,26 +496,52 @@ fn write(
 /// Reads the earlier plan: where this one is written or, if none is there yet, in the project.
 fn earlier(project: &Project) -> Result<EarlierPlan, WrittenPlanError> {
     match EarlierPlan::read(project) {
-        Err(WrittenPlanError::Io { source, .. }) if source.kind() == ErrorKind::NotFound && project.is_elsewhere() => {
-            EarlierPlan::read(&Project { home: project.root.clone(), ..project.clone() })
+        Err(WrittenPlanError::Io { source, .. })
+            if source.kind() == ErrorKind::NotFound && project.is_elsewhere() =>
+        {
+            EarlierPlan::read(&Project {
+                home: project.root.clone(),
+                ..project.clone()
+            })
         }
         read => read,
     }
 }
 
 /// Writes the report page, and returns its path.
-fn page(project: &Project, plan: &mut Plan, files: &PlanFiles, progress: &Progress) -> Result<PathBuf, Failure> {
-    // What finished depth maps have measured is not on the page, whose surface is predicted throughout.
+fn page(
+    project: &Project,
+    plan: &mut Plan,
+    files: &PlanFiles,
+    progress: &Progress,
+) -> Result<PathBuf, Failure> {
+    // What finished depth maps have measured is not on the page, whose surface is predicted
+    // throughout.
     if plan.decision.finished.clusters > 0 {
         return super::report::write(&project.home, progress);
     }
     let exports = &files.manifest.exports;
     plan.decision.warnings = warnings_with(&plan.decision.warnings, exports, &[]);
-    super::report::write_page(project, plan, exports, None, &DepthMapFolders::default(), progress)
+    super::report::write_page(
+        project,
+        plan,
+        exports,
+        None,
+        &DepthMapFolders::default(),
+        progress,
+    )
 }
 
-fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFiles) -> Result<(), Failure> {
-    let next = match (arguments.dry_run, arguments.quiet && arguments.format == Format::Text) {
+fn report(
+    arguments: &Arguments,
+    project: &Project,
+    plan: &Plan,
+    files: &PlanFiles,
+) -> Result<(), Failure> {
+    let next = match (
+        arguments.dry_run,
+        arguments.quiet && arguments.format == Format::Text,
+    ) {
         (_, true) => String::new(),
         (true, false) => next::not_dry(),
         (false, false) => {
@@ -431,7 +556,12 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
         Format::Text => {}
     }
     // What the error will say is no warning as well.
-    let is_error = |warning: &&String| arguments.backend.is_some() && files.not_exported.contains(warning);
-    summary.warnings.iter().filter(|warning| !is_error(warning)).for_each(|warning| warn(warning));
+    let is_error =
+        |warning: &&String| arguments.backend.is_some() && files.not_exported.contains(warning);
+    summary
+        .warnings
+        .iter()
+        .filter(|warning| !is_error(warning))
+        .for_each(|warning| warn(warning));
     Ok(())
 }

@@ -20,8 +20,9 @@ use super::{Failure, Format, print, print_json, progress::Progress};
 
 /// Draw where the backend is expected to succeed.
 ///
-/// DIR gets two files for each chosen key view of the plan: NAME.png, the image beside the chance that its depth map has a depth there, in colours with a
-/// legend, and NAME.npy, the chance as float32 (rows x columns of the picture). Grey, or NaN: the view sees no surface there.
+/// DIR gets two files for each chosen key view of the plan: NAME.png, the image beside the chance
+/// that its depth map has a depth there, in colours with a legend, and NAME.npy, the chance as
+/// float32 (rows x columns of the picture). Grey, or NaN: the view sees no surface there.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the planned project
@@ -53,10 +54,19 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Ok(());
     }
     if arguments.format == Format::Json {
-        let written: Vec<PathBuf> = files.files.keys().map(|name| arguments.out.join(name)).collect();
+        let written: Vec<PathBuf> = files
+            .files
+            .keys()
+            .map(|name| arguments.out.join(name))
+            .collect();
         return print_json(&serde_json::json!({ "files": written }));
     }
-    print(files.files.keys().map(|name| arguments.out.join(name).display().to_string()))
+    print(
+        files
+            .files
+            .keys()
+            .map(|name| arguments.out.join(name).display().to_string()),
+    )
 }
 
 /// The chosen key views of the written plan.
@@ -68,19 +78,34 @@ fn predictions(project: &Path, arguments: &Arguments) -> Result<Vec<PredictionFi
     let model = plan.stages.model();
     let of_view = |cluster: &ViewCluster| {
         let name = plan.stages.scene.name(cluster.key);
-        let bound = plan.stages.scene.camera_of(cluster.key).most_picture_pixels();
+        let bound = plan
+            .stages
+            .scene
+            .camera_of(cluster.key)
+            .most_picture_pixels();
         let image = read(&folder.file(name), bound)?;
         let (width, height) = (image.width, image.height);
         let chances = expected_success(&model, cluster, width, height);
         let picture = confidence_picture(&image, |x, y| chances[(y * width + x) as usize]);
         let raw = chances.iter().map(|chance| chance.unwrap_or(f32::NAN));
-        Ok((name.to_owned(), picture, tables::array(&[height as usize, width as usize], raw)))
+        Ok((
+            name.to_owned(),
+            picture,
+            tables::array(&[height as usize, width as usize], raw),
+        ))
     };
-    plan.chosen().collect::<Vec<_>>().into_par_iter().map(of_view).collect()
+    plan.chosen()
+        .collect::<Vec<_>>()
+        .into_par_iter()
+        .map(of_view)
+        .collect()
 }
 
 fn read(path: &Path, bound: PixelBound) -> Result<Image, Unreadable> {
-    Image::read(path, bound, drawn_size).map_err(|source| Unreadable { path: path.into(), source })
+    Image::read(path, bound, drawn_size).map_err(|source| Unreadable {
+        path: path.into(),
+        source,
+    })
 }
 
 #[derive(Debug, thiserror::Error)]

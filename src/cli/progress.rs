@@ -1,4 +1,5 @@
-//! Progress for people, on stderr: a bar with the time left on a terminal, a line per stage elsewhere.
+//! Progress for people, on stderr: a bar with the time left on a terminal, a line per stage
+//! elsewhere.
 
 use std::{
     sync::{Mutex, PoisonError},
@@ -36,25 +37,45 @@ impl Progress {
             (false, true) => Kind::Bars,
             (false, false) => Kind::Lines,
         };
-        Self { kind, running: Mutex::new(None) }
+        Self {
+            kind,
+            running: Mutex::new(None),
+        }
     }
 
     /// Ends the last stage.
     pub fn finish(&self) {
-        if let Some(running) = self.running.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        if let Some(running) = self
+            .running
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take()
+        {
             self.end(&running);
         }
     }
 
     fn start(&self, stage: Stage) -> RunningStage {
-        let bar = if self.kind == Kind::Bars { bar(stage) } else { ProgressBar::hidden() };
-        RunningStage { stage, since: Instant::now(), bar }
+        let bar = if self.kind == Kind::Bars {
+            bar(stage)
+        } else {
+            ProgressBar::hidden()
+        };
+        RunningStage {
+            stage,
+            since: Instant::now(),
+            bar,
+        }
     }
 
     fn end(&self, running: &RunningStage) {
         running.bar.finish_and_clear();
         if self.kind == Kind::Lines {
-            complain(&format!("{}: {:.1} s", words(running.stage), running.since.elapsed().as_secs_f64()));
+            complain(&format!(
+                "{}: {:.1} s",
+                words(running.stage),
+                running.since.elapsed().as_secs_f64()
+            ));
         }
     }
 }
@@ -65,7 +86,10 @@ impl Watcher for Progress {
             return;
         }
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
-        if running.as_ref().is_none_or(|running| running.stage != stage) {
+        if running
+            .as_ref()
+            .is_none_or(|running| running.stage != stage)
+        {
             running.take().iter().for_each(|earlier| self.end(earlier));
         }
         let bar = &running.get_or_insert_with(|| self.start(stage)).bar;
@@ -76,7 +100,8 @@ impl Watcher for Progress {
 
 fn bar(stage: Stage) -> ProgressBar {
     let style = ProgressStyle::with_template("{msg:32} {bar:24} {percent:>3} %  {eta} left");
-    let bar = ProgressBar::new(1).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let bar =
+        ProgressBar::new(1).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar.set_message(words(stage));
     bar
 }

@@ -16,8 +16,9 @@ use crate::{
     },
 };
 
-/// Fails before planning where matching would fail after it: without images, for a backend that cannot match single clusters, without its
-/// program, or with a COLMAP that has no CUDA or a Python that lacks packages. The export of one cluster says which program that is.
+/// Fails before planning where matching would fail after it: without images, for a backend that
+/// cannot match single clusters, without its program, or with a COLMAP that has no CUDA or a Python
+/// that lacks packages. The export of one cluster says which program that is.
 pub fn check(
     backend: &'static Backend,
     project: &Project,
@@ -27,8 +28,15 @@ pub fn check(
     let image_faults = project.image_faults(&scene);
     let scene = undistort::with_undistorted_cameras(scene);
     let mut views = scene.view_indices();
-    let (Some(key), Some(partner)) = (views.next(), views.next()) else { return Ok(()) };
-    let cluster = RankedCluster { key, partners: vec![partner], scale: MapScale::Full, share: 1.0 };
+    let (Some(key), Some(partner)) = (views.next(), views.next()) else {
+        return Ok(());
+    };
+    let cluster = RankedCluster {
+        key,
+        partners: vec![partner],
+        scale: MapScale::Full,
+        share: 1.0,
+    };
     let selection = Selection {
         project,
         scene: &scene,

@@ -28,10 +28,11 @@ use super::{Failure, Format, print, print_json, progress::Progress, use_threads,
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
-/// Shows a map, the curve, the ranked views with their reasons, and the gaps, for any cut. A flight plan of images that would fill the gaps is
-/// written to PROJECT/viewrank/flight. The page needs no network.
-/// Run viewrank plan first; a new plan marks the old page as stale. Tables that viewrank/cache does not hold are computed again
-/// and kept there (not with --out); viewrank plan --report writes the page together with the plan.
+/// Shows a map, the curve, the ranked views with their reasons, and the gaps, for any cut. A flight
+/// plan of images that would fill the gaps is written to PROJECT/viewrank/flight. The page needs no
+/// network. Run viewrank plan first; a new plan marks the old page as stale. Tables that
+/// viewrank/cache does not hold are computed again and kept there (not with --out); viewrank plan
+/// --report writes the page together with the plan.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -41,7 +42,8 @@ pub struct Arguments {
     /// Open the page in the browser
     #[arg(long)]
     open: bool,
-    /// Finished depth maps to compare with the prediction [default: where the backends write theirs]
+    /// Finished depth maps to compare with the prediction [default: where the backends write
+    /// theirs]
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     depth_maps: Option<PathBuf>,
     /// Exact or better depth maps to use as reference
@@ -64,8 +66,16 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet || arguments.format == Format::Json);
-    let folders = DepthMapFolders { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
-    let page = write_to(&arguments.project, arguments.out.as_deref(), &folders, &progress)?;
+    let folders = DepthMapFolders {
+        depth_maps: arguments.depth_maps.clone(),
+        reference: arguments.reference.clone(),
+    };
+    let page = write_to(
+        &arguments.project,
+        arguments.out.as_deref(),
+        &folders,
+        &progress,
+    )?;
     progress.finish();
     if arguments.open {
         open(&page)?;
@@ -92,12 +102,14 @@ fn write_to(
     let folder = out.map_or_else(|| project.join("viewrank"), Path::to_path_buf);
     // Without that folder there is no plan, which is another error.
     if out.is_some() || folder.is_dir() {
-        output::refuse_unwritable(&folder)
-            .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &command_path(project)))?;
+        output::refuse_unwritable(&folder).map_err(|error| {
+            super::plan::elsewhere(error, out.is_some(), "report", &command_path(project))
+        })?;
     }
     let (project, plan, exports) = replan::as_written(project, progress)?;
     let page = write_page(&project, &plan, &exports, out, folders, progress)?;
-    // Under a memory limit, cached tables are valid for one number of threads only: leave those of the plan.
+    // Under a memory limit, cached tables are valid for one number of threads only: leave those of
+    // the plan.
     if out.is_none() && plan.stages.settings.max_memory.is_none() {
         keep(&plan);
     }
@@ -111,11 +123,14 @@ fn keep(plan: &Plan) {
         Err(error) => Some(error.to_string()),
     };
     if let Some(why) = why {
-        warn(&format!("the tables computed for the page are not kept: {why}"));
+        warn(&format!(
+            "the tables computed for the page are not kept: {why}"
+        ));
     }
 }
 
-/// Writes the page of a plan that is in memory, with the warnings of its exports, into the project or the folder `out`; returns its path.
+/// Writes the page of a plan that is in memory, with the warnings of its exports, into the project
+/// or the folder `out`; returns its path.
 pub fn write_page(
     project: &Project,
     plan: &Plan,
@@ -138,7 +153,11 @@ pub fn write_page(
     }
     files.write(&project.disk())?;
     progress.progress(Stage::Write, 1, 1);
-    Ok(if out.is_some() { root.join(name) } else { report_path(root) })
+    Ok(if out.is_some() {
+        root.join(name)
+    } else {
+        report_path(root)
+    })
 }
 
 /// Opens the page in the desktop's default program.
@@ -149,8 +168,17 @@ fn open(page: &Path) -> Result<(), OpenFailure> {
         _ => "xdg-open",
     };
     let mut command = Command::new(opener);
-    let started = command.arg(page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
-    started.map(|_| ()).map_err(|source| OpenFailure { page: page.into(), opener, source })
+    let started = command
+        .arg(page)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+    started.map(|_| ()).map_err(|source| OpenFailure {
+        page: page.into(),
+        opener,
+        source,
+    })
 }
 
 #[derive(Debug, thiserror::Error)]

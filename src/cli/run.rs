@@ -1,4 +1,5 @@
-//! `viewrank run`: plans, matches and fuses a project on this machine, best first, until the target is reached.
+//! `viewrank run`: plans, matches and fuses a project on this machine, best first, until the target
+//! is reached.
 
 use std::{
     collections::BTreeSet,
@@ -12,8 +13,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, config, next, note, print, print_json, progress::Progress, ready, summary::duration,
-    terminal::complain, warn, wrapped,
+    Exit, Failure, Format, config, next, note, print, print_json, progress::Progress, ready,
+    summary::duration, terminal::complain, warn, wrapped,
 };
 use crate::{
     apps::{
@@ -43,9 +44,10 @@ const FAILURES: usize = 3;
 
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
 ///
-/// Undistorts the images if the backend needs that, and matches with the backend that the project is set up for, else with OpenMVS
-/// (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else with integrations/sgm (Python with numpy and opencv). Each depth map is
-/// measured; PROJECT/viewrank/report.html shows the progress. Ctrl-C stops; the same command resumes.
+/// Undistorts the images if the backend needs that, and matches with the backend that the project
+/// is set up for, else with OpenMVS (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else
+/// with integrations/sgm (Python with numpy and opencv). Each depth map is measured;
+/// PROJECT/viewrank/report.html shows the progress. Ctrl-C stops; the same command resumes.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -58,7 +60,8 @@ pub struct Arguments {
     /// Stop at P % of what all view clusters together reach [default: 90%, or the settings']
     #[arg(long, value_name = "P%")]
     target: Option<String>,
-    /// Compute at most N depth maps, or those of P % of the registered views (with --scales, of the work of all)
+    /// Compute at most N depth maps, or those of P % of the registered views (with --scales, of the
+    /// work of all)
     #[arg(long, value_name = "N|P%")]
     budget: Option<String>,
     /// Matching partners per key view [default: 5]
@@ -108,23 +111,40 @@ struct RunSummary {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let stop = platform::stop_flag().map_err(|error| Failure::new(Exit::Failed, error.to_string(), None))?;
+    let stop = platform::stop_flag()
+        .map_err(|error| Failure::new(Exit::Failed, error.to_string(), None))?;
     let project = Project::open(&arguments.project, None)?;
     let settings = config::load(Some(&project.root), arguments.typed(None, true))?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, why) = backends::chosen(&project, &settings)?;
-    let say = |line: String| if arguments.is_silent() { Ok(()) } else { print([line]) };
+    let say = |line: String| {
+        if arguments.is_silent() {
+            Ok(())
+        } else {
+            print([line])
+        }
+    };
     say(format!("Backend: {} ({}).", backend.name, why.words()))?;
     let own = project.root.clone();
     let scene = project.read_scene()?;
-    let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
+    let is_distorted = scene
+        .view_indices()
+        .any(|view| !scene.camera_of(view).is_pinhole());
     // Ctrl-C also ends the programs that are asked what they can do.
     let stopped = || Failure::new(Exit::Failed, "stopped before planning", arguments.go_on());
-    ready::check(backend, &project, scene, arguments.program.as_deref())
-        .map_err(|failure| if stop.load(Ordering::Relaxed) { stopped() } else { failure })?;
+    ready::check(backend, &project, scene, arguments.program.as_deref()).map_err(|failure| {
+        if stop.load(Ordering::Relaxed) {
+            stopped()
+        } else {
+            failure
+        }
+    })?;
     Dispatch::refuse_if_at_work(&project)?;
-    let root =
-        if backend.takes_distorted || !is_distorted { project.root } else { undistorted(arguments, project, backend)? };
+    let root = if backend.takes_distorted || !is_distorted {
+        project.root
+    } else {
+        undistorted(arguments, project, backend)?
+    };
     let is_own = root == own;
     let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
@@ -134,22 +154,35 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Undistorts the images; returns their project.
-fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Result<PathBuf, Failure> {
+fn undistorted(
+    arguments: &Arguments,
+    project: Project,
+    backend: &Backend,
+) -> Result<PathBuf, Failure> {
     let dense = project.root.join("dense");
     if let Ok(earlier) = Project::open(&dense, None) {
         Dispatch::refuse_if_at_work(&earlier)?;
     }
-    note(&format!("{} needs undistorted images: {}", backend.name, dense.display()));
+    note(&format!(
+        "{} needs undistorted images: {}",
+        backend.name,
+        dense.display()
+    ));
     let progress = Progress::new(arguments.is_silent());
-    let done =
-        undistort::undistort(&project, &undistort::UndistortOptions::default(), &dense, &project.disk(), &progress)?;
+    let done = undistort::undistort(
+        &project,
+        &undistort::UndistortOptions::default(),
+        &dense,
+        &project.disk(),
+        &progress,
+    )?;
     progress.finish();
     done.warning().iter().for_each(|warning| warn(warning));
     Ok(dense)
 }
 
-/// Suggests a higher target after the whole list reached only `share` (measured): raised by the shortfall, at least by five points. `None` if the list
-/// has all maps.
+/// Suggests a higher target after the whole list reached only `share` (measured): raised by the
+/// shortfall, at least by five points. `None` if the list has all maps.
 fn higher(target: f64, share: Option<f64>) -> Option<String> {
     let missing = share.map_or(0.0, |share| target - share);
     (target < 1.0).then(|| format!("{:.0}%", (100.0 * (target + missing.max(0.05))).min(100.0)))
@@ -169,7 +202,10 @@ impl Arguments {
             ("--program", self.program.as_ref().map(path)),
             ("--threads", self.threads.map(|threads| threads.to_string())),
         ];
-        next::with_options(format!("viewrank run {}", command_path(&self.project)), options)
+        next::with_options(
+            format!("viewrank run {}", command_path(&self.project)),
+            options,
+        )
     }
 
     /// Says how to continue.
@@ -181,11 +217,14 @@ impl Arguments {
         self.quiet || self.format == Format::Json
     }
 
-    /// Command-line options as settings; `backend`: the chosen one. An undistorted workspace has its images beside its model, so that `--images`
-    /// is not for it.
+    /// Command-line options as settings; `backend`: the chosen one. An undistorted workspace has
+    /// its images beside its model, so that `--images` is not for it.
     fn typed(&self, backend: Option<&str>, with_images: bool) -> CommandLineSettings {
         let mut typed = CommandLineSettings::default();
-        let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
+        let k = self.k.as_ref().map(|k| {
+            k.parse()
+                .map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer)
+        });
         let backend = backend.map(str::to_owned).or(self.backend.clone());
         typed.set("--backend", "backends", backend.map(|name| vec![name]));
         typed.set("--target", "cut.target", self.target.clone());
@@ -197,7 +236,11 @@ impl Arguments {
             .as_ref()
             .filter(|_| with_images)
             .map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone()));
-        typed.set("--images", "images", images.map(|path| path.to_string_lossy().into_owned()));
+        typed.set(
+            "--images",
+            "images",
+            images.map(|path| path.to_string_lossy().into_owned()),
+        );
         typed
     }
 }
@@ -225,7 +268,8 @@ struct Throttle(Option<(Instant, Duration)>);
 
 impl Throttle {
     fn is_due(self, rest: u32) -> bool {
-        self.0.is_none_or(|(ended, took)| ended.elapsed() >= took * rest)
+        self.0
+            .is_none_or(|(ended, took)| ended.elapsed() >= took * rest)
     }
 
     fn note(&mut self, began: Instant) {
@@ -243,13 +287,17 @@ impl<'a> Work<'a> {
         let lines = Lines::new(arguments.is_silent());
         let outcome = foreground.plan(&|stage, percent| lines.stage(stage, percent));
         match outcome {
-            Outcome::Planned { note: Some(text), .. } => warn(&text),
+            Outcome::Planned {
+                note: Some(text), ..
+            } => warn(&text),
             Outcome::Planned { .. } => {}
             other => return Err(failure(other, stop, arguments.go_on())),
         }
         let root = foreground.root();
         let plan = WrittenPlan::read(root)?;
-        let settings = config::load(Some(root), arguments.typed(Some(backend.name), false))?.settings.dispatch;
+        let settings = config::load(Some(root), arguments.typed(Some(backend.name), false))?
+            .settings
+            .dispatch;
         let image_faults = plan.project.image_faults(&plan.scene);
         let selection = Selection {
             project: &plan.project,
@@ -270,10 +318,18 @@ impl<'a> Work<'a> {
         let folder = export.files.root.clone();
         place::check(&folder, std::slice::from_ref(&export), &plan.project)?;
         place::set_of_folder(&folder, [export.files], &plan.project).write(&plan.project.disk())?;
-        dispatch.files(&tools, &settings, &BTreeSet::new()).write(&plan.project.disk())?;
-        let others = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task) && task.map.is_file()).count();
+        dispatch
+            .files(&tools, &settings, &BTreeSet::new())
+            .write(&plan.project.disk())?;
+        let others = dispatch
+            .tasks
+            .iter()
+            .filter(|task| !dispatch.is_done(task) && task.map.is_file())
+            .count();
         if others > 0 {
-            note(&format!("{others} depth maps that are there do not count for this plan: made again"));
+            note(&format!(
+                "{others} depth maps that are there do not count for this plan: made again"
+            ));
         }
         let cores = || thread::available_parallelism().map_or(1, usize::from);
         let threads = arguments.threads.map_or_else(cores, usize::from);
@@ -296,16 +352,36 @@ impl<'a> Work<'a> {
     fn plan_in_words(&self) -> String {
         let (all, tasks) = (self.plan.scene.views.len(), self.dispatch.tasks.len());
         let done = self.dispatch.finished_maps().count();
-        let half = self.plan.clusters.iter().take(tasks).filter(|cluster| cluster.scale == MapScale::Half).count();
-        let half = if half > 0 { format!(", {half} at half size") } else { String::new() };
-        let done = if done > 0 { format!("{half}, {done} of them there already") } else { half };
+        let half = self
+            .plan
+            .clusters
+            .iter()
+            .take(tasks)
+            .filter(|cluster| cluster.scale == MapScale::Half)
+            .count();
+        let half = if half > 0 {
+            format!(", {half} at half size")
+        } else {
+            String::new()
+        };
+        let done = if done > 0 {
+            format!("{half}, {done} of them there already")
+        } else {
+            half
+        };
         match (self.target(), &self.arguments.budget) {
             (Some(target), _) => {
                 let target = (1000.0 * target).round() / 10.0;
-                format!("Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give.")
+                format!(
+                    "Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give."
+                )
             }
-            (None, Some(budget)) => format!("Computing {tasks} of {all} depth maps{done} (--budget {budget})."),
-            (None, None) => format!("Computing {tasks} of {all} depth maps{done}, to the limit of the settings."),
+            (None, Some(budget)) => {
+                format!("Computing {tasks} of {all} depth maps{done} (--budget {budget}).")
+            }
+            (None, None) => format!(
+                "Computing {tasks} of {all} depth maps{done}, to the limit of the settings."
+            ),
         }
     }
 
@@ -317,7 +393,10 @@ impl<'a> Work<'a> {
     /// Computes the depth maps in rank order; true if the target is reached.
     fn compute(&mut self) -> Result<bool, Failure> {
         let tasks = self.dispatch.tasks.clone();
-        let missing: Vec<&Task> = tasks.iter().filter(|task| !self.dispatch.is_done(task)).collect();
+        let missing: Vec<&Task> = tasks
+            .iter()
+            .filter(|task| !self.dispatch.is_done(task))
+            .collect();
         let mut reached = self.measure(missing.is_empty());
         let (began, mut in_a_row) = (Instant::now(), 0);
         for (i, task) in missing.iter().enumerate() {
@@ -334,7 +413,11 @@ impl<'a> Work<'a> {
                     if in_a_row + 1 == FAILURES || missing.len() == 1 {
                         return Err(self.broken(task, in_a_row, &output));
                     }
-                    warn(&format!("no depth map of {}: {}", task.key, last_line(&output)));
+                    warn(&format!(
+                        "no depth map of {}: {}",
+                        task.key,
+                        last_line(&output)
+                    ));
                     self.failed.push(task.key.clone());
                     in_a_row + 1
                 }
@@ -342,16 +425,22 @@ impl<'a> Work<'a> {
             };
             reached = self.measure(i + 1 == missing.len());
             self.report(false);
-            let left = began.elapsed().as_secs_f64() / (i + 1) as f64 * (missing.len() - i - 1) as f64;
+            let left =
+                began.elapsed().as_secs_f64() / (i + 1) as f64 * (missing.len() - i - 1) as f64;
             self.line(task, since.elapsed(), left);
         }
         Ok(reached)
     }
 
-    /// Measures the finished depth maps, unless the last measurement was recent; true if the target is reached.
+    /// Measures the finished depth maps, unless the last measurement was recent; true if the target
+    /// is reached.
     fn measure(&mut self, is_last: bool) -> bool {
         self.share = None;
-        let done: BTreeSet<PathBuf> = self.dispatch.finished_maps().map(Path::to_path_buf).collect();
+        let done: BTreeSet<PathBuf> = self
+            .dispatch
+            .finished_maps()
+            .map(Path::to_path_buf)
+            .collect();
         if done.is_empty() || !(is_last || self.measured.is_due(REST)) {
             return false;
         }
@@ -360,7 +449,8 @@ impl<'a> Work<'a> {
         self.measured.note(began);
         match outcome {
             Outcome::Followed { reached, .. } => {
-                self.share = follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share);
+                self.share = follow::Progress::read(self.foreground.root())
+                    .and_then(|progress| progress.share);
                 reached && self.target().is_some()
             }
             Outcome::Failed { reason, .. } => {
@@ -389,8 +479,12 @@ impl<'a> Work<'a> {
             return;
         }
         let done = self.dispatch.finished_maps().count();
-        let target = self.target().map_or_else(String::new, |target| format!(" of {:.1} %", 100.0 * target));
-        let share = self.share.map_or_else(String::new, |share| format!("{:5.1} %{target}", 100.0 * share));
+        let target = self
+            .target()
+            .map_or_else(String::new, |target| format!(" of {:.1} %", 100.0 * target));
+        let share = self.share.map_or_else(String::new, |share| {
+            format!("{:5.1} %{target}", 100.0 * share)
+        });
         let (all, took) = (self.dispatch.tasks.len(), took.as_secs_f64());
         complain(&format!(
             "{done:4} of {all}  {share:<14}  {:<28} {took:6.1} s, at most {} left",
@@ -420,8 +514,16 @@ impl<'a> Work<'a> {
         match self.failed.len() {
             0 => Ok(()),
             failed => {
-                let message = format!("{failed} depth maps could not be computed, the first of {}", self.failed[0]);
-                Err(Failure::new(Exit::Failed, message, format!("to try them again: {}", self.again())).behind_result())
+                let message = format!(
+                    "{failed} depth maps could not be computed, the first of {}",
+                    self.failed[0]
+                );
+                Err(Failure::new(
+                    Exit::Failed,
+                    message,
+                    format!("to try them again: {}", self.again()),
+                )
+                .behind_result())
             }
         }
     }
@@ -434,7 +536,8 @@ impl<'a> Work<'a> {
             done: self.dispatch.finished_maps().count(),
             tasks: self.dispatch.tasks.len(),
             failed: self.failed.len(),
-            share: follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share),
+            share: follow::Progress::read(self.foreground.root())
+                .and_then(|progress| progress.share),
             target: self.target(),
             target_reached: reached,
             cloud: Some(self.dispatch.runner().cloud.clone()).filter(|cloud| cloud.is_file()),
@@ -444,7 +547,9 @@ impl<'a> Work<'a> {
 
     fn words(&self, result: &RunSummary) -> Vec<String> {
         let measured = |share| format!("{:.1} % of what all would give, measured", 100.0 * share);
-        let share = result.share.map_or("their share is not measured".into(), measured);
+        let share = result
+            .share
+            .map_or("their share is not measured".into(), measured);
         let verdict = match result.target_reached {
             true => "the target is reached".to_owned(),
             false if result.failed > 0 => {
@@ -455,14 +560,23 @@ impl<'a> Work<'a> {
             false if self.arguments.budget.is_some() || self.target().is_none() => {
                 "the budget is spent; raise --budget for more".to_owned()
             }
-            false => match self.target().and_then(|target| higher(target, result.share)) {
+            false => match self
+                .target()
+                .and_then(|target| higher(target, result.share))
+            {
                 Some(higher) => {
-                    format!("the list is done below the target; for more: {}", self.arguments.again(Some(&higher)))
+                    format!(
+                        "the list is done below the target; for more: {}",
+                        self.arguments.again(Some(&higher))
+                    )
                 }
                 None => ALL_DONE.to_owned(),
             },
         };
-        let result_line = format!("{} of {} depth maps: {share}; {verdict}.", result.done, result.tasks);
+        let result_line = format!(
+            "{} of {} depth maps: {share}; {verdict}.",
+            result.done, result.tasks
+        );
         let mut lines = vec![String::new()];
         lines.extend(wrapped("", &result_line));
         if let Some(cloud) = &result.cloud {
@@ -480,13 +594,24 @@ impl<'a> Work<'a> {
     }
 
     fn stopped(&self) -> Failure {
-        let (done, all) = (self.dispatch.finished_maps().count(), self.dispatch.tasks.len());
-        Failure::new(Exit::Failed, format!("stopped with {done} of {all} depth maps"), self.arguments.go_on())
+        let (done, all) = (
+            self.dispatch.finished_maps().count(),
+            self.dispatch.tasks.len(),
+        );
+        Failure::new(
+            Exit::Failed,
+            format!("stopped with {done} of {all} depth maps"),
+            self.arguments.go_on(),
+        )
     }
 
     /// `before`: number of tasks that failed just before this one.
     fn broken(&self, task: &Task, before: usize, output: &str) -> Failure {
-        let in_a_row = if before > 0 { format!("{} key views in a row, the last ", before + 1) } else { String::new() };
+        let in_a_row = if before > 0 {
+            format!("{} key views in a row, the last ", before + 1)
+        } else {
+            String::new()
+        };
         let (name, key, why) = (self.backend.name, &task.key, last_line(output));
         let message = format!("{name} made no depth map of {in_a_row}{key}: {why}");
         let hint = match self.backend.name {
@@ -512,14 +637,23 @@ fn failure(outcome: Outcome, stop: &AtomicBool, go_on: String) -> Failure {
     match outcome {
         Outcome::Failed { reason, hint } => Failure::new(Exit::Failed, reason, hint),
         Outcome::Incomplete { reason } => Failure::new(Exit::Failed, reason, None),
-        _ if stop.load(Ordering::Relaxed) => Failure::new(Exit::Failed, "stopped while planning", go_on),
-        _ => Failure::new(Exit::Failed, "the project changed while it was planned", go_on),
+        _ if stop.load(Ordering::Relaxed) => {
+            Failure::new(Exit::Failed, "stopped while planning", go_on)
+        }
+        _ => Failure::new(
+            Exit::Failed,
+            "the project changed while it was planned",
+            go_on,
+        ),
     }
 }
 
 /// Returns the last line of a task's output that the task's script did not print itself.
 fn last_line(text: &str) -> &str {
-    let line = text.lines().rfind(|line| !line.starts_with("rank ")).map_or("it failed without a word", str::trim);
+    let line = text
+        .lines()
+        .rfind(|line| !line.starts_with("rank "))
+        .map_or("it failed without a word", str::trim);
     line.strip_prefix("error: ").unwrap_or(line)
 }
 
@@ -531,11 +665,17 @@ struct Lines {
 
 impl Lines {
     fn new(is_silent: bool) -> Self {
-        Self { is_silent, stage: std::sync::Mutex::default() }
+        Self {
+            is_silent,
+            stage: std::sync::Mutex::default(),
+        }
     }
 
     fn stage(&self, stage: &str, _percent: u8) {
-        let mut last = self.stage.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut last = self
+            .stage
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         if !self.is_silent && *last != stage {
             complain(&format!("planning: {stage}"));
             *last = stage.into();
@@ -555,7 +695,11 @@ mod tests {
             ((1.0, Some(0.9)), None),
         ];
         for ((target, share), expected) in cases {
-            assert_eq!(super::higher(target, share).as_deref(), expected, "{target} {share:?}");
+            assert_eq!(
+                super::higher(target, share).as_deref(),
+                expected,
+                "{target} {share:?}"
+            );
         }
     }
 }

@@ -47,7 +47,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     loop {
         let line = read_status(&root).filter(|line| last.as_ref() != Some(line));
         if let Some(line) = line {
-            match (arguments.json || arguments.format == Format::Json, arguments.follow) {
+            match (
+                arguments.json || arguments.format == Format::Json,
+                arguments.follow,
+            ) {
                 (false, _) => print(as_text(&root, &line))?,
                 (true, false) => print_json(&as_json(&root, &line))?,
                 (true, true) => print_json_line(&as_json(&root, &line))?,
@@ -67,9 +70,13 @@ fn watched_root(from: &Path) -> Result<PathBuf, NoStatus> {
     if !absolute.exists() {
         return Err(NoStatus::NotFound(from.into()));
     }
-    let found = absolute.ancestors().find(|folder| status_file(folder).symlink_metadata().is_ok());
+    let found = absolute
+        .ancestors()
+        .find(|folder| status_file(folder).symlink_metadata().is_ok());
     let root = found.ok_or_else(|| NoStatus::NotWatched(from.into()))?;
-    read_status(root).map(|_| root.into()).ok_or_else(|| NoStatus::Unreadable(status_file(root)))
+    read_status(root)
+        .map(|_| root.into())
+        .ok_or_else(|| NoStatus::Unreadable(status_file(root)))
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -85,15 +92,21 @@ enum NoStatus {
 impl Hint for NoStatus {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::NotFound(_) => "name the folder that was given to viewrank watch, or a project below it".into(),
+            Self::NotFound(_) => {
+                "name the folder that was given to viewrank watch, or a project below it".into()
+            }
             Self::NotWatched(folder) if folder.join("viewrank/progress.json").is_file() => {
                 let project = command_path(folder);
                 format!(
                     "what its depth maps give: viewrank report {project}; to have it watched: viewrank watch {project}"
                 )
             }
-            Self::NotWatched(folder) => format!("start one: viewrank watch {}", command_path(folder)),
-            Self::Unreadable(_) => "make it readable, or start a daemon of this version, which rewrites it".into(),
+            Self::NotWatched(folder) => {
+                format!("start one: viewrank watch {}", command_path(folder))
+            }
+            Self::Unreadable(_) => {
+                "make it readable, or start a daemon of this version, which rewrites it".into()
+            }
         })
     }
 }
@@ -112,13 +125,35 @@ fn as_text(root: &Path, line: &Line) -> Vec<String> {
         false => "no daemon is running; this is how things stood when it ended".into(),
     };
     let mut lines = vec![format!("{}: {daemon}", root.display())];
-    lines.extend(status.notices.iter().map(|notice| format!("note: {notice}")));
-    let width = status.projects.iter().map(|p| p.project.chars().count()).max().unwrap_or(0).min(32);
+    lines.extend(
+        status
+            .notices
+            .iter()
+            .map(|notice| format!("note: {notice}")),
+    );
+    let width = status
+        .projects
+        .iter()
+        .map(|p| p.project.chars().count())
+        .max()
+        .unwrap_or(0)
+        .min(32);
     for project in &status.projects {
         let name = printable(&project.project);
-        let measuring = if project.measuring { ", being measured" } else { "" };
-        lines.push(format!("  {name:width$}  {}{measuring} ({})", project.phase, age(project)));
-        if let Phase::Failed { hint: Some(hint), .. } = &project.phase {
+        let measuring = if project.measuring {
+            ", being measured"
+        } else {
+            ""
+        };
+        lines.push(format!(
+            "  {name:width$}  {}{measuring} ({})",
+            project.phase,
+            age(project)
+        ));
+        if let Phase::Failed {
+            hint: Some(hint), ..
+        } = &project.phase
+        {
             lines.push(format!("  {:width$}  hint: {hint}", ""));
         }
     }
@@ -130,7 +165,9 @@ fn as_text(root: &Path, line: &Line) -> Vec<String> {
 
 /// Formats the time since the project entered its state.
 fn age(project: &ProjectStatus) -> String {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let now = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |d| d.as_secs());
     match now.saturating_sub(project.since) {
         s @ 0..=119 => format!("{s} s"),
         s @ 120..=7199 => format!("{} min", s / 60),

@@ -75,7 +75,13 @@ pub struct Summary<'a> {
 
 impl<'a> Summary<'a> {
     /// `next`: the command to type next.
-    pub fn new(project: &Project, plan: &'a Plan, files: &'a PlanFiles, dry_run: bool, next: String) -> Self {
+    pub fn new(
+        project: &Project,
+        plan: &'a Plan,
+        files: &'a PlanFiles,
+        dry_run: bool,
+        next: String,
+    ) -> Self {
         let manifest = &files.manifest;
         Self {
             project: project.home.display().to_string(),
@@ -91,10 +97,21 @@ impl<'a> Summary<'a> {
             limits: plan.stages.settings.cut.limits(),
             forecast: plan.decision.forecast,
             speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
-            warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &files.outdated_exports),
+            warnings: warnings_with(
+                &files.manifest.warnings,
+                &files.manifest.exports,
+                &files.outdated_exports,
+            ),
             written: !dry_run,
-            files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
-            images: project.images.as_ref().map(|images| images.display().to_string()),
+            files: files
+                .sets
+                .iter()
+                .flat_map(|set| set.files.keys().cloned())
+                .collect(),
+            images: project
+                .images
+                .as_ref()
+                .map(|images| images.display().to_string()),
             notes: notes(project, plan, &files.place),
             look: format!("viewrank report {} --open", command_path(&project.home)),
             next,
@@ -107,25 +124,44 @@ impl<'a> Summary<'a> {
             },
             manifest,
             weight: plan.stages.settings.ranking.weight,
-            use_of_views: backends::by_name(plan.stages.backend).ok().and_then(|backend| backend.use_of_views),
+            use_of_views: backends::by_name(plan.stages.backend)
+                .ok()
+                .and_then(|backend| backend.use_of_views),
         }
     }
 
     pub fn text(&self) -> Vec<String> {
-        let parts = [self.found(), self.advice(), self.curve(), self.worth(), self.where_to_look()];
+        let parts = [
+            self.found(),
+            self.advice(),
+            self.curve(),
+            self.worth(),
+            self.where_to_look(),
+        ];
         parts.join(&String::new())
     }
 
     fn found(&self) -> Vec<String> {
-        let length = if self.units == Units::Metric { "m" } else { "units" };
+        let length = if self.units == Units::Metric {
+            "m"
+        } else {
+            "units"
+        };
         let [views, points, triangles] = [self.views, self.points, self.triangles].map(grouped);
-        let on_disk = |size| format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).");
-        let mut lines = vec![format!("{views} views, {points} sparse points; a surface of {triangles} triangles.")];
+        let on_disk = |size| {
+            format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).")
+        };
+        let mut lines = vec![format!(
+            "{views} views, {points} sparse points; a surface of {triangles} triangles."
+        )];
         lines.extend(self.memory.on_disk().map(on_disk));
         lines.push(format!("Wanted: {} {length} per pixel.", rounded(self.gsd)));
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
-        let region = self.region.map(|region| region.words(self.weight)).unwrap_or_default();
+        let region = self
+            .region
+            .map(|region| region.words(self.weight))
+            .unwrap_or_default();
         lines.extend(region.lines().map(String::from));
         lines
     }
@@ -135,38 +171,66 @@ impl<'a> Summary<'a> {
         let [pairs, all_pairs] = [self.cut.pairs, self.forecast.all_pairs].map(grouped);
         let what = match self.use_of_views {
             Some(verb) => format!("{verb} {maps} of {all} images"),
-            None if self.is_finished() => format!("All depth maps of the plan are finished, {maps} of {all}"),
+            None if self.is_finished() => {
+                format!("All depth maps of the plan are finished, {maps} of {all}")
+            }
             None if self.forecast.maps_at_half > 0 => {
-                let [full, half] =
-                    [self.forecast.maps - self.forecast.maps_at_half, self.forecast.maps_at_half].map(grouped);
+                let [full, half] = [
+                    self.forecast.maps - self.forecast.maps_at_half,
+                    self.forecast.maps_at_half,
+                ]
+                .map(grouped);
                 let work = 100.0 * self.forecast.work;
                 let maps = match self.forecast.maps - self.forecast.maps_at_half {
                     0 => format!("{half} of {all} depth maps, at half size"),
-                    _ => format!("{maps} of {all} depth maps, {full} at full and {half} at half size"),
+                    _ => format!(
+                        "{maps} of {all} depth maps, {full} at full and {half} at half size"
+                    ),
                 };
                 format!("Compute {maps}, {work:.0} % of the work")
             }
-            None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
+            None => format!(
+                "Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"
+            ),
         };
         let (all_maps, expected) = match self.is_finished() {
             true => (format!("all {all}"), None),
-            false => ("all of them".into(), Some(format!("Measured, it will likely be {}.", self.cut.share_band))),
+            false => (
+                "all of them".into(),
+                Some(format!(
+                    "Measured, it will likely be {}.",
+                    self.cut.share_band
+                )),
+            ),
         };
         let (share, weight) = (self.cut.share * 100.0, self.weight());
-        let mut lines =
-            vec![format!("{what}:"), format!("{share:.1} % of what {all_maps} together would give{weight}.")];
+        let mut lines = vec![
+            format!("{what}:"),
+            format!("{share:.1} % of what {all_maps} together would give{weight}."),
+        ];
         lines.extend(self.area().into_iter().chain(expected));
         lines.extend(self.certificate());
-        lines.extend([self.given_up(), self.beyond_gate(), self.done()].into_iter().flatten());
+        lines.extend(
+            [self.given_up(), self.beyond_gate(), self.done()]
+                .into_iter()
+                .flatten(),
+        );
         lines
     }
 
     /// Share of the fused area, unless it is the headline's.
     fn area(&self) -> Option<String> {
-        let cluster = self.cut.clusters.checked_sub(1).and_then(|last| self.manifest.clusters.get(last));
+        let cluster = self
+            .cut
+            .clusters
+            .checked_sub(1)
+            .and_then(|last| self.manifest.clusters.get(last));
         match cluster {
             Some(cluster) if self.weight != TriangleWeight::Area && self.use_of_views.is_none() => {
-                Some(format!("The fused cloud will cover {:.0} % of the area of theirs.", 100.0 * cluster.area))
+                Some(format!(
+                    "The fused cloud will cover {:.0} % of the area of theirs.",
+                    100.0 * cluster.area
+                ))
             }
             _ => None,
         }
@@ -184,18 +248,48 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Formats the share of the target that all depth maps reach, and the proven bound on any better choice of equal length (method 5.2).
+    /// Formats the share of the target that all depth maps reach, and the proven bound on any
+    /// better choice of equal length (method 5.2).
     fn certificate(&self) -> Vec<String> {
-        let Cut { reachable, reachable_band, fulfilment, .. } = self.cut;
-        let all = format!("All together give {:.0} % of what is wanted (likely {reachable_band}).", 100.0 * reachable);
-        let alike = if self.forecast.maps_at_half > 0 { "work" } else { "length" };
-        let bound = || format!("No choice of the same {alike} is {} better.", self.cut.more_of_others());
-        [Some(all), (fulfilment > 0.0).then(bound)].into_iter().flatten().collect()
+        let Cut {
+            reachable,
+            reachable_band,
+            fulfilment,
+            ..
+        } = self.cut;
+        let all = format!(
+            "All together give {:.0} % of what is wanted (likely {reachable_band}).",
+            100.0 * reachable
+        );
+        let alike = if self.forecast.maps_at_half > 0 {
+            "work"
+        } else {
+            "length"
+        };
+        let bound = || {
+            format!(
+                "No choice of the same {alike} is {} better.",
+                self.cut.more_of_others()
+            )
+        };
+        [Some(all), (fulfilment > 0.0).then(bound)]
+            .into_iter()
+            .flatten()
+            .collect()
     }
 
     /// Formats the areas that the cut gives up (method 5.3), as shares of what all depth maps give.
     fn given_up(&self) -> Option<String> {
-        let Cut { reachable, given_up: GivenUp { border, inside, single_map }, .. } = self.cut;
+        let Cut {
+            reachable,
+            given_up:
+                GivenUp {
+                    border,
+                    inside,
+                    single_map,
+                },
+            ..
+        } = self.cut;
         if border + inside <= 0.0 {
             return None;
         }
@@ -204,16 +298,24 @@ impl<'a> Summary<'a> {
             true => format!("; {} of it has one map only", share(single_map)),
             false => String::new(),
         };
-        Some(format!("Given up: {} at the border, {} inside{alone}.", share(border), share(inside)))
+        Some(format!(
+            "Given up: {} at the border, {} inside{alone}.",
+            share(border),
+            share(inside)
+        ))
     }
 
     fn beyond_gate(&self) -> Option<String> {
         match self.cut.pairs_beyond_gate {
             0 => None,
-            1 => Some("One pair is beyond the limits of [partners.gate], for want of a better partner.".into()),
-            n => {
-                Some(format!("{} pairs are beyond the limits of [partners.gate], for want of better ones.", grouped(n)))
-            }
+            1 => Some(
+                "One pair is beyond the limits of [partners.gate], for want of a better partner."
+                    .into(),
+            ),
+            n => Some(format!(
+                "{} pairs are beyond the limits of [partners.gate], for want of better ones.",
+                grouped(n)
+            )),
         }
     }
 
@@ -227,7 +329,10 @@ impl<'a> Summary<'a> {
         let reached = self.manifest.clusters[last].share * 100.0;
         let which = match self.is_finished() {
             true => "Measured, they".into(),
-            false => format!("{} of them are finished, the first of the list: they", grouped(self.finished)),
+            false => format!(
+                "{} of them are finished, the first of the list: they",
+                grouped(self.finished)
+            ),
         };
         Some(format!("{which} really reach {reached:.1} % of that."))
     }
@@ -235,7 +340,12 @@ impl<'a> Summary<'a> {
     /// Formats a few points of the curve.
     fn curve(&self) -> Vec<String> {
         let clusters = &self.manifest.clusters;
-        let length = |share: f64| clusters.iter().position(|c| c.share >= share).map(|i| i + 1);
+        let length = |share: f64| {
+            clusters
+                .iter()
+                .position(|c| c.share >= share)
+                .map(|i| i + 1)
+        };
         let mut lengths: Vec<usize> = STEPS.iter().filter_map(|&share| length(share)).collect();
         lengths.extend([self.cut.clusters, clusters.len()]);
         lengths.sort_unstable();
@@ -252,8 +362,12 @@ impl<'a> Summary<'a> {
             let quality = clusters[length - 1].share * 100.0;
             let rest = self.forecast.all_maps.saturating_sub(length);
             let mark = match length {
-                _ if length == clusters.len() && rest > 0 => format!("  <- {} more would add nothing", grouped(rest)),
-                _ if length == self.cut.clusters => format!("  <- the plan stops here{}", self.limit()),
+                _ if length == clusters.len() && rest > 0 => {
+                    format!("  <- {} more would add nothing", grouped(rest))
+                }
+                _ if length == self.cut.clusters => {
+                    format!("  <- the plan stops here{}", self.limit())
+                }
                 _ => String::new(),
             };
             let pairs = match (matched, sizes) {
@@ -261,11 +375,25 @@ impl<'a> Summary<'a> {
                 (true, false) => format!(" {:>8}", grouped(pairs)),
                 (false, _) => String::new(),
             };
-            lines.push(format!("  {:>10}{pairs}  {quality:>5.1} %{mark}", grouped(length)));
+            lines.push(format!(
+                "  {:>10}{pairs}  {quality:>5.1} %{mark}",
+                grouped(length)
+            ));
         }
-        let first: Vec<&str> = clusters.iter().take(NAMED.min(self.cut.clusters)).map(|c| c.key.as_str()).collect();
-        let more = if self.cut.clusters > NAMED { ", ..." } else { "" };
-        lines.extend([String::new(), format!("Best first: {}{more}", first.join(", "))]);
+        let first: Vec<&str> = clusters
+            .iter()
+            .take(NAMED.min(self.cut.clusters))
+            .map(|c| c.key.as_str())
+            .collect();
+        let more = if self.cut.clusters > NAMED {
+            ", ..."
+        } else {
+            ""
+        };
+        lines.extend([
+            String::new(),
+            format!("Best first: {}{more}", first.join(", ")),
+        ]);
         lines
     }
 
@@ -291,13 +419,22 @@ impl<'a> Summary<'a> {
                 format!(
                     "Matching will take about {}: {speed_up:.1} times faster than everything{}.",
                     duration(seconds),
-                    if self.finished > 0 { " that is left" } else { "" }
+                    if self.finished > 0 {
+                        " that is left"
+                    } else {
+                        ""
+                    }
                 )
             }
-            _ if self.use_of_views.is_some() => return vec![format!("Planning took {planning:.1} s.")],
+            _ if self.use_of_views.is_some() => {
+                return vec![format!("Planning took {planning:.1} s.")];
+            }
             _ => match self.forecast.break_even(planning) {
                 Some(seconds) if planning >= 0.05 => {
-                    format!("It pays if a depth map takes more than {} s.", rounded(seconds))
+                    format!(
+                        "It pays if a depth map takes more than {} s.",
+                        rounded(seconds)
+                    )
                 }
                 _ => return vec![format!("Planning took {planning:.1} s.")],
             },
@@ -309,7 +446,10 @@ impl<'a> Summary<'a> {
         let folder = Path::new(&self.project).join("viewrank");
         match self.written {
             true => vec![
-                format!("Look at {} and surface.ply.", shown_path(&folder.join("curve.svg"))),
+                format!(
+                    "Look at {} and surface.ply.",
+                    shown_path(&folder.join("curve.svg"))
+                ),
                 format!("On one page: {}", self.look),
                 format!("Next: {}", self.next),
             ],
@@ -317,7 +457,11 @@ impl<'a> Summary<'a> {
                 format!(
                     "Nothing was written (--dry-run). Would be written: {} files{} into {}.",
                     self.files.len(),
-                    if self.files.iter().all(|file| file.starts_with("viewrank/")) { "" } else { ", most" },
+                    if self.files.iter().all(|file| file.starts_with("viewrank/")) {
+                        ""
+                    } else {
+                        ", most"
+                    },
                     shown_path(&folder)
                 ),
                 format!("Next: {}", self.next),
@@ -331,11 +475,17 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(images) = &project.images {
         if images.is_searched {
-            notes.push(format!("The images are in {} (--images names another folder).", images.display()));
+            notes.push(format!(
+                "The images are in {} (--images names another folder).",
+                images.display()
+            ));
         }
         let count = images.other_names().count();
         if let Some((name, file)) = images.other_names().next() {
-            notes.push(format!("{} images have another name there, as {file} for {name}.", grouped(count)));
+            notes.push(format!(
+                "{} images have another name there, as {file} for {name}.",
+                grouped(count)
+            ));
         }
     }
     if project.images.is_none() {
@@ -343,12 +493,22 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     } else if plan.stages.settings.confidence.source == ConfidenceSource::Photometric
         && plan.stages.agreement.is_empty()
     {
-        notes.push("No two pictures could be compared: what will match is predicted from geometry alone.".into());
+        notes.push(
+            "No two pictures could be compared: what will match is predicted from geometry alone."
+                .into(),
+        );
     }
     let missing = plan.stages.without_image.len();
     if missing > 0 {
-        let (it, views) = if missing == 1 { ("is", "view has") } else { ("are", "views have") };
-        notes.push(format!("{} {views} no usable image and {it} neither matched nor planned.", grouped(missing)));
+        let (it, views) = if missing == 1 {
+            ("is", "view has")
+        } else {
+            ("are", "views have")
+        };
+        notes.push(format!(
+            "{} {views} no usable image and {it} neither matched nor planned.",
+            grouped(missing)
+        ));
     }
     if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
         notes.push("Of two sizes, full size alone gives most within these limits.".into());
@@ -402,8 +562,17 @@ mod tests {
 
     #[test]
     fn numbers_are_written_as_people_read_them() {
-        assert_eq!([0, 999, 1000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
-        assert_eq!([0.0123456, 1.0, 12345.6, 0.5].map(rounded), ["0.0123", "1.00", "12346", "0.500"]);
-        assert_eq!([12.4, 90.0, 240.0, 12_000.0].map(duration), ["12 s", "90 s", "4 min", "3 h 20 min"]);
+        assert_eq!(
+            [0, 999, 1000, 1_234_567].map(grouped),
+            ["0", "999", "1,000", "1,234,567"]
+        );
+        assert_eq!(
+            [0.0123456, 1.0, 12345.6, 0.5].map(rounded),
+            ["0.0123", "1.00", "12346", "0.500"]
+        );
+        assert_eq!(
+            [12.4, 90.0, 240.0, 12_000.0].map(duration),
+            ["12 s", "90 s", "4 min", "3 h 20 min"]
+        );
     }
 }

@@ -28,18 +28,19 @@ use super::{Failure, Format, config, print, print_json, progress::Progress, use_
 
 /// Fit the confidence to finished depth maps.
 ///
-/// Learns how often the backend matches where the pictures of a pair agree on the surface, where they don't, and how many matches it needs: the settings
-/// confidence.agree, .differ, .full_agreement and .min_matches. No ground truth is needed: what counts is whether a map has a depth. The partners that
-/// each map was matched with are those of the matcher's report, of the maps themselves (OpenMVS), or of the project's plan. Copy the printed lines into
-/// viewrank.toml.
+/// Learns how often the backend matches where the pictures of a pair agree on the surface, where
+/// they don't, and how many matches it needs: the settings confidence.agree, .differ,
+/// .full_agreement and .min_matches. No ground truth is needed: what counts is whether a map has a
+/// depth. The partners that each map was matched with are those of the matcher's report, of the
+/// maps themselves (OpenMVS), or of the project's plan. Copy the printed lines into viewrank.toml.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
     #[arg(required = true, value_name = "PROJECT", value_parser = super::arguments::project())]
     projects: Vec<PathBuf>,
 
-    /// Depth maps to learn from: colmap, openmvs, mvsnet, patchmatchnet, acmm, gipuma, mve, alicevision, micmac, sgm, or a folder
-    /// in each project
+    /// Depth maps to learn from: colmap, openmvs, mvsnet, patchmatchnet, acmm, gipuma, mve,
+    /// alicevision, micmac, sgm, or a folder in each project
     #[arg(long, value_name = "KIND|DIR")]
     depth_maps: String,
     /// File to write the settings to; it must not exist [default: print only]
@@ -74,12 +75,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
-    let prepared: Vec<Prepared> =
-        arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
+    let prepared: Vec<Prepared> = arguments
+        .projects
+        .iter()
+        .map(|root| prepare(arguments, root, &progress))
+        .collect::<Result<_, _>>()?;
     let backend = backends::by_name(one_backend(&prepared)?)?;
     let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
     let numbers = &backend.planning;
-    let before = Numbers { min_matches: numbers.confidence.min_matches, photometric: numbers.photometric };
+    let before = Numbers {
+        min_matches: numbers.confidence.min_matches,
+        photometric: numbers.photometric,
+    };
     let fitted = learn::train(&lessons, before, &progress)?;
     let settings = settings(&fitted, backend.name);
     if let Some(out) = &arguments.out {
@@ -93,31 +100,55 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Plans the project as its written plan was made, else by its settings, with the confidence that is fitted.
+/// Plans the project as its written plan was made, else by its settings, with the confidence that
+/// is fitted.
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
     let (project, mut settings, written) = match WrittenPlan::read(root) {
         Ok(written) => {
-            let ranked = |cluster: &RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
+            let ranked = |cluster: &RankedCluster| ViewCluster {
+                key: cluster.key,
+                partners: cluster.partners.clone(),
+            };
             let clusters = written.clusters.iter().map(ranked).collect();
             (written.project, written.settings, clusters)
         }
         Err(WrittenPlanError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
             let project = Project::open_or_planned(root, None)?;
-            let settings = config::load(Some(&project.root), CommandLineSettings::default())?.settings;
-            (project.with_images(settings.images.as_deref()), settings, Vec::new())
+            let settings =
+                config::load(Some(&project.root), CommandLineSettings::default())?.settings;
+            (
+                project.with_images(settings.images.as_deref()),
+                settings,
+                Vec::new(),
+            )
         }
         Err(error) => return Err(error.into()),
     };
     let scene = project.read_scene()?;
-    let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
+    let folder = depthmaps::folder_of(
+        &project.root,
+        project.dense_workspace.as_deref(),
+        &arguments.depth_maps,
+    );
     let found = depthmaps::find(&folder, &scene)?.into_complete()?;
     let backend = backend(arguments, &found.maps[0].format);
     settings.confidence.source = ConfidenceSource::Photometric;
     settings.backends = vec![backend.clone()];
-    let plan =
-        Plan::from_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;
+    let plan = Plan::from_scene(
+        &project,
+        scene,
+        &settings,
+        &planned_for(&project, &settings)?,
+        Timings::start(),
+        progress,
+    )?;
     let clusters = evaluate::tried(&folder, &found.maps, &plan.stages.scene, &written)?;
-    Ok(Prepared { backend, plan, maps: found, clusters })
+    Ok(Prepared {
+        backend,
+        plan,
+        maps: found,
+        clusters,
+    })
 }
 
 /// Numbers are those of one backend.
@@ -159,12 +190,18 @@ fn backend(arguments: &Arguments, format: &DepthMapFormat) -> String {
         DepthMapFormat::MicMac => "micmac",
         DepthMapFormat::Npy => "sgm",
     };
-    arguments.backend.clone().unwrap_or_else(|| by_format.into())
+    arguments
+        .backend
+        .clone()
+        .unwrap_or_else(|| by_format.into())
 }
 
 /// The fitted numbers as a settings file.
 fn settings(fitted: &Fitted, backend: &str) -> String {
-    let Numbers { min_matches, photometric } = fitted.numbers;
+    let Numbers {
+        min_matches,
+        photometric,
+    } = fitted.numbers;
     let maps = fitted.depth_maps;
     format!(
         "# Fitted to {maps} depth map{} of {backend} by viewrank train.\nconfidence.agree = {}\nconfidence.differ = {}\n\
@@ -178,24 +215,45 @@ fn settings(fitted: &Fitted, backend: &str) -> String {
 
 fn text(arguments: &Arguments, fitted: &Fitted, settings: &str) -> Vec<String> {
     let scores = |name: &str, s: &learn::Scores| {
-        format!("{name:<28} {:>10.3} {:>12.3} {:>18.3}", s.auc, s.brier, s.calibration_error)
+        format!(
+            "{name:<28} {:>10.3} {:>12.3} {:>18.3}",
+            s.auc, s.brier, s.calibration_error
+        )
     };
-    let left_out = if arguments.projects.len() > 1 { "fitted to the other scenes" } else { "fitted to the other half" };
+    let left_out = if arguments.projects.len() > 1 {
+        "fitted to the other scenes"
+    } else {
+        "fitted to the other half"
+    };
     let table = [
-        format!("{:<28} {:>10} {:>12} {:>18}", "", "ROC area", "Brier score", "calibration error"),
+        format!(
+            "{:<28} {:>10} {:>12} {:>18}",
+            "", "ROC area", "Brier score", "calibration error"
+        ),
         scores("numbers of the backend", &fitted.before),
         scores(left_out, &fitted.after),
     ];
     let (settings_of, project) = match &arguments.out {
-        Some(out) => (format!("{}, for the top of viewrank.toml:", out.display()), &arguments.projects[0]),
-        None => ("For the top of viewrank.toml:".into(), &arguments.projects[0]),
+        Some(out) => (
+            format!("{}, for the top of viewrank.toml:", out.display()),
+            &arguments.projects[0],
+        ),
+        None => (
+            "For the top of viewrank.toml:".into(),
+            &arguments.projects[0],
+        ),
     };
-    let what =
-        format!("{} triangles of {} depth maps. How well they are predicted by", fitted.triangles, fitted.depth_maps);
+    let what = format!(
+        "{} triangles of {} depth maps. How well they are predicted by",
+        fitted.triangles, fitted.depth_maps
+    );
     let mut lines = vec![what, String::new()];
     lines.extend(table);
     lines.extend([String::new(), settings_of, String::new()]);
     lines.extend(settings.lines().map(String::from));
-    lines.extend([String::new(), format!("Next: viewrank plan {}", command_path(project))]);
+    lines.extend([
+        String::new(),
+        format!("Next: viewrank plan {}", command_path(project)),
+    ]);
     lines
 }

@@ -14,8 +14,9 @@ use super::{Failure, Format, config, print, print_json, progress::Progress, warn
 
 /// Make the undistorted images that most MVS programs need, as a COLMAP dense workspace.
 ///
-/// Cameras become PINHOLE, and pixels are those of COLMAP's image_undistorter with the same options. An interrupted run resumes where it
-/// stopped. Then plan and export the workspace: viewrank plan PROJECT/dense.
+/// Cameras become PINHOLE, and pixels are those of COLMAP's image_undistorter with the same
+/// options. An interrupted run resumes where it stopped. Then plan and export the workspace:
+/// viewrank plan PROJECT/dense.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -61,15 +62,33 @@ struct Roi([f64; 4]);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.min_scale > arguments.max_scale {
-        let message = format!("--min-scale {} is above --max-scale {}", arguments.min_scale, arguments.max_scale);
-        return Err(Failure::new(super::Exit::Usage, message, "leave one of them out".to_owned()));
+        let message = format!(
+            "--min-scale {} is above --max-scale {}",
+            arguments.min_scale, arguments.max_scale
+        );
+        return Err(Failure::new(
+            super::Exit::Usage,
+            message,
+            "leave one of them out".to_owned(),
+        ));
     }
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
-    let images = config::load(Some(&project.root), CommandLineSettings::default())?.settings.images;
+    let images = config::load(Some(&project.root), CommandLineSettings::default())?
+        .settings
+        .images;
     let project = project.with_images(arguments.images.as_deref().or(images.as_deref()));
-    let out = arguments.out.clone().unwrap_or_else(|| project.home.join("dense"));
+    let out = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| project.home.join("dense"));
     let progress = Progress::new(arguments.quiet);
-    let done = undistort::undistort(&project, &arguments.options(), &out, &project.disk(), &progress)?;
+    let done = undistort::undistort(
+        &project,
+        &arguments.options(),
+        &out,
+        &project.disk(),
+        &progress,
+    )?;
     progress.finish();
     done.warning().iter().for_each(|warning| warn(warning));
     match arguments.format {
@@ -81,33 +100,76 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 impl Arguments {
     fn options(&self) -> UndistortOptions {
-        let Self { blank_pixels, min_scale, max_scale, max_image_size, .. } = *self;
-        let roi = self.roi.map_or(UndistortOptions::default().roi, |region| region.0);
-        UndistortOptions { blank_pixels, min_scale, max_scale, max_image_size, roi }
+        let Self {
+            blank_pixels,
+            min_scale,
+            max_scale,
+            max_image_size,
+            ..
+        } = *self;
+        let roi = self
+            .roi
+            .map_or(UndistortOptions::default().roi, |region| region.0);
+        UndistortOptions {
+            blank_pixels,
+            min_scale,
+            max_scale,
+            max_image_size,
+            roi,
+        }
     }
 }
 
 fn text(done: &UndistortReport) -> Vec<String> {
     let folder = done.folder.display();
-    let mut lines = vec![format!("{} images in {folder}, {} of them computed now.", done.images, done.computed)];
-    lines.extend(done.kept.iter().map(|kept| format!("kept {kept}: not written by viewrank")));
-    lines.push(format!("Next: viewrank plan {}", command_path(&done.folder)));
+    let mut lines = vec![format!(
+        "{} images in {folder}, {} of them computed now.",
+        done.images, done.computed
+    )];
+    lines.extend(
+        done.kept
+            .iter()
+            .map(|kept| format!("kept {kept}: not written by viewrank")),
+    );
+    lines.push(format!(
+        "Next: viewrank plan {}",
+        command_path(&done.folder)
+    ));
     lines
 }
 
 fn share(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "a number from 0 to 1")?;
-    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err("a number from 0 to 1".into()) }
+    if (0.0..=1.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("a number from 0 to 1".into())
+    }
 }
 
 fn factor(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "a number above 0")?;
-    if value > 0.0 && value.is_finite() { Ok(value) } else { Err("a number above 0".into()) }
+    if value > 0.0 && value.is_finite() {
+        Ok(value)
+    } else {
+        Err("a number above 0".into())
+    }
 }
 
 fn region(text: &str) -> Result<Roi, String> {
-    let wrong = || "four numbers from 0 to 1 with commas between, left before right and top before bottom".to_owned();
-    let values: Vec<f64> = text.split(',').map(share).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let wrong = || {
+        "four numbers from 0 to 1 with commas between, left before right and top before bottom"
+            .to_owned()
+    };
+    let values: Vec<f64> = text
+        .split(',')
+        .map(share)
+        .collect::<Result<_, _>>()
+        .map_err(|_| wrong())?;
     let roi: [f64; 4] = values.try_into().map_err(|_| wrong())?;
-    if roi[0] < roi[2] && roi[1] < roi[3] { Ok(Roi(roi)) } else { Err(wrong()) }
+    if roi[0] < roi[2] && roi[1] < roi[3] {
+        Ok(Roi(roi))
+    } else {
+        Err(wrong())
+    }
 }

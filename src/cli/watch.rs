@@ -10,7 +10,8 @@ use crate::{
     },
     config::{self, Bytes, CommandLineSettings},
     daemon::{
-        PlanJob, PlanOptions, Signal, WatchOptions, Workers, platform as machine, serve, state::OnBusy, watch_roots,
+        PlanJob, PlanOptions, Signal, WatchOptions, Workers, platform as machine, serve,
+        state::OnBusy, watch_roots,
     },
     io::output::Disk,
 };
@@ -30,16 +31,19 @@ const LONGEST_STOP: Duration = Duration::from_millis(1500);
 
 /// Plan every project under some folders when its sparse model is complete, and follow the backend.
 ///
-/// Runs until stopped (Ctrl-C or SIGTERM); SIGHUP scans all projects again. `viewrank status` shows the state of each.
+/// Runs until stopped (Ctrl-C or SIGTERM); SIGHUP scans all projects again. `viewrank status` shows
+/// the state of each.
 #[derive(Args)]
 pub struct Arguments {
     /// Folders to watch, projects at any depth.
     #[arg(required = true, value_name = "ROOT")]
     roots: Vec<PathBuf>,
-    /// A model is complete when its files have not changed for this time, such as 500ms, 2s or 1d6h.
+    /// A model is complete when its files have not changed for this time, such as 500ms, 2s or
+    /// 1d6h.
     #[arg(long, default_value = "2s", value_parser = duration, value_name = "TIME")]
     settle: Duration,
-    /// Scan all folders at this interval instead of waiting for file events [default: 10s on network file systems].
+    /// Scan all folders at this interval instead of waiting for file events [default: 10s on
+    /// network file systems].
     #[arg(long, value_parser = pause, value_name = "TIME")]
     poll: Option<Duration>,
     /// Scan all folders at this interval as well, in case file events were lost.
@@ -60,8 +64,9 @@ pub struct Arguments {
     /// Share of what all view clusters reach to plan for, over the projects' settings.
     #[arg(long, value_name = "P%")]
     target: Option<String>,
-    /// Memory for plans, such as 4G or 800M: a plan waits until there is room for all by the sizes of their models, and is refused if its own
-    /// forecast is larger. With max_memory in its settings, it may do with less [default: half of this machine's memory].
+    /// Memory for plans, such as 4G or 800M: a plan waits until there is room for all by the sizes
+    /// of their models, and is refused if its own forecast is larger. With max_memory in its
+    /// settings, it may do with less [default: half of this machine's memory].
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<Bytes>,
     /// Follow symbolic links that lead out of the roots.
@@ -73,18 +78,26 @@ pub struct Arguments {
     /// Write metrics to this file, in the Prometheus text format.
     #[arg(long, value_name = "FILE")]
     metrics: Option<PathBuf>,
-    /// Re-rank the remaining clusters as depth maps finish, by their measured quality; finished clusters stay first.
+    /// Re-rank the remaining clusters as depth maps finish, by their measured quality; finished
+    /// clusters stay first.
     #[arg(long)]
     replan: bool,
-    /// Run this shell command once per project when its depth maps reach the target; VIEWRANK_PROJECT holds the project's folder
-    /// [default: on_target of your own viewrank.toml; a project's own viewrank.toml may not set it].
+    /// Run this shell command once per project when its depth maps reach the target;
+    /// VIEWRANK_PROJECT holds the project's folder [default: on_target of your own viewrank.toml; a
+    /// project's own viewrank.toml may not set it].
     #[arg(long, value_name = "COMMAND", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     on_target: Option<String>,
-    /// Memory for keeping plans while their depth maps arrive; a larger cache recomputes fewer plans.
+    /// Memory for keeping plans while their depth maps arrive; a larger cache recomputes fewer
+    /// plans.
     #[arg(long, default_value = "256M", value_name = "SIZE")]
     cache: Bytes,
     /// Format of the log on standard error.
-    #[arg(long, visible_alias = "format", default_value = "text", value_name = "FORMAT")]
+    #[arg(
+        long,
+        visible_alias = "format",
+        default_value = "text",
+        value_name = "FORMAT"
+    )]
     log_format: LogFormat,
     /// Plan for the daemon that started this process with its own arguments.
     #[arg(long, hide = true)]
@@ -120,9 +133,12 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     let planner = Workers::new(planner, command);
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {
-        failed if failed > 0 && once => {
-            Err(WatchFailure { failed, projects: summary.projects, roots: options.roots }.into())
+        failed if failed > 0 && once => Err(WatchFailure {
+            failed,
+            projects: summary.projects,
+            roots: options.roots,
         }
+        .into()),
         _ => Ok(()),
     }
 }
@@ -131,7 +147,10 @@ impl Arguments {
     /// Command-line options as settings, checked before anything is watched.
     fn typed(&self) -> Result<CommandLineSettings, Failure> {
         let mut typed = CommandLineSettings::default();
-        let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
+        let k = self.k.as_ref().map(|k| {
+            k.parse()
+                .map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer)
+        });
         typed.set("--backend", "backends", self.backend.clone());
         typed.set("-k", "partners.k", k);
         typed.set("--target", "cut.target", self.target.clone());
@@ -147,7 +166,9 @@ impl Arguments {
             rescan: self.rescan,
             on_busy: self.on_busy,
             jobs: self.jobs.get(),
-            max_memory: self.max_memory.map_or_else(|| machine::machine_memory() / 2, |bytes| bytes.0),
+            max_memory: self
+                .max_memory
+                .map_or_else(|| machine::machine_memory() / 2, |bytes| bytes.0),
             follow_links: self.follow_links,
             once: self.once,
             metrics: self.metrics,
@@ -176,8 +197,11 @@ struct WatchFailure {
 
 impl Hint for WatchFailure {
     fn hint(&self) -> Option<String> {
-        let commands: Vec<String> =
-            self.roots.iter().map(|root| format!("viewrank status {}", command_path(root))).collect();
+        let commands: Vec<String> = self
+            .roots
+            .iter()
+            .map(|root| format!("viewrank status {}", command_path(root)))
+            .collect();
         Some(format!("to see why: {}", commands.join(", ")))
     }
 }
@@ -192,8 +216,8 @@ fn forward_signals(to_daemon: Box<dyn Fn(Signal) + Send>) {
     });
 }
 
-/// Exits even if a job has not noticed its cancellation yet (while reading a large file, say). Safe because output files are complete
-/// at any instant.
+/// Exits even if a job has not noticed its cancellation yet (while reading a large file, say). Safe
+/// because output files are complete at any instant.
 fn end_in_time() {
     thread::sleep(LONGEST_STOP);
     process::exit(0);
@@ -202,14 +226,24 @@ fn end_in_time() {
 /// Parses a time between two scans: a [`duration`] of at least 10 ms.
 fn pause(text: &str) -> Result<Duration, String> {
     let pause = duration(text)?;
-    if pause < SHORTEST_PAUSE { Err("at least 10ms".into()) } else { Ok(pause) }
+    if pause < SHORTEST_PAUSE {
+        Err("at least 10ms".into())
+    } else {
+        Ok(pause)
+    }
 }
 
 /// Parses a time as in the settings (`500ms`, `10min`, `1d6h`), at most a year.
 fn duration(text: &str) -> Result<Duration, String> {
-    let amount = text.parse::<config::TimeSpan>().map_err(|error| error.to_string())?;
+    let amount = text
+        .parse::<config::TimeSpan>()
+        .map_err(|error| error.to_string())?;
     // Compared before the conversion, which panics on what a clock cannot count.
-    if amount.0 > LONGEST.as_secs_f64() { Err("at most 365d".into()) } else { Ok(Duration::from_secs_f64(amount.0)) }
+    if amount.0 > LONGEST.as_secs_f64() {
+        Err("at most 365d".into())
+    } else {
+        Ok(Duration::from_secs_f64(amount.0))
+    }
 }
 
 impl clap::ValueEnum for OnBusy {
@@ -219,9 +253,8 @@ impl clap::ValueEnum for OnBusy {
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
         Some(match self {
-            Self::Restart => {
-                PossibleValue::new("restart").help("Cancel the plan and start again when the input has settled")
-            }
+            Self::Restart => PossibleValue::new("restart")
+                .help("Cancel the plan and start again when the input has settled"),
             Self::Queue => PossibleValue::new("queue").help("Finish the plan, then plan once more"),
         })
     }

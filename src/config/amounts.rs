@@ -18,7 +18,8 @@ impl Budget {
     pub fn clusters(self, views: usize) -> usize {
         match self {
             Self::Clusters(n) => usize::try_from(n).unwrap_or(usize::MAX),
-            // 0.07 has no exact binary form: 7 % of 100 comes out slightly above 7 and would round up to 8.
+            // 0.07 has no exact binary form: 7 % of 100 comes out slightly above 7 and would round
+            // up to 8.
             Self::Views(share) => (share.0 * views as f64 - 1e-9).ceil().max(0.0) as usize,
         }
     }
@@ -59,12 +60,16 @@ pub trait Amount: FromStr<Err = AmountError> + fmt::Display {
     const PATTERN: &'static str;
 
     fn refuse(text: &str) -> AmountError {
-        AmountError { text: text.into(), wanted: Self::WANTED }
+        AmountError {
+            text: text.into(),
+            wanted: Self::WANTED,
+        }
     }
 }
 
 impl Amount for Budget {
-    const WANTED: &'static str = "a number of clusters such as 40, or a share of the views such as 5% or 0.05";
+    const WANTED: &'static str =
+        "a number of clusters such as 40, or a share of the views such as 5% or 0.05";
     const PATTERN: &'static str = r"^[0-9]*[1-9][0-9]*$|^[0-9.]+ ?%$";
 }
 
@@ -92,7 +97,11 @@ impl FromStr for Budget {
     type Err = AmountError;
 
     fn from_str(text: &str) -> Result<Self, AmountError> {
-        let share = || text.parse().map(Self::Views).map_err(|_| Self::refuse(text));
+        let share = || {
+            text.parse()
+                .map(Self::Views)
+                .map_err(|_| Self::refuse(text))
+        };
         let text_is_share = text.trim().ends_with('%') || text.trim().starts_with(['0', '.']);
         match text.trim().parse() {
             Ok(0) => Err(Self::refuse(text)),
@@ -112,10 +121,16 @@ impl FromStr for Share {
             None => (non_negative(text.trim()), false),
         };
         if !in_percent && number == Some(1.0) {
-            return Err(AmountError { text: text.into(), wanted: "a clear share: write 1% or 100%" });
+            return Err(AmountError {
+                text: text.into(),
+                wanted: "a clear share: write 1% or 100%",
+            });
         }
         let share = number.map(|n| if in_percent || n > 1.0 { n / 100.0 } else { n });
-        share.filter(|share| *share > 0.0 && *share <= 1.0).map(Self).ok_or_else(|| Self::refuse(text))
+        share
+            .filter(|share| *share > 0.0 && *share <= 1.0)
+            .map(Self)
+            .ok_or_else(|| Self::refuse(text))
     }
 }
 
@@ -132,7 +147,11 @@ impl FromStr for TimeSpan {
             seconds += second * non_negative(number).ok_or_else(|| Self::refuse(text))?;
             rest = after.trim_start();
         }
-        if text.trim().is_empty() { Err(Self::refuse(text)) } else { Ok(Self(seconds)) }
+        if text.trim().is_empty() {
+            Err(Self::refuse(text))
+        } else {
+            Ok(Self(seconds))
+        }
     }
 }
 
@@ -148,7 +167,9 @@ impl FromStr for Count {
             "G" => 1e9,
             _ => return Err(Self::refuse(text)),
         };
-        non_negative(number).map(|n| Self(n * factor)).ok_or_else(|| Self::refuse(text))
+        non_negative(number)
+            .map(|n| Self(n * factor))
+            .ok_or_else(|| Self::refuse(text))
     }
 }
 
@@ -160,8 +181,15 @@ impl FromStr for Bytes {
 
     fn from_str(text: &str) -> Result<Self, AmountError> {
         let (number, unit) = split(text.trim(), |c| c.is_ascii_digit() || c == '.');
-        let unit = unit.trim().trim_end_matches('B').trim_end_matches('i').to_uppercase();
-        let power = BYTE_UNITS.iter().position(|&known| known == unit).ok_or_else(|| Self::refuse(text))?;
+        let unit = unit
+            .trim()
+            .trim_end_matches('B')
+            .trim_end_matches('i')
+            .to_uppercase();
+        let power = BYTE_UNITS
+            .iter()
+            .position(|&known| known == unit)
+            .ok_or_else(|| Self::refuse(text))?;
         let number = non_negative(number).ok_or_else(|| Self::refuse(text))?;
         Ok(Self((number * 1024f64.powi(power as i32)).round() as u64))
     }
@@ -180,7 +208,10 @@ fn seconds_of(unit: &str) -> Option<f64> {
 
 fn non_negative(number: &str) -> Option<f64> {
     let digits = number.bytes().all(|b| b.is_ascii_digit() || b == b'.');
-    number.parse().ok().filter(|n: &f64| digits && n.is_finite())
+    number
+        .parse()
+        .ok()
+        .filter(|n: &f64| digits && n.is_finite())
 }
 
 /// Splits `text` after its longest prefix of characters that `belongs` accepts.
@@ -215,7 +246,11 @@ impl fmt::Display for TimeSpan {
                 rest -= whole * length;
             }
         }
-        if rest > 0.0 || self.0 == 0.0 { write!(f, "{rest}s") } else { Ok(()) }
+        if rest > 0.0 || self.0 == 0.0 {
+            write!(f, "{rest}s")
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -297,8 +332,16 @@ mod tests {
         assert_eq!("5%".parse(), Ok(Budget::Views(Share(0.05))));
         assert_eq!("0.05".parse(), Ok(Budget::Views(Share(0.05))));
         assert_eq!("12.5 %".parse(), Ok(Share(0.125)));
-        assert!(["80%", "80", "0.8", ".8"].iter().all(|text| text.parse() == Ok(Share(0.8))));
-        assert_eq!("0.5%".parse(), Ok(Share(0.005)), "with the sign it is per cent");
+        assert!(
+            ["80%", "80", "0.8", ".8"]
+                .iter()
+                .all(|text| text.parse() == Ok(Share(0.8)))
+        );
+        assert_eq!(
+            "0.5%".parse(),
+            Ok(Share(0.005)),
+            "with the sign it is per cent"
+        );
         assert_eq!("2h".parse(), Ok(TimeSpan(7200.0)));
         assert_eq!("1d 6h".parse(), Ok(TimeSpan(108_000.0)));
         assert_eq!("1.5min".parse(), Ok(TimeSpan(90.0)));
@@ -311,11 +354,31 @@ mod tests {
 
     #[test]
     fn malformed_amounts_are_refused() {
-        assert!(["", "-3", "4.5", "x", "101%"].iter().all(|text| text.parse::<Budget>().is_err()));
-        assert!(["", "1", "180", "1e1%", "-1%", "nan%", "80 %%"].iter().all(|text| text.parse::<Share>().is_err()));
-        assert!(["", "2", "h", "2 weeks", "inf h", "1h30"].iter().all(|text| text.parse::<TimeSpan>().is_err()));
-        assert!(["", "M", "5m", "1e9"].iter().all(|text| text.parse::<Count>().is_err()));
-        assert!(["", "G", "5X", "-1G", "5GG"].iter().all(|text| text.parse::<Bytes>().is_err()));
+        assert!(
+            ["", "-3", "4.5", "x", "101%"]
+                .iter()
+                .all(|text| text.parse::<Budget>().is_err())
+        );
+        assert!(
+            ["", "1", "180", "1e1%", "-1%", "nan%", "80 %%"]
+                .iter()
+                .all(|text| text.parse::<Share>().is_err())
+        );
+        assert!(
+            ["", "2", "h", "2 weeks", "inf h", "1h30"]
+                .iter()
+                .all(|text| text.parse::<TimeSpan>().is_err())
+        );
+        assert!(
+            ["", "M", "5m", "1e9"]
+                .iter()
+                .all(|text| text.parse::<Count>().is_err())
+        );
+        assert!(
+            ["", "G", "5X", "-1G", "5GG"]
+                .iter()
+                .all(|text| text.parse::<Bytes>().is_err())
+        );
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! The settings as a list of keys, read from the definition: what `viewrank config` prints and what values are checked against.
+//! The settings as a list of keys, read from the definition: what `viewrank config` prints and what
+//! values are checked against.
 
 use std::sync::LazyLock;
 
@@ -37,22 +38,43 @@ pub fn keys() -> &'static [Key] {
 }
 
 impl Settings {
-    /// Checks ranges, and values against each other, of settings that another file than `viewrank.toml` holds.
+    /// Checks ranges, and values against each other, of settings that another file than
+    /// `viewrank.toml` holds.
     ///
     /// # Errors
     /// The first key with its value and why it is refused.
     pub fn check(&self) -> Result<(), String> {
         let all = serde_json::to_value(self).expect("settings are JSON");
         for key in keys() {
-            let value = key.name.split('.').try_fold(&all, |value, part| value.get(part)).unwrap_or(&Value::Null);
-            let numbers = value.as_array().map_or(std::slice::from_ref(value), Vec::as_slice);
-            if numbers.iter().filter_map(Value::as_f64).any(|number| !key.allows(number)) {
-                return Err(format!("{} = {value}: must be {}", key.name, key.range().unwrap_or_default()));
+            let value = key
+                .name
+                .split('.')
+                .try_fold(&all, |value, part| value.get(part))
+                .unwrap_or(&Value::Null);
+            let numbers = value
+                .as_array()
+                .map_or(std::slice::from_ref(value), Vec::as_slice);
+            if numbers
+                .iter()
+                .filter_map(Value::as_f64)
+                .any(|number| !key.allows(number))
+            {
+                return Err(format!(
+                    "{} = {value}: must be {}",
+                    key.name,
+                    key.range().unwrap_or_default()
+                ));
             }
         }
-        let together = Configuration { settings: self.clone(), places: Default::default() }.check_together();
+        let together = Configuration {
+            settings: self.clone(),
+            places: Default::default(),
+        }
+        .check_together();
         together.map_err(|error| match error {
-            ConfigError::Value { key, value, why, .. } => format!("{key} = {value}: {why}"),
+            ConfigError::Value {
+                key, value, why, ..
+            } => format!("{key} = {value}: {why}"),
             error => error.to_string(),
         })
     }
@@ -61,13 +83,21 @@ impl Settings {
 impl Key {
     /// Unit of the value. Lengths are metres only where the model is known to be metric.
     pub fn unit(&self, units: Option<Units>) -> Option<String> {
-        let length = if units == Some(Units::Metric) { "m" } else { "scene units" };
-        self.unit.as_ref().map(|unit| unit.replace("length", length))
+        let length = if units == Some(Units::Metric) {
+            "m"
+        } else {
+            "scene units"
+        };
+        self.unit
+            .as_ref()
+            .map(|unit| unit.replace("length", length))
     }
 
     /// True for lengths, also those per pixel.
     pub(super) fn is_length(&self) -> bool {
-        self.unit.as_deref().is_some_and(|unit| unit == "length" || unit == "length/px")
+        self.unit
+            .as_deref()
+            .is_some_and(|unit| unit == "length" || unit == "length/px")
     }
 
     /// Describes the accepted range in words; `None`: any value.
@@ -93,7 +123,10 @@ impl Key {
 
 fn definition() -> Value {
     let settings = SchemaSettings::draft2020_12().with(|s| s.inline_subschemas = true);
-    settings.into_generator().into_root_schema_for::<Settings>().to_value()
+    settings
+        .into_generator()
+        .into_root_schema_for::<Settings>()
+        .to_value()
 }
 
 fn default() -> Value {
@@ -103,17 +136,28 @@ fn default() -> Value {
 /// Appends the keys of a section, prefixed with `path`.
 fn collect(section: &Value, defaults: &Value, path: &str, keys: &mut Vec<Key>) {
     for (name, schema) in section["properties"].as_object().into_iter().flatten() {
-        let name = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+        let name = if path.is_empty() {
+            name.clone()
+        } else {
+            format!("{path}.{name}")
+        };
         let default = &defaults[name.rsplit('.').next().unwrap_or(&name)];
         match schema.as_object() {
-            Some(object) if !object.contains_key("properties") => keys.push(key(name, object, default)),
+            Some(object) if !object.contains_key("properties") => {
+                keys.push(key(name, object, default))
+            }
             _ => collect(schema, default, &name, keys),
         }
     }
 }
 
 fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
-    let text = |attribute: &str| schema.get(attribute).and_then(Value::as_str).map(String::from);
+    let text = |attribute: &str| {
+        schema
+            .get(attribute)
+            .and_then(Value::as_str)
+            .map(String::from)
+    };
     let number = |attribute: &str| schema.get(attribute).and_then(Value::as_f64);
     let max = number("maximum").filter(|&max| max != f64::from(u32::MAX));
     Key {
@@ -122,7 +166,10 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
         unit: text("unit"),
         default: default.clone(),
         words: words(schema),
-        user_only: schema.get("userOnly").and_then(Value::as_bool).unwrap_or(false),
+        user_only: schema
+            .get("userOnly")
+            .and_then(Value::as_bool)
+            .unwrap_or(false),
         above: number("exclusiveMinimum"),
         min: number("minimum"),
         max,
@@ -131,12 +178,27 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
 
 /// Collects the constants of an enum from each form in which schemars writes them.
 fn words(schema: &Map<String, Value>) -> Vec<String> {
-    let mut words: Vec<String> = schema.get("const").and_then(Value::as_str).map(String::from).into_iter().collect();
+    let mut words: Vec<String> = schema
+        .get("const")
+        .and_then(Value::as_str)
+        .map(String::from)
+        .into_iter()
+        .collect();
     words.extend(
-        schema.get("enum").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).map(String::from),
+        schema
+            .get("enum")
+            .and_then(Value::as_array)
+            .into_iter()
+            .flatten()
+            .filter_map(Value::as_str)
+            .map(String::from),
     );
     for alternatives in ["oneOf", "anyOf"] {
-        let members = schema.get(alternatives).and_then(Value::as_array).into_iter().flatten();
+        let members = schema
+            .get(alternatives)
+            .and_then(Value::as_array)
+            .into_iter()
+            .flatten();
         words.extend(members.filter_map(Value::as_object).flat_map(self::words));
     }
     words
@@ -167,9 +229,19 @@ mod tests {
         for (name, default) in table {
             assert_eq!(find(name).default.as_f64(), Some(default), "{name}");
         }
-        let by_data = ["target.gsd", "target.accuracy", "confidence.p0", "confidence.cosine_power"];
-        let by_backend =
-            ["confidence.scale_octaves", "confidence.full_angle", "confidence.agree", "ranking.support", "image_scale"];
+        let by_data = [
+            "target.gsd",
+            "target.accuracy",
+            "confidence.p0",
+            "confidence.cosine_power",
+        ];
+        let by_backend = [
+            "confidence.scale_octaves",
+            "confidence.full_angle",
+            "confidence.agree",
+            "ranking.support",
+            "image_scale",
+        ];
         for name in by_data.iter().chain(&by_backend) {
             assert!(find(name).default.is_null(), "{name}");
         }
@@ -181,14 +253,24 @@ mod tests {
     fn every_key_says_what_it_is_and_every_number_has_a_range() {
         for key in keys() {
             assert!(!key.doc.is_empty(), "{}", key.name);
-            assert!(!key.default.is_number() || key.range().is_some() || key.name == "seed", "{}", key.name);
+            assert!(
+                !key.default.is_number() || key.range().is_some() || key.name == "seed",
+                "{}",
+                key.name
+            );
         }
     }
 
     #[test]
     fn lengths_are_metres_only_in_metric_models() {
-        assert_eq!(find("target.gsd").unit(Some(Units::Metric)).unwrap(), "m/px");
-        assert_eq!(find("target.gsd").unit(Some(Units::Relative)).unwrap(), "scene units/px");
+        assert_eq!(
+            find("target.gsd").unit(Some(Units::Metric)).unwrap(),
+            "m/px"
+        );
+        assert_eq!(
+            find("target.gsd").unit(Some(Units::Relative)).unwrap(),
+            "scene units/px"
+        );
         assert_eq!(find("target.accuracy").unit(None).unwrap(), "scene units");
     }
 
@@ -198,7 +280,9 @@ mod tests {
         assert_eq!(find("fulfilment.alpha").range().unwrap(), "0 to 1");
         assert_eq!(find("target.gsd").range().unwrap(), "above 0");
         assert!(
-            find("target.gsd").allows(0.1) && !find("target.gsd").allows(0.0) && !find("target.gsd").allows(f64::NAN)
+            find("target.gsd").allows(0.1)
+                && !find("target.gsd").allows(0.0)
+                && !find("target.gsd").allows(f64::NAN)
         );
     }
 }

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Bytes, TimeSpan};
 
-/// Resources that `viewrank dispatch` requests for each view cluster. They don't affect plans: manifests hold the defaults.
+/// Resources that `viewrank dispatch` requests for each view cluster. They don't affect plans:
+/// manifests hold the defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DispatchSettings {
@@ -31,7 +32,8 @@ pub struct DispatchSettings {
     /// Further options of `sbatch`. In the user's own file only.
     #[schemars(extend("userOnly" = true))]
     pub options: Vec<String>,
-    /// Lines of sh to run at the start of each task, such as "module load colmap". In the user's own file only.
+    /// Lines of sh to run at the start of each task, such as "module load colmap". In the user's
+    /// own file only.
     #[schemars(extend("userOnly" = true))]
     pub setup: String,
 }

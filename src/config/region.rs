@@ -1,4 +1,5 @@
-//! `region`: the part of the scene that a plan is for, as on the command line and in `viewrank.toml`.
+//! `region`: the part of the scene that a plan is for, as on the command line and in
+//! `viewrank.toml`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
@@ -46,7 +47,10 @@ impl FromStr for RegionChoice {
 
     fn from_str(text: &str) -> Result<Self, RegionChoiceError> {
         let text = text.trim();
-        let is_list = text.contains(',') && text.split(',').all(|word| word.trim().parse::<f64>().is_ok());
+        let is_list = text.contains(',')
+            && text
+                .split(',')
+                .all(|word| word.trim().parse::<f64>().is_ok());
         match parse_box(text) {
             Some(corners) => Ok(Self::Box(corners)),
             None if text.is_empty() || is_list => Err(RegionChoiceError(text.into())),
@@ -97,9 +101,21 @@ mod tests {
     #[test]
     fn a_region_is_auto_a_box_or_a_file() {
         assert_eq!("auto".parse(), Ok(RegionChoice::Auto));
-        assert_eq!("-1, 0,0,1.5,2,3e1".parse(), Ok(RegionChoice::Box([-1.0, 0.0, 0.0, 1.5, 2.0, 30.0])));
-        assert_eq!("sites/1,2.geojson".parse(), Ok(RegionChoice::File("sites/1,2.geojson".into())));
-        for text in ["", "1,2,3", "1,2,3,4,5,nan", "0,0,0,1,1,inf", "1,2,3,4,5,6,7"] {
+        assert_eq!(
+            "-1, 0,0,1.5,2,3e1".parse(),
+            Ok(RegionChoice::Box([-1.0, 0.0, 0.0, 1.5, 2.0, 30.0]))
+        );
+        assert_eq!(
+            "sites/1,2.geojson".parse(),
+            Ok(RegionChoice::File("sites/1,2.geojson".into()))
+        );
+        for text in [
+            "",
+            "1,2,3",
+            "1,2,3,4,5,nan",
+            "0,0,0,1,1,inf",
+            "1,2,3,4,5,6,7",
+        ] {
             assert!(text.parse::<RegionChoice>().is_err(), "{text}");
         }
     }

@@ -1,9 +1,10 @@
 //! Finds the projects under a root, at any depth, and their input folders.
 //!
-//! The names of its files make a folder a project: a COLMAP project or dense workspace (`sparse/`, with model files in it or one level
-//! below), a bare model (at least two of its files), an OpenMVS scene, a SURE project. The model may be incomplete. Folders inside a
-//! project are not searched for further projects. A folder that contains several projects, or a root that contains one, is not a
-//! project, whatever stray files it has, unless it has a `sparse` of its own.
+//! The names of its files make a folder a project: a COLMAP project or dense workspace (`sparse/`,
+//! with model files in it or one level below), a bare model (at least two of its files), an OpenMVS
+//! scene, a SURE project. The model may be incomplete. Folders inside a project are not searched
+//! for further projects. A folder that contains several projects, or a root that contains one, is
+//! not a project, whatever stray files it has, unless it has a `sparse` of its own.
 
 use std::{
     collections::{BTreeSet, HashSet},
@@ -36,11 +37,19 @@ pub struct Discovery {
     pub unreadable: Vec<(PathBuf, String)>,
 }
 
-/// Walks a folder that is one of the `roots` or below. Symbolic links are followed only with `follow_links`, after all other folders; no
-/// folder is entered twice. `tick` is called for every folder.
+/// Walks a folder that is one of the `roots` or below. Symbolic links are followed only with
+/// `follow_links`, after all other folders; no folder is entered twice. `tick` is called for every
+/// folder.
 pub fn walk(folder: &Path, roots: &[PathBuf], follow_links: bool, tick: &dyn Fn()) -> Discovery {
     let (found, links) = Default::default();
-    let mut walk = Walk { roots, follow_links, tick, found, links, entered: HashSet::new() };
+    let mut walk = Walk {
+        roots,
+        follow_links,
+        tick,
+        found,
+        links,
+        entered: HashSet::new(),
+    };
     walk.enter(folder.to_path_buf(), 0);
     while let Some((link, depth)) = walk.links.pop() {
         walk.enter(link, depth);
@@ -78,18 +87,33 @@ impl Walk<'_> {
         }
         let before = (self.found.lengths(), self.links.len());
         let may_be_one = kind == FolderKind::MayBeProject;
-        let (own, others): (Vec<_>, Vec<_>) = listing.below().partition(|name| may_be_one && *name == DENSE);
-        others.into_iter().for_each(|name| self.enter(folder.join(name), depth + 1));
+        let (own, others): (Vec<_>, Vec<_>) = listing
+            .below()
+            .partition(|name| may_be_one && *name == DENSE);
+        others
+            .into_iter()
+            .for_each(|name| self.enter(folder.join(name), depth + 1));
         // Roots are meant to contain projects.
-        let several = if self.roots.contains(&folder) { 1 } else { SEVERAL };
+        let several = if self.roots.contains(&folder) {
+            1
+        } else {
+            SEVERAL
+        };
         if may_be_one && self.found.projects.len() < before.0[0] + several {
             self.found.truncate(before.0);
             self.links.truncate(before.1);
             return self.found.projects.push(folder);
         }
-        own.into_iter().for_each(|name| self.enter(folder.join(name), depth + 1));
+        own.into_iter()
+            .for_each(|name| self.enter(folder.join(name), depth + 1));
         if self.follow_links {
-            self.links.extend(listing.links.iter().rev().map(|name| (folder.join(name), depth + 1)));
+            self.links.extend(
+                listing
+                    .links
+                    .iter()
+                    .rev()
+                    .map(|name| (folder.join(name), depth + 1)),
+            );
         }
         self.found.folders.push(folder);
     }
@@ -101,7 +125,11 @@ impl Walk<'_> {
 
 impl Discovery {
     fn lengths(&self) -> [usize; 3] {
-        [self.projects.len(), self.folders.len(), self.unreadable.len()]
+        [
+            self.projects.len(),
+            self.folders.len(),
+            self.unreadable.len(),
+        ]
     }
 
     fn truncate(&mut self, [projects, folders, unreadable]: [usize; 3]) {
@@ -118,7 +146,8 @@ pub fn is_searched(name: &OsStr) -> bool {
 
 /// True if the names of its files make the folder a project, disregarding projects inside.
 pub fn is_project(folder: &Path, follow_links: bool) -> bool {
-    Listing::read(folder).is_ok_and(|listing| listing.kind(folder, follow_links) != FolderKind::Folder)
+    Listing::read(folder)
+        .is_ok_and(|listing| listing.kind(folder, follow_links) != FolderKind::Folder)
 }
 
 /// Kind of a folder by the names of its files.
@@ -144,7 +173,9 @@ impl Listing {
         let mut listing = Self::default();
         for entry in fs::read_dir(folder)? {
             let entry = entry?;
-            let Ok(kind) = entry.file_type() else { continue };
+            let Ok(kind) = entry.file_type() else {
+                continue;
+            };
             let is_folder = || fs::metadata(entry.path()).is_ok_and(|target| target.is_dir());
             let names = match kind {
                 kind if kind.is_dir() => &mut listing.folders,
@@ -170,7 +201,10 @@ impl Listing {
         if named(&self.links, "sparse") && (!follow_links || sparse()) {
             return FolderKind::Project;
         }
-        let scene = self.files.iter().any(|name| name.as_encoded_bytes().ends_with(b".mvs"));
+        let scene = self
+            .files
+            .iter()
+            .any(|name| name.as_encoded_bytes().ends_with(b".mvs"));
         let bare_model = || self.model_files() >= 2 && !is_sub_model(folder);
         if scene || self.holds_orientations(folder) || bare_model() {
             FolderKind::MayBeProject
@@ -179,15 +213,28 @@ impl Listing {
         }
     }
 
-    /// True if there are SURE orientations here or in `ori`, which itself belongs to the project above.
+    /// True if there are SURE orientations here or in `ori`, which itself belongs to the project
+    /// above.
     fn holds_orientations(&self, folder: &Path) -> bool {
-        let here = || !folder.ends_with("ori") && self.files.iter().any(|f| f.as_encoded_bytes().ends_with(b".ori"));
-        [&self.files, &self.folders, &self.links].iter().any(|names| names.contains(OsStr::new("ori"))) || here()
+        let here = || {
+            !folder.ends_with("ori")
+                && self
+                    .files
+                    .iter()
+                    .any(|f| f.as_encoded_bytes().ends_with(b".ori"))
+        };
+        [&self.files, &self.folders, &self.links]
+            .iter()
+            .any(|names| names.contains(OsStr::new("ori")))
+            || here()
     }
 
     /// Number of COLMAP model files by stem, in any format.
     fn model_files(&self) -> usize {
-        let stems = self.files.iter().filter_map(|name| model_file(name.to_str()?));
+        let stems = self
+            .files
+            .iter()
+            .filter_map(|name| model_file(name.to_str()?));
         stems.collect::<BTreeSet<_>>().len()
     }
 }
@@ -198,11 +245,16 @@ fn holds_model_below(sparse: &Path, follow_links: bool) -> bool {
         Ok(listing) => listing.model_files() > 0,
         Err(error) => error.kind() != io::ErrorKind::NotFound,
     };
-    let Ok(listing) = Listing::read(sparse) else { return sparse.is_dir() };
+    let Ok(listing) = Listing::read(sparse) else {
+        return sparse.is_dir();
+    };
     let in_folder = |name: &OsString| holds_model(Listing::read(&sparse.join(name)));
     listing.model_files() > 0
         || listing.folders.iter().any(in_folder)
-        || listing.links.iter().any(|name| !follow_links || in_folder(name))
+        || listing
+            .links
+            .iter()
+            .any(|name| !follow_links || in_folder(name))
 }
 
 /// True for `sparse` and its folders, which belong to the project above.
@@ -213,7 +265,9 @@ fn is_sub_model(folder: &Path) -> bool {
 
 /// Returns the stem of a COLMAP model file such as `cameras.bin` or `points3D.txt`.
 fn model_file(name: &str) -> Option<&str> {
-    let stem = name.strip_suffix(".bin").or_else(|| name.strip_suffix(".txt"));
+    let stem = name
+        .strip_suffix(".bin")
+        .or_else(|| name.strip_suffix(".txt"));
     stem.filter(|stem| MODEL_FILES.contains(stem))
 }
 
@@ -245,11 +299,20 @@ impl InputFolders {
             models.push(sparse);
             models.push(above.join("ori"));
         }
-        let has_orientations = Listing::read(project).is_ok_and(|listing| listing.holds_orientations(project));
-        let (mut images, mut masks) = (folders_at(&project.join("images")), folders_at(&project.join(MASKS)));
+        let has_orientations =
+            Listing::read(project).is_ok_and(|listing| listing.holds_orientations(project));
+        let (mut images, mut masks) = (
+            folders_at(&project.join("images")),
+            folders_at(&project.join(MASKS)),
+        );
         let in_images = project.join("images").join(MASKS);
         masks.extend(images.extract_if(.., |folder| folder.starts_with(&in_images)));
-        let mut folders = Self { models, images, masks, has_orientations };
+        let mut folders = Self {
+            models,
+            images,
+            masks,
+            has_orientations,
+        };
         for folders in [&mut folders.models, &mut folders.images, &mut folders.masks] {
             folders.retain(|folder| folder.is_dir() && may_enter(project, folder, follow_links));
             folders.sort();
@@ -263,19 +326,35 @@ impl InputFolders {
     }
 }
 
-/// True if links may be followed, or no symbolic link is on the way from the project to its file or folder.
+/// True if links may be followed, or no symbolic link is on the way from the project to its file or
+/// folder.
 pub fn may_enter(project: &Path, path: &Path, follow_links: bool) -> bool {
-    follow_links || path.ancestors().take_while(|above| *above != project).all(|above| !above.is_symlink())
+    follow_links
+        || path
+            .ancestors()
+            .take_while(|above| *above != project)
+            .all(|above| !above.is_symlink())
 }
 
 fn folders_at(top: &Path) -> Vec<PathBuf> {
-    let walk = walkdir::WalkDir::new(top).max_depth(MAX_DEPTH).into_iter().filter_map(Result::ok);
-    walk.filter(|entry| entry.file_type().is_dir()).map(walkdir::DirEntry::into_path).collect()
+    let walk = walkdir::WalkDir::new(top)
+        .max_depth(MAX_DEPTH)
+        .into_iter()
+        .filter_map(Result::ok);
+    walk.filter(|entry| entry.file_type().is_dir())
+        .map(walkdir::DirEntry::into_path)
+        .collect()
 }
 
 fn sub_folders(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
-    entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect()
+    let entries = fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .filter_map(Result::ok);
+    entries
+        .map(|entry| entry.path())
+        .filter(|path| path.is_dir())
+        .collect()
 }
 
 #[cfg(test)]
@@ -293,7 +372,15 @@ mod tests {
 
     fn projects(root: &Path, follow_links: bool) -> Vec<String> {
         let found = walk(root, &[], follow_links, &|| {}).projects;
-        found.iter().map(|p| p.strip_prefix(root).expect("below").to_string_lossy().into_owned()).collect()
+        found
+            .iter()
+            .map(|p| {
+                p.strip_prefix(root)
+                    .expect("below")
+                    .to_string_lossy()
+                    .into_owned()
+            })
+            .collect()
     }
 
     #[test]
@@ -319,10 +406,20 @@ mod tests {
         }
         fs::create_dir_all(root.path().join("empty/sparse/0")).expect("a folder");
         let found = walk(root.path(), &[], false, &|| {});
-        let expected = ["a", "b/c/d/e", "bare model", "mvs", "sure", "sure without a folder"];
+        let expected = [
+            "a",
+            "b/c/d/e",
+            "bare model",
+            "mvs",
+            "sure",
+            "sure without a folder",
+        ];
         assert_eq!(projects(root.path(), false), expected);
         for folder in ["notes", "empty/sparse/0"] {
-            assert!(found.folders.contains(&root.path().join(folder)), "a project may appear in {folder}");
+            assert!(
+                found.folders.contains(&root.path().join(folder)),
+                "a project may appear in {folder}"
+            );
         }
         assert!(found.unreadable.is_empty());
     }
@@ -334,12 +431,26 @@ mod tests {
             touch(root.path(), path);
         }
         fs::create_dir(root.path().join("sparse")).expect("a folder");
-        for stray in ["images.txt", "cameras.txt", "points3D.txt", "scene.mvs", "x.ori"] {
+        for stray in [
+            "images.txt",
+            "cameras.txt",
+            "points3D.txt",
+            "scene.mvs",
+            "x.ori",
+        ] {
             touch(root.path(), stray);
-            assert_eq!(projects(root.path(), false), ["group/a", "group/b"], "{stray}");
+            assert_eq!(
+                projects(root.path(), false),
+                ["group/a", "group/b"],
+                "{stray}"
+            );
         }
         touch(root.path(), "sparse/0/cameras.bin");
-        assert_eq!(projects(root.path(), false), [""], "a project of its own around the others");
+        assert_eq!(
+            projects(root.path(), false),
+            [""],
+            "a project of its own around the others"
+        );
     }
 
     #[test]
@@ -371,16 +482,32 @@ mod tests {
         assert!(projects(root.path(), false).is_empty());
         assert_eq!(projects(root.path(), true), ["link/p"]);
         touch(root.path(), "q/sparse/1/cameras.bin");
-        symlink(outside.path().join("p/sparse/0"), root.path().join("q/sparse/0")).expect("a link");
+        symlink(
+            outside.path().join("p/sparse/0"),
+            root.path().join("q/sparse/0"),
+        )
+        .expect("a link");
         let project = root.path().join("q");
         let model = project.join("sparse/0");
         let models = |follow_links| InputFolders::find(&project, follow_links).models;
         assert!(!models(false).contains(&model) && models(true).contains(&model));
         assert!(models(false).contains(&project.join("sparse/1")));
-        symlink(outside.path().join("p/sparse/0/cameras.bin"), project.join("sparse/1/images.bin")).expect("a link");
-        assert!(!may_enter(&project, &project.join("sparse/1/images.bin"), false));
+        symlink(
+            outside.path().join("p/sparse/0/cameras.bin"),
+            project.join("sparse/1/images.bin"),
+        )
+        .expect("a link");
+        assert!(!may_enter(
+            &project,
+            &project.join("sparse/1/images.bin"),
+            false
+        ));
         fs::create_dir(root.path().join("all behind links")).expect("a folder");
-        symlink(outside.path().join("p/sparse"), root.path().join("all behind links/sparse")).expect("a link");
+        symlink(
+            outside.path().join("p/sparse"),
+            root.path().join("all behind links/sparse"),
+        )
+        .expect("a link");
         assert_eq!(
             projects(root.path(), false),
             ["all behind links", "q"],
@@ -400,7 +527,11 @@ mod tests {
         }
         let entered = std::cell::Cell::new(0);
         let found = walk(root.path(), &[], true, &|| entered.set(entered.get() + 1));
-        assert_eq!(found.projects, ["a/p", "b/p"].map(|p| root.path().join(p)), "by their own paths");
+        assert_eq!(
+            found.projects,
+            ["a/p", "b/p"].map(|p| root.path().join(p)),
+            "by their own paths"
+        );
         assert_eq!(entered.get(), 5 + 6, "each folder and each link");
     }
 }

@@ -1,4 +1,5 @@
-//! Follows the backend: measures the fulfilment of the finished depth maps, and detects when the target is reached.
+//! Follows the backend: measures the fulfilment of the finished depth maps, and detects when the
+//! target is reached.
 
 use std::{
     fs,
@@ -31,10 +32,12 @@ use crate::{
 const PROGRESS: &str = "progress.json";
 /// Path of the progress file, relative to the project.
 const PROGRESS_FILE: &str = "viewrank/progress.json";
-/// A gap longer than this multiple of the median time between two maps is a pause, not time of matching.
+/// A gap longer than this multiple of the median time between two maps is a pause, not time of
+/// matching.
 const PAUSE: f64 = 20.0;
 
-/// `viewrank/progress.json`: progress of the backend, for queues and people. `viewrank watch` writes it after each measurement.
+/// `viewrank/progress.json`: progress of the backend, for queues and people. `viewrank watch`
+/// writes it after each measurement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Progress {
@@ -44,21 +47,26 @@ pub struct Progress {
     pub target_reached: bool,
     /// Number of key views with a depth map that counts.
     pub done: usize,
-    /// Number of key views up to the plan's cut, plus those beyond it that already have a depth map.
+    /// Number of key views up to the plan's cut, plus those beyond it that already have a depth
+    /// map.
     pub clusters: usize,
-    /// Weight that fusion keeps of all finished depth maps over what it is expected to keep of all clusters (`kept` over `reachable`), 0 to 1;
-    /// null where they are only counted (`note` says why).
+    /// Weight that fusion keeps of all finished depth maps over what it is expected to keep of all
+    /// clusters (`kept` over `reachable`), 0 to 1; null where they are only counted (`note` says
+    /// why).
     pub share: Option<f64>,
     /// Target of `share`, 0 to 1.
     pub target: f64,
-    /// Weight that fusion keeps of the finished depth maps, over that of the whole surface, 0 to 1 (method 5.2); null where they
-    /// are only counted. Every depth on the surface counts as right.
+    /// Weight that fusion keeps of the finished depth maps, over that of the whole surface, 0 to 1
+    /// (method 5.2); null where they are only counted. Every depth on the surface counts as right.
     pub kept: Option<f64>,
-    /// The same expected of all view clusters: real where finished, else predicted, with failures remembered.
+    /// The same expected of all view clusters: real where finished, else predicted, with failures
+    /// remembered.
     pub reachable: f64,
-    /// Number of further depth maps along the list until the target is expected to be reached; null where the list is too short.
+    /// Number of further depth maps along the list until the target is expected to be reached; null
+    /// where the list is too short.
     pub clusters_to_target: Option<usize>,
-    /// Seconds per matching pair, from the modification times of the depth maps; null before the second map.
+    /// Seconds per matching pair, from the modification times of the depth maps; null before the
+    /// second map.
     pub seconds_per_pair: Option<f64>,
     /// Seconds until the target is expected to be reached; null where unknown.
     pub seconds_to_target: Option<f64>,
@@ -70,15 +78,21 @@ pub struct Progress {
     pub outdated: Vec<OutdatedMap>,
     /// Reason why something was not measured; null where everything was.
     pub note: Option<String>,
-    /// The command for a reached target (`on_target`) has been started. Its exit status is in the log.
+    /// The command for a reached target (`on_target`) has been started. Its exit status is in the
+    /// log.
     pub announced: bool,
 }
 
 impl Progress {
-    /// Clears `target_reached` before a new plan is written, so that no queue stops for the target of the old one.
+    /// Clears `target_reached` before a new plan is written, so that no queue stops for the target
+    /// of the old one.
     pub(super) fn clear_target_reached(root: &Path, disk: &Disk) -> Result<(), OutputError> {
         match Self::read(root).filter(|progress| progress.target_reached) {
-            Some(progress) => Self { target_reached: false, ..progress }.write(root, disk),
+            Some(progress) => Self {
+                target_reached: false,
+                ..progress
+            }
+            .write(root, disk),
             None => Ok(()),
         }
     }
@@ -96,10 +110,27 @@ impl Progress {
 
     /// Converts to the outcome of a job, with a further note.
     pub(super) fn outcome(self, further: Option<String>) -> Outcome {
-        let Self { done, clusters, share, target_reached: reached, note, outdated, .. } = self;
-        let notes: Vec<String> = [further, note, outdated_note(&outdated, PROGRESS)].into_iter().flatten().collect();
+        let Self {
+            done,
+            clusters,
+            share,
+            target_reached: reached,
+            note,
+            outdated,
+            ..
+        } = self;
+        let notes: Vec<String> = [further, note, outdated_note(&outdated, PROGRESS)]
+            .into_iter()
+            .flatten()
+            .collect();
         let note = (!notes.is_empty()).then(|| notes.join("; "));
-        Outcome::Followed { done, clusters, share, reached, note }
+        Outcome::Followed {
+            done,
+            clusters,
+            share,
+            reached,
+            note,
+        }
     }
 
     /// Writes the progress of a project.
@@ -133,21 +164,34 @@ pub fn target_reached(root: &Path) -> bool {
     Progress::read(root).is_some_and(|progress| progress.target_reached)
 }
 
-/// Measures those of the present depth maps that count, and writes `progress.json`; [`Outcome::Abandoned`] where there are none.
+/// Measures those of the present depth maps that count, and writes `progress.json`;
+/// [`Outcome::Abandoned`] where there are none.
 pub fn follow(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher) -> Outcome {
     follow_now(root, counts, watcher).unwrap_or_else(|ended| ended)
 }
 
-fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
+fn follow_now(
+    root: &Path,
+    counts: &dyn Fn(&Path) -> bool,
+    watcher: &dyn Watcher,
+) -> Result<Outcome, Outcome> {
     let within = [root.to_path_buf()];
     let disk = Disk::REAL.within(&within);
     output::recover(root, &disk).map_err(failed)?;
     let mut files = map_files(root, true).map_err(failed)?;
     files.retain(|path, _| counts(path));
-    let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
+    let Some(folder) = fullest_folder(root, &files) else {
+        return Ok(Outcome::Abandoned);
+    };
     let (project, plan) = replan::again(root, watcher).map_err(failed)?;
     let earlier = EarlierPlan::read(&project).map_err(failed)?;
-    let following = FollowJob { plan, earlier: &earlier, folder: &folder, files: &files, replan: false };
+    let following = FollowJob {
+        plan,
+        earlier: &earlier,
+        folder: &folder,
+        files: &files,
+        replan: false,
+    };
     let mut progress = following.measure(watcher).map_err(failed)?.1;
     if progress.finished.is_empty() {
         return Ok(Outcome::Abandoned);
@@ -158,14 +202,22 @@ fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher
 }
 
 pub(super) fn failed(error: impl Hint) -> Outcome {
-    Outcome::Failed { reason: error.to_string(), hint: error.hint() }
+    Outcome::Failed {
+        reason: error.to_string(),
+        hint: error.hint(),
+    }
 }
 
 /// Returns the folder with most of these depth maps, the first of equals.
 pub(super) fn fullest_folder(root: &Path, files: &MapFiles) -> Option<PathBuf> {
     let count = |folder: &PathBuf| files.keys().filter(|file| file.starts_with(folder)).count();
-    let counted = depthmaps::folders(root).into_iter().map(|folder| (count(&folder), folder)).filter(|(n, _)| *n > 0);
-    counted.reduce(|best, next| if next.0 > best.0 { next } else { best }).map(|(_, folder)| folder)
+    let counted = depthmaps::folders(root)
+        .into_iter()
+        .map(|folder| (count(&folder), folder))
+        .filter(|(n, _)| *n > 0);
+    counted
+        .reduce(|best, next| if next.0 > best.0 { next } else { best })
+        .map(|(_, folder)| folder)
 }
 
 /// A plan and the present depth maps.
@@ -186,27 +238,54 @@ impl FollowJob<'_> {
             return Ok((self.plan, counted));
         }
         let in_scene = |key| self.plan.stages.scene.find(key);
-        let written = self.earlier.maps().filter_map(|(key, scale)| Some((in_scene(key)?, scale)));
+        let written = self
+            .earlier
+            .maps()
+            .filter_map(|(key, scale)| Some((in_scene(key)?, scale)));
         let written: Vec<(ViewIndex, MapScale)> = written.collect();
         let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
         let wanted = self.plan.stages.settings.cut.target;
         let target = wanted.map_or(self.plan.decision.cut.share, |share| share.0);
-        let maps = MapFolder { folder: self.folder, ready: &|path| self.files.contains_key(path) };
+        let maps = MapFolder {
+            folder: self.folder,
+            ready: &|path| self.files.contains_key(path),
+        };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
-        let order = if self.replan { plan.decision.ranking.maps().collect() } else { listed(&plan, &written) };
-        let cut = if self.replan { plan.decision.cut.clusters } else { with_finished(&plan, &list) };
+        let order = if self.replan {
+            plan.decision.ranking.maps().collect()
+        } else {
+            listed(&plan, &written)
+        };
+        let cut = if self.replan {
+            plan.decision.cut.clusters
+        } else {
+            with_finished(&plan, &list)
+        };
         let forecast = TargetForecast::new(&plan, &order, cut, target);
-        let seconds_per_pair = run.as_ref().and_then(|run| seconds_per_pair(&plan, run, self.folder));
+        let seconds_per_pair = run
+            .as_ref()
+            .and_then(|run| seconds_per_pair(&plan, run, self.folder));
         let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
-        let name = |&c: &u32| plan.stages.scene.name(plan.stages.clusters[c as usize].key).to_owned();
-        let finished: Vec<String> =
-            plan.decision.ranking.order[..plan.decision.finished.clusters].iter().map(name).collect();
+        let name = |&c: &u32| {
+            plan.stages
+                .scene
+                .name(plan.stages.clusters[c as usize].key)
+                .to_owned()
+        };
+        let finished: Vec<String> = plan.decision.ranking.order[..plan.decision.finished.clusters]
+            .iter()
+            .map(name)
+            .collect();
         let notes = &plan.decision.finished.unreadable;
         let progress = Progress {
             version: 1,
             // Where only other limits are set, all maps of the list are wanted.
             target_reached: !finished.is_empty()
-                && if wanted.is_some() { forecast.share >= target } else { finished.len() >= cut },
+                && if wanted.is_some() {
+                    forecast.share >= target
+                } else {
+                    finished.len() >= cut
+                },
             done: finished.len(),
             clusters: cut,
             share: Some(forecast.share),
@@ -228,20 +307,37 @@ impl FollowJob<'_> {
         Ok((plan, progress))
     }
 
-    /// Counts the depth maps where they belong to undistorted images and the model's images are distorted: pixels of such a map don't
-    /// correspond to pixels of the view. `None` where they can be measured.
+    /// Counts the depth maps where they belong to undistorted images and the model's images are
+    /// distorted: pixels of such a map don't correspond to pixels of the view. `None` where they
+    /// can be measured.
     fn count_undistorted(&self) -> Result<Option<Progress>, DepthMapError> {
-        let Plan { stages: Stages { scene, settings, .. }, decision: Decision { cut, ranking, .. }, .. } = &self.plan;
+        let Plan {
+            stages: Stages {
+                scene, settings, ..
+            },
+            decision: Decision { cut, ranking, .. },
+            ..
+        } = &self.plan;
         let maps = depthmaps::list(self.folder, scene)?.maps;
-        let ready: Vec<_> = maps.iter().filter(|map| self.files.contains_key(&map.path)).collect();
+        let ready: Vec<_> = maps
+            .iter()
+            .filter(|map| self.files.contains_key(&map.path))
+            .collect();
         let of_undistorted = ready.iter().filter(|map| !map.format.takes_distorted());
-        let Some(distorted) = of_undistorted.map(|map| scene.camera_of(map.view)).find(|camera| !camera.is_pinhole())
+        let Some(distorted) = of_undistorted
+            .map(|map| scene.camera_of(map.view))
+            .find(|camera| !camera.is_pinhole())
         else {
             return Ok(None);
         };
         let has_map = |key: &&str| ready.iter().any(|map| scene.name(map.view) == *key);
         let listed: Vec<&str> = self.earlier.list().collect();
-        let finished: Vec<String> = listed.iter().copied().filter(has_map).map(Into::into).collect();
+        let finished: Vec<String> = listed
+            .iter()
+            .copied()
+            .filter(has_map)
+            .map(Into::into)
+            .collect();
         let model = distorted.model().name();
         Ok(Some(Progress {
             version: 1,
@@ -261,19 +357,36 @@ impl FollowJob<'_> {
 /// Number of key views on the list, plus finished ones beyond it.
 fn with_finished(plan: &Plan, list: &[ViewIndex]) -> usize {
     let finished = &plan.decision.ranking.order[..plan.decision.finished.clusters];
-    let is_finished = |key: &&ViewIndex| finished.iter().any(|&c| plan.stages.clusters[c as usize].key == **key);
+    let is_finished = |key: &&ViewIndex| {
+        finished
+            .iter()
+            .any(|&c| plan.stages.clusters[c as usize].key == **key)
+    };
     finished.len() + list.len() - list.iter().filter(is_finished).count()
 }
 
 /// Orders the clusters: finished ones, the rest of the written list, the rest of the ranking.
 fn listed(plan: &Plan, written: &[(ViewIndex, MapScale)]) -> Vec<(u32, MapScale)> {
-    let mut order: Vec<_> = plan.decision.ranking.maps().take(plan.decision.finished.clusters).collect();
-    let place = |key: &ViewIndex| plan.stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
-    let list = written.iter().filter_map(|(key, scale)| Some((place(key)? as u32, *scale)));
+    let mut order: Vec<_> = plan
+        .decision
+        .ranking
+        .maps()
+        .take(plan.decision.finished.clusters)
+        .collect();
+    let place = |key: &ViewIndex| {
+        plan.stages
+            .clusters
+            .binary_search_by_key(key, |cluster| cluster.key)
+            .ok()
+    };
+    let list = written
+        .iter()
+        .filter_map(|(key, scale)| Some((place(key)? as u32, *scale)));
     let mut taken = vec![false; plan.stages.clusters.len()];
     order.iter().for_each(|&(c, _)| taken[c as usize] = true);
     order.extend(
-        list.chain(plan.decision.ranking.maps()).filter(|&(c, _)| !std::mem::replace(&mut taken[c as usize], true)),
+        list.chain(plan.decision.ranking.maps())
+            .filter(|&(c, _)| !std::mem::replace(&mut taken[c as usize], true)),
     );
     order
 }
@@ -290,10 +403,17 @@ struct TargetForecast {
 impl TargetForecast {
     fn new(plan: &Plan, order: &[(u32, MapScale)], cut: usize, target: f64) -> Self {
         let (maps, clusters) = (plan.stages.maps(), &plan.stages.clusters);
-        let rows = order.iter().map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));
+        let rows = order
+            .iter()
+            .map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));
         let curve = ReachCurve::of_rows(&plan.stages.objective, rows);
-        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.reachable);
-        let reached = curve.clusters_for(target * total).filter(|&n| n <= cut.max(done));
+        let (done, total) = (
+            plan.decision.finished.clusters,
+            plan.decision.ranking.reachable,
+        );
+        let reached = curve
+            .clusters_for(target * total)
+            .filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {
             kept: curve.kept[done],
@@ -314,7 +434,9 @@ fn seconds_per_pair(plan: &Plan, run: &MeasuredClusters, folder: &Path) -> Optio
         times.push((time(&map.path)?, cluster.partners.len()));
     }
     times.sort_unstable();
-    let gap = |w: &[(SystemTime, usize)]| Some((w[1].0.duration_since(w[0].0).ok()?.as_secs_f64(), w[1].1));
+    let gap = |w: &[(SystemTime, usize)]| {
+        Some((w[1].0.duration_since(w[0].0).ok()?.as_secs_f64(), w[1].1))
+    };
     let mut gaps: Vec<(f64, usize)> = times.windows(2).filter_map(gap).collect();
     gaps.sort_by(|a, b| a.0.total_cmp(&b.0));
     let usual = gaps.get(gaps.len() / 2)?.0;

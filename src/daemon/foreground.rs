@@ -1,4 +1,5 @@
-//! Plans one project and measures its depth maps as the daemon does, in the foreground: for `viewrank run`.
+//! Plans one project and measures its depth maps as the daemon does, in the foreground: for
+//! `viewrank run`.
 
 use std::{
     path::{Path, PathBuf},
@@ -37,7 +38,11 @@ impl<'a> Foreground<'a> {
             is_run: true,
         };
         let root = dunce::canonicalize(root).unwrap_or_else(|_| root.into());
-        Self { root, planner: PlanJob::new(options), stop }
+        Self {
+            root,
+            planner: PlanJob::new(options),
+            stop,
+        }
     }
 
     pub fn root(&self) -> &Path {

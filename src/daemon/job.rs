@@ -50,8 +50,9 @@ use crate::{
 /// Options of the planner of `viewrank watch`.
 #[derive(Clone, Debug)]
 pub struct PlanOptions {
-    /// Shell command to run when a project's target is reached, with the project's folder in VIEWRANK_PROJECT. It comes from the user
-    /// who started the daemon, never from a project; `None`: taken from the user's own `viewrank.toml`.
+    /// Shell command to run when a project's target is reached, with the project's folder in
+    /// VIEWRANK_PROJECT. It comes from the user who started the daemon, never from a project;
+    /// `None`: taken from the user's own `viewrank.toml`.
     pub on_target: Option<String>,
     /// Rank the remaining clusters again after each measurement (method 5.4).
     pub replan: bool,
@@ -80,9 +81,16 @@ type StepResult<T> = Result<T, Outcome>;
 
 impl Planner for PlanJob {
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
-        let settings = self.settings(project).map(|(settings, _)| settings).unwrap_or_default();
+        let settings = self
+            .settings(project)
+            .map(|(settings, _)| settings)
+            .unwrap_or_default();
         let files = [user_file(), self.root_file(project)];
-        files.into_iter().flatten().chain(settings.files_of_plan()).collect()
+        files
+            .into_iter()
+            .flatten()
+            .chain(settings.files_of_plan())
+            .collect()
     }
 
     fn has_plan(&self, project: &Path) -> bool {
@@ -90,11 +98,23 @@ impl Planner for PlanJob {
     }
 
     fn plan(&self, job: &Job) -> Outcome {
-        self.try_plan(job).unwrap_or_else(|ended| if job.is_cancelled() { Outcome::Abandoned } else { ended })
+        self.try_plan(job).unwrap_or_else(|ended| {
+            if job.is_cancelled() {
+                Outcome::Abandoned
+            } else {
+                ended
+            }
+        })
     }
 
     fn follow(&self, job: &Job) -> Outcome {
-        self.try_follow(job).unwrap_or_else(|ended| if job.is_cancelled() { Outcome::Abandoned } else { ended })
+        self.try_follow(job).unwrap_or_else(|ended| {
+            if job.is_cancelled() {
+                Outcome::Abandoned
+            } else {
+                ended
+            }
+        })
     }
 
     fn forget(&self, project: &Path) {
@@ -107,7 +127,12 @@ impl Planner for PlanJob {
 impl PlanJob {
     pub fn new(options: PlanOptions) -> Self {
         let plans = Mutex::new(PlanCache::new(options.cache));
-        Self { options, plans, hashes: Mutex::default(), valid_settings: Mutex::default() }
+        Self {
+            options,
+            plans,
+            hashes: Mutex::default(),
+            valid_settings: Mutex::default(),
+        }
     }
 
     fn try_plan(&self, job: &Job) -> StepResult<Outcome> {
@@ -116,12 +141,17 @@ impl PlanJob {
         output::recover(job.project, &disk).map_err(failed)?;
         let is_by_hand = !job.project.join(RECORD).exists();
         let progress = progress_file(job.project);
-        let had_maps = progress.is_file() || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
-        if !had_maps || !map_files(job.project, job.follow_links).map_err(failed)?.is_empty() {
+        let had_maps = progress.is_file()
+            || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
+        if !had_maps
+            || !map_files(job.project, job.follow_links)
+                .map_err(failed)?
+                .is_empty()
+        {
             return self.plan_input(job, is_by_hand, &disk);
         }
-        // The depth maps are gone: nothing is finished or reached any more. The progress is removed last, so that the next run completes
-        // an interrupted one.
+        // The depth maps are gone: nothing is finished or reached any more. The progress is removed
+        // last, so that the next run completes an interrupted one.
         output::remove(&job.project.join(RECORD), &disk).map_err(failed)?;
         let outcome = self.plan_input(job, is_by_hand, &disk)?;
         Progress::remove(job.project, &disk).map_err(failed)?;
@@ -135,18 +165,29 @@ impl PlanJob {
             return Err(Outcome::Failed { reason, hint });
         }
         let (settings, note) = self.settings(job.project)?;
-        let project = Project::open(job.project, None).map_err(incomplete)?.with_images(settings.images.as_deref());
+        let project = Project::open(job.project, None)
+            .map_err(incomplete)?
+            .with_images(settings.images.as_deref());
         // A dense workspace that appears later gets its files, too.
         let decided_by = (settings.for_plan(), &project.dense_workspace);
         let as_text = serde_json::to_vec(&decided_by).map_err(|_| Outcome::Abandoned)?;
         let model = project.model_files();
-        if let Some(file) = model.iter().find(|file| !may_enter(job.project, file, job.follow_links)) {
-            let reason = format!("{} is behind a symbolic link (--follow-links)", file.display());
+        if let Some(file) = model
+            .iter()
+            .find(|file| !may_enter(job.project, file, job.follow_links))
+        {
+            let reason = format!(
+                "{} is behind a symbolic link (--follow-links)",
+                file.display()
+            );
             return Err(Outcome::Incomplete { reason });
         }
         let fingerprint =
-            HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
-        if let Some(record) = PlannedFrom::read(job.project).filter(|record| record.fingerprint == fingerprint) {
+            HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, &as_text)
+                .map_err(unreadable)?;
+        if let Some(record) =
+            PlannedFrom::read(job.project).filter(|record| record.fingerprint == fingerprint)
+        {
             // The last measurement holds until the next one.
             let known = Progress::read(job.project).filter(|progress| progress.done > 0);
             let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
@@ -159,12 +200,24 @@ impl PlanJob {
                 known,
             });
         }
-        // The forecast comes after the model is read, which takes about as much memory as its files have bytes.
-        let bytes = model.iter().filter_map(|file| file.metadata().ok()).map(|file| file.len()).sum();
+        // The forecast comes after the model is read, which takes about as much memory as its files
+        // have bytes.
+        let bytes = model
+            .iter()
+            .filter_map(|file| file.metadata().ok())
+            .map(|file| file.len())
+            .sum();
         if let Some(most) = job.most_memory.filter(|most| bytes > *most) {
             let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-            let reason = format!("the model alone has {} MiB, --max-memory allows {} MiB", mib(bytes), mib(most));
-            let hint = Some(format!("give viewrank watch --max-memory {}M or more", mib(queue::need(bytes))));
+            let reason = format!(
+                "the model alone has {} MiB, --max-memory allows {} MiB",
+                mib(bytes),
+                mib(most)
+            );
+            let hint = Some(format!(
+                "give viewrank watch --max-memory {}M or more",
+                mib(queue::need(bytes))
+            ));
             return Err(Outcome::Aside { reason, hint });
         }
         if !self.options.is_run {
@@ -174,10 +227,14 @@ impl PlanJob {
         let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         if let Some(empty) = EmptyPlan::detect(&plan) {
-            return Err(Outcome::Incomplete { reason: empty.to_string() });
+            return Err(Outcome::Incomplete {
+                reason: empty.to_string(),
+            });
         }
         let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
-        let replaced = (is_by_hand && !self.options.is_run).then(|| another_than(&plan, &project)).flatten();
+        let replaced = (is_by_hand && !self.options.is_run)
+            .then(|| another_than(&plan, &project))
+            .flatten();
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.for_plan());
         if job.is_wanted() {
             Progress::clear_target_reached(job.project, disk).map_err(failed)?;
@@ -189,7 +246,9 @@ impl PlanJob {
             fingerprint,
             clusters,
             share,
-            note: note.or_else(|| outdated_note(&plan.decision.finished.outdated, "manifest.json")).or(replaced),
+            note: note
+                .or_else(|| outdated_note(&plan.decision.finished.outdated, "manifest.json"))
+                .or(replaced),
             anew: true,
             known: None,
         })
@@ -201,9 +260,15 @@ impl PlanJob {
         output::recover(job.project, &disk).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else {
             // Present maps may not have settled yet.
-            let none = map_files(job.project, job.follow_links).map_err(failed)?.is_empty();
+            let none = map_files(job.project, job.follow_links)
+                .map_err(failed)?
+                .is_empty();
             let gone = none && progress_file(job.project).is_file();
-            return if gone { self.try_plan(job) } else { Err(Outcome::Abandoned) };
+            return if gone {
+                self.try_plan(job)
+            } else {
+                Err(Outcome::Abandoned)
+            };
         };
         let record = match PlannedFrom::read(job.project) {
             Some(record) => record,
@@ -217,10 +282,22 @@ impl PlanJob {
         let (project, plan) = self.plan_again(job.project, &record.fingerprint, &watcher)?;
         let earlier = EarlierPlan::read(&project).map_err(failed)?;
         let files = job.maps;
-        let following = FollowJob { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
+        let following = FollowJob {
+            plan,
+            earlier: &earlier,
+            folder: &folder,
+            files,
+            replan: self.options.replan,
+        };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
         if self.options.replan {
-            write(&plan, &project, PlannedFrom::new(&plan, record.fingerprint, record.settings), job, &disk)?;
+            write(
+                &plan,
+                &project,
+                PlannedFrom::new(&plan, record.fingerprint, record.settings),
+                job,
+                &disk,
+            )?;
         }
         progress.keep_announced(job.project);
         progress.write(job.project, &disk).map_err(failed)?;
@@ -233,10 +310,20 @@ impl PlanJob {
     }
 
     /// Returns the plan by prediction alone, from the cache if possible.
-    fn plan_again(&self, root: &Path, fingerprint: &Fingerprint, watcher: &JobWatcher) -> StepResult<(Project, Plan)> {
+    fn plan_again(
+        &self,
+        root: &Path,
+        fingerprint: &Fingerprint,
+        watcher: &JobWatcher,
+    ) -> StepResult<(Project, Plan)> {
         if let Some(plan) = lock(&self.plans).get(root, fingerprint) {
             let images = plan.stages.settings.images.clone();
-            return Ok((Project::open(root, None).map_err(failed)?.with_images(images.as_deref()), plan));
+            return Ok((
+                Project::open(root, None)
+                    .map_err(failed)?
+                    .with_images(images.as_deref()),
+                plan,
+            ));
         }
         let (project, plan) = replan::again(root, watcher).map_err(|error| match error {
             AgainError::Written(WrittenPlanError::OtherInput(_)) => Outcome::Abandoned,
@@ -246,12 +333,16 @@ impl PlanJob {
         Ok((project, plan))
     }
 
-    /// Starts the user's command for a reached target without waiting for it; false if there is none or it can't be started.
+    /// Starts the user's command for a reached target without waiting for it; false if there is
+    /// none or it can't be started.
     fn announce(&self, project: &Path) -> bool {
         let command = match &self.options.on_target {
             Some(command) => Some(command.clone()),
             None => match Configuration::load(
-                &Files { user: user_file(), ..Files::default() },
+                &Files {
+                    user: user_file(),
+                    ..Files::default()
+                },
                 CommandLineSettings::default(),
                 backends::canonical_name,
             ) {
@@ -265,9 +356,15 @@ impl PlanJob {
         let Some(command) = command else { return false };
         let mut command = platform::shell(&command);
         // Standard output may be a worker's answers.
-        #[expect(clippy::disallowed_methods, reason = "the command's own words, not viewrank's")]
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "the command's own words, not viewrank's"
+        )]
         let output = io::stderr();
-        command.env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).stdout(output);
+        command
+            .env("VIEWRANK_PROJECT", project)
+            .stdin(Stdio::null())
+            .stdout(output);
         match command.spawn() {
             Ok(child) => {
                 let project = project.to_path_buf();
@@ -281,15 +378,22 @@ impl PlanJob {
         }
     }
 
-    /// `viewrank.toml` of the watched folder that a project is in, whether it exists or not; `None` if the project is the folder itself.
+    /// `viewrank.toml` of the watched folder that a project is in, whether it exists or not; `None`
+    /// if the project is the folder itself.
     fn root_file(&self, project: &Path) -> Option<PathBuf> {
         self.watched(project).map(|root| root.join("viewrank.toml"))
     }
 
     /// The watched folder that a project is in; `None` if the project is the folder itself.
     fn watched(&self, project: &Path) -> Option<PathBuf> {
-        let roots = self.options.roots.iter().filter_map(|root| dunce::canonicalize(root).ok());
-        roots.filter(|root| project.starts_with(root) && project != root).max_by_key(|root| root.components().count())
+        let roots = self
+            .options
+            .roots
+            .iter()
+            .filter_map(|root| dunce::canonicalize(root).ok());
+        roots
+            .filter(|root| project.starts_with(root) && project != root)
+            .max_by_key(|root| root.components().count())
     }
 
     /// The watched folder and the project, for [`Disk::within`].
@@ -298,13 +402,20 @@ impl PlanJob {
         root.into_iter().chain([project.to_path_buf()]).collect()
     }
 
-    /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at least those of its plan, with a note.
+    /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at
+    /// least those of its plan, with a note.
     fn settings(&self, project: &Path) -> StepResult<(Settings, Option<String>)> {
         let own = project.join("viewrank.toml");
-        let files = Files { user: user_file(), root: self.root_file(project), project: Some(own.clone()) };
+        let files = Files {
+            user: user_file(),
+            root: self.root_file(project),
+            project: Some(own.clone()),
+        };
         let loaded = match may_enter(project, &own, self.options.follow_links) {
-            true => Configuration::load(&files, self.options.typed.clone(), backends::canonical_name)
-                .map_err(|error| (error.to_string(), failed(error))),
+            true => {
+                Configuration::load(&files, self.options.typed.clone(), backends::canonical_name)
+                    .map_err(|error| (error.to_string(), failed(error)))
+            }
             false => {
                 let reason = format!("{} is a symbolic link (--follow-links)", own.display());
                 Err((reason.clone(), Outcome::Failed { reason, hint: None }))
@@ -319,7 +430,10 @@ impl PlanJob {
             Err((error, failure)) => {
                 let known = lock(&self.valid_settings).get(project).cloned();
                 match known.or_else(|| PlannedFrom::read(project).map(|record| record.settings)) {
-                    Some(valid) => Ok((valid, Some(format!("{error}; using the last valid settings")))),
+                    Some(valid) => Ok((
+                        valid,
+                        Some(format!("{error}; using the last valid settings")),
+                    )),
                     None => Err(failure),
                 }
             }
@@ -330,15 +444,22 @@ impl PlanJob {
 /// Waits for the on_target command and logs its exit status.
 fn wait_for(mut command: Child, project: &Path) {
     match command.wait() {
-        Ok(status) if status.success() => info!(project = %project.display(), "on_target command succeeded"),
+        Ok(status) if status.success() => {
+            info!(project = %project.display(), "on_target command succeeded")
+        }
         Ok(status) => warn!(project = %project.display(), %status, "on_target command failed"),
-        Err(error) => warn!(project = %project.display(), %error, "lost track of the on_target command"),
+        Err(error) => {
+            warn!(project = %project.display(), %error, "lost track of the on_target command")
+        }
     }
 }
 
-/// Returns the plan around the finished depth maps of its predecessor (method 5.4), if there are any.
+/// Returns the plan around the finished depth maps of its predecessor (method 5.4), if there are
+/// any.
 fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan> {
-    let Some(folder) = fullest_folder(job.project, job.maps) else { return Ok(plan) };
+    let Some(folder) = fullest_folder(job.project, job.maps) else {
+        return Ok(plan);
+    };
     let earlier = match EarlierPlan::read(project) {
         Ok(earlier) => earlier,
         Err(WrittenPlanError::Io { source, .. }) if source.kind() != io::ErrorKind::NotFound => {
@@ -348,7 +469,10 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
         // Without an earlier plan the partners of the maps are unknown.
         Err(_) => return Ok(plan),
     };
-    let maps = MapFolder { folder: &folder, ready: &|path| job.maps.contains_key(path) };
+    let maps = MapFolder {
+        folder: &folder,
+        ready: &|path| job.maps.contains_key(path),
+    };
     match replan(plan, &earlier, &maps, &JobWatcher::new(job)) {
         Ok((plan, _)) => Ok(plan),
         Err(ReplanError::Plan(error)) => Err(sort_out(error)),
@@ -357,9 +481,21 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
     }
 }
 
-/// Writes the plan, with the record of its input unless that has changed meanwhile; returns its warnings.
-fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job, disk: &Disk) -> StepResult<Vec<String>> {
-    let files::PlanFiles { manifest, mut sets, outdated_exports, .. } = files::files(plan, project).map_err(failed)?;
+/// Writes the plan, with the record of its input unless that has changed meanwhile; returns its
+/// warnings.
+fn write(
+    plan: &Plan,
+    project: &Project,
+    mut record: PlannedFrom,
+    job: &Job,
+    disk: &Disk,
+) -> StepResult<Vec<String>> {
+    let files::PlanFiles {
+        manifest,
+        mut sets,
+        outdated_exports,
+        ..
+    } = files::files(plan, project).map_err(failed)?;
     record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
@@ -370,15 +506,26 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job, dis
     }
     // The record is in the first set, whose root comes last: without it the plan is made again.
     output::write_all(&sets, disk).map_err(failed)?;
-    Ok(warnings_with(&manifest.warnings, &manifest.exports, &outdated_exports))
+    Ok(warnings_with(
+        &manifest.warnings,
+        &manifest.exports,
+        &outdated_exports,
+    ))
 }
 
-/// Says so if the plan differs from the one made by hand whose place it takes: options that were typed for that are not in the settings.
+/// Says so if the plan differs from the one made by hand whose place it takes: options that were
+/// typed for that are not in the settings.
 fn another_than(plan: &Plan, project: &Project) -> Option<String> {
     let earlier = RecordedPlan::read(project).ok()?;
     let ranked = plan.ranked().take(plan.decision.cut.clusters);
-    let list: Vec<_> = ranked.map(|c| (plan.stages.scene.name(c.key).to_owned(), c.scale)).collect();
-    let before = earlier.clusters.iter().take(earlier.cut.clusters).map(|c| (c.key.clone(), c.scale));
+    let list: Vec<_> = ranked
+        .map(|c| (plan.stages.scene.name(c.key).to_owned(), c.scale))
+        .collect();
+    let before = earlier
+        .clusters
+        .iter()
+        .take(earlier.cut.clusters)
+        .map(|c| (c.key.clone(), c.scale));
     let is_same = earlier.backend == plan.stages.backend && before.eq(list);
     (!is_same).then(|| {
         format!(
@@ -388,33 +535,48 @@ fn another_than(plan: &Plan, project: &Project) -> Option<String> {
     })
 }
 
-/// Outcome of a read error. A file that vanishes while it is hashed is a change, which raises its own event.
+/// Outcome of a read error. A file that vanishes while it is hashed is a change, which raises its
+/// own event.
 fn unreadable(error: io::Error) -> Outcome {
     match error.kind() {
         io::ErrorKind::NotFound => Outcome::Abandoned,
-        _ => Outcome::Failed { reason: format!("cannot read input files: {error}"), hint: None },
+        _ => Outcome::Failed {
+            reason: format!("cannot read input files: {error}"),
+            hint: None,
+        },
     }
 }
 
-/// Outcome of a model that can't be opened: incomplete if it doesn't parse or its files contradict each other, failed on read errors.
+/// Outcome of a model that can't be opened: incomplete if it doesn't parse or its files contradict
+/// each other, failed on read errors.
 fn incomplete(error: ProjectError) -> Outcome {
     match error {
         ProjectError::Io { ref source, .. } if is_read_error(source) => failed(error),
-        error => Outcome::Incomplete { reason: error.to_string() },
+        error => Outcome::Incomplete {
+            reason: error.to_string(),
+        },
     }
 }
 
 /// True for errors other than missing or invalid files.
 fn is_read_error(error: &io::Error) -> bool {
-    !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::InvalidInput | io::ErrorKind::NotADirectory)
+    !matches!(
+        error.kind(),
+        io::ErrorKind::NotFound | io::ErrorKind::InvalidInput | io::ErrorKind::NotADirectory
+    )
 }
 
 fn sort_out(error: PlanError) -> Outcome {
     match error {
         PlanError::Cancelled(_) => Outcome::Abandoned,
         PlanError::Project(error) => incomplete(error),
-        PlanError::NoViews(_) => Outcome::Incomplete { reason: error.to_string() },
-        PlanError::Refused { .. } => Outcome::Aside { reason: error.to_string(), hint: error.hint() },
+        PlanError::NoViews(_) => Outcome::Incomplete {
+            reason: error.to_string(),
+        },
+        PlanError::Refused { .. } => Outcome::Aside {
+            reason: error.to_string(),
+            hint: error.hint(),
+        },
         error => failed(error),
     }
 }
@@ -428,7 +590,10 @@ struct JobWatcher<'a> {
 
 impl<'a> JobWatcher<'a> {
     fn new(job: &'a Job<'a>) -> Self {
-        Self { job, sent: [AtomicU8::new(u8::MAX), AtomicU8::new(u8::MAX)] }
+        Self {
+            job,
+            sent: [AtomicU8::new(u8::MAX), AtomicU8::new(u8::MAX)],
+        }
     }
 }
 
@@ -439,7 +604,10 @@ impl Watcher for JobWatcher<'_> {
         let same_percent = self.sent[1].swap(percent, Ordering::Relaxed) == percent;
         if !(same_stage && same_percent) {
             let name = serde_json::to_value(stage).ok();
-            (self.job.progress)(name.as_ref().and_then(|n| n.as_str()).unwrap_or("planning"), percent);
+            (self.job.progress)(
+                name.as_ref().and_then(|n| n.as_str()).unwrap_or("planning"),
+                percent,
+            );
         }
     }
 

@@ -22,12 +22,18 @@ struct CachedPlan {
 
 impl PlanCache {
     pub fn new(max_bytes: u64) -> Self {
-        Self { max_bytes, plans: Vec::new() }
+        Self {
+            max_bytes,
+            plans: Vec::new(),
+        }
     }
 
     /// Returns a copy of the plan that was made from this input.
     pub fn get(&mut self, project: &Path, fingerprint: &Fingerprint) -> Option<Plan> {
-        let at = self.plans.iter().position(|kept| kept.project == project && kept.fingerprint == *fingerprint)?;
+        let at = self
+            .plans
+            .iter()
+            .position(|kept| kept.project == project && kept.fingerprint == *fingerprint)?;
         let kept = self.plans.remove(at);
         let plan = kept.plan.clone();
         self.plans.push(kept);
@@ -41,8 +47,18 @@ impl PlanCache {
             // Tables on disk would fill it unnoticed.
             return;
         }
-        self.plans.push(CachedPlan { project: project.into(), fingerprint, plan: plan.clone() });
-        while self.plans.iter().map(|kept| kept.plan.stages.bytes()).sum::<u64>() > self.max_bytes {
+        self.plans.push(CachedPlan {
+            project: project.into(),
+            fingerprint,
+            plan: plan.clone(),
+        });
+        while self
+            .plans
+            .iter()
+            .map(|kept| kept.plan.stages.bytes())
+            .sum::<u64>()
+            > self.max_bytes
+        {
             self.plans.remove(0);
         }
     }
@@ -70,16 +86,30 @@ mod tests {
 
     #[test]
     fn the_least_recently_used_plan_is_dropped_first() {
-        let camera =
-            Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
-        let town = Town { grid: 3, points: 300, tilt: None, side: 40.0, boxes: 1, ..Town::new(camera) };
+        let camera = Camera::new(
+            1,
+            CameraModel::Pinhole,
+            400,
+            300,
+            vec![320.0, 320.0, 200.0, 150.0],
+        )
+        .expect("a camera");
+        let town = Town {
+            grid: 3,
+            points: 300,
+            tilt: None,
+            side: 40.0,
+            boxes: 1,
+            ..Town::new(camera)
+        };
         let folder = tempfile::tempdir().expect("a temporary folder");
         for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(&town.scene())) {
             std::fs::write(folder.path().join(name), bytes).expect("a file");
         }
         let project = Project::open(folder.path(), None).expect("a model");
         let plan = backends::plan(&project, &Settings::default(), &NoWatcher).expect("a plan");
-        let print = |text: &str| serde_json::from_value::<Fingerprint>(text.into()).expect("a string");
+        let print =
+            |text: &str| serde_json::from_value::<Fingerprint>(text.into()).expect("a string");
         let [a, b, c] = ["a", "b", "c"].map(Path::new);
         let mut kept = PlanCache::new(2 * plan.stages.bytes());
         kept.put(a, print("1"), &plan);

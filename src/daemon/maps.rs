@@ -28,7 +28,10 @@ pub struct UnreadableMaps {
 
 impl Hint for UnreadableMaps {
     fn hint(&self) -> Option<String> {
-        Some("make it readable for the user who runs viewrank: it may hold finished depth maps".into())
+        Some(
+            "make it readable for the user who runs viewrank: it may hold finished depth maps"
+                .into(),
+        )
     }
 }
 
@@ -37,24 +40,41 @@ pub fn map_files(project: &Path, follow_links: bool) -> Result<MapFiles, Unreada
     scan(project, follow_links).1
 }
 
-/// Returns the folders to watch for depth maps (those that hold some, and those in which such a folder may appear, except the output
-/// folder itself), and the depth map files.
-pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFiles, UnreadableMaps>) {
+/// Returns the folders to watch for depth maps (those that hold some, and those in which such a
+/// folder may appear, except the output folder itself), and the depth map files.
+pub fn scan(
+    project: &Path,
+    follow_links: bool,
+) -> (Vec<PathBuf>, Result<MapFiles, UnreadableMaps>) {
     let (mut folders, mut files, mut unreadable) = (Vec::new(), MapFiles::new(), None);
     let mut seen = |path: &Path, found: io::Result<fs::Metadata>| match found {
         Ok(metadata) => Some(metadata),
-        Err(source) if matches!(source.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => None,
+        Err(source)
+            if matches!(
+                source.kind(),
+                io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
+            ) =>
+        {
+            None
+        }
         Err(source) => {
-            unreadable.get_or_insert(UnreadableMaps { path: path.into(), source });
+            unreadable.get_or_insert(UnreadableMaps {
+                path: path.into(),
+                source,
+            });
             None
         }
     };
     for place in depthmaps::default_folders(project) {
         if !place.starts_with(project.join(discover::OUTPUT_FOLDER)) {
-            let above = place.ancestors().skip(1).take_while(|above| *above != project);
+            let above = place
+                .ancestors()
+                .skip(1)
+                .take_while(|above| *above != project);
             folders.extend(above.filter(|above| above.is_dir()).map(Path::to_path_buf));
         }
-        let is_folder = seen(&place, fs::metadata(&place)).is_some_and(|metadata| metadata.is_dir());
+        let is_folder =
+            seen(&place, fs::metadata(&place)).is_some_and(|metadata| metadata.is_dir());
         if !is_folder || !discover::may_enter(project, &place, follow_links) {
             continue;
         }
@@ -71,7 +91,8 @@ pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
                 folders.push(entry.into_path());
             } else {
                 let read = depthmaps::files_of(&place, entry.path());
-                let metadata = |path: &PathBuf| seen(path, fs::metadata(path)).filter(fs::Metadata::is_file);
+                let metadata =
+                    |path: &PathBuf| seen(path, fs::metadata(path)).filter(fs::Metadata::is_file);
                 let found: Vec<_> = read.iter().map_while(metadata).collect();
                 let entries = found.iter().map(Entry::from_metadata).reduce(Entry::with);
                 files.extend(entries.map(|entries| (entry.into_path(), entries)));
@@ -100,7 +121,9 @@ pub struct MapTracker {
 impl MapTracker {
     /// Takes a new list of files; true if it differs.
     pub fn observe(&mut self, files: MapFiles, now: Instant) -> bool {
-        let same = |(path, entry): (&PathBuf, &Entry)| self.seen.get(path).is_some_and(|(known, _)| known == entry);
+        let same = |(path, entry): (&PathBuf, &Entry)| {
+            self.seen.get(path).is_some_and(|(known, _)| known == entry)
+        };
         let changed = files.len() != self.seen.len() || !files.iter().all(same);
         let vanished = self.seen.keys().any(|path| !files.contains_key(path));
         self.vanished = if vanished { Some(now) } else { self.vanished };
@@ -118,20 +141,32 @@ impl MapTracker {
     /// Returns when the next measurement is due.
     pub fn due(&self, settle: Duration) -> Option<Instant> {
         let new = |path: &PathBuf, entry: &Entry| self.measured.get(path) != Some(entry);
-        let settles = self.seen.iter().filter(|(path, (entry, _))| new(path, entry)).map(|(_, (_, since))| *since);
+        let settles = self
+            .seen
+            .iter()
+            .filter(|(path, (entry, _))| new(path, entry))
+            .map(|(_, (_, since))| *since);
         let first = settles.chain(self.vanished).min()?;
         Some((first + settle).max(self.rest_until.unwrap_or(first)))
     }
 
     /// Number of files that are new or changed since the last measurement.
     pub fn unmeasured(&self) -> usize {
-        self.seen.iter().filter(|(path, (entry, _))| self.measured.get(*path) != Some(entry)).count()
+        self.seen
+            .iter()
+            .filter(|(path, (entry, _))| self.measured.get(*path) != Some(entry))
+            .count()
     }
 
     /// Files that have been unchanged for `settle`.
     pub fn settled(&self, settle: Duration, now: Instant) -> MapFiles {
-        let settled = self.seen.iter().filter(|(_, (_, since))| *since + settle <= now);
-        settled.map(|(path, (entry, _))| (path.clone(), *entry)).collect()
+        let settled = self
+            .seen
+            .iter()
+            .filter(|(_, (_, since))| *since + settle <= now);
+        settled
+            .map(|(path, (entry, _))| (path.clone(), *entry))
+            .collect()
     }
 
     /// Records that these files were measured, which took `took`.
@@ -156,7 +191,10 @@ mod tests {
 
     /// Files of these names and lengths.
     fn files(lengths: &[(&str, u64)]) -> MapFiles {
-        lengths.iter().map(|&(name, length)| (PathBuf::from(name), Entry::of_length(length))).collect()
+        lengths
+            .iter()
+            .map(|&(name, length)| (PathBuf::from(name), Entry::of_length(length)))
+            .collect()
     }
 
     #[test]
@@ -172,10 +210,18 @@ mod tests {
         assert_eq!(settled, files(&[("a", 1)]));
         maps.record_measured(settled, Duration::ZERO, start + SETTLE);
         assert_eq!(maps.due(SETTLE), Some(start + SETTLE * 2));
-        maps.record_measured(files(&[("a", 1), ("b", 2)]), Duration::ZERO, start + SETTLE * 2);
+        maps.record_measured(
+            files(&[("a", 1), ("b", 2)]),
+            Duration::ZERO,
+            start + SETTLE * 2,
+        );
         assert_eq!(maps.due(SETTLE), None);
         maps.observe(files(&[("b", 2)]), start + SETTLE * 3);
-        assert_eq!(maps.due(SETTLE), Some(start + SETTLE * 4), "a missing map changes the result");
+        assert_eq!(
+            maps.due(SETTLE),
+            Some(start + SETTLE * 4),
+            "a missing map changes the result"
+        );
     }
 
     #[test]
@@ -190,11 +236,19 @@ mod tests {
     #[test]
     fn folders_in_which_maps_may_appear_are_watched_except_the_output_folder() {
         let root = tempfile::tempdir().expect("a temporary folder");
-        for folder in ["dense/0/stereo", "viewrank/openmvs/x", "sgm/depth_maps", "export"] {
+        for folder in [
+            "dense/0/stereo",
+            "viewrank/openmvs/x",
+            "sgm/depth_maps",
+            "export",
+        ] {
             fs::create_dir_all(root.path().join(folder)).expect("a folder");
         }
         let watched = scan(root.path(), false).0;
-        let names: Vec<_> = watched.iter().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
+        let names: Vec<_> = watched
+            .iter()
+            .map(|f| f.strip_prefix(root.path()).expect("below"))
+            .collect();
         let expected = [
             "dense",
             "dense/0",
@@ -229,7 +283,10 @@ mod tests {
             fs::write(path, "").expect("a file");
         }
         let found = map_files(root.path(), false).expect("readable");
-        let names: Vec<_> = found.keys().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
+        let names: Vec<_> = found
+            .keys()
+            .map(|f| f.strip_prefix(root.path()).expect("below"))
+            .collect();
         assert_eq!(names, maps.map(Path::new));
     }
 
@@ -238,13 +295,22 @@ mod tests {
         // `older` above the project says nothing about its maps.
         let root = tempfile::tempdir().expect("a temporary folder");
         let project = root.path().join("older/p");
-        let [map, confidence] =
-            ["depth_est", "confidence"].map(|kind| project.join("mvsnet/depths").join(kind).join("00000001.pfm"));
+        let [map, confidence] = ["depth_est", "confidence"].map(|kind| {
+            project
+                .join("mvsnet/depths")
+                .join(kind)
+                .join("00000001.pfm")
+        });
         for path in [&map, &confidence] {
             fs::create_dir_all(path.parent().expect("below the root")).expect("a folder");
         }
         fs::write(&map, "").expect("a file");
-        let entry = || map_files(&project, false).expect("readable").remove(&map).expect("the map");
+        let entry = || {
+            map_files(&project, false)
+                .expect("readable")
+                .remove(&map)
+                .expect("the map")
+        };
         let alone = entry();
         fs::write(&confidence, "1").expect("a file");
         assert_ne!(entry(), alone);

@@ -1,9 +1,11 @@
 //! `viewrank watch`: plans each project when its sparse model is complete, and follows the backend.
 //!
-//! [`run`] is the main loop. [`watch`] reports file-system events, [`discover`] finds projects, [`settle`] detects input that is still and
-//! new, `maps` lists depth maps, [`state`] is the state machine of a project with its [`phase`], [`queue`] limits the work, `job` plans one
-//! project with the same functions as `viewrank plan`, `worker` does that in a process of its own, `planned_from` records its input, [`follow`] measures depth maps, `status` writes the status files, [`platform`]
-//! contains the differences between operating systems.
+//! [`run`] is the main loop. [`watch`] reports file-system events, [`discover`] finds projects,
+//! [`settle`] detects input that is still and new, `maps` lists depth maps, [`state`] is the state
+//! machine of a project with its [`phase`], [`queue`] limits the work, `job` plans one project with
+//! the same functions as `viewrank plan`, `worker` does that in a process of its own,
+//! `planned_from` records its input, [`follow`] measures depth maps, `status` writes the status
+//! files, [`platform`] contains the differences between operating systems.
 
 pub mod discover;
 pub mod follow;
@@ -39,7 +41,8 @@ pub struct WatchOptions {
     pub roots: Vec<PathBuf>,
     /// A model is complete when its files have not changed for this time.
     pub settle: Duration,
-    /// Interval of scanning all folders instead of waiting for events; `None`: scan only network file systems that way.
+    /// Interval of scanning all folders instead of waiting for events; `None`: scan only network
+    /// file systems that way.
     pub poll: Option<Duration>,
     /// Interval of full scans that make up for lost events.
     pub rescan: Duration,
@@ -58,7 +61,10 @@ pub struct WatchOptions {
 #[derive(Debug, thiserror::Error)]
 pub enum DaemonError {
     #[error("cannot watch {}: {source}", path.display())]
-    Root { path: PathBuf, source: std::io::Error },
+    Root {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("{} is already watched by {holder}", path.display())]
     Held { path: PathBuf, holder: String },
     #[error("cannot write metrics: {0}")]
@@ -70,11 +76,14 @@ pub enum DaemonError {
 impl Hint for DaemonError {
     fn hint(&self) -> Option<String> {
         match self {
-            Self::Root { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
-                Some("name a folder that exists: the one that holds the projects, or a project itself".into())
-            }
+            Self::Root { source, .. } if source.kind() == std::io::ErrorKind::NotFound => Some(
+                "name a folder that exists: the one that holds the projects, or a project itself"
+                    .into(),
+            ),
             Self::Root { .. } => Some("choose a folder that you may read and write".into()),
-            Self::Held { .. } => Some("use that daemon (see `viewrank status`), or stop it first".into()),
+            Self::Held { .. } => {
+                Some("use that daemon (see `viewrank status`), or stop it first".into())
+            }
             Self::Metrics(_) => Some("choose a file in a folder that you may write to".into()),
             Self::Output(error) => error.hint(),
         }

@@ -42,10 +42,11 @@ pub enum Phase {
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
         clusters: usize,
-        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to 1; null where depth maps are counted,
-        /// not measured.
+        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to
+        /// 1; null where depth maps are counted, not measured.
         share: Option<f64>,
-        /// Number of depth map files that are new or changed since the last measurement; left out where it is 0.
+        /// Number of depth map files that are new or changed since the last measurement; left out
+        /// where it is 0.
         #[serde(default, skip_serializing_if = "is_zero")]
         unmeasured: usize,
         /// Remark about the result.
@@ -58,7 +59,8 @@ pub enum Phase {
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
         clusters: usize,
-        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to 1.
+        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to
+        /// 1.
         share: f64,
         /// Remark about the result.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -89,14 +91,30 @@ impl fmt::Display for Phase {
             Self::Waiting { reason } => write!(f, "waiting: {reason}"),
             Self::Queued { reason } => write!(f, "queued: {reason}"),
             Self::Planning { stage, percent } => write!(f, "planning: {stage} {percent} %"),
-            Self::Planned { clusters, share, note } => {
-                write!(f, "planned: {clusters} key views for {:.0} %", share * 100.0)?;
+            Self::Planned {
+                clusters,
+                share,
+                note,
+            } => {
+                write!(
+                    f,
+                    "planned: {clusters} key views for {:.0} %",
+                    share * 100.0
+                )?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
-            Self::Computing { done, clusters, share, unmeasured, note } => {
+            Self::Computing {
+                done,
+                clusters,
+                share,
+                unmeasured,
+                note,
+            } => {
                 write!(f, "computing: {done} of {clusters} depth maps")?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
-                share.iter().try_for_each(|share| write!(f, ", {:.0} % reached", (share * 100.0).floor()))?;
+                share.iter().try_for_each(|share| {
+                    write!(f, ", {:.0} % reached", (share * 100.0).floor())
+                })?;
                 match *unmeasured {
                     0 => {}
                     1 => write!(f, ", 1 new file to measure")?,
@@ -104,12 +122,21 @@ impl fmt::Display for Phase {
                 }
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
-            Self::Reached { done, share, note, .. } => {
+            Self::Reached {
+                done, share, note, ..
+            } => {
                 write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0)?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
-            Self::Failed { reason, retry_after_s, .. } => {
-                write!(f, "failed: {reason} (retry {retry_after_s} s after the failure)")
+            Self::Failed {
+                reason,
+                retry_after_s,
+                ..
+            } => {
+                write!(
+                    f,
+                    "failed: {reason} (retry {retry_after_s} s after the failure)"
+                )
             }
         }
     }

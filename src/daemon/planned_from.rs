@@ -1,4 +1,5 @@
-//! Record of the input of a plan, written with it, so that a restarted daemon recognises a current plan.
+//! Record of the input of a plan, written with it, so that a restarted daemon recognises a current
+//! plan.
 
 use std::path::Path;
 
@@ -41,7 +42,8 @@ pub struct PlannedFrom {
 impl PlannedFrom {
     /// Makes the record of a plan, with an empty list of files.
     pub fn new(plan: &Plan, fingerprint: Fingerprint, settings: Settings) -> Self {
-        let finished = plan.decision.finished.clusters > 0 || !plan.decision.finished.outdated.is_empty();
+        let finished =
+            plan.decision.finished.clusters > 0 || !plan.decision.finished.outdated.is_empty();
         Self {
             fingerprint,
             version: manifest::VERSION,
@@ -53,26 +55,41 @@ impl PlannedFrom {
         }
     }
 
-    /// Reads the record of a project's plan; `None` if the record or a file of the plan is missing, unreadable or of another version.
+    /// Reads the record of a project's plan; `None` if the record or a file of the plan is missing,
+    /// unreadable or of another version.
     pub fn read(project: &Path) -> Option<Self> {
-        let bytes = input::read_all(output::open_own(project, RECORD).ok()?, FileKind::Record).ok()?;
+        let bytes =
+            input::read_all(output::open_own(project, RECORD).ok()?, FileKind::Record).ok()?;
         let record: Self = serde_json::from_slice(&bytes).ok()?;
         if record.files.len() > MOST_FILES {
             return None;
         }
         let exists = |file: &String| project.join(file).exists();
         let has_manifest = project.join(OUTPUT_FOLDER).join("manifest.json").is_file();
-        (has_manifest && record.version == manifest::VERSION && record.files.iter().all(exists)).then_some(record)
+        (has_manifest && record.version == manifest::VERSION && record.files.iter().all(exists))
+            .then_some(record)
     }
 
     /// Lists the files of the sets that are inside the project, except caches.
     pub fn list_files(&mut self, sets: &[FileSet], project: &Path) {
-        self.files = sets.iter().flat_map(|set| files_in(set, project)).take(MOST_FILES).collect();
+        self.files = sets
+            .iter()
+            .flat_map(|set| files_in(set, project))
+            .take(MOST_FILES)
+            .collect();
     }
 }
 
 fn files_in(set: &FileSet, project: &Path) -> Vec<String> {
-    let Ok(folder) = set.root.strip_prefix(project) else { return Vec::new() };
-    let inside = set.files.keys().map(|name| folder.join(name)).filter(|name| !name.starts_with("viewrank/cache"));
-    inside.map(|name| name.to_string_lossy().into_owned()).collect()
+    let Ok(folder) = set.root.strip_prefix(project) else {
+        return Vec::new();
+    };
+    let inside = set
+        .files
+        .keys()
+        .map(|name| folder.join(name))
+        .filter(|name| !name.starts_with("viewrank/cache"));
+    inside
+        .map(|name| name.to_string_lossy().into_owned())
+        .collect()
 }

@@ -42,7 +42,8 @@ impl Job<'_> {
         Stamp::read(self.project, self.follow_links).with(self.named) == *self.stamp
     }
 
-    /// True if the plan may be written: the job isn't cancelled, and its input is unchanged or the next plan is queued behind it.
+    /// True if the plan may be written: the job isn't cancelled, and its input is unchanged or the
+    /// next plan is queued behind it.
     pub fn is_wanted(&self) -> bool {
         let may_be_written = || match self.on_busy {
             OnBusy::Queue => is_project(self.project, self.follow_links),

@@ -13,14 +13,15 @@ const ASSUMED_MEMORY: u64 = 8 << 30;
 #[cfg(unix)]
 const NICE: i32 = 10;
 
-/// Lowers the priority of this process and of the threads that it starts from now on. Where the system refuses, work continues at the
-/// current priority.
+/// Lowers the priority of this process and of the threads that it starts from now on. Where the
+/// system refuses, work continues at the current priority.
 pub fn lower_priority() {
     #[cfg(unix)]
     let _ = rustix::process::setpriority_process(None, NICE);
 }
 
-/// Returns the physical memory of this machine in bytes, or the limit of the control group of this process where that is lower.
+/// Returns the physical memory of this machine in bytes, or the limit of the control group of this
+/// process where that is lower.
 pub fn machine_memory() -> u64 {
     let machine = physical_memory().unwrap_or(ASSUMED_MEMORY);
     group_memory(Path::new("/proc/self/cgroup"), Path::new("/sys/fs/cgroup"))
@@ -30,8 +31,15 @@ pub fn machine_memory() -> u64 {
 #[cfg(unix)]
 fn physical_memory() -> Option<u64> {
     // SAFETY: `sysconf` takes and returns numbers, and may be called from any thread.
-    let (pages, size) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGE_SIZE)) };
-    u64::try_from(pages).ok()?.checked_mul(u64::try_from(size).ok()?)
+    let (pages, size) = unsafe {
+        (
+            libc::sysconf(libc::_SC_PHYS_PAGES),
+            libc::sysconf(libc::_SC_PAGE_SIZE),
+        )
+    };
+    u64::try_from(pages)
+        .ok()?
+        .checked_mul(u64::try_from(size).ok()?)
 }
 
 #[cfg(not(unix))]
@@ -39,17 +47,21 @@ fn physical_memory() -> Option<u64> {
     None
 }
 
-/// Returns the lowest `memory.max` among the control group (version 2) named in the file `own` and its ancestors below the folder
-/// `groups`.
+/// Returns the lowest `memory.max` among the control group (version 2) named in the file `own` and
+/// its ancestors below the folder `groups`.
 fn group_memory(own: &Path, groups: &Path) -> Option<u64> {
     let text = std::fs::read_to_string(own).ok()?;
     let name = text.lines().find_map(|line| line.strip_prefix("0::/"))?;
-    let limits = Path::new(name).ancestors().map(|group| groups.join(group).join("memory.max"));
-    limits.filter_map(|file| std::fs::read_to_string(file).ok()?.trim().parse().ok()).min()
+    let limits = Path::new(name)
+        .ancestors()
+        .map(|group| groups.join(group).join("memory.max"));
+    limits
+        .filter_map(|file| std::fs::read_to_string(file).ok()?.trim().parse().ok())
+        .min()
 }
 
-/// Magic numbers (`statfs(2)`) of file systems that raise no events here for changes by other machines: NFS, SMB, CIFS, SMB2, FUSE
-/// (sshfs), 9P, AFS, Ceph, Lustre, GPFS, BeeGFS.
+/// Magic numbers (`statfs(2)`) of file systems that raise no events here for changes by other
+/// machines: NFS, SMB, CIFS, SMB2, FUSE (sshfs), 9P, AFS, Ceph, Lustre, GPFS, BeeGFS.
 #[cfg(target_os = "linux")]
 const NETWORK: [u32; 11] = [
     0x6969,
@@ -81,40 +93,64 @@ pub fn is_network(_: &Path) -> bool {
 /// Returns the name of this machine.
 pub fn host() -> String {
     #[cfg(unix)]
-    let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+    let name = rustix::system::uname()
+        .nodename()
+        .to_string_lossy()
+        .into_owned();
     #[cfg(not(unix))]
     let name = std::env::var("COMPUTERNAME").unwrap_or_default();
-    if name.trim().is_empty() { "this host".into() } else { name.trim().into() }
+    if name.trim().is_empty() {
+        "this host".into()
+    } else {
+        name.trim().into()
+    }
 }
 
 /// A command line for the user's shell.
 pub fn shell(command: &str) -> Command {
-    let (shell, option) = if cfg!(windows) { ("cmd", "/C") } else { ("sh", "-c") };
+    let (shell, option) = if cfg!(windows) {
+        ("cmd", "/C")
+    } else {
+        ("sh", "-c")
+    };
     let mut shell = Command::new(shell);
     shell.arg(option).arg(command);
     shell
 }
 
-/// This program again, with the arguments of this process and `--WORD` behind the subcommand; the same one even if its file was replaced since, where the
-/// system can tell.
+/// This program again, with the arguments of this process and `--WORD` behind the subcommand; the
+/// same one even if its file was replaced since, where the system can tell.
 ///
 /// # Errors
 /// If the system does not say which program this is.
 pub fn this_program(word: &str) -> io::Result<Command> {
-    let running = if cfg!(target_os = "linux") { PathBuf::from("/proc/self/exe") } else { PathBuf::new() };
-    let program = if running.exists() { running } else { std::env::current_exe()? };
+    let running = if cfg!(target_os = "linux") {
+        PathBuf::from("/proc/self/exe")
+    } else {
+        PathBuf::new()
+    };
+    let program = if running.exists() {
+        running
+    } else {
+        std::env::current_exe()?
+    };
     let mut command = Command::new(program);
     let mut arguments = std::env::args_os();
     let name = arguments.next();
-    // An interpreter, such as that of the Python package, finds its files by the name that it was started with.
+    // An interpreter, such as that of the Python package, finds its files by the name that it was
+    // started with.
     #[cfg(unix)]
     name.map(|name| std::os::unix::process::CommandExt::arg0(&mut command, name));
     #[cfg(not(unix))]
     let _ = name;
     // Behind the others it would be one of the folders where they end with `-- FOLDER`.
     let arguments: Vec<_> = arguments.collect();
-    let (before, behind) =
-        arguments.split_at(arguments.iter().position(|argument| argument == "watch").map_or(0, |at| at + 1));
+    let (before, behind) = arguments.split_at(
+        arguments
+            .iter()
+            .position(|argument| argument == "watch")
+            .map_or(0, |at| at + 1),
+    );
     command.args(before).arg(word).args(behind);
     Ok(command)
 }
@@ -164,9 +200,17 @@ mod tests {
         let own = root.path().join("own");
         std::fs::write(&own, "0::/system.slice/viewrank.service\n").expect("a file");
         assert_eq!(group_memory(&own, root.path()), None);
-        for (group, max) in [("system.slice/viewrank.service", "max"), ("system.slice", "300"), (".", "500")] {
+        for (group, max) in [
+            ("system.slice/viewrank.service", "max"),
+            ("system.slice", "300"),
+            (".", "500"),
+        ] {
             std::fs::create_dir_all(root.path().join(group)).expect("a folder");
-            std::fs::write(root.path().join(group).join("memory.max"), format!("{max}\n")).expect("a file");
+            std::fs::write(
+                root.path().join(group).join("memory.max"),
+                format!("{max}\n"),
+            )
+            .expect("a file");
         }
         assert_eq!(group_memory(&own, root.path()), Some(300));
     }

@@ -10,8 +10,8 @@ pub fn need(model_bytes: u64) -> u64 {
     BASE_BYTES.saturating_add(model_bytes.saturating_mul(BYTES_PER_MODEL_BYTE))
 }
 
-/// The running jobs. First come, first served: while a job waits for memory, no later one starts, because small jobs would overtake
-/// a large one forever.
+/// The running jobs. First come, first served: while a job waits for memory, no later one starts,
+/// because small jobs would overtake a large one forever.
 #[derive(Debug)]
 pub struct JobQueue {
     jobs: usize,
@@ -33,7 +33,12 @@ pub enum Full {
 
 impl JobQueue {
     pub fn new(jobs: usize, max_memory: u64) -> Self {
-        Self { jobs: jobs.max(1), max_memory, running: Vec::new(), blocked: false }
+        Self {
+            jobs: jobs.max(1),
+            max_memory,
+            running: Vec::new(),
+            blocked: false,
+        }
     }
 
     /// Begins a round of calls to `admit`, in the order in which the jobs became due.
@@ -41,8 +46,8 @@ impl JobQueue {
         self.blocked = false;
     }
 
-    /// Admits a job that needs `need` bytes, or returns the reason why it can't start. One that needs more than all runs alone: the estimate may be
-    /// too high, and its forecast decides.
+    /// Admits a job that needs `need` bytes, or returns the reason why it can't start. One that
+    /// needs more than all runs alone: the estimate may be too high, and its forecast decides.
     pub fn admit(&mut self, job: u64, need: u64) -> Result<(), Full> {
         let used: u64 = self.running.iter().map(|(_, need)| need).sum();
         if self.running.len() >= self.jobs {

@@ -1,8 +1,9 @@
 //! Detects input that is still, and input that was planned already.
 //!
-//! A [`Stamp`] is the file-system metadata of the input (length, times, inode): cheap, and any difference means "not still yet". A
-//! [`Fingerprint`] is a hash of the content and decides whether there is anything to plan, so that a `touch`, a copy over itself or a
-//! restart of the daemon plans nothing.
+//! A [`Stamp`] is the file-system metadata of the input (length, times, inode): cheap, and any
+//! difference means "not still yet". A [`Fingerprint`] is a hash of the content and decides whether
+//! there is anything to plan, so that a `touch`, a copy over itself or a restart of the daemon
+//! plans nothing.
 
 use std::{
     collections::BTreeMap,
@@ -27,7 +28,12 @@ pub struct Entry {
 }
 
 impl Entry {
-    const NONE: Self = Self { length: 0, modified_ns: 0, changed_ns: 0, inode: 0 };
+    const NONE: Self = Self {
+        length: 0,
+        modified_ns: 0,
+        changed_ns: 0,
+        inode: 0,
+    };
 
     pub(super) fn from_metadata(metadata: &fs::Metadata) -> Self {
         let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
@@ -35,7 +41,12 @@ impl Entry {
         // The modification time of a folder covers its length.
         let length = if metadata.is_dir() { 0 } else { metadata.len() };
         let (changed_ns, inode) = input::identity(metadata);
-        Self { length, modified_ns: since.as_nanos(), changed_ns, inode }
+        Self {
+            length,
+            modified_ns: since.as_nanos(),
+            changed_ns,
+            inode,
+        }
     }
 
     /// The entry of two files that are read as one.
@@ -50,11 +61,17 @@ impl Entry {
 
     #[cfg(test)]
     pub(super) fn of_length(length: u64) -> Self {
-        Self { length, modified_ns: 0, changed_ns: 0, inode: 0 }
+        Self {
+            length,
+            modified_ns: 0,
+            changed_ns: 0,
+            inode: 0,
+        }
     }
 }
 
-/// The files of one image folder, as digests: there may be a hundred thousand, and plans compare pictures.
+/// The files of one image folder, as digests: there may be a hundred thousand, and plans compare
+/// pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Images {
     /// Names of all files, and the [`Entry`] of each image.
@@ -71,17 +88,32 @@ impl Images {
         let mut newest = 0;
         for name in sorted_names(folder)? {
             let path = folder.join(&name);
-            let found = is_image(&path).then(|| fs::metadata(&path).ok()).flatten().filter(fs::Metadata::is_file);
-            let Entry { length, modified_ns, changed_ns, inode } =
-                found.map_or(Entry::NONE, |found| Entry::from_metadata(&found));
+            let found = is_image(&path)
+                .then(|| fs::metadata(&path).ok())
+                .flatten()
+                .filter(fs::Metadata::is_file);
+            let Entry {
+                length,
+                modified_ns,
+                changed_ns,
+                inode,
+            } = found.map_or(Entry::NONE, |found| Entry::from_metadata(&found));
             for hasher in [&mut metadata, &mut content] {
                 hasher.update(name.as_encoded_bytes()).update(&[0]);
-                hasher.update(&length.to_le_bytes()).update(&modified_ns.to_le_bytes());
+                hasher
+                    .update(&length.to_le_bytes())
+                    .update(&modified_ns.to_le_bytes());
             }
-            metadata.update(&changed_ns.to_le_bytes()).update(&inode.to_le_bytes());
+            metadata
+                .update(&changed_ns.to_le_bytes())
+                .update(&inode.to_le_bytes());
             newest = changed_ns.max(newest);
         }
-        Ok(Self { metadata: metadata.finalize(), content: content.finalize(), changed_ns: newest })
+        Ok(Self {
+            metadata: metadata.finalize(),
+            content: content.finalize(),
+            changed_ns: newest,
+        })
     }
 }
 
@@ -116,8 +148,10 @@ impl Stamp {
         }
         for folder in &folders.models {
             // Next to orientations a cloud is input; elsewhere a backend made it.
-            let is_input =
-                |name: &OsStr| name.to_str().is_some_and(|name| is_input_file(name, folders.has_orientations));
+            let is_input = |name: &OsStr| {
+                name.to_str()
+                    .is_some_and(|name| is_input_file(name, folders.has_orientations))
+            };
             let files = stamp.entries(folder, is_input);
             stamp.files.extend(files);
         }
@@ -130,14 +164,21 @@ impl Stamp {
 
     /// Returns the files of a folder whose names are `wanted`.
     fn entries(&mut self, folder: &Path, wanted: impl Fn(&OsStr) -> bool) -> Vec<(PathBuf, Entry)> {
-        let entries = fs::read_dir(folder).and_then(|entries| entries.collect::<io::Result<Vec<_>>>());
+        let entries =
+            fs::read_dir(folder).and_then(|entries| entries.collect::<io::Result<Vec<_>>>());
         let entries = entries.unwrap_or_else(|error| {
             self.note_unreadable(folder, &error);
             Vec::new()
         });
-        let paths = entries.iter().filter(|entry| wanted(&entry.file_name())).map(fs::DirEntry::path);
+        let paths = entries
+            .iter()
+            .filter(|entry| wanted(&entry.file_name()))
+            .map(fs::DirEntry::path);
         let file = |path: PathBuf| {
-            fs::metadata(&path).ok().filter(fs::Metadata::is_file).map(|m| (path, Entry::from_metadata(&m)))
+            fs::metadata(&path)
+                .ok()
+                .filter(fs::Metadata::is_file)
+                .map(|m| (path, Entry::from_metadata(&m)))
         };
         paths.filter_map(file).collect()
     }
@@ -150,7 +191,12 @@ impl Stamp {
 
     /// Adds those of these files that exist.
     pub fn with(mut self, named: &[PathBuf]) -> Self {
-        let entry = |path: &PathBuf| Some((path.clone(), Entry::from_metadata(&fs::metadata(path).ok()?)));
+        let entry = |path: &PathBuf| {
+            Some((
+                path.clone(),
+                Entry::from_metadata(&fs::metadata(path).ok()?),
+            ))
+        };
         self.beside.extend(named.iter().filter_map(entry));
         self
     }
@@ -165,15 +211,18 @@ impl Stamp {
         Some(format!("cannot read folder {}: {reason}", folder.display()))
     }
 
-    /// Size in bytes of the largest model that may be planned: the project's COLMAP models have priority over scenes of other programs
-    /// and over the model of its dense workspace.
+    /// Size in bytes of the largest model that may be planned: the project's COLMAP models have
+    /// priority over scenes of other programs and over the model of its dense workspace.
     pub fn bytes(&self) -> u64 {
         let mut models: BTreeMap<(bool, PathBuf), u64> = BTreeMap::new();
         for (path, entry) in &self.files {
             let name = path.file_name().and_then(OsStr::to_str).unwrap_or("");
             let is_colmap = discover::is_model_file(name);
-            let is_dense = path.components().any(|part| part.as_os_str() == discover::DENSE);
-            // A COLMAP model is all files of one format in a folder, an OpenMVS scene one file, a SURE model all other files.
+            let is_dense = path
+                .components()
+                .any(|part| part.as_os_str() == discover::DENSE);
+            // A COLMAP model is all files of one format in a folder, an OpenMVS scene one file, a
+            // SURE model all other files.
             let model = match path.extension().and_then(OsStr::to_str) {
                 Some("mvs") => path.clone(),
                 Some(extension) if is_colmap => path.with_file_name(extension),
@@ -182,18 +231,32 @@ impl Stamp {
             *models.entry((is_colmap && !is_dense, model)).or_default() += entry.length;
         }
         let first = models.keys().any(|(first, _)| *first);
-        models.iter().filter(|((of_first, _), _)| *of_first == first).map(|(_, bytes)| *bytes).max().unwrap_or(0)
+        models
+            .iter()
+            .filter(|((of_first, _), _)| *of_first == first)
+            .map(|(_, bytes)| *bytes)
+            .max()
+            .unwrap_or(0)
     }
 
-    /// Returns since when the input has been as it was at `scanned`, given its last event at `heard`. Changes that raised no event
-    /// are dated by the file system.
+    /// Returns since when the input has been as it was at `scanned`, given its last event at
+    /// `heard`. Changes that raised no event are dated by the file system.
     pub fn same_since(&self, heard: Instant, (scanned, time): (Instant, SystemTime)) -> Instant {
-        let files = self.files.values().chain(self.beside.values()).map(|entry| entry.changed_ns);
-        let folders = self.folders.values().map(|(entry, images)| entry.changed_ns.max(images.changed_ns));
+        let files = self
+            .files
+            .values()
+            .chain(self.beside.values())
+            .map(|entry| entry.changed_ns);
+        let folders = self
+            .folders
+            .values()
+            .map(|(entry, images)| entry.changed_ns.max(images.changed_ns));
         let newest = files.chain(folders).max().unwrap_or(0);
         let newest = UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(u64::MAX));
         let ago = time.duration_since(newest).unwrap_or_default();
-        heard.max(scanned.checked_sub(ago).unwrap_or(heard)).min(scanned)
+        heard
+            .max(scanned.checked_sub(ago).unwrap_or(heard))
+            .min(scanned)
     }
 }
 
@@ -239,8 +302,9 @@ impl<S: PartialEq> Stillness<S> {
     }
 }
 
-/// Hash of a project's input: the content of model files, masks and files named in the settings; the names in the image folders, with
-/// length and modification time of each image; and the settings in force. Images are too large to be hashed whole.
+/// Hash of a project's input: the content of model files, masks and files named in the settings;
+/// the names in the image folders, with length and modification time of each image; and the
+/// settings in force. Images are too large to be hashed whole.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct Fingerprint(String);
@@ -250,8 +314,8 @@ pub struct Fingerprint(String);
 pub struct HashCache(BTreeMap<PathBuf, (Entry, blake3::Hash)>);
 
 impl HashCache {
-    /// Computes the fingerprint of the current input; `model` are the files of the model to plan. The cache isn't locked while files
-    /// are read.
+    /// Computes the fingerprint of the current input; `model` are the files of the model to plan.
+    /// The cache isn't locked while files are read.
     ///
     /// # Errors
     /// Files that vanish or can't be read.
@@ -263,18 +327,31 @@ impl HashCache {
         settings: &[u8],
     ) -> io::Result<Fingerprint> {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(env!("CARGO_PKG_VERSION").as_bytes()).update(blake3::hash(settings).as_bytes());
+        hasher
+            .update(env!("CARGO_PKG_VERSION").as_bytes())
+            .update(blake3::hash(settings).as_bytes());
         // `settings` already holds the content of a valid `viewrank.toml`.
-        let beside = stamp.beside.keys().filter(|path| !path.ends_with("viewrank.toml"));
+        let beside = stamp
+            .beside
+            .keys()
+            .filter(|path| !path.ends_with("viewrank.toml"));
         for path in model.iter().chain(beside) {
             let relative = path.strip_prefix(project).unwrap_or(path);
-            hasher.update(relative.as_os_str().as_encoded_bytes()).update(&[0]);
+            hasher
+                .update(relative.as_os_str().as_encoded_bytes())
+                .update(&[0]);
             hasher.update(Self::file(cache, path)?.as_bytes());
         }
-        // From the stamp, which is older than anything a plan reads: an image that changes meanwhile differs from it.
-        stamp.folders.values().for_each(|(_, images)| _ = hasher.update(images.content.as_bytes()));
+        // From the stamp, which is older than anything a plan reads: an image that changes
+        // meanwhile differs from it.
+        stamp
+            .folders
+            .values()
+            .for_each(|(_, images)| _ = hasher.update(images.content.as_bytes()));
         let is_input = |path: &PathBuf| model.contains(path) || stamp.beside.contains_key(path);
-        lock(cache).0.retain(|path, _| !path.starts_with(project) || is_input(path));
+        lock(cache)
+            .0
+            .retain(|path, _| !path.starts_with(project) || is_input(path));
         Ok(Fingerprint(hasher.finalize().to_hex().to_string()))
     }
 
@@ -284,26 +361,33 @@ impl HashCache {
     }
 
     fn file(cache: &Mutex<Self>, path: &Path) -> io::Result<blake3::Hash> {
-        let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
+        let named =
+            |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
         let file = input::open(path).map_err(named)?;
         // Taken before reading, so that a file written meanwhile gets another entry.
         let entry = Entry::from_metadata(&file.metadata().map_err(named)?);
         if let Some((_, hash)) = lock(cache).0.get(path).filter(|(known, _)| *known == entry) {
             return Ok(*hash);
         }
-        let hash = blake3::Hasher::new().update_reader(file).map_err(named)?.finalize();
+        let hash = blake3::Hasher::new()
+            .update_reader(file)
+            .map_err(named)?
+            .finalize();
         lock(cache).0.insert(path.into(), (entry, hash));
         Ok(hash)
     }
 }
 
-/// Locks a mutex even if a thread that held it panicked: the daemon's caches are consistent between any two statements.
+/// Locks a mutex even if a thread that held it panicked: the daemon's caches are consistent between
+/// any two statements.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn sorted_names(folder: &Path) -> io::Result<Vec<std::ffi::OsString>> {
-    let mut names = fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name())).collect::<io::Result<Vec<_>>>()?;
+    let mut names = fs::read_dir(folder)?
+        .map(|entry| Ok(entry?.file_name()))
+        .collect::<io::Result<Vec<_>>>()?;
     names.sort();
     Ok(names)
 }

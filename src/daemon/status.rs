@@ -34,8 +34,8 @@ const STATUS_FILE: &str = "status.json";
 /// Limit of notices in the status.
 const NOTICES: usize = 20;
 
-/// Lock on a root, released on drop or when the process ends, however it ends. The file is locked and never written: it may be a second name
-/// of any file.
+/// Lock on a root, released on drop or when the process ends, however it ends. The file is locked
+/// and never written: it may be a second name of any file.
 pub struct Holder {
     /// Canonical path.
     pub root: PathBuf,
@@ -48,10 +48,17 @@ impl Holder {
     /// # Errors
     /// [`DaemonError::Held`] where a daemon holds the root, a folder above it or one in it.
     pub fn take(root: &Path, disk: &Disk) -> Result<Self, DaemonError> {
-        let error = |path: &Path| DaemonError::Held { path: path.into(), holder: holder(path) };
+        let error = |path: &Path| DaemonError::Held {
+            path: path.into(),
+            holder: holder(path),
+        };
         let held = |path: &Path| Self::is_held(path).then(|| error(path));
         let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
-        let inside = inside.folders.iter().chain(&inside.projects).map(PathBuf::as_path);
+        let inside = inside
+            .folders
+            .iter()
+            .chain(&inside.projects)
+            .map(PathBuf::as_path);
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
             return Err(error);
         }
@@ -63,9 +70,15 @@ impl Holder {
                 Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(10)),
                 locked => {
                     if let Err(TryLockError::Error(error)) = locked {
-                        warn!("cannot lock {}: {error}; make sure that no other daemon watches it", root.display());
+                        warn!(
+                            "cannot lock {}: {error}; make sure that no other daemon watches it",
+                            root.display()
+                        );
                     }
-                    return Ok(Self { root: root.into(), _lock: lock });
+                    return Ok(Self {
+                        root: root.into(),
+                        _lock: lock,
+                    });
                 }
             }
         }
@@ -74,7 +87,10 @@ impl Holder {
 
     /// True unless the lock was removed, such as with the output folder.
     fn is_there(&self) -> bool {
-        self.root.join(LOCK).symlink_metadata().is_ok_and(|found| found.is_file())
+        self.root
+            .join(LOCK)
+            .symlink_metadata()
+            .is_ok_and(|found| found.is_file())
     }
 
     /// Locks the root again if the lock is gone.
@@ -92,7 +108,8 @@ impl Holder {
     }
 }
 
-/// The daemon that holds a root, as its status names it: in the first moment of a new daemon, the one before.
+/// The daemon that holds a root, as its status names it: in the first moment of a new daemon, the
+/// one before.
 fn holder(root: &Path) -> String {
     match status(root) {
         Some(Status { pid, host, .. }) => format!("process {pid} on {host}"),
@@ -129,15 +146,27 @@ struct Metrics {
 impl StatusFiles {
     /// # Errors
     /// Metrics that can't be written.
-    pub fn new(roots: Vec<Holder>, metrics: Option<PathBuf>, disk: &Disk) -> Result<Self, DaemonError> {
-        let root = |holder| RootStatus { holder, written: Status::default(), pace: Pace::default() };
+    pub fn new(
+        roots: Vec<Holder>,
+        metrics: Option<PathBuf>,
+        disk: &Disk,
+    ) -> Result<Self, DaemonError> {
+        let root = |holder| RootStatus {
+            holder,
+            written: Status::default(),
+            pace: Pace::default(),
+        };
         if let Some(path) = &metrics {
             let text = metrics_text(&BTreeMap::new());
             output::replace(path, text.as_bytes(), disk).map_err(DaemonError::Metrics)?;
         }
         Ok(Self {
             roots: roots.into_iter().map(root).collect(),
-            metrics: metrics.map(|path| Metrics { path, fresh: false, pace: Pace::default() }),
+            metrics: metrics.map(|path| Metrics {
+                path,
+                fresh: false,
+                pace: Pace::default(),
+            }),
             notices: Vec::new(),
             earlier: Vec::new(),
             due: None,
@@ -165,10 +194,18 @@ impl StatusFiles {
         self.due
     }
 
-    /// Writes the files that changed, each at most once a second unless this is the `last` call. Failed writes are retried.
-    pub fn publish(&mut self, projects: &BTreeMap<PathBuf, TrackedProject>, disk: &Disk, now: Instant, last: bool) {
+    /// Writes the files that changed, each at most once a second unless this is the `last` call.
+    /// Failed writes are retried.
+    pub fn publish(
+        &mut self,
+        projects: &BTreeMap<PathBuf, TrackedProject>,
+        disk: &Disk,
+        now: Instant,
+        last: bool,
+    ) {
         self.due = None;
-        let mut wait = |until: Option<Instant>| self.due = [self.due, until].into_iter().flatten().min();
+        let mut wait =
+            |until: Option<Instant>| self.due = [self.due, until].into_iter().flatten().min();
         for root in &mut self.roots {
             let fresh = root.status(projects, &self.notices);
             // A root that is gone has no status until it comes back.
@@ -179,7 +216,10 @@ impl StatusFiles {
             if let Some(metrics) = &mut self.metrics {
                 metrics.fresh = false;
             }
-            match root.pace.write(now, last, || write_status(&mut root.holder, &fresh, disk)) {
+            match root
+                .pace
+                .write(now, last, || write_status(&mut root.holder, &fresh, disk))
+            {
                 true => root.written = fresh,
                 false => wait(root.pace.next),
             }
@@ -187,7 +227,9 @@ impl StatusFiles {
         if let Some(metrics) = self.metrics.as_mut().filter(|metrics| !metrics.fresh) {
             let Metrics { path, pace, .. } = metrics;
             let text = || metrics_text(projects);
-            metrics.fresh = pace.write(now, last, || Ok(output::replace(path, text().as_bytes(), disk)?));
+            metrics.fresh = pace.write(now, last, || {
+                Ok(output::replace(path, text().as_bytes(), disk)?)
+            });
             wait(metrics.pace.next.filter(|_| !metrics.fresh));
         }
     }
@@ -208,7 +250,12 @@ impl Pace {
     }
 
     /// Writes if enough time has passed; true on success.
-    fn write(&mut self, now: Instant, last: bool, write: impl FnOnce() -> Result<(), DaemonError>) -> bool {
+    fn write(
+        &mut self,
+        now: Instant,
+        last: bool,
+        write: impl FnOnce() -> Result<(), DaemonError>,
+    ) -> bool {
         if self.next.is_some_and(|at| now < at) && !last {
             return false;
         }
@@ -225,7 +272,12 @@ impl Pace {
 fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(), DaemonError> {
     holder.renew(disk)?;
     let text = serde_json::to_vec_pretty(status).unwrap_or_default();
-    Ok(output::replace_in(&output::make_own_folder(&holder.root, disk)?, STATUS_FILE, &text, disk)?)
+    Ok(output::replace_in(
+        &output::make_own_folder(&holder.root, disk)?,
+        STATUS_FILE,
+        &text,
+        disk,
+    )?)
 }
 
 impl RootStatus {
@@ -233,18 +285,34 @@ impl RootStatus {
         let mut before = self.written.projects.iter().peekable();
         let lines = projects.values().filter_map(|tracked| {
             let relative = tracked.root.strip_prefix(&self.holder.root).ok()?;
-            let project = if relative.as_os_str().is_empty() { ".".into() } else { slashes(relative) };
-            while before.peek().is_some_and(|b| Path::new(&b.project) < Path::new(&project)) {
+            let project = if relative.as_os_str().is_empty() {
+                ".".into()
+            } else {
+                slashes(relative)
+            };
+            while before
+                .peek()
+                .is_some_and(|b| Path::new(&b.project) < Path::new(&project))
+            {
                 before.next();
             }
             let phase = tracked.phase();
-            let same = before
-                .peek()
-                .filter(|b| b.project == project && std::mem::discriminant(&b.phase) == std::mem::discriminant(&phase));
+            let same = before.peek().filter(|b| {
+                b.project == project
+                    && std::mem::discriminant(&b.phase) == std::mem::discriminant(&phase)
+            });
             let since = same.map_or_else(seconds_now, |b| b.since);
-            Some(ProjectStatus { project, phase, since, measuring: tracked.is_measuring() })
+            Some(ProjectStatus {
+                project,
+                phase,
+                since,
+                measuring: tracked.is_measuring(),
+            })
         });
-        let more = notices.len().checked_sub(NOTICES + 1).map(|n| format!("and {} more: see the log", n + 1));
+        let more = notices
+            .len()
+            .checked_sub(NOTICES + 1)
+            .map(|n| format!("and {} more: see the log", n + 1));
         Status {
             version: 1,
             pid: std::process::id(),
@@ -256,37 +324,65 @@ impl RootStatus {
 }
 
 fn seconds_now() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |d| d.as_secs())
 }
 
-/// Formats the number of projects by state and the progress of those with depth maps as Prometheus text.
+/// Formats the number of projects by state and the progress of those with depth maps as Prometheus
+/// text.
 fn metrics_text(projects: &BTreeMap<PathBuf, TrackedProject>) -> String {
-    let mut counts: BTreeMap<&str, usize> =
-        ["waiting", "queued", "planning", "planned", "computing", "reached", "failed"].map(|name| (name, 0)).into();
-    let phases: Vec<(&PathBuf, Phase)> = projects.iter().map(|(root, tracked)| (root, tracked.phase())).collect();
+    let mut counts: BTreeMap<&str, usize> = [
+        "waiting",
+        "queued",
+        "planning",
+        "planned",
+        "computing",
+        "reached",
+        "failed",
+    ]
+    .map(|name| (name, 0))
+    .into();
+    let phases: Vec<(&PathBuf, Phase)> = projects
+        .iter()
+        .map(|(root, tracked)| (root, tracked.phase()))
+        .collect();
     for (_, phase) in &phases {
         *counts.entry(name_of(phase)).or_default() += 1;
     }
-    let mut text = String::from("# HELP viewrank_projects Projects by state.\n# TYPE viewrank_projects gauge\n");
+    let mut text = String::from(
+        "# HELP viewrank_projects Projects by state.\n# TYPE viewrank_projects gauge\n",
+    );
     for (state, count) in counts {
         text += &format!("viewrank_projects{{state=\"{state}\"}} {count}\n");
     }
     let mut gauge = |name: &str, help: &str, value: fn(&Phase) -> Option<f64>| {
         text += &format!("# HELP {name} {help}\n# TYPE {name} gauge\n");
-        for (root, value) in phases.iter().filter_map(|(root, phase)| Some((root, value(phase)?))) {
+        for (root, value) in phases
+            .iter()
+            .filter_map(|(root, phase)| Some((root, value(phase)?)))
+        {
             text += &format!("{name}{{project=\"{}\"}} {value}\n", label(root));
         }
     };
-    gauge("viewrank_depth_maps_done", "Key views with a depth map.", |phase| match phase {
-        Phase::Computing { done, .. } | Phase::Reached { done, .. } => Some(*done as f64),
-        _ => None,
-    });
-    gauge("viewrank_depth_maps_wanted", "Key views to the cut, and those beyond it that have a depth map.", |phase| {
-        match phase {
-            Phase::Computing { clusters, .. } | Phase::Reached { clusters, .. } => Some(*clusters as f64),
+    gauge(
+        "viewrank_depth_maps_done",
+        "Key views with a depth map.",
+        |phase| match phase {
+            Phase::Computing { done, .. } | Phase::Reached { done, .. } => Some(*done as f64),
             _ => None,
-        }
-    });
+        },
+    );
+    gauge(
+        "viewrank_depth_maps_wanted",
+        "Key views to the cut, and those beyond it that have a depth map.",
+        |phase| match phase {
+            Phase::Computing { clusters, .. } | Phase::Reached { clusters, .. } => {
+                Some(*clusters as f64)
+            }
+            _ => None,
+        },
+    );
     gauge(
         "viewrank_share_reached",
         "What fusion keeps of the finished depth maps over what it would of all.",
@@ -301,7 +397,10 @@ fn metrics_text(projects: &BTreeMap<PathBuf, TrackedProject>) -> String {
 
 /// Escapes a path for the value of a label.
 fn label(path: &Path) -> String {
-    path.to_string_lossy().replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
+    path.to_string_lossy()
+        .replace('\\', "\\\\")
+        .replace('"', "\\\"")
+        .replace('\n', "\\n")
 }
 
 fn name_of(phase: &Phase) -> &'static str {
@@ -330,11 +429,15 @@ pub fn status_file(root: &Path) -> PathBuf {
 
 /// Reads the status of a root; `None` where no daemon has watched it yet or the file can't be read.
 pub fn read_status(root: &Path) -> Option<Line> {
-    status(root).map(|status| Line { running: Holder::is_held(root), status })
+    status(root).map(|status| Line {
+        running: Holder::is_held(root),
+        status,
+    })
 }
 
 fn status(root: &Path) -> Option<Status> {
-    serde_json::from_slice(&output::read_own(root, &format!("{OUTPUT_FOLDER}/{STATUS_FILE}")).ok()?).ok()
+    serde_json::from_slice(&output::read_own(root, &format!("{OUTPUT_FOLDER}/{STATUS_FILE}")).ok()?)
+        .ok()
 }
 
 #[cfg(test)]
@@ -344,7 +447,9 @@ mod tests {
     const NONE: &BTreeMap<PathBuf, TrackedProject> = &BTreeMap::new();
 
     fn files(roots: &[&tempfile::TempDir], metrics: Option<PathBuf>) -> StatusFiles {
-        let take = |root: &&tempfile::TempDir| Holder::take(root.path(), &Disk::REAL).expect("nobody else");
+        let take = |root: &&tempfile::TempDir| {
+            Holder::take(root.path(), &Disk::REAL).expect("nobody else")
+        };
         StatusFiles::new(roots.iter().map(take).collect(), metrics, &Disk::REAL).expect("a disk")
     }
 
@@ -354,7 +459,8 @@ mod tests {
 
     #[test]
     fn a_root_that_is_gone_or_not_writable_does_not_delay_the_status_of_others() {
-        let [gone, broken, well] = std::array::from_fn(|_| tempfile::tempdir().expect("a temporary folder"));
+        let [gone, broken, well] =
+            std::array::from_fn(|_| tempfile::tempdir().expect("a temporary folder"));
         let mut files = files(&[&gone, &broken, &well], None);
         std::fs::remove_dir_all(gone.path()).expect("removed");
         let status = broken.path().join("viewrank/status.json");
@@ -386,8 +492,14 @@ mod tests {
         publish(&["b", "c"], &mut files);
         assert_eq!(notices(&root), ["b", "c"]);
         let many: Vec<String> = (0..NOTICES + 5).map(|i| i.to_string()).collect();
-        publish(&many.iter().map(String::as_str).collect::<Vec<_>>(), &mut files);
-        assert_eq!((notices(&root).len(), notices(&root)[NOTICES].as_str()), (NOTICES + 1, "and 5 more: see the log"));
+        publish(
+            &many.iter().map(String::as_str).collect::<Vec<_>>(),
+            &mut files,
+        );
+        assert_eq!(
+            (notices(&root).len(), notices(&root)[NOTICES].as_str()),
+            (NOTICES + 1, "and 5 more: see the log")
+        );
     }
 
     #[test]
@@ -406,7 +518,11 @@ mod tests {
         let _holder = Holder::take(&inner, &Disk::REAL).expect("nobody else");
         for path in [root.path(), &above, &inner, &inner.join("c")] {
             let held = Holder::take(path, &Disk::REAL).err();
-            assert!(matches!(held, Some(DaemonError::Held { path, .. }) if path == inner), "{}", path.display());
+            assert!(
+                matches!(held, Some(DaemonError::Held { path, .. }) if path == inner),
+                "{}",
+                path.display()
+            );
         }
     }
 }

@@ -1,7 +1,9 @@
-//! File-system events, which only say when to scan: the comparison in `settle` decides what changed.
+//! File-system events, which only say when to scan: the comparison in `settle` decides what
+//! changed.
 //!
-//! On Linux each folder that a scan visits is watched by itself: a recursive watch would fail at the first unreadable folder, and spend
-//! inotify watches on folders that are neither input nor depth maps. Elsewhere one recursive watch per root is native and cheap.
+//! On Linux each folder that a scan visits is watched by itself: a recursive watch would fail at
+//! the first unreadable folder, and spend inotify watches on folders that are neither input nor
+//! depth maps. Elsewhere one recursive watch per root is native and cheap.
 
 use std::{
     collections::BTreeSet,
@@ -18,8 +20,11 @@ use notify::{
 
 use super::platform;
 
-const MODE: RecursiveMode =
-    if cfg!(target_os = "linux") { RecursiveMode::NonRecursive } else { RecursiveMode::Recursive };
+const MODE: RecursiveMode = if cfg!(target_os = "linux") {
+    RecursiveMode::NonRecursive
+} else {
+    RecursiveMode::Recursive
+};
 
 /// A file-system event.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -45,11 +50,16 @@ pub struct Watches<T> {
 impl<T: From<Change> + Send + 'static> Watches<T> {
     /// Sends events to `changes`.
     pub fn new(changes: Sender<T>) -> Self {
-        Self { changes, native: None, folders: BTreeSet::new(), notice: None }
+        Self {
+            changes,
+            native: None,
+            folders: BTreeSet::new(),
+            notice: None,
+        }
     }
 
-    /// Drops all watches, so that the next scan restores them: events may have been lost, and watches with them. Does nothing once
-    /// folders are polled.
+    /// Drops all watches, so that the next scan restores them: events may have been lost, and
+    /// watches with them. Does nothing once folders are polled.
     pub fn renew(&mut self) {
         if self.needs_polling() {
             return;
@@ -58,7 +68,9 @@ impl<T: From<Change> + Send + 'static> Watches<T> {
         let changes = self.changes.clone();
         match notify::recommended_watcher(move |event| send(&changes, event)) {
             Ok(native) => self.native = Some(native),
-            Err(error) => self.give_up(format!("no native file events ({error}); polling the folders")),
+            Err(error) => self.give_up(format!(
+                "no native file events ({error}); polling the folders"
+            )),
         }
     }
 
@@ -70,9 +82,13 @@ impl<T: From<Change> + Send + 'static> Watches<T> {
     }
 
     fn add_one(&mut self, folder: &Path) {
-        let Some(native) = &mut self.native else { return };
+        let Some(native) = &mut self.native else {
+            return;
+        };
         let is_covered = |above: &Path| self.folders.contains(above);
-        if is_covered(folder) || MODE == RecursiveMode::Recursive && folder.ancestors().any(is_covered) {
+        if is_covered(folder)
+            || MODE == RecursiveMode::Recursive && folder.ancestors().any(is_covered)
+        {
             return;
         }
         match native.watch(folder, MODE) {
@@ -85,15 +101,24 @@ impl<T: From<Change> + Send + 'static> Watches<T> {
             },
         }
         if platform::is_network(folder) {
-            self.give_up(format!("{} is on a network file system; polling the folders (--poll)", folder.display()));
+            self.give_up(format!(
+                "{} is on a network file system; polling the folders (--poll)",
+                folder.display()
+            ));
         }
     }
 
-    /// Forgets the watches at and below a path that was removed, replaced or moved away, so that the next scan restores them.
+    /// Forgets the watches at and below a path that was removed, replaced or moved away, so that
+    /// the next scan restores them.
     pub fn remove(&mut self, path: &Path) {
         // Paths are ordered by their components.
-        let from = self.folders.range::<Path, _>((Bound::Included(path), Bound::Unbounded));
-        let inside: Vec<PathBuf> = from.take_while(|folder| folder.starts_with(path)).cloned().collect();
+        let from = self
+            .folders
+            .range::<Path, _>((Bound::Included(path), Bound::Unbounded));
+        let inside: Vec<PathBuf> = from
+            .take_while(|folder| folder.starts_with(path))
+            .cloned()
+            .collect();
         for folder in inside {
             self.folders.remove(&folder);
             // Fails where the watch ended with its folder.
@@ -121,7 +146,10 @@ impl<T: From<Change> + Send + 'static> Watches<T> {
 fn is_reported_above(error: &notify::Error) -> bool {
     match &error.kind {
         ErrorKind::PathNotFound => true,
-        ErrorKind::Io(error) => matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied),
+        ErrorKind::Io(error) => matches!(
+            error.kind(),
+            io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied
+        ),
         _ => false,
     }
 }
@@ -133,11 +161,16 @@ fn send<T: From<Change>>(changes: &Sender<T>, event: notify::Result<notify::Even
         Ok(event) if event.kind.is_access() => Ok(()),
         Ok(event) => {
             let change = match event.kind {
-                EventKind::Modify(ModifyKind::Name(RenameMode::To | RenameMode::Both)) => Change::At,
+                EventKind::Modify(ModifyKind::Name(RenameMode::To | RenameMode::Both)) => {
+                    Change::At
+                }
                 EventKind::Modify(ModifyKind::Name(_)) | EventKind::Remove(_) => Change::Gone,
                 _ => Change::At,
             };
-            event.paths.into_iter().try_for_each(|path| changes.send(change(path).into()))
+            event
+                .paths
+                .into_iter()
+                .try_for_each(|path| changes.send(change(path).into()))
         }
         Err(_) => changes.send(Change::Lost.into()),
     };
@@ -160,7 +193,9 @@ mod tests {
     }
 
     fn next(changes: &Receiver<Change>) -> Change {
-        changes.recv_timeout(Duration::from_secs(10)).expect("a change")
+        changes
+            .recv_timeout(Duration::from_secs(10))
+            .expect("a change")
     }
 
     #[test]
@@ -175,7 +210,11 @@ mod tests {
         std::fs::write(other.join("manifest.json"), "{}").expect("a file");
         std::fs::write(watched.join("cameras.bin"), "x").expect("a file");
         assert_eq!(next(&changes), Change::At(watched.join("cameras.bin")));
-        assert!(changes.try_iter().all(|change| change == Change::At(watched.join("cameras.bin"))));
+        assert!(
+            changes
+                .try_iter()
+                .all(|change| change == Change::At(watched.join("cameras.bin")))
+        );
     }
 
     #[test]
@@ -189,8 +228,16 @@ mod tests {
         ] {
             let (mut watches, changes) = watches();
             watches.add([&above, &inner]);
-            watches.native.as_mut().expect("events").unwatch(&inner).expect("a watch");
-            assert!(!watches.add([&above, &inner]), "the end of the watch went unnoticed");
+            watches
+                .native
+                .as_mut()
+                .expect("events")
+                .unwatch(&inner)
+                .expect("a watch");
+            assert!(
+                !watches.add([&above, &inner]),
+                "the end of the watch went unnoticed"
+            );
             forget(&mut watches, &above);
             assert!(watches.add([&above, &inner]));
             std::fs::write(inner.join("file"), "x").expect("a file");
@@ -216,7 +263,10 @@ mod tests {
     #[test]
     fn an_overflow_of_the_kernel_s_queue_means_that_events_were_lost() {
         let (sender, changes) = channel::<Change>();
-        send(&sender, Ok(notify::Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
+        send(
+            &sender,
+            Ok(notify::Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)),
+        );
         assert_eq!(changes.recv(), Ok(Change::Lost));
     }
 }

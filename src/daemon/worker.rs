@@ -1,7 +1,9 @@
-//! Jobs in processes of their own: a plan that runs out of memory or stack, or that the system kills, ends its process and not the daemon.
+//! Jobs in processes of their own: a plan that runs out of memory or stack, or that the system
+//! kills, ends its process and not the daemon.
 //!
-//! A worker is this program again with the daemon's arguments, and so with its options. It reads a request per line of JSON from standard input,
-//! writes progress and outcomes to standard output, logs to standard error like the daemon, and ends when its input does: with the daemon, however
+//! A worker is this program again with the daemon's arguments, and so with its options. It reads a
+//! request per line of JSON from standard input, writes progress and outcomes to standard output,
+//! logs to standard error like the daemon, and ends when its input does: with the daemon, however
 //! that ends. It serves one job at a time and keeps its caches between them.
 
 use std::{
@@ -60,12 +62,17 @@ impl JobRequest {
             work,
             project: job.project.into(),
             on_busy: job.on_busy,
-            maps: job.maps.iter().map(|(path, entry)| (path.into(), *entry)).collect(),
+            maps: job
+                .maps
+                .iter()
+                .map(|(path, entry)| (path.into(), *entry))
+                .collect(),
             most_memory: job.most_memory,
         }
     }
 
-    /// Does the job. Its stamp is read here and so no older than the daemon's: input that has changed since then is planned once more.
+    /// Does the job. Its stamp is read here and so no older than the daemon's: input that has
+    /// changed since then is planned once more.
     fn perform(self, planner: &PlanJob, follow_links: bool, cancel: &AtomicBool) -> Outcome {
         let project = PathBuf::from(self.project);
         let named = planner.named_files(&project);
@@ -75,7 +82,11 @@ impl JobRequest {
             named: &named,
             on_busy: self.on_busy,
             follow_links,
-            maps: &self.maps.into_iter().map(|(path, entry)| (path.into(), entry)).collect::<MapFiles>(),
+            maps: &self
+                .maps
+                .into_iter()
+                .map(|(path, entry)| (path.into(), entry))
+                .collect::<MapFiles>(),
             most_memory: self.most_memory,
             cancel,
             progress: &|stage, percent| report(&Report::Progress(stage.into(), percent)),
@@ -93,7 +104,10 @@ enum Report {
 }
 
 /// Fails only without the daemon, and then the worker ends, too.
-#[expect(clippy::disallowed_methods, reason = "JSON for the daemon, not text for a terminal")]
+#[expect(
+    clippy::disallowed_methods,
+    reason = "JSON for the daemon, not text for a terminal"
+)]
 fn report(report: &Report) {
     _ = write_line(&mut io::stdout().lock(), report);
 }
@@ -105,7 +119,8 @@ fn write_line(to: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
     to.flush()
 }
 
-/// Works for the daemon that started this process. `end` is called when it is gone, perhaps during a job, and ends the process.
+/// Works for the daemon that started this process. `end` is called when it is gone, perhaps during
+/// a job, and ends the process.
 pub fn serve(planner: &PlanJob, follow_links: bool, end: impl FnOnce() + Send + 'static) {
     platform::prefer_to_be_killed();
     let (sender, requests) = channel();
@@ -115,7 +130,9 @@ pub fn serve(planner: &PlanJob, follow_links: bool, end: impl FnOnce() + Send + 
     });
     for (request, cancel) in requests {
         match request {
-            Request::Job(job) => report(&Report::Ended(job.perform(planner, follow_links, &cancel))),
+            Request::Job(job) => {
+                report(&Report::Ended(job.perform(planner, follow_links, &cancel)))
+            }
             Request::Forget(project) => planner.forget(Path::new(&project)),
             Request::Cancel => {}
         }
@@ -126,7 +143,9 @@ pub fn serve(planner: &PlanJob, follow_links: bool, end: impl FnOnce() + Send + 
 fn receive(jobs: &Sender<(Request, Arc<AtomicBool>)>) {
     let mut current = Arc::new(AtomicBool::new(false));
     for line in io::stdin().lines() {
-        let Ok(request) = line.and_then(|line| Ok(serde_json::from_str(&line)?)) else { return };
+        let Ok(request) = line.and_then(|line| Ok(serde_json::from_str(&line)?)) else {
+            return;
+        };
         match request {
             Request::Cancel => current.store(true, Ordering::Relaxed),
             request => {
@@ -151,14 +170,22 @@ pub struct Workers {
 impl Workers {
     /// `command` starts a process that calls [`serve`].
     pub fn new(planner: PlanJob, command: Command) -> Self {
-        Self { planner, command: Mutex::new(command), idle: Mutex::default() }
+        Self {
+            planner,
+            command: Mutex::new(command),
+            idle: Mutex::default(),
+        }
     }
 
     /// Returns an idle worker, best the one that has served the project last, or starts one.
     fn take(&self, project: &Path) -> io::Result<Worker> {
         let mut idle = lock(&self.idle);
         idle.retain_mut(|worker| matches!(worker.process.try_wait(), Ok(None)));
-        match idle.iter().position(|worker| worker.project == project).or(idle.len().checked_sub(1)) {
+        match idle
+            .iter()
+            .position(|worker| worker.project == project)
+            .or(idle.len().checked_sub(1))
+        {
             Some(at) => Ok(idle.remove(at)),
             None => Worker::start(&mut lock(&self.command)),
         }
@@ -200,7 +227,9 @@ impl Planner for Workers {
 
     fn forget(&self, project: &Path) {
         self.planner.forget(project);
-        lock(&self.idle).iter_mut().for_each(|worker| _ = worker.send(&Request::Forget(project.into())));
+        lock(&self.idle)
+            .iter_mut()
+            .for_each(|worker| _ = worker.send(&Request::Forget(project.into())));
     }
 }
 
@@ -215,19 +244,33 @@ struct Worker {
 
 impl Worker {
     fn start(command: &mut Command) -> io::Result<Self> {
-        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
+        let mut process = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()?;
         let (sender, reports) = channel();
         let output = process.stdout.take().ok_or(io::ErrorKind::BrokenPipe)?;
         thread::spawn(move || {
-            let reports = BufReader::new(output).lines().map_while(|line| serde_json::from_str(&line.ok()?).ok());
+            let reports = BufReader::new(output)
+                .lines()
+                .map_while(|line| serde_json::from_str(&line.ok()?).ok());
             // Fails once nobody waits for reports any more.
-            reports.map_while(|report: Report| sender.send(report).ok()).for_each(drop);
+            reports
+                .map_while(|report: Report| sender.send(report).ok())
+                .for_each(drop);
         });
-        Ok(Self { process, reports, project: PathBuf::new() })
+        Ok(Self {
+            process,
+            reports,
+            project: PathBuf::new(),
+        })
     }
 
     fn send(&mut self, request: &Request) -> io::Result<()> {
-        self.process.stdin.as_mut().map_or(Ok(()), |input| write_line(input, request))
+        self.process
+            .stdin
+            .as_mut()
+            .map_or(Ok(()), |input| write_line(input, request))
     }
 
     /// Returns the outcome of the job; `None` if the process has ended.
@@ -267,7 +310,10 @@ fn lost(status: Option<ExitStatus>, project: &Path) -> Outcome {
     let status = status.map_or("unknown".into(), |status| status.to_string());
     Outcome::Aside {
         reason: format!("the process that worked on it ended ({status}){cause}"),
-        hint: Some(format!("see the log, or run viewrank plan {}", command_path(project))),
+        hint: Some(format!(
+            "see the log, or run viewrank plan {}",
+            command_path(project)
+        )),
     }
 }
 
@@ -304,12 +350,27 @@ mod tests {
             progress: &|_, _| {},
         };
         let mut line = Vec::new();
-        write_line(&mut line, &Request::Job(JobRequest::new(Work::Follow, &job))).unwrap();
+        write_line(
+            &mut line,
+            &Request::Job(JobRequest::new(Work::Follow, &job)),
+        )
+        .unwrap();
         assert_eq!(line.iter().filter(|byte| **byte == b'\n').count(), 1);
-        let Ok(Request::Job(read)) = serde_json::from_slice(&line) else { panic!("a job") };
-        assert_eq!((read.work, read.on_busy, read.most_memory), (Work::Follow, OnBusy::Queue, Some(u64::MAX)));
+        let Ok(Request::Job(read)) = serde_json::from_slice(&line) else {
+            panic!("a job")
+        };
+        assert_eq!(
+            (read.work, read.on_busy, read.most_memory),
+            (Work::Follow, OnBusy::Queue, Some(u64::MAX))
+        );
         assert_eq!(Path::new(&read.project), project);
-        assert_eq!(read.maps.into_iter().map(|(path, entry)| (path.into(), entry)).collect::<MapFiles>(), maps);
+        assert_eq!(
+            read.maps
+                .into_iter()
+                .map(|(path, entry)| (path.into(), entry))
+                .collect::<MapFiles>(),
+            maps
+        );
     }
 
     #[test]
@@ -346,10 +407,13 @@ mod tests {
             ("read line; exit 7", "exit status: 7"),
             ("echo nonsense", ""),
         ] {
-            let Outcome::Aside { reason, .. } = outcome(script) else { panic!("{script}") };
+            let Outcome::Aside { reason, .. } = outcome(script) else {
+                panic!("{script}")
+            };
             assert!(reason.contains(status), "{reason}");
         }
-        let answer = r#"read line; echo '{"Progress":["read",3]}'; echo '{"Ended":"Abandoned"}'; read line"#;
+        let answer =
+            r#"read line; echo '{"Progress":["read",3]}'; echo '{"Ended":"Abandoned"}'; read line"#;
         assert_eq!(outcome(answer), Outcome::Abandoned);
     }
 }

@@ -1,7 +1,10 @@
-//! Results that a project keeps for its next plan: files in `viewrank/cache`, each believed only for the inputs that it was made from.
+//! Results that a project keeps for its next plan: files in `viewrank/cache`, each believed only
+//! for the inputs that it was made from.
 //!
-//! One file: a line of magic, a line of JSON with facts and the fingerprints of the inputs and of the rest, and the contents. A file that is damaged,
-//! or was made from other inputs or by another version of the format, counts as absent. They are written together with the plan ([`super::output`]).
+//! One file: a line of magic, a line of JSON with facts and the fingerprints of the inputs and of
+//! the rest, and the contents. A file that is damaged, or was made from other inputs or by another
+//! version of the format, counts as absent. They are written together with the plan
+//! ([`super::output`]).
 
 use std::{
     io::{BufRead, BufReader, Read, Seek, SeekFrom},
@@ -27,7 +30,8 @@ const BLOCK: usize = 1 << 20;
 pub struct CacheFile {
     home: PathBuf,
     path: &'static str,
-    /// BLAKE3 of what the contents depend on, hexadecimal; `None` if that is not known: such contents are neither written nor read.
+    /// BLAKE3 of what the contents depend on, hexadecimal; `None` if that is not known: such
+    /// contents are neither written nor read.
     inputs: Option<String>,
 }
 
@@ -56,9 +60,14 @@ fn hasher_of(facts: &impl Serialize) -> blake3::Hasher {
 }
 
 impl CacheFile {
-    /// `home`: of the project. `inputs`: has seen everything that the contents depend on, the program included; `None` if that is not known.
+    /// `home`: of the project. `inputs`: has seen everything that the contents depend on, the
+    /// program included; `None` if that is not known.
     pub fn new(home: &Path, path: &'static str, inputs: Option<blake3::Hasher>) -> Self {
-        Self { home: home.into(), path, inputs: inputs.map(|inputs| inputs.finalize().to_string()) }
+        Self {
+            home: home.into(),
+            path,
+            inputs: inputs.map(|inputs| inputs.finalize().to_string()),
+        }
     }
 
     /// Fingerprint of what the contents depend on, so that other results can depend on them.
@@ -69,7 +78,8 @@ impl CacheFile {
     /// Opens the file if it was made from the same inputs.
     pub fn open<F: Serialize + DeserializeOwned>(&self) -> Option<OpenCache<F>> {
         let inputs = self.inputs.as_ref()?;
-        let mut file = BufReader::with_capacity(BLOCK, output::open_own(&self.home, self.path).ok()?);
+        let mut file =
+            BufReader::with_capacity(BLOCK, output::open_own(&self.home, self.path).ok()?);
         let mut line = |most| {
             let mut text = String::new();
             file.by_ref().take(most).read_line(&mut text).ok()?;
@@ -80,7 +90,12 @@ impl CacheFile {
         }
         let head: Head<F> = serde_json::from_str(&line(LONGEST_HEAD)?).ok()?;
         let hasher = hasher_of(&head.facts);
-        (head.inputs == *inputs).then_some(OpenCache { facts: head.facts, file, hash: head.hash, hasher })
+        (head.inputs == *inputs).then_some(OpenCache {
+            facts: head.facts,
+            file,
+            hash: head.hash,
+            hasher,
+        })
     }
 
     /// Reads facts and contents if the file was made from the same inputs and is undamaged.
@@ -97,7 +112,9 @@ impl CacheFile {
 
     /// Makes the file; if the inputs are not known, as [`Self::no_file`].
     pub fn file(&self, facts: &impl Serialize, contents: Packed) -> FileSet {
-        let Some(inputs) = self.inputs.clone() else { return self.no_file() };
+        let Some(inputs) = self.inputs.clone() else {
+            return self.no_file();
+        };
         let mut hasher = hasher_of(facts);
         for part in &contents {
             for block in part.as_bytes().chunks(BLOCK) {
@@ -105,17 +122,35 @@ impl CacheFile {
                 part.release();
             }
         }
-        let head = Head { inputs, hash: hasher.finalize().to_string(), facts };
+        let head = Head {
+            inputs,
+            hash: hasher.finalize().to_string(),
+            facts,
+        };
         let json = serde_json::to_string(&head).expect("numbers and texts are JSON");
         let mut set = self.no_file();
-        set.add(self.path, Contents::Table { head: [MAGIC, &json, "\n"].concat().into_bytes(), rows: contents });
+        set.add(
+            self.path,
+            Contents::Table {
+                head: [MAGIC, &json, "\n"].concat().into_bytes(),
+                rows: contents,
+            },
+        );
         set
     }
 
     /// Returns the set whose writing removes the file, which is of other inputs.
     pub fn no_file(&self) -> FileSet {
-        let name = self.path.rsplit('/').next().and_then(|name| name.split('.').next()).unwrap_or(self.path);
-        FileSet { is_spare: true, ..FileSet::new(&self.home, name) }
+        let name = self
+            .path
+            .rsplit('/')
+            .next()
+            .and_then(|name| name.split('.').next())
+            .unwrap_or(self.path);
+        FileSet {
+            is_spare: true,
+            ..FileSet::new(&self.home, name)
+        }
     }
 }
 

@@ -1,4 +1,5 @@
-//! Files: readers of sparse models, meshes, images and depth maps, project folders, their caches, and atomic writes of sets of files.
+//! Files: readers of sparse models, meshes, images and depth maps, project folders, their caches,
+//! and atomic writes of sets of files.
 
 pub mod cache;
 pub mod depthmaps;

@@ -1,7 +1,9 @@
-//! PLY meshes (Turk, "The PLY Polygon File Format", 1994): reads ASCII and both binary byte orders, writes binary little-endian.
+//! PLY meshes (Turk, "The PLY Polygon File Format", 1994): reads ASCII and both binary byte orders,
+//! writes binary little-endian.
 //!
-//! The reader requires an element `vertex` with `x`, `y`, `z` and an element `face` with a list `vertex_indices` or `vertex_index`. It skips other
-//! elements and properties, and splits polygons into triangle fans. Every count is checked against the remaining bytes.
+//! The reader requires an element `vertex` with `x`, `y`, `z` and an element `face` with a list
+//! `vertex_indices` or `vertex_index`. It skips other elements and properties, and splits polygons
+//! into triangle fans. Every count is checked against the remaining bytes.
 
 use nalgebra::Point3;
 
@@ -91,7 +93,11 @@ struct Header {
 /// Reads a mesh; vertices and triangles keep the order of the file.
 pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
     let header = read_header(bytes)?;
-    let mut body = Body { bytes, at: header.body, encoding: header.encoding };
+    let mut body = Body {
+        bytes,
+        at: header.body,
+        encoding: header.encoding,
+    };
     let mut mesh = Mesh::default();
     for element in &header.elements {
         body.check_room(element)?;
@@ -100,12 +106,20 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
             "face" => read_faces(&mut body, element, &mut mesh.triangles)?,
             // Without properties it has no bytes, and any count fits.
             _ if element.properties.is_empty() => {}
-            _ => (0..element.count).try_for_each(|_| element.properties.iter().try_for_each(|p| body.skip(p)))?,
+            _ => (0..element.count)
+                .try_for_each(|_| element.properties.iter().try_for_each(|p| body.skip(p)))?,
         }
     }
     let count = mesh.vertices.len() as u64;
-    match mesh.triangles.iter().flatten().find(|&&v| u64::from(v) >= count) {
-        Some(v) => Err(body.error(format!("a face refers to vertex {v}, but there are {count}"))),
+    match mesh
+        .triangles
+        .iter()
+        .flatten()
+        .find(|&&v| u64::from(v) >= count)
+    {
+        Some(v) => Err(body.error(format!(
+            "a face refers to vertex {v}, but there are {count}"
+        ))),
         None => Ok(mesh),
     }
 }
@@ -117,29 +131,52 @@ fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
     let mut elements: Vec<Element> = Vec::new();
     loop {
         line += 1;
-        let fail = |what: &str| PlyError::Header { line, what: what.into() };
+        let fail = |what: &str| PlyError::Header {
+            line,
+            what: what.into(),
+        };
         let rest = &bytes[at..];
-        let end = rest.iter().take(4096).position(|&b| b == b'\n').ok_or_else(|| fail("the header does not end"))?;
-        let text =
-            std::str::from_utf8(&rest[..end]).map_err(|_| fail("the header is not text; is this a PLY file?"))?;
+        let end = rest
+            .iter()
+            .take(4096)
+            .position(|&b| b == b'\n')
+            .ok_or_else(|| fail("the header does not end"))?;
+        let text = std::str::from_utf8(&rest[..end])
+            .map_err(|_| fail("the header is not text; is this a PLY file?"))?;
         at += end + 1;
         let words: Vec<&str> = text.split_whitespace().collect();
         match words[..] {
             ["ply"] if line == 1 => {}
             _ if line == 1 => return Err(fail("the file does not begin with \"ply\"")),
-            ["format", name, _] => encoding = Some(parse_encoding(name).ok_or_else(|| fail("unknown format"))?),
+            ["format", name, _] => {
+                encoding = Some(parse_encoding(name).ok_or_else(|| fail("unknown format"))?)
+            }
             ["comment" | "obj_info", ..] | [] => {}
             ["element", name, count] => {
-                let count = count.parse().map_err(|_| fail("the element count is not a number"))?;
-                elements.push(Element { name: name.into(), count, properties: Vec::new() });
+                let count = count
+                    .parse()
+                    .map_err(|_| fail("the element count is not a number"))?;
+                elements.push(Element {
+                    name: name.into(),
+                    count,
+                    properties: Vec::new(),
+                });
             }
             ["property", ..] => {
                 let property = parse_property(&words).ok_or_else(|| fail("unknown property"))?;
-                elements.last_mut().ok_or_else(|| fail("a property before any element"))?.properties.push(property);
+                elements
+                    .last_mut()
+                    .ok_or_else(|| fail("a property before any element"))?
+                    .properties
+                    .push(property);
             }
             ["end_header"] => {
                 let encoding = encoding.ok_or_else(|| fail("the header has no \"format\" line"))?;
-                return Ok(Header { encoding, elements, body: at });
+                return Ok(Header {
+                    encoding,
+                    elements,
+                    body: at,
+                });
             }
             _ => return Err(fail(&format!("unknown header line \"{text}\""))),
         }
@@ -159,9 +196,17 @@ fn parse_property(words: &[&str]) -> Option<Property> {
     match *words {
         [_, "list", count, value, name] => {
             let count = Scalar::parse(count).filter(|c| !matches!(c, Scalar::F32 | Scalar::F64))?;
-            Some(Property { name: name.into(), value: Scalar::parse(value)?, count: Some(count) })
+            Some(Property {
+                name: name.into(),
+                value: Scalar::parse(value)?,
+                count: Some(count),
+            })
         }
-        [_, value, name] => Some(Property { name: name.into(), value: Scalar::parse(value)?, count: None }),
+        [_, value, name] => Some(Property {
+            name: name.into(),
+            value: Scalar::parse(value)?,
+            count: None,
+        }),
         _ => None,
     }
 }
@@ -175,24 +220,33 @@ struct Body<'a> {
 
 impl Body<'_> {
     fn error(&self, what: impl Into<String>) -> PlyError {
-        PlyError::Body { byte: self.at, what: what.into() }
+        PlyError::Body {
+            byte: self.at,
+            what: what.into(),
+        }
     }
 
-    /// Checks that the element can fit in the remaining bytes, so a false count neither reserves memory nor loops.
+    /// Checks that the element can fit in the remaining bytes, so a false count neither reserves
+    /// memory nor loops.
     fn check_room(&self, element: &Element) -> Result<(), PlyError> {
         let smallest = |p: &Property| match self.encoding {
             Encoding::Ascii => 2,
             _ => p.count.unwrap_or(p.value).size(),
         };
-        let each = element.properties.iter().map(smallest).sum::<usize>().max(1) as u64;
+        let each = element
+            .properties
+            .iter()
+            .map(smallest)
+            .sum::<usize>()
+            .max(1) as u64;
         // The last line of an ASCII file may have no line end.
         let left = (self.bytes.len() - self.at) as u64 + 1;
         match element.count.checked_mul(each) {
             Some(needed) if needed <= left => Ok(()),
-            _ => {
-                Err(self
-                    .error(format!("{} x {} do not fit into the file; is it truncated?", element.count, element.name)))
-            }
+            _ => Err(self.error(format!(
+                "{} x {} do not fit into the file; is it truncated?",
+                element.count, element.name
+            ))),
         }
     }
 
@@ -202,7 +256,9 @@ impl Body<'_> {
             return self.word();
         }
         let end = self.at + scalar.size();
-        let Some(raw) = self.bytes.get(self.at..end) else { return Err(self.error("the file ends too early")) };
+        let Some(raw) = self.bytes.get(self.at..end) else {
+            return Err(self.error("the file ends too early"));
+        };
         let mut le = [0u8; 8];
         le[..raw.len()].copy_from_slice(raw);
         if self.encoding == Encoding::Big {
@@ -224,11 +280,21 @@ impl Body<'_> {
 
     fn word(&mut self) -> Result<f64, PlyError> {
         let rest = &self.bytes[self.at..];
-        let start =
-            rest.iter().position(|b| !b.is_ascii_whitespace()).ok_or_else(|| self.error("the file ends too early"))?;
-        let length = rest[start..].iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len() - start);
-        let word = std::str::from_utf8(&rest[start..start + length]).ok().and_then(|w| w.parse().ok());
-        let value = word.ok_or_else(|| PlyError::Body { byte: self.at + start, what: "not a number".into() })?;
+        let start = rest
+            .iter()
+            .position(|b| !b.is_ascii_whitespace())
+            .ok_or_else(|| self.error("the file ends too early"))?;
+        let length = rest[start..]
+            .iter()
+            .position(u8::is_ascii_whitespace)
+            .unwrap_or(rest.len() - start);
+        let word = std::str::from_utf8(&rest[start..start + length])
+            .ok()
+            .and_then(|w| w.parse().ok());
+        let value = word.ok_or_else(|| PlyError::Body {
+            byte: self.at + start,
+            what: "not a number".into(),
+        })?;
         self.at += start + length;
         Ok(value)
     }
@@ -240,18 +306,31 @@ impl Body<'_> {
         if length >= 0.0 && length <= left && length.fract() == 0.0 {
             Ok(length as usize)
         } else {
-            Err(self.error(format!("a list of {length} items does not fit into the file")))
+            Err(self.error(format!(
+                "a list of {length} items does not fit into the file"
+            )))
         }
     }
 
     fn skip(&mut self, property: &Property) -> Result<(), PlyError> {
-        let length = property.count.map_or(Ok(1), |count| self.list_length(count))?;
+        let length = property
+            .count
+            .map_or(Ok(1), |count| self.list_length(count))?;
         (0..length).try_for_each(|_| self.number(property.value).map(|_| ()))
     }
 }
 
-fn read_vertices(body: &mut Body, element: &Element, vertices: &mut Vec<Point3<f64>>) -> Result<(), PlyError> {
-    let axis = |name: &str| element.properties.iter().position(|p| p.name == name && p.count.is_none());
+fn read_vertices(
+    body: &mut Body,
+    element: &Element,
+    vertices: &mut Vec<Point3<f64>>,
+) -> Result<(), PlyError> {
+    let axis = |name: &str| {
+        element
+            .properties
+            .iter()
+            .position(|p| p.name == name && p.count.is_none())
+    };
     let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(axis) else {
         return Err(body.error("the element vertex has no x, y and z"));
     };
@@ -266,15 +345,24 @@ fn read_vertices(body: &mut Body, element: &Element, vertices: &mut Vec<Point3<f
             }
         }
         if !point.coords.iter().all(|v| v.is_finite()) {
-            return Err(PlyError::Body { byte: start, what: format!("vertex {} is not finite", vertices.len()) });
+            return Err(PlyError::Body {
+                byte: start,
+                what: format!("vertex {} is not finite", vertices.len()),
+            });
         }
         vertices.push(point);
     }
     Ok(())
 }
 
-fn read_faces(body: &mut Body, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), PlyError> {
-    let is_indices = |p: &Property| p.count.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
+fn read_faces(
+    body: &mut Body,
+    element: &Element,
+    triangles: &mut Vec<[u32; 3]>,
+) -> Result<(), PlyError> {
+    let is_indices = |p: &Property| {
+        p.count.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index")
+    };
     let Some(indices) = element.properties.iter().position(is_indices) else {
         return Err(body.error("the element face has no list vertex_indices"));
     };
@@ -282,7 +370,9 @@ fn read_faces(body: &mut Body, element: &Element, triangles: &mut Vec<[u32; 3]>)
     for _ in 0..element.count {
         for (i, property) in element.properties.iter().enumerate() {
             match property.count {
-                Some(count) if i == indices => read_polygon(body, count, property.value, &mut polygon)?,
+                Some(count) if i == indices => {
+                    read_polygon(body, count, property.value, &mut polygon)?
+                }
                 _ => body.skip(property)?,
             }
         }
@@ -291,7 +381,12 @@ fn read_faces(body: &mut Body, element: &Element, triangles: &mut Vec<[u32; 3]>)
     Ok(())
 }
 
-fn read_polygon(body: &mut Body, count: Scalar, value: Scalar, polygon: &mut Vec<u32>) -> Result<(), PlyError> {
+fn read_polygon(
+    body: &mut Body,
+    count: Scalar,
+    value: Scalar,
+    polygon: &mut Vec<u32>,
+) -> Result<(), PlyError> {
     polygon.clear();
     for _ in 0..body.list_length(count)? {
         let index = body.number(value)?;
@@ -312,11 +407,17 @@ pub enum FaceField<'a> {
 }
 
 impl FaceField<'_> {
-    /// Converts the field to a scalar per vertex for CloudCompare, which ignores scalars of faces: its name, and at each vertex the mean of the
-    /// adjacent triangles (floats) or their maximum (bytes). `None` for colours.
+    /// Converts the field to a scalar per vertex for CloudCompare, which ignores scalars of faces:
+    /// its name, and at each vertex the mean of the adjacent triangles (floats) or their maximum
+    /// (bytes). `None` for colours.
     fn at_vertices(&self, vertices: usize, triangles: &[[u32; 3]]) -> Option<(String, Vec<f32>)> {
         let mut values = vec![0f32; vertices];
-        let corners = || triangles.iter().enumerate().flat_map(|(t, vertices)| vertices.map(|v| (t, v as usize)));
+        let corners = || {
+            triangles
+                .iter()
+                .enumerate()
+                .flat_map(|(t, vertices)| vertices.map(|v| (t, v as usize)))
+        };
         let name = match self {
             Self::Float(name, of_faces) => {
                 let mut counts = vec![0f32; values.len()];
@@ -324,7 +425,10 @@ impl FaceField<'_> {
                     values[v] += of_faces[t];
                     counts[v] += 1.0;
                 }
-                values.iter_mut().zip(counts).for_each(|(value, count)| *value /= count.max(1.0));
+                values
+                    .iter_mut()
+                    .zip(counts)
+                    .for_each(|(value, count)| *value /= count.max(1.0));
                 name
             }
             Self::Byte(name, of_faces) => {
@@ -337,19 +441,41 @@ impl FaceField<'_> {
     }
 }
 
-/// Serialises a surface as binary little-endian PLY. `fields` have one value per triangle and are written for the triangles and, except colours,
-/// for the vertices: MeshLab shows colours and the field `quality` of triangles, CloudCompare every `scalar_` field of vertices. Vertices are
-/// `float` if rounding moves none by more than a thousandth of the mean edge length, otherwise `double`. Each comment becomes one line.
-pub fn write(vertices: &[Point3<f64>], triangles: &[[u32; 3]], fields: &[FaceField], comments: &[String]) -> Vec<u8> {
+/// Serialises a surface as binary little-endian PLY. `fields` have one value per triangle and are
+/// written for the triangles and, except colours, for the vertices: MeshLab shows colours and the
+/// field `quality` of triangles, CloudCompare every `scalar_` field of vertices. Vertices are
+/// `float` if rounding moves none by more than a thousandth of the mean edge length, otherwise
+/// `double`. Each comment becomes one line.
+pub fn write(
+    vertices: &[Point3<f64>],
+    triangles: &[[u32; 3]],
+    fields: &[FaceField],
+    comments: &[String],
+) -> Vec<u8> {
     let double = !fits_float(vertices, triangles);
-    let scalars: Vec<(String, Vec<f32>)> =
-        fields.iter().filter_map(|field| field.at_vertices(vertices.len(), triangles)).collect();
-    let mut out = write_header([vertices.len(), triangles.len()], fields, &scalars, comments, double).into_bytes();
+    let scalars: Vec<(String, Vec<f32>)> = fields
+        .iter()
+        .filter_map(|field| field.at_vertices(vertices.len(), triangles))
+        .collect();
+    let mut out = write_header(
+        [vertices.len(), triangles.len()],
+        fields,
+        &scalars,
+        comments,
+        double,
+    )
+    .into_bytes();
     for (v, vertex) in vertices.iter().enumerate() {
         for &x in &vertex.coords {
-            if double { out.extend(x.to_le_bytes()) } else { out.extend((x as f32).to_le_bytes()) }
+            if double {
+                out.extend(x.to_le_bytes())
+            } else {
+                out.extend((x as f32).to_le_bytes())
+            }
         }
-        scalars.iter().for_each(|(_, values)| out.extend(values[v].to_le_bytes()));
+        scalars
+            .iter()
+            .for_each(|(_, values)| out.extend(values[v].to_le_bytes()));
     }
     for (t, corners) in triangles.iter().enumerate() {
         out.push(3);
@@ -373,17 +499,28 @@ fn write_header(
     double: bool,
 ) -> String {
     let mut header = String::from("ply\nformat binary_little_endian 1.0\n");
-    comments.iter().for_each(|c| header += &format!("comment {}\n", c.replace(['\n', '\r'], " ")));
+    comments
+        .iter()
+        .for_each(|c| header += &format!("comment {}\n", c.replace(['\n', '\r'], " ")));
     let scalar = if double { "double" } else { "float" };
     header += &format!("element vertex {}\n", vertices);
-    ["x", "y", "z"].iter().for_each(|axis| header += &format!("property {scalar} {axis}\n"));
-    scalars.iter().for_each(|(name, _)| header += &format!("property float {name}\n"));
-    header += &format!("element face {}\nproperty list uchar uint vertex_indices\n", triangles);
+    ["x", "y", "z"]
+        .iter()
+        .for_each(|axis| header += &format!("property {scalar} {axis}\n"));
+    scalars
+        .iter()
+        .for_each(|(name, _)| header += &format!("property float {name}\n"));
+    header += &format!(
+        "element face {}\nproperty list uchar uint vertex_indices\n",
+        triangles
+    );
     for field in fields {
         header += &match field {
             FaceField::Float(name, _) => format!("property float {name}\n"),
             FaceField::Byte(name, _) => format!("property uchar {name}\n"),
-            FaceField::Colour(_) => "property uchar red\nproperty uchar green\nproperty uchar blue\n".into(),
+            FaceField::Colour(_) => {
+                "property uchar red\nproperty uchar green\nproperty uchar blue\n".into()
+            }
         };
     }
     header + "end_header\n"
@@ -426,7 +563,10 @@ mod tests {
         }
         bytes.extend([0, 3, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 2]);
         let surface = read(&bytes).unwrap();
-        assert_eq!((surface.vertices[0], &surface.triangles[..]), (Point3::new(0.5, 1.0, -3.0), &[[0, 1, 2]][..]));
+        assert_eq!(
+            (surface.vertices[0], &surface.triangles[..]),
+            (Point3::new(0.5, 1.0, -3.0), &[[0, 1, 2]][..])
+        );
     }
 
     /// Vertices are floats near the origin and doubles at map coordinates; fields follow each face.
@@ -442,19 +582,39 @@ mod tests {
                 FaceField::Byte("reason", &reason),
                 FaceField::Colour(&vec![[1, 2, 3]; count]),
             ];
-            let back = read(&write(&surface.vertices, &surface.triangles, &fields, &["a\nb".into()])).unwrap();
+            let back = read(&write(
+                &surface.vertices,
+                &surface.triangles,
+                &fields,
+                &["a\nb".into()],
+            ))
+            .unwrap();
             assert_eq!(back.triangles, surface.triangles);
-            let worst = surface.vertices.iter().zip(&back.vertices).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            let worst = surface
+                .vertices
+                .iter()
+                .zip(&back.vertices)
+                .map(|(a, b)| (a - b).norm())
+                .fold(0.0, f64::max);
             assert!(worst <= digits, "{worst}");
         }
     }
 
     #[test]
     fn errors_have_a_position() {
-        let replaced = |from: &str, to: &str| read(ASCII.replace(from, to).as_bytes()).unwrap_err().to_string();
-        assert_eq!(replaced("ply\r\n", "plyx\n"), "line 1: the file does not begin with \"ply\"");
+        let replaced = |from: &str, to: &str| {
+            read(ASCII.replace(from, to).as_bytes())
+                .unwrap_err()
+                .to_string()
+        };
+        assert_eq!(
+            replaced("ply\r\n", "plyx\n"),
+            "line 1: the file does not begin with \"ply\""
+        );
         assert_eq!(replaced("ascii", "utf8"), "line 2: unknown format");
-        assert!(replaced("vertex 4", "vertex 1152921504606846976").contains("do not fit into the file"));
+        assert!(
+            replaced("vertex 4", "vertex 1152921504606846976").contains("do not fit into the file")
+        );
         assert!(replaced("face 1", "face 99999999999999999999").starts_with("line 9"));
         assert!(replaced("4 0 1 2 3", "4 0 1 2 9").contains("refers to vertex 9, but there are 4"));
         assert!(replaced("4 0 1 2 3", "4 0 1 2 -3").contains("-3 is not a vertex index"));

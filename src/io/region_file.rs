@@ -1,7 +1,9 @@
-//! Files of regions: GeoJSON polygons (RFC 7946), closed PLY meshes, or the six numbers of a box. The contents tell them apart.
+//! Files of regions: GeoJSON polygons (RFC 7946), closed PLY meshes, or the six numbers of a box.
+//! The contents tell them apart.
 //!
-//! The reader of GeoJSON takes the polygons of features, collections and bare geometries, with their holes and parts but without heights; the
-//! properties `weight` and `gsd`; and the member `crs` of the 2008 specification, which QGIS still writes, if it is WGS 84 or null. It ignores
+//! The reader of GeoJSON takes the polygons of features, collections and bare geometries, with
+//! their holes and parts but without heights; the properties `weight` and `gsd`; and the member
+//! `crs` of the 2008 specification, which QGIS still writes, if it is WGS 84 or null. It ignores
 //! everything else.
 
 use std::{fmt, io, ops::RangeInclusive, path::Path};
@@ -46,7 +48,8 @@ pub enum Coordinates {
     Unsaid,
     /// `crs` names WGS 84: longitude and latitude, degrees.
     Geodetic,
-    /// `crs` is null: scene units along the first two `axes` (unit vectors, world coordinates), without them those of the map.
+    /// `crs` is null: scene units along the first two `axes` (unit vectors, world coordinates),
+    /// without them those of the map.
     Model { axes: Option<[[f64; 3]; 3]> },
 }
 
@@ -60,7 +63,8 @@ pub struct Area {
     pub gsd: Option<f64>,
 }
 
-/// Rings of a polygon, the outer one first, then its holes; the first position may be repeated at the end.
+/// Rings of a polygon, the outer one first, then its holes; the first position may be repeated at
+/// the end.
 pub type Polygon = Vec<Vec<[f64; 2]>>;
 
 /// Errors of a region's file.
@@ -89,12 +93,19 @@ pub fn read(path: &Path) -> Result<RegionFile, RegionFault> {
 pub fn parse(bytes: &[u8]) -> Result<RegionFile, RegionFault> {
     // Editors on Windows put a byte order mark before text.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let start = bytes.iter().position(|b| !b.is_ascii_whitespace()).unwrap_or(0);
+    let start = bytes
+        .iter()
+        .position(|b| !b.is_ascii_whitespace())
+        .unwrap_or(0);
     match &bytes[start..] {
         [b'{', ..] => Ok(RegionFile::Areas(areas(serde_json::from_slice(bytes)?)?)),
         [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
             let mesh = ply::read(&bytes[start..])?;
-            if mesh.triangles.len() > MOST_TRIANGLES { Err(RegionFault::Triangles) } else { Ok(RegionFile::Mesh(mesh)) }
+            if mesh.triangles.len() > MOST_TRIANGLES {
+                Err(RegionFault::Triangles)
+            } else {
+                Ok(RegionFile::Mesh(mesh))
+            }
         }
         text if text.len() < 4096 => {
             let numbers = std::str::from_utf8(text).ok().and_then(parse_box);
@@ -106,16 +117,23 @@ pub fn parse(bytes: &[u8]) -> Result<RegionFile, RegionFault> {
 
 /// Reads six finite numbers, separated by commas or blanks; `None` where there are others.
 pub fn parse_box(text: &str) -> Option<[f64; 6]> {
-    let words = text.split(|c: char| c == ',' || c.is_whitespace()).filter(|word| !word.is_empty());
+    let words = text
+        .split(|c: char| c == ',' || c.is_whitespace())
+        .filter(|word| !word.is_empty());
     let numbers: Vec<f64> = words.map(str::parse).collect::<Result<_, _>>().ok()?;
-    numbers.try_into().ok().filter(|numbers: &[f64; 6]| numbers.iter().all(|x| x.abs() <= LARGEST))
+    numbers
+        .try_into()
+        .ok()
+        .filter(|numbers: &[f64; 6]| numbers.iter().all(|x| x.abs() <= LARGEST))
 }
 
-/// Most positions of all polygons, and most triangles of a mesh: with their index and outline, a plan takes about 600 and 300 bytes for each.
+/// Most positions of all polygons, and most triangles of a mesh: with their index and outline, a
+/// plan takes about 600 and 300 bytes for each.
 const MOST_POSITIONS: usize = 1_000_000;
 const MOST_TRIANGLES: usize = 1_000_000;
 
-/// An object of GeoJSON: a collection, a feature or a geometry. Nothing is kept of members that are not read.
+/// An object of GeoJSON: a collection, a feature or a geometry. Nothing is kept of members that are
+/// not read.
 #[derive(Deserialize)]
 struct Node {
     #[serde(rename = "type")]
@@ -150,7 +168,9 @@ struct CrsProperties {
 }
 
 /// Tells null from a member that is missing.
-fn even_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<Crs>>, D::Error> {
+fn even_if_null<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<Option<Crs>>, D::Error> {
     Deserialize::deserialize(deserializer).map(Some)
 }
 
@@ -170,8 +190,11 @@ impl<'de> Deserialize<'de> for Nodes {
                 let mut number = 0;
                 while let Some(node) = list.next_element::<Node>()? {
                     number += 1;
-                    let fault = |what| A::Error::custom(format!("number {number} of the list: {what}"));
-                    let area = area(node).map_err(fault)?.filter(|area| !area.polygons.is_empty());
+                    let fault =
+                        |what| A::Error::custom(format!("number {number} of the list: {what}"));
+                    let area = area(node)
+                        .map_err(fault)?
+                        .filter(|area| !area.polygons.is_empty());
                     positions += area.iter().map(Area::positions).sum::<usize>();
                     check_positions(positions).map_err(fault)?;
                     areas.extend(area);
@@ -223,19 +246,31 @@ impl<'de> Visitor<'de> for NestedVisitor {
         while let Some(member) = list.next_element::<Nested>()? {
             match (member, members.first()) {
                 (Nested::Number(x), None) => {
-                    let y = list.next_element()?.ok_or_else(|| A::Error::custom("one number is not a position"))?;
+                    let y = list
+                        .next_element()?
+                        .ok_or_else(|| A::Error::custom("one number is not a position"))?;
                     while list.next_element::<IgnoredAny>()?.is_some() {}
                     let is_wrong = [x, y].iter().any(|x: &f64| x.abs() > LARGEST);
                     let wrong = || A::Error::custom(format!("{x}, {y} is not a position"));
-                    return if is_wrong { Err(wrong()) } else { Ok(Nested::Position([x, y])) };
+                    return if is_wrong {
+                        Err(wrong())
+                    } else {
+                        Ok(Nested::Position([x, y]))
+                    };
                 }
-                (Nested::Number(_), Some(_)) => return Err(A::Error::custom("a number among positions")),
-                (Nested::List(inner), _) if inner.is_empty() => return Err(A::Error::custom("a polygon has no ring")),
+                (Nested::Number(_), Some(_)) => {
+                    return Err(A::Error::custom("a number among positions"));
+                }
+                (Nested::List(inner), _) if inner.is_empty() => {
+                    return Err(A::Error::custom("a polygon has no ring"));
+                }
                 (member, _) => members.push(member),
             }
         }
         match members.first() {
-            Some(Nested::Position(_)) if members.len() < 3 => Err(A::Error::custom(few(members.len()))),
+            Some(Nested::Position(_)) if members.len() < 3 => {
+                Err(A::Error::custom(few(members.len())))
+            }
             _ => Ok(Nested::List(members)),
         }
     }
@@ -249,7 +284,9 @@ fn check_positions(positions: usize) -> Result<(), String> {
     if positions <= MOST_POSITIONS {
         return Ok(());
     }
-    Err(format!("more than {MOST_POSITIONS} positions: simplify the polygons"))
+    Err(format!(
+        "more than {MOST_POSITIONS} positions: simplify the polygons"
+    ))
 }
 
 impl Area {
@@ -261,15 +298,25 @@ impl Area {
 fn areas(mut node: Node) -> Result<Areas, RegionFault> {
     let (crs, axes) = (node.crs.take(), node.axes.take());
     let areas = if node.kind.as_deref() == Some("FeatureCollection") {
-        node.features.ok_or_else(|| RegionFault::Collection("the collection has no list \"features\"".into()))?.0
+        node.features
+            .ok_or_else(|| {
+                RegionFault::Collection("the collection has no list \"features\"".into())
+            })?
+            .0
     } else {
-        area(node).map_err(RegionFault::Collection)?.into_iter().collect()
+        area(node)
+            .map_err(RegionFault::Collection)?
+            .into_iter()
+            .collect()
     };
     if areas.iter().all(|area| area.polygons.is_empty()) {
         return Err(RegionFault::Collection("it has no polygon".into()));
     }
     check_positions(areas.iter().map(Area::positions).sum()).map_err(RegionFault::Collection)?;
-    Ok(Areas { coordinates: coordinates(crs, axes.as_deref()).map_err(RegionFault::Collection)?, areas })
+    Ok(Areas {
+        coordinates: coordinates(crs, axes.as_deref()).map_err(RegionFault::Collection)?,
+        areas,
+    })
 }
 
 /// The area of a feature or a bare geometry; `None` for a feature without a geometry.
@@ -278,14 +325,20 @@ fn area(node: Node) -> Result<Option<Area>, String> {
         Some("Feature") => (node.geometry.map(|geometry| *geometry), node.properties),
         _ => (Some(node), None),
     };
-    let Some(geometry) = geometry else { return Ok(None) };
+    let Some(geometry) = geometry else {
+        return Ok(None);
+    };
     let within = |name: &str, number: Option<f64>, range: RangeInclusive<f64>| match number {
-        Some(number) if !range.contains(&number) => {
-            Err(format!("{name} is {number}, not a number from {} to {:e}", range.start(), range.end()))
-        }
+        Some(number) if !range.contains(&number) => Err(format!(
+            "{name} is {number}, not a number from {} to {:e}",
+            range.start(),
+            range.end()
+        )),
         number => Ok(number),
     };
-    let (weight, gsd) = properties.map_or((None, None), |properties| (properties.weight, properties.gsd));
+    let (weight, gsd) = properties.map_or((None, None), |properties| {
+        (properties.weight, properties.gsd)
+    });
     Ok(Some(Area {
         polygons: polygons(geometry)?,
         weight: within("weight", weight, WEIGHTS)?.unwrap_or(1.0),
@@ -296,10 +349,16 @@ fn area(node: Node) -> Result<Option<Area>, String> {
 fn polygons(geometry: Node) -> Result<Vec<Polygon>, String> {
     let coordinates = || "the geometry has no list \"coordinates\"";
     match geometry.kind.as_deref() {
-        Some("Polygon") => Ok(vec![polygon(geometry.coordinates.ok_or_else(coordinates)?)?]),
-        Some("MultiPolygon") => members(geometry.coordinates.ok_or_else(coordinates)?)?.map(polygon).collect(),
+        Some("Polygon") => Ok(vec![polygon(
+            geometry.coordinates.ok_or_else(coordinates)?,
+        )?]),
+        Some("MultiPolygon") => members(geometry.coordinates.ok_or_else(coordinates)?)?
+            .map(polygon)
+            .collect(),
         Some("GeometryCollection") => {
-            let parts = geometry.geometries.ok_or("the geometry has no list \"geometries\"")?;
+            let parts = geometry
+                .geometries
+                .ok_or("the geometry has no list \"geometries\"")?;
             Ok(parts.0.into_iter().flat_map(|part| part.polygons).collect())
         }
         Some(kind) => Err(format!("a {kind} encloses no area")),
@@ -310,14 +369,20 @@ fn polygons(geometry: Node) -> Result<Vec<Polygon>, String> {
 fn members(list: Nested) -> Result<impl Iterator<Item = Nested>, String> {
     match list {
         Nested::List(members) => Ok(members.into_iter()),
-        Nested::Position([x, y]) => Err(format!("the position {x}, {y} where a list of positions belongs")),
+        Nested::Position([x, y]) => Err(format!(
+            "the position {x}, {y} where a list of positions belongs"
+        )),
         Nested::Number(x) => Err(format!("the number {x} where a list of positions belongs")),
     }
 }
 
 fn polygon(rings: Nested) -> Result<Polygon, String> {
     let rings: Polygon = members(rings)?.map(ring).collect::<Result<_, _>>()?;
-    if rings.is_empty() { Err("a polygon has no ring".into()) } else { Ok(rings) }
+    if rings.is_empty() {
+        Err("a polygon has no ring".into())
+    } else {
+        Ok(rings)
+    }
 }
 
 fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
@@ -326,7 +391,10 @@ fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
         _ => Err("a ring is not a list of positions".to_string()),
     };
     let positions: Vec<[f64; 2]> = members(ring)?.map(position).collect::<Result<_, _>>()?;
-    let changes = positions.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    let changes = positions
+        .windows(2)
+        .filter(|pair| pair[0] != pair[1])
+        .count();
     let is_closed = changes > 0 && positions.first() == positions.last();
     match (changes + 1).min(positions.len()) - usize::from(is_closed) {
         3.. => Ok(positions),
@@ -338,13 +406,19 @@ fn coordinates(crs: Option<Option<Crs>>, axes: Option<&RawValue>) -> Result<Coor
     let crs = match crs {
         None => return Ok(Coordinates::Unsaid),
         Some(None) => {
-            let axes = axes.map(|axes| serde_json::from_str(axes.get())).transpose();
-            return Ok(Coordinates::Model { axes: axes.map_err(|error| format!("axes: {error}"))? });
+            let axes = axes
+                .map(|axes| serde_json::from_str(axes.get()))
+                .transpose();
+            return Ok(Coordinates::Model {
+                axes: axes.map_err(|error| format!("axes: {error}"))?,
+            });
         }
         Some(Some(crs)) => crs,
     };
     let name = crs.properties.name;
-    let is_geodetic = ["CRS84", "CRS84h", "4326", "4979"].iter().any(|end| name.ends_with(end));
+    let is_geodetic = ["CRS84", "CRS84h", "4326", "4979"]
+        .iter()
+        .any(|end| name.ends_with(end));
     match is_geodetic {
         true => Ok(Coordinates::Geodetic),
         false => Err(format!("its coordinates are in {name:?}, not in WGS 84")),
@@ -365,7 +439,13 @@ mod tests {
     }
 
     fn square(size: f64) -> Value {
-        json!([[0.0, 0.0], [size, 0.0], [size, size, 7.0], [0.0, size], [0.0, 0.0]])
+        json!([
+            [0.0, 0.0],
+            [size, 0.0],
+            [size, size, 7.0],
+            [0.0, size],
+            [0.0, 0.0]
+        ])
     }
 
     #[test]
@@ -380,8 +460,14 @@ mod tests {
         let Areas { coordinates, areas } = areas_of(&geojson);
         assert_eq!(coordinates, Coordinates::Unsaid);
         let shape = |area: &Area| area.polygons.iter().map(Vec::len).collect::<Vec<_>>();
-        assert_eq!(areas.iter().map(shape).collect::<Vec<_>>(), [vec![2], vec![1, 1]]);
-        assert_eq!(areas.iter().map(|a| (a.weight, a.gsd)).collect::<Vec<_>>(), [(2.0, Some(0.01)), (1.0, None)]);
+        assert_eq!(
+            areas.iter().map(shape).collect::<Vec<_>>(),
+            [vec![2], vec![1, 1]]
+        );
+        assert_eq!(
+            areas.iter().map(|a| (a.weight, a.gsd)).collect::<Vec<_>>(),
+            [(2.0, Some(0.01)), (1.0, None)]
+        );
         assert_eq!(areas[0].polygons[0][0][2], [4.0, 4.0]);
         let bare = areas_of(&json!({ "type": "GeometryCollection", "geometries": [
             { "type": "Polygon", "coordinates": [square(1.0)] }, { "type": "Polygon", "coordinates": [square(2.0)] }
@@ -391,17 +477,27 @@ mod tests {
 
     #[test]
     fn coordinates_are_of_the_model_or_wgs_84() {
-        let with = |crs: Value| json!({ "type": "Polygon", "coordinates": [square(1.0)], "crs": crs });
-        assert_eq!(areas_of(&with(Value::Null)).coordinates, Coordinates::Model { axes: None });
+        let with =
+            |crs: Value| json!({ "type": "Polygon", "coordinates": [square(1.0)], "crs": crs });
+        assert_eq!(
+            areas_of(&with(Value::Null)).coordinates,
+            Coordinates::Model { axes: None }
+        );
         let named = |name: &str| with(json!({ "type": "name", "properties": { "name": name } }));
-        assert_eq!(areas_of(&named("urn:ogc:def:crs:OGC:1.3:CRS84")).coordinates, Coordinates::Geodetic);
+        assert_eq!(
+            areas_of(&named("urn:ogc:def:crs:OGC:1.3:CRS84")).coordinates,
+            Coordinates::Geodetic
+        );
         let utm = parse(named("urn:ogc:def:crs:EPSG::32633").to_string().as_bytes());
         assert!(matches!(utm, Err(RegionFault::Collection(_))), "{utm:?}");
     }
 
     #[test]
     fn a_box_and_a_mesh_are_told_by_their_contents() {
-        assert_eq!(parse(b" 0 0 0\n1 2 3\n").unwrap(), RegionFile::Box([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]));
+        assert_eq!(
+            parse(b" 0 0 0\n1 2 3\n").unwrap(),
+            RegionFile::Box([0.0, 0.0, 0.0, 1.0, 2.0, 3.0])
+        );
         let ply = ply::write(&[Default::default(); 3], &[[0, 1, 2]], &[], &[]);
         assert!(matches!(parse(&ply), Ok(RegionFile::Mesh(mesh)) if mesh.triangles == [[0, 1, 2]]));
     }
@@ -416,11 +512,26 @@ mod tests {
             feature(good(), json!({ "weight": -1 })),
             feature(good(), json!({ "weight": "2" })),
             feature(good(), json!({ "gsd": 0 })),
-            feature(json!({ "type": "LineString", "coordinates": [[0, 0], [1, 1]] }), Value::Null),
-            feature(json!({ "type": "Polygon", "coordinates": [[[0, 0], [1, 1], [0, 0]]] }), Value::Null),
-            feature(json!({ "type": "Polygon", "coordinates": [[]] }), Value::Null),
-            feature(json!({ "type": "Polygon", "coordinates": [[[0, 0], [1, "x"], [1, 1]]] }), Value::Null),
-            feature(json!({ "type": "Polygon", "coordinates": [[[0, 0], [1e300, 0], [1, 1]]] }), Value::Null),
+            feature(
+                json!({ "type": "LineString", "coordinates": [[0, 0], [1, 1]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[[0, 0], [1, 1], [0, 0]]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[[0, 0], [1, "x"], [1, 1]]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[[0, 0], [1e300, 0], [1, 1]]] }),
+                Value::Null,
+            ),
             feature(json!({ "type": "Polygon" }), Value::Null),
             feature(Value::Null, Value::Null),
             json!({ "type": "FeatureCollection" }).to_string(),
@@ -430,12 +541,19 @@ mod tests {
             json!({ "type": "Polygon", "coordinates": [[[0], [1], [2]]] }).to_string(),
             json!({ "type": "Polygon", "coordinates": [[[0, 0], 1, [1, 1]]] }).to_string(),
             json!({ "type": "MultiPolygon", "coordinates": [[], []] }).to_string(),
-            format!("{{\"type\": \"Polygon\", \"coordinates\": {}", "[".repeat(100_000)),
+            format!(
+                "{{\"type\": \"Polygon\", \"coordinates\": {}",
+                "[".repeat(100_000)
+            ),
             "1 2 3 4 5 nan".into(),
             String::new(),
             "\u{0}".repeat(10_000),
         ] {
-            assert!(parse(text.as_bytes()).is_err(), "{}", &text[..text.len().min(200)]);
+            assert!(
+                parse(text.as_bytes()).is_err(),
+                "{}",
+                &text[..text.len().min(200)]
+            );
         }
     }
 }

@@ -1,7 +1,8 @@
-//! Small scenes with known answers, for tests and benchmarks: a grid of cameras over rolling terrain with boxes ("box town").
+//! Small scenes with known answers, for tests and benchmarks: a grid of cameras over rolling
+//! terrain with boxes ("box town").
 //!
-//! Metres, z up. Everything is drawn from one seed. Sparse points are on the exact surface, and a view observes a point only if the line of sight is
-//! free.
+//! Metres, z up. Everything is drawn from one seed. Sparse points are on the exact surface, and a
+//! view observes a point only if the line of sight is free.
 
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
 use rand_core::{Rng, SeedableRng};
@@ -66,8 +67,19 @@ pub struct SeenTown {
 #[cfg(test)]
 impl SeenTown {
     pub fn geometry(&self, image_scale: f64) -> Geometry<'_> {
-        let Self { scene, surface, visibility, target } = self;
-        Geometry { scene, surface, visibility, target, image_scale }
+        let Self {
+            scene,
+            surface,
+            visibility,
+            target,
+        } = self;
+        Geometry {
+            scene,
+            surface,
+            visibility,
+            target,
+            image_scale,
+        }
     }
 }
 
@@ -75,7 +87,16 @@ impl SeenTown {
 #[cfg(test)]
 impl Default for Town {
     fn default() -> Self {
-        Self::new(Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap())
+        Self::new(
+            Camera::new(
+                1,
+                CameraModel::Pinhole,
+                1000,
+                750,
+                vec![850.0, 850.0, 500.0, 375.0],
+            )
+            .unwrap(),
+        )
     }
 }
 
@@ -100,7 +121,11 @@ impl Town {
 
     /// Returns terrain and boxes as oriented manifolds; the boxes are not connected to the ground.
     pub fn surface(&self) -> Surface {
-        let mut surface = Surface { kind: SurfaceKind::Mesh, vertices: Vec::new(), triangles: Vec::new() };
+        let mut surface = Surface {
+            kind: SurfaceKind::Mesh,
+            vertices: Vec::new(),
+            triangles: Vec::new(),
+        };
         let half = 0.5 * self.side;
         let steps = (self.side / self.edge).ceil() as u32;
         let ground = |u: f64, v: f64| {
@@ -117,13 +142,20 @@ impl Town {
     /// Returns the views with the sparse points that they observe.
     pub fn scene(&self) -> Scene {
         let mut random = Pcg64::seed_from_u64(self.seed);
-        let mut scene = Scene { cameras: vec![self.camera.clone()], track_offsets: vec![0], ..Default::default() };
+        let mut scene = Scene {
+            cameras: vec![self.camera.clone()],
+            track_offsets: vec![0],
+            ..Default::default()
+        };
         scene.views = self.views();
         for (i, view) in scene.views.iter_mut().enumerate() {
             (view.image_id, view.file_position) = (i as u32 + 1, i as u32);
         }
         while scene.points.len() < self.points as usize {
-            let (x, y) = (self.side * (unit(&mut random) - 0.5), self.side * (unit(&mut random) - 0.5));
+            let (x, y) = (
+                self.side * (unit(&mut random) - 0.5),
+                self.side * (unit(&mut random) - 0.5),
+            );
             let point = Point3::new(x, y, self.height(x, y));
             for view in (0..scene.views.len() as u32).map(ViewIndex) {
                 let found = unit(&mut random) < self.found;
@@ -143,12 +175,20 @@ impl Town {
     /// Returns the scene with what its views see.
     #[cfg(test)]
     pub fn seen(&self, wanted: &TargetSettings, gsd: f64, keep: Storage) -> SeenTown {
-        let (scene, surface, settings) = (self.scene(), self.surface(), VisibilitySettings::default());
+        let (scene, surface, settings) =
+            (self.scene(), self.surface(), VisibilitySettings::default());
         let points = scene.view_points();
-        let visibility =
-            visibility::estimate(&scene, &points, &surface, &settings, self.edge, keep, &NoWatcher).unwrap();
+        let visibility = visibility::estimate(
+            &scene, &points, &surface, &settings, self.edge, keep, &NoWatcher,
+        )
+        .unwrap();
         let target = Target::new(&Shown::new(&scene, &surface, &visibility), wanted, gsd, 1.0);
-        SeenTown { scene, surface, visibility, target }
+        SeenTown {
+            scene,
+            surface,
+            visibility,
+            target,
+        }
     }
 
     /// Returns the height of the ground.
@@ -158,7 +198,8 @@ impl Town {
 
     /// Returns the height of the topmost surface.
     fn height(&self, x: f64, y: f64) -> f64 {
-        let inside = |&(bx, by): &(f64, f64)| (x - bx).abs().max((y - by).abs()) <= 0.5 * self.box_size;
+        let inside =
+            |&(bx, by): &(f64, f64)| (x - bx).abs().max((y - by).abs()) <= 0.5 * self.box_size;
         match self.box_centres().find(inside) {
             Some((bx, by)) => self.ground(bx, by) + self.box_size,
             None => self.ground(x, y),
@@ -176,14 +217,23 @@ impl Town {
         let (half, top) = (0.5 * self.box_size, self.ground(x, y) + self.box_size);
         let bottom = top - self.box_size - self.relief;
         let steps = (self.box_size / self.edge).ceil() as u32;
-        let corner =
-            |u: f64, v: f64, z: f64| Point3::new(x + self.box_size * u - half, y + self.box_size * v - half, z);
+        let corner = |u: f64, v: f64, z: f64| {
+            Point3::new(
+                x + self.box_size * u - half,
+                y + self.box_size * v - half,
+                z,
+            )
+        };
         add_patch(surface, steps, steps, |u, v| corner(u, v, top));
         let height = |v: f64| bottom + (top - bottom) * v;
         add_patch(surface, steps, steps, |u, v| corner(u, 0.0, height(v)));
-        add_patch(surface, steps, steps, |u, v| corner(1.0 - u, 1.0, height(v)));
+        add_patch(surface, steps, steps, |u, v| {
+            corner(1.0 - u, 1.0, height(v))
+        });
         add_patch(surface, steps, steps, |u, v| corner(1.0, u, height(v)));
-        add_patch(surface, steps, steps, |u, v| corner(0.0, 1.0 - u, height(v)));
+        add_patch(surface, steps, steps, |u, v| {
+            corner(0.0, 1.0 - u, height(v))
+        });
     }
 
     fn views(&self) -> Vec<View> {
@@ -195,20 +245,37 @@ impl Town {
             views.push(view(format!("nadir_{i:04}.jpg"), centre, 0.0, 0.0));
         }
         for i in (0..n * n).filter(|_| self.tilt.is_some()) {
-            // Between the nadir views: at the same position, the two would differ by a rotation only.
+            // Between the nadir views: at the same position, the two would differ by a rotation
+            // only.
             let half = 0.4 * self.side / f64::from(n);
-            let centre = Point3::new(at(i % n) + half, at(i / n) + half, self.altitude - f64::from(i % 2));
+            let centre = Point3::new(
+                at(i % n) + half,
+                at(i / n) + half,
+                self.altitude - f64::from(i % 2),
+            );
             let heading = f64::from(i % 4) * std::f64::consts::FRAC_PI_2;
-            views.push(view(format!("oblique_{i:04}.jpg"), centre, heading, self.tilt.unwrap_or(0.0).to_radians()));
+            views.push(view(
+                format!("oblique_{i:04}.jpg"),
+                centre,
+                heading,
+                self.tilt.unwrap_or(0.0).to_radians(),
+            ));
         }
         views
     }
 
     /// Returns the pixel of a point if the view sees it, by marching over the heights.
-    fn observation(&self, scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> Option<Point2<f64>> {
+    fn observation(
+        &self,
+        scene: &Scene,
+        view: ViewIndex,
+        point: &Point3<f64>,
+    ) -> Option<Point2<f64>> {
         let pose = &scene.view(view).cam_from_world;
         let camera = scene.camera_of(view);
-        let pixel = camera.project(&pose.camera_from_world(point)).filter(|p| camera.contains(p))?;
+        let pixel = camera
+            .project(&pose.camera_from_world(point))
+            .filter(|p| camera.contains(p))?;
         let ray = pose.centre() - point;
         let step = 0.2 / ray.norm();
         let blocked = |share: f64| {
@@ -220,14 +287,36 @@ impl Town {
     }
 }
 
-/// Returns a view from `centre` that looks down, turned by `heading` about the vertical and tilted up from it, radians.
+/// Returns a view from `centre` that looks down, turned by `heading` about the vertical and tilted
+/// up from it, radians.
 fn view(name: String, centre: Point3<f64>, heading: f64, tilt: f64) -> View {
-    let forward = Vector3::new(heading.sin() * tilt.sin(), heading.cos() * tilt.sin(), -tilt.cos());
-    let up = Vector3::new(heading.sin() * tilt.cos(), heading.cos() * tilt.cos(), tilt.sin());
-    let rows = [forward.cross(&up).transpose(), -up.transpose(), forward.transpose()];
+    let forward = Vector3::new(
+        heading.sin() * tilt.sin(),
+        heading.cos() * tilt.sin(),
+        -tilt.cos(),
+    );
+    let up = Vector3::new(
+        heading.sin() * tilt.cos(),
+        heading.cos() * tilt.cos(),
+        tilt.sin(),
+    );
+    let rows = [
+        forward.cross(&up).transpose(),
+        -up.transpose(),
+        forward.transpose(),
+    ];
     let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
-    let cam_from_world = Pose { rotation, translation: -(rotation * centre.coords) };
-    View { name, image_id: 0, file_position: 0, camera: CameraIndex(0), cam_from_world }
+    let cam_from_world = Pose {
+        rotation,
+        translation: -(rotation * centre.coords),
+    };
+    View {
+        name,
+        image_id: 0,
+        file_position: 0,
+        camera: CameraIndex(0),
+        cam_from_world,
+    }
 }
 
 /// Adds a grid of triangles over `at(u, v)`, u and v from 0 to 1; counter-clockwise in (u, v).
@@ -236,7 +325,10 @@ fn add_patch(surface: &mut Surface, columns: u32, rows: u32, at: impl Fn(f64, f6
     let number = |column: u32, row: u32| first + row * (columns + 1) + column;
     for row in 0..=rows {
         for column in 0..=columns {
-            surface.vertices.push(at(f64::from(column) / f64::from(columns), f64::from(row) / f64::from(rows)));
+            surface.vertices.push(at(
+                f64::from(column) / f64::from(columns),
+                f64::from(row) / f64::from(rows),
+            ));
         }
     }
     for row in 0..rows {
@@ -266,7 +358,9 @@ mod tests {
         let centres: Vec<_> = town.box_centres().collect();
         for t in ground..surface.triangles.len() as u32 {
             let (normal, centroid) = (surface.area_normal(t).normalize(), surface.centroid(t));
-            let near = |c: &&(f64, f64)| (c.0 - centroid.x).abs().max((c.1 - centroid.y).abs()) < town.box_size;
+            let near = |c: &&(f64, f64)| {
+                (c.0 - centroid.x).abs().max((c.1 - centroid.y).abs()) < town.box_size
+            };
             let (x, y) = *centres.iter().find(near).unwrap();
             let outwards = Vector3::new(centroid.x - x, centroid.y - y, 0.0);
             assert!(normal.z > 0.99 || normal.dot(&outwards) > 0.0);
@@ -278,10 +372,22 @@ mod tests {
         let scene = Town::default().scene();
         assert!(scene.views.windows(2).all(|v| v[0].name < v[1].name));
         assert_eq!(scene.views.len(), 50);
-        assert!(scene.view(ViewIndex(0)).cam_from_world.viewing_direction().z < -0.999);
+        assert!(
+            scene
+                .view(ViewIndex(0))
+                .cam_from_world
+                .viewing_direction()
+                .z
+                < -0.999
+        );
         let mean_track = scene.observations() as f64 / scene.points.len() as f64;
         assert!((3.0..30.0).contains(&mean_track), "{mean_track}");
         let per_view = scene.view_points();
-        assert!(scene.view_indices().take(25).all(|v| per_view.observed_by(v).len() > 50));
+        assert!(
+            scene
+                .view_indices()
+                .take(25)
+                .all(|v| per_view.observed_by(v).len() > 50)
+        );
     }
 }

@@ -20,24 +20,37 @@ pub struct Target {
 }
 
 impl Target {
-    /// `gsd`: g_d of the whole scene (what the user typed, else [`GSD_MARGIN`] times the median of the model); it also holds for
-    /// triangles that no view sees.
+    /// `gsd`: g_d of the whole scene (what the user typed, else [`GSD_MARGIN`] times the median of
+    /// the model); it also holds for triangles that no view sees.
     ///
-    /// In mode `Best`, `g_d(t)` is [`GSD_MARGIN`] times the finest of the views that see t, the GSD of a view at t being the depth of the
-    /// centroid over the mean focal length (the distance where a camera has no depth: equirectangular), in pixels of the matched image.
+    /// In mode `Best`, `g_d(t)` is [`GSD_MARGIN`] times the finest of the views that see t, the GSD
+    /// of a view at t being the depth of the centroid over the mean focal length (the distance
+    /// where a camera has no depth: equirectangular), in pixels of the matched image.
     pub fn new(shown: &Shown, settings: &TargetSettings, gsd: f64, image_scale: f64) -> Self {
         let mode = settings.mode.in_force(settings.gsd.is_some());
         let accuracy_over_gsd = settings.accuracy.map_or(1.0, |accuracy| accuracy / gsd);
         let wanted = |&finest: &f32| {
             let wanted = (GSD_MARGIN * f64::from(finest) / image_scale) as f32;
-            if mode == TargetMode::Best && wanted.is_finite() && wanted > 0.0 { wanted } else { gsd as f32 }
+            if mode == TargetMode::Best && wanted.is_finite() && wanted > 0.0 {
+                wanted
+            } else {
+                gsd as f32
+            }
         };
-        Self { mode, gsd: shown.finest_gsd.iter().map(wanted).collect(), accuracy_over_gsd }
+        Self {
+            mode,
+            gsd: shown.finest_gsd.iter().map(wanted).collect(),
+            accuracy_over_gsd,
+        }
     }
 
     /// Replaces g_d where the areas of a region set their own (method 5.7).
     pub fn with_wishes(mut self, region: &Region) -> Self {
-        let wishes = self.gsd.iter_mut().zip(&region.gsd).filter(|(_, wanted)| wanted.is_finite());
+        let wishes = self
+            .gsd
+            .iter_mut()
+            .zip(&region.gsd)
+            .filter(|(_, wanted)| wanted.is_finite());
         wishes.for_each(|(gsd, &wanted)| *gsd = wanted);
         self
     }

@@ -25,7 +25,8 @@ pub struct SceneArrays {
     pub points: Vec<[f64; 3]>,
     /// Observations in any order: indices into `points` and `names`.
     pub observations: Vec<[usize; 2]>,
-    /// Image position of each observation, pixels, the centre of the first pixel at (0.5, 0.5). Empty: the projections of the points.
+    /// Image position of each observation, pixels, the centre of the first pixel at (0.5, 0.5).
+    /// Empty: the projections of the points.
     pub pixels: Vec<[f64; 2]>,
 }
 
@@ -45,11 +46,21 @@ pub struct Intrinsics {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ArraysError {
     #[error("cannot use {array}: it has {found} rows, names has {expected}")]
-    Length { array: &'static str, expected: usize, found: usize },
+    Length {
+        array: &'static str,
+        expected: usize,
+        found: usize,
+    },
     #[error("cannot use pixels: it has {found} rows, observations has {expected}")]
     Pixels { expected: usize, found: usize },
     #[error("cannot use {array}: row {row} is {index}, past the end of {of} ({length})")]
-    Index { array: &'static str, row: usize, index: usize, of: &'static str, length: usize },
+    Index {
+        array: &'static str,
+        row: usize,
+        index: usize,
+        of: &'static str,
+        length: usize,
+    },
     #[error("cannot use {array}: row {row} is not finite")]
     NotFinite { array: &'static str, row: usize },
     #[error("cannot use cam_from_world: row {row} ({name}) is no rotation")]
@@ -69,10 +80,18 @@ impl Hint for ArraysError {
             Self::Pixels { .. } => "give one row per observation, or none at all".into(),
             Self::Index { .. } => "count from 0".into(),
             Self::NotFinite { .. } => "remove rows with NaN and infinity".into(),
-            Self::Rotation { .. } => "give [R | t] from world to camera, R orthonormal with determinant 1".into(),
+            Self::Rotation { .. } => {
+                "give [R | t] from world to camera, R orthonormal with determinant 1".into()
+            }
             Self::SameName(_) => "give each view the path of its image".into(),
             Self::CameraModel { .. } => {
-                format!("take one of {}", CameraModel::all().map(CameraModel::name).collect::<Vec<_>>().join(", "))
+                format!(
+                    "take one of {}",
+                    CameraModel::all()
+                        .map(CameraModel::name)
+                        .collect::<Vec<_>>()
+                        .join(", ")
+                )
             }
             Self::Camera { .. } => "give the parameters in COLMAP's order for the model".into(),
         })
@@ -84,24 +103,41 @@ impl Hint for ArraysError {
 }
 
 impl Scene {
-    /// Makes a scene of plain arrays. Views are sorted by name; ids are positions in the arrays, from 1.
+    /// Makes a scene of plain arrays. Views are sorted by name; ids are positions in the arrays,
+    /// from 1.
     ///
     /// # Errors
-    /// Arrays of different lengths, indices past the end, values that are not finite, poses that are no rotation, names or intrinsics that
-    /// are invalid.
+    /// Arrays of different lengths, indices past the end, values that are not finite, poses that
+    /// are no rotation, names or intrinsics that are invalid.
     pub fn from_arrays(arrays: &SceneArrays) -> Result<Self, ArraysError> {
         arrays.check_lengths()?;
         let cameras = arrays.cameras()?;
         let mut order: Vec<usize> = (0..arrays.names.len()).collect();
         order.sort_by(|&a, &b| arrays.names[a].cmp(&arrays.names[b]));
-        if let Some(same) = order.windows(2).find(|pair| arrays.names[pair[0]] == arrays.names[pair[1]]) {
+        if let Some(same) = order
+            .windows(2)
+            .find(|pair| arrays.names[pair[0]] == arrays.names[pair[1]])
+        {
             return Err(ArraysError::SameName(arrays.names[same[0]].clone()));
         }
-        let views: Vec<View> = order.iter().map(|&row| arrays.view(row)).collect::<Result<_, _>>()?;
+        let views: Vec<View> = order
+            .iter()
+            .map(|&row| arrays.view(row))
+            .collect::<Result<_, _>>()?;
         let mut view_of_row = vec![ViewIndex(0); order.len()];
-        order.iter().enumerate().for_each(|(v, &row)| view_of_row[row] = ViewIndex(v as u32));
-        if let Some(row) = arrays.points.iter().position(|x| x.iter().any(|v| !v.is_finite())) {
-            return Err(ArraysError::NotFinite { array: "points", row });
+        order
+            .iter()
+            .enumerate()
+            .for_each(|(v, &row)| view_of_row[row] = ViewIndex(v as u32));
+        if let Some(row) = arrays
+            .points
+            .iter()
+            .position(|x| x.iter().any(|v| !v.is_finite()))
+        {
+            return Err(ArraysError::NotFinite {
+                array: "points",
+                row,
+            });
         }
         let scene = Self {
             cameras,
@@ -119,25 +155,42 @@ impl Scene {
 impl SceneArrays {
     fn check_lengths(&self) -> Result<(), ArraysError> {
         let expected = self.names.len();
-        for (array, found) in [("camera", self.camera.len()), ("cam_from_world", self.cam_from_world.len())] {
+        for (array, found) in [
+            ("camera", self.camera.len()),
+            ("cam_from_world", self.cam_from_world.len()),
+        ] {
             if found != expected {
-                return Err(ArraysError::Length { array, expected, found });
+                return Err(ArraysError::Length {
+                    array,
+                    expected,
+                    found,
+                });
             }
         }
         match self.pixels.len() {
-            found if found != 0 && found != self.observations.len() => {
-                Err(ArraysError::Pixels { expected: self.observations.len(), found })
-            }
+            found if found != 0 && found != self.observations.len() => Err(ArraysError::Pixels {
+                expected: self.observations.len(),
+                found,
+            }),
             _ => Ok(()),
         }
     }
 
     fn cameras(&self) -> Result<Vec<Camera>, ArraysError> {
         let camera = |(row, given): (usize, &Intrinsics)| {
-            let model = CameraModel::from_name(&given.model)
-                .ok_or_else(|| ArraysError::CameraModel { row, model: given.model.clone() })?;
-            Camera::new(row as u32 + 1, model, given.width, given.height, given.params.clone())
-                .map_err(|error| ArraysError::Camera { row, error })
+            let model =
+                CameraModel::from_name(&given.model).ok_or_else(|| ArraysError::CameraModel {
+                    row,
+                    model: given.model.clone(),
+                })?;
+            Camera::new(
+                row as u32 + 1,
+                model,
+                given.width,
+                given.height,
+                given.params.clone(),
+            )
+            .map_err(|error| ArraysError::Camera { row, error })
         };
         self.cameras.iter().enumerate().map(camera).collect()
     }
@@ -147,12 +200,18 @@ impl SceneArrays {
         check_index("camera", row, camera, "cameras", self.cameras.len())?;
         let pose = &self.cam_from_world[row];
         if pose.iter().any(|v| !v.is_finite()) {
-            return Err(ArraysError::NotFinite { array: "cam_from_world", row });
+            return Err(ArraysError::NotFinite {
+                array: "cam_from_world",
+                row,
+            });
         }
         let rotation = Matrix3::from_fn(|r, c| pose[4 * r + c]);
         let error = (rotation * rotation.transpose() - Matrix3::identity()).amax();
         if error > ROTATION_TOLERANCE || rotation.determinant() < 0.0 {
-            return Err(ArraysError::Rotation { row, name: self.names[row].clone() });
+            return Err(ArraysError::Rotation {
+                row,
+                name: self.names[row].clone(),
+            });
         }
         Ok(View {
             name: self.names[row].clone(),
@@ -166,20 +225,30 @@ impl SceneArrays {
         })
     }
 
-    /// Sorts the observations into tracks, by view within a track. Those whose pixel is to be projected and cannot be are left out.
+    /// Sorts the observations into tracks, by view within a track. Those whose pixel is to be
+    /// projected and cannot be are left out.
     fn tracks(&self, mut scene: Scene, view_of_row: &[ViewIndex]) -> Result<Scene, ArraysError> {
         let mut observed = Vec::with_capacity(self.observations.len());
         for (row, &[point, view]) in self.observations.iter().enumerate() {
             check_index("observations", row, point, "points", self.points.len())?;
             check_index("observations", row, view, "names", self.names.len())?;
             let view = view_of_row[view];
-            let x_cam = scene.view(view).cam_from_world.camera_from_world(&scene.points[point]);
+            let x_cam = scene
+                .view(view)
+                .cam_from_world
+                .camera_from_world(&scene.points[point]);
             let pixel = match self.pixels.get(row) {
                 Some(pixel) => Some(*pixel),
-                None => scene.camera_of(view).project(&x_cam).map(|pixel| [pixel.x, pixel.y]),
+                None => scene
+                    .camera_of(view)
+                    .project(&x_cam)
+                    .map(|pixel| [pixel.x, pixel.y]),
             };
             if pixel.is_some_and(|pixel| pixel.iter().any(|v| !v.is_finite())) {
-                return Err(ArraysError::NotFinite { array: "pixels", row });
+                return Err(ArraysError::NotFinite {
+                    array: "pixels",
+                    row,
+                });
             }
             observed.extend(pixel.map(|pixel| (point, view, row, pixel)));
         }
@@ -201,7 +270,17 @@ fn check_index(
     of: &'static str,
     length: usize,
 ) -> Result<(), ArraysError> {
-    if index < length { Ok(()) } else { Err(ArraysError::Index { array, row, index, of, length }) }
+    if index < length {
+        Ok(())
+    } else {
+        Err(ArraysError::Index {
+            array,
+            row,
+            index,
+            of,
+            length,
+        })
+    }
 }
 
 #[cfg(test)]
@@ -229,10 +308,18 @@ mod tests {
     #[test]
     fn views_are_sorted_and_observations_become_tracks() {
         let scene = Scene::from_arrays(&two_views()).unwrap();
-        assert_eq!(scene.views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>(), ["a.jpg", "b.jpg"]);
+        assert_eq!(
+            scene
+                .views
+                .iter()
+                .map(|view| view.name.as_str())
+                .collect::<Vec<_>>(),
+            ["a.jpg", "b.jpg"]
+        );
         assert_eq!(scene.track_offsets, [0, 2, 4]);
         assert_eq!(scene.track_views, [0, 1, 0, 1].map(ViewIndex));
-        // The point at the optical axis of b.jpg is 1 unit to the left of that of a.jpg: 90 px / 9 units.
+        // The point at the optical axis of b.jpg is 1 unit to the left of that of a.jpg: 90 px / 9
+        // units.
         assert_eq!(scene.track_pixels[..2], [[40.0, 40.0], [50.0, 40.0]]);
     }
 
@@ -243,14 +330,51 @@ mod tests {
             change(&mut arrays);
             Scene::from_arrays(&arrays).unwrap_err()
         };
-        assert!(matches!(refused(|a| a.camera.truncate(1)), ArraysError::Length { array: "camera", .. }));
-        assert!(matches!(refused(|a| a.camera[1] = 3), ArraysError::Index { of: "cameras", .. }));
-        assert!(matches!(refused(|a| a.observations[0] = [2, 0]), ArraysError::Index { row: 0, of: "points", .. }));
-        assert!(matches!(refused(|a| a.names[0] = "a.jpg".into()), ArraysError::SameName(_)));
-        assert!(matches!(refused(|a| a.cam_from_world[0][0] = 2.0), ArraysError::Rotation { row: 0, .. }));
-        assert!(matches!(refused(|a| a.points[1][2] = f64::NAN), ArraysError::NotFinite { array: "points", row: 1 }));
-        assert!(matches!(refused(|a| a.pixels.push([0.0; 2])), ArraysError::Pixels { .. }));
-        assert!(matches!(refused(|a| a.cameras[0].model = "LENS".into()), ArraysError::CameraModel { .. }));
-        assert!(matches!(refused(|a| _ = a.cameras[0].params.pop()), ArraysError::Camera { .. }));
+        assert!(matches!(
+            refused(|a| a.camera.truncate(1)),
+            ArraysError::Length {
+                array: "camera",
+                ..
+            }
+        ));
+        assert!(matches!(
+            refused(|a| a.camera[1] = 3),
+            ArraysError::Index { of: "cameras", .. }
+        ));
+        assert!(matches!(
+            refused(|a| a.observations[0] = [2, 0]),
+            ArraysError::Index {
+                row: 0,
+                of: "points",
+                ..
+            }
+        ));
+        assert!(matches!(
+            refused(|a| a.names[0] = "a.jpg".into()),
+            ArraysError::SameName(_)
+        ));
+        assert!(matches!(
+            refused(|a| a.cam_from_world[0][0] = 2.0),
+            ArraysError::Rotation { row: 0, .. }
+        ));
+        assert!(matches!(
+            refused(|a| a.points[1][2] = f64::NAN),
+            ArraysError::NotFinite {
+                array: "points",
+                row: 1
+            }
+        ));
+        assert!(matches!(
+            refused(|a| a.pixels.push([0.0; 2])),
+            ArraysError::Pixels { .. }
+        ));
+        assert!(matches!(
+            refused(|a| a.cameras[0].model = "LENS".into()),
+            ArraysError::CameraModel { .. }
+        ));
+        assert!(matches!(
+            refused(|a| _ = a.cameras[0].params.pop()),
+            ArraysError::Camera { .. }
+        ));
     }
 }

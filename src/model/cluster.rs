@@ -1,4 +1,5 @@
-//! View clusters (a key view with the views that it is matched against) and the limits on pairs of views.
+//! View clusters (a key view with the views that it is matched against) and the limits on pairs of
+//! views.
 
 use nalgebra::Point3;
 use schemars::JsonSchema;
@@ -14,7 +15,9 @@ pub struct ViewCluster {
 }
 
 /// Size at which a depth map is matched, over the size that the plan matches images at.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+)]
 #[serde(try_from = "f64", into = "f64")]
 #[schemars(with = "f64", extend("enum" = [1.0, 0.5]))]
 pub enum MapScale {
@@ -57,7 +60,8 @@ pub struct RankedCluster {
     /// Best first.
     pub partners: Vec<ViewIndex>,
     pub scale: MapScale,
-    /// Fulfilment of the ranking up to and including this cluster, as a share of the fulfilment of all clusters, 0 to 1.
+    /// Fulfilment of the ranking up to and including this cluster, as a share of the fulfilment of
+    /// all clusters, 0 to 1.
     pub share: f64,
 }
 

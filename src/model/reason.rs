@@ -4,7 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The reason for a missing or reduced fulfilment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
     /// It shares too few sparse points with every other view.
@@ -21,7 +23,8 @@ pub enum Reason {
     TooCoarse,
     /// The triangulation angles are too small for the target accuracy.
     TooInaccurate,
-    /// The backend cannot match the available pairs: f_conf is the smallest factor, or the gate (method 7.1) refuses them.
+    /// The backend cannot match the available pairs: f_conf is the smallest factor, or the gate
+    /// (method 7.1) refuses them.
     NotMatchable,
     /// Its gain is 0 or below the cut.
     NoGainLeft,
@@ -49,11 +52,16 @@ impl Reason {
 
     /// Returns the number of a reason, from 1; 0 for `None`.
     pub fn number(reason: Option<Self>) -> u8 {
-        let position = reason.and_then(|reason| Self::NUMBERED.iter().position(|&numbered| numbered == reason));
+        let position = reason.and_then(|reason| {
+            Self::NUMBERED
+                .iter()
+                .position(|&numbered| numbered == reason)
+        });
         position.map_or(0, |i| i as u8 + 1)
     }
 
-    /// Returns the reason with this [`Self::number`], `Some(None)` for 0, `None` for a number of no reason.
+    /// Returns the reason with this [`Self::number`], `Some(None)` for 0, `None` for a number of no
+    /// reason.
     pub fn from_number(number: u8) -> Option<Option<Self>> {
         match number.checked_sub(1) {
             None => Some(None),
@@ -66,7 +74,9 @@ impl Reason {
         match self {
             Self::NoSharedPoints => "it shares too few sparse points with every other view",
             Self::RotationOnly => "there is no baseline: the other views are at the same position",
-            Self::DuplicateOfBetterView => "a chosen key view fulfils nearly everything that it could",
+            Self::DuplicateOfBetterView => {
+                "a chosen key view fulfils nearly everything that it could"
+            }
             Self::TooFewCameras => "too few cameras of a view cluster see the same places",
             Self::Hidden => "it sees no part of the surface",
             Self::TooCoarse => "no view is close enough for the target resolution",
@@ -86,9 +96,16 @@ mod tests {
     #[test]
     fn every_reason_has_a_number() {
         let schema = serde_json::to_value(schemars::schema_for!(Reason)).unwrap();
-        assert_eq!(schema["oneOf"].as_array().unwrap().len(), Reason::NUMBERED.len());
+        assert_eq!(
+            schema["oneOf"].as_array().unwrap().len(),
+            Reason::NUMBERED.len()
+        );
         let reasons = Reason::NUMBERED.map(Some).into_iter().chain([None]);
-        assert!(reasons.clone().all(|reason| Reason::from_number(Reason::number(reason)) == Some(reason)));
+        assert!(
+            reasons
+                .clone()
+                .all(|reason| Reason::from_number(Reason::number(reason)) == Some(reason))
+        );
         assert_eq!(Reason::from_number(reasons.count() as u8), None);
     }
 }

@@ -1,7 +1,8 @@
 //! The sparse model: output of every reader, input of every stage.
 //!
-//! Flat arrays rather than objects: 1,200 views with 6.6 million observations take less than 200 MB. Views are sorted by name, so [`ViewIndex`]
-//! orders like the names, and "ties by view name" is a comparison of indices. The ids of the source file are kept for writing the model back.
+//! Flat arrays rather than objects: 1,200 views with 6.6 million observations take less than 200
+//! MB. Views are sorted by name, so [`ViewIndex`] orders like the names, and "ties by view name" is
+//! a comparison of indices. The ids of the source file are kept for writing the model back.
 
 use std::ops::Range;
 
@@ -13,7 +14,9 @@ use serde::{Deserialize, Serialize};
 use crate::{base::rows::Offsets, model::camera::Camera};
 
 /// Index of a view in [`Scene::views`]; ordered like the names.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Pod, Zeroable, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Pod, Zeroable, Serialize, Deserialize,
+)]
 #[repr(transparent)]
 #[serde(transparent)]
 pub struct ViewIndex(pub u32);
@@ -48,8 +51,8 @@ impl CameraIndex {
     }
 }
 
-/// Rigid transform from world to camera: `x_cam = rotation * x_world + translation` (COLMAP's `cam_from_world`).
-/// Camera axes: x right, y down, z forward.
+/// Rigid transform from world to camera: `x_cam = rotation * x_world + translation` (COLMAP's
+/// `cam_from_world`). Camera axes: x right, y down, z forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     pub rotation: Rotation3<f64>,
@@ -80,7 +83,8 @@ pub struct View {
     pub name: String,
     /// Image id in the source file.
     pub image_id: u32,
-    /// Index among the registered images of that file, from 0; `fused.ply.vis` and OpenMVS refer to images by it.
+    /// Index among the registered images of that file, from 0; `fused.ply.vis` and OpenMVS refer to
+    /// images by it.
     pub file_position: u32,
     pub camera: CameraIndex,
     pub cam_from_world: Pose,
@@ -110,7 +114,8 @@ pub struct Scene {
     pub track_offsets: Vec<usize>,
     /// View of each observation; sorted by view within a track.
     pub track_views: Vec<ViewIndex>,
-    /// Measured image position of each observation, pixels, in COLMAP's convention (centre of the first pixel at 0.5, 0.5).
+    /// Measured image position of each observation, pixels, in COLMAP's convention (centre of the
+    /// first pixel at 0.5, 0.5).
     pub track_pixels: Vec<[f64; 2]>,
     /// Images of the model or of the image folder without a pose, sorted by name.
     pub unregistered: Vec<String>,
@@ -128,7 +133,10 @@ pub struct ModelWarning {
 
 impl ModelWarning {
     pub fn new(kind: WarningKind, text: impl Into<String>) -> Self {
-        Self { kind, text: text.into() }
+        Self {
+            kind,
+            text: text.into(),
+        }
     }
 }
 
@@ -170,14 +178,16 @@ impl Scene {
         found.ok().map(|i| ViewIndex(i as u32))
     }
 
-    /// Returns whether both scenes have the same view names and poses, to the precision of text files.
+    /// Returns whether both scenes have the same view names and poses, to the precision of text
+    /// files.
     pub fn has_same_views(&self, other: &Self) -> bool {
         const DIGITS: f64 = 1e-5;
         let near = |a: &Pose, b: &Pose| {
             (a.rotation.matrix() - b.rotation.matrix()).norm() < DIGITS
                 && (a.translation - b.translation).norm() < DIGITS * (1.0 + a.translation.norm())
         };
-        let same = |(a, b): (&View, &View)| a.name == b.name && near(&a.cam_from_world, &b.cam_from_world);
+        let same =
+            |(a, b): (&View, &View)| a.name == b.name && near(&a.cam_from_world, &b.cam_from_world);
         self.views.len() == other.views.len() && self.views.iter().zip(&other.views).all(same)
     }
 
@@ -195,26 +205,35 @@ impl Scene {
         &self.track_views[self.track(point)]
     }
 
-    /// Reprojection error, pixels, of an observation (an index into `track_pixels`) of `point`; `None` if the camera doesn't project the point
-    /// (e.g. from behind).
+    /// Reprojection error, pixels, of an observation (an index into `track_pixels`) of `point`;
+    /// `None` if the camera doesn't project the point (e.g. from behind).
     pub fn reprojection_error(&self, point: PointIndex, observation: usize) -> Option<f64> {
         let view = self.track_views[observation];
-        let x_cam = self.view(view).cam_from_world.camera_from_world(&self.points[point.index()]);
-        self.camera_of(view).reprojection_error(&x_cam, &self.track_pixels[observation].into())
+        let x_cam = self
+            .view(view)
+            .cam_from_world
+            .camera_from_world(&self.points[point.index()]);
+        self.camera_of(view)
+            .reprojection_error(&x_cam, &self.track_pixels[observation].into())
     }
 
-    /// Mean reprojection error, pixels, computed like COLMAP's: mean over points of the mean over each point's observations. Observations without
-    /// a projection are left out; `None` if no observation has one.
+    /// Mean reprojection error, pixels, computed like COLMAP's: mean over points of the mean over
+    /// each point's observations. Observations without a projection are left out; `None` if no
+    /// observation has one.
     pub fn mean_reprojection_error(&self) -> Option<f64> {
         let means = (0..self.points.len()).filter_map(|p| {
             let point = PointIndex(p as u32);
-            mean(self.track(point).filter_map(|o| self.reprojection_error(point, o)))
+            mean(
+                self.track(point)
+                    .filter_map(|o| self.reprojection_error(point, o)),
+            )
         });
         mean(means)
     }
 
-    /// Median ground sampling distance, scene units per pixel: median over views of (median depth of the observed points) / (mean focal length in
-    /// pixels). Points behind a view are left out; `None` if no view observes a point in front of it.
+    /// Median ground sampling distance, scene units per pixel: median over views of (median depth
+    /// of the observed points) / (mean focal length in pixels). Points behind a view are left out;
+    /// `None` if no view observes a point in front of it.
     pub fn median_gsd(&self) -> Option<f64> {
         self.median_gsd_of(&self.view_points())
     }
@@ -225,7 +244,8 @@ impl Scene {
             let pose = &self.view(view).cam_from_world;
             let camera = self.camera_of(view);
             let points = view_points.observed_by(view).iter();
-            let depths = points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.index()])));
+            let depths =
+                points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.index()])));
             let depth = median(depths.filter(|&depth| depth > 0.0).collect())?;
             Some(depth / camera.mean_focal_length())
         };
@@ -243,7 +263,8 @@ impl Scene {
         scene
     }
 
-    /// Transposes the tracks: for each view the points that it observes, ascending, without duplicates.
+    /// Transposes the tracks: for each view the points that it observes, ascending, without
+    /// duplicates.
     pub fn view_points(&self) -> ViewPoints {
         ViewPoints::new(self)
     }
@@ -263,7 +284,12 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     }
     let even = values.len().is_multiple_of(2);
     let (below, &mut high, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    let low = below.iter().copied().max_by(f64::total_cmp).filter(|_| even).unwrap_or(high);
+    let low = below
+        .iter()
+        .copied()
+        .max_by(f64::total_cmp)
+        .filter(|_| even)
+        .unwrap_or(high);
     Some(0.5 * (low + high))
 }
 
@@ -278,10 +304,14 @@ impl ViewPoints {
     fn new(scene: &Scene) -> Self {
         let distinct = |p: usize| {
             let track = &scene.track_views[scene.track_offsets[p]..scene.track_offsets[p + 1]];
-            (0..track.len()).filter(move |&i| i == 0 || track[i] != track[i - 1]).map(move |i| track[i])
+            (0..track.len())
+                .filter(move |&i| i == 0 || track[i] != track[i - 1])
+                .map(move |i| track[i])
         };
         let mut counts = vec![0usize; scene.views.len()];
-        (0..scene.points.len()).flat_map(distinct).for_each(|v| counts[v.index()] += 1);
+        (0..scene.points.len())
+            .flat_map(distinct)
+            .for_each(|v| counts[v.index()] += 1);
         let offsets = Offsets::from_lengths(counts);
         let mut next = offsets.as_slice().to_vec();
         let mut points = vec![PointIndex(0); offsets.entries()];
@@ -316,8 +346,18 @@ mod tests {
 
     #[test]
     fn median_gsd_is_depth_over_focal_length() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 100, 100, vec![90.0, 110.0, 50.0, 50.0]).unwrap();
-        let pose = Pose { rotation: Rotation3::identity(), translation: Vector3::zeros() };
+        let camera = Camera::new(
+            1,
+            CameraModel::Pinhole,
+            100,
+            100,
+            vec![90.0, 110.0, 50.0, 50.0],
+        )
+        .unwrap();
+        let pose = Pose {
+            rotation: Rotation3::identity(),
+            translation: Vector3::zeros(),
+        };
         let view = |name: &str| View {
             name: name.into(),
             image_id: 0,
@@ -329,7 +369,9 @@ mod tests {
         let scene = Scene {
             cameras: vec![camera],
             views: vec![view("a"), view("b"), view("c")],
-            points: [-5.0, 1.0, 2.0, 4.0].map(|z| Point3::new(0.0, 0.0, z)).to_vec(),
+            points: [-5.0, 1.0, 2.0, 4.0]
+                .map(|z| Point3::new(0.0, 0.0, z))
+                .to_vec(),
             point_ids: vec![1, 2, 3, 4],
             colours: vec![[0; 3]; 4],
             track_offsets: vec![0, 2, 3, 5, 6],
@@ -341,10 +383,21 @@ mod tests {
         // View a: depths 1 and 2; view b: 2 and 4.
         assert_eq!(scene.median_gsd(), Some(0.5 * (1.5 + 3.0) / 100.0));
         assert_eq!(Scene::default().median_gsd(), None);
-        // No point is behind an equirectangular camera: distances of view a 5, 1 and 2, of view b 5, 2 and 4.
-        let equirectangular = Camera::new(1, CameraModel::Equirectangular, 1000, 500, vec![1000.0, 500.0]).unwrap();
+        // No point is behind an equirectangular camera: distances of view a 5, 1 and 2, of view b
+        // 5, 2 and 4.
+        let equirectangular = Camera::new(
+            1,
+            CameraModel::Equirectangular,
+            1000,
+            500,
+            vec![1000.0, 500.0],
+        )
+        .unwrap();
         let focal = equirectangular.mean_focal_length();
-        let scene = Scene { cameras: vec![equirectangular], ..scene };
+        let scene = Scene {
+            cameras: vec![equirectangular],
+            ..scene
+        };
         assert!((scene.median_gsd().unwrap() - 3.0 / focal).abs() < 1e-12);
     }
 }

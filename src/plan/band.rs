@@ -8,13 +8,15 @@ use serde::{Deserialize, Serialize};
 use super::Stages;
 use crate::method::ranking::{Ranking, Reached};
 
-/// Half width of the band of the reachable weight, over the sum of `w f (1 - f)`, which is 0 if each f is certain. With this factor, the measured value
-/// was within the band on all data sets that the rule was made from (method 5.2).
+/// Half width of the band of the reachable weight, over the sum of `w f (1 - f)`, which is 0 if
+/// each f is certain. With this factor, the measured value was within the band on all data sets
+/// that the rule was made from (method 5.2).
 const SPREAD: f64 = 1.25;
 /// Minimum and maximum distance of the share from either end of its band.
 const SHARE: (f64, f64) = (0.08, 0.15);
-/// The same where no pictures are compared, and the distances of the band's ends below and above the forecast of the reachable weight:
-/// the largest errors of `geometric` on the same data sets, rounded up.
+/// The same where no pictures are compared, and the distances of the band's ends below and above
+/// the forecast of the reachable weight: the largest errors of `geometric` on the same data sets,
+/// rounded up.
 const UNSEEN_SHARE: f64 = 0.35;
 const UNSEEN: (f64, f64) = (0.55, 0.05);
 
@@ -29,20 +31,31 @@ pub struct Band {
 
 impl Default for Band {
     fn default() -> Self {
-        Self { low: 0.0, high: 1.0 }
+        Self {
+            low: 0.0,
+            high: 1.0,
+        }
     }
 }
 
 impl fmt::Display for Band {
     /// Formats it in per cent, rounded outwards, as "81 to 99 %".
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "{:.0} to {:.0} %", (100.0 * self.low).floor(), (100.0 * self.high).ceil())
+        write!(
+            f,
+            "{:.0} to {:.0} %",
+            (100.0 * self.low).floor(),
+            (100.0 * self.high).ceil()
+        )
     }
 }
 
 impl Band {
     fn around(value: f64, below: f64, above: f64) -> Self {
-        Self { low: (value - below).max(0.0), high: (value + above).min(1.0) }
+        Self {
+            low: (value - below).max(0.0),
+            high: (value + above).min(1.0),
+        }
     }
 
     /// Returns the band of the weight that fusion keeps of all clusters.
@@ -61,8 +74,14 @@ impl Band {
         Self::around(ranking.reachable, spread, spread)
     }
 
-    /// Returns the band of the share at the cut, which widens with the uncertainty of what all clusters give.
-    pub(super) fn of_share(stages: &Stages, share: f64, reachable: f64, of_reachable: &Self) -> Self {
+    /// Returns the band of the share at the cut, which widens with the uncertainty of what all
+    /// clusters give.
+    pub(super) fn of_share(
+        stages: &Stages,
+        share: f64,
+        reachable: f64,
+        of_reachable: &Self,
+    ) -> Self {
         let half = if stages.agreement.is_empty() {
             UNSEEN_SHARE
         } else if reachable > 0.0 {
@@ -80,6 +99,13 @@ mod tests {
 
     #[test]
     fn a_band_is_not_written_narrower_than_it_is() {
-        assert_eq!(Band { low: 0.8155, high: 0.991 }.to_string(), "81 to 100 %");
+        assert_eq!(
+            Band {
+                low: 0.8155,
+                high: 0.991
+            }
+            .to_string(),
+            "81 to 100 %"
+        );
     }
 }

@@ -17,14 +17,20 @@ pub struct CurvePoint {
     pub fulfilment: f64,
     /// Pixels that their depth maps will measure, before fusion.
     pub points: f64,
-    /// Seconds of matching, without finished maps; `None` where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
+    /// Seconds of matching, without finished maps; `None` where `forecast.seconds_per_pair` and
+    /// `.seconds_per_map` are unset.
     pub seconds: Option<f64>,
 }
 
 impl Plan {
     /// Returns the curve of the whole ranking, a point per cluster.
     pub fn curve(&self) -> Vec<CurvePoint> {
-        let Decision { ranking, pixels, finished, .. } = &self.decision;
+        let Decision {
+            ranking,
+            pixels,
+            finished,
+            ..
+        } = &self.decision;
         let (model, points) = (self.stages.model(), self.points_by_rank());
         let cost = decision::cost(&self.stages, &model, ranking, pixels, finished);
         let start = CurvePoint {
@@ -39,12 +45,18 @@ impl Plan {
         let next = |sum: &mut CurvePoint, rank: usize| {
             *sum = CurvePoint {
                 clusters: rank + 1,
-                pairs: sum.pairs + self.stages.clusters[ranking.order[rank] as usize].partners.len(),
+                pairs: sum.pairs
+                    + self.stages.clusters[ranking.order[rank] as usize]
+                        .partners
+                        .len(),
                 share: ranking.share(rank + 1),
                 kept: ranking.kept[rank],
                 fulfilment: ranking.fulfilment[rank],
                 points: sum.points + points[rank],
-                seconds: sum.seconds.zip(forecast::Cost::seconds(&cost, rank)).map(|(sum, one)| sum + one),
+                seconds: sum
+                    .seconds
+                    .zip(forecast::Cost::seconds(&cost, rank))
+                    .map(|(sum, one)| sum + one),
             };
             Some(*sum)
         };

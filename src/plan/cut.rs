@@ -27,13 +27,14 @@ pub enum CutLimit {
 pub struct Cut {
     /// Number of clusters to compute, from the start of the ranking.
     pub clusters: usize,
-    /// The limit that ends it there, the target before others; null if none does: all clusters, or more are finished than the limits allow.
-    /// Plans of viewrank 0.1 lack it.
+    /// The limit that ends it there, the target before others; null if none does: all clusters, or
+    /// more are finished than the limits allow. Plans of viewrank 0.1 lack it.
     #[serde(default)]
     pub limit: Option<CutLimit>,
     /// Their (key view, partner) pairs.
     pub pairs: usize,
-    /// Weight that fusion keeps of them over that of all clusters (`kept` over `reachable`), 0 to 1.
+    /// Weight that fusion keeps of them over that of all clusters (`kept` over `reachable`), 0 to
+    /// 1.
     pub share: f64,
     /// Band in which the measured share is expected.
     #[serde(default)]
@@ -49,7 +50,8 @@ pub struct Cut {
     pub reachable_band: Band,
     /// Their fulfilment f_o, 0 to 1.
     pub fulfilment: f64,
-    /// Proven upper bound on f_o of any choice with this number of clusters; with a choice of sizes, of this work.
+    /// Proven upper bound on f_o of any choice with this number of clusters; with a choice of
+    /// sizes, of this work.
     #[serde(default)]
     pub fulfilment_bound: f64,
     /// Pairs that are beyond the gate of the backend.
@@ -60,19 +62,32 @@ pub struct Cut {
 }
 
 impl Cut {
-    /// Returns by how much no other choice of this number of clusters has a higher fulfilment, as the bound proves: "more than 4 %".
+    /// Returns by how much no other choice of this number of clusters has a higher fulfilment, as
+    /// the bound proves: "more than 4 %".
     pub fn more_of_others(&self) -> String {
         let better = 100.0 * (self.fulfilment_bound / self.fulfilment - 1.0).max(0.0);
-        if better < 0.5 { "even 0.5 %".into() } else { format!("more than {better:.0} %") }
+        if better < 0.5 {
+            "even 0.5 %".into()
+        } else {
+            format!("more than {better:.0} %")
+        }
     }
 }
 
-/// Cuts at the shortest prefix that the settings allow, but not before the end of the finished clusters.
+/// Cuts at the shortest prefix that the settings allow, but not before the end of the finished
+/// clusters.
 pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
     let mut end = (ranking.order.len(), None);
-    let sooner = |end: (usize, Option<CutLimit>), length, by| if length < end.0 { (length, Some(by)) } else { end };
-    // The target first: a plan that reaches it is not cut short by another limit at the same length.
+    let sooner = |end: (usize, Option<CutLimit>), length, by| {
+        if length < end.0 {
+            (length, Some(by))
+        } else {
+            end
+        }
+    };
+    // The target first: a plan that reaches it is not cut short by another limit at the same
+    // length.
     if let Some(target) = settings.target {
         end = sooner(end, ranking.length_for_share(target.0), CutLimit::Target);
     }
@@ -95,20 +110,29 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
         let length = longest_within(end.0, points.0, |rank| Ok(cost.points(rank, &mut slots)))?;
         end = sooner(end, length, CutLimit::Points);
     }
-    let (clusters, limit) = if end.0 < cost.finished { (cost.finished, None) } else { end };
+    let (clusters, limit) = if end.0 < cost.finished {
+        (cost.finished, None)
+    } else {
+        end
+    };
     Ok(Cut {
         clusters,
         limit,
         pairs: cost.pairs(clusters),
         share: ranking.share(clusters),
-        kept: clusters.checked_sub(1).map_or(0.0, |last| ranking.kept[last]),
+        kept: clusters
+            .checked_sub(1)
+            .map_or(0.0, |last| ranking.kept[last]),
         reachable: ranking.reachable,
-        fulfilment: clusters.checked_sub(1).map_or(0.0, |last| ranking.fulfilment[last]),
+        fulfilment: clusters
+            .checked_sub(1)
+            .map_or(0.0, |last| ranking.fulfilment[last]),
         ..Cut::default()
     })
 }
 
-/// Returns the length of the longest prefix of at most `most` clusters whose costs add up to no more than `limit`.
+/// Returns the length of the longest prefix of at most `most` clusters whose costs add up to no
+/// more than `limit`.
 fn longest_within(
     most: usize,
     limit: f64,

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use super::{
-    Band, Cut, FinishedMaps, Forecast, GivenUp, PlanError, Stages, Timings, UncutRanking, ViewStatus, cut, forecast,
-    reasons::Reasons, warnings,
+    Band, Cut, FinishedMaps, Forecast, GivenUp, PlanError, Stages, Timings, UncutRanking,
+    ViewStatus, cut, forecast, reasons::Reasons, warnings,
 };
 use crate::{
     base::progress::{Stage, Watcher},
@@ -27,7 +27,8 @@ pub struct Decision {
     /// The finished part; empty in a fresh plan.
     pub finished: FinishedMaps,
     pub cut: Cut,
-    /// Area that fusion is expected to keep of the clusters up to each rank, over that of all clusters, 0 to 1.
+    /// Area that fusion is expected to keep of the clusters up to each rank, over that of all
+    /// clusters, 0 to 1.
     pub area_shares: Vec<f64>,
     pub forecast: Forecast,
     /// Status and reason of each view.
@@ -36,13 +37,14 @@ pub struct Decision {
     pub triangle_reasons: Vec<Option<Reason>>,
     /// By triangle, true at the border of the surveyed site (method 5.3).
     pub border: Vec<bool>,
-    /// Pixels that the depth map of each of the first clusters is expected to measure at full size; those up to the cut are among them, unless
-    /// `forecast.points_per_map` is set.
+    /// Pixels that the depth map of each of the first clusters is expected to measure at full size;
+    /// those up to the cut are among them, unless `forecast.points_per_map` is set.
     pub pixels: Vec<f64>,
     pub warnings: Vec<String>,
 }
 
-/// Ranks the clusters by their fulfilment and cuts the ranking as set. The finished clusters come first, as listed in `order`.
+/// Ranks the clusters by their fulfilment and cuts the ranking as set. The finished clusters come
+/// first, as listed in `order`.
 ///
 /// `finished.clusters` is replaced by the length of `order`.
 pub fn decide(
@@ -52,7 +54,9 @@ pub fn decide(
     timings: &mut Timings,
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
-    timings.time(Stage::Ranking, || rank_and_cut(stages, finished, order, watcher))
+    timings.time(Stage::Ranking, || {
+        rank_and_cut(stages, finished, order, watcher)
+    })
 }
 
 fn rank_and_cut(
@@ -61,17 +65,28 @@ fn rank_and_cut(
     order: &[(u32, MapScale)],
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
-    let finished = FinishedMaps { clusters: order.len(), ..finished };
+    let finished = FinishedMaps {
+        clusters: order.len(),
+        ..finished
+    };
     let ranked = match &stages.known_ranking {
         Some(known) if order.is_empty() => known.clone(),
         _ => UncutRanking::new(stages, rank(stages, &finished, order, watcher)?),
     };
     let ranking = &ranked.ranking;
-    let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), ranking, &ranked.pixels, &finished))?;
+    let cut = cut::cut(
+        &stages.settings.cut,
+        &cost(stages, &stages.model(), ranking, &ranked.pixels, &finished),
+    )?;
     // Band and what is given up take the clusters in their order, on one thread each.
     let (fulfilment_bound, (reachable_band, given_up)) = rayon::join(
         || ranking::most_of_any(cut.clusters, &stages.maps(), &stages.objective, ranking),
-        || rayon::join(|| Band::of_reachable(stages, ranking), || GivenUp::new(stages, &ranked, cut.clusters)),
+        || {
+            rayon::join(
+                || Band::of_reachable(stages, ranking),
+                || GivenUp::new(stages, &ranked, cut.clusters),
+            )
+        },
     );
     let cut = Cut {
         fulfilment_bound,
@@ -86,7 +101,8 @@ fn rank_and_cut(
     Ok(decision)
 }
 
-/// Ranks the clusters; if there is a choice of sizes, at several prices of work, and returns the ranking that is best at its cut.
+/// Ranks the clusters; if there is a choice of sizes, at several prices of work, and returns the
+/// ranking that is best at its cut.
 fn rank(
     stages: &Stages,
     finished: &FinishedMaps,
@@ -104,23 +120,43 @@ fn rank(
     let one = |&price: &f64| {
         let ranking = ranker.rank(order, price, &Unseen(watcher))?;
         let merit = merit(stages, &ranking, finished)?;
-        watcher.progress(Stage::Ranking, ranked.fetch_add(1, Ordering::Relaxed) + 1, prices.len() as u64);
+        watcher.progress(
+            Stage::Ranking,
+            ranked.fetch_add(1, Ordering::Relaxed) + 1,
+            prices.len() as u64,
+        );
         Ok((merit, ranking))
     };
-    let rankings: Vec<([f64; 3], Ranking)> = prices.par_iter().map(one).collect::<Result<_, PlanError>>()?;
+    let rankings: Vec<([f64; 3], Ranking)> = prices
+        .par_iter()
+        .map(one)
+        .collect::<Result<_, PlanError>>()?;
     watcher.progress(Stage::Ranking, prices.len() as u64, prices.len() as u64);
     // The first of equals has the lower price.
-    let better = |best: ([f64; 3], Ranking), next: ([f64; 3], Ranking)| if next.0 > best.0 { next } else { best };
-    Ok(rankings.into_iter().reduce(better).map(|(_, ranking)| ranking).unwrap_or_default())
+    let better = |best: ([f64; 3], Ranking), next: ([f64; 3], Ranking)| {
+        if next.0 > best.0 { next } else { best }
+    };
+    Ok(rankings
+        .into_iter()
+        .reduce(better)
+        .map(|(_, ranking)| ranking)
+        .unwrap_or_default())
 }
 
-/// Returns what makes a plan better than others, in this order: what fusion keeps, up to the target; f_o, unless the target is reached; little work.
-fn merit(stages: &Stages, ranking: &Ranking, finished: &FinishedMaps) -> Result<[f64; 3], PlanError> {
+/// Returns what makes a plan better than others, in this order: what fusion keeps, up to the
+/// target; f_o, unless the target is reached; little work.
+fn merit(
+    stages: &Stages,
+    ranking: &Ranking,
+    finished: &FinishedMaps,
+) -> Result<[f64; 3], PlanError> {
     let (model, settings) = (stages.model(), &stages.settings.cut);
     let cost = cost(stages, &model, ranking, &[], finished);
     let cut = cut::cut(settings, &cost)?;
     let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
-    let most = settings.target.map_or(0.0, |target| target.0 * ranking.reachable);
+    let most = settings
+        .target
+        .map_or(0.0, |target| target.0 * ranking.reachable);
     // Where the target is reached, more is of no use.
     let is_enough = settings.target.is_some_and(|target| target.0 < 1.0) && cut.kept >= most;
     let fulfilment = if is_enough { 0.0 } else { cut.fulfilment };
@@ -150,24 +186,49 @@ pub fn decide_as(
     cut: Cut,
 ) -> Result<Decision, PlanError> {
     let model = stages.model();
-    let UncutRanking { ranking, area_shares, triangle_reasons, border, mut pixels } = ranked;
+    let UncutRanking {
+        ranking,
+        area_shares,
+        triangle_reasons,
+        border,
+        mut pixels,
+    } = ranked;
     if stages.settings.forecast.points_per_map.is_none() {
-        let more =
-            forecast::full_size_pixels(&cost(stages, &model, &ranking, &pixels, &finished), pixels.len()..cut.clusters);
+        let more = forecast::full_size_pixels(
+            &cost(stages, &model, &ranking, &pixels, &finished),
+            pixels.len()..cut.clusters,
+        );
         pixels.extend(more);
     }
-    let forecast = forecast::forecast(&cost(stages, &model, &ranking, &pixels, &finished), cut.clusters);
+    let forecast = forecast::forecast(
+        &cost(stages, &model, &ranking, &pixels, &finished),
+        cut.clusters,
+    );
     let reasons = Reasons::of(stages, &model);
     let views = reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
     let warnings = warnings::warnings(stages, &ranking, &cut, &finished);
-    Ok(Decision { ranking, finished, cut, area_shares, forecast, views, triangle_reasons, border, pixels, warnings })
+    Ok(Decision {
+        ranking,
+        finished,
+        cut,
+        area_shares,
+        forecast,
+        views,
+        triangle_reasons,
+        border,
+        pixels,
+        warnings,
+    })
 }
 
 fn pairs_beyond_gate(stages: &Stages, chosen: &[u32]) -> usize {
     let beyond = |&cluster: &u32| {
         let ViewCluster { key, partners } = &stages.clusters[cluster as usize];
         let beyond = stages.candidates.beyond_gate(*key);
-        partners.iter().filter(|partner| beyond.contains(partner)).count()
+        partners
+            .iter()
+            .filter(|partner| beyond.contains(partner))
+            .count()
     };
     chosen.iter().map(beyond).sum()
 }
@@ -180,5 +241,12 @@ pub(super) fn cost<'a>(
     finished: &FinishedMaps,
 ) -> forecast::Cost<'a> {
     let settings = &stages.settings.forecast;
-    forecast::Cost { model, stages, ranking, pixels, finished: finished.clusters, settings }
+    forecast::Cost {
+        model,
+        stages,
+        ranking,
+        pixels,
+        finished: finished.clusters,
+        settings,
+    }
 }

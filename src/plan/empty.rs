@@ -8,9 +8,15 @@ use crate::{base::error::Hint, model::reason::Reason};
 /// The plan chooses no cluster.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EmptyPlan {
-    /// No view cluster fulfils anything; `reason` holds for `of` of `views` views, more than any other.
+    /// No view cluster fulfils anything; `reason` holds for `of` of `views` views, more than any
+    /// other.
     #[error("no view cluster fulfils anything; most common reason ({of} of {views} views): {}", reason.words())]
-    Fulfilled { reason: Reason, of: usize, views: usize, cure: Option<String> },
+    Fulfilled {
+        reason: Reason,
+        of: usize,
+        views: usize,
+        cure: Option<String>,
+    },
     /// The limits of the cut exclude every ranked cluster.
     #[error("the limits exclude all {ranked} view clusters: {limits}")]
     Allowed { ranked: usize, limits: String },
@@ -22,7 +28,10 @@ impl EmptyPlan {
         let ranked = plan.decision.ranking.order.len();
         match plan.decision.cut.clusters {
             0 if ranked == 0 => Some(Self::nothing_fulfilled(plan)),
-            0 => Some(Self::Allowed { ranked, limits: limits(plan) }),
+            0 => Some(Self::Allowed {
+                ranked,
+                limits: limits(plan),
+            }),
             _ => None,
         }
     }
@@ -34,13 +43,20 @@ impl EmptyPlan {
             .iter()
             .filter_map(|(_, reason)| *reason)
             .for_each(|r| *counts.entry(r).or_insert(0usize) += 1);
-        let most = counts.into_iter().max_by_key(|&(reason, count)| (count, Reverse(reason)));
+        let most = counts
+            .into_iter()
+            .max_by_key(|&(reason, count)| (count, Reverse(reason)));
         let (reason, of) = most.unwrap_or((Reason::Hidden, 0));
         let cure = match reason {
             Reason::NoImage => Some(no_images(plan).into()),
             _ => too_few_partners(plan),
         };
-        Self::Fulfilled { reason, of, views: plan.decision.views.len(), cure }
+        Self::Fulfilled {
+            reason,
+            of,
+            views: plan.decision.views.len(),
+            cure,
+        }
     }
 }
 
@@ -48,7 +64,9 @@ impl EmptyPlan {
 fn no_images(plan: &Plan) -> &'static str {
     match plan.stages.agreement.rejected.is_empty() {
         true => "copy these images again (viewrank doctor)",
-        false => "replace the images that the warnings name, or plan without pictures: --confidence geometric",
+        false => {
+            "replace the images that the warnings name, or plan without pictures: --confidence geometric"
+        }
     }
 }
 
@@ -58,9 +76,15 @@ fn too_few_partners(plan: &Plan) -> Option<String> {
     let cameras = plan.stages.settings.coverage.min_cameras;
     let matches = plan.stages.confidence.min_matches();
     if k < cameras.saturating_sub(1) {
-        Some(format!("use -k {} or more: coverage.min_cameras wants each place seen by {cameras} cameras", cameras - 1))
+        Some(format!(
+            "use -k {} or more: coverage.min_cameras wants each place seen by {cameras} cameras",
+            cameras - 1
+        ))
     } else if k < matches {
-        Some(format!("use -k {matches} or more: {} needs {matches} matches that agree", plan.stages.backend))
+        Some(format!(
+            "use -k {matches} or more: {} needs {matches} matches that agree",
+            plan.stages.backend
+        ))
     } else {
         None
     }
@@ -80,11 +104,16 @@ fn limits(plan: &Plan) -> String {
 impl Hint for EmptyPlan {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::Fulfilled { cure: Some(cure), .. } => cure.clone(),
-            Self::Fulfilled { reason: Reason::OutsideRegion, .. } => {
-                "choose a region that the images show, such as --region auto".into()
+            Self::Fulfilled {
+                cure: Some(cure), ..
+            } => cure.clone(),
+            Self::Fulfilled {
+                reason: Reason::OutsideRegion,
+                ..
+            } => "choose a region that the images show, such as --region auto".into(),
+            Self::Fulfilled { .. } => {
+                "run viewrank doctor; check the masks and --confidence, too".into()
             }
-            Self::Fulfilled { .. } => "run viewrank doctor; check the masks and --confidence, too".into(),
             Self::Allowed { .. } => "raise the limit".into(),
         })
     }

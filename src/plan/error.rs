@@ -22,8 +22,13 @@ pub enum PlanError {
     #[error("{}: the model has no registered image", _0.display())]
     NoViews(std::path::PathBuf),
     #[error("{}: no image of the model is in this folder, e.g. no {name}", folder.display())]
-    OtherImages { folder: std::path::PathBuf, name: String },
-    #[error("cannot derive the ground sampling distance: no view observes a sparse point in front of it")]
+    OtherImages {
+        folder: std::path::PathBuf,
+        name: String,
+    },
+    #[error(
+        "cannot derive the ground sampling distance: no view observes a sparse point in front of it"
+    )]
     NoScale,
     #[error(transparent)]
     Surface(#[from] SurfaceError),
@@ -38,13 +43,23 @@ pub enum PlanError {
         memory::readable(*need),
         memory::readable_limit(*limit)
     )]
-    Memory { stage: &'static str, need: u64, limit: u64, with_picture: u64 },
+    Memory {
+        stage: &'static str,
+        need: u64,
+        limit: u64,
+        with_picture: u64,
+    },
     #[error(
         "the {stage} needs about {} of memory, but a plan may take {} here",
         memory::readable(*need),
         memory::readable_limit(*most)
     )]
-    Refused { stage: &'static str, need: u64, most: u64, with_picture: u64 },
+    Refused {
+        stage: &'static str,
+        need: u64,
+        most: u64,
+        with_picture: u64,
+    },
     #[error(transparent)]
     Disk(#[from] DiskError),
     #[error(transparent)]

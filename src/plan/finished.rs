@@ -14,13 +14,15 @@ use crate::model::{
 /// The finished part of a plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FinishedMaps {
-    /// Number of clusters at the start of the ranking that have their depth map; their fulfilment is measured, not predicted (method 5.4).
+    /// Number of clusters at the start of the ranking that have their depth map; their fulfilment
+    /// is measured, not predicted (method 5.4).
     pub clusters: usize,
     /// Depth maps that no longer fit the model, by key view.
     pub outdated: Vec<OutdatedMap>,
     /// A sentence for each depth map that cannot be read.
     pub unreadable: Vec<String>,
-    /// For depth maps made with an earlier model, the views of their clusters in that model, by key view, then by name.
+    /// For depth maps made with an earlier model, the views of their clusters in that model, by key
+    /// view, then by name.
     pub made_with: BTreeMap<String, BTreeMap<String, PlannedView>>,
     /// BLAKE3 of each outdated depth map, by key view, to tell it from a new one of the same view.
     pub outdated_files: BTreeMap<String, String>,
@@ -33,11 +35,13 @@ pub struct OutdatedMap {
     pub key: String,
     /// The view of its cluster that moved most.
     pub view: String,
-    /// Displacement of the depth map's points in that view, px of the model's image; null where the view is no longer in the model.
+    /// Displacement of the depth map's points in that view, px of the model's image; null where the
+    /// view is no longer in the model.
     pub moved_px: Option<f64>,
 }
 
-/// `viewrank/planned_views.json`: the views as planned, so that a later plan can tell which depth maps still fit.
+/// `viewrank/planned_views.json`: the views as planned, so that a later plan can tell which depth
+/// maps still fit.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlannedViews {
     pub version: u32,
@@ -98,11 +102,24 @@ impl PlannedView {
 
     /// The recorded camera and pose; `None` where the record is invalid.
     pub fn camera_and_pose(&self) -> Option<(Camera, Pose)> {
-        let PlannedCamera { model, width, height, params } = &self.camera;
+        let PlannedCamera {
+            model,
+            width,
+            height,
+            params,
+        } = &self.camera;
         let model = CameraModel::from_name(model)?;
-        let camera = Camera::new(1, model, (*width).into(), (*height).into(), params.clone()).ok()?;
+        let camera =
+            Camera::new(1, model, (*width).into(), (*height).into(), params.clone()).ok()?;
         let [w, x, y, z] = self.rotation;
-        let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), f64::MIN_POSITIVE)?.to_rotation_matrix();
-        Some((camera, Pose { rotation, translation: Vector3::from(self.translation) }))
+        let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), f64::MIN_POSITIVE)?
+            .to_rotation_matrix();
+        Some((
+            camera,
+            Pose {
+                rotation,
+                translation: Vector3::from(self.translation),
+            },
+        ))
     }
 }

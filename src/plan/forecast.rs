@@ -34,7 +34,8 @@ pub struct Forecast {
     pub work: f64,
     /// Pixels that these maps will measure, before fusion.
     pub points: u64,
-    /// Seconds of matching, without finished maps; absent where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
+    /// Seconds of matching, without finished maps; absent where `forecast.seconds_per_pair` and
+    /// `.seconds_per_map` are unset.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// Depth maps if every view that can be a key view gets one.
@@ -47,12 +48,14 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Speed-up of the chosen clusters over all, both without finished maps, when planning takes `planning` seconds (method 5.6).
+    /// Speed-up of the chosen clusters over all, both without finished maps, when planning takes
+    /// `planning` seconds (method 5.6).
     pub fn speed_up(&self, planning: f64) -> Option<f64> {
         Some(self.all_seconds? / (self.seconds? + planning))
     }
 
-    /// Seconds per depth map at full size above which planning, `planning` seconds long, saves time; `None` if the plan takes all of their work.
+    /// Seconds per depth map at full size above which planning, `planning` seconds long, saves
+    /// time; `None` if the plan takes all of their work.
     pub fn break_even(&self, planning: f64) -> Option<f64> {
         let saved = match self.maps_at_half {
             0 => self.all_maps.saturating_sub(self.maps) as f64,
@@ -67,7 +70,8 @@ pub(super) struct Cost<'a> {
     pub stages: &'a Stages,
     pub model: &'a Model<'a>,
     pub ranking: &'a Ranking,
-    /// Pixels that the maps of the first clusters will measure at full size, as far as they are known.
+    /// Pixels that the maps of the first clusters will measure at full size, as far as they are
+    /// known.
     pub pixels: &'a [f64],
     /// Number of clusters at the start of the ranking that are done and take no more time.
     pub finished: usize,
@@ -81,33 +85,57 @@ impl Cost<'_> {
 
     /// Number of pairs of the first `clusters` clusters.
     pub fn pairs(&self, clusters: usize) -> usize {
-        (0..clusters).map(|rank| self.cluster(rank).partners.len()).sum()
+        (0..clusters)
+            .map(|rank| self.cluster(rank).partners.len())
+            .sum()
     }
 
     /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
         let (cluster, scale) = (self.ranking.order[rank] as usize, self.ranking.scales[rank]);
         let [full, half] = self.stages.work[cluster];
-        let size = if scale == MapScale::Half { half / full } else { 1.0 };
-        let one = self.seconds_of(1, self.cluster(rank).partners.len()).map(|seconds| seconds * size);
-        if rank < self.finished { one.map(|_| 0.0) } else { one }
+        let size = if scale == MapScale::Half {
+            half / full
+        } else {
+            1.0
+        };
+        let one = self
+            .seconds_of(1, self.cluster(rank).partners.len())
+            .map(|seconds| seconds * size);
+        if rank < self.finished {
+            one.map(|_| 0.0)
+        } else {
+            one
+        }
     }
 
     fn seconds_of(&self, maps: usize, pairs: usize) -> Option<f64> {
-        let ForecastSettings { seconds_per_map, seconds_per_pair, .. } = *self.settings;
-        let seconds = seconds_per_map.unwrap_or(0.0) * maps as f64 + seconds_per_pair.unwrap_or(0.0) * pairs as f64;
+        let ForecastSettings {
+            seconds_per_map,
+            seconds_per_pair,
+            ..
+        } = *self.settings;
+        let seconds = seconds_per_map.unwrap_or(0.0) * maps as f64
+            + seconds_per_pair.unwrap_or(0.0) * pairs as f64;
         self.settings.knows_times().then_some(seconds)
     }
 
     /// Work of a map over that of all clusters at full size, finished or not.
     pub fn work(&self, rank: usize) -> f64 {
-        self.stages.share_of_work(self.ranking.order[rank], self.ranking.scales[rank])
+        self.stages
+            .share_of_work(self.ranking.order[rank], self.ranking.scales[rank])
     }
 
     /// Pixels that the depth map will measure.
     pub fn points(&self, rank: usize, slots: &mut BlockSlots) -> f64 {
-        let known = self.settings.points_per_map.or(self.pixels.get(rank).copied());
-        self.of_size(rank, known.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), slots)))
+        let known = self
+            .settings
+            .points_per_map
+            .or(self.pixels.get(rank).copied());
+        self.of_size(
+            rank,
+            known.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), slots)),
+        )
     }
 
     fn of_size(&self, rank: usize, at_full_size: f64) -> f64 {
@@ -118,9 +146,15 @@ impl Cost<'_> {
 pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
     let pairs = cost.pairs(clusters);
     let clusters_of_all = &cost.stages.clusters;
-    let all_pairs = clusters_of_all.iter().map(|cluster| cluster.partners.len()).sum();
+    let all_pairs = clusters_of_all
+        .iter()
+        .map(|cluster| cluster.partners.len())
+        .sum();
     let points = points(cost, clusters);
-    let half = cost.ranking.scales[..clusters].iter().filter(|&&scale| scale == MapScale::Half).count();
+    let half = cost.ranking.scales[..clusters]
+        .iter()
+        .filter(|&&scale| scale == MapScale::Half)
+        .count();
     Forecast {
         maps: clusters,
         pairs,
@@ -130,7 +164,10 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
         maps_at_half: half,
         all_maps: clusters_of_all.len(),
         all_pairs,
-        all_seconds: cost.seconds_of(clusters_of_all.len() - cost.finished, all_pairs - cost.pairs(cost.finished)),
+        all_seconds: cost.seconds_of(
+            clusters_of_all.len() - cost.finished,
+            all_pairs - cost.pairs(cost.finished),
+        ),
     }
 }
 
@@ -143,7 +180,11 @@ pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
             [known, &full_size_pixels(cost, known.len()..clusters)].concat()
         }
     };
-    at_full_size.into_iter().enumerate().map(|(rank, points)| cost.of_size(rank, points)).collect()
+    at_full_size
+        .into_iter()
+        .enumerate()
+        .map(|(rank, points)| cost.of_size(rank, points))
+        .collect()
 }
 
 /// Pixels that the depth maps of these ranks are expected to measure at full size.
@@ -151,22 +192,43 @@ pub(super) fn full_size_pixels(cost: &Cost, ranks: Range<usize>) -> Vec<f64> {
     let slots = || BlockSlots::new(cost.model);
     let mut pixels = Vec::with_capacity(ranks.len());
     for batch in Vec::from_iter(ranks).chunks(column::READ_AT_ONCE) {
-        let of_rank = |slots: &mut BlockSlots, &rank: &usize| expected_pixels(cost.model, cost.cluster(rank), slots);
+        let of_rank = |slots: &mut BlockSlots, &rank: &usize| {
+            expected_pixels(cost.model, cost.cluster(rank), slots)
+        };
         pixels.par_extend(batch.par_iter().map_init(slots, of_rank));
         cost.model.release();
     }
     pixels
 }
 
-/// Sums, over the covered triangles, the pixels of the matched image times the chance that they are measured.
+/// Sums, over the covered triangles, the pixels of the matched image times the chance that they are
+/// measured.
 fn expected_pixels(model: &Model, cluster: &ViewCluster, slots: &mut BlockSlots) -> f64 {
-    let (pose, camera) = (&model.scene.view(cluster.key).cam_from_world, model.scene.camera_of(cluster.key));
+    let (pose, camera) = (
+        &model.scene.view(cluster.key).cam_from_world,
+        model.scene.camera_of(cluster.key),
+    );
     let partners: Vec<usize> = (0..cluster.partners.len()).collect();
-    let chances = Block::new(model, cluster.key, &cluster.partners, |_| false, slots).chances(&partners);
+    let chances =
+        Block::new(model, cluster.key, &cluster.partners, |_| false, slots).chances(&partners);
     let pixels = |(&triangle, chance): (&u32, f32)| {
-        let corners = model.surface.corners(triangle).map(|corner| pose.camera_from_world(&corner));
-        if chance > 0.0 { f64::from(chance) * visibility::projected_area(camera, &corners) } else { 0.0 }
+        let corners = model
+            .surface
+            .corners(triangle)
+            .map(|corner| pose.camera_from_world(&corner));
+        if chance > 0.0 {
+            f64::from(chance) * visibility::projected_area(camera, &corners)
+        } else {
+            0.0
+        }
     };
     let reduced = model.rule.image_scale.powi(2);
-    reduced * model.visibility.triangles_seen_by(cluster.key).iter().zip(chances).map(pixels).sum::<f64>()
+    reduced
+        * model
+            .visibility
+            .triangles_seen_by(cluster.key)
+            .iter()
+            .zip(chances)
+            .map(pixels)
+            .sum::<f64>()
 }

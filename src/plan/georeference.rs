@@ -1,4 +1,5 @@
-//! Georeferences a project's model from the settings, the files of the program that made it, or its coordinates.
+//! Georeferences a project's model from the settings, the files of the program that made it, or its
+//! coordinates.
 
 use std::path::Path;
 
@@ -22,7 +23,9 @@ use crate::{
 pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) -> Georeference {
     let known = from_settings(settings).or_else(|| from_files(project));
     match known.unwrap_or_else(|| Georeference::from_coordinates(scene)) {
-        Georeference::Local if settings.gps => from_images(project, scene).unwrap_or(Georeference::Local),
+        Georeference::Local if settings.gps => {
+            from_images(project, scene).unwrap_or(Georeference::Local)
+        }
         known => known,
     }
 }
@@ -35,19 +38,30 @@ fn from_images(project: &Project, scene: &Scene) -> Option<Georeference> {
     let folder = project.images.as_ref()?;
     let step = scene.views.len().div_ceil(MOST_POSITIONS).max(1);
     let views: Vec<&View> = scene.views.iter().step_by(step).collect();
-    let position =
-        |view: &&View| Some((view.cam_from_world.centre().coords, exif::position(&folder.file(&view.name))?));
+    let position = |view: &&View| {
+        Some((
+            view.cam_from_world.centre().coords,
+            exif::position(&folder.file(&view.name))?,
+        ))
+    };
     let (centres, positions): (Vec<_>, Vec<_>) = views.par_iter().filter_map(position).unzip();
     Georeference::fitted(&centres, &positions)
 }
 
 fn from_settings(settings: &FrameSettings) -> Option<Georeference> {
     let utm = settings.utm.as_deref().and_then(Zone::parse);
-    let utm = utm.map(|zone| Georeference::Utm { zone, offset: settings.offset.unwrap_or_default() });
+    let utm = utm.map(|zone| Georeference::Utm {
+        zone,
+        offset: settings.offset.unwrap_or_default(),
+    });
     utm.or_else(|| {
-        settings
-            .origin
-            .map(|[latitude, longitude, height]| Georeference::east_north_up(Geodetic { longitude, latitude, height }))
+        settings.origin.map(|[latitude, longitude, height]| {
+            Georeference::east_north_up(Geodetic {
+                longitude,
+                latitude,
+                height,
+            })
+        })
     })
 }
 
@@ -62,7 +76,12 @@ fn from_files(project: &Project) -> Option<Georeference> {
         return map_coordinates(&folder.parent()?.join("odm_georeferencing/coords.txt"));
     }
     let beside = read_json::<Reference>(&folder.join("reference_lla.json"));
-    let inside = || read_json::<Vec<Reconstruction>>(&project.model.path)?.into_iter().next()?.reference_lla;
+    let inside = || {
+        read_json::<Vec<Reconstruction>>(&project.model.path)?
+            .into_iter()
+            .next()?
+            .reference_lla
+    };
     let reference = beside.or_else(inside)?;
     Some(Georeference::east_north_up(Geodetic {
         longitude: reference.longitude,

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::{Stages, UncutRanking};
 use crate::method::ranking::Reached;
 
-/// Weight, over that of the whole surface, that fusion is expected to keep of all clusters, less that of the clusters up to the cut, 0 to 1.
+/// Weight, over that of the whole surface, that fusion is expected to keep of all clusters, less
+/// that of the clusters up to the cut, 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GivenUp {
     /// At the border: within a tenth of the site's width from its outline, and seen by few views.
@@ -18,17 +19,30 @@ pub struct GivenUp {
 }
 
 impl GivenUp {
-    pub(super) fn new(stages: &Stages, UncutRanking { ranking, border, .. }: &UncutRanking, clusters: usize) -> Self {
+    pub(super) fn new(
+        stages: &Stages,
+        UncutRanking {
+            ranking, border, ..
+        }: &UncutRanking,
+        clusters: usize,
+    ) -> Self {
         let (objective, maps) = (&stages.objective, stages.maps());
         let triangles = 0..objective.weights.len() as u32;
         let mut reached = Reached::new(objective);
-        ranking.maps().take(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
-        let at_cut: Vec<(f32, f32)> = triangles.clone().map(|t| (reached.agreed(t), reached.best(t))).collect();
+        ranking
+            .maps()
+            .take(clusters)
+            .for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+        let at_cut: Vec<(f32, f32)> = triangles
+            .clone()
+            .map(|t| (reached.agreed(t), reached.best(t)))
+            .collect();
         match maps.has_half() {
             true => reached = Reached::by_all(&maps, objective),
-            false => {
-                ranking.maps().skip(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)))
-            }
+            false => ranking
+                .maps()
+                .skip(clusters)
+                .for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale))),
         }
         maps.release();
         let mut given_up = Self::default();
@@ -36,7 +50,11 @@ impl GivenUp {
             let (at, weight) = (t as usize, objective.weights[t as usize]);
             let (all, (agreed, best)) = (reached.agreed(t), at_cut[at]);
             let lost = (all - agreed).max(0.0);
-            *if border[at] { &mut given_up.border } else { &mut given_up.inside } += weight * f64::from(lost);
+            *if border[at] {
+                &mut given_up.border
+            } else {
+                &mut given_up.inside
+            } += weight * f64::from(lost);
             given_up.single_map += weight * f64::from(lost.min(best - agreed));
         }
         given_up

@@ -1,7 +1,9 @@
-//! Decides which depth maps are worth computing: runs the stages of the method and ranks the view clusters.
+//! Decides which depth maps are worth computing: runs the stages of the method and ranks the view
+//! clusters.
 //!
-//! [`Stages::run`] builds the surface, computes visibility, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts
-//! its cost, and gives a reason for everything left out. A [`Plan`] holds both results. This module writes no files.
+//! [`Stages::run`] builds the surface, computes visibility, and chooses view clusters; [`decide`]
+//! ranks them, cuts the ranking, forecasts its cost, and gives a reason for everything left out. A
+//! [`Plan`] holds both results. This module writes no files.
 
 mod band;
 mod border;
@@ -65,7 +67,8 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Chooses the project's key views, their partners and their order for the MVS program that will match them.
+    /// Chooses the project's key views, their partners and their order for the MVS program that
+    /// will match them.
     pub fn new(
         project: &Project,
         settings: &Settings,
@@ -95,41 +98,73 @@ impl Plan {
         let stages = Stages::run(project, scene, settings, matcher, &mut timings, watcher)?;
         let decision = decide(&stages, FinishedMaps::default(), &[], &mut timings, watcher)?;
         timings.end();
-        Ok(Self { stages, decision, timings })
+        Ok(Self {
+            stages,
+            decision,
+            timings,
+        })
     }
 
     /// The clusters to compute, best first.
     pub fn chosen(&self) -> impl ExactSizeIterator<Item = &ViewCluster> {
-        self.decision.ranking.order[..self.decision.cut.clusters].iter().map(|&c| &self.stages.clusters[c as usize])
+        self.decision.ranking.order[..self.decision.cut.clusters]
+            .iter()
+            .map(|&c| &self.stages.clusters[c as usize])
     }
 
     /// Triangles with weight that no cluster fulfils to a tenth; ascending.
     pub fn unfulfilled(&self) -> impl Iterator<Item = u32> {
-        let inside = |t: &u32| self.stages.region.as_ref().is_none_or(|region| region.is_inside(*t));
+        let inside = |t: &u32| {
+            self.stages
+                .region
+                .as_ref()
+                .is_none_or(|region| region.is_inside(*t))
+        };
         let reasons = self.decision.triangle_reasons.iter().zip(0u32..);
-        reasons.filter_map(|(reason, t)| reason.map(|_| t)).filter(inside)
+        reasons
+            .filter_map(|(reason, t)| reason.map(|_| t))
+            .filter(inside)
     }
 
-    /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the ranking.
+    /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the
+    /// ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {
-        let Decision { ranking, pixels, finished, .. } = &self.decision;
+        let Decision {
+            ranking,
+            pixels,
+            finished,
+            ..
+        } = &self.decision;
         let model = self.stages.model();
-        forecast::points(&decision::cost(&self.stages, &model, ranking, pixels, finished), ranking.order.len())
+        forecast::points(
+            &decision::cost(&self.stages, &model, ranking, pixels, finished),
+            ranking.order.len(),
+        )
     }
 
-    /// For each cluster, the clusters ranked before it that give more of its own fulfilment than all before them, by rank: the last one within a
-    /// cut is the best substitute there.
+    /// For each cluster, the clusters ranked before it that give more of its own fulfilment than
+    /// all before them, by rank: the last one within a cut is the best substitute there.
     pub fn best_substitutes(&self) -> Result<Vec<Vec<Substitute>>, DiskError> {
         let triangles = self.stages.surface.triangles.len();
-        reasons::best_substitutes(&self.stages.fulfilment, &self.decision.ranking.order, triangles)
+        reasons::best_substitutes(
+            &self.stages.fulfilment,
+            &self.decision.ranking.order,
+            triangles,
+        )
     }
 
     /// The whole ranking, best first.
     pub fn ranked(&self) -> impl ExactSizeIterator<Item = RankedCluster> {
         let ranking = &self.decision.ranking;
         (0..ranking.order.len()).map(|i| {
-            let ViewCluster { key, partners } = self.stages.clusters[ranking.order[i] as usize].clone();
-            RankedCluster { key, partners, scale: ranking.scales[i], share: ranking.share(i + 1) }
+            let ViewCluster { key, partners } =
+                self.stages.clusters[ranking.order[i] as usize].clone();
+            RankedCluster {
+                key,
+                partners,
+                scale: ranking.scales[i],
+                share: ranking.share(i + 1),
+            }
         })
     }
 }

@@ -19,7 +19,8 @@ use crate::{
 pub struct PlanningNumbers {
     /// Method 7.1.
     pub gate: Gate,
-    /// What the program can match of a pair, by its own rule, if images are matched at this share of the model's size; `None`: everything.
+    /// What the program can match of a pair, by its own rule, if images are matched at this share
+    /// of the model's size; `None`: everything.
     #[serde(skip)]
     pub reach: Option<ReachRule>,
     /// Method 7.2.
@@ -30,22 +31,24 @@ pub struct PlanningNumbers {
     pub support: u32,
     /// Work of a depth map (method 5.8).
     pub work: WorkPerMap,
-    /// Data sets that the numbers were measured on, or the backend that they were taken from; a few words.
+    /// Data sets that the numbers were measured on, or the backend that they were taken from; a few
+    /// words.
     pub measured: &'static str,
     /// Source of the numbers and the gate, with the reason.
     pub source: &'static str,
 }
 
 /// Returns a program's rule for the pairs of a key view, matched at a share of the model's size.
-pub type ReachRule = for<'a> fn(&'a Scene, &'a ViewPoints, ViewIndex, f64) -> Box<dyn ReachOfPair + 'a>;
+pub type ReachRule =
+    for<'a> fn(&'a Scene, &'a ViewPoints, ViewIndex, f64) -> Box<dyn ReachOfPair + 'a>;
 
 /// A program's matching limits, applied to pairs with one key view.
 pub trait ReachOfPair {
     /// Returns what it can match of a pair.
     fn reach(&self, pair: &PairGeometry) -> Reach;
 
-    /// Returns whether the program refuses the pair. One-sided: may accept, on a sample of the points, a borderline pair for which [`Self::reach`] returns
-    /// [`Reach::Nothing`].
+    /// Returns whether the program refuses the pair. One-sided: may accept, on a sample of the
+    /// points, a borderline pair for which [`Self::reach`] returns [`Reach::Nothing`].
     fn refuses(&self, pair: &PairGeometry) -> bool;
 }
 
@@ -78,9 +81,12 @@ pub struct Matcher {
 }
 
 impl Matcher {
-    /// Returns the size at which the program matches the largest images of the scene by itself, over their own; 1 without views.
+    /// Returns the size at which the program matches the largest images of the scene by itself,
+    /// over their own; 1 without views.
     pub fn image_scale(&self, scene: &Scene) -> f64 {
         let cameras = scene.view_indices().map(|view| scene.camera_of(view));
-        cameras.max_by_key(|camera| camera.width.max(camera.height)).map_or(1.0, self.own_scale)
+        cameras
+            .max_by_key(|camera| camera.width.max(camera.height))
+            .map_or(1.0, self.own_scale)
     }
 }

@@ -3,7 +3,8 @@
 use std::cell::LazyCell;
 
 use super::{
-    Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, cut, georeference,
+    Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, cut,
+    georeference,
     kept::{self, Inputs, Kept, Slotted, clusters::KeptClusters},
     visible_surface::VisibleSurface,
 };
@@ -18,7 +19,9 @@ use crate::{
         project::{ImageFaults, Project},
     },
     method::{
-        confidence::{self, Agreement, Confidence, Pictures, ProgramReach, ReachOfPartner, SampleRoom, Unary},
+        confidence::{
+            self, Agreement, Confidence, Pictures, ProgramReach, ReachOfPartner, SampleRoom, Unary,
+        },
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
@@ -49,7 +52,8 @@ pub struct Stages {
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
     pub scene: Scene,
-    /// Median ground sampling distance of the model's images, scene units per pixel; `None` without points.
+    /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
+    /// points.
     pub image_gsd: Option<f64>,
     pub surface: Surface,
     pub surface_stats: SurfaceStats,
@@ -71,7 +75,8 @@ pub struct Stages {
     pub objective: Objective,
     pub candidates: Candidates,
     pub image_faults: ImageFaults,
-    /// Views whose image is missing, unreadable or rejected ([`Agreement::rejected`]), ascending: neither key views nor partners.
+    /// Views whose image is missing, unreadable or rejected ([`Agreement::rejected`]), ascending:
+    /// neither key views nor partners.
     pub without_image: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,
@@ -79,7 +84,8 @@ pub struct Stages {
     pub fulfilment: FulfilmentTable,
     /// The same at half the size; `None` where all maps have full size.
     pub half: Option<FulfilmentTable>,
-    /// Work of each cluster's map at full and at half size, in Mpx matched with one partner (method 5.8).
+    /// Work of each cluster's map at full and at half size, in Mpx matched with one partner (method
+    /// 5.8).
     pub work: Vec<[f64; 2]>,
     /// Numbers of the backend that `work` is made from.
     pub per_map: WorkPerMap,
@@ -92,7 +98,8 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// Runs the stages on the project's scene, for the MVS program that will match the clusters; records their seconds in `timings`.
+    /// Runs the stages on the project's scene, for the MVS program that will match the clusters;
+    /// records their seconds in `timings`.
     pub fn run(
         project: &Project,
         scene: Scene,
@@ -101,11 +108,15 @@ impl Stages {
         timings: &mut Timings,
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
-        let source = settings.confidence.source.in_force(project.images.is_some());
+        let source = settings
+            .confidence
+            .source
+            .in_force(project.images.is_some());
         let own_size = settings.image_scale.is_none();
         let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
         let (points, inputs, image_gsd, mut settings, shape) = timings.time(Stage::Read, || {
-            let (points, inputs) = rayon::join(|| scene.view_points(), || Inputs::new(project, &scene));
+            let (points, inputs) =
+                rayon::join(|| scene.view_points(), || Inputs::new(project, &scene));
             let image_gsd = scene.median_gsd_of(&points);
             let settings = in_force(project, settings, (&scene, image_gsd), matcher, source)?;
             let shape = shape(project, &scene, &settings)?;
@@ -114,18 +125,34 @@ impl Stages {
         refuse_other_images(project, &scene, &settings)?;
         let numbers = &matcher.numbers;
         let image_faults = project.image_faults(&scene);
-        let pixels = if project.images.is_some() { image_faults.most_pixels(&scene) } else { 0 };
+        let pixels = if project.images.is_some() {
+            image_faults.most_pixels(&scene)
+        } else {
+            0
+        };
         let mut memory = Memory::before_surface(&scene, &mut settings, pixels, watcher)?;
         let mut without_image = image_faults.without_image(scene.views.len());
         let matching = (matcher, &without_image[..]);
-        let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
-            surface_and_candidates((&scene, &points), &settings, matching, &inputs, watcher, timings, &mut memory)
-        })?;
+        let ((surface_slot, seen), (candidates_slot, candidates)) =
+            timings.time_rest(Stage::Partners, |timings| {
+                surface_and_candidates(
+                    (&scene, &points),
+                    &settings,
+                    matching,
+                    &inputs,
+                    watcher,
+                    timings,
+                    &mut memory,
+                )
+            })?;
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
-        let (shown_slot, shown) =
-            timings.time(Stage::Visibility, || shown(inputs.shown(&surface_slot.file), &scene, &seen))?;
+        let (shown_slot, shown) = timings.time(Stage::Visibility, || {
+            shown(inputs.shown(&surface_slot.file), &scene, &seen)
+        })?;
         let region = timings.time(Stage::Visibility, || {
-            shape.map(|shape| shape.lay_over(&seen.surface, &shown.pixels, watcher)).transpose()
+            shape
+                .map(|shape| shape.lay_over(&seen.surface, &shown.pixels, watcher))
+                .transpose()
         })?;
         let target = Target::new(&shown, &settings.target, seen.gsd, settings.image_scale());
         let target = match &region {
@@ -134,7 +161,12 @@ impl Stages {
         };
         seen.visibility.triangles.release();
         platform::return_freed_memory();
-        let confidence = Confidence::new(source, &settings.confidence, &numbers.confidence, &numbers.photometric);
+        let confidence = Confidence::new(
+            source,
+            &settings.confidence,
+            &numbers.confidence,
+            &numbers.photometric,
+        );
         confidence.fill_in(&mut settings.confidence);
         let geometry = Geometry {
             scene: &scene,
@@ -144,19 +176,36 @@ impl Stages {
             image_scale: settings.image_scale(),
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
-        let objective = Objective::new(&seen.surface, &shown, settings.ranking.weight, region.as_ref(), support);
+        let objective = Objective::new(
+            &seen.surface,
+            &shown,
+            settings.ranking.weight,
+            region.as_ref(),
+            support,
+        );
         let pictures = Pictures::new(project).without(&without_image);
         let unary_file = inputs.unary(&scene, &surface_slot.file, confidence, &pictures);
         // Read from their headers, where masks or pictures have to be read.
         let of_mask = LazyCell::new(|| pictures.most_mask_bytes(&scene));
-        let (unary_slot, (unary, mut picture_warnings)) = timings.time(Stage::Confidence, || {
-            let batch = || memory.before_masks(&geometry, *of_mask);
-            unary(unary_file, &geometry, &points, confidence, &pictures, batch, watcher)
-        })?;
+        let (unary_slot, (unary, mut picture_warnings)) =
+            timings.time(Stage::Confidence, || {
+                let batch = || memory.before_masks(&geometry, *of_mask);
+                unary(
+                    unary_file, &geometry, &points, confidence, &pictures, batch, watcher,
+                )
+            })?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
                 let room = || memory.before_pictures(&geometry, *of_mask);
-                agreement(&pictures, &geometry, &points, &candidates, matcher, room, watcher)
+                agreement(
+                    &pictures,
+                    &geometry,
+                    &points,
+                    &candidates,
+                    matcher,
+                    room,
+                    watcher,
+                )
             }
             _ => Ok(Agreement::default()),
         })?;
@@ -166,17 +215,23 @@ impl Stages {
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let from = [&surface_slot.file, &candidates_slot.file, &unary_slot.file];
         let clusters_file = inputs.clusters(&settings, from, &agreement, &target, &model.rule);
-        let (clusters_slot, (clusters, fulfilment, half)) =
-            timings.time(Stage::Partners, || clusters(clusters_file, &model, &candidates, &settings, watcher))?;
+        let (clusters_slot, (clusters, fulfilment, half)) = timings
+            .time(Stage::Partners, || {
+                clusters(clusters_file, &model, &candidates, &settings, watcher)
+            })?;
         platform::return_freed_memory();
         let per_map = numbers.work;
-        let work: Vec<_> =
-            clusters.iter().map(|cluster| work(&scene, settings.image_scale(), per_map, cluster)).collect();
+        let work: Vec<_> = clusters
+            .iter()
+            .map(|cluster| work(&scene, settings.image_scale(), per_map, cluster))
+            .collect();
         let factors = region.as_ref().map(|region| &region.factors[..]);
-        let ranking_file = inputs.ranking(&settings, &clusters_slot.file, &objective, factors, &work);
+        let ranking_file =
+            inputs.ranking(&settings, &clusters_slot.file, &objective, factors, &work);
         let triangles = seen.surface.triangles.len();
-        let (ranking, known_ranking) =
-            kept::read(ranking_file, |(), bytes| kept::ranking::unpack(bytes, clusters.len(), triangles));
+        let (ranking, known_ranking) = kept::read(ranking_file, |(), bytes| {
+            kept::ranking::unpack(bytes, clusters.len(), triangles)
+        });
         watcher.check()?;
         let kept = Kept {
             surface: surface_slot,
@@ -241,7 +296,10 @@ impl Stages {
     /// Returns the work of each cluster's map at full and at half size.
     pub fn work_of(&self, clusters: &[ViewCluster]) -> Vec<[f64; 2]> {
         let scale = self.settings.image_scale();
-        clusters.iter().map(|cluster| work(&self.scene, scale, self.per_map, cluster)).collect()
+        clusters
+            .iter()
+            .map(|cluster| work(&self.scene, scale, self.per_map, cluster))
+            .collect()
     }
 
     /// Returns the work of a cluster's map over that of all clusters at full size.
@@ -265,10 +323,19 @@ impl Stages {
 }
 
 /// Returns an error if the image folder that the user has set holds no image of the scene.
-fn refuse_other_images(project: &Project, scene: &Scene, settings: &Settings) -> Result<(), PlanError> {
+fn refuse_other_images(
+    project: &Project,
+    scene: &Scene,
+    settings: &Settings,
+) -> Result<(), PlanError> {
     match (&project.images, scene.view_indices().next()) {
-        (Some(folder), Some(first)) if settings.images.is_some() && project.has_only_other_images(scene) => {
-            Err(PlanError::OtherImages { folder: folder.to_path_buf(), name: scene.name(first).into() })
+        (Some(folder), Some(first))
+            if settings.images.is_some() && project.has_only_other_images(scene) =>
+        {
+            Err(PlanError::OtherImages {
+                folder: folder.to_path_buf(),
+                name: scene.name(first).into(),
+            })
         }
         _ => Ok(()),
     }
@@ -287,13 +354,17 @@ fn in_force(
     }
     let mut all = settings.clone();
     all.units.get_or_insert(Units::Relative);
-    all.image_scale.get_or_insert_with(|| matcher.image_scale(scene));
+    all.image_scale
+        .get_or_insert_with(|| matcher.image_scale(scene));
     let gsd = match all.target.gsd {
         Some(gsd) => gsd,
         None => GSD_MARGIN * image_gsd.ok_or(PlanError::NoScale)? / all.image_scale(),
     };
     all.target.accuracy.get_or_insert(gsd);
-    all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
+    all.target.mode = all
+        .target
+        .mode
+        .in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
     all.target.gsd = Some(gsd);
     all.partners.candidates = all.partners.candidates.max(all.partners.k);
     all.partners.gate = matcher.numbers.gate.with(&all.partners.gate).settings();
@@ -320,8 +391,8 @@ fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster
         .map(|scale| work.map_work(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
-/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used. `batch`: number of views
-/// whose masks are read together.
+/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be
+/// used. `batch`: number of views whose masks are read together.
 fn unary(
     file: CacheFile,
     geometry: &Geometry,
@@ -331,8 +402,18 @@ fn unary(
     batch: impl FnOnce() -> Result<usize, PlanError>,
     watcher: &dyn Watcher,
 ) -> Result<Slotted<(Unary, Vec<String>)>, PlanError> {
-    let Geometry { scene, surface, visibility, .. } = *geometry;
-    let unpack = |warnings, bytes: &[u8]| Some((kept::unary::unpack(bytes, visibility.triangles.len())?, warnings));
+    let Geometry {
+        scene,
+        surface,
+        visibility,
+        ..
+    } = *geometry;
+    let unpack = |warnings, bytes: &[u8]| {
+        Some((
+            kept::unary::unpack(bytes, visibility.triangles.len())?,
+            warnings,
+        ))
+    };
     kept::read_or(file, unpack, || {
         if let Confidence::None = confidence {
             return Ok((Unary::certain(), Vec::new()));
@@ -349,11 +430,15 @@ fn unary(
             _ => confidence::picture_warnings(scene, &faults, confidence::ALL_COUNTS),
         };
         let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
-        Ok((nearby.within(masks), unused.into_iter().chain(broken).collect()))
+        Ok((
+            nearby.within(masks),
+            unused.into_iter().chain(broken).collect(),
+        ))
     })
 }
 
-/// Chooses the clusters, and computes their fulfilment at full and, if there is a choice of sizes, at half size.
+/// Chooses the clusters, and computes their fulfilment at full and, if there is a choice of sizes,
+/// at half size.
 fn clusters(
     file: CacheFile,
     model: &Model,
@@ -364,9 +449,21 @@ fn clusters(
     let has_half = settings.ranking.has_half();
     let unpack = |(), bytes: &[u8]| kept::clusters::unpack(bytes, model.visibility, has_half);
     kept::read_or(file, unpack, || {
-        let (clusters, fulfilment) = partners::choose(model, candidates, &settings.partners, settings.seed, watcher)?;
+        let (clusters, fulfilment) = partners::choose(
+            model,
+            candidates,
+            &settings.partners,
+            settings.seed,
+            watcher,
+        )?;
         let half = match has_half {
-            true => Some(fulfilment::half_size(model, &clusters, &fulfilment, settings.ranking.half_worth, watcher)?),
+            true => Some(fulfilment::half_size(
+                model,
+                &clusters,
+                &fulfilment,
+                settings.ranking.half_worth,
+                watcher,
+            )?),
             false => None,
         };
         Ok((clusters, fulfilment, half))
@@ -384,20 +481,25 @@ fn agreement(
     watcher: &dyn Watcher,
 ) -> Result<Agreement, PlanError> {
     let of_key_view = |key| -> ReachOfPartner {
-        let Some(rule) = matcher.numbers.reach else { return Box::new(|_| Reach::Everything) };
+        let Some(rule) = matcher.numbers.reach else {
+            return Box::new(|_| Reach::Everything);
+        };
         let pairs = rule(geometry.scene, points, key, geometry.image_scale);
         Box::new(move |partner| {
             let shared = points.shared(key, partner);
             pairs.reach(&PairGeometry::new(geometry.scene, key, partner, &shared))
         })
     };
-    let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_key_view: &of_key_view };
+    let reach = ProgramReach {
+        program: matcher.numbers.reach.map(|_| matcher.name),
+        of_key_view: &of_key_view,
+    };
     let partners = |view| candidates.candidates_of(view);
     Agreement::new(geometry, pictures, partners, &reach, room, watcher)
 }
 
-/// Returns the surface, and the candidate partners of each view within the gate, among pairs that the backend can match and that have images; those of an
-/// earlier plan if nothing has changed.
+/// Returns the surface, and the candidate partners of each view within the gate, among pairs that
+/// the backend can match and that have images; those of an earlier plan if nothing has changed.
 fn surface_and_candidates(
     from @ (scene, points): (&Scene, &ViewPoints),
     settings: &Settings,
@@ -410,21 +512,31 @@ fn surface_and_candidates(
     let PlanningNumbers { reach, gate, .. } = matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
     let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, without_image);
-    let (slot, known) = kept::read(file, |(), bytes| kept::candidates::unpack(bytes, scene.views.len()));
+    let (slot, known) = kept::read(file, |(), bytes| {
+        kept::candidates::unpack(bytes, scene.views.len())
+    });
     let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
     let refusals_of = |key| -> Refuses {
         let reach = reach.map(|rule| rule(scene, points, key, settings.image_scale()));
         Box::new(move |pair| {
-            [pair.key, pair.partner].iter().any(lacks_image) || reach.as_ref().is_some_and(|reach| reach.refuses(pair))
+            [pair.key, pair.partner].iter().any(lacks_image)
+                || reach.as_ref().is_some_and(|reach| reach.refuses(pair))
         })
     };
-    let limits = Limits { gate: &gate, refusals_of: &refusals_of };
+    let limits = Limits {
+        gate: &gate,
+        refusals_of: &refusals_of,
+    };
     let search = CandidateSearch::new(scene, points, &settings.partners, &limits, watcher);
     let mut surface = Err(Cancelled.into());
-    // Parts of the surface are built by one thread, and the others find candidates meanwhile. Called from outside the thread pool, these jobs wait in its
-    // queue, where threads look only when nothing of the surface is left to share; on a thread of the pool, they merely run beside it.
+    // Parts of the surface are built by one thread, and the others find candidates meanwhile.
+    // Called from outside the thread pool, these jobs wait in its queue, where threads look only
+    // when nothing of the surface is left to share; on a thread of the pool, they merely run beside
+    // it.
     rayon::in_place_scope_fifo(|jobs| {
-        jobs.spawn_fifo(|_| surface = VisibleSurface::kept_or_new(from, settings, inputs, watcher, timings, memory));
+        jobs.spawn_fifo(|_| {
+            surface = VisibleSurface::kept_or_new(from, settings, inputs, watcher, timings, memory)
+        });
         if known.is_none() {
             search.start(jobs);
         }
@@ -438,16 +550,34 @@ fn surface_and_candidates(
 }
 
 /// Returns number of views, pixels and finest GSD of each triangle.
-fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<Slotted<Shown>, PlanError> {
-    let unpack = |(), bytes: &[u8]| kept::shown::unpack(bytes, scene.views.len(), seen.surface.triangles.len());
-    kept::read_or(file, unpack, || Ok(Shown::new(scene, &seen.surface, &seen.visibility)))
+fn shown(
+    file: CacheFile,
+    scene: &Scene,
+    seen: &VisibleSurface,
+) -> Result<Slotted<Shown>, PlanError> {
+    let unpack = |(), bytes: &[u8]| {
+        kept::shown::unpack(bytes, scene.views.len(), seen.surface.triangles.len())
+    };
+    kept::read_or(file, unpack, || {
+        Ok(Shown::new(scene, &seen.surface, &seen.visibility))
+    })
 }
 
 /// Reads the region of the settings, before the surface is built.
-fn shape(project: &Project, scene: &Scene, settings: &Settings) -> Result<Option<RegionShape>, PlanError> {
-    let Some(choice) = &settings.region else { return Ok(None) };
+fn shape(
+    project: &Project,
+    scene: &Scene,
+    settings: &Settings,
+) -> Result<Option<RegionShape>, PlanError> {
+    let Some(choice) = &settings.region else {
+        return Ok(None);
+    };
     let place = georeference(project, scene, &settings.frame);
-    Ok(Some(RegionShape::read(choice, &place, &MapFrame::new(scene, settings.surface.up))?))
+    Ok(Some(RegionShape::read(
+        choice,
+        &place,
+        &MapFrame::new(scene, settings.surface.up),
+    )?))
 }
 
 fn rule(settings: &Settings, confidence: Confidence) -> FulfilmentRule {

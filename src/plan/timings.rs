@@ -1,4 +1,5 @@
-//! Wall time of each stage, for `timings.json` and for comparing the cost of planning with the matching time that it saves.
+//! Wall time of each stage, for `timings.json` and for comparing the cost of planning with the
+//! matching time that it saves.
 
 use std::time::Instant;
 
@@ -16,7 +17,11 @@ pub struct Timings {
 
 impl Timings {
     pub fn start() -> Self {
-        Self { start: Instant::now(), stages: Vec::new(), total: 0.0 }
+        Self {
+            start: Instant::now(),
+            stages: Vec::new(),
+            total: 0.0,
+        }
     }
 
     /// Runs a stage and records its time; a stage that runs again accumulates.
@@ -76,7 +81,9 @@ mod tests {
     fn a_stage_within_another_counts_once() {
         let mut timings = Timings::start();
         let work = || (0..200_000u64).map(std::hint::black_box).sum::<u64>();
-        timings.time_rest(Stage::Partners, |timings| timings.time(Stage::Surface, work));
+        timings.time_rest(Stage::Partners, |timings| {
+            timings.time(Stage::Surface, work)
+        });
         timings.time(Stage::Surface, work);
         timings.end();
         let stages: Vec<Stage> = timings.stages.iter().map(|(stage, _)| *stage).collect();

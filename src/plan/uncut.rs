@@ -1,4 +1,5 @@
-//! The ranking, with what follows from it wherever it is cut: kept for the next plan, which may differ in its cut alone.
+//! The ranking, with what follows from it wherever it is cut: kept for the next plan, which may
+//! differ in its cut alone.
 
 use super::{Stages, border::border, reasons::Reasons};
 use crate::{
@@ -23,15 +24,31 @@ pub struct UncutRanking {
 impl UncutRanking {
     /// Computes all but the pixels, which only the clusters up to the cut need.
     pub fn new(stages: &Stages, ranking: Ranking) -> Self {
-        let by_area = Objective::by_area(&stages.surface, stages.region.as_ref(), stages.objective.support);
+        let by_area = Objective::by_area(
+            &stages.surface,
+            stages.region.as_ref(),
+            stages.objective.support,
+        );
         // The shares take the clusters in their order, on one thread.
         let (area_shares, (triangle_reasons, border)) = rayon::join(
             || ranking::shares_by(&by_area, &ranking, &stages.maps()),
             || {
-                let border = || border(&stages.surface, &stages.shown.views, &stages.objective.weights);
+                let border = || {
+                    border(
+                        &stages.surface,
+                        &stages.shown.views,
+                        &stages.objective.weights,
+                    )
+                };
                 rayon::join(|| Reasons::of(stages, &stages.model()).triangles(), border)
             },
         );
-        Self { ranking, area_shares, triangle_reasons, border, pixels: Vec::new() }
+        Self {
+            ranking,
+            area_shares,
+            triangle_reasons,
+            border,
+            pixels: Vec::new(),
+        }
     }
 }

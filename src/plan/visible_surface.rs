@@ -40,14 +40,31 @@ impl VisibleSurface {
         let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
         let (slot, found) = timings.time(Stage::Surface, || {
             let file = inputs.surface(settings, memory);
-            kept::read(file, |facts, bytes| KeptSurface::unpack(facts, bytes, from.0.views.len()))
+            kept::read(file, |facts, bytes| {
+                KeptSurface::unpack(facts, bytes, from.0.views.len())
+            })
         });
         match found {
-            Some(KeptSurface { surface, stats, visibility }) => {
+            Some(KeptSurface {
+                surface,
+                stats,
+                visibility,
+            }) => {
                 memory.with_visibility(&surface, &visibility);
-                Ok((slot, Self { surface, stats, visibility, gsd }))
+                Ok((
+                    slot,
+                    Self {
+                        surface,
+                        stats,
+                        visibility,
+                        gsd,
+                    },
+                ))
             }
-            None => Ok((slot, Self::new(from, gsd, settings, watcher, timings, memory)?)),
+            None => Ok((
+                slot,
+                Self::new(from, gsd, settings, watcher, timings, memory)?,
+            )),
         }
     }
 
@@ -59,27 +76,51 @@ impl VisibleSurface {
         timings: &mut Timings,
         memory: &mut Memory,
     ) -> Result<Self, PlanError> {
-        let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
+        let mesh = settings.surface.mesh.clone().map(|path| MeshFile {
+            path,
+            as_is: settings.surface.mesh_as_is,
+        });
         let most = memory.most_triangles();
         let (surface, stats) = timings.time(Stage::Surface, || {
             let wanted = match settings.target.mode {
-                TargetMode::Best => WantedGsd::finest(scene, gsd, GSD_MARGIN / settings.image_scale()),
+                TargetMode::Best => {
+                    WantedGsd::finest(scene, gsd, GSD_MARGIN / settings.image_scale())
+                }
                 _ => WantedGsd::uniform(gsd),
             };
-            surface::build(scene, &wanted, &settings.surface, mesh.as_ref(), most, watcher)
-                .map_err(|error| memory.too_fine(error))
+            surface::build(
+                scene,
+                &wanted,
+                &settings.surface,
+                mesh.as_ref(),
+                most,
+                watcher,
+            )
+            .map_err(|error| memory.too_fine(error))
         })?;
         platform::return_freed_memory();
         let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
         let edge_length = settings.surface.edge_factor * gsd;
         timings.time(Stage::Visibility, || {
-            let visibility =
-                visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)?;
+            let visibility = visibility::estimate(
+                scene,
+                points,
+                &surface,
+                &settings.visibility,
+                edge_length,
+                keep,
+                watcher,
+            )?;
             let seen = visibility.seen_triangles(surface.triangles.len());
             if !seen.contains(&true) {
                 return Err(SurfaceError::Empty.into());
             }
-            Ok(Self { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
+            Ok(Self {
+                surface: surface.keep(&seen),
+                stats,
+                visibility: visibility.keep(&seen)?,
+                gsd,
+            })
         })
     }
 }

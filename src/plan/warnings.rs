@@ -9,20 +9,32 @@ use crate::{
 
 /// Share of the observations of a table that may contradict it.
 const CONTRADICTIONS: f64 = 0.05;
-/// Ratio, either way, of the wanted to the images' own ground sampling distance beyond which the unit is probably wrong.
+/// Ratio, either way, of the wanted to the images' own ground sampling distance beyond which the
+/// unit is probably wrong.
 const WANTED_RATIO: f64 = 20.0;
 /// Share of what is wanted that all clusters together give, below which the plan says so.
 const LITTLE: f64 = 0.4;
-/// Width of the band of what all clusters give, over what they give, from which on the scene is one that the confidence cannot judge: 0.9 to 1.2
-/// in a room, around a bust and over a far oblique view, 0.2 to 0.5 over flights and a relief.
+/// Width of the band of what all clusters give, over what they give, from which on the scene is one
+/// that the confidence cannot judge: 0.9 to 1.2 in a room, around a bust and over a far oblique
+/// view, 0.2 to 0.5 over flights and a relief.
 const UNSURE: f64 = 0.7;
 /// Eastings of UTM coordinates, metres; a zone is no wider.
 const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that a warning names.
 const NAMED: usize = 3;
 
-pub(super) fn warnings(stages: &Stages, ranking: &Ranking, cut: &Cut, finished: &FinishedMaps) -> Vec<String> {
-    let mut warnings: Vec<String> = stages.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
+pub(super) fn warnings(
+    stages: &Stages,
+    ranking: &Ranking,
+    cut: &Cut,
+    finished: &FinishedMaps,
+) -> Vec<String> {
+    let mut warnings: Vec<String> = stages
+        .scene
+        .warnings
+        .iter()
+        .map(|warning| warning.text.clone())
+        .collect();
     warnings.extend(stages.picture_warnings.iter().cloned());
     warnings.extend(unlikely_gsd(stages.image_gsd, &stages.settings));
     warnings.extend(no_utm_coordinates(stages));
@@ -40,7 +52,8 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, cut: &Cut, finished: 
     warnings
 }
 
-/// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely given in another unit.
+/// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely
+/// given in another unit.
 pub fn unlikely_gsd(image_gsd: Option<f64>, settings: &Settings) -> Option<String> {
     let (gsd, target) = (image_gsd?, settings.target.gsd?);
     let ratio = target / (gsd / settings.image_scale());
@@ -78,19 +91,27 @@ fn one_size(stages: &Stages) -> Option<String> {
     })
 }
 
-/// Warns of a terrain built where a carved surface was asked for, because the points enclose no volume.
+/// Warns of a terrain built where a carved surface was asked for, because the points enclose no
+/// volume.
 fn no_3d_surface(stages: &Stages) -> Option<String> {
     let settings = &stages.settings.surface;
     let other = settings.mesh.is_none()
         && settings.kind == SurfaceChoice::Carved
         && stages.surface.kind == SurfaceKind::Terrain;
-    other.then(|| "the sparse points are coplanar: the surface is a terrain although surface.kind is 3d".into())
+    other.then(|| {
+        "the sparse points are coplanar: the surface is a terrain although surface.kind is 3d"
+            .into()
+    })
 }
 
 /// Warns of finished depth maps that must be computed again.
 fn outdated(stages: &Stages, finished: &FinishedMaps) -> Option<String> {
     let outdated = &finished.outdated;
-    let names: Vec<&str> = outdated.iter().take(NAMED).map(|o| o.key.as_str()).collect();
+    let names: Vec<&str> = outdated
+        .iter()
+        .take(NAMED)
+        .map(|o| o.key.as_str())
+        .collect();
     let more = if outdated.len() > NAMED { ", ..." } else { "" };
     (!outdated.is_empty()).then(|| {
         format!(
@@ -106,7 +127,10 @@ fn outdated(stages: &Stages, finished: &FinishedMaps) -> Option<String> {
 /// Warns of confidence settings that the confidence source in force ignores.
 fn without_effect(stages: &Stages) -> Option<String> {
     let set = &stages.settings.confidence;
-    let pair = matches!(stages.confidence, Confidence::Pair(_) | Confidence::Photometric { .. });
+    let pair = matches!(
+        stages.confidence,
+        Confidence::Pair(_) | Confidence::Photometric { .. }
+    );
     let photometric = matches!(stages.confidence, Confidence::Photometric { .. });
     let ignored = [
         ("p0", set.p0.is_some() && !pair),
@@ -115,20 +139,35 @@ fn without_effect(stages: &Stages) -> Option<String> {
         ("full_angle", set.full_angle.is_some() && !pair),
         ("agree", set.agree.is_some() && !photometric),
         ("differ", set.differ.is_some() && !photometric),
-        ("full_agreement", set.full_agreement.is_some() && !photometric),
-        ("min_matches", set.min_matches.is_some() && stages.confidence == Confidence::None),
+        (
+            "full_agreement",
+            set.full_agreement.is_some() && !photometric,
+        ),
+        (
+            "min_matches",
+            set.min_matches.is_some() && stages.confidence == Confidence::None,
+        ),
     ];
-    let names: Vec<String> =
-        ignored.into_iter().filter(|(_, is)| *is).map(|(name, _)| format!("confidence.{name}")).collect();
+    let names: Vec<String> = ignored
+        .into_iter()
+        .filter(|(_, is)| *is)
+        .map(|(name, _)| format!("confidence.{name}"))
+        .collect();
     let source = set.source;
-    (!names.is_empty())
-        .then(|| format!("confidence.source = {source} ignores {}; remove the setting", names.join(", ")))
+    (!names.is_empty()).then(|| {
+        format!(
+            "confidence.source = {source} ignores {}; remove the setting",
+            names.join(", ")
+        )
+    })
 }
 
 /// Warns of k = 1, which leaves out the third camera of the method.
 fn single_partner(stages: &Stages) -> Option<String> {
-    (stages.settings.partners.k == 1)
-        .then(|| "with k = 1 a place counts once two cameras see it; no third camera confirms the match".into())
+    (stages.settings.partners.k == 1).then(|| {
+        "with k = 1 a place counts once two cameras see it; no third camera confirms the match"
+            .into()
+    })
 }
 
 /// Warns where all clusters together reach next to nothing: the plan's shares are relative to that.

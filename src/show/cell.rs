@@ -5,13 +5,15 @@ const FORMULAS: [char; 8] = ['=', '+', '-', '@', '＝', '＋', '－', '＠'];
 /// Characters that begin a cell in a table of some language or program.
 const SEPARATORS: [char; 6] = [',', ';', '|', '\t', '\r', '\n'];
 
-/// Writes a name so that no spreadsheet takes it, or a part of it, for a formula: an apostrophe before each character that would begin one, and
-/// before an apostrophe in such a place, at the start and after a separator. Without the apostrophes in
-/// these places, a cell is the name again.
+/// Writes a name so that no spreadsheet takes it, or a part of it, for a formula: an apostrophe
+/// before each character that would begin one, and before an apostrophe in such a place, at the
+/// start and after a separator. Without the apostrophes in these places, a cell is the name again.
 pub fn cell(name: &str) -> String {
     let mut before = None;
     name.chars().fold(String::new(), |mut cell, c| {
-        if begins(before) && (c == '\'' || FORMULAS.contains(&c) || before.is_none() && c.is_control()) {
+        if begins(before)
+            && (c == '\'' || FORMULAS.contains(&c) || before.is_none() && c.is_control())
+        {
             cell.push('\'');
         }
         before = Some(c);
@@ -36,7 +38,13 @@ mod tests {
         let (mut name, mut before) = (String::new(), None);
         let mut rest = cell.chars();
         while let Some(c) = rest.next() {
-            let Some(c) = (if begins(before) && c == '\'' { rest.next() } else { Some(c) }) else { break };
+            let Some(c) = (if begins(before) && c == '\'' {
+                rest.next()
+            } else {
+                Some(c)
+            }) else {
+                break;
+            };
             before = Some(c);
             name.push(c);
         }

@@ -1,10 +1,13 @@
-//! The files of a plan: manifest and its table, pair files, pictures, and the files of the backends.
+//! The files of a plan: manifest and its table, pair files, pictures, and the files of the
+//! backends.
 
 use std::path::{Path, PathBuf};
 
 use super::outdated;
 use crate::{
-    backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, Selection, place},
+    backends::{
+        self, Backend, BackendError, Export, ExportOptions, ExportRecord, Selection, place,
+    },
     base::{
         error::Hint,
         shell::{command_path, one_after_other},
@@ -23,7 +26,8 @@ use crate::{
 
 use serde_json::json;
 
-/// Path of the report in its project, and the name of its file set. Writing a plan marks the report of any other plan as stale.
+/// Path of the report in its project, and the name of its file set. Writing a plan marks the report
+/// of any other plan as stale.
 pub const REPORT_FILE: &str = "viewrank/report.html";
 pub const REPORT_SET: &str = "report";
 /// Path prefix of the report's flight plan.
@@ -31,13 +35,16 @@ const FLIGHT: &str = "viewrank/flight/";
 
 /// Returns the path of the report of a plan in this folder, to be shown.
 pub fn report_path(home: &Path) -> PathBuf {
-    REPORT_FILE.split('/').fold(home.to_path_buf(), |path, name| path.join(name))
+    REPORT_FILE
+        .split('/')
+        .fold(home.to_path_buf(), |path, name| path.join(name))
 }
 
 /// The files to write for a plan.
 pub struct PlanFiles {
     pub manifest: Manifest,
-    /// The plan's own files first, then those of each backend (one set per folder), the caches and outdated sets to remove; all are written together.
+    /// The plan's own files first, then those of each backend (one set per folder), the caches and
+    /// outdated sets to remove; all are written together.
     pub sets: Vec<FileSet>,
     /// Exports of earlier plans that stay in the project, one line each; not part of the plan.
     pub outdated_exports: Vec<String>,
@@ -54,8 +61,12 @@ impl PlanFiles {
     /// # Errors
     /// Fails like [`output::write_all`].
     pub fn write(&self, disk: &Disk) -> Result<Option<String>, OutputError> {
-        let uncached = output::write_all(&self.sets, disk)?.into_iter().find_map(|set| set.failed);
-        Ok(uncached.map(|why| format!("the next plan will begin anew, because its cache cannot be written: {why}")))
+        let uncached = output::write_all(&self.sets, disk)?
+            .into_iter()
+            .find_map(|set| set.failed);
+        Ok(uncached.map(|why| {
+            format!("the next plan will begin anew, because its cache cannot be written: {why}")
+        }))
     }
 }
 
@@ -105,8 +116,9 @@ pub fn files_of_same_model(plan: &Plan, project: &Project) -> Result<PlanFiles, 
 /// Collects the files of the plan, for [`output::write_all`](crate::io::output::write_all).
 ///
 /// # Errors
-/// Fails if the plan chooses nothing, a backend does not support a name, or a mesh can no longer be read. The manifest's fingerprint is of the model's
-/// files as they are now: see [`Project::refuse_changed_model`].
+/// Fails if the plan chooses nothing, a backend does not support a name, or a mesh can no longer be
+/// read. The manifest's fingerprint is of the model's files as they are now: see
+/// [`Project::refuse_changed_model`].
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     if let Some(empty) = EmptyPlan::detect(plan) {
         return Err(empty.into());
@@ -126,7 +138,9 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let pair_files = backends::pair_files("the list of view clusters", &selection);
     let pair_files = pair_files.or_else(|error| match error {
         BackendError::Name { .. } => {
-            missing.push(format!("did not write clusters.txt, pairs.txt and baseImages.txt: {error}"));
+            missing.push(format!(
+                "did not write clusters.txt, pairs.txt and baseImages.txt: {error}"
+            ));
             Ok(Vec::new())
         }
         error => Err(error),
@@ -139,7 +153,11 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         || rayon::join(|| surface_ply(plan), || views_geojson(plan, &place)),
     );
     let mut manifest = manifest?;
-    manifest.warnings.extend(plan.stages.image_faults.warnings(project, &plan.stages.scene));
+    manifest.warnings.extend(
+        plan.stages
+            .image_faults
+            .warnings(project, &plan.stages.scene),
+    );
     manifest.warnings.extend(missing);
     let command = exports.first().and_then(command);
     let mut own = FileSet::new(&project.home, "plan");
@@ -147,27 +165,50 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let stale = stale_page(project, &manifest);
     if project.is_elsewhere() {
         let root = std::path::absolute(&project.root).unwrap_or_else(|_| project.root.clone());
-        add("project.json", json!({ "project": root }).to_string() + "\n");
+        add(
+            "project.json",
+            json!({ "project": root }).to_string() + "\n",
+        );
     }
     add("manifest.json", manifest.to_json());
     add("manifest.csv", manifest.to_csv());
-    pair_files.into_iter().for_each(|(name, text)| add(name, text));
+    pair_files
+        .into_iter()
+        .for_each(|(name, text)| add(name, text));
     let planned_views = PlannedViews::new(&plan.stages.scene, &plan.decision.finished);
-    add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
+    add(
+        "planned_views.json",
+        serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n",
+    );
     add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
     add(views_file(&place), views);
-    add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
+    add(
+        "timings.json",
+        serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n",
+    );
     own.add("viewrank/surface.ply", Contents::Bytes(surface));
     let exports = exports.into_iter().map(|export| {
         let folder = export.files.root.clone();
         place::set_of_folder(&folder, [export.files], project)
     });
-    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(plan.unwritten()).chain(stale).collect();
+    let sets: Vec<FileSet> = std::iter::once(own)
+        .chain(exports)
+        .chain(plan.unwritten())
+        .chain(stale)
+        .collect();
     let outdated_exports = outdated::exports(plan, project, &sets);
-    Ok(PlanFiles { manifest, sets, outdated_exports, place, not_exported, command })
+    Ok(PlanFiles {
+        manifest,
+        sets,
+        outdated_exports,
+        place,
+        not_exported,
+        command,
+    })
 }
 
-/// Returns the report of an earlier plan with a note that a newer plan exists, so that a page open in a browser survives a reload.
+/// Returns the report of an earlier plan with a note that a newer plan exists, so that a page open
+/// in a browser survives a reload.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let earlier = output::read_own(&project.home, manifest::FILE);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
@@ -176,10 +217,16 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     }
     let mut set = FileSet::new(&project.home, REPORT_SET);
     // A page that cannot be read is removed, because it shows another plan.
-    let page = output::read_own(&project.home, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
+    let page = output::read_own(&project.home, REPORT_FILE)
+        .ok()
+        .and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {
-        set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
-        // Keeps the flight plan that the page shows. Records may be forged, so other paths are ignored.
+        set.add_text(
+            REPORT_FILE,
+            page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1),
+        );
+        // Keeps the flight plan that the page shows. Records may be forged, so other paths are
+        // ignored.
         let listed = output::recorded(&project.home, REPORT_SET).into_iter();
         for path in listed.filter(|path| path.starts_with(FLIGHT)) {
             if output::open_own(&project.home, &path).is_ok() {
@@ -190,15 +237,24 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     Some(set)
 }
 
-/// Returns the shell command that enters the folder of the export and starts its runner, or else its first command.
+/// Returns the shell command that enters the folder of the export and starts its runner, or else
+/// its first command.
 fn command(export: &Export) -> Option<String> {
     let folder = command_path(&export.files.root);
-    let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
-    Some(one_after_other(&format!("cd {folder}"), runner.as_ref().or(export.record.commands.first())?))
+    let runner = export
+        .record
+        .runner
+        .as_ref()
+        .map(|runner| format!("./{runner}"));
+    Some(one_after_other(
+        &format!("cd {folder}"),
+        runner.as_ref().or(export.record.commands.first())?,
+    ))
 }
 
-/// Makes the files of a backend for the first `clusters` clusters of a plan in memory; [`FileSet::write`] writes them. Returns the folder of the
-/// export, which is below the root of the files if that is the project, the files, and the record.
+/// Makes the files of a backend for the first `clusters` clusters of a plan in memory;
+/// [`FileSet::write`] writes them. Returns the folder of the export, which is below the root of the
+/// files if that is the project, the files, and the record.
 ///
 /// # Errors
 /// Fails like [`Backend::export`], or if the folder is occupied by other files.
@@ -227,17 +283,34 @@ pub fn export(
     Ok((folder, files, export.record))
 }
 
-/// Returns the files of each backend, and a warning for each backend without files: the plan is useful without them.
-fn exports(selection: &Selection, backends: &[&'static Backend]) -> Result<(Vec<Export>, Vec<String>), BackendError> {
+/// Returns the files of each backend, and a warning for each backend without files: the plan is
+/// useful without them.
+fn exports(
+    selection: &Selection,
+    backends: &[&'static Backend],
+) -> Result<(Vec<Export>, Vec<String>), BackendError> {
     let (mut exports, mut missing) = (Vec::new(), Vec::new());
     for backend in backends {
-        let checked = backend.export(selection, &ExportOptions::default()).and_then(|export| {
-            place::check(&export.files.root, std::slice::from_ref(&export), selection.project).map(|()| export)
-        });
+        let checked = backend
+            .export(selection, &ExportOptions::default())
+            .and_then(|export| {
+                place::check(
+                    &export.files.root,
+                    std::slice::from_ref(&export),
+                    selection.project,
+                )
+                .map(|()| export)
+            });
         match checked {
             Ok(export) => exports.push(export),
-            Err(BackendError::Needs { backend, what, hint }) => {
-                missing.push(format!("did not export to {backend}, which needs {what}: {hint}"));
+            Err(BackendError::Needs {
+                backend,
+                what,
+                hint,
+            }) => {
+                missing.push(format!(
+                    "did not export to {backend}, which needs {what}: {hint}"
+                ));
             }
             Err(
                 error @ (BackendError::OtherExport { .. }
@@ -256,7 +329,11 @@ fn exports(selection: &Selection, backends: &[&'static Backend]) -> Result<(Vec<
 /// Returns the backends in the settings, or else those that the project is set up for.
 fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static Backend>, BackendError> {
     if plan.stages.settings.backends.is_empty() {
-        return Ok(backends::BACKENDS.iter().copied().filter(|backend| (backend.serves)(project)).collect());
+        return Ok(backends::BACKENDS
+            .iter()
+            .copied()
+            .filter(|backend| (backend.serves)(project))
+            .collect());
     }
     Ok(backends::by_names(&plan.stages.settings.backends)?)
 }

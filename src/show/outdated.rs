@@ -30,12 +30,18 @@ struct View {
     name: String,
 }
 
-/// Returns one line for each folder in the project with an export of another ranking that `sets` does not replace. Three or more share one line
-/// that names the first and counts the others.
+/// Returns one line for each folder in the project with an export of another ranking that `sets`
+/// does not replace. Three or more share one line that names the first and counts the others.
 pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
-    let kept = |path: &String| sets.iter().all(|set| set.root != project.home || !set.files.contains_key(path));
+    let kept = |path: &String| {
+        sets.iter()
+            .all(|set| set.root != project.home || !set.files.contains_key(path))
+    };
     let records = recorded(&project.home, "export-").into_iter();
-    let mut lines: Vec<String> = records.filter(kept).filter_map(|path| line(plan, project, &path)).collect();
+    let mut lines: Vec<String> = records
+        .filter(kept)
+        .filter_map(|path| line(plan, project, &path))
+        .collect();
     // Tiles of one export share a line.
     lines.dedup();
     if let [first, _, _, ..] = &lines[..] {
@@ -47,17 +53,29 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
 
 fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let (folder, in_tiles) = place::folder_of_record(record)?;
-    let exported: EarlierExport = serde_json::from_slice(&read_own(&project.home, record).ok()?).ok()?;
+    let exported: EarlierExport =
+        serde_json::from_slice(&read_own(&project.home, record).ok()?).ok()?;
     let backend = by_name(&exported.backend).ok()?.name;
     if is_part(&exported, plan) {
         return None;
     }
     let tiles = if in_tiles { " --tiles N" } else { "" };
     let folder = project.home.join(folder);
-    let own = [project.output_folder().join(backend), project.output_folder().join(format!("{backend}-tiles"))];
-    let workspace = project.dense_workspace.as_deref().filter(|_| backend == "colmap");
-    let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| paths::is_same(workspace, &folder));
-    let out = if is_default { String::new() } else { format!(" --out {}", command_path(&folder)) };
+    let own = [
+        project.output_folder().join(backend),
+        project.output_folder().join(format!("{backend}-tiles")),
+    ];
+    let workspace = project
+        .dense_workspace
+        .as_deref()
+        .filter(|_| backend == "colmap");
+    let is_default = own.contains(&folder)
+        || workspace.is_some_and(|workspace| paths::is_same(workspace, &folder));
+    let out = if is_default {
+        String::new()
+    } else {
+        format!(" --out {}", command_path(&folder))
+    };
     Some(format!(
         "{} contains an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
@@ -72,7 +90,8 @@ fn is_part(exported: &EarlierExport, plan: &Plan) -> bool {
     exported.clusters.iter().all(|cluster| {
         ranked.any(|c| {
             let partners = c.partners.iter().map(|&partner| name(partner));
-            cluster.key.name == name(c.key) && partners.eq(cluster.partners.iter().map(|view| view.name.as_str()))
+            cluster.key.name == name(c.key)
+                && partners.eq(cluster.partners.iter().map(|view| view.name.as_str()))
         })
     })
 }

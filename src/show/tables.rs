@@ -14,40 +14,119 @@ use crate::{
 /// Adds the tables of method 6 to a set of files.
 pub fn add(plan: &Plan, files: &mut FileSet) {
     let mut table = |name: &str, bytes: Vec<u8>| add_table(files, name, bytes);
-    let vertices: Vec<f64> = plan.stages.surface.vertices.iter().flat_map(|v| v.coords.iter().copied()).collect();
-    table("vertices", array(&[plan.stages.surface.vertices.len(), 3], vertices));
+    let vertices: Vec<f64> = plan
+        .stages
+        .surface
+        .vertices
+        .iter()
+        .flat_map(|v| v.coords.iter().copied())
+        .collect();
+    table(
+        "vertices",
+        array(&[plan.stages.surface.vertices.len(), 3], vertices),
+    );
     table(
         "triangles",
-        array(&[plan.stages.surface.triangles.len(), 3], plan.stages.surface.triangles.iter().flatten().copied()),
+        array(
+            &[plan.stages.surface.triangles.len(), 3],
+            plan.stages.surface.triangles.iter().flatten().copied(),
+        ),
     );
-    table("triangle_gsd", array(&[plan.stages.target.gsd.len()], plan.stages.target.gsd.iter().copied()));
-    table("weight", array(&[plan.stages.objective.weights.len()], plan.stages.objective.weights.iter().copied()));
-    let visible = rows(plan.stages.visibility.offsets.as_slice(), &plan.stages.visibility.triangles);
-    table("visible", array(&[plan.stages.visibility.triangles.len(), 2], visible));
+    table(
+        "triangle_gsd",
+        array(
+            &[plan.stages.target.gsd.len()],
+            plan.stages.target.gsd.iter().copied(),
+        ),
+    );
+    table(
+        "weight",
+        array(
+            &[plan.stages.objective.weights.len()],
+            plan.stages.objective.weights.iter().copied(),
+        ),
+    );
+    let visible = rows(
+        plan.stages.visibility.offsets.as_slice(),
+        &plan.stages.visibility.triangles,
+    );
+    table(
+        "visible",
+        array(&[plan.stages.visibility.triangles.len(), 2], visible),
+    );
     let (unary, seen) = (&plan.stages.unary, plan.stages.visibility.triangles.len());
-    table("unary", array(&[seen], (0..seen).map(|row| unary.at(row).observed)));
-    table("allowed", array(&[seen], (0..seen).map(|row| unary.at(row).allowed)));
+    table(
+        "unary",
+        array(&[seen], (0..seen).map(|row| unary.at(row).observed)),
+    );
+    table(
+        "allowed",
+        array(&[seen], (0..seen).map(|row| unary.at(row).allowed)),
+    );
     if let Confidence::Photometric { .. } = plan.stages.confidence {
         let agreement = &plan.stages.agreement;
         table("agreement_partners", indices(&agreement.partners));
         table("agreement_offsets", offsets(&agreement.offsets));
-        table("agreement", array(&[agreement.values.len()], agreement.values.iter().copied()));
+        table(
+            "agreement",
+            array(&[agreement.values.len()], agreement.values.iter().copied()),
+        );
     }
     table("candidates", indices(&plan.stages.candidates.views));
-    table("candidate_offsets", offsets(plan.stages.candidates.offsets.as_slice()));
-    let partners: Vec<ViewIndex> = plan.stages.clusters.iter().flat_map(|c| c.partners.iter().copied()).collect();
-    let partner_offsets = Offsets::from_lengths(plan.stages.clusters.iter().map(|c| c.partners.len()));
+    table(
+        "candidate_offsets",
+        offsets(plan.stages.candidates.offsets.as_slice()),
+    );
+    let partners: Vec<ViewIndex> = plan
+        .stages
+        .clusters
+        .iter()
+        .flat_map(|c| c.partners.iter().copied())
+        .collect();
+    let partner_offsets =
+        Offsets::from_lengths(plan.stages.clusters.iter().map(|c| c.partners.len()));
     table("partners", indices(&partners));
     table("partner_offsets", offsets(partner_offsets.as_slice()));
-    table("cluster_key", indices(&plan.stages.clusters.iter().map(|c| c.key).collect::<Vec<_>>()));
-    let fulfilment = rows(&plan.stages.fulfilment.offsets, &plan.stages.fulfilment.triangles);
-    table("fulfilment", array(&[plan.stages.fulfilment.triangles.len(), 2], fulfilment));
+    table(
+        "cluster_key",
+        indices(
+            &plan
+                .stages
+                .clusters
+                .iter()
+                .map(|c| c.key)
+                .collect::<Vec<_>>(),
+        ),
+    );
+    let fulfilment = rows(
+        &plan.stages.fulfilment.offsets,
+        &plan.stages.fulfilment.triangles,
+    );
+    table(
+        "fulfilment",
+        array(&[plan.stages.fulfilment.triangles.len(), 2], fulfilment),
+    );
     table(
         "fulfilment_value",
-        array(&[plan.stages.fulfilment.values.len()], plan.stages.fulfilment.values.iter().copied()),
+        array(
+            &[plan.stages.fulfilment.values.len()],
+            plan.stages.fulfilment.values.iter().copied(),
+        ),
     );
-    table("order", array(&[plan.decision.ranking.order.len()], plan.decision.ranking.order.iter().copied()));
-    table("gain", array(&[plan.decision.ranking.gains.len()], plan.decision.ranking.gains.iter().copied()));
+    table(
+        "order",
+        array(
+            &[plan.decision.ranking.order.len()],
+            plan.decision.ranking.order.iter().copied(),
+        ),
+    );
+    table(
+        "gain",
+        array(
+            &[plan.decision.ranking.gains.len()],
+            plan.decision.ranking.gains.iter().copied(),
+        ),
+    );
     add_json(plan, files);
 }
 
@@ -79,8 +158,11 @@ pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
 
 /// Returns the (row, column) pairs of all entries of a CSR table, flattened.
 pub(crate) fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
-    let of_row =
-        |row: usize| columns[offsets[row]..offsets[row + 1]].iter().flat_map(move |&column| [row as u32, column]);
+    let of_row = |row: usize| {
+        columns[offsets[row]..offsets[row + 1]]
+            .iter()
+            .flat_map(move |&column| [row as u32, column])
+    };
     (0..offsets.len().saturating_sub(1)).flat_map(of_row)
 }
 
@@ -96,9 +178,16 @@ pub(crate) fn offsets(offsets: &[usize]) -> Vec<u8> {
 pub fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     let mut bytes = Vec::new();
-    let writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut bytes).begin_nd();
+    let writer = npyz::WriteOptions::new()
+        .default_dtype()
+        .shape(&shape)
+        .writer(&mut bytes)
+        .begin_nd();
     let mut writer = writer.expect("writing to memory does not fail");
-    writer.extend(values).and_then(|()| writer.finish()).expect("as many values as the shape says");
+    writer
+        .extend(values)
+        .and_then(|()| writer.finish())
+        .expect("as many values as the shape says");
     bytes
 }
 
@@ -112,11 +201,18 @@ mod tests {
         let file = npyz::NpyFile::new(&bytes[..]).expect("a NumPy file");
         assert_eq!(file.shape(), [2, 3]);
         assert_eq!(file.into_vec::<u32>().expect("u32"), [1, 2, 3, 4, 5, 6]);
-        assert_eq!(bytes.len() % 64, 24, "the header is padded, the data begin aligned");
+        assert_eq!(
+            bytes.len() % 64,
+            24,
+            "the header is padded, the data begin aligned"
+        );
     }
 
     #[test]
     fn rows_of_a_table_are_numbered() {
-        assert_eq!(rows(&[0, 2, 2, 3], &[7, 9, 4]).collect::<Vec<_>>(), [0, 7, 0, 9, 2, 4]);
+        assert_eq!(
+            rows(&[0, 2, 2, 3], &[7, 9, 4]).collect::<Vec<_>>(),
+            [0, 7, 0, 9, 2, 4]
+        );
     }
 }

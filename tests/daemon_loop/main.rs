@@ -1,5 +1,5 @@
-//! The daemon's loop on real folders: each project is planned once its input has settled, and only then. The tests here count plans
-//! instead of making them; those in `real` make them.
+//! The daemon's loop on real folders: each project is planned once its input has settled, and only
+//! then. The tests here count plans instead of making them; those in `real` make them.
 
 mod real;
 
@@ -42,7 +42,11 @@ struct Counter {
 
 impl Counter {
     fn plans_of(&self, project: &Path) -> usize {
-        self.plans.lock().expect("no panic").get(project).map_or(0, Vec::len)
+        self.plans
+            .lock()
+            .expect("no panic")
+            .get(project)
+            .map_or(0, Vec::len)
     }
 }
 
@@ -57,14 +61,30 @@ impl Planner for Counter {
     }
 
     fn plan(&self, job: &Job) -> Outcome {
-        let model = ["cameras.bin", "images.bin", "points3D.bin"].map(|name| job.project.join("sparse/0").join(name));
-        let fingerprint = match HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, b"") {
-            Ok(fingerprint) => fingerprint,
-            Err(_) => return Outcome::Abandoned,
-        };
+        let model = ["cameras.bin", "images.bin", "points3D.bin"]
+            .map(|name| job.project.join("sparse/0").join(name));
+        let fingerprint =
+            match HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, b"") {
+                Ok(fingerprint) => fingerprint,
+                Err(_) => return Outcome::Abandoned,
+            };
         let text = serde_json::to_string(&fingerprint).expect("a string");
-        let done = Outcome::Planned { fingerprint, clusters: 1, share: 1.0, note: None, anew: true, known: None };
-        if self.plans.lock().expect("no panic").get(job.project).and_then(|p| p.last()) == Some(&text) {
+        let done = Outcome::Planned {
+            fingerprint,
+            clusters: 1,
+            share: 1.0,
+            note: None,
+            anew: true,
+            known: None,
+        };
+        if self
+            .plans
+            .lock()
+            .expect("no panic")
+            .get(job.project)
+            .and_then(|p| p.last())
+            == Some(&text)
+        {
             return done;
         }
         let until = Instant::now() + self.length;
@@ -78,10 +98,20 @@ impl Planner for Counter {
         if !job.is_wanted() {
             return Outcome::Abandoned;
         }
-        if fs::read(job.project.join("sparse/0/images.bin")).is_ok_and(|bytes| bytes.starts_with(b"broken")) {
-            return Outcome::Failed { reason: "broken".into(), hint: None };
+        if fs::read(job.project.join("sparse/0/images.bin"))
+            .is_ok_and(|bytes| bytes.starts_with(b"broken"))
+        {
+            return Outcome::Failed {
+                reason: "broken".into(),
+                hint: None,
+            };
         }
-        self.plans.lock().expect("no panic").entry(job.project.into()).or_default().push(text);
+        self.plans
+            .lock()
+            .expect("no panic")
+            .entry(job.project.into())
+            .or_default()
+            .push(text);
         done
     }
 }
@@ -102,18 +132,28 @@ fn options(root: &Path) -> WatchOptions {
 }
 
 /// Runs the daemon while `script` acts, then stops it.
-fn with_daemon(options: &WatchOptions, planner: &dyn Planner, script: impl FnOnce()) -> WatchSummary {
+fn with_daemon(
+    options: &WatchOptions,
+    planner: &dyn Planner,
+    script: impl FnOnce(),
+) -> WatchSummary {
     thread::scope(|threads| {
         let (sender, receiver) = channel::<Box<dyn Fn(Signal) + Send>>();
-        let daemon =
-            threads.spawn(move || watch_roots(options, planner, &Disk::REAL, |signal| pass_on(&sender, signal)));
+        let daemon = threads.spawn(move || {
+            watch_roots(options, planner, &Disk::REAL, |signal| {
+                pass_on(&sender, signal)
+            })
+        });
         let signal = receiver.recv().expect("the daemon starts");
         let done = catch_unwind(AssertUnwindSafe(script));
         signal(Signal::Stop);
         if let Err(failure) = done {
             resume_unwind(failure);
         }
-        daemon.join().expect("no panic").expect("the root can be watched")
+        daemon
+            .join()
+            .expect("no panic")
+            .expect("the root can be watched")
     })
 }
 
@@ -129,11 +169,13 @@ fn eventually(what: &str, condition: impl Fn() -> bool) {
     }
 }
 
-/// Adds a project and waits until it is planned. Events come in order and all projects have the same settling time, so everything that happened
-/// before has had its effect then.
+/// Adds a project and waits until it is planned. Events come in order and all projects have the
+/// same settling time, so everything that happened before has had its effect then.
 fn wait_until_idle(root: &Path, planner: &Counter) {
     write_model(&root.join("last"), "last");
-    eventually("the last project", || planner.plans_of(&root.join("last")) == 1);
+    eventually("the last project", || {
+        planner.plans_of(&root.join("last")) == 1
+    });
 }
 
 fn write_model(project: &Path, content: &str) {
@@ -156,15 +198,37 @@ fn existing_and_later_projects_are_planned_once_each() {
     write_model(&root.join("early"), "a");
     let planner = Counter::default();
     let summary = with_daemon(&options(&root), &planner, || {
-        eventually("the early project", || planner.plans_of(&root.join("early")) == 1);
+        eventually("the early project", || {
+            planner.plans_of(&root.join("early")) == 1
+        });
         write_model(&root.join("deep/er/late one"), "b");
-        eventually("the late project", || planner.plans_of(&root.join("deep/er/late one")) == 1);
+        eventually("the late project", || {
+            planner.plans_of(&root.join("deep/er/late one")) == 1
+        });
         fs::rename(root.join("early"), root.join("moved")).expect("a move");
-        eventually("the moved project", || planner.plans_of(&root.join("moved")) == 1);
+        eventually("the moved project", || {
+            planner.plans_of(&root.join("moved")) == 1
+        });
         wait_until_idle(&root, &planner);
     });
-    assert_eq!(summary, WatchSummary { projects: 3, planned: 3, failed: 0, waiting: 0 }, "with the last one");
-    assert!(planner.plans.lock().expect("no panic").values().all(|plans| plans.len() == 1));
+    assert_eq!(
+        summary,
+        WatchSummary {
+            projects: 3,
+            planned: 3,
+            failed: 0,
+            waiting: 0
+        },
+        "with the last one"
+    );
+    assert!(
+        planner
+            .plans
+            .lock()
+            .expect("no panic")
+            .values()
+            .all(|plans| plans.len() == 1)
+    );
 }
 
 #[test]
@@ -180,11 +244,24 @@ fn a_folder_becomes_a_project_when_its_model_comes_last() {
         write_model(&root.join("p"), "a");
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
         write_model(&root.join("q/dense"), "b");
-        eventually("the plan of the inner one", || planner.plans_of(&root.join("q/dense")) == 1);
+        eventually("the plan of the inner one", || {
+            planner.plans_of(&root.join("q/dense")) == 1
+        });
         write_model(&root.join("q"), "c");
-        eventually("the plan of the outer one", || planner.plans_of(&root.join("q")) == 1);
+        eventually("the plan of the outer one", || {
+            planner.plans_of(&root.join("q")) == 1
+        });
     });
-    assert_eq!(summary, WatchSummary { projects: 2, planned: 2, failed: 0, waiting: 0 }, "q/dense belongs to q");
+    assert_eq!(
+        summary,
+        WatchSummary {
+            projects: 2,
+            planned: 2,
+            failed: 0,
+            waiting: 0
+        },
+        "q/dense belongs to q"
+    );
 }
 
 #[test]
@@ -192,7 +269,10 @@ fn a_slow_writer_delays_the_plan() {
     let (_guard, root) = root();
     let planner = Counter::default();
     // Longer than the pauses of the writer even on a busy machine.
-    let options = WatchOptions { settle: Duration::from_secs(3), ..options(&root) };
+    let options = WatchOptions {
+        settle: Duration::from_secs(3),
+        ..options(&root)
+    };
     with_daemon(&options, &planner, || {
         for length in 1..12 {
             write_model(&root.join("slow"), &"x".repeat(length));
@@ -222,11 +302,17 @@ fn touching_a_project_or_writing_outputs_plans_nothing() {
 fn a_change_while_planning_restarts_the_plan() {
     let (_guard, root) = root();
     write_model(&root.join("p"), "a");
-    let planner = Counter { length: Duration::from_millis(600), ..Counter::default() };
+    let planner = Counter {
+        length: Duration::from_millis(600),
+        ..Counter::default()
+    };
     with_daemon(&options(&root), &planner, || {
         let planning = || {
             let status = read_status(&root)?.status;
-            status.projects.first().map(|p| matches!(p.phase, Phase::Planning { .. }))
+            status
+                .projects
+                .first()
+                .map(|p| matches!(p.phase, Phase::Planning { .. }))
         };
         eventually("the start", || planning() == Some(true));
         write_model(&root.join("p"), "b");
@@ -250,15 +336,21 @@ fn a_folder_deleted_and_made_again_is_watched_again() {
             fs::remove_dir_all(root.join(gone)).expect("removed");
             fs::create_dir_all(root.join("p/sparse/0")).expect("a folder");
             write_model(&root.join("p"), content);
-            eventually("the plan", || planner.plans_of(&root.join("p")) == plans + 1);
+            eventually("the plan", || {
+                planner.plans_of(&root.join("p")) == plans + 1
+            });
             write_model(&root.join("p"), &format!("{content} again"));
-            eventually("the next plan", || planner.plans_of(&root.join("p")) == plans + 2);
+            eventually("the next plan", || {
+                planner.plans_of(&root.join("p")) == plans + 2
+            });
         }
         fs::remove_dir(root.join("group")).expect("removed");
         fs::create_dir(root.join("group")).expect("a folder");
         for name in ["one", "two"] {
             write_model(&root.join("group").join(name), "a");
-            eventually("the plan in the group", || planner.plans_of(&root.join("group").join(name)) == 1);
+            eventually("the plan in the group", || {
+                planner.plans_of(&root.join("group").join(name)) == 1
+            });
         }
     });
 }
@@ -267,20 +359,35 @@ fn a_folder_deleted_and_made_again_is_watched_again() {
 fn the_job_of_a_replaced_folder_is_ignored() {
     let (_guard, root) = root();
     write_model(&root.join("p"), "a");
-    let planner = Counter { length: Duration::from_millis(500), ..Counter::default() };
+    let planner = Counter {
+        length: Duration::from_millis(500),
+        ..Counter::default()
+    };
     let summary = with_daemon(&options(&root), &planner, || {
         let state = |wanted: fn(&Phase) -> bool| {
             let status = read_status(&root).map(|line| line.status);
             status.is_some_and(|status| status.projects.iter().any(|p| wanted(&p.phase)))
         };
-        eventually("the start", || state(|phase| matches!(phase, Phase::Planning { .. })));
+        eventually("the start", || {
+            state(|phase| matches!(phase, Phase::Planning { .. }))
+        });
         fs::rename(root.join("p"), root.join(".away")).expect("moved");
         eventually("the project to go", || !state(|_| true));
         write_model(&root.join("p"), "b");
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
-        eventually("its status", || state(|phase| matches!(phase, Phase::Planned { .. })));
+        eventually("its status", || {
+            state(|phase| matches!(phase, Phase::Planned { .. }))
+        });
     });
-    assert_eq!(summary, WatchSummary { projects: 1, planned: 1, failed: 0, waiting: 0 });
+    assert_eq!(
+        summary,
+        WatchSummary {
+            projects: 1,
+            planned: 1,
+            failed: 0,
+            waiting: 0
+        }
+    );
 }
 
 #[test]
@@ -307,7 +414,10 @@ fn files_that_viewrank_writes_where_depth_maps_may_be_trigger_no_scan() {
 fn polling_finds_the_same_changes_as_events() {
     let (_guard, root) = root();
     let planner = Counter::default();
-    let options = WatchOptions { poll: Some(Duration::from_millis(100)), ..options(&root) };
+    let options = WatchOptions {
+        poll: Some(Duration::from_millis(100)),
+        ..options(&root)
+    };
     with_daemon(&options, &planner, || {
         write_model(&root.join("p"), "a");
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
@@ -322,13 +432,36 @@ fn once_ends_when_nothing_is_left_and_a_failure_affects_no_other_project() {
     write_model(&root.join("good"), "a");
     write_model(&root.join("bad"), "broken");
     let planner = Counter::default();
-    let options = WatchOptions { once: true, ..options(&root) };
-    let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
-    assert_eq!(summary, WatchSummary { projects: 2, planned: 1, failed: 1, waiting: 0 });
+    let options = WatchOptions {
+        once: true,
+        ..options(&root)
+    };
+    let summary =
+        watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
+    assert_eq!(
+        summary,
+        WatchSummary {
+            projects: 2,
+            planned: 1,
+            failed: 1,
+            waiting: 0
+        }
+    );
     let line = read_status(&root).expect("a status");
     assert!(!line.running);
-    let phases: Vec<_> = line.status.projects.iter().map(|p| (p.project.as_str(), p.phase.to_string())).collect();
-    assert_eq!(phases[0], ("bad", "failed: broken (retry 10 s after the failure)".into()));
+    let phases: Vec<_> = line
+        .status
+        .projects
+        .iter()
+        .map(|p| (p.project.as_str(), p.phase.to_string()))
+        .collect();
+    assert_eq!(
+        phases[0],
+        (
+            "bad",
+            "failed: broken (retry 10 s after the failure)".into()
+        )
+    );
     assert_eq!(phases[1], ("good", "planned: 1 key views for 100 %".into()));
 }
 
@@ -340,8 +473,17 @@ fn projects_move_with_the_folder_that_contains_them() {
     with_daemon(&options(&root), &planner, || {
         eventually("the plan", || planner.plans_of(&root.join("group/p")) == 1);
         fs::rename(root.join("group"), root.join("moved")).expect("moved");
-        eventually("the plan at its new place", || planner.plans_of(&root.join("moved/p")) == 1);
-        let names = || read_status(&root).expect("a status").status.projects.into_iter().map(|p| p.project);
+        eventually("the plan at its new place", || {
+            planner.plans_of(&root.join("moved/p")) == 1
+        });
+        let names = || {
+            read_status(&root)
+                .expect("a status")
+                .status
+                .projects
+                .into_iter()
+                .map(|p| p.project)
+        };
         eventually("the old place to be forgotten", || names().eq(["moved/p"]));
     });
 }
@@ -354,12 +496,22 @@ fn a_new_link_is_not_followed() {
     let planner = Counter::default();
     with_daemon(&options(&root), &planner, || {
         write_model(&root.join("first"), "a");
-        eventually("the first plan", || planner.plans_of(&root.join("first")) == 1);
+        eventually("the first plan", || {
+            planner.plans_of(&root.join("first")) == 1
+        });
         std::os::unix::fs::symlink(elsewhere.join("q"), root.join("link")).expect("a link");
         write_model(&root.join("second"), "a");
-        eventually("the second plan", || planner.plans_of(&root.join("second")) == 1);
+        eventually("the second plan", || {
+            planner.plans_of(&root.join("second")) == 1
+        });
     });
-    assert_eq!((planner.plans_of(&root.join("link")), planner.plans_of(&elsewhere.join("q"))), (0, 0));
+    assert_eq!(
+        (
+            planner.plans_of(&root.join("link")),
+            planner.plans_of(&elsewhere.join("q"))
+        ),
+        (0, 0)
+    );
 }
 
 #[test]
@@ -367,21 +519,34 @@ fn a_second_daemon_names_the_holder_of_the_root() {
     let (_guard, root) = root();
     let planner = Counter::default();
     with_daemon(&options(&root), &planner, || {
-        eventually("the first daemon", || read_status(&root).is_some_and(|line| line.running));
+        eventually("the first daemon", || {
+            read_status(&root).is_some_and(|line| line.running)
+        });
         let second = watch_roots(&options(&root), &planner, &Disk::REAL, |_| {});
         match second {
-            Err(DaemonError::Held { holder, .. }) => assert!(holder.contains(&std::process::id().to_string())),
+            Err(DaemonError::Held { holder, .. }) => {
+                assert!(holder.contains(&std::process::id().to_string()))
+            }
             other => panic!("expected to be refused, got {other:?}"),
         }
     });
 }
 
 fn make_pipe(path: &Path) {
-    assert!(std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo").success());
+    assert!(
+        std::process::Command::new("mkfifo")
+            .arg(path)
+            .status()
+            .expect("mkfifo")
+            .success()
+    );
 }
 
 fn watch_once(root: &Path) -> Result<WatchSummary, DaemonError> {
-    let options = WatchOptions { once: true, ..options(root) };
+    let options = WatchOptions {
+        once: true,
+        ..options(root)
+    };
     watch_roots(&options, &Counter::default(), &Disk::REAL, |_| {})
 }
 
@@ -393,8 +558,12 @@ fn a_file_in_place_of_the_lock_is_left_unchanged() {
     fs::write(&precious, text).expect("a file");
     type Plant<'a> = &'a dyn Fn(&Path);
     let plant: [(&str, Plant); 4] = [
-        ("link", &|lock| std::os::unix::fs::symlink(&precious, lock).expect("a link")),
-        ("second name", &|lock| fs::hard_link(&precious, lock).expect("a second name")),
+        ("link", &|lock| {
+            std::os::unix::fs::symlink(&precious, lock).expect("a link")
+        }),
+        ("second name", &|lock| {
+            fs::hard_link(&precious, lock).expect("a second name")
+        }),
         ("file", &|lock| fs::write(lock, text).expect("a file")),
         ("pipe", &make_pipe),
     ];
@@ -407,13 +576,26 @@ fn a_file_in_place_of_the_lock_is_left_unchanged() {
             // A file is locked, and nothing is written into it.
             "second name" | "file" => {
                 assert!(watched.is_ok(), "{kind}: {watched:?}");
-                assert_eq!(fs::read_to_string(root.join("viewrank/watch.lock")).expect("a file"), text);
+                assert_eq!(
+                    fs::read_to_string(root.join("viewrank/watch.lock")).expect("a file"),
+                    text
+                );
             }
             _ => {
-                assert!(matches!(watched, Err(DaemonError::Output(OutputError::Foreign { .. }))), "{kind}: {watched:?}")
+                assert!(
+                    matches!(
+                        watched,
+                        Err(DaemonError::Output(OutputError::Foreign { .. }))
+                    ),
+                    "{kind}: {watched:?}"
+                )
             }
         }
-        assert_eq!(fs::read_to_string(&precious).expect("a file"), text, "{kind}");
+        assert_eq!(
+            fs::read_to_string(&precious).expect("a file"),
+            text,
+            "{kind}"
+        );
     }
 }
 
@@ -422,7 +604,10 @@ fn neither_status_nor_lock_is_written_through_a_link() {
     let (_elsewhere, outside) = root();
     let (_guard, root) = root();
     std::os::unix::fs::symlink(&outside, root.join("viewrank")).expect("a link");
-    assert!(matches!(watch_once(&root), Err(DaemonError::Output(OutputError::Escapes { .. }))));
+    assert!(matches!(
+        watch_once(&root),
+        Err(DaemonError::Output(OutputError::Escapes { .. }))
+    ));
     assert!(fs::read_dir(&outside).expect("a folder").next().is_none());
 
     fs::remove_file(root.join("viewrank")).expect("a link");
@@ -430,9 +615,18 @@ fn neither_status_nor_lock_is_written_through_a_link() {
     fs::create_dir(root.join("theirs")).expect("a folder");
     fs::write(root.join("theirs/status.json"), "precious").expect("a file");
     std::os::unix::fs::symlink("theirs", root.join("viewrank")).expect("a link");
-    assert!(matches!(watch_once(&root), Err(DaemonError::Output(OutputError::Foreign { .. }))));
-    assert_eq!(fs::read_to_string(root.join("theirs/status.json")).expect("their file"), "precious");
-    assert_eq!(fs::read_dir(root.join("theirs")).expect("a folder").count(), 1);
+    assert!(matches!(
+        watch_once(&root),
+        Err(DaemonError::Output(OutputError::Foreign { .. }))
+    ));
+    assert_eq!(
+        fs::read_to_string(root.join("theirs/status.json")).expect("their file"),
+        "precious"
+    );
+    assert_eq!(
+        fs::read_dir(root.join("theirs")).expect("a folder").count(),
+        1
+    );
 
     fs::remove_file(root.join("viewrank")).expect("a link");
     watch_once(&root).expect("the root can be watched");

@@ -14,8 +14,23 @@ use viewrank::internals::{
 use crate::{eventually, make_pipe, options, root, with_daemon};
 
 fn town() -> Scene {
-    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
-    Town { grid: 3, points: 400, tilt: None, side: 40.0, boxes: 1, ..Town::new(camera) }.scene()
+    let camera = Camera::new(
+        1,
+        CameraModel::Pinhole,
+        400,
+        300,
+        vec![320.0, 320.0, 200.0, 150.0],
+    )
+    .expect("a camera");
+    Town {
+        grid: 3,
+        points: 400,
+        tilt: None,
+        side: 40.0,
+        boxes: 1,
+        ..Town::new(camera)
+    }
+    .scene()
 }
 
 /// A real model as the only project of a root.
@@ -29,7 +44,11 @@ impl Real {
     fn new(scene: &Scene) -> Self {
         let (guard, root) = root();
         let project = root.join("p");
-        let real = Self { _guard: guard, root, project };
+        let real = Self {
+            _guard: guard,
+            root,
+            project,
+        };
         real.write_model(scene);
         real
     }
@@ -53,23 +72,42 @@ impl Real {
             typed: Default::default(),
             is_run: false,
         });
-        let options = WatchOptions { once: true, ..options(&self.root) };
+        let options = WatchOptions {
+            once: true,
+            ..options(&self.root)
+        };
         watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
-        read_status(&self.root).expect("a status").status.projects.remove(0).phase
+        read_status(&self.root)
+            .expect("a status")
+            .status
+            .projects
+            .remove(0)
+            .phase
     }
 
     fn manifest(&self) -> serde_json::Value {
-        serde_json::from_slice(&fs::read(self.project.join("viewrank/manifest.json")).expect("a plan")).expect("JSON")
+        serde_json::from_slice(
+            &fs::read(self.project.join("viewrank/manifest.json")).expect("a plan"),
+        )
+        .expect("JSON")
     }
 
     fn finished(&self) -> usize {
         let manifest = self.manifest();
-        manifest["clusters"].as_array().expect("a list").iter().filter(|c| c["finished"] == true).count()
+        manifest["clusters"]
+            .as_array()
+            .expect("a list")
+            .iter()
+            .filter(|c| c["finished"] == true)
+            .count()
     }
 
     /// Writes a depth map of the first key view.
     fn put_map(&self, folder: &str) {
-        let key = self.manifest()["clusters"][0]["key"].as_str().expect("a name").to_owned();
+        let key = self.manifest()["clusters"][0]["key"]
+            .as_str()
+            .expect("a name")
+            .to_owned();
         let header = b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': (150, 200), }";
         let mut bytes = header.to_vec();
         bytes.resize(127, b' ');
@@ -93,13 +131,21 @@ fn two_maps_of_one_view_fail_the_plan_and_the_earlier_plan_stays() {
     }
     real.write_model(&scene);
     match real.once(false) {
-        Phase::Failed { reason, .. } => assert!(reason.contains("two depth maps of view"), "{reason}"),
+        Phase::Failed { reason, .. } => {
+            assert!(reason.contains("two depth maps of view"), "{reason}")
+        }
         phase => panic!("{phase}"),
     }
-    assert_eq!(fs::read(real.project.join("viewrank/planned_views.json")).expect("a file"), views);
+    assert_eq!(
+        fs::read(real.project.join("viewrank/planned_views.json")).expect("a file"),
+        views
+    );
     fs::remove_dir_all(real.project.join("sgm/b")).expect("a folder");
     real.once(false);
-    assert_eq!(real.manifest()["outdated"].as_array().map(Vec::len), Some(1));
+    assert_eq!(
+        real.manifest()["outdated"].as_array().map(Vec::len),
+        Some(1)
+    );
 }
 
 /// Covers each state that a daemon may leave when killed while it forgets missing depth maps.
@@ -110,12 +156,27 @@ fn missing_maps_are_forgotten_even_if_a_run_was_killed_meanwhile() {
         let real = Real::new(&town());
         real.once(true);
         real.put_map("sgm");
-        assert!(matches!(real.once(true), Phase::Computing { .. } | Phase::Reached { .. }));
+        assert!(matches!(
+            real.once(true),
+            Phase::Computing { .. } | Phase::Reached { .. }
+        ));
         assert_eq!(real.finished(), 1);
         fs::remove_dir_all(real.project.join("sgm")).expect("a folder");
-        removed.iter().for_each(|name| fs::remove_file(real.project.join("viewrank").join(name)).expect("a file"));
-        assert!(matches!(real.once(true), Phase::Planned { .. }), "{removed:?}");
-        assert_eq!((real.finished(), real.project.join("viewrank/progress.json").exists()), (0, false), "{removed:?}");
+        removed.iter().for_each(|name| {
+            fs::remove_file(real.project.join("viewrank").join(name)).expect("a file")
+        });
+        assert!(
+            matches!(real.once(true), Phase::Planned { .. }),
+            "{removed:?}"
+        );
+        assert_eq!(
+            (
+                real.finished(),
+                real.project.join("viewrank/progress.json").exists()
+            ),
+            (0, false),
+            "{removed:?}"
+        );
     }
 }
 
@@ -127,13 +188,21 @@ fn maps_beyond_the_cut_are_counted_in_addition() {
     let planned = real.manifest();
     assert_eq!(planned["cut"]["clusters"], 1);
     real.put_map("sgm");
-    let text = fs::read_dir(real.project.join("sgm")).expect("maps").next().expect("a map").expect("a map").path();
+    let text = fs::read_dir(real.project.join("sgm"))
+        .expect("maps")
+        .next()
+        .expect("a map")
+        .expect("a map")
+        .path();
     let second = planned["clusters"][1]["key"].as_str().expect("a name");
     fs::rename(text, real.project.join("sgm").join(format!("{second}.npy"))).expect("moved");
     real.once(false);
     let progress = fs::read(real.project.join("viewrank/progress.json")).expect("a file");
     let progress: serde_json::Value = serde_json::from_slice(&progress).expect("JSON");
-    assert_eq!((&progress["done"], &progress["clusters"]), (&1.into(), &2.into()));
+    assert_eq!(
+        (&progress["done"], &progress["clusters"]),
+        (&1.into(), &2.into())
+    );
     assert_eq!(progress["finished"], serde_json::json!([second]));
 }
 
@@ -173,9 +242,16 @@ fn a_later_dense_workspace_gets_its_files_and_removed_files_are_written_again() 
     fs::create_dir_all(dense.join("stereo")).expect("a folder");
     fs::create_dir_all(dense.join("sparse")).expect("a folder");
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
-        fs::copy(real.project.join("sparse/0").join(name), dense.join("sparse").join(name)).expect("a file");
+        fs::copy(
+            real.project.join("sparse/0").join(name),
+            dense.join("sparse").join(name),
+        )
+        .expect("a file");
     }
-    let files = [dense.join("stereo/patch-match.cfg"), real.project.join("viewrank/clusters.txt")];
+    let files = [
+        dense.join("stereo/patch-match.cfg"),
+        real.project.join("viewrank/clusters.txt"),
+    ];
     for file in files {
         real.once(false);
         let written = fs::read(&file).expect("a file of the plan");
@@ -214,7 +290,10 @@ fn a_removed_output_is_noticed_at_once() {
 /// Reading a pipe would block, and reading a device would never end.
 #[test]
 fn settings_that_are_not_a_regular_file_fail_only_their_project() {
-    for (kind, words) in [("pipe", "not a regular file"), ("link", "is a symbolic link")] {
+    for (kind, words) in [
+        ("pipe", "not a regular file"),
+        ("link", "is a symbolic link"),
+    ] {
         let real = Real::new(&town());
         let settings = real.project.join("viewrank.toml");
         match kind {
@@ -234,9 +313,13 @@ fn a_model_behind_a_link_is_planned_only_with_follow_links() {
     let real = Real::new(&town());
     let file = real.project.join("sparse/0/images.bin");
     fs::remove_file(&file).expect("a file");
-    std::os::unix::fs::symlink(elsewhere.project.join("sparse/0/images.bin"), &file).expect("a link");
+    std::os::unix::fs::symlink(elsewhere.project.join("sparse/0/images.bin"), &file)
+        .expect("a link");
     match real.once(false) {
-        Phase::Waiting { reason } => assert!(reason.contains("images.bin is behind a symbolic link"), "{reason}"),
+        Phase::Waiting { reason } => assert!(
+            reason.contains("images.bin is behind a symbolic link"),
+            "{reason}"
+        ),
         phase => panic!("{phase}"),
     }
     assert!(!real.project.join("viewrank/manifest.json").exists());
@@ -249,7 +332,12 @@ fn a_model_behind_a_link_is_planned_only_with_follow_links() {
         typed: Default::default(),
         is_run: false,
     });
-    let options = WatchOptions { once: true, follow_links: true, ..options(&real.root) };
-    let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
+    let options = WatchOptions {
+        once: true,
+        follow_links: true,
+        ..options(&real.root)
+    };
+    let summary =
+        watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
     assert_eq!(summary.planned, 1);
 }

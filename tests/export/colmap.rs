@@ -11,15 +11,33 @@ use viewrank::internals::{
 
 use crate::{Files, Fixture};
 
-/// The problems that patch match reads from a list: pairs of lines; `#` comments and empty lines vanish.
+/// The problems that patch match reads from a list: pairs of lines; `#` comments and empty lines
+/// vanish.
 fn problems(text: &str) -> Vec<(String, Vec<String>)> {
-    let lines: Vec<&str> = text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
-    assert_eq!(lines.len() % 2, 0, "a reference without sources would be dropped silently");
-    let sources = |line: &str| line.split([',', ';']).map(|s| s.trim().to_owned()).filter(|s| !s.is_empty()).collect();
-    lines.chunks(2).map(|pair| (pair[0].to_owned(), sources(pair[1]))).collect()
+    let lines: Vec<&str> = text
+        .lines()
+        .map(str::trim)
+        .filter(|l| !l.is_empty() && !l.starts_with('#'))
+        .collect();
+    assert_eq!(
+        lines.len() % 2,
+        0,
+        "a reference without sources would be dropped silently"
+    );
+    let sources = |line: &str| {
+        line.split([',', ';'])
+            .map(|s| s.trim().to_owned())
+            .filter(|s| !s.is_empty())
+            .collect()
+    };
+    lines
+        .chunks(2)
+        .map(|pair| (pair[0].to_owned(), sources(pair[1])))
+        .collect()
 }
 
-/// What is in the workspace while COLMAP runs: photometric maps (filtered or not) and geometric ones.
+/// What is in the workspace while COLMAP runs: photometric maps (filtered or not) and geometric
+/// ones.
 #[derive(Default)]
 struct Workspace {
     photometric: BTreeMap<String, bool>,
@@ -32,12 +50,21 @@ impl Workspace {
         let mut workspace = Self::default();
         for command in &files.0.record.commands {
             let words: Vec<&str> = command.split_whitespace().collect();
-            let value = |option: &str| words.iter().position(|w| *w == option).map(|i| words[i + 1]);
+            let value = |option: &str| {
+                words
+                    .iter()
+                    .position(|w| *w == option)
+                    .map(|i| words[i + 1])
+            };
             match words[1] {
                 "patch_match_stereo" => {
                     let list = problems(files.text(value("--config_path").unwrap()));
                     let filtered = value("--PatchMatchStereo.filter") != Some("0");
-                    workspace.patch_match(&list, value("--PatchMatchStereo.geom_consistency") != Some("0"), filtered);
+                    workspace.patch_match(
+                        &list,
+                        value("--PatchMatchStereo.geom_consistency") != Some("0"),
+                        filtered,
+                    );
                 }
                 "stereo_fusion" => workspace.fuse(files, value("--input_type").unwrap()),
                 other => panic!("{other}"),
@@ -49,13 +76,19 @@ impl Workspace {
     fn patch_match(&mut self, list: &[(String, Vec<String>)], geometric: bool, filtered: bool) {
         for (reference, sources) in list {
             assert!(!sources.is_empty(), "{reference}: COLMAP ends the run");
-            self.photometric.entry(reference.clone()).or_insert(filtered && !geometric);
+            self.photometric
+                .entry(reference.clone())
+                .or_insert(filtered && !geometric);
         }
         if geometric {
             for (reference, sources) in list {
                 for source in sources.iter().chain([reference]) {
                     let filtered = self.photometric.get(source);
-                    assert_eq!(filtered, Some(&false), "{reference} needs the unfiltered photometric map of {source}");
+                    assert_eq!(
+                        filtered,
+                        Some(&false),
+                        "{reference} needs the unfiltered photometric map of {source}"
+                    );
                 }
                 self.geometric.insert(reference.clone());
             }
@@ -65,7 +98,11 @@ impl Workspace {
     fn fuse(&self, files: &Files, kind: &str) {
         for name in files.lines("stereo/fusion.cfg") {
             assert!(
-                if kind == "geometric" { self.geometric.contains(name) } else { self.photometric.contains_key(name) },
+                if kind == "geometric" {
+                    self.geometric.contains(name)
+                } else {
+                    self.photometric.contains_key(name)
+                },
                 "{name}"
             );
         }
@@ -73,13 +110,24 @@ impl Workspace {
 }
 
 fn options(refs: Option<References>, geometric: Option<bool>) -> ExportOptions {
-    ExportOptions { refs, geometric, ..Default::default() }
+    ExportOptions {
+        refs,
+        geometric,
+        ..Default::default()
+    }
 }
 
 fn policies() -> Vec<ExportOptions> {
-    let refs = [None, Some(References::Keys), Some(References::KeysAndPartners), Some(References::All)];
+    let refs = [
+        None,
+        Some(References::Keys),
+        Some(References::KeysAndPartners),
+        Some(References::All),
+    ];
     let geometric = [None, Some(false), Some(true)];
-    refs.into_iter().flat_map(|r| geometric.map(|g| options(r, g))).collect()
+    refs.into_iter()
+        .flat_map(|r| geometric.map(|g| options(r, g)))
+        .collect()
 }
 
 #[test]
@@ -93,8 +141,11 @@ fn colmap_geometric_needs_partner_maps() {
         } else {
             References::Keys
         });
-        let partners =
-            fixture.named().iter().flat_map(|(k, p)| [vec![k.clone()], p.clone()].concat()).collect::<BTreeSet<_>>();
+        let partners = fixture
+            .named()
+            .iter()
+            .flat_map(|(k, p)| [vec![k.clone()], p.clone()].concat())
+            .collect::<BTreeSet<_>>();
         let maps = workspace.photometric.len();
         match refs {
             References::Keys if policy.geometric == Some(true) => assert!(maps <= 4),
@@ -102,11 +153,16 @@ fn colmap_geometric_needs_partner_maps() {
             References::KeysAndPartners => assert_eq!(maps, partners.len()),
             References::All => assert_eq!(maps, fixture.matchable().len()),
         }
-        assert_eq!(files.0.record.key_maps + files.0.record.other_maps, maps, "{policy:?}");
+        assert_eq!(
+            files.0.record.key_maps + files.0.record.other_maps,
+            maps,
+            "{policy:?}"
+        );
     }
 }
 
-/// Also without our runner: the list that lies where COLMAP looks for it, with the options at its head.
+/// Also without our runner: the list that lies where COLMAP looks for it, with the options at its
+/// head.
 #[test]
 fn the_list_in_place_runs_through() {
     let mut fixture = Fixture::new(4);
@@ -123,26 +179,55 @@ fn the_list_in_place_runs_through() {
 #[test]
 fn keys_are_first_in_rank_order_with_exactly_their_partners() {
     let fixture = Fixture::new(4);
-    for refs in [References::Keys, References::KeysAndPartners, References::All] {
+    for refs in [
+        References::Keys,
+        References::KeysAndPartners,
+        References::All,
+    ] {
         let files = fixture.export_with("colmap", &options(Some(refs), None));
-        assert_eq!(problems(files.text("stereo/patch-match.cfg"))[..4], fixture.named()[..], "{refs:?}");
+        assert_eq!(
+            problems(files.text("stereo/patch-match.cfg"))[..4],
+            fixture.named()[..],
+            "{refs:?}"
+        );
     }
-    assert_eq!(problems(fixture.export("colmap").text("stereo/patch-match.cfg")), fixture.named());
+    assert_eq!(
+        problems(fixture.export("colmap").text("stereo/patch-match.cfg")),
+        fixture.named()
+    );
 }
 
 #[test]
 fn colmap_min_consistent_before_drop() {
     let mut fixture = Fixture::new(4);
-    let neighbours: Vec<u32> =
-        fixture.connected(viewrank::internals::scene::ViewIndex(12)).iter().take(2).map(|v| v.0).collect();
+    let neighbours: Vec<u32> = fixture
+        .connected(viewrank::internals::scene::ViewIndex(12))
+        .iter()
+        .take(2)
+        .map(|v| v.0)
+        .collect();
     fixture.choose(&[12, neighbours[0], neighbours[1], 49], 4);
     let files = fixture.export_with("colmap", &options(Some(References::Keys), Some(true)));
-    // No source without a map, so that COLMAP drops none after it has bounded the number of consistent ones.
+    // No source without a map, so that COLMAP drops none after it has bounded the number of
+    // consistent ones.
     let last = problems(files.text("stereo/viewrank/0001-geometric.cfg"));
     let keys: BTreeSet<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
-    assert!(!last.is_empty() && last.iter().all(|(_, sources)| sources.iter().all(|s| keys.contains(s))));
-    let lonely = fixture.named().into_iter().find(|(_, p)| p.iter().all(|p| !keys.contains(p))).unwrap().0;
-    assert!(files.says(&lonely), "a key view without geometric map is named");
+    assert!(
+        !last.is_empty()
+            && last
+                .iter()
+                .all(|(_, sources)| sources.iter().all(|s| keys.contains(s)))
+    );
+    let lonely = fixture
+        .named()
+        .into_iter()
+        .find(|(_, p)| p.iter().all(|p| !keys.contains(p)))
+        .unwrap()
+        .0;
+    assert!(
+        files.says(&lonely),
+        "a key view without geometric map is named"
+    );
 }
 
 #[test]
@@ -150,10 +235,17 @@ fn batches_leave_whole_results() {
     let mut fixture = Fixture::new(3);
     fixture.choose(&(0..25).collect::<Vec<_>>(), 3);
     let files = fixture.export_with("colmap", &options(None, Some(true)));
-    let geometric: Vec<_> =
-        files.names().into_iter().filter(|n| n.ends_with("-geometric.cfg")).map(str::to_owned).collect();
+    let geometric: Vec<_> = files
+        .names()
+        .into_iter()
+        .filter(|n| n.ends_with("-geometric.cfg"))
+        .map(str::to_owned)
+        .collect();
     assert_eq!(geometric.len(), 3);
-    let order: Vec<_> = geometric.iter().flat_map(|name| problems(files.text(name))).collect();
+    let order: Vec<_> = geometric
+        .iter()
+        .flat_map(|name| problems(files.text(name)))
+        .collect();
     assert_eq!(order, fixture.named());
     Workspace::run(&files);
 }
@@ -164,7 +256,10 @@ fn colmap_fusion_min_pixels() {
     fixture.choose(&[12, 13, 11], 3);
     let command = fixture.export("colmap").0.record.commands.pop().unwrap();
     let words: Vec<&str> = command.split_whitespace().collect();
-    let at = words.iter().position(|w| *w == "--StereoFusion.min_num_pixels").unwrap();
+    let at = words
+        .iter()
+        .position(|w| *w == "--StereoFusion.min_num_pixels")
+        .unwrap();
     assert!(
         (2..=3).contains(&words[at + 1].parse::<u32>().unwrap()),
         "three key views with COLMAP's 5 give an empty cloud"
@@ -175,7 +270,10 @@ fn colmap_fusion_min_pixels() {
 fn colmap_check_num_images_before_filter() {
     let fixture = Fixture::new(3);
     let command = fixture.export("colmap").0.record.commands.pop().unwrap();
-    assert!(command.contains(&format!("--StereoFusion.check_num_images {}", fixture.scene.views.len())));
+    assert!(command.contains(&format!(
+        "--StereoFusion.check_num_images {}",
+        fixture.scene.views.len()
+    )));
 }
 
 #[test]
@@ -188,40 +286,80 @@ fn colmap_fusion_cfg_no_comments() {
 #[test]
 fn colmap_text_model_blank_name() {
     let files = Fixture::new(3).export("colmap");
-    assert!(files.names().contains(&"sparse/images.bin"), "text models cut names at blanks");
+    assert!(
+        files.names().contains(&"sparse/images.bin"),
+        "text models cut names at blanks"
+    );
     let name = b"flight 0/img 012.jpg\0";
-    assert!(files.bytes("sparse/images.bin").windows(name.len()).any(|w| w == name));
+    assert!(
+        files
+            .bytes("sparse/images.bin")
+            .windows(name.len())
+            .any(|w| w == name)
+    );
 }
 
 #[test]
 fn colmap_bin_beats_txt() {
     let files = Fixture::new(3).export("colmap");
-    assert!(!files.names().iter().any(|n| n.starts_with("sparse/") && n.ends_with(".txt")));
+    assert!(
+        !files
+            .names()
+            .iter()
+            .any(|n| n.starts_with("sparse/") && n.ends_with(".txt"))
+    );
 }
 
 #[test]
 fn colmap_stale_rigs_frames() {
     let files = Fixture::new(3).export("colmap");
-    let model: Vec<_> = files.names().into_iter().filter(|n| n.starts_with("sparse/")).map(str::to_owned).collect();
-    assert_eq!(model, ["sparse/cameras.bin", "sparse/images.bin", "sparse/points3D.bin"]);
+    let model: Vec<_> = files
+        .names()
+        .into_iter()
+        .filter(|n| n.starts_with("sparse/"))
+        .map(str::to_owned)
+        .collect();
+    assert_eq!(
+        model,
+        [
+            "sparse/cameras.bin",
+            "sparse/images.bin",
+            "sparse/points3D.bin"
+        ]
+    );
 }
 
 #[test]
 fn colmap_key_view_without_points() {
     let mut fixture = Fixture::new(3);
     let blind = fixture.clusters[1].key;
-    let kept: Vec<bool> = fixture.scene.track_views.iter().map(|v| *v != blind).collect();
+    let kept: Vec<bool> = fixture
+        .scene
+        .track_views
+        .iter()
+        .map(|v| *v != blind)
+        .collect();
     let before = |end: usize| kept[..end].iter().filter(|k| **k).count();
-    fixture.scene.track_offsets = fixture.scene.track_offsets.iter().map(|&o| before(o)).collect();
+    fixture.scene.track_offsets = fixture
+        .scene
+        .track_offsets
+        .iter()
+        .map(|&o| before(o))
+        .collect();
     let mut keep = kept.iter();
     fixture.scene.track_views.retain(|_| *keep.next().unwrap());
     let mut keep = kept.iter();
     fixture.scene.track_pixels.retain(|_| *keep.next().unwrap());
     for policy in policies() {
         let files = fixture.export_with("colmap", &policy);
-        let references: Vec<String> =
-            problems(files.text("stereo/patch-match.cfg")).into_iter().map(|(r, _)| r).collect();
-        assert!(!references.iter().any(|r| r == fixture.name(blind)), "it would end the whole run");
+        let references: Vec<String> = problems(files.text("stereo/patch-match.cfg"))
+            .into_iter()
+            .map(|(r, _)| r)
+            .collect();
+        assert!(
+            !references.iter().any(|r| r == fixture.name(blind)),
+            "it would end the whole run"
+        );
         assert!(files.says(fixture.name(blind)));
     }
 }
@@ -230,7 +368,14 @@ fn colmap_key_view_without_points() {
 fn colmap_4x_mixed_width_sources() {
     let mut fixture = Fixture::new(3);
     assert!(!fixture.export("colmap").says("differ in width"));
-    let wide = Camera::new(8, CameraModel::Pinhole, 800, 600, vec![600.0, 600.0, 400.0, 300.0]).unwrap();
+    let wide = Camera::new(
+        8,
+        CameraModel::Pinhole,
+        800,
+        600,
+        vec![600.0, 600.0, 400.0, 300.0],
+    )
+    .unwrap();
     fixture.scene.cameras.push(wide);
     let partner = fixture.clusters[2].partners[1];
     fixture.scene.views[partner.index()].camera = CameraIndex(1);
@@ -244,12 +389,22 @@ fn colmap_subfolder_dirs() {
     let matchable = fixture.matchable();
     fixture.choose(&[matchable[0].0, matchable[matchable.len() - 1].0], 3);
     let keys: BTreeSet<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
-    let folders: BTreeSet<&str> = keys.iter().map(|key| key.rsplit_once('/').unwrap().0).collect();
-    assert_eq!(folders.len(), 2, "the first and the last view lie in different folders");
+    let folders: BTreeSet<&str> = keys
+        .iter()
+        .map(|key| key.rsplit_once('/').unwrap().0)
+        .collect();
+    assert_eq!(
+        folders.len(),
+        2,
+        "the first and the last view lie in different folders"
+    );
     let files = fixture.export("colmap");
     for kind in ["depth_maps", "normal_maps", "consistency_graphs"] {
         for folder in &folders {
-            assert!(files.is_folder(&format!("stereo/{kind}/{folder}")), "{kind} {folder}");
+            assert!(
+                files.is_folder(&format!("stereo/{kind}/{folder}")),
+                "{kind} {folder}"
+            );
         }
     }
 }
@@ -259,7 +414,10 @@ fn matched_size_is_that_of_the_plan() {
     let mut fixture = Fixture::new(3);
     assert!(!fixture.export("colmap").0.record.commands[0].contains("max_image_size"));
     fixture.image_scale = 0.5;
-    assert!(fixture.export("colmap").0.record.commands[0].contains("--PatchMatchStereo.max_image_size 320"));
+    assert!(
+        fixture.export("colmap").0.record.commands[0]
+            .contains("--PatchMatchStereo.max_image_size 320")
+    );
 }
 
 #[test]
@@ -269,14 +427,35 @@ fn key_views_at_half_the_size_are_computed_in_their_turn_at_that_size() {
     fixture.clusters[2].scale = MapScale::Half;
     let files = fixture.export("colmap");
     let commands = &files.0.record.commands;
-    let size = |command: &String| command.split_once("max_image_size ").map(|(_, size)| size.to_owned());
-    assert_eq!(commands[..3].iter().map(size).collect::<Vec<_>>(), [None, Some("320".into()), None]);
-    let lists = ["0001", "0002", "0003"].map(|n| problems(files.text(&format!("stereo/viewrank/{n}.cfg"))));
+    let size = |command: &String| {
+        command
+            .split_once("max_image_size ")
+            .map(|(_, size)| size.to_owned())
+    };
+    assert_eq!(
+        commands[..3].iter().map(size).collect::<Vec<_>>(),
+        [None, Some("320".into()), None]
+    );
+    let lists =
+        ["0001", "0002", "0003"].map(|n| problems(files.text(&format!("stereo/viewrank/{n}.cfg"))));
     assert_eq!(lists.concat(), fixture.named(), "in rank order");
-    assert_eq!(problems(files.text("stereo/patch-match.cfg")), fixture.named());
-    let half: Vec<String> = fixture.named()[1..3].iter().map(|(key, _)| key.clone()).collect();
+    assert_eq!(
+        problems(files.text("stereo/patch-match.cfg")),
+        fixture.named()
+    );
+    let half: Vec<String> = fixture.named()[1..3]
+        .iter()
+        .map(|(key, _)| key.clone())
+        .collect();
     assert_eq!(files.lines("stereo/viewrank/half.txt"), half);
-    assert!(files.0.record.not_honoured.iter().all(|what| !what.contains("half")));
+    assert!(
+        files
+            .0
+            .record
+            .not_honoured
+            .iter()
+            .all(|what| !what.contains("half"))
+    );
     Workspace::run(&files);
     let geometric = fixture.export_with("colmap", &options(None, Some(true)));
     assert!(geometric.says("2 key views that are planned at half the size"));
@@ -285,12 +464,30 @@ fn key_views_at_half_the_size_are_computed_in_their_turn_at_that_size() {
 #[test]
 fn colmap_name_of_a_view_that_only_refs_all_lists() {
     let mut fixture = Fixture::new(3);
-    let all = ExportOptions { refs: Some(References::All), ..Default::default() };
-    let listed: BTreeSet<String> = fixture.named().into_iter().flat_map(|(k, p)| [vec![k], p].concat()).collect();
-    let other = fixture.matchable().into_iter().find(|v| !listed.contains(fixture.name(*v))).unwrap();
+    let all = ExportOptions {
+        refs: Some(References::All),
+        ..Default::default()
+    };
+    let listed: BTreeSet<String> = fixture
+        .named()
+        .into_iter()
+        .flat_map(|(k, p)| [vec![k], p].concat())
+        .collect();
+    let other = fixture
+        .matchable()
+        .into_iter()
+        .find(|v| !listed.contains(fixture.name(*v)))
+        .unwrap();
     fixture.scene.views[other.index()].name = "a,b.jpg".into();
-    assert!(fixture.try_export("colmap", &ExportOptions::default()).is_ok());
-    assert!(matches!(fixture.try_export("colmap", &all), Err(BackendError::Name { .. })));
+    assert!(
+        fixture
+            .try_export("colmap", &ExportOptions::default())
+            .is_ok()
+    );
+    assert!(matches!(
+        fixture.try_export("colmap", &all),
+        Err(BackendError::Name { .. })
+    ));
 }
 
 #[test]
@@ -298,6 +495,12 @@ fn colmap_fusion_min_pixels_of_a_single_map() {
     let mut fixture = Fixture::new(3);
     fixture.clusters.truncate(1);
     let command = fixture.export("colmap").0.record.commands.pop().unwrap();
-    assert!(command.contains("--StereoFusion.min_num_pixels 1 "), "{command}");
-    assert!(command.ends_with("--output_path stereo/viewrank/fused.ply"), "fused.ply itself may be the user's");
+    assert!(
+        command.contains("--StereoFusion.min_num_pixels 1 "),
+        "{command}"
+    );
+    assert!(
+        command.ends_with("--output_path stereo/viewrank/fused.ply"),
+        "fused.ply itself may be the user's"
+    );
 }

@@ -13,11 +13,18 @@ use crate::Fixture;
 fn nerfstudio_all_splits_needed() {
     let files = Fixture::new(3).export("splat");
     let json = files.json("transforms.json");
-    let frames: BTreeSet<&str> =
-        json["frames"].as_array().unwrap().iter().map(|f| f["file_path"].as_str().unwrap()).collect();
+    let frames: BTreeSet<&str> = json["frames"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| f["file_path"].as_str().unwrap())
+        .collect();
     for split in ["train_filenames", "val_filenames", "test_filenames"] {
         let names = json[split].as_array().unwrap();
-        assert!(!names.is_empty() && names.iter().all(|n| frames.contains(n.as_str().unwrap())), "{split}");
+        assert!(
+            !names.is_empty() && names.iter().all(|n| frames.contains(n.as_str().unwrap())),
+            "{split}"
+        );
     }
     assert_eq!(json["train_filenames"].as_array().unwrap().len(), 4);
 }
@@ -53,9 +60,23 @@ fn nerf_cameras_look_backward_along_z() {
 #[test]
 fn gsplat_holdout_eats_key_views() {
     let files = Fixture::new(3).export("splat");
-    let command = files.0.record.commands.iter().find(|c| c.contains("gsplat")).unwrap();
-    assert!(command.ends_with("--test_every 5"), "more than there are images: only the first is held out ({command})");
-    let first = files.lines("train_list.txt").into_iter().min().unwrap().to_owned();
+    let command = files
+        .0
+        .record
+        .commands
+        .iter()
+        .find(|c| c.contains("gsplat"))
+        .unwrap();
+    assert!(
+        command.ends_with("--test_every 5"),
+        "more than there are images: only the first is held out ({command})"
+    );
+    let first = files
+        .lines("train_list.txt")
+        .into_iter()
+        .min()
+        .unwrap()
+        .to_owned();
     assert!(files.says(&format!("{first}: gsplat holds the first image")));
 }
 
@@ -75,16 +96,31 @@ fn brush_picks_largest_model() {
         .filter(|n| n.ends_with("images.bin"))
         .map(|n| n.rsplit_once('/').unwrap().0)
         .collect();
-    assert_eq!(models, BTreeSet::from(["sparse/0"]), "the reduced model alone");
+    assert_eq!(
+        models,
+        BTreeSet::from(["sparse/0"]),
+        "the reduced model alone"
+    );
 }
 
 #[test]
 fn trap_3dgs_stale_points3d_ply() {
     let files = Fixture::new(3).export("splat");
     let ply = files.bytes("sparse/0/points3D.ply");
-    let head = std::str::from_utf8(&ply[..ply.windows(11).position(|w| w == b"end_header\n").unwrap()]).unwrap();
-    let count: usize = head.lines().find_map(|l| l.strip_prefix("element vertex ")).unwrap().parse().unwrap();
-    assert_eq!(count, model(&files).points.len(), "written anew with each export");
+    let head =
+        std::str::from_utf8(&ply[..ply.windows(11).position(|w| w == b"end_header\n").unwrap()])
+            .unwrap();
+    let count: usize = head
+        .lines()
+        .find_map(|l| l.strip_prefix("element vertex "))
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert_eq!(
+        count,
+        model(&files).points.len(),
+        "written anew with each export"
+    );
     assert_eq!(ply.len(), head.len() + 11 + count * (6 * 4 + 3));
 }
 
@@ -111,7 +147,11 @@ fn model(files: &crate::Files) -> viewrank::internals::formats::colmap::ColmapMo
 #[test]
 fn model_dangling_track() {
     let model = model(&Fixture::new(3).export("splat"));
-    let images: BTreeMap<u32, usize> = model.images.iter().map(|i| (i.id, i.points2d.len())).collect();
+    let images: BTreeMap<u32, usize> = model
+        .images
+        .iter()
+        .map(|i| (i.id, i.points2d.len()))
+        .collect();
     for element in model.points.iter().flat_map(|p| p.track.iter()) {
         assert!((element.index() as usize) < images[&element.image()]);
     }
@@ -120,17 +160,30 @@ fn model_dangling_track() {
 #[test]
 fn model_renumbered_points2d() {
     let fixture = Fixture::new(3);
-    let model = model(
-        &fixture.export_with("splat", &ExportOptions { refs: Some(References::KeysAndPartners), ..Default::default() }),
-    );
+    let model = model(&fixture.export_with(
+        "splat",
+        &ExportOptions {
+            refs: Some(References::KeysAndPartners),
+            ..Default::default()
+        },
+    ));
     let scene = model.scene().unwrap();
     for (p, id) in scene.point_ids.iter().enumerate() {
-        let original = fixture.scene.point_ids.iter().position(|o| o == id).unwrap();
+        let original = fixture
+            .scene
+            .point_ids
+            .iter()
+            .position(|o| o == id)
+            .unwrap();
         assert_eq!(scene.points[p], fixture.scene.points[original]);
         for i in scene.track_offsets[p]..scene.track_offsets[p + 1] {
             let name = scene.name(scene.track_views[i]);
-            let there = fixture.scene.track_offsets[original]..fixture.scene.track_offsets[original + 1];
-            let same = there.into_iter().find(|&o| fixture.scene.name(fixture.scene.track_views[o]) == name).unwrap();
+            let there =
+                fixture.scene.track_offsets[original]..fixture.scene.track_offsets[original + 1];
+            let same = there
+                .into_iter()
+                .find(|&o| fixture.scene.name(fixture.scene.track_views[o]) == name)
+                .unwrap();
             assert_eq!(scene.track_pixels[i], fixture.scene.track_pixels[same]);
         }
     }
@@ -141,7 +194,10 @@ fn images_are_listed_best_first() {
     let fixture = Fixture::new(2);
     let keys: Vec<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
     assert_eq!(fixture.export("images").lines("images.txt"), keys);
-    let refs = |refs| ExportOptions { refs: Some(refs), ..Default::default() };
+    let refs = |refs| ExportOptions {
+        refs: Some(refs),
+        ..Default::default()
+    };
     let files = fixture.export_with("images", &refs(References::KeysAndPartners));
     let with_partners = files.lines("images.txt");
     let (key, partners) = &fixture.named()[0];

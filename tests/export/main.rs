@@ -1,5 +1,5 @@
-//! What is written for each backend, read back by small readers of the other side's grammars. Tests that guard against a trap of a
-//! backend are named after the trap.
+//! What is written for each backend, read back by small readers of the other side's grammars. Tests
+//! that guard against a trap of a backend are named after the trap.
 
 mod acm;
 mod colmap;
@@ -35,14 +35,30 @@ pub struct Fixture {
 
 /// Square pixels would hide a width taken for a height.
 pub fn pinhole() -> Camera {
-    Camera::new(7, CameraModel::Pinhole, 640, 480, vec![510.0, 500.0, 330.25, 229.5]).unwrap()
+    Camera::new(
+        7,
+        CameraModel::Pinhole,
+        640,
+        480,
+        vec![510.0, 500.0, 330.25, 229.5],
+    )
+    .unwrap()
 }
 
 impl Fixture {
-    /// Four key views with the `k` views that share most points; ids with gaps and out of order, names with folders and blanks.
+    /// Four key views with the `k` views that share most points; ids with gaps and out of order,
+    /// names with folders and blanks.
     pub fn new(k: usize) -> Self {
         static TOWN: OnceLock<Scene> = OnceLock::new();
-        let mut scene = TOWN.get_or_init(|| Town { points: 1500, ..Town::new(pinhole()) }.scene()).clone();
+        let mut scene = TOWN
+            .get_or_init(|| {
+                Town {
+                    points: 1500,
+                    ..Town::new(pinhole())
+                }
+                .scene()
+            })
+            .clone();
         let count = scene.views.len() as u32;
         for (i, view) in (0..count).zip(&mut scene.views) {
             view.name = format!("flight {}/img {i:03}.jpg", i / 20);
@@ -76,17 +92,27 @@ impl Fixture {
     pub fn connected(&self, key: ViewIndex) -> Vec<ViewIndex> {
         let mut shared = vec![0; self.scene.views.len()];
         for &p in self.scene.view_points().observed_by(key) {
-            self.scene.track_views(p).iter().for_each(|v| shared[v.index()] += 1);
+            self.scene
+                .track_views(p)
+                .iter()
+                .for_each(|v| shared[v.index()] += 1);
         }
         shared[key.index()] = 0;
-        let mut views: Vec<_> = self.scene.view_indices().filter(|v| shared[v.index()] > 0).collect();
+        let mut views: Vec<_> = self
+            .scene
+            .view_indices()
+            .filter(|v| shared[v.index()] > 0)
+            .collect();
         views.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
         views
     }
 
     /// The views that share points with another one.
     pub fn matchable(&self) -> Vec<ViewIndex> {
-        self.scene.view_indices().filter(|v| !self.connected(*v).is_empty()).collect()
+        self.scene
+            .view_indices()
+            .filter(|v| !self.connected(*v).is_empty())
+            .collect()
     }
 
     pub fn name(&self, view: ViewIndex) -> &str {
@@ -96,10 +122,17 @@ impl Fixture {
     /// Names of key view and partners, in rank order.
     pub fn named(&self) -> Vec<(String, Vec<String>)> {
         let name = |v: &ViewIndex| self.name(*v).to_owned();
-        self.clusters.iter().map(|c| (name(&c.key), c.partners.iter().map(name).collect())).collect()
+        self.clusters
+            .iter()
+            .map(|c| (name(&c.key), c.partners.iter().map(name).collect()))
+            .collect()
     }
 
-    pub fn try_export(&self, backend: &str, options: &ExportOptions) -> Result<Export, BackendError> {
+    pub fn try_export(
+        &self,
+        backend: &str,
+        options: &ExportOptions,
+    ) -> Result<Export, BackendError> {
         let backend = by_name(backend).unwrap();
         let selection = Selection {
             project: &self.project,
@@ -128,7 +161,11 @@ pub fn project() -> Project {
         root: "/nowhere".into(),
         home: "/nowhere".into(),
         kind: ProjectKind::BareModel,
-        model: ModelLocation { format: ModelFormat::OpenMvs, path: "/nowhere/scene.mvs".into(), registered: 0 },
+        model: ModelLocation {
+            format: ModelFormat::OpenMvs,
+            path: "/nowhere/scene.mvs".into(),
+            registered: 0,
+        },
         model_is_named: false,
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),
@@ -175,7 +212,11 @@ impl Files {
     /// Is that one of the things that the export says it will not do?
     pub fn says(&self, what: &str) -> bool {
         let record = &self.0.record;
-        record.not_honoured.iter().chain(&record.warnings).any(|line| line.contains(what))
+        record
+            .not_honoured
+            .iter()
+            .chain(&record.warnings)
+            .any(|line| line.contains(what))
     }
 
     pub fn json(&self, path: &str) -> serde_json::Value {
@@ -185,7 +226,9 @@ impl Files {
 
 /// Words of the text as numbers.
 pub fn numbers(text: &str) -> Vec<f64> {
-    text.split_whitespace().map(|word| word.parse().unwrap()).collect()
+    text.split_whitespace()
+        .map(|word| word.parse().unwrap())
+        .collect()
 }
 
 #[test]
@@ -200,14 +243,36 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
         let record = &files.0.record;
         assert_eq!(record.backend, backend.name);
         assert_eq!(record.clusters.len(), 4);
-        assert!(!record.made_for.is_empty() && !record.way.is_empty() && !record.fusion.is_empty(), "{}", backend.name);
-        assert!(!record.commands.is_empty() || backend.name == "images", "{}", backend.name);
-        let notes = files.names().into_iter().find(|n| n.ends_with("export.json")).unwrap().to_owned();
-        let read: viewrank::internals::backends::ExportRecord = serde_json::from_slice(files.bytes(&notes)).unwrap();
+        assert!(
+            !record.made_for.is_empty() && !record.way.is_empty() && !record.fusion.is_empty(),
+            "{}",
+            backend.name
+        );
+        assert!(
+            !record.commands.is_empty() || backend.name == "images",
+            "{}",
+            backend.name
+        );
+        let notes = files
+            .names()
+            .into_iter()
+            .find(|n| n.ends_with("export.json"))
+            .unwrap()
+            .to_owned();
+        let read: viewrank::internals::backends::ExportRecord =
+            serde_json::from_slice(files.bytes(&notes)).unwrap();
         assert_eq!(&read, record, "{}", backend.name);
-        let partly = [backend.capabilities.partners, backend.capabilities.key_subset, backend.capabilities.order];
+        let partly = [
+            backend.capabilities.partners,
+            backend.capabilities.key_subset,
+            backend.capabilities.order,
+        ];
         if partly.contains(&viewrank::internals::backends::Honours::No) {
-            assert!(!record.not_honoured.is_empty(), "{} says what it does not honour", backend.name);
+            assert!(
+                !record.not_honoured.is_empty(),
+                "{} says what it does not honour",
+                backend.name
+            );
         }
         let outside = files
             .names()
@@ -224,16 +289,39 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
 #[test]
 fn distorted_images_are_refused_with_the_command_that_makes_them() {
     let mut fixture = Fixture::new(3);
-    fixture.scene.cameras =
-        vec![Camera::new(7, CameraModel::SimpleRadial, 640, 480, vec![500.0, 320.0, 240.0, 0.01]).unwrap()];
-    let foreign = fixture.try_export("openmvs", &ExportOptions::default()).unwrap_err();
+    fixture.scene.cameras = vec![
+        Camera::new(
+            7,
+            CameraModel::SimpleRadial,
+            640,
+            480,
+            vec![500.0, 320.0, 240.0, 0.01],
+        )
+        .unwrap(),
+    ];
+    let foreign = fixture
+        .try_export("openmvs", &ExportOptions::default())
+        .unwrap_err();
     assert!(
-        !viewrank::internals::error::Hint::hint(&foreign).unwrap().contains("colmap"),
+        !viewrank::internals::error::Hint::hint(&foreign)
+            .unwrap()
+            .contains("colmap"),
         "COLMAP does not read that model"
     );
     fixture.project.model.format = ModelFormat::ColmapBinary;
-    for backend in ["openmvs", "colmap", "mvsnet", "pmvs", "mve", "gipuma", "alicevision", "sure"] {
-        let error = fixture.try_export(backend, &ExportOptions::default()).unwrap_err();
+    for backend in [
+        "openmvs",
+        "colmap",
+        "mvsnet",
+        "pmvs",
+        "mve",
+        "gipuma",
+        "alicevision",
+        "sure",
+    ] {
+        let error = fixture
+            .try_export(backend, &ExportOptions::default())
+            .unwrap_err();
         let hint = viewrank::internals::error::Hint::hint(&error).unwrap();
         assert!(
             error.to_string().contains("SIMPLE_RADIAL")
@@ -246,33 +334,99 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
     assert!(fixture.export("splat").says("image_undistorter"));
 }
 
-/// The sizes that the programs take without an option, and that of a plan for another program where the user has set none.
+/// The sizes that the programs take without an option, and that of a plan for another program where
+/// the user has set none.
 #[test]
 fn without_image_scale_each_program_takes_its_own_size() {
     let own = |backend: &str, width: u64, height: u64| {
-        let camera = Camera::new(1, CameraModel::Pinhole, width, height, vec![500.0, 500.0, 1.0, 1.0]).unwrap();
+        let camera = Camera::new(
+            1,
+            CameraModel::Pinhole,
+            width,
+            height,
+            vec![500.0, 500.0, 1.0, 1.0],
+        )
+        .unwrap();
         let size = (by_name(backend).unwrap().own_scale)(&camera) * f64::from(camera.width);
         size.round() as u32
     };
     for (backend, sizes) in [
-        ("openmvs", [(640, 640), (1200, 1200), (1280, 640), (4000, 2000), (8000, 2560)]),
-        ("odm", [(640, 640), (1200, 1200), (1280, 640), (4000, 1000), (8000, 1000)]),
-        ("mve", [(640, 640), (1200, 1200), (1600, 800), (4000, 1000), (8000, 1000)]),
-        ("alicevision", [(640, 320), (1200, 600), (1280, 640), (4000, 2000), (8000, 4000)]),
-        ("colmap", [(640, 640), (1200, 1200), (1280, 1280), (4000, 4000), (8000, 8000)]),
+        (
+            "openmvs",
+            [
+                (640, 640),
+                (1200, 1200),
+                (1280, 640),
+                (4000, 2000),
+                (8000, 2560),
+            ],
+        ),
+        (
+            "odm",
+            [
+                (640, 640),
+                (1200, 1200),
+                (1280, 640),
+                (4000, 1000),
+                (8000, 1000),
+            ],
+        ),
+        (
+            "mve",
+            [
+                (640, 640),
+                (1200, 1200),
+                (1600, 800),
+                (4000, 1000),
+                (8000, 1000),
+            ],
+        ),
+        (
+            "alicevision",
+            [
+                (640, 320),
+                (1200, 600),
+                (1280, 640),
+                (4000, 2000),
+                (8000, 4000),
+            ],
+        ),
+        (
+            "colmap",
+            [
+                (640, 640),
+                (1200, 1200),
+                (1280, 1280),
+                (4000, 4000),
+                (8000, 8000),
+            ],
+        ),
     ] {
         for (width, size) in sizes {
-            assert_eq!(own(backend, width, width * 3 / 4), size, "{backend}, {width}");
+            assert_eq!(
+                own(backend, width, width * 3 / 4),
+                size,
+                "{backend}, {width}"
+            );
         }
     }
     let mut fixture = Fixture::new(3);
     (fixture.image_scale, fixture.own_size) = (0.25, true);
     let scale = |fixture: &Fixture, backend: &str| fixture.export(backend).0.record.image_scale;
-    assert_eq!((scale(&fixture, "alicevision"), scale(&fixture, "mve")), (0.5, 1.0));
+    assert_eq!(
+        (scale(&fixture, "alicevision"), scale(&fixture, "mve")),
+        (0.5, 1.0)
+    );
     assert!(fixture.export("alicevision").0.record.commands[0].contains("--downscale 2"));
-    assert!(!fixture.export("mve").says("image_scale"), "nothing is left out");
+    assert!(
+        !fixture.export("mve").says("image_scale"),
+        "nothing is left out"
+    );
     fixture.own_size = false;
-    assert_eq!((scale(&fixture, "alicevision"), scale(&fixture, "mve")), (0.25, 0.25));
+    assert_eq!(
+        (scale(&fixture, "alicevision"), scale(&fixture, "mve")),
+        (0.25, 0.25)
+    );
 }
 
 #[test]
@@ -280,12 +434,20 @@ fn an_export_of_nothing_says_so() {
     let mut fixture = Fixture::new(3);
     fixture.clusters.clear();
     for backend in viewrank::internals::backends::BACKENDS {
-        assert!(fixture.export(backend.name).says("nothing to compute"), "{}", backend.name);
+        assert!(
+            fixture.export(backend.name).says("nothing to compute"),
+            "{}",
+            backend.name
+        );
     }
 }
 
 /// Groups the names of a table file by index.
 pub fn table(text: &str) -> BTreeMap<usize, String> {
-    let row = |line: &str| line.split_once('\t').map(|(i, name)| (i.parse().unwrap(), name.to_owned())).unwrap();
+    let row = |line: &str| {
+        line.split_once('\t')
+            .map(|(i, name)| (i.parse().unwrap(), name.to_owned()))
+            .unwrap()
+    };
     text.lines().map(row).collect()
 }

@@ -25,7 +25,11 @@ fn gipuma_first_is_key() {
         .map(|(i, n)| (i.into(), n.into()))
         .collect();
     for (command, (key, partners)) in files.0.record.commands.iter().zip(fixture.named()) {
-        let images: Vec<&str> = command.split(' ').skip(1).take_while(|w| !w.starts_with('-')).collect();
+        let images: Vec<&str> = command
+            .split(' ')
+            .skip(1)
+            .take_while(|w| !w.starts_with('-'))
+            .collect();
         let named: Vec<String> = images.iter().map(|i| names[*i].clone()).collect();
         assert_eq!(named, [vec![key], partners].concat());
     }
@@ -33,14 +37,29 @@ fn gipuma_first_is_key() {
 
 #[test]
 fn gipuma_no_view_selection() {
-    assert!(!Fixture::new(3).export("gipuma").text("run.sh").contains("view_selection"), "it would choose at random");
+    assert!(
+        !Fixture::new(3)
+            .export("gipuma")
+            .text("run.sh")
+            .contains("view_selection"),
+        "it would choose at random"
+    );
 }
 
 #[test]
 fn gipuma_depth_range_mandatory() {
     for command in Fixture::new(3).export("gipuma").0.record.commands {
-        let value =
-            |key: &str| -> f64 { command.split(key).nth(1).unwrap().split(' ').next().unwrap().parse().unwrap() };
+        let value = |key: &str| -> f64 {
+            command
+                .split(key)
+                .nth(1)
+                .unwrap()
+                .split(' ')
+                .next()
+                .unwrap()
+                .parse()
+                .unwrap()
+        };
         assert!(0.0 < value("--depth_min=") && value("--depth_min=") < value("--depth_max="));
     }
 }
@@ -49,16 +68,33 @@ fn gipuma_depth_range_mandatory() {
 #[test]
 fn gipuma_fusibile_num_consistent() {
     let record = Fixture::new(3).export("gipuma").0.record;
-    assert!(record.fusion.contains(" --num_consistent=1"), "{}", record.fusion);
+    assert!(
+        record.fusion.contains(" --num_consistent=1"),
+        "{}",
+        record.fusion
+    );
 }
 
 #[test]
 fn gipuma_four_letter_extension() {
     let mut fixture = Fixture::new(3);
-    fixture.scene.views.iter_mut().for_each(|v| v.name = v.name.replace(".jpg", ".jpeg"));
+    fixture
+        .scene
+        .views
+        .iter_mut()
+        .for_each(|v| v.name = v.name.replace(".jpg", ".jpeg"));
     let files = fixture.export("gipuma");
-    let images: Vec<&str> = files.names().into_iter().filter(|n| n.starts_with("images/")).collect();
-    assert!(!images.is_empty() && images.iter().all(|n| n.len() == "images/00000000.jpg".len()));
+    let images: Vec<&str> = files
+        .names()
+        .into_iter()
+        .filter(|n| n.starts_with("images/"))
+        .collect();
+    assert!(
+        !images.is_empty()
+            && images
+                .iter()
+                .all(|n| n.len() == "images/00000000.jpg".len())
+    );
     let matrix = images[0].replacen("images", "p", 1) + ".P";
     assert_eq!(numbers(files.text(&matrix)).len(), 12);
 }
@@ -98,20 +134,31 @@ fn texts(xml: &str, element: &str) -> Vec<String> {
 #[test]
 fn micmac_blank_in_name() {
     let fixture = Fixture::new(3);
-    let error = fixture.try_export("micmac", &ExportOptions::default()).err().unwrap();
+    let error = fixture
+        .try_export("micmac", &ExportOptions::default())
+        .err()
+        .unwrap();
     assert!(error.to_string().contains("flight"), "{error}");
 }
 
-/// Malt takes the pattern of images for the name of the master, and puts it into a command without quotes: `img\.jpg +FileIm1=...` would reach
-/// MicMac as one word.
+/// Malt takes the pattern of images for the name of the master, and puts it into a command without
+/// quotes: `img\.jpg +FileIm1=...` would reach MicMac as one word.
 #[test]
 fn micmac_pattern_is_the_masters_name() {
-    for name in ["a+b.jpg", "a(1).jpg", "a'b.jpg", "a&b.jpg", "a\\b.jpg", "$a.jpg"] {
+    for name in [
+        "a+b.jpg", "a(1).jpg", "a'b.jpg", "a&b.jpg", "a\\b.jpg", "$a.jpg",
+    ] {
         let mut fixture = plain_names();
         let key = fixture.clusters[0].key;
         fixture.scene.views[key.index()].name = name.into();
-        let error = fixture.try_export("micmac", &ExportOptions::default()).err().unwrap();
-        assert!(matches!(error, BackendError::Name { .. }), "{name}: {error}");
+        let error = fixture
+            .try_export("micmac", &ExportOptions::default())
+            .err()
+            .unwrap();
+        assert!(
+            matches!(error, BackendError::Name { .. }),
+            "{name}: {error}"
+        );
     }
 }
 
@@ -119,10 +166,19 @@ fn micmac_pattern_is_the_masters_name() {
 fn micmac_pairs_undirected() {
     let fixture = plain_names();
     let files = fixture.export("micmac");
-    let pairs: Vec<String> =
-        fixture.named().iter().flat_map(|(k, p)| p.iter().map(move |p| format!("{k} {p}"))).collect();
+    let pairs: Vec<String> = fixture
+        .named()
+        .iter()
+        .flat_map(|(k, p)| p.iter().map(move |p| format!("{k} {p}")))
+        .collect();
     assert_eq!(texts(files.text("pairs.xml"), "Cple"), pairs);
-    assert!(viewrank::internals::backends::by_name("micmac").unwrap().capabilities.notes.contains("undirected"));
+    assert!(
+        viewrank::internals::backends::by_name("micmac")
+            .unwrap()
+            .capabilities
+            .notes
+            .contains("undirected")
+    );
 }
 
 #[test]
@@ -133,7 +189,11 @@ fn micmac_imsec_negative_score() {
         let xml = files.text(&format!("ImSec/ImSec-{key}.xml"));
         assert_eq!(texts(xml, "Master"), [key]);
         assert_eq!(texts(xml, "Images"), partners, "one element per partner");
-        assert_eq!((texts(xml, "Score"), texts(xml, "Sols").len()), (vec!["1".into()], 1), "one solution above -1");
+        assert_eq!(
+            (texts(xml, "Score"), texts(xml, "Sols").len()),
+            (vec!["1".into()], 1),
+            "one solution above -1"
+        );
     }
 }
 
@@ -141,33 +201,54 @@ fn micmac_imsec_negative_score() {
 fn micmac_imsec_missing_is_silent() {
     let fixture = plain_names();
     let files = fixture.export("micmac");
-    let masters: BTreeSet<String> = texts(files.text("ImSec/FileImSel.xml"), "Name").into_iter().collect();
+    let masters: BTreeSet<String> = texts(files.text("ImSec/FileImSel.xml"), "Name")
+        .into_iter()
+        .collect();
     let there: BTreeSet<String> = files
         .names()
         .into_iter()
-        .filter_map(|n| Some(n.strip_prefix("ImSec/ImSec-")?.strip_suffix(".xml")?.to_owned()))
+        .filter_map(|n| {
+            Some(
+                n.strip_prefix("ImSec/ImSec-")?
+                    .strip_suffix(".xml")?
+                    .to_owned(),
+            )
+        })
         .collect();
-    assert_eq!(masters, there, "a file for each master: without one it would get no partners and no word");
+    assert_eq!(
+        masters, there,
+        "a file for each master: without one it would get no partners and no word"
+    );
 }
 
 #[test]
 fn micmac_imsec_overwritten() {
     let files = plain_names().export("micmac");
     let script = files.text("run.sh");
-    let (copied, first_call) = (script.find("cp ImSec/*.xml").unwrap(), script.find("\"${MM3D:-mm3d}\" Malt").unwrap());
+    let (copied, first_call) = (
+        script.find("cp ImSec/*.xml").unwrap(),
+        script.find("\"${MM3D:-mm3d}\" Malt").unwrap(),
+    );
     assert!(
         copied < first_call && script.contains("cp -R \"$ori\"/. Ori-viewrank/"),
         "ours, in a copy of the user's folder"
     );
-    assert!(!script.contains("AperoChImSecMM") && !script.contains("C3DC"), "these would write them anew");
+    assert!(
+        !script.contains("AperoChImSecMM") && !script.contains("C3DC"),
+        "these would write them anew"
+    );
 }
 
 #[test]
 fn micmac_one_malt_call_per_master() {
     let fixture = plain_names();
     let files = fixture.export("micmac");
-    let calls: Vec<&str> =
-        files.lines("run.sh").into_iter().map(str::trim).filter(|l| l.contains("Malt GeomImage")).collect();
+    let calls: Vec<&str> = files
+        .lines("run.sh")
+        .into_iter()
+        .map(str::trim)
+        .filter(|l| l.contains("Malt GeomImage"))
+        .collect();
     let wanted: Vec<String> = fixture
         .named()
         .iter()
@@ -180,12 +261,19 @@ fn micmac_one_malt_call_per_master() {
 
 fn sfm(rank: usize) -> (Fixture, Value) {
     let fixture = Fixture::new(3);
-    let json = fixture.export("alicevision").json(&format!("clusters/{rank:04}.sfm"));
+    let json = fixture
+        .export("alicevision")
+        .json(&format!("clusters/{rank:04}.sfm"));
     (fixture, json)
 }
 
 fn floats(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap().iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect()
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v.as_str().unwrap().parse().unwrap())
+        .collect()
 }
 
 #[test]
@@ -193,11 +281,26 @@ fn alicevision_range_is_position() {
     let (fixture, json) = sfm(2);
     let files = fixture.export("alicevision");
     let command = &files.0.record.commands[1];
-    let position: usize = command.split("--rangeStart ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-    let mut ids: Vec<u32> =
-        json["views"].as_array().unwrap().iter().map(|v| v["viewId"].as_str().unwrap().parse().unwrap()).collect();
+    let position: usize = command
+        .split("--rangeStart ")
+        .nth(1)
+        .unwrap()
+        .split(' ')
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap();
+    let mut ids: Vec<u32> = json["views"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v["viewId"].as_str().unwrap().parse().unwrap())
+        .collect();
     ids.sort_unstable();
-    assert_eq!(ids[position], fixture.scene.view(fixture.clusters[1].key).image_id);
+    assert_eq!(
+        ids[position],
+        fixture.scene.view(fixture.clusters[1].key).image_id
+    );
     assert!(command.contains("--rangeSize 1 ") && command.contains("clusters/0002.sfm"));
 }
 
@@ -211,8 +314,19 @@ fn alicevision_needs_21_common_landmarks() {
     let key = fixture.scene.view(ViewIndex(12)).image_id.to_string();
     for partner in &fixture.clusters[0].partners {
         let id = fixture.scene.view(*partner).image_id.to_string();
-        let sees = |l: &Value, id: &str| l["observations"].as_array().unwrap().iter().any(|o| o["observationId"] == id);
-        let common = json["structure"].as_array().unwrap().iter().filter(|l| sees(l, &id) && sees(l, &key)).count();
+        let sees = |l: &Value, id: &str| {
+            l["observations"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .any(|o| o["observationId"] == id)
+        };
+        let common = json["structure"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .filter(|l| sees(l, &id) && sees(l, &key))
+            .count();
         assert!(common > 20, "{common}");
     }
 }
@@ -220,11 +334,28 @@ fn alicevision_needs_21_common_landmarks() {
 #[test]
 fn alicevision_rotation_column_order() {
     let (fixture, json) = sfm(1);
-    let id = fixture.scene.view(fixture.clusters[0].key).image_id.to_string();
-    let pose = json["poses"].as_array().unwrap().iter().find(|p| p["poseId"] == id).unwrap();
-    let r = fixture.scene.view(fixture.clusters[0].key).cam_from_world.rotation;
+    let id = fixture
+        .scene
+        .view(fixture.clusters[0].key)
+        .image_id
+        .to_string();
+    let pose = json["poses"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|p| p["poseId"] == id)
+        .unwrap();
+    let r = fixture
+        .scene
+        .view(fixture.clusters[0].key)
+        .cam_from_world
+        .rotation;
     let written = floats(&pose["pose"]["transform"]["rotation"]);
-    assert_eq!(written[1], r.matrix()[(1, 0)], "column by column, world to camera");
+    assert_eq!(
+        written[1],
+        r.matrix()[(1, 0)],
+        "column by column, world to camera"
+    );
 }
 
 #[test]
@@ -245,43 +376,88 @@ fn alicevision_dangling_observation() {
     let files = Fixture::new(3).export("alicevision");
     for name in files.names().into_iter().filter(|n| n.ends_with(".sfm")) {
         let json = files.json(name);
-        let views: BTreeSet<&str> =
-            json["views"].as_array().unwrap().iter().map(|v| v["viewId"].as_str().unwrap()).collect();
-        let observations =
-            json["structure"].as_array().unwrap().iter().flat_map(|l| l["observations"].as_array().unwrap());
-        assert!(observations.into_iter().all(|o| views.contains(o["observationId"].as_str().unwrap())), "{name}");
+        let views: BTreeSet<&str> = json["views"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|v| v["viewId"].as_str().unwrap())
+            .collect();
+        let observations = json["structure"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .flat_map(|l| l["observations"].as_array().unwrap());
+        assert!(
+            observations
+                .into_iter()
+                .all(|o| views.contains(o["observationId"].as_str().unwrap())),
+            "{name}"
+        );
     }
 }
 
 #[test]
 fn alicevision_partners_symmetric() {
     let (fixture, json) = sfm(1);
-    let key = fixture.scene.view(fixture.clusters[0].key).image_id.to_string();
+    let key = fixture
+        .scene
+        .view(fixture.clusters[0].key)
+        .image_id
+        .to_string();
     let landmarks = json["structure"].as_array().unwrap();
-    assert!(landmarks.iter().all(|l| l["observations"].as_array().unwrap().iter().any(|o| o["observationId"] == key)));
-    assert_eq!(json["views"].as_array().unwrap().len(), 4, "a file per key view, with its partners only");
+    assert!(landmarks.iter().all(|l| {
+        l["observations"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|o| o["observationId"] == key)
+    }));
+    assert_eq!(
+        json["views"].as_array().unwrap().len(),
+        4,
+        "a file per key view, with its partners only"
+    );
 }
 
 /// `-o` is short for both `--output` and `--outputMesh` of the meshing, which refuses it.
 #[test]
 fn alicevision_meshing_output_is_ambiguous() {
     let files = Fixture::new(3).export("alicevision");
-    let meshing =
-        |text: &str| text.lines().filter(|l| l.contains("aliceVision_meshing")).map(str::to_owned).collect::<Vec<_>>();
-    let calls = [meshing(&files.0.record.commands.join("\n")), meshing(files.text("run.sh"))].concat();
+    let meshing = |text: &str| {
+        text.lines()
+            .filter(|l| l.contains("aliceVision_meshing"))
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
+    };
+    let calls = [
+        meshing(&files.0.record.commands.join("\n")),
+        meshing(files.text("run.sh")),
+    ]
+    .concat();
     assert_eq!(calls.len(), 2);
-    assert!(calls.iter().all(|call| call.contains(" --output ") && !call.contains(" -o ")), "{calls:?}");
+    assert!(
+        calls
+            .iter()
+            .all(|call| call.contains(" --output ") && !call.contains(" -o ")),
+        "{calls:?}"
+    );
 }
 
 #[test]
 fn alicevision_tile_cap_4() {
     let fixture = Fixture::new(6);
     let files = fixture.export("alicevision");
-    let wanted = "--maxTCams 6 --chooseTCamsPerTile 0 --sgmMaxTCamsPerTile 6 --refineMaxTCamsPerTile 6 ";
-    assert!(files.0.record.commands[0].contains(wanted), "{}", files.0.record.commands[0]);
+    let wanted =
+        "--maxTCams 6 --chooseTCamsPerTile 0 --sgmMaxTCamsPerTile 6 --refineMaxTCamsPerTile 6 ";
+    assert!(
+        files.0.record.commands[0].contains(wanted),
+        "{}",
+        files.0.record.commands[0]
+    );
 }
 
-/// Partners count by common landmarks within a range of angles: the range is set to all of them, and whoever shares none is named.
+/// Partners count by common landmarks within a range of angles: the range is set to all of them,
+/// and whoever shares none is named.
 #[test]
 fn alicevision_names_the_partners_that_it_drops() {
     let mut fixture = Fixture::new(3);
@@ -305,8 +481,17 @@ fn alicevision_names_the_partners_that_it_drops() {
         fixture.name(key),
         fixture.name(partner)
     )));
-    let estimations = files.0.record.commands.iter().filter(|c| c.contains("depthMapEstimation"));
-    assert!(estimations.into_iter().all(|c| c.contains("--minViewAngle 0 --maxViewAngle 180 ")));
+    let estimations = files
+        .0
+        .record
+        .commands
+        .iter()
+        .filter(|c| c.contains("depthMapEstimation"));
+    assert!(
+        estimations
+            .into_iter()
+            .all(|c| c.contains("--minViewAngle 0 --maxViewAngle 180 "))
+    );
 }
 
 // Metashape; what its script does is tested with a stand-in for Metashape in tests/python.
@@ -327,11 +512,25 @@ fn metashape_no_partner_lists() {
 fn realityscan_union_only() {
     let fixture = Fixture::new(3);
     let files = fixture.export("realityscan");
-    let used: BTreeSet<String> = fixture.named().into_iter().flat_map(|(k, p)| [vec![k], p].concat()).collect();
-    assert_eq!(files.lines("images.txt").into_iter().map(str::to_owned).collect::<BTreeSet<_>>(), used);
+    let used: BTreeSet<String> = fixture
+        .named()
+        .into_iter()
+        .flat_map(|(k, p)| [vec![k], p].concat())
+        .collect();
+    assert_eq!(
+        files
+            .lines("images.txt")
+            .into_iter()
+            .map(str::to_owned)
+            .collect::<BTreeSet<_>>(),
+        used
+    );
     for view in &fixture.scene.views {
         let xmp = files.text(&format!("xmp/{}.xmp", view.name.trim_end_matches(".jpg")));
-        assert_eq!(xmp.contains("xcr:InMeshing=\"1\""), used.contains(&view.name));
+        assert_eq!(
+            xmp.contains("xcr:InMeshing=\"1\""),
+            used.contains(&view.name)
+        );
     }
     assert!(files.says("partners take part in meshing as well"));
 }
@@ -340,7 +539,10 @@ fn realityscan_union_only() {
 fn realityscan_xmp_same_stem() {
     let mut fixture = Fixture::new(3);
     fixture.scene.views[0].name = "flight 0/img 001.tif".into();
-    let error = fixture.try_export("realityscan", &ExportOptions::default()).err().unwrap();
+    let error = fixture
+        .try_export("realityscan", &ExportOptions::default())
+        .err()
+        .unwrap();
     assert!(error.to_string().contains("side file"), "{error}");
 }
 
@@ -353,14 +555,22 @@ fn realityscan_existing_xmp_poses() {
         loop {
             match reader.read_event().unwrap() {
                 Event::Empty(element) => {
-                    attributes.extend(element.attributes().map(|a| a.unwrap().key.as_ref().to_owned()));
+                    attributes.extend(
+                        element
+                            .attributes()
+                            .map(|a| a.unwrap().key.as_ref().to_owned()),
+                    );
                 }
                 Event::Eof => break,
                 _ => {}
             }
         }
         let switches = ["xcr:InMeshing", "xcr:InTexturing", "xmlns:xcr"].map(String::from);
-        assert_eq!(attributes, BTreeSet::from(switches), "switches only, no pose");
+        assert_eq!(
+            attributes,
+            BTreeSet::from(switches),
+            "switches only, no pose"
+        );
     }
     assert!(files.says("side files beside the images that hold poses are left as they are"));
 }
@@ -369,19 +579,37 @@ fn realityscan_existing_xmp_poses() {
 fn tables_name_every_image() {
     let fixture = Fixture::new(3);
     let names = table(fixture.export("acmm").text("view_names.txt"));
-    assert_eq!(names.keys().copied().collect::<Vec<_>>(), (0..names.len()).collect::<Vec<_>>());
+    assert_eq!(
+        names.keys().copied().collect::<Vec<_>>(),
+        (0..names.len()).collect::<Vec<_>>()
+    );
 }
 
 #[test]
 fn a_size_that_a_program_cannot_give_a_key_view_is_named() {
     let mut fixture = Fixture::new(3);
     fixture.clusters[1].scale = MapScale::Half;
-    assert!(fixture.export("pmvs").says("key views that are planned at half the size"));
+    assert!(
+        fixture
+            .export("pmvs")
+            .says("key views that are planned at half the size")
+    );
     let openmvs = fixture.export("openmvs");
-    let scales: Vec<_> =
-        openmvs.json("run.json")["clusters"].as_array().unwrap().iter().map(|c| c["scale"].clone()).collect();
+    let scales: Vec<_> = openmvs.json("run.json")["clusters"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| c["scale"].clone())
+        .collect();
     assert_eq!(scales, [1.0, 0.5, 1.0, 1.0]);
     let sgm = fixture.export("sgm");
-    assert_eq!(sgm.text("sizes.txt"), format!("{}\t0.5\n", fixture.named()[1].0));
-    assert!([openmvs, sgm].iter().all(|files| !files.says("planned at half")));
+    assert_eq!(
+        sgm.text("sizes.txt"),
+        format!("{}\t0.5\n", fixture.named()[1].0)
+    );
+    assert!(
+        [openmvs, sgm]
+            .iter()
+            .all(|files| !files.says("planned at half"))
+    );
 }

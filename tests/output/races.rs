@@ -1,4 +1,5 @@
-//! Somebody exchanges folders of a project for links to a folder elsewhere while it is written: nothing changes there.
+//! Somebody exchanges folders of a project for links to a folder elsewhere while it is written:
+//! nothing changes there.
 
 use std::{
     collections::BTreeMap,
@@ -44,12 +45,26 @@ impl Place {
         let (root, outside) = (folder.path().join("root"), folder.path().join("outside"));
         for above in ["", "p", "p/viewrank"] {
             let above = outside.join(above);
-            let own =
-                ["images", "maps", "sgm/maps", "p/viewrank/sgm/maps", "viewrank/sgm/maps", ".sets", "viewrank/.sets"];
-            own.iter().for_each(|inner| fs::create_dir_all(above.join(inner)).unwrap());
-            for name in
-                ["status.json", "manifest.json", "sgm/list", "sgm/maps/1", "1", "list", "viewrank/manifest.json"]
-            {
+            let own = [
+                "images",
+                "maps",
+                "sgm/maps",
+                "p/viewrank/sgm/maps",
+                "viewrank/sgm/maps",
+                ".sets",
+                "viewrank/.sets",
+            ];
+            own.iter()
+                .for_each(|inner| fs::create_dir_all(above.join(inner)).unwrap());
+            for name in [
+                "status.json",
+                "manifest.json",
+                "sgm/list",
+                "sgm/maps/1",
+                "1",
+                "list",
+                "viewrank/manifest.json",
+            ] {
                 fs::write(above.join(name), "precious").unwrap();
             }
         }
@@ -68,20 +83,34 @@ impl Place {
         self.folder.path().join("outside")
     }
 
-    /// Writes what a daemon writes; `version` makes each of the files another. Returns whether the plan was written.
-    fn write(&self, version: usize, before: &(dyn Fn(Operation, &Path) -> io::Result<()> + Sync)) -> bool {
+    /// Writes what a daemon writes; `version` makes each of the files another. Returns whether the
+    /// plan was written.
+    fn write(
+        &self,
+        version: usize,
+        before: &(dyn Fn(Operation, &Path) -> io::Result<()> + Sync),
+    ) -> bool {
         let (root, project) = (self.root(), self.root().join("a/p"));
         let within = [root.clone(), project.clone()];
         let disk = Disk::guarded(before).within(&within);
         let mut plan = FileSet::new(&project, "plan");
         let mut export = FileSet::new(project.join("viewrank/sgm"), "export");
         plan.add_text("viewrank/manifest.json", version.to_string());
-        plan.add_text(format!("viewrank/sgm/maps/{}", version % 3), version.to_string());
+        plan.add_text(
+            format!("viewrank/sgm/maps/{}", version % 3),
+            version.to_string(),
+        );
         plan.add(
             "viewrank/sgm/images/1.jpg",
-            Contents::Link { file: project.join("images/1.jpg"), folder: project.join("images") },
+            Contents::Link {
+                file: project.join("images/1.jpg"),
+                folder: project.join("images"),
+            },
         );
-        plan.add("viewrank/sgm/copies/1.jpg", Contents::Copy(project.join("images/1.jpg")));
+        plan.add(
+            "viewrank/sgm/copies/1.jpg",
+            Contents::Copy(project.join("images/1.jpg")),
+        );
         export.add_text("list", version.to_string());
         // Each of them may fail, and fails without harm.
         _ = recover(&project, &disk);
@@ -90,7 +119,11 @@ impl Place {
         _ = replace(&project.join("viewrank/progress.json"), b"progress", &disk);
         _ = remove(&project.join("viewrank/sgm/maps/1"), &disk);
         let own = [root.clone(), root.join("viewrank")];
-        _ = replace(&root.join("viewrank/status.json"), b"status", &Disk::guarded(before).within(&own));
+        _ = replace(
+            &root.join("viewrank/status.json"),
+            b"status",
+            &Disk::guarded(before).within(&own),
+        );
         written.is_ok()
     }
 
@@ -98,7 +131,12 @@ impl Place {
     fn check(&self, when: &str) {
         let after = found(&self.outside());
         let differs = |path: &&PathBuf| after.get(*path) != self.before.get(*path);
-        let changed: Vec<&PathBuf> = self.before.keys().chain(after.keys()).filter(differs).collect();
+        let changed: Vec<&PathBuf> = self
+            .before
+            .keys()
+            .chain(after.keys())
+            .filter(differs)
+            .collect();
         assert!(changed.is_empty(), "{when}: {changed:?}");
     }
 
@@ -123,11 +161,16 @@ impl Place {
 
 /// All below a folder, with the time of the last change and the contents of files.
 fn found(folder: &Path) -> BTreeMap<PathBuf, (SystemTime, Vec<u8>)> {
-    let entries = walkdir::WalkDir::new(folder).into_iter().map(|entry| entry.unwrap());
+    let entries = walkdir::WalkDir::new(folder)
+        .into_iter()
+        .map(|entry| entry.unwrap());
     entries
         .map(|entry| {
             let contents = fs::read(entry.path()).unwrap_or_default();
-            (entry.path().to_path_buf(), (entry.metadata().unwrap().modified().unwrap(), contents))
+            (
+                entry.path().to_path_buf(),
+                (entry.metadata().unwrap().modified().unwrap(), contents),
+            )
         })
         .collect()
 }
@@ -142,7 +185,8 @@ fn a_folder_exchanged_just_before_any_change_leads_nothing_out() {
             place.write(0, &|_, _| Ok(()));
             let (operations, is_done) = (AtomicUsize::new(0), AtomicBool::new(false));
             let aside = Mutex::new(false);
-            // The link is there from the instant before operation number `at` until the one after it.
+            // The link is there from the instant before operation number `at` until the one after
+            // it.
             let before = |_: Operation, _: &Path| {
                 let n = operations.fetch_add(1, Ordering::Relaxed);
                 let (here, kept) = (place.root().join(folder), place.folder.path().join("aside"));
@@ -173,21 +217,33 @@ fn a_folder_exchanged_just_before_any_change_leads_nothing_out() {
 /// As long as VIEWRANK_RACES says: 300 changes by default.
 #[test]
 fn folders_exchanged_at_any_instant_lead_nothing_out() {
-    let changes: usize = std::env::var("VIEWRANK_RACES").ok().and_then(|n| n.parse().ok()).unwrap_or(300);
+    let changes: usize = std::env::var("VIEWRANK_RACES")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(300);
     let place = Place::new();
     place.write(0, &|_, _| Ok(()));
     let (is_over, exchanges) = (AtomicBool::new(false), AtomicUsize::new(0));
     let (mut version, mut written) = (0, 0);
     thread::scope(|threads| {
         threads.spawn(|| {
-            for folder in FOLDERS.iter().cycle().take_while(|_| !is_over.load(Ordering::Relaxed)) {
-                exchanges.fetch_add(usize::from(place.exchange(folder, thread::yield_now)), Ordering::Relaxed);
+            for folder in FOLDERS
+                .iter()
+                .cycle()
+                .take_while(|_| !is_over.load(Ordering::Relaxed))
+            {
+                exchanges.fetch_add(
+                    usize::from(place.exchange(folder, thread::yield_now)),
+                    Ordering::Relaxed,
+                );
                 // Long enough for a part of a change.
                 thread::sleep(Duration::from_micros(200));
             }
         });
         // On a busy machine the other thread may need longer for its share.
-        while version < changes || exchanges.load(Ordering::Relaxed) <= changes / 10 && version < 20 * changes {
+        while version < changes
+            || exchanges.load(Ordering::Relaxed) <= changes / 10 && version < 20 * changes
+        {
             version += 1;
             written += usize::from(place.write(version, &|_, _| Ok(())));
         }
@@ -202,5 +258,8 @@ fn folders_exchanged_at_any_instant_lead_nothing_out() {
     // Nobody disturbs it any more.
     place.write(changes + 1, &|_, _| Ok(()));
     place.write(changes + 2, &|_, _| Ok(()));
-    assert_eq!(fs::read_to_string(place.root().join("a/p/viewrank/manifest.json")).unwrap(), (changes + 2).to_string());
+    assert_eq!(
+        fs::read_to_string(place.root().join("a/p/viewrank/manifest.json")).unwrap(),
+        (changes + 2).to_string()
+    );
 }

@@ -16,19 +16,31 @@ fn a_lock_that_is_no_file_is_refused_and_nothing_is_made_through_it() {
         fs::write(root.join("own.txt"), "own").unwrap();
         std::os::unix::fs::symlink(target, root.join("viewrank/.lock")).unwrap();
         let refused = set(&root, &[("a", "a")]).write(&Disk::REAL);
-        assert!(matches!(refused, Err(OutputError::Foreign { .. })), "{target}: {refused:?}");
+        assert!(
+            matches!(refused, Err(OutputError::Foreign { .. })),
+            "{target}: {refused:?}"
+        );
         assert_eq!(tree(&root), texts(&[("own.txt", "own")]));
         assert!(!folder.path().join("outside.txt").exists());
     }
     let folder = empty_folder();
     fs::create_dir(folder.path().join("viewrank")).unwrap();
     make_pipe(&folder.path().join("viewrank/.lock"));
-    assert!(matches!(set(folder.path(), &[("a", "a")]).write(&Disk::REAL), Err(OutputError::Foreign { .. })));
+    assert!(matches!(
+        set(folder.path(), &[("a", "a")]).write(&Disk::REAL),
+        Err(OutputError::Foreign { .. })
+    ));
 }
 
 #[cfg(unix)]
 fn make_pipe(path: &Path) {
-    assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success());
+    assert!(
+        std::process::Command::new("mkfifo")
+            .arg(path)
+            .status()
+            .unwrap()
+            .success()
+    );
 }
 
 #[cfg(unix)]
@@ -60,10 +72,22 @@ fn the_folder_of_outputs_may_be_a_link_inside_the_root_and_no_other() {
 fn an_absolute_link_counts_as_one_that_leads_out() {
     let folder = empty_folder();
     fs::create_dir(folder.path().join("outputs")).unwrap();
-    std::os::unix::fs::symlink(folder.path().join("outputs"), folder.path().join("viewrank")).unwrap();
+    std::os::unix::fs::symlink(
+        folder.path().join("outputs"),
+        folder.path().join("viewrank"),
+    )
+    .unwrap();
     let refused = set(folder.path(), &[("a", "a")]).write(&Disk::REAL);
-    assert!(matches!(refused, Err(OutputError::Escapes { .. })), "{refused:?}");
-    assert!(fs::read_dir(folder.path().join("outputs")).unwrap().next().is_none());
+    assert!(
+        matches!(refused, Err(OutputError::Escapes { .. })),
+        "{refused:?}"
+    );
+    assert!(
+        fs::read_dir(folder.path().join("outputs"))
+            .unwrap()
+            .next()
+            .is_none()
+    );
 }
 
 /// Else the plan of one project could be written into another.
@@ -78,8 +102,14 @@ fn no_link_on_the_way_from_a_watched_root_to_a_project_is_followed_even_if_it_st
     let within = [root.to_path_buf(), project.clone()];
     let disk = Disk::REAL.within(&within);
     let files = set(&project, &[("a", "a")]);
-    assert!(matches!(files.write(&disk), Err(OutputError::Foreign { .. })));
-    assert!(matches!(replace(&project.join("b"), b"b", &disk), Err(OutputError::Foreign { .. })));
+    assert!(matches!(
+        files.write(&disk),
+        Err(OutputError::Foreign { .. })
+    ));
+    assert!(matches!(
+        replace(&project.join("b"), b"b", &disk),
+        Err(OutputError::Foreign { .. })
+    ));
     assert!(fs::read_dir(root.join("b/p")).unwrap().next().is_none());
     // The path that the user names may have links.
     files.write(&Disk::REAL.within(&[project])).unwrap();
@@ -89,7 +119,10 @@ fn no_link_on_the_way_from_a_watched_root_to_a_project_is_followed_even_if_it_st
 /// A project whose images and notes are the user's, and which came with these files in `viewrank`.
 fn planted(files: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = empty_folder();
-    for (name, text) in [("my_notes.txt", "notes"), ("images/a.jpg", "image")].iter().chain(files) {
+    for (name, text) in [("my_notes.txt", "notes"), ("images/a.jpg", "image")]
+        .iter()
+        .chain(files)
+    {
         let path = folder.path().join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, text).unwrap();
@@ -124,24 +157,35 @@ fn a_hostile_journal_is_set_aside_and_removes_nothing() {
     let journals = [
         journal("made 0.000000000", &removals),
         journal("", &removals),
-        journal("", r#"{"path":"my_notes.txt","has_new":false,"has_old":false}"#),
+        journal(
+            "",
+            r#"{"path":"my_notes.txt","has_new":false,"has_old":false}"#,
+        ),
         journal("", r#"{"path":"../precious","new":null,"old":null}"#),
         "{".into(),
     ];
     let record = planted_record("");
     for text in &journals {
-        let folder = planted(&[("viewrank/.journal.json", text), ("viewrank/.sets/test.json", &record)]);
+        let folder = planted(&[
+            ("viewrank/.journal.json", text),
+            ("viewrank/.sets/test.json", &record),
+        ]);
         let root = folder.path();
         let before = tree(root);
         match recover(root, &Disk::REAL) {
-            Err(OutputError::Journal { path, .. }) => assert_eq!(fs::read_to_string(path).unwrap(), *text),
+            Err(OutputError::Journal { path, .. }) => {
+                assert_eq!(fs::read_to_string(path).unwrap(), *text)
+            }
             other => panic!("{text}: {other:?}"),
         }
         assert_eq!(tree(root), before, "{text}");
         // The next run goes on without it.
         recover(root, &Disk::REAL).unwrap();
         assert_eq!(write(root, &[("a", "a")]).changed, ["a"]);
-        assert_eq!(fs::read_to_string(root.join("my_notes.txt")).unwrap(), "notes");
+        assert_eq!(
+            fs::read_to_string(root.join("my_notes.txt")).unwrap(),
+            "notes"
+        );
     }
 }
 
@@ -150,7 +194,10 @@ fn the_error_of_a_hostile_journal_names_a_file_that_it_is_after() {
     let step = r#"{"path":"my_notes.txt","new":null,"old":null}"#;
     let folder = planted(&[("viewrank/.journal.json", &journal("", step))]);
     let error = recover(folder.path(), &Disk::REAL).unwrap_err().to_string();
-    assert!(error.contains(".journal.refused-1.json") && error.contains("my_notes.txt"), "{error}");
+    assert!(
+        error.contains(".journal.refused-1.json") && error.contains("my_notes.txt"),
+        "{error}"
+    );
 }
 
 #[cfg(unix)]
@@ -162,10 +209,15 @@ fn a_linked_staging_folder_brings_no_file_in_from_outside() {
     fs::create_dir(&outside).unwrap();
     fs::write(outside.join("0.new"), "secret").unwrap();
     let link = root.join("viewrank/.staging");
-    let step = format!(r#"{{"path":"stolen","new":"{}","old":null}}"#, hash("secret"));
+    let step = format!(
+        r#"{{"path":"stolen","new":"{}","old":null}}"#,
+        hash("secret")
+    );
     for journal in [Some(journal("", &step)), None] {
         std::os::unix::fs::symlink(&outside, &link).unwrap();
-        journal.iter().for_each(|text| fs::write(root.join("viewrank/.journal.json"), text).unwrap());
+        journal
+            .iter()
+            .for_each(|text| fs::write(root.join("viewrank/.journal.json"), text).unwrap());
         assert_eq!(recover(&root, &Disk::REAL).is_err(), journal.is_some());
         write(&root, &[("a", "a")]);
         assert_eq!(tree(&outside), texts(&[("0.new", "secret")]));
@@ -180,7 +232,10 @@ fn a_pipe_in_the_place_of_a_journal_or_a_record_is_not_waited_for() {
     fs::create_dir_all(folder.path().join("viewrank/.sets")).unwrap();
     make_pipe(&folder.path().join("viewrank/.sets/test.json"));
     make_pipe(&folder.path().join("viewrank/.journal.json"));
-    assert!(matches!(recover(folder.path(), &Disk::REAL), Err(OutputError::Foreign { .. })));
+    assert!(matches!(
+        recover(folder.path(), &Disk::REAL),
+        Err(OutputError::Foreign { .. })
+    ));
     fs::remove_file(folder.path().join("viewrank/.journal.json")).unwrap();
     assert_eq!(write(folder.path(), &[("a", "a")]).changed, ["a"]);
 }
@@ -191,14 +246,25 @@ fn a_file_of_any_size_in_place_of_ours_is_kept_and_not_read() {
     let root = folder.path();
     write(root, &[("viewrank/list", "1"), ("viewrank/stale", "1")]);
     for name in ["viewrank/list", "viewrank/stale"] {
-        fs::File::create(root.join(name)).unwrap().set_len(1 << 42).unwrap();
+        fs::File::create(root.join(name))
+            .unwrap()
+            .set_len(1 << 42)
+            .unwrap();
     }
     for _ in 0..2 {
         let written = write(root, &[("viewrank/list", "2")]);
         assert!(written.removed.is_empty(), "{written:?}");
     }
     let length = |name: &str| fs::metadata(root.join(name)).unwrap().len();
-    assert_eq!(["viewrank/list", "viewrank/list.before-viewrank", "viewrank/stale"].map(length), [1, 1 << 42, 1 << 42]);
+    assert_eq!(
+        [
+            "viewrank/list",
+            "viewrank/list.before-viewrank",
+            "viewrank/stale"
+        ]
+        .map(length),
+        [1, 1 << 42, 1 << 42]
+    );
 }
 
 #[test]
@@ -209,7 +275,10 @@ fn a_record_that_was_not_written_here_makes_no_file_ours() {
         fs::create_dir(root.join("empty")).unwrap();
         // The image would be stale, the notes would be replaced without a word.
         let written = write(root, &[("my_notes.txt", "ours")]);
-        assert_eq!((written.removed.len(), written.kept), (0, vec!["my_notes.txt.before-viewrank".into()]));
+        assert_eq!(
+            (written.removed.len(), written.kept),
+            (0, vec!["my_notes.txt.before-viewrank".into()])
+        );
         let expected = [
             ("my_notes.txt", "ours"),
             ("my_notes.txt.before-viewrank", "notes"),
@@ -225,7 +294,10 @@ fn a_record_that_was_not_written_here_makes_no_file_ours() {
 #[cfg(unix)]
 #[test]
 fn a_record_that_was_not_written_here_claims_nothing_through_links() {
-    for (link, target, prefix) in [("viewrank", ".", "viewrank"), ("viewrank/sgm", "..", "viewrank/sgm")] {
+    for (link, target, prefix) in [
+        ("viewrank", ".", "viewrank"),
+        ("viewrank/sgm", "..", "viewrank/sgm"),
+    ] {
         let folder = planted(&[]);
         let root = folder.path();
         let at = root.join(link);
@@ -239,8 +311,14 @@ fn a_record_that_was_not_written_here_claims_nothing_through_links() {
         fs::write(root.join("viewrank/.sets/test.json"), record).unwrap();
         let written = write(root, &[(&format!("{prefix}/my_notes.txt"), "ours")]);
         assert!(written.removed.is_empty(), "{written:?}");
-        assert_eq!(fs::read_to_string(root.join("images/a.jpg")).unwrap(), "image");
-        assert_eq!(fs::read_to_string(root.join("my_notes.txt.before-viewrank")).unwrap(), "notes");
+        assert_eq!(
+            fs::read_to_string(root.join("images/a.jpg")).unwrap(),
+            "image"
+        );
+        assert_eq!(
+            fs::read_to_string(root.join("my_notes.txt.before-viewrank")).unwrap(),
+            "notes"
+        );
     }
 }
 
@@ -252,13 +330,19 @@ fn a_record_is_not_written_over_a_file_elsewhere() {
     fs::create_dir(root.join("viewrank")).unwrap();
     std::os::unix::fs::symlink("../settings", root.join("viewrank/.sets")).unwrap();
     let before = tree(root);
-    assert!(matches!(set(root, &[("a", "a")]).write(&Disk::REAL), Err(OutputError::Foreign { .. })));
+    assert!(matches!(
+        set(root, &[("a", "a")]).write(&Disk::REAL),
+        Err(OutputError::Foreign { .. })
+    ));
     assert_eq!(tree(root), before);
 }
 
 /// Copies a folder with all that is in it.
 fn copy_tree(from: &Path, to: &Path) {
-    for entry in walkdir::WalkDir::new(from).into_iter().map(|entry| entry.unwrap()) {
+    for entry in walkdir::WalkDir::new(from)
+        .into_iter()
+        .map(|entry| entry.unwrap())
+    {
         let at = to.join(entry.path().strip_prefix(from).unwrap());
         if entry.file_type().is_dir() {
             fs::create_dir_all(at).unwrap();
@@ -272,13 +356,35 @@ fn copy_tree(from: &Path, to: &Path) {
 fn a_copy_of_a_project_takes_its_files_over_where_they_are_still_wanted() {
     let folder = empty_folder();
     let (first, copy) = (folder.path().join("first"), folder.path().join("copy"));
-    let files = [("viewrank/list", "1"), ("viewrank/old", "1"), ("same", "1"), ("other", "1"), ("stale", "1")];
+    let files = [
+        ("viewrank/list", "1"),
+        ("viewrank/old", "1"),
+        ("same", "1"),
+        ("other", "1"),
+        ("stale", "1"),
+    ];
     write(&first, &files);
     copy_tree(&first, &copy);
-    let written = write(&copy, &[("viewrank/list", "2"), ("same", "1"), ("other", "2")]);
-    assert_eq!((written.kept, written.removed), (vec!["other.before-viewrank".into()], vec!["viewrank/old".into()]));
+    let written = write(
+        &copy,
+        &[("viewrank/list", "2"), ("same", "1"), ("other", "2")],
+    );
+    assert_eq!(
+        (written.kept, written.removed),
+        (
+            vec!["other.before-viewrank".into()],
+            vec!["viewrank/old".into()]
+        )
+    );
     assert!(copy.join("stale").exists());
-    assert!(write(&copy, &[("viewrank/list", "2"), ("same", "3"), ("other", "3")]).kept.is_empty());
+    assert!(
+        write(
+            &copy,
+            &[("viewrank/list", "2"), ("same", "3"), ("other", "3")]
+        )
+        .kept
+        .is_empty()
+    );
 }
 
 #[test]
@@ -291,13 +397,22 @@ fn the_journal_of_a_copy_is_set_aside_and_no_file_is_lost() {
         copy_tree(folder.path(), copy.path());
         let before = tree(copy.path());
         let result = recover(copy.path(), &Disk::REAL);
-        assert!(matches!(result, Ok(()) | Err(OutputError::Journal { .. })), "operation {at}: {result:?}");
+        assert!(
+            matches!(result, Ok(()) | Err(OutputError::Journal { .. })),
+            "operation {at}: {result:?}"
+        );
         refused += usize::from(result.is_err());
         assert_eq!(tree(copy.path()), before, "operation {at}");
         prepare_again(copy.path()).write(&Disk::REAL).unwrap();
         let after = tree(copy.path());
-        assert!(new.iter().all(|(path, text)| after.get(path) == Some(text)), "operation {at}: {after:?}");
-        assert!(after.values().any(|text| text == "theirs"), "operation {at}: {after:?}");
+        assert!(
+            new.iter().all(|(path, text)| after.get(path) == Some(text)),
+            "operation {at}: {after:?}"
+        );
+        assert!(
+            after.values().any(|text| text == "theirs"),
+            "operation {at}: {after:?}"
+        );
     }
     assert!(refused > 0 && refused < operations, "both ends occur");
 }
@@ -306,7 +421,9 @@ fn the_journal_of_a_copy_is_set_aside_and_no_file_is_lost() {
 #[test]
 fn what_was_edited_after_a_crash_is_left_alone() {
     let (_, _, operations) = undisturbed();
-    for (at, name) in (0..operations).flat_map(|at| ["a", "old/b", "theirs.cfg"].map(|name| (at, name))) {
+    for (at, name) in
+        (0..operations).flat_map(|at| ["a", "old/b", "theirs.cfg"].map(|name| (at, name)))
+    {
         let folder = empty_folder();
         let root = folder.path();
         let _ = prepare(root).write(&Disk::guarded(&fail_at(at, true)));
@@ -315,8 +432,15 @@ fn what_was_edited_after_a_crash_is_left_alone() {
         fs::write(root.join("draft"), "edited").unwrap();
         fs::rename(root.join("draft"), root.join(name)).unwrap();
         let _ = recover(root, &Disk::REAL);
-        assert_eq!(fs::read_to_string(root.join(name)).unwrap(), "edited", "operation {at}");
+        assert_eq!(
+            fs::read_to_string(root.join(name)).unwrap(),
+            "edited",
+            "operation {at}"
+        );
         prepare_again(root).write(&Disk::REAL).unwrap();
-        assert!(tree(root).values().any(|text| text == "edited"), "operation {at}, {name}");
+        assert!(
+            tree(root).values().any(|text| text == "edited"),
+            "operation {at}, {name}"
+        );
     }
 }

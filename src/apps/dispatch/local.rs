@@ -27,13 +27,23 @@ pub enum ScriptResult {
 }
 
 impl Dispatch {
-    /// Computes the depth map of a task; returns at once if it already exists. `threads`: number of threads that the backend may use.
-    pub fn compute_here(&self, task: &Task, threads: usize, stop: &AtomicBool) -> Result<ScriptResult, DispatchError> {
+    /// Computes the depth map of a task; returns at once if it already exists. `threads`: number of
+    /// threads that the backend may use.
+    pub fn compute_here(
+        &self,
+        task: &Task,
+        threads: usize,
+        stop: &AtomicBool,
+    ) -> Result<ScriptResult, DispatchError> {
         self.run_here("task.sh", Some(task.rank), threads, stop)
     }
 
     /// Fuses the depth maps that exist so far.
-    pub fn fuse_here(&self, threads: usize, stop: &AtomicBool) -> Result<ScriptResult, DispatchError> {
+    pub fn fuse_here(
+        &self,
+        threads: usize,
+        stop: &AtomicBool,
+    ) -> Result<ScriptResult, DispatchError> {
         self.run_here("fuse.sh", None, threads, stop)
     }
 
@@ -44,19 +54,33 @@ impl Dispatch {
         threads: usize,
         stop: &AtomicBool,
     ) -> Result<ScriptResult, DispatchError> {
-        let failed = |source| DispatchError::Start { program: "sh".into(), source };
+        let failed = |source| DispatchError::Start {
+            program: "sh".into(),
+            source,
+        };
         let mut output = tempfile::tempfile().map_err(failed)?;
         let copy = |file: &File| file.try_clone().map(Stdio::from).map_err(failed);
         let mut command = Command::new("sh");
-        command.arg(self.folder.join(script)).args(rank.map(|rank| rank.to_string()));
+        command
+            .arg(self.folder.join(script))
+            .args(rank.map(|rank| rank.to_string()));
         // The scripts read from it the number of CPUs that a queue would grant.
-        command.env("SLURM_CPUS_PER_TASK", threads.to_string()).env_remove("SLURM_ARRAY_JOB_ID");
-        command.stdin(Stdio::null()).stdout(copy(&output)?).stderr(copy(&output)?);
-        let mut child = platform::in_own_group(&mut command).spawn().map_err(failed)?;
+        command
+            .env("SLURM_CPUS_PER_TASK", threads.to_string())
+            .env_remove("SLURM_ARRAY_JOB_ID");
+        command
+            .stdin(Stdio::null())
+            .stdout(copy(&output)?)
+            .stderr(copy(&output)?);
+        let mut child = platform::in_own_group(&mut command)
+            .spawn()
+            .map_err(failed)?;
         loop {
             if let Some(status) = child.try_wait().map_err(failed)? {
                 let failed = |_| ScriptResult::Failed(tail(&mut output).unwrap_or_default());
-                return Ok(Some(status).filter(|status| !status.success()).map_or(ScriptResult::Done, failed));
+                return Ok(Some(status)
+                    .filter(|status| !status.success())
+                    .map_or(ScriptResult::Done, failed));
             }
             if stop.load(Ordering::Relaxed) {
                 platform::end_group(&mut child);
@@ -74,6 +98,10 @@ fn tail(output: &mut File) -> io::Result<String> {
     let mut bytes = Vec::new();
     output.read_to_end(&mut bytes)?;
     let text = String::from_utf8_lossy(&bytes);
-    let whole = if start > 0 { text.split_once('\n').map_or(&*text, |(_, whole)| whole) } else { &text };
+    let whole = if start > 0 {
+        text.split_once('\n').map_or(&*text, |(_, whole)| whole)
+    } else {
+        &text
+    };
     Ok(whole.trim().into())
 }

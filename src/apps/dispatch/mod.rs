@@ -1,10 +1,11 @@
 //! The view clusters of a plan as tasks of a queue, one task per rank, for `viewrank dispatch`.
 //!
-//! `PROJECT/viewrank/dispatch/NAME` holds `list-HASH.tsv` (one line per task: rank, marker, id, depth map, key view), `task.sh` and `fuse.sh`
-//! (the scripts of `integrations/slurm`, with their variables filled in), `logs/`, and the records of the scripts: `done/MARKER` with the id of
-//! the cluster that the depth map was made for, and `fused`, the ids joined last. An id covers a key view with its
-//! partners, their cameras and poses, so a changed plan recomputes only changed clusters. Missing work is derived from these files alone; [`slurm`]
-//! knows which of it is queued.
+//! `PROJECT/viewrank/dispatch/NAME` holds `list-HASH.tsv` (one line per task: rank, marker, id,
+//! depth map, key view), `task.sh` and `fuse.sh` (the scripts of `integrations/slurm`, with their
+//! variables filled in), `logs/`, and the records of the scripts: `done/MARKER` with the id of the
+//! cluster that the depth map was made for, and `fused`, the ids joined last. An id covers a key
+//! view with its partners, their cameras and poses, so a changed plan recomputes only changed
+//! clusters. Missing work is derived from these files alone; [`slurm`] knows which of it is queued.
 
 pub mod local;
 pub mod slurm;
@@ -51,7 +52,8 @@ pub struct Dispatch {
     pub folder: PathBuf,
     /// In rank order; clusters that cannot have a depth map are left out.
     pub tasks: Vec<Task>,
-    /// Depth maps of ranks up to this one are kept, whoever made them: the plan was ranked around them.
+    /// Depth maps of ranks up to this one are kept, whoever made them: the plan was ranked around
+    /// them.
     finished: usize,
     /// Folder in which the backend runs.
     workplace: PathBuf,
@@ -68,28 +70,44 @@ pub struct Tools {
 }
 
 impl Tools {
-    /// Resolves the program: the one given, else the one in the runner's variable, else the one that comes with the export, else the one on
-    /// the PATH. Python: `PYTHON`, else `python3`.
+    /// Resolves the program: the one given, else the one in the runner's variable, else the one
+    /// that comes with the export, else the one on the PATH. Python: `PYTHON`, else `python3`.
     pub fn find(dispatch: &Dispatch, named: Option<&Path>) -> Result<Self, DispatchError> {
         let runner = &dispatch.runner;
         let variable = env::var_os(runner.variable).map(PathBuf::from);
         let wanted = named.map(Path::to_path_buf).or(variable);
         if let (None, Some(own)) = (&wanted, &dispatch.exported_program) {
-            return Ok(Self { program: own.clone(), ..Self::unseen(runner) });
+            return Ok(Self {
+                program: own.clone(),
+                ..Self::unseen(runner)
+            });
         }
         let wanted = wanted.unwrap_or_else(|| runner.program.into());
         let typed = named.filter(|path| path.is_file()).map(absolute);
         let program = typed.or_else(|| platform::located(&wanted).map(|found| absolute(&found)));
-        let program = program.ok_or(DispatchError::Program { program: wanted, variable: runner.variable })?;
-        Ok(Self { program, ..Self::unseen(runner) })
+        let program = program.ok_or(DispatchError::Program {
+            program: wanted,
+            variable: runner.variable,
+        })?;
+        Ok(Self {
+            program,
+            ..Self::unseen(runner)
+        })
     }
 
     /// Programs that exist only on the nodes.
     pub fn unseen(runner: &TaskRunner) -> Self {
         let python = backends::python();
         // Scripts run it from another folder.
-        let python = if python.components().count() > 1 { absolute(&python) } else { python };
-        Self { program: runner.program.into(), python }
+        let python = if python.components().count() > 1 {
+            absolute(&python)
+        } else {
+            python
+        };
+        Self {
+            program: runner.program.into(),
+            python,
+        }
     }
 }
 
@@ -98,7 +116,8 @@ fn absolute(path: &Path) -> PathBuf {
 }
 
 impl Dispatch {
-    /// Returns the tasks of an export with the default options; the plan was ranked around the first `finished` depth maps.
+    /// Returns the tasks of an export with the default options; the plan was ranked around the
+    /// first `finished` depth maps.
     pub fn new(
         backend: &'static Backend,
         selection: &Selection,
@@ -106,23 +125,47 @@ impl Dispatch {
         finished: usize,
     ) -> Result<Self, DispatchError> {
         let project = absolute(&selection.project.home);
-        let runner = (backend.tasks)(selection, export).ok_or(DispatchError::NoTasks(backend.name))?;
+        let runner =
+            (backend.tasks)(selection, export).ok_or(DispatchError::NoTasks(backend.name))?;
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
             let options = format!("{} {}", backend.name, export.record.image_scale);
             let (marker, id) = (hash([key]), recipe(selection, cluster, &options));
-            Some(Task { rank: i + 1, marker, id, map: absolute(&map), key: key.into() })
+            Some(Task {
+                rank: i + 1,
+                marker,
+                id,
+                map: absolute(&map),
+                key: key.into(),
+            })
         };
-        let tasks: Vec<Task> = selection.clusters.iter().enumerate().filter_map(task).collect();
-        if let Some(task) = tasks.iter().find(|t| t.map.to_string_lossy().contains(['\t', '\n'])) {
+        let tasks: Vec<Task> = selection
+            .clusters
+            .iter()
+            .enumerate()
+            .filter_map(task)
+            .collect();
+        if let Some(task) = tasks
+            .iter()
+            .find(|t| t.map.to_string_lossy().contains(['\t', '\n']))
+        {
             return Err(DispatchError::Path(task.map.clone()));
         }
         let folder = project.join("viewrank/dispatch").join(backend.name);
         let workplace = absolute(&export.files.root);
         let brings_program = export.files.files.contains_key(runner.program);
         let exported_program = brings_program.then(|| workplace.join(runner.program));
-        Ok(Self { project, backend: backend.name, folder, tasks, finished, workplace, exported_program, runner })
+        Ok(Self {
+            project,
+            backend: backend.name,
+            folder,
+            tasks,
+            finished,
+            workplace,
+            exported_program,
+            runner,
+        })
     }
 
     pub fn runner(&self) -> &TaskRunner {
@@ -133,7 +176,13 @@ impl Dispatch {
     fn list(&self) -> String {
         let line = |t: &Task| {
             let key = t.key.replace(char::is_control, " ");
-            format!("{}\t{}\t{}\t{}\t{key}\n", t.rank, t.marker, t.id, t.map.display())
+            format!(
+                "{}\t{}\t{}\t{}\t{key}\n",
+                t.rank,
+                t.marker,
+                t.id,
+                t.map.display()
+            )
         };
         self.tasks.iter().map(line).collect()
     }
@@ -158,15 +207,33 @@ impl Dispatch {
     }
 
     /// Returns the list and the scripts; older lists that queued tasks still read are kept.
-    pub fn files(&self, tools: &Tools, settings: &DispatchSettings, old_lists: &BTreeSet<String>) -> FileSet {
+    pub fn files(
+        &self,
+        tools: &Tools,
+        settings: &DispatchSettings,
+        old_lists: &BTreeSet<String>,
+    ) -> FileSet {
         let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
-        let mut add = |name: &str, contents| files.add(format!("viewrank/dispatch/{}/{name}", self.backend), contents);
+        let mut add = |name: &str, contents| {
+            files.add(
+                format!("viewrank/dispatch/{}/{name}", self.backend),
+                contents,
+            )
+        };
         let head = self.head(tools, settings);
         let script = |template: &str| {
-            Contents::Script(backends::with_refusal(&template.replacen("@HEAD@\n", &head, 1)).into_bytes())
+            Contents::Script(
+                backends::with_refusal(&template.replacen("@HEAD@\n", &head, 1)).into_bytes(),
+            )
         };
-        add("task.sh", script(include_str!("../../../integrations/slurm/task.sh")));
-        add("fuse.sh", script(include_str!("../../../integrations/slurm/fuse.sh")));
+        add(
+            "task.sh",
+            script(include_str!("../../../integrations/slurm/task.sh")),
+        );
+        add(
+            "fuse.sh",
+            script(include_str!("../../../integrations/slurm/fuse.sh")),
+        );
         add("logs", Contents::Folder);
         for old in old_lists {
             let name = format!("list-{old}.tsv");
@@ -174,15 +241,22 @@ impl Dispatch {
                 add(&name, Contents::Bytes(bytes));
             }
         }
-        add(&format!("list-{}.tsv", self.list_name()), Contents::Bytes(self.list().into_bytes()));
+        add(
+            &format!("list-{}.tsv", self.list_name()),
+            Contents::Bytes(self.list().into_bytes()),
+        );
         files
     }
 
-    /// Returns the variables of the scripts. SLURM copies a script when it is submitted, so all paths are absolute.
+    /// Returns the variables of the scripts. SLURM copies a script when it is submitted, so all
+    /// paths are absolute.
     fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
         let TaskRunner { compute, fuse, .. } = &self.runner;
         let body = |name: &str, command: &str| {
-            format!("{name}() {{\n    cd {} && {command}\n}}\n", quoted_path(&self.workplace))
+            format!(
+                "{name}() {{\n    cd {} && {command}\n}}\n",
+                quoted_path(&self.workplace)
+            )
         };
         let setup = settings.setup.trim_end();
         format!(
@@ -200,8 +274,8 @@ impl Dispatch {
         )
     }
 
-    /// Returns whether the task's depth map exists and either was made from this key view and these partners with their current poses, or is one
-    /// that the plan was ranked around.
+    /// Returns whether the task's depth map exists and either was made from this key view and these
+    /// partners with their current poses, or is one that the plan was ranked around.
     pub fn is_done(&self, task: &Task) -> bool {
         let noted = || self.own_text(&format!("done/{}", task.marker));
         (task.rank <= self.finished || noted().trim() == task.id)
@@ -210,20 +284,33 @@ impl Dispatch {
 
     /// Returns the depth maps of the finished tasks.
     pub fn finished_maps(&self) -> impl Iterator<Item = &Path> {
-        self.tasks.iter().filter(|task| self.is_done(task)).map(|task| &*task.map)
+        self.tasks
+            .iter()
+            .filter(|task| self.is_done(task))
+            .map(|task| &*task.map)
     }
 
-    /// Refuses a project in which the scripts would read something other than files, for which they would wait, or write through links.
+    /// Refuses a project in which the scripts would read something other than files, for which they
+    /// would wait, or write through links.
     fn refuse_strangers(&self) -> Result<(), OutputError> {
         let own = |name: &str| format!("viewrank/dispatch/{}/{name}", self.backend);
         let read = ["viewrank/progress.json".into(), own("fused")].into_iter();
-        for name in read.chain(self.tasks.iter().map(|task| own(&format!("done/{}", task.marker)))) {
+        for name in read.chain(
+            self.tasks
+                .iter()
+                .map(|task| own(&format!("done/{}", task.marker))),
+        ) {
             match output::open_own(&self.project, &name) {
-                Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
+                Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+                }
                 found => drop(found?),
             }
         }
-        let of_maps: BTreeSet<&Path> = self.tasks.iter().filter_map(|task| task.map.parent()).collect();
+        let of_maps: BTreeSet<&Path> = self
+            .tasks
+            .iter()
+            .filter_map(|task| task.map.parent())
+            .collect();
         let written = [self.folder.join("done"), self.folder.join("logs")];
         written
             .iter()
@@ -235,8 +322,14 @@ impl Dispatch {
     /// Locks the project against other submissions until the file is dropped.
     pub fn hold(&self) -> Result<File, DispatchError> {
         self.refuse_strangers()?;
-        output::make_folder(&self.folder, &Disk::REAL.within(std::slice::from_ref(&self.project)))?;
-        let lock = output::open_lock(&self.project, &format!("viewrank/dispatch/{}/lock", self.backend))?;
+        output::make_folder(
+            &self.folder,
+            &Disk::REAL.within(std::slice::from_ref(&self.project)),
+        )?;
+        let lock = output::open_lock(
+            &self.project,
+            &format!("viewrank/dispatch/{}/lock", self.backend),
+        )?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => Err(DispatchError::Busy(self.folder.clone())),
             // On a file system without locks, the submission goes ahead unlocked.
@@ -244,19 +337,26 @@ impl Dispatch {
         }
     }
 
-    /// Fails if a `viewrank run` is at work on the project, whose tasks another plan would change under it, or a submission.
+    /// Fails if a `viewrank run` is at work on the project, whose tasks another plan would change
+    /// under it, or a submission.
     ///
     /// # Errors
     /// [`DispatchError::Busy`].
     pub fn refuse_if_at_work(project: &Project) -> Result<(), DispatchError> {
-        BACKENDS.iter().try_for_each(|backend| Self::refuse_if_at_work_with(backend, project))
+        BACKENDS
+            .iter()
+            .try_for_each(|backend| Self::refuse_if_at_work_with(backend, project))
     }
 
-    /// As [`Self::refuse_if_at_work`], for runs with this backend, which another export of it would change.
+    /// As [`Self::refuse_if_at_work`], for runs with this backend, which another export of it would
+    /// change.
     ///
     /// # Errors
     /// [`DispatchError::Busy`].
-    pub fn refuse_if_at_work_with(backend: &Backend, project: &Project) -> Result<(), DispatchError> {
+    pub fn refuse_if_at_work_with(
+        backend: &Backend,
+        project: &Project,
+    ) -> Result<(), DispatchError> {
         let name = format!("viewrank/dispatch/{}", backend.name);
         match output::open_own(&project.home, &format!("{name}/lock")) {
             Ok(lock) if matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)) => {
@@ -268,18 +368,30 @@ impl Dispatch {
 
     /// Returns whether exactly the finished depth maps have been joined already.
     pub fn is_fused(&self) -> bool {
-        let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
+        let done: String = self
+            .tasks
+            .iter()
+            .filter(|t| self.is_done(t))
+            .map(|t| format!("{}\n", t.id))
+            .collect();
         done.is_empty() || self.own_text("fused") == done
     }
 
-    /// Reads a file in [`Self::folder`], written by viewrank or its scripts; links are not followed.
+    /// Reads a file in [`Self::folder`], written by viewrank or its scripts; links are not
+    /// followed.
     fn own(&self, name: &str) -> Result<Vec<u8>, OutputError> {
-        output::read_own(&self.project, &format!("viewrank/dispatch/{}/{name}", self.backend))
+        output::read_own(
+            &self.project,
+            &format!("viewrank/dispatch/{}/{name}", self.backend),
+        )
     }
 
     /// Returns the text of such a file; empty if it does not exist.
     fn own_text(&self, name: &str) -> String {
-        self.own(name).ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default()
+        self.own(name)
+            .ok()
+            .and_then(|bytes| String::from_utf8(bytes).ok())
+            .unwrap_or_default()
     }
 }
 
@@ -287,7 +399,9 @@ impl Dispatch {
 fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     let mut hasher = blake3::Hasher::new();
     for text in texts {
-        hasher.update(&(text.len() as u64).to_le_bytes()).update(text.as_bytes());
+        hasher
+            .update(&(text.len() as u64).to_le_bytes())
+            .update(text.as_bytes());
     }
     hasher.finalize().to_hex()[..16].into()
 }
@@ -298,7 +412,10 @@ pub enum DispatchError {
     #[error("viewrank cannot run {0} view by view")]
     NoTasks(&'static str),
     #[error("cannot find the program {}", program.display())]
-    Program { program: PathBuf, variable: &'static str },
+    Program {
+        program: PathBuf,
+        variable: &'static str,
+    },
     #[error("{}: tabs and line breaks separate the entries of the list", .0.display())]
     Path(PathBuf),
     #[error("{program}: {source}")]

@@ -1,8 +1,9 @@
 //! SLURM as the queue: finds queued tasks and decides which to cancel and submit.
 //!
-//! One job array whose indices are ranks; indices start in ascending order whatever the queue's priorities are. Beyond the
-//! largest index that the queue accepts, further arrays follow, each after the previous one. Jobs are identified by their names, which
-//! hold the project, the list of the tasks and the array's first rank: no state is kept between calls.
+//! One job array whose indices are ranks; indices start in ascending order whatever the queue's
+//! priorities are. Beyond the largest index that the queue accepts, further arrays follow, each
+//! after the previous one. Jobs are identified by their names, which hold the project, the list of
+//! the tasks and the array's first rank: no state is kept between calls.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -84,17 +85,27 @@ impl SlurmQueue {
     pub fn empty(dispatch: &Dispatch) -> Self {
         let project = hash([&*dispatch.project.to_string_lossy()]);
         let prefix = format!("viewrank-{}-{}-", dispatch.backend, &project[..8]);
-        Self { prefix, max_index: MAX_ARRAY_SIZE - 1, max_jobs: MAX_JOB_COUNT, ..Self::default() }
+        Self {
+            prefix,
+            max_index: MAX_ARRAY_SIZE - 1,
+            max_jobs: MAX_JOB_COUNT,
+            ..Self::default()
+        }
     }
 
     /// Queries the queue.
     pub fn read(dispatch: &Dispatch) -> Result<Self, DispatchError> {
         let mut queue = Self::empty(dispatch);
         let user = platform::user();
-        queue.add_jobs(&run(&["squeue", "-h", "-r", "-u", &user, "-o", "%i|%j|%T"].map(String::from))?);
+        queue.add_jobs(&run(&[
+            "squeue", "-h", "-r", "-u", &user, "-o", "%i|%j|%T",
+        ]
+        .map(String::from))?);
         let configuration = run(&["scontrol", "show", "config"].map(String::from))?;
         let number = |name: &str| -> Option<usize> {
-            let value = configuration.lines().find_map(|line| line.strip_prefix(name)?.split('=').nth(1));
+            let value = configuration
+                .lines()
+                .find_map(|line| line.strip_prefix(name)?.split('=').nth(1));
             value?.trim().parse().ok()
         };
         queue.max_index = number("MaxArraySize").unwrap_or(MAX_ARRAY_SIZE).max(2) - 1;
@@ -106,14 +117,29 @@ impl SlurmQueue {
     fn add_jobs(&mut self, answer: &str) {
         for line in answer.lines() {
             let mut fields = line.trim().split('|');
-            let (Some(id), Some(name), Some(state)) = (fields.next(), fields.next(), fields.next()) else { continue };
-            match name.strip_prefix(&self.prefix).map(|rest| rest.split_once('-')) {
+            let (Some(id), Some(name), Some(state)) = (fields.next(), fields.next(), fields.next())
+            else {
+                continue;
+            };
+            match name
+                .strip_prefix(&self.prefix)
+                .map(|rest| rest.split_once('-'))
+            {
                 Some(None) => self.fusions.push((id.into(), state == "PENDING")),
                 Some(Some((list, offset))) => {
-                    let index = id.split_once('_').and_then(|(job, index)| Some((job, index.parse::<usize>().ok()?)));
-                    let (Some((job, index)), Ok(offset)) = (index, offset.parse::<usize>()) else { continue };
+                    let index = id
+                        .split_once('_')
+                        .and_then(|(job, index)| Some((job, index.parse::<usize>().ok()?)));
+                    let (Some((job, index)), Ok(offset)) = (index, offset.parse::<usize>()) else {
+                        continue;
+                    };
                     let (job, list, pending) = (job.into(), list.into(), state == "PENDING");
-                    self.tasks.push(QueuedTask { job, list, rank: offset + index, pending });
+                    self.tasks.push(QueuedTask {
+                        job,
+                        list,
+                        rank: offset + index,
+                        pending,
+                    });
                 }
                 None => {}
             }
@@ -127,26 +153,52 @@ impl SlurmQueue {
 
     /// Returns jobs with tasks that have not started, without duplicates.
     fn pending_jobs(&self) -> Vec<String> {
-        let tasks = self.tasks.iter().filter(|task| task.pending).map(|task| &task.job);
-        let fusions = self.fusions.iter().filter(|fusion| fusion.1).map(|fusion| &fusion.0);
-        tasks.chain(fusions).cloned().collect::<BTreeSet<_>>().into_iter().collect()
+        let tasks = self
+            .tasks
+            .iter()
+            .filter(|task| task.pending)
+            .map(|task| &task.job);
+        let fusions = self
+            .fusions
+            .iter()
+            .filter(|fusion| fusion.1)
+            .map(|fusion| &fusion.0);
+        tasks
+            .chain(fusions)
+            .cloned()
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .collect()
     }
 
     fn jobs(&self) -> Vec<String> {
-        self.tasks.iter().map(|task| task.job.clone()).collect::<BTreeSet<_>>().into_iter().collect()
+        self.tasks
+            .iter()
+            .map(|task| task.job.clone())
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .collect()
     }
 
     /// Returns the queued ranks of the current list.
     fn queued(&self, dispatch: &Dispatch) -> BTreeSet<usize> {
         let list = dispatch.list_name();
-        self.tasks.iter().filter(|task| task.list == list).map(|task| task.rank).collect()
+        self.tasks
+            .iter()
+            .filter(|task| task.list == list)
+            .map(|task| task.rank)
+            .collect()
     }
 
     /// Returns the markers of key views of other lists that are being computed.
     fn busy(&self, dispatch: &Dispatch) -> BTreeSet<String> {
         let current = dispatch.list_name();
         let mut lists: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
-        for task in self.tasks.iter().filter(|task| !task.pending && task.list != current) {
+        for task in self
+            .tasks
+            .iter()
+            .filter(|task| !task.pending && task.list != current)
+        {
             lists.entry(&task.list).or_default().insert(task.rank);
         }
         let markers = |(list, ranks): (&str, BTreeSet<usize>)| {
@@ -161,25 +213,45 @@ impl SlurmQueue {
 
     /// Returns how many more tasks the queue accepts; one is reserved for the fusion.
     fn room(&self) -> usize {
-        self.max_jobs.saturating_sub(self.tasks.len() + self.fusions.len() + 1)
+        self.max_jobs
+            .saturating_sub(self.tasks.len() + self.fusions.len() + 1)
     }
 
-    /// Returns the next commands. A cancellation comes alone: the queue must be read again after it.
+    /// Returns the next commands. A cancellation comes alone: the queue must be read again after
+    /// it.
     fn steps(&self, dispatch: &Dispatch, missing: &[&Task], reached: bool) -> Vec<Step> {
         let (queued, busy) = (self.queued(dispatch), self.busy(dispatch));
-        let is_absent = |task: &&&Task| !queued.contains(&task.rank) && !busy.contains(&task.marker);
-        let absent: Vec<usize> = missing.iter().filter(is_absent).map(|task| task.rank).collect();
-        let outdated = self.tasks.iter().any(|task| task.pending && task.list != dispatch.list_name());
+        let is_absent =
+            |task: &&&Task| !queued.contains(&task.rank) && !busy.contains(&task.marker);
+        let absent: Vec<usize> = missing
+            .iter()
+            .filter(is_absent)
+            .map(|task| task.rank)
+            .collect();
+        let outdated = self
+            .tasks
+            .iter()
+            .any(|task| task.pending && task.list != dispatch.list_name());
         let waiting = self.tasks.iter().any(|task| task.pending);
-        let cancels = if reached { waiting } else { outdated || !absent.is_empty() && !self.pending_jobs().is_empty() };
+        let cancels = if reached {
+            waiting
+        } else {
+            outdated || !absent.is_empty() && !self.pending_jobs().is_empty()
+        };
         if cancels {
             return vec![Step::Cancel(self.pending_jobs())];
         }
         let mut ranks = if reached { Vec::new() } else { absent };
         ranks.truncate(self.room());
-        let mut steps: Vec<Step> = arrays(&ranks, self.max_index).into_iter().map(Step::Array).collect();
+        let mut steps: Vec<Step> = arrays(&ranks, self.max_index)
+            .into_iter()
+            .map(Step::Array)
+            .collect();
         let more_comes = !steps.is_empty() || !self.tasks.is_empty();
-        let will_be_fused = self.fusions.iter().any(|&(_, pending)| pending || !more_comes);
+        let will_be_fused = self
+            .fusions
+            .iter()
+            .any(|&(_, pending)| pending || !more_comes);
         if !will_be_fused && (more_comes || !dispatch.is_fused()) {
             steps.push(Step::Fusion(self.jobs()));
         }
@@ -197,36 +269,62 @@ impl SlurmQueue {
         let mut submission = Submission::default();
         let mut steps = self.steps(dispatch, missing, reached);
         if let [cancel @ Step::Cancel(_)] = &steps[..] {
-            submission.commands.push(self.command(dispatch, cancel, settings, &[]));
+            submission
+                .commands
+                .push(self.command(dispatch, cancel, settings, &[]));
             self.tasks.retain(|task| !task.pending);
             self.fusions.retain(|&(_, pending)| !pending);
             steps = self.steps(dispatch, missing, reached);
         }
         submission.queued = self.queued(dispatch).into_iter().collect();
         for step in &steps {
-            submission.commands.push(self.command(dispatch, step, settings, &submission.jobs));
+            submission
+                .commands
+                .push(self.command(dispatch, step, settings, &submission.jobs));
             submission.ranks.extend(step.ranks());
-            submission.jobs.push(format!("JOB{}", submission.jobs.len() + 1));
+            submission
+                .jobs
+                .push(format!("JOB{}", submission.jobs.len() + 1));
         }
         submission.count_left(missing, reached);
         submission
     }
 
-    fn command(&self, dispatch: &Dispatch, step: &Step, settings: &DispatchSettings, before: &[String]) -> Vec<String> {
+    fn command(
+        &self,
+        dispatch: &Dispatch,
+        step: &Step,
+        settings: &DispatchSettings,
+        before: &[String],
+    ) -> Vec<String> {
         let folder = dispatch.folder.display();
         let mut command: Vec<String> = vec!["sbatch".into(), "--parsable".into()];
-        let after = |jobs: &[String]| (!jobs.is_empty()).then(|| format!("--dependency=afterany:{}", jobs.join(":")));
+        let after = |jobs: &[String]| {
+            (!jobs.is_empty()).then(|| format!("--dependency=afterany:{}", jobs.join(":")))
+        };
         match step {
             Step::Cancel(jobs) => {
-                return ["scancel".into(), "--state=PENDING".into()].into_iter().chain(jobs.iter().cloned()).collect();
+                return ["scancel".into(), "--state=PENDING".into()]
+                    .into_iter()
+                    .chain(jobs.iter().cloned())
+                    .collect();
             }
             Step::Array(array) => {
-                command.push(format!("--job-name={}{}-{}", self.prefix, dispatch.list_name(), array.offset));
+                command.push(format!(
+                    "--job-name={}{}-{}",
+                    self.prefix,
+                    dispatch.list_name(),
+                    array.offset
+                ));
                 command.push(format!("--array={}", array.specification(settings.at_once)));
                 command.push(format!("--output={folder}/logs/%A_%a.log"));
                 // The tasks of a failed node go back to the queue.
                 command.extend(["--open-mode=append".into(), "--requeue".into()]);
-                command.extend(settings.time.map(|time| format!("--time={}", (time.0 / 60.0).ceil().max(1.0))));
+                command.extend(
+                    settings
+                        .time
+                        .map(|time| format!("--time={}", (time.0 / 60.0).ceil().max(1.0))),
+                );
                 command.extend(settings.gpus.map(|gpus| format!("--gres=gpu:{gpus}")));
                 command.extend(after(before));
             }
@@ -241,7 +339,11 @@ impl SlurmQueue {
         command.extend(settings.options.iter().cloned());
         match step {
             Step::Array(array) => {
-                command.extend([format!("{folder}/task.sh"), "array".into(), array.offset.to_string()]);
+                command.extend([
+                    format!("{folder}/task.sh"),
+                    "array".into(),
+                    array.offset.to_string(),
+                ]);
             }
             _ => command.push(format!("{folder}/fuse.sh")),
         }
@@ -251,23 +353,34 @@ impl SlurmQueue {
 
 impl Submission {
     fn count_left(&mut self, missing: &[&Task], reached: bool) {
-        let is_left = |task: &&&Task| !self.ranks.contains(&task.rank) && !self.queued.contains(&task.rank);
-        self.left = if reached { 0 } else { missing.iter().filter(is_left).count() };
+        let is_left =
+            |task: &&&Task| !self.ranks.contains(&task.rank) && !self.queued.contains(&task.rank);
+        self.left = if reached {
+            0
+        } else {
+            missing.iter().filter(is_left).count()
+        };
     }
 }
 
 impl Step {
     fn ranks(&self) -> Vec<usize> {
         match self {
-            Self::Array(array) => array.indices.iter().map(|index| array.offset + index).collect(),
+            Self::Array(array) => array
+                .indices
+                .iter()
+                .map(|index| array.offset + index)
+                .collect(),
             _ => Vec::new(),
         }
     }
 }
 
-/// Submits the missing tasks that are not queued, in rank order, and the fusion after them. If the target is reached, waiting tasks are cancelled.
+/// Submits the missing tasks that are not queued, in rank order, and the fusion after them. If the
+/// target is reached, waiting tasks are cancelled.
 ///
-/// `before_submission` is called once obsolete tasks are cancelled: it writes the files that the tasks read.
+/// `before_submission` is called once obsolete tasks are cancelled: it writes the files that the
+/// tasks read.
 pub fn submit<E: From<DispatchError>>(
     dispatch: &Dispatch,
     settings: &DispatchSettings,
@@ -278,7 +391,11 @@ pub fn submit<E: From<DispatchError>>(
     for _ in 0..LOOKS {
         let queue = SlurmQueue::read(dispatch)?;
         // Checked after the queue: a task that ends in between then counts as done, not as missing.
-        let missing: Vec<&Task> = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task)).collect();
+        let missing: Vec<&Task> = dispatch
+            .tasks
+            .iter()
+            .filter(|task| !dispatch.is_done(task))
+            .collect();
         let steps = queue.steps(dispatch, &missing, reached);
         if let [cancel @ Step::Cancel(_)] = &steps[..] {
             let command = queue.command(dispatch, cancel, settings, &[]);
@@ -292,9 +409,18 @@ pub fn submit<E: From<DispatchError>>(
         for step in &steps {
             let command = queue.command(dispatch, step, settings, &submission.jobs);
             let answer = run(&command)?;
-            let job = answer.trim().split(';').next().unwrap_or_default().to_owned();
+            let job = answer
+                .trim()
+                .split(';')
+                .next()
+                .unwrap_or_default()
+                .to_owned();
             if job.is_empty() || !job.bytes().all(|b| b.is_ascii_digit()) {
-                return Err(DispatchError::Answer { command: command.join(" "), answer }.into());
+                return Err(DispatchError::Answer {
+                    command: command.join(" "),
+                    answer,
+                }
+                .into());
             }
             submission.commands.push(command);
             submission.ranks.extend(step.ranks());
@@ -308,11 +434,23 @@ pub fn submit<E: From<DispatchError>>(
 
 /// Returns the options for the resources that the user set.
 fn resources(settings: &DispatchSettings) -> impl Iterator<Item = String> {
-    let DispatchSettings { partition, account, qos, memory, cpus, .. } = settings;
+    let DispatchSettings {
+        partition,
+        account,
+        qos,
+        memory,
+        cpus,
+        ..
+    } = settings;
     let named = [("partition", partition), ("account", account), ("qos", qos)];
-    let named = named.map(|(option, value)| value.as_ref().map(|value| format!("--{option}={value}")));
+    let named =
+        named.map(|(option, value)| value.as_ref().map(|value| format!("--{option}={value}")));
     let memory = memory.map(|memory| format!("--mem={}M", memory.0.div_ceil(1 << 20)));
-    named.into_iter().flatten().chain(memory).chain([format!("--cpus-per-task={cpus}")])
+    named
+        .into_iter()
+        .flatten()
+        .chain(memory)
+        .chain([format!("--cpus-per-task={cpus}")])
 }
 
 /// Splits ascending ranks into arrays with indices that the queue accepts.
@@ -322,7 +460,10 @@ fn arrays(ranks: &[usize], max_index: usize) -> Vec<Array> {
         let offset = (rank - 1) / max_index * max_index;
         match arrays.last_mut().filter(|array| array.offset == offset) {
             Some(array) => array.indices.push(rank - offset),
-            None => arrays.push(Array { offset, indices: vec![rank - offset] }),
+            None => arrays.push(Array {
+                offset,
+                indices: vec![rank - offset],
+            }),
         }
     }
     arrays
@@ -345,12 +486,20 @@ impl Array {
 /// Runs a command of the queue and returns what it printed.
 fn run(command: &[String]) -> Result<String, DispatchError> {
     let done = Command::new(&command[0]).args(&command[1..]).output();
-    let done = done.map_err(|source| DispatchError::Start { program: command[0].clone(), source })?;
+    let done = done.map_err(|source| DispatchError::Start {
+        program: command[0].clone(),
+        source,
+    })?;
     if done.status.success() {
         return Ok(String::from_utf8_lossy(&done.stdout).into_owned());
     }
-    let message = String::from_utf8_lossy(&done.stderr).trim().replace('\n', "; ");
-    Err(DispatchError::Refused { command: command.join(" "), message })
+    let message = String::from_utf8_lossy(&done.stderr)
+        .trim()
+        .replace('\n', "; ");
+    Err(DispatchError::Refused {
+        command: command.join(" "),
+        message,
+    })
 }
 
 #[cfg(test)]
@@ -386,18 +535,32 @@ mod tests {
 
     #[test]
     fn the_limit_stands_behind() {
-        let array = Array { offset: 0, indices: vec![1, 2, 3, 7] };
+        let array = Array {
+            offset: 0,
+            indices: vec![1, 2, 3, 7],
+        };
         assert_eq!(array.specification(Some(4)), "1-3,7%4");
     }
 
     #[test]
     fn only_own_jobs_are_found() {
-        let mut queue = SlurmQueue { prefix: "viewrank-sgm-12345678-".into(), ..SlurmQueue::default() };
+        let mut queue = SlurmQueue {
+            prefix: "viewrank-sgm-12345678-".into(),
+            ..SlurmQueue::default()
+        };
         queue.add_jobs(
             "17_3|viewrank-sgm-12345678-abcd-1000|RUNNING\n18|viewrank-sgm-12345678-fuse|PENDING\n\
              19_1|viewrank-sgm-87654321-abcd-0|PENDING\nnonsense\n20_[2-5]|viewrank-sgm-12345678-abcd-0|PENDING\n",
         );
-        let found = QueuedTask { job: "17".into(), list: "abcd".into(), rank: 1003, pending: false };
-        assert_eq!((queue.tasks.as_slice(), &queue.pending_jobs()[..]), (&[found][..], &["18".to_string()][..]));
+        let found = QueuedTask {
+            job: "17".into(),
+            list: "abcd".into(),
+            rank: 1003,
+            pending: false,
+        };
+        assert_eq!(
+            (queue.tasks.as_slice(), &queue.pending_jobs()[..]),
+            (&[found][..], &["18".to_string()][..])
+        );
     }
 }

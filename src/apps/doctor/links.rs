@@ -1,5 +1,5 @@
-//! Weak or suspicious links between views: a model in several parts, far fewer shared points than the overlap suggests, shared points on only one
-//! side of the overlap.
+//! Weak or suspicious links between views: a model in several parts, far fewer shared points than
+//! the overlap suggests, shared points on only one side of the overlap.
 
 use rayon::prelude::*;
 
@@ -29,7 +29,10 @@ const PRESENT: f64 = 0.2;
 
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
-    let judged: Vec<(ViewIndex, Vec<Overlap>)> = views.par_iter().map(|&view| overlaps(inputs, view)).collect();
+    let judged: Vec<(ViewIndex, Vec<Overlap>)> = views
+        .par_iter()
+        .map(|&view| overlaps(inputs, view))
+        .collect();
     let mut findings: Vec<Finding> = parts(inputs).into_iter().collect();
     let views_where = |wrong: &dyn Fn(&Overlap) -> bool| -> Vec<ViewFinding> {
         let mostly = |(_, found): &&(ViewIndex, Vec<Overlap>)| {
@@ -37,7 +40,11 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
             bad > 0 && 2 * bad > found.len()
         };
         let words = |(view, found): &(ViewIndex, Vec<Overlap>)| {
-            let example = found.iter().find(|overlap| wrong(overlap)).map(|o| o.words(inputs)).unwrap_or_default();
+            let example = found
+                .iter()
+                .find(|overlap| wrong(overlap))
+                .map(|o| o.words(inputs))
+                .unwrap_or_default();
             inputs.view_finding(*view, example)
         };
         judged.iter().filter(mostly).map(words).collect()
@@ -45,10 +52,13 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let few = views_where(&Overlap::far_too_few);
     if !few.is_empty() {
         let views = counted(few.len(), "view");
-        let what = format!("{views} with far fewer shared points than the overlap suggests; the poses may be wrong");
-        let cure =
-            "inspect them in the model; match them again with their neighbours, or remove them (colmap image_deleter)";
-        findings.push(Finding::new(Severity::Warning, "far-too-few-shared-points", what, cure).of_views(few));
+        let what = format!(
+            "{views} with far fewer shared points than the overlap suggests; the poses may be wrong"
+        );
+        let cure = "inspect them in the model; match them again with their neighbours, or remove them (colmap image_deleter)";
+        findings.push(
+            Finding::new(Severity::Warning, "far-too-few-shared-points", what, cure).of_views(few),
+        );
     }
     let one_sided = views_where(&Overlap::one_sided);
     if !one_sided.is_empty() {
@@ -57,7 +67,9 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
             "{views} sharing points with most neighbours on one side of the overlap only; the model may be bent there"
         );
         let cure = "inspect the model there; straighten it by bundle adjustment with more matches or ground control";
-        findings.push(Finding::new(Severity::Warning, "one-sided-links", what, cure).of_views(one_sided));
+        findings.push(
+            Finding::new(Severity::Warning, "one-sided-links", what, cure).of_views(one_sided),
+        );
     }
     findings
 }
@@ -85,8 +97,14 @@ impl Overlap {
     }
 
     fn words(&self, inputs: &Inputs) -> String {
-        let (shared, seen) = (self.shared.iter().sum::<usize>(), self.seen.iter().sum::<usize>());
-        format!("{shared} of {seen} points that {} should also see", inputs.scene.name(self.other))
+        let (shared, seen) = (
+            self.shared.iter().sum::<usize>(),
+            self.seen.iter().sum::<usize>(),
+        );
+        format!(
+            "{shared} of {seen} points that {} should also see",
+            inputs.scene.name(self.other)
+        )
     }
 }
 
@@ -97,21 +115,39 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
         .filter(|&v| v != view && !inputs.points.observed_by(v).is_empty())
-        .map(|v| ((scene.view(v).cam_from_world.centre() - centre).norm_squared(), v))
+        .map(|v| {
+            (
+                (scene.view(v).cam_from_world.centre() - centre).norm_squared(),
+                v,
+            )
+        })
         .collect();
-    let nearer = |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+    let nearer =
+        |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
     if others.len() > NEAREST {
         others.select_nth_unstable_by(NEAREST, nearer);
         others.truncate(NEAREST);
     }
     others.sort_by(nearer);
     let all = inputs.points.observed_by(view);
-    let sample: Vec<PointIndex> = all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).copied().collect();
-    let found = others.iter().filter_map(|&(_, other)| overlap(inputs, view, other, &sample)).collect();
+    let sample: Vec<PointIndex> = all
+        .iter()
+        .step_by(all.len().div_ceil(SAMPLE).max(1))
+        .copied()
+        .collect();
+    let found = others
+        .iter()
+        .filter_map(|&(_, other)| overlap(inputs, view, other, &sample))
+        .collect();
     (view, found)
 }
 
-fn overlap(inputs: &Inputs, view: ViewIndex, other: ViewIndex, sample: &[PointIndex]) -> Option<Overlap> {
+fn overlap(
+    inputs: &Inputs,
+    view: ViewIndex,
+    other: ViewIndex,
+    sample: &[PointIndex],
+) -> Option<Overlap> {
     let scene = inputs.scene;
     let [own, their] = [view, other].map(|v| &scene.view(v).cam_from_world);
     let [from, to] = [own.centre(), their.centre()];
@@ -120,7 +156,9 @@ fn overlap(inputs: &Inputs, view: ViewIndex, other: ViewIndex, sample: &[PointIn
         let point = &scene.points[p.index()];
         let (a, b) = (from - point, to - point);
         let (near, far) = (a.norm().min(b.norm()), a.norm().max(b.norm()));
-        let pixel = scene.camera_of(other).project(&their.camera_from_world(point));
+        let pixel = scene
+            .camera_of(other)
+            .project(&their.camera_from_world(point));
         a.dot(&b) > SIMILAR * near * far
             && far < SAME_SCALE * near
             && pixel.is_some_and(|pixel| scene.camera_of(other).contains(&pixel))
@@ -128,7 +166,12 @@ fn overlap(inputs: &Inputs, view: ViewIndex, other: ViewIndex, sample: &[PointIn
     let mut seen: Vec<(f64, bool)> = sample
         .iter()
         .filter(same_side)
-        .map(|&p| (own.camera_from_world(&scene.points[p.index()]), scene.track_views(p).contains(&other)))
+        .map(|&p| {
+            (
+                own.camera_from_world(&scene.points[p.index()]),
+                scene.track_views(p).contains(&other),
+            )
+        })
         .map(|(x, shared)| (x.x / x.z, shared))
         .collect();
     if !upright || seen.len() < ENOUGH {
@@ -138,19 +181,28 @@ fn overlap(inputs: &Inputs, view: ViewIndex, other: ViewIndex, sample: &[PointIn
     let third = seen.len() / 3;
     let (left, right) = (&seen[..third], &seen[seen.len() - third..]);
     let shared = [left, right].map(|side| side.iter().filter(|(_, shared)| *shared).count());
-    Some(Overlap { other, seen: [left.len(), right.len()], shared })
+    Some(Overlap {
+        other,
+        seen: [left.len(), right.len()],
+        shared,
+    })
 }
 
 /// Reports a model of several connected components.
 fn parts(inputs: &Inputs) -> Option<Finding> {
     let linked = |view: u32| {
         let around = neighbours(inputs.scene, inputs.points, ViewIndex(view)).into_iter();
-        around.filter(|(_, shared)| shared.len() >= LINK).map(|(other, _)| other.0)
+        around
+            .filter(|(_, shared)| shared.len() >= LINK)
+            .map(|(other, _)| other.0)
     };
     let mut components = components(inputs.scene.views.len(), linked);
     components.sort_by_key(|members| (std::cmp::Reverse(members.len()), members[0]));
     // Single views are already reported as having too few partners.
-    let parts: Vec<&Vec<u32>> = components.iter().filter(|members| members.len() > 1).collect();
+    let parts: Vec<&Vec<u32>> = components
+        .iter()
+        .filter(|members| members.len() > 1)
+        .collect();
     (parts.len() > 1).then(|| {
         let sizes: Vec<String> = parts.iter().take(5).map(|members| members.len().to_string()).collect();
         let what = format!(

@@ -1,5 +1,6 @@
-//! Diagnoses a project before planning: views that cannot be matched and why, weak links, implausible units, and traps of the backends.
-//! Reads the model and the images' headers, never their pixels, and a few masks.
+//! Diagnoses a project before planning: views that cannot be matched and why, weak links,
+//! implausible units, and traps of the backends. Reads the model and the images' headers, never
+//! their pixels, and a few masks.
 
 mod links;
 mod masks;
@@ -57,7 +58,10 @@ pub struct ViewFinding {
 
 impl ViewFinding {
     fn new(name: impl Into<String>, why: impl Into<String>) -> Self {
-        Self { name: name.into(), why: why.into() }
+        Self {
+            name: name.into(),
+            why: why.into(),
+        }
     }
 }
 
@@ -78,9 +82,21 @@ pub struct Finding {
 }
 
 impl Finding {
-    fn new(severity: Severity, check: &'static str, what: impl Into<String>, cure: impl Into<String>) -> Self {
+    fn new(
+        severity: Severity,
+        check: &'static str,
+        what: impl Into<String>,
+        cure: impl Into<String>,
+    ) -> Self {
         let (what, cure) = (what.into(), cure.into());
-        Self { severity, check, backends: Vec::new(), what, cure, views: Vec::new() }
+        Self {
+            severity,
+            check,
+            backends: Vec::new(),
+            what,
+            cure,
+            views: Vec::new(),
+        }
     }
 
     fn of_views(self, views: Vec<ViewFinding>) -> Self {
@@ -117,13 +133,24 @@ impl Inputs<'_> {
     }
 
     fn named(&self, views: impl IntoIterator<Item = ViewIndex>) -> Vec<ViewFinding> {
-        views.into_iter().map(|view| self.view_finding(view, "")).collect()
+        views
+            .into_iter()
+            .map(|view| self.view_finding(view, ""))
+            .collect()
     }
 }
 
 /// Examines the project: partners for the first of `backends`, traps for all of them.
-pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&Backend]) -> Diagnosis {
-    let backend = backends.first().copied().unwrap_or_else(|| backends::by_default(project).0);
+pub fn examine(
+    project: &Project,
+    scene: &Scene,
+    settings: &Settings,
+    backends: &[&Backend],
+) -> Diagnosis {
+    let backend = backends
+        .first()
+        .copied()
+        .unwrap_or_else(|| backends::by_default(project).0);
     let (mut findings, partners_judged) = match scene.views.is_empty() {
         true => (vec![no_views()], false),
         false => scene_findings(&Inputs {
@@ -137,19 +164,31 @@ pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: 
         }),
     };
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
-    Diagnosis { version: 1, backend: backend.name, partners_judged, findings }
+    Diagnosis {
+        version: 1,
+        backend: backend.name,
+        partners_judged,
+        findings,
+    }
 }
 
 fn no_views() -> Finding {
     let cure = "register the images first (viewrank inspect shows the model's contents)";
-    Finding::new(Severity::Error, "no-views", "no image of the model is registered", cure)
+    Finding::new(
+        Severity::Error,
+        "no-views",
+        "no image of the model is registered",
+        cure,
+    )
 }
 
 /// Returns the findings, and true if partners and links were judged.
 fn scene_findings(inputs: &Inputs) -> (Vec<Finding>, bool) {
     let mut findings = sense::of_model(inputs);
     findings.extend(model::findings(inputs));
-    let is_sound = findings.iter().all(|finding| finding.severity < Severity::Error);
+    let is_sound = findings
+        .iter()
+        .all(|finding| finding.severity < Severity::Error);
     if is_sound {
         findings.extend(partners::findings(inputs));
         findings.extend(links::findings(inputs));
@@ -160,8 +199,9 @@ fn scene_findings(inputs: &Inputs) -> (Vec<Finding>, bool) {
     (findings, is_sound)
 }
 
-/// Returns the backends to check: those named, else that of the project's plan, else the one that the project is set up for; with `others`, all the
-/// others as well. Partners are judged for the first.
+/// Returns the backends to check: those named, else that of the project's plan, else the one that
+/// the project is set up for; with `others`, all the others as well. Partners are judged for the
+/// first.
 ///
 /// # Errors
 /// An unknown name.
@@ -176,7 +216,10 @@ pub fn backends_to_check(
         checked.push(planned.unwrap_or_else(|| backends::by_default(project).0));
     }
     for backend in backends::BACKENDS.iter().copied().filter(|_| others) {
-        if checked.iter().all(|known: &&Backend| known.name != backend.name) {
+        if checked
+            .iter()
+            .all(|known: &&Backend| known.name != backend.name)
+        {
             checked.push(backend);
         }
     }
@@ -185,18 +228,33 @@ pub fn backends_to_check(
 
 /// Reports the traps of the backends: warnings for the planned backend, notes for the others.
 fn traps(inputs: &Inputs) -> Vec<Finding> {
-    let patient = ExaminedProject { project: inputs.project, scene: inputs.scene, points: inputs.points };
+    let patient = ExaminedProject {
+        project: inputs.project,
+        scene: inputs.scene,
+        points: inputs.points,
+    };
     let mut findings: Vec<Finding> = distorted(inputs).into_iter().collect();
     for backend in inputs.backends {
         let planned = backend.name == inputs.backend.name;
-        let severity = if planned { Severity::Warning } else { Severity::Note };
+        let severity = if planned {
+            Severity::Warning
+        } else {
+            Severity::Note
+        };
         for trap in (backend.traps)(&patient) {
             let views = inputs.named(trap.views);
-            match findings.iter_mut().find(|f| f.check == trap.name && f.what == trap.what) {
+            match findings
+                .iter_mut()
+                .find(|f| f.check == trap.name && f.what == trap.what)
+            {
                 Some(same) => same.backends.push(backend.name),
                 None => {
-                    let finding = Finding::new(severity, trap.name, trap.what, trap.cure).of_views(views);
-                    findings.push(Finding { backends: vec![backend.name], ..finding });
+                    let finding =
+                        Finding::new(severity, trap.name, trap.what, trap.cure).of_views(views);
+                    findings.push(Finding {
+                        backends: vec![backend.name],
+                        ..finding
+                    });
                 }
             }
         }
@@ -207,14 +265,32 @@ fn traps(inputs: &Inputs) -> Vec<Finding> {
 /// Reports backends that need undistorted images where the cameras have lens distortion.
 fn distorted(inputs: &Inputs) -> Option<Finding> {
     let of_view = |v: &ViewIndex| !inputs.scene.camera_of(*v).is_pinhole();
-    let camera = inputs.scene.camera_of(inputs.scene.view_indices().find(of_view)?).model().name();
-    let refuse: Vec<&'static str> = inputs.backends.iter().filter(|b| !b.takes_distorted).map(|b| b.name).collect();
-    let (root, own) = (inputs.project.as_argument(), command_path(&inputs.project.root.join("dense")));
+    let camera = inputs
+        .scene
+        .camera_of(inputs.scene.view_indices().find(of_view)?)
+        .model()
+        .name();
+    let refuse: Vec<&'static str> = inputs
+        .backends
+        .iter()
+        .filter(|b| !b.takes_distorted)
+        .map(|b| b.name)
+        .collect();
+    let (root, own) = (
+        inputs.project.as_argument(),
+        command_path(&inputs.project.root.join("dense")),
+    );
     let cure = match &inputs.project.dense_workspace {
-        Some(dense) if *dense != inputs.project.root => format!("viewrank plan {}", command_path(dense)),
+        Some(dense) if *dense != inputs.project.root => {
+            format!("viewrank plan {}", command_path(dense))
+        }
         _ => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
-    let what = format!("the cameras are {camera}, but these programs need images without lens distortion");
+    let what =
+        format!("the cameras are {camera}, but these programs need images without lens distortion");
     let finding = Finding::new(Severity::Note, "distorted-images", what, cure);
-    (!refuse.is_empty()).then_some(Finding { backends: refuse, ..finding })
+    (!refuse.is_empty()).then_some(Finding {
+        backends: refuse,
+        ..finding
+    })
 }

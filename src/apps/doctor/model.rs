@@ -7,7 +7,11 @@ use crate::{
 };
 
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
-    warnings(inputs).into_iter().chain(unregistered(inputs)).chain(no_images(inputs)).collect()
+    warnings(inputs)
+        .into_iter()
+        .chain(unregistered(inputs))
+        .chain(no_images(inputs))
+        .collect()
 }
 
 /// Returns the warnings from reading the model, which a plan gives too.
@@ -15,18 +19,26 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
     let finding = |warning: &ModelWarning| {
         let (severity, check, cure) = match warning.kind {
             WarningKind::OtherModels => return other_models(inputs, &warning.text),
-            WarningKind::OtherWorkspace => {
-                (Severity::Warning, "other-workspace", "undistort again from this model (viewrank undistort)")
-            }
-            WarningKind::Damaged => {
-                (Severity::Warning, "model-not-as-it-should-be", "write the model again with the program that made it")
-            }
+            WarningKind::OtherWorkspace => (
+                Severity::Warning,
+                "other-workspace",
+                "undistort again from this model (viewrank undistort)",
+            ),
+            WarningKind::Damaged => (
+                Severity::Warning,
+                "model-not-as-it-should-be",
+                "write the model again with the program that made it",
+            ),
             WarningKind::Guessed => (
                 Severity::Warning,
                 "guessed-sizes",
                 "put the images where the model expects them; visibility depends on the guessed sizes",
             ),
-            WarningKind::Format => (Severity::Note, "format", "no action needed; this is how the format is read"),
+            WarningKind::Format => (
+                Severity::Note,
+                "format",
+                "no action needed; this is how the format is read",
+            ),
         };
         Finding::new(severity, check, &warning.text, cure)
     };
@@ -38,13 +50,23 @@ fn other_models(inputs: &Inputs, what: &str) -> Finding {
     let others = &inputs.project.other_models;
     let copies = inputs.project.copies(inputs.scene);
     if !copies.is_empty() && copies.len() == others.len() {
-        let cure = "no action needed; the others hold mostly the same images (choose one with --model)";
+        let cure =
+            "no action needed; the others hold mostly the same images (choose one with --model)";
         return Finding::new(Severity::Note, "model-copies", what, cure);
     }
-    let largest = others.iter().filter(|model| !copies.contains(model)).map(|model| model.registered).max();
+    let largest = others
+        .iter()
+        .filter(|model| !copies.contains(model))
+        .map(|model| model.registered)
+        .max();
     let few = |largest: u64| (largest as f64) < FEW * inputs.scene.views.len() as f64;
-    let severity = if largest.is_some_and(few) { Severity::Note } else { Severity::Warning };
-    let cure = "match images between them again; until then, plan and match each separately (--model)";
+    let severity = if largest.is_some_and(few) {
+        Severity::Note
+    } else {
+        Severity::Warning
+    };
+    let cure =
+        "match images between them again; until then, plan and match each separately (--model)";
     Finding::new(severity, "other-sub-models", what, cure)
 }
 
@@ -52,10 +74,19 @@ fn other_models(inputs: &Inputs, what: &str) -> Finding {
 fn unregistered(inputs: &Inputs) -> Option<Finding> {
     let left = &inputs.scene.unregistered;
     let all = left.len() + inputs.scene.views.len();
-    let severity = if (left.len() as f64) < FEW * all as f64 { Severity::Note } else { Severity::Warning };
+    let severity = if (left.len() as f64) < FEW * all as f64 {
+        Severity::Note
+    } else {
+        Severity::Warning
+    };
     (!left.is_empty()).then(|| {
-        let what = format!("{} of {} have no pose in the model and are left out", left.len(), counted(all, "image"));
-        let cure = "match them with more images in structure from motion, or remove them from the folder";
+        let what = format!(
+            "{} of {} have no pose in the model and are left out",
+            left.len(),
+            counted(all, "image")
+        );
+        let cure =
+            "match them with more images in structure from motion, or remove them from the folder";
         let views = left.iter().map(|name| ViewFinding::new(name, "")).collect();
         Finding::new(severity, "unregistered-images", what, cure).of_views(views)
     })
@@ -63,10 +94,17 @@ fn unregistered(inputs: &Inputs) -> Option<Finding> {
 
 fn no_images(inputs: &Inputs) -> Option<Finding> {
     let alone = inputs.project.kind == ProjectKind::BareModel;
-    let severity = if alone { Severity::Note } else { Severity::Warning };
+    let severity = if alone {
+        Severity::Note
+    } else {
+        Severity::Warning
+    };
     inputs.project.images.is_none().then(|| {
         let what = "no image folder found: the images can be neither examined nor matched";
-        let cure = format!("put the images into {}", inputs.project.root.join("images").display());
+        let cure = format!(
+            "put the images into {}",
+            inputs.project.root.join("images").display()
+        );
         Finding::new(severity, "no-images", what, cure)
     })
 }

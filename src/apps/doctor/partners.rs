@@ -15,7 +15,8 @@ use crate::{
     },
 };
 
-/// Share of the sparse points seen only by views without partners, at and above which the loss exceeds the usual border of a block.
+/// Share of the sparse points seen only by views without partners, at and above which the loss
+/// exceeds the usual border of a block.
 const LOST: f64 = 0.01;
 
 /// Reason that a pair cannot be matched.
@@ -51,9 +52,15 @@ struct PartnerCount {
 
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
-    let gate = inputs.backend.planning.gate.with(&inputs.settings.partners.gate);
+    let gate = inputs
+        .backend
+        .planning
+        .gate
+        .with(&inputs.settings.partners.gate);
     let without_image = inputs.images.unusable(views.len());
-    let count = |&view: &ViewIndex| count_partners(inputs.scene, inputs.points, &without_image, &gate, view);
+    let count = |&view: &ViewIndex| {
+        count_partners(inputs.scene, inputs.points, &without_image, &gate, view)
+    };
     let counts: Vec<PartnerCount> = views.par_iter().map(count).collect();
     let with_image = |count: &&PartnerCount| without_image.binary_search(&count.view).is_err();
     let position = one_position(inputs, &counts, counts.iter().filter(with_image).count());
@@ -66,11 +73,15 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
 /// Returns the minimum number of partners with which a key view can fulfil anything.
 fn least(inputs: &Inputs) -> usize {
     let settings = &inputs.settings;
-    settings.coverage.min_cameras.saturating_sub(1).clamp(1, settings.partners.k.max(1)) as usize
+    settings
+        .coverage
+        .min_cameras
+        .saturating_sub(1)
+        .clamp(1, settings.partners.k.max(1)) as usize
 }
 
-/// Describes how many of the views that share points with this one the backend can match, and why it refuses the others. `without_image`: views
-/// without a usable image, ascending.
+/// Describes how many of the views that share points with this one the backend can match, and why
+/// it refuses the others. `without_image`: views without a usable image, ascending.
 pub fn partners_in_words(
     scene: &Scene,
     points: &ViewPoints,
@@ -89,7 +100,12 @@ fn count_partners(
     view: ViewIndex,
 ) -> PartnerCount {
     let has_image = |view: &ViewIndex| without_image.binary_search(view).is_err();
-    let mut count = PartnerCount { view, partners: 0, refused: BTreeMap::new(), same_position: Vec::new() };
+    let mut count = PartnerCount {
+        view,
+        partners: 0,
+        refused: BTreeMap::new(),
+        same_position: Vec::new(),
+    };
     for (other, shared) in neighbours(scene, points, view) {
         let pair = PairGeometry::new(scene, view, other, &shared);
         let is_shown = has_image(&view) && has_image(&other);
@@ -97,7 +113,9 @@ fn count_partners(
             count.same_position.extend(is_shown.then_some(other));
             Some(Refusal::NoBaseline)
         } else {
-            gate.obstacle(&pair).map(Refusal::Limit).or((!is_shown).then_some(Refusal::NoImage))
+            gate.obstacle(&pair)
+                .map(Refusal::Limit)
+                .or((!is_shown).then_some(Refusal::NoImage))
         };
         match refusal {
             Some(refusal) => *count.refused.entry(refusal).or_default() += 1,
@@ -114,19 +132,33 @@ impl PartnerCount {
         }
         let mut refused: Vec<(&Refusal, &usize)> = self.refused.iter().collect();
         refused.sort_by_key(|(reason, count)| (std::cmp::Reverse(**count), **reason));
-        let refused: Vec<String> =
-            refused.iter().map(|(reason, count)| format!("{count} {}", reason.words())).collect();
+        let refused: Vec<String> = refused
+            .iter()
+            .map(|(reason, count)| format!("{count} {}", reason.words()))
+            .collect();
         match refused.is_empty() {
-            true => format!("{}, no other view shares points with it", counted(self.partners, "partner")),
-            false => format!("{}; refused: {}", counted(self.partners, "partner"), refused.join(", ")),
+            true => format!(
+                "{}, no other view shares points with it",
+                counted(self.partners, "partner")
+            ),
+            false => format!(
+                "{}; refused: {}",
+                counted(self.partners, "partner"),
+                refused.join(", ")
+            ),
         }
     }
 }
 
-/// Reports views that cannot be key views; the severity depends on their share, and on the share of points that no other view sees.
+/// Reports views that cannot be key views; the severity depends on their share, and on the share of
+/// points that no other view sees.
 fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     let least = least(inputs);
-    let few: Vec<&PartnerCount> = counts.iter().copied().filter(|count| count.partners < least).collect();
+    let few: Vec<&PartnerCount> = counts
+        .iter()
+        .copied()
+        .filter(|count| count.partners < least)
+        .collect();
     let lost = lost_share(inputs, counts);
     let share = few.len() as f64 / counts.len().max(1) as f64;
     let severity = if share.max(lost) >= MOST {
@@ -138,7 +170,11 @@ fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     };
     let loss = match lost > 0.0 {
         true => {
-            format!("{:.1} % of the sparse points are seen by no other {}", 100.0 * lost, noun(inputs, counts, 1))
+            format!(
+                "{:.1} % of the sparse points are seen by no other {}",
+                100.0 * lost,
+                noun(inputs, counts, 1)
+            )
         }
         false => "other views see all their points".into(),
     };
@@ -161,15 +197,20 @@ fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     })
 }
 
-/// Returns the share of the sparse points seen by these views that only those with too few partners see.
+/// Returns the share of the sparse points seen by these views that only those with too few partners
+/// see.
 fn lost_share(inputs: &Inputs, counts: &[&PartnerCount]) -> f64 {
     let (least, mut can_be_key) = (least(inputs), vec![None; inputs.scene.views.len()]);
-    counts.iter().for_each(|count| can_be_key[count.view.index()] = Some(count.partners >= least));
-    let tracks = (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
+    counts
+        .iter()
+        .for_each(|count| can_be_key[count.view.index()] = Some(count.partners >= least));
+    let tracks =
+        (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
     // The surface leaves out points that a single view observes (method 1.1).
     let sound = tracks.filter(|views| views.len() > 1);
-    let is_kept: Vec<bool> =
-        sound.filter_map(|views| views.iter().filter_map(|v| can_be_key[v.index()]).max()).collect();
+    let is_kept: Vec<bool> = sound
+        .filter_map(|views| views.iter().filter_map(|v| can_be_key[v.index()]).max())
+        .collect();
     is_kept.iter().filter(|kept| !**kept).count() as f64 / is_kept.len().max(1) as f64
 }
 
@@ -177,12 +218,17 @@ fn lost_share(inputs: &Inputs, counts: &[&PartnerCount]) -> f64 {
 const IMAGES_FIRST: &str = "replace the images that are missing or cannot be used";
 
 fn lack_images(few: &[&PartnerCount]) -> bool {
-    few.iter().any(|count| count.refused.contains_key(&Refusal::NoImage))
+    few.iter()
+        .any(|count| count.refused.contains_key(&Refusal::NoImage))
 }
 
 /// Returns the noun for this number of the views that were judged.
 fn noun(inputs: &Inputs, counts: &[&PartnerCount], number: usize) -> String {
-    let image = if counts.len() < inputs.scene.views.len() { " with a usable image" } else { "" };
+    let image = if counts.len() < inputs.scene.views.len() {
+        " with a usable image"
+    } else {
+        ""
+    };
     format!("view{}{image}", if number == 1 { "" } else { "s" })
 }
 
@@ -192,43 +238,76 @@ fn fewer_than_wanted(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Findin
     let is_few = |count: &&PartnerCount| (least..wanted).contains(&count.partners);
     let few: Vec<&PartnerCount> = counts.iter().copied().filter(is_few).collect();
     (!few.is_empty()).then(|| {
-        let what = format!("{} with fewer than {wanted} partners (partners.k)", counted(few.len(), "view"));
+        let what = format!(
+            "{} with fewer than {wanted} partners (partners.k)",
+            counted(few.len(), "view")
+        );
         let cure = if lack_images(&few) {
             IMAGES_FIRST
         } else {
             "no action needed; they are planned with the partners they have"
         };
-        Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(inputs, few))
+        Finding::new(Severity::Note, "fewer-partners-than-k", what, cure)
+            .of_views(words(inputs, few))
     })
 }
 
 fn words(inputs: &Inputs, counts: Vec<&PartnerCount>) -> Vec<ViewFinding> {
-    counts.into_iter().map(|count| inputs.view_finding(count.view, count.words())).collect()
+    counts
+        .into_iter()
+        .map(|count| inputs.view_finding(count.view, count.words()))
+        .collect()
 }
 
-/// Reports groups of views that share points but no baseline; normal in rigs and panoramas where each view has partners elsewhere.
+/// Reports groups of views that share points but no baseline; normal in rigs and panoramas where
+/// each view has partners elsewhere.
 ///
 /// `judged`: number of views with a usable image.
 fn one_position(inputs: &Inputs, counts: &[PartnerCount], judged: usize) -> Option<Finding> {
-    let same_position = |view: u32| counts[view as usize].same_position.iter().map(|other| other.0);
-    let groups = components(counts.len(), same_position).into_iter().filter(|group| group.len() > 1);
-    let groups: Vec<Vec<ViewIndex>> = groups.map(|group| group.into_iter().map(ViewIndex).collect()).collect();
+    let same_position = |view: u32| {
+        counts[view as usize]
+            .same_position
+            .iter()
+            .map(|other| other.0)
+    };
+    let groups = components(counts.len(), same_position)
+        .into_iter()
+        .filter(|group| group.len() > 1);
+    let groups: Vec<Vec<ViewIndex>> = groups
+        .map(|group| group.into_iter().map(ViewIndex).collect())
+        .collect();
     let grouped: usize = groups.iter().map(|views| views.len()).sum();
     let with = |views: &[ViewIndex]| format!("with {}", inputs.scene.name(views[0]));
-    let views =
-        groups.iter().flat_map(|views| views[1..].iter().map(|&v| inputs.view_finding(v, with(views)))).collect();
-    let alone =
-        groups.iter().flat_map(|views| views.iter()).filter(|v| counts[v.index()].partners < least(inputs)).count();
+    let views = groups
+        .iter()
+        .flat_map(|views| {
+            views[1..]
+                .iter()
+                .map(|&v| inputs.view_finding(v, with(views)))
+        })
+        .collect();
+    let alone = groups
+        .iter()
+        .flat_map(|views| views.iter())
+        .filter(|v| counts[v.index()].partners < least(inputs))
+        .count();
     let (severity, cure) = match alone {
-        0 => (Severity::Note, "no action needed; each has partners elsewhere"),
-        n if n as f64 >= MOST * judged as f64 => (Severity::Error, "take photographs from different positions"),
-        _ => {
-            (Severity::Warning, "take photographs from different positions; some of these views have no other partners")
+        0 => (
+            Severity::Note,
+            "no action needed; each has partners elsewhere",
+        ),
+        n if n as f64 >= MOST * judged as f64 => {
+            (Severity::Error, "take photographs from different positions")
         }
+        _ => (
+            Severity::Warning,
+            "take photographs from different positions; some of these views have no other partners",
+        ),
     };
     (!groups.is_empty()).then(|| {
         let (grouped, positions) = (counted(grouped, "view"), counted(groups.len(), "position"));
-        let what = format!("{grouped} at {positions}: views at one position give each other no depth");
+        let what =
+            format!("{grouped} at {positions}: views at one position give each other no depth");
         Finding::new(severity, "one-position", what, cure).of_views(views)
     })
 }

@@ -28,25 +28,35 @@ const BEHIND: f64 = 0.2;
 const ERROR_PX: f64 = 4.0;
 
 pub fn of_model(inputs: &Inputs) -> Vec<Finding> {
-    [points, units, frame, wanted, cameras, behind, residuals].iter().filter_map(|check| check(inputs)).collect()
+    [points, units, frame, wanted, cameras, behind, residuals]
+        .iter()
+        .filter_map(|check| check(inputs))
+        .collect()
 }
 
 pub fn of_images(inputs: &Inputs) -> Vec<Finding> {
-    [scaled, foreign, missing, unreadable].iter().filter_map(|check| check(inputs)).collect()
+    [scaled, foreign, missing, unreadable]
+        .iter()
+        .filter_map(|check| check(inputs))
+        .collect()
 }
 
-/// Reports a model in which no point is seen by two views: the surface is built from such points (method 1.1).
+/// Reports a model in which no point is seen by two views: the surface is built from such points
+/// (method 1.1).
 fn points(inputs: &Inputs) -> Option<Finding> {
-    let mut tracks = (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
+    let mut tracks =
+        (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
     let is_shared = tracks.any(|views| views.first() != views.last());
     (!is_shared).then(|| {
         let what = "no sparse point is seen by two views: surface, overlap and scale are unknown";
-        let cure = "triangulate points (colmap point_triangulator), or give the model that has them";
+        let cure =
+            "triangulate points (colmap point_triangulator), or give the model that has them";
         Finding::new(Severity::Error, "no-common-points", what, cure)
     })
 }
 
-/// Checks the ground sampling distance if the settings give metres as the unit or georeference the model.
+/// Checks the ground sampling distance if the settings give metres as the unit or georeference the
+/// model.
 fn units(inputs: &Inputs) -> Option<Finding> {
     let claim = match plan::georeference(inputs.project, inputs.scene, &inputs.settings.frame) {
         _ if inputs.settings.units == Some(Units::Metric) => "units = \"metric\"",
@@ -67,7 +77,10 @@ fn units(inputs: &Inputs) -> Option<Finding> {
 /// Checks the georeference given by the settings or by the program that made the model.
 fn frame(inputs: &Inputs) -> Option<Finding> {
     let place = plan::georeference(inputs.project, inputs.scene, &inputs.settings.frame);
-    if matches!(place, Georeference::EastNorthUp { .. } | Georeference::Utm { .. }) {
+    if matches!(
+        place,
+        Georeference::EastNorthUp { .. } | Georeference::Utm { .. }
+    ) {
         let up = MapFrame::new(inputs.scene, inputs.settings.surface.up).axes[2];
         if up.z < UPRIGHT {
             let angle = up.z.clamp(-1.0, 1.0).acos().to_degrees();
@@ -75,29 +88,57 @@ fn frame(inputs: &Inputs) -> Option<Finding> {
                 "the georeference has the model's third axis up, but the cameras' up is {angle:.0} degrees off: views.geojson shows the model \
                  on its side"
             );
-            let cure = "rotate the model (colmap model_aligner), or remove [frame] from viewrank.toml";
-            return Some(Finding::new(Severity::Warning, "impossible-frame", what, cure));
+            let cure =
+                "rotate the model (colmap model_aligner), or remove [frame] from viewrank.toml";
+            return Some(Finding::new(
+                Severity::Warning,
+                "impossible-frame",
+                what,
+                cure,
+            ));
         }
     }
-    let Georeference::Utm { offset, .. } = place else { return None };
-    let centres = || inputs.scene.views.iter().map(|view| view.cam_from_world.centre());
+    let Georeference::Utm { offset, .. } = place else {
+        return None;
+    };
+    let centres = || {
+        inputs
+            .scene
+            .views
+            .iter()
+            .map(|view| view.cam_from_world.centre())
+    };
     let at = |x: f64, y: f64| (x + offset[0], y + offset[1]);
-    let inside = |(easting, northing): (f64, f64)| EASTINGS.contains(&easting) && NORTHINGS.contains(&northing);
-    let outside = centres().map(|c| at(c.x, c.y)).find(|&place| !inside(place))?;
+    let inside = |(easting, northing): (f64, f64)| {
+        EASTINGS.contains(&easting) && NORTHINGS.contains(&northing)
+    };
+    let outside = centres()
+        .map(|c| at(c.x, c.y))
+        .find(|&place| !inside(place))?;
     let what = format!(
         "these are not UTM coordinates: views.geojson shows a camera at easting {:.0}, northing {:.0}",
         outside.0, outside.1
     );
-    let cure =
-        "set frame.offset in viewrank.toml to what must be added to the model's coordinates, or set frame.origin";
-    Some(Finding::new(Severity::Warning, "impossible-frame", what, cure))
+    let cure = "set frame.offset in viewrank.toml to what must be added to the model's coordinates, or set frame.origin";
+    Some(Finding::new(
+        Severity::Warning,
+        "impossible-frame",
+        what,
+        cure,
+    ))
 }
 
 /// Compares the wanted ground sampling distance with that of the images.
 fn wanted(inputs: &Inputs) -> Option<Finding> {
     let what = unlikely_gsd(inputs.scene.median_gsd(), inputs.settings)?;
-    let cure = "give --gsd and target.accuracy in units of the model (viewrank inspect shows the median)";
-    Some(Finding::new(Severity::Warning, "impossible-target", what, cure))
+    let cure =
+        "give --gsd and target.accuracy in units of the model (viewrank inspect shows the median)";
+    Some(Finding::new(
+        Severity::Warning,
+        "impossible-target",
+        what,
+        cure,
+    ))
 }
 
 /// Reports intrinsics that no real camera could have.
@@ -108,14 +149,21 @@ fn cameras(inputs: &Inputs) -> Option<Finding> {
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         let field = 2.0 * (0.5 * width / f.x).atan().to_degrees();
         let is_centred = (0.0..=width).contains(&c.x) && (0.0..=height).contains(&c.y);
-        let fits = !camera.is_pinhole() || FIELD.contains(&field) && (0.2..=5.0).contains(&(f.y / f.x));
+        let fits =
+            !camera.is_pinhole() || FIELD.contains(&field) && (0.2..=5.0).contains(&(f.y / f.x));
         !(fits && is_centred)
     };
     let views: Vec<ViewIndex> = inputs.scene.view_indices().filter(wrong).collect();
     let camera = inputs.scene.camera_of(*views.first()?);
     let (f, c) = camera.pinhole_part();
     // A number of 300 digits would hide the rest.
-    let px = |x: f64| if x.abs() < 1e7 { format!("{x:.1}") } else { format!("{x:.1e}") };
+    let px = |x: f64| {
+        if x.abs() < 1e7 {
+            format!("{x:.1}")
+        } else {
+            format!("{x:.1e}")
+        }
+    };
     let what = format!(
         "camera {} is impossible: focal lengths {}, {} px and principal point {}, {} px in an image of {} x {} px",
         camera.id,
@@ -127,20 +175,31 @@ fn cameras(inputs: &Inputs) -> Option<Finding> {
         camera.height
     );
     let cure = "correct the cameras (in pixels of the images) and run bundle adjustment again";
-    Some(Finding::new(Severity::Error, "impossible-camera", what, cure).of_views(inputs.named(views)))
+    Some(
+        Finding::new(Severity::Error, "impossible-camera", what, cure)
+            .of_views(inputs.named(views)),
+    )
 }
 
 /// Reports views with points behind the camera, a sign of inverted poses.
 fn behind(inputs: &Inputs) -> Option<Finding> {
     let scene = inputs.scene;
     let share = |view: ViewIndex| {
-        let (pose, points) = (&scene.view(view).cam_from_world, inputs.points.observed_by(view));
+        let (pose, points) = (
+            &scene.view(view).cam_from_world,
+            inputs.points.observed_by(view),
+        );
         let camera = scene.camera_of(view);
-        let is_behind = |p: &&PointIndex| camera.depth(&pose.camera_from_world(&scene.points[p.index()])) <= 0.0;
+        let is_behind = |p: &&PointIndex| {
+            camera.depth(&pose.camera_from_world(&scene.points[p.index()])) <= 0.0
+        };
         let behind = points.iter().filter(is_behind).count();
         behind as f64 / points.len().max(1) as f64
     };
-    let views: Vec<ViewIndex> = scene.view_indices().filter(|&view| share(view) > BEHIND).collect();
+    let views: Vec<ViewIndex> = scene
+        .view_indices()
+        .filter(|&view| share(view) > BEHIND)
+        .collect();
     (!views.is_empty()).then(|| {
         let with = counted(views.len(), "view");
         let what = format!("{with} with many points behind the camera: these poses are wrong");
@@ -161,7 +220,10 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
             of_view[scene.track_views[observation].index()].extend(error);
         }
     }
-    let medians: Vec<Option<f64>> = of_view.into_iter().map(|errors| upper_median(errors.into_iter())).collect();
+    let medians: Vec<Option<f64>> = of_view
+        .into_iter()
+        .map(|errors| upper_median(errors.into_iter()))
+        .collect();
     let wrong = |view: &ViewIndex| medians[view.index()].is_some_and(|error| error > ERROR_PX);
     let views: Vec<ViewIndex> = scene.view_indices().filter(wrong).collect();
     let known = medians.iter().flatten().count();
@@ -189,17 +251,30 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
 
 /// Reports images that are scaled copies of the model's.
 fn scaled(inputs: &Inputs) -> Option<Finding> {
-    let (kind, images) = ((Severity::Warning, "scaled-images"), &inputs.images.other_size);
+    let (kind, images) = (
+        (Severity::Warning, "scaled-images"),
+        &inputs.images.other_size,
+    );
     let what = "scaled copies have less detail than is planned for, and some programs stop at them";
-    let cure = "give the images that the model was made from, or a model with cameras of their size";
+    let cure =
+        "give the images that the model was made from, or a model with cameras of their size";
     of_another_size(inputs, kind, images, what, cure)
 }
 
 /// Reports images whose aspect ratio differs from the model's.
 fn foreign(inputs: &Inputs) -> Option<Finding> {
-    let (kind, images) = ((Severity::Error, "images-of-another-size"), &inputs.images.other_aspect_ratio);
+    let (kind, images) = (
+        (Severity::Error, "images-of-another-size"),
+        &inputs.images.other_aspect_ratio,
+    );
     let cure = "give the images that the model was made from, or the undistorted workspace with its own model";
-    of_another_size(inputs, kind, images, "these are not the model's images", cure)
+    of_another_size(
+        inputs,
+        kind,
+        images,
+        "these are not the model's images",
+        cure,
+    )
 }
 
 /// Reports these images with the sizes of the first.
@@ -212,7 +287,10 @@ fn of_another_size(
 ) -> Option<Finding> {
     let &(first, [width, height]) = images.first()?;
     let (name, camera) = (inputs.scene.name(first), inputs.scene.camera_of(first));
-    let (of_image, of_model) = (format!("{width} x {height} px"), format!("{} x {} px", camera.width, camera.height));
+    let (of_image, of_model) = (
+        format!("{width} x {height} px"),
+        format!("{} x {} px", camera.width, camera.height),
+    );
     let what = format!("{name} is {of_image}, but {of_model} in the model: {what}");
     let views = inputs.named(images.iter().map(|(view, _)| *view));
     Some(Finding::new(severity, check, what, cure).of_views(views))
@@ -221,16 +299,29 @@ fn of_another_size(
 /// Severity of missing and unreadable images, which together may be most.
 fn severity(inputs: &Inputs) -> Severity {
     let without = inputs.images.missing.len() + inputs.images.unreadable.len();
-    if without as f64 >= MOST * inputs.scene.views.len() as f64 { Severity::Error } else { Severity::Warning }
+    if without as f64 >= MOST * inputs.scene.views.len() as f64 {
+        Severity::Error
+    } else {
+        Severity::Warning
+    }
 }
 
 /// Reports views without image files.
 fn missing(inputs: &Inputs) -> Option<Finding> {
     let (images, views) = (inputs.project.images.as_ref()?, &inputs.images.missing);
     (!views.is_empty()).then(|| {
-        let what = format!("{} of {} images are not in {}", views.len(), inputs.scene.views.len(), images.display());
-        let cure = format!("copy them to {}/NAME, with the names in the model", images.display());
-        Finding::new(severity(inputs), "missing-images", what, cure).of_views(inputs.named(views.iter().copied()))
+        let what = format!(
+            "{} of {} images are not in {}",
+            views.len(),
+            inputs.scene.views.len(),
+            images.display()
+        );
+        let cure = format!(
+            "copy them to {}/NAME, with the names in the model",
+            images.display()
+        );
+        Finding::new(severity(inputs), "missing-images", what, cure)
+            .of_views(inputs.named(views.iter().copied()))
     })
 }
 
@@ -240,7 +331,10 @@ fn unreadable(inputs: &Inputs) -> Option<Finding> {
     (!broken.is_empty()).then(|| {
         let what = format!("{} cannot be read", counted(broken.len(), "image"));
         let cure = "copy them again from the source";
-        let views = broken.iter().map(|&(view, why)| inputs.view_finding(view, why)).collect();
+        let views = broken
+            .iter()
+            .map(|&(view, why)| inputs.view_finding(view, why))
+            .collect();
         Finding::new(severity(inputs), "unreadable-images", what, cure).of_views(views)
     })
 }

@@ -15,7 +15,8 @@ use crate::{
     },
 };
 
-/// Key views and pairs that an order needs to reach a share of the weight that fusion really keeps of all clusters together.
+/// Key views and pairs that an order needs to reach a share of the weight that fusion really keeps
+/// of all clusters together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RequiredWork {
     pub share: f64,
@@ -29,15 +30,18 @@ pub struct Order {
     pub name: &'static str,
     /// Work needed for 10, 20, ... 90 %; for `random`, the mean over its seeds.
     pub needed: Vec<RequiredWork>,
-    /// Standard deviation, over the seeds, of the number of key views needed; empty except for `random`.
+    /// Standard deviation, over the seeds, of the number of key views needed; empty except for
+    /// `random`.
     pub spread: Vec<f64>,
-    /// Weight of the triangles that fusion really keeps after i clusters, i = 0, 1, ...; for `random`, the mean over its seeds.
+    /// Weight of the triangles that fusion really keeps after i clusters, i = 0, 1, ...; for
+    /// `random`, the mean over its seeds.
     pub kept: Vec<f64>,
     /// Number of pairs after i clusters; for `random`, the mean over its seeds.
     pub pairs: Vec<f64>,
 }
 
-/// Compares the orders of the clusters: ours (greedy on the prediction) comes first, the optimum last.
+/// Compares the orders of the clusters: ours (greedy on the prediction) comes first, the optimum
+/// last.
 pub fn compare(
     run: &MeasuredClusters,
     model: &Model,
@@ -48,27 +52,40 @@ pub fn compare(
     let clusters = run.clusters.len();
     let total = run.real_curve(objective, &run.order).total_kept();
     let one = |name, order: Vec<u32>| Order::new(name, &[run.real_curve(objective, &order)], total);
-    let random: Vec<ReachCurve> =
-        (0..orders::RANDOM_SEEDS).map(|seed| run.real_curve(objective, &orders::random(clusters, seed))).collect();
+    let random: Vec<ReachCurve> = (0..orders::RANDOM_SEEDS)
+        .map(|seed| run.real_curve(objective, &orders::random(clusters, seed)))
+        .collect();
     Ok(vec![
         one("ours", orders::greedy(&run.predicted, objective, watcher)?),
         one("nocp", orders::greedy(&run.nocp, objective, watcher)?),
-        one("realupdate", orders::real_update(&run.predicted, &run.real, objective)),
+        one(
+            "realupdate",
+            orders::real_update(&run.predicted, &run.real, objective),
+        ),
         one("replan", orders::replan(beliefs, run, objective)),
         one("maxpts", orders::max_points(model.scene, &run.clusters)),
         Order::new("every n-th", &[every_nth(run, objective)], total),
-        one("farthest view", orders::farthest_view(model.scene, &run.clusters)),
+        one(
+            "farthest view",
+            orders::farthest_view(model.scene, &run.clusters),
+        ),
         Order::new("random", &random, total),
         one("optimum", orders::greedy(&run.real, objective, watcher)?),
     ])
 }
 
-/// Returns the key views or pairs needed as text, with the names of the orders that need as many; equal rows are one row.
+/// Returns the key views or pairs needed as text, with the names of the orders that need as many;
+/// equal rows are one row.
 pub fn rows(orders: &[Order], pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
     let mut rows: Vec<(Vec<&str>, Vec<String>)> = Vec::new();
     for order in orders {
         let digits = usize::from(!order.spread.is_empty());
-        let cell = |needed: &RequiredWork| format!("{:.digits$}", if pairs { needed.pairs } else { needed.clusters });
+        let cell = |needed: &RequiredWork| {
+            format!(
+                "{:.digits$}",
+                if pairs { needed.pairs } else { needed.clusters }
+            )
+        };
         let cells: Vec<String> = order.needed.iter().map(cell).collect();
         match rows.iter_mut().find(|(_, other)| *other == cells) {
             Some((names, _)) => names.push(order.name),
@@ -83,18 +100,25 @@ impl Order {
     fn new(name: &'static str, curves: &[ReachCurve], total: f64) -> Self {
         let count = curves.len() as f64;
         let last = |values: &ReachCurve| values.kept.len() - 1;
-        let clusters_for = |c: &ReachCurve, share: f64| c.clusters_for(share * total).unwrap_or(last(c));
-        let mean = |value: &dyn Fn(&ReachCurve) -> f64| curves.iter().map(value).sum::<f64>() / count;
+        let clusters_for =
+            |c: &ReachCurve, share: f64| c.clusters_for(share * total).unwrap_or(last(c));
+        let mean =
+            |value: &dyn Fn(&ReachCurve) -> f64| curves.iter().map(value).sum::<f64>() / count;
         let needed = SHARES.map(|share| RequiredWork {
             share,
             clusters: mean(&|c| clusters_for(c, share) as f64),
             pairs: mean(&|c| c.pairs[clusters_for(c, share)] as f64),
         });
         let deviation = |needed: &RequiredWork| {
-            let squares = mean(&|c| (clusters_for(c, needed.share) as f64 - needed.clusters).powi(2));
+            let squares =
+                mean(&|c| (clusters_for(c, needed.share) as f64 - needed.clusters).powi(2));
             squares.sqrt()
         };
-        let spread = if curves.len() > 1 { needed.iter().map(deviation).collect() } else { Vec::new() };
+        let spread = if curves.len() > 1 {
+            needed.iter().map(deviation).collect()
+        } else {
+            Vec::new()
+        };
         let entries = 0..curves[0].kept.len();
         Self {
             name,
@@ -106,8 +130,8 @@ impl Order {
     }
 }
 
-/// Returns the curve of evenly spread clusters: entry i has a choice of i clusters of its own. Where it keeps less than a smaller choice, the
-/// larger value is carried on.
+/// Returns the curve of evenly spread clusters: entry i has a choice of i clusters of its own.
+/// Where it keeps less than a smaller choice, the larger value is carried on.
 fn every_nth(run: &MeasuredClusters, objective: &Objective) -> ReachCurve {
     let mut curve = ReachCurve::start();
     for count in 1..=run.clusters.len() {
@@ -115,7 +139,11 @@ fn every_nth(run: &MeasuredClusters, objective: &Objective) -> ReachCurve {
         let (kept, before) = (taken.total_kept(), curve.total_kept());
         curve.fulfilment.push(taken.total().max(curve.total()));
         curve.kept.push(kept.max(before));
-        curve.pairs.push(if kept > before { taken.pairs[count] } else { curve.pairs[count - 1] });
+        curve.pairs.push(if kept > before {
+            taken.pairs[count]
+        } else {
+            curve.pairs[count - 1]
+        });
     }
     curve
 }

@@ -1,4 +1,5 @@
-//! Reads and writes `clusters.txt`, the clusters of other choices (method 6): one line per cluster, the key view and its partners, separated by tabs.
+//! Reads and writes `clusters.txt`, the clusters of other choices (method 6): one line per cluster,
+//! the key view and its partners, separated by tabs.
 
 use std::{
     collections::BTreeSet,
@@ -22,11 +23,18 @@ use crate::{
 #[derive(Debug, thiserror::Error)]
 pub enum ClustersError {
     #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+    Io {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("no clusters.txt in {} or its folders", .0.display())]
     None(PathBuf),
     #[error("{}: line {line}: {what}", path.display())]
-    Line { path: PathBuf, line: usize, what: String },
+    Line {
+        path: PathBuf,
+        line: usize,
+        what: String,
+    },
 }
 
 impl Hint for ClustersError {
@@ -37,30 +45,57 @@ impl Hint for ClustersError {
 
 /// Reads the clusters of a `clusters.txt`, in the order of its lines.
 pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersError> {
-    let text =
-        input::read_text(path, FileKind::List).map_err(|source| ClustersError::Io { path: path.into(), source })?;
+    let text = input::read_text(path, FileKind::List).map_err(|source| ClustersError::Io {
+        path: path.into(),
+        source,
+    })?;
     let mut clusters = Vec::new();
     let mut keys = BTreeSet::new();
-    for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#')) {
-        let wrong = |what: String| ClustersError::Line { path: path.into(), line: line + 1, what };
-        let find = |name: &str| scene.find(name).ok_or_else(|| wrong(format!("no view is called {name}")));
-        let views = content.split('\t').map(find).collect::<Result<Vec<ViewIndex>, _>>()?;
+    for (line, content) in text
+        .lines()
+        .enumerate()
+        .filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#'))
+    {
+        let wrong = |what: String| ClustersError::Line {
+            path: path.into(),
+            line: line + 1,
+            what,
+        };
+        let find = |name: &str| {
+            scene
+                .find(name)
+                .ok_or_else(|| wrong(format!("no view is called {name}")))
+        };
+        let views = content
+            .split('\t')
+            .map(find)
+            .collect::<Result<Vec<ViewIndex>, _>>()?;
         if views.iter().collect::<BTreeSet<_>>().len() < views.len() {
             return Err(wrong("a view is in the cluster twice".into()));
         }
         if !keys.insert(views[0]) {
-            return Err(wrong(format!("{} has a cluster already", scene.name(views[0]))));
+            return Err(wrong(format!(
+                "{} has a cluster already",
+                scene.name(views[0])
+            )));
         }
-        clusters.push(ViewCluster { key: views[0], partners: views[1..].to_vec() });
+        clusters.push(ViewCluster {
+            key: views[0],
+            partners: views[1..].to_vec(),
+        });
     }
     Ok(clusters)
 }
 
-/// Returns the folders that contain a `clusters.txt`, `folder` and those below it, sorted by path; an error if no folder has one.
+/// Returns the folders that contain a `clusters.txt`, `folder` and those below it, sorted by path;
+/// an error if no folder has one.
 pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, ClustersError> {
     let mut found = Vec::new();
     for entry in WalkDir::new(folder).sort_by_file_name() {
-        let entry = entry.map_err(|e| ClustersError::Io { path: folder.into(), source: input::cause(e) })?;
+        let entry = entry.map_err(|e| ClustersError::Io {
+            path: folder.into(),
+            source: input::cause(e),
+        })?;
         if entry.file_name() == "clusters.txt" {
             found.extend(entry.path().parent().map(Path::to_path_buf));
         }

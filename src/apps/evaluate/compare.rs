@@ -1,9 +1,11 @@
-//! The same key views with the partners of other rules: the clusters to match, and the results once matched (method 8).
+//! The same key views with the partners of other rules: the clusters to match, and the results once
+//! matched (method 8).
 
 use serde::Serialize;
 
 use super::{
-    clusters, curve::ReachCurve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::MeasuredClusters,
+    clusters, curve::ReachCurve, evaluation::QualityRow, measure::Quality, orders, rules::RULES,
+    run::MeasuredClusters,
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
@@ -19,28 +21,52 @@ pub struct RuleClusters {
     pub clusters: Vec<ViewCluster>,
 }
 
-/// Returns each rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp` in their own order, the others in the order
-/// of `maxpts`.
-pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<RuleClusters>, TableError> {
+/// Returns each rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp`
+/// in their own order, the others in the order of `maxpts`.
+pub fn choices(
+    plan: &Plan,
+    k: u32,
+    watcher: &dyn Watcher,
+) -> Result<Vec<RuleClusters>, TableError> {
     let model = plan.stages.model();
     let mut certain = model;
     certain.rule.confidence = Confidence::None;
-    let settings = PartnerSettings { k, ..plan.stages.settings.partners.clone() };
+    let settings = PartnerSettings {
+        k,
+        ..plan.stages.settings.partners.clone()
+    };
     let mut choices = Vec::new();
     for (rule, model) in [("ours", &model), ("ours-nocp", &certain)] {
-        let (clusters, table) =
-            partners::choose(model, &plan.stages.candidates, &settings, plan.stages.settings.seed, watcher)?;
+        let (clusters, table) = partners::choose(
+            model,
+            &plan.stages.candidates,
+            &settings,
+            plan.stages.settings.seed,
+            watcher,
+        )?;
         let order = orders::greedy(&table, &plan.stages.objective, watcher)?;
-        let clusters = order.iter().map(|&c| clusters[c as usize].clone()).collect();
-        choices.push(RuleClusters { rule: rule.into(), clusters });
+        let clusters = order
+            .iter()
+            .map(|&c| clusters[c as usize].clone())
+            .collect();
+        choices.push(RuleClusters {
+            rule: rule.into(),
+            clusters,
+        });
     }
     let keys: Vec<ViewIndex> = plan.stages.clusters.iter().map(|c| c.key).collect();
     for rule in RULES {
         watcher.check()?;
         let clusters = rule.clusters(&plan.stages.scene, &keys, k as usize);
         let order = orders::max_points(&plan.stages.scene, &clusters);
-        let clusters = order.iter().map(|&c| clusters[c as usize].clone()).collect();
-        choices.push(RuleClusters { rule: rule.name.into(), clusters });
+        let clusters = order
+            .iter()
+            .map(|&c| clusters[c as usize].clone())
+            .collect();
+        choices.push(RuleClusters {
+            rule: rule.name.into(),
+            clusters,
+        });
     }
     Ok(choices)
 }
@@ -87,7 +113,10 @@ pub fn compare(
         let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let curve = run.real_curve(objective, &run.order);
         let best = orders::greedy(&run.real, objective, watcher)?;
-        let quality = Quality { reference: reference.iter().sum(), ..run.pooled() };
+        let quality = Quality {
+            reference: reference.iter().sum(),
+            ..run.pooled()
+        };
         Ok(Comparison {
             name: name.clone(),
             clusters: run.clusters.len(),

@@ -21,12 +21,26 @@ pub struct ReachCurve {
 
 impl ReachCurve {
     /// Computes the curve along `order` (indices into `clusters` and into the table's rows).
-    pub fn new(table: &FulfilmentTable, objective: &Objective, clusters: &[ViewCluster], order: &[u32]) -> Self {
-        Self::of_rows(objective, order.iter().map(|&c| (table.row(c as usize), clusters[c as usize].partners.len())))
+    pub fn new(
+        table: &FulfilmentTable,
+        objective: &Objective,
+        clusters: &[ViewCluster],
+        order: &[u32],
+    ) -> Self {
+        Self::of_rows(
+            objective,
+            order
+                .iter()
+                .map(|&c| (table.row(c as usize), clusters[c as usize].partners.len())),
+        )
     }
 
-    /// Computes the curve along depth maps, each given by its row of fulfilment and its number of partners.
-    pub fn of_rows<'r>(objective: &Objective, maps: impl Iterator<Item = ((&'r [u32], &'r [f32]), usize)>) -> Self {
+    /// Computes the curve along depth maps, each given by its row of fulfilment and its number of
+    /// partners.
+    pub fn of_rows<'r>(
+        objective: &Objective,
+        maps: impl Iterator<Item = ((&'r [u32], &'r [f32]), usize)>,
+    ) -> Self {
         let (mut reached, mut pairs) = (Reached::new(objective), 0);
         let mut curve = Self::start();
         for (row, partners) in maps {
@@ -41,7 +55,11 @@ impl ReachCurve {
 
     /// Returns the curve before the first cluster.
     pub(super) fn start() -> Self {
-        Self { fulfilment: vec![0.0], kept: vec![0.0], pairs: vec![0] }
+        Self {
+            fulfilment: vec![0.0],
+            kept: vec![0.0],
+            pairs: vec![0],
+        }
     }
 
     /// Returns f_o of the whole order.
@@ -54,13 +72,15 @@ impl ReachCurve {
         self.kept.last().copied().unwrap_or(0.0)
     }
 
-    /// Returns the smallest number of first clusters of which fusion keeps at least this weight; `None` if it keeps less of all of them.
+    /// Returns the smallest number of first clusters of which fusion keeps at least this weight;
+    /// `None` if it keeps less of all of them.
     pub fn clusters_for(&self, kept: f64) -> Option<usize> {
         let clusters = self.kept.partition_point(|&k| k < kept - ROUNDING);
         (clusters < self.kept.len()).then_some(clusters)
     }
 
-    /// Returns the weight that fusion keeps of the first clusters as a share of `total`; 0 if that is 0.
+    /// Returns the weight that fusion keeps of the first clusters as a share of `total`; 0 if that
+    /// is 0.
     pub fn share(&self, clusters: usize, total: f64) -> f64 {
         let kept = self.kept[clusters.min(self.kept.len() - 1)];
         if total > 0.0 { kept / total } else { 0.0 }
@@ -80,15 +100,33 @@ mod tests {
 
     #[test]
     fn counts_clusters_up_to_a_fulfilment() {
-        let table = FulfilmentTable::new([vec![(0, 1.0)], vec![(0, 0.5), (1, 0.2)], vec![(1, 1.0)]]);
+        let table =
+            FulfilmentTable::new([vec![(0, 1.0)], vec![(0, 0.5), (1, 0.2)], vec![(1, 1.0)]]);
         let cluster = |key: u32, partners: u32| ViewCluster {
             key: ViewIndex(key),
             partners: (0..partners).map(|p| ViewIndex(10 + p)).collect(),
         };
         let clusters = [cluster(0, 2), cluster(1, 3), cluster(2, 4)];
-        let curve = ReachCurve::new(&table, &Objective::weighing(vec![1.0; 2], 1), &clusters, &[1, 0, 2]);
-        assert!(curve.fulfilment.iter().zip([0.0, 0.35, 0.6, 1.0]).all(|(f, expected)| (f - expected).abs() < 1e-6));
-        assert!(curve.kept.iter().zip([0.0, 0.35, 0.6, 1.0]).all(|(kept, expected)| (kept - expected).abs() < 1e-6));
+        let curve = ReachCurve::new(
+            &table,
+            &Objective::weighing(vec![1.0; 2], 1),
+            &clusters,
+            &[1, 0, 2],
+        );
+        assert!(
+            curve
+                .fulfilment
+                .iter()
+                .zip([0.0, 0.35, 0.6, 1.0])
+                .all(|(f, expected)| (f - expected).abs() < 1e-6)
+        );
+        assert!(
+            curve
+                .kept
+                .iter()
+                .zip([0.0, 0.35, 0.6, 1.0])
+                .all(|(kept, expected)| (kept - expected).abs() < 1e-6)
+        );
         assert_eq!(curve.pairs, [0, 3, 5, 9]);
         assert_eq!(curve.clusters_for(0.34), Some(1));
         assert_eq!(curve.clusters_for(0.36), Some(2));

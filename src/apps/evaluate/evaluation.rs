@@ -25,11 +25,13 @@ use crate::{
 pub struct Evaluation {
     /// Version of this format.
     pub version: u32,
-    /// True if the depths were compared with a reference; otherwise every depth on the surface counts as right.
+    /// True if the depths were compared with a reference; otherwise every depth on the surface
+    /// counts as right.
     pub reference: bool,
     /// Number of depth maps that must show a triangle (m, method 5.2).
     pub support: u32,
-    /// Share of the weight of the whole surface that is inside the region of the plan, 0 to 1; fulfilment and shares are those inside.
+    /// Share of the weight of the whole surface that is inside the region of the plan, 0 to 1;
+    /// fulfilment and shares are those inside.
     pub inside: f64,
     /// Number of triangles with weight.
     pub triangles: usize,
@@ -38,7 +40,8 @@ pub struct Evaluation {
     /// f_o of all clusters together.
     pub predicted: f64,
     pub real: f64,
-    /// Share that these maps reach of the result expected from all clusters of the plan, as in `status` and `report`.
+    /// Share that these maps reach of the result expected from all clusters of the plan, as in
+    /// `status` and `report`.
     pub reached: MeasuredProgress,
     /// Weight that fusion keeps of all clusters with a map, 0 to 1; the shares below refer to it.
     pub kept: KeptWeight,
@@ -52,7 +55,8 @@ pub struct Evaluation {
     pub key_views: Vec<KeyView>,
     /// Key views without a depth map; they are excluded from everything above.
     pub without_map: Vec<String>,
-    /// Key views whose depth map has neither the planned size nor half of it; each counts as the nearer one.
+    /// Key views whose depth map has neither the planned size nor half of it; each counts as the
+    /// nearer one.
     pub other_sizes: Vec<String>,
     /// Key views whose depth map was made with other partners than planned.
     pub other_partners: Vec<String>,
@@ -90,7 +94,8 @@ impl QualityRow {
         }
     }
 
-    /// Returns outliers and RMSE formatted for output; a dash stands for a value that was not measured.
+    /// Returns outliers and RMSE formatted for output; a dash stands for a value that was not
+    /// measured.
     pub fn errors(&self) -> [String; 2] {
         let outliers = self.outliers.map(|share| format!("{:.2} %", 100.0 * share));
         let rmse = self.rmse.map(|rmse| format!("{rmse:.4}"));
@@ -153,23 +158,39 @@ impl Evaluation {
     /// Returns outliers and RMSE as text to append to the completeness.
     pub fn errors(&self) -> String {
         let [outliers, rmse] = self.quality.errors();
-        let unit = if self.quality.rmse.is_some() { " units" } else { "" };
+        let unit = if self.quality.rmse.is_some() {
+            " units"
+        } else {
+            ""
+        };
         format!(", outliers {outliers}, RMSE {rmse}{unit}")
     }
 
-    /// Returns a sentence with the smallest numbers of first depth maps that really give 95 and 90 % of the total.
+    /// Returns a sentence with the smallest numbers of first depth maps that really give 95 and 90
+    /// % of the total.
     pub fn enough_in_words(&self) -> String {
         let maps = self.key_views.len();
-        let enough =
-            |share: f64| self.curve.real.iter().position(|&real| real >= share - 1e-9).filter(|_| self.kept.real > 0.0);
+        let enough = |share: f64| {
+            self.curve
+                .real
+                .iter()
+                .position(|&real| real >= share - 1e-9)
+                .filter(|_| self.kept.real > 0.0)
+        };
         let enough = [0.95, 0.9].map(enough);
-        let give = if enough[1] == Some(1) { "gives" } else { "give" };
+        let give = if enough[1] == Some(1) {
+            "gives"
+        } else {
+            "give"
+        };
         match enough {
             [Some(most), Some(nearly)] if most < maps => format!(
                 "You could have stopped after {most} of these {maps} depth maps, which give 95 % of what all of them give; {nearly} {give} 90 %."
             ),
             [Some(_), Some(nearly)] if nearly < maps => {
-                format!("All {maps} depth maps were needed for 95 % of what they give; {nearly} {give} 90 %.")
+                format!(
+                    "All {maps} depth maps were needed for 95 % of what they give; {nearly} {give} 90 %."
+                )
             }
             [Some(_), _] => format!("All {maps} depth maps were needed."),
             _ => "These depth maps give nothing that fusion keeps.".into(),
@@ -178,12 +199,18 @@ impl Evaluation {
 
     /// Number of depth maps at half the size.
     pub fn at_half_size(&self) -> usize {
-        self.key_views.iter().filter(|view| view.scale < 1.0).count()
+        self.key_views
+            .iter()
+            .filter(|view| view.scale < 1.0)
+            .count()
     }
 
     /// Returns the share reached, in words that say what it refers to.
     pub fn reached_in_words(&self) -> String {
-        let share = self.reached.share.map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
+        let share = self
+            .reached
+            .share
+            .map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
         format!("{share} of what all depth maps of the plan are expected to give")
     }
 
@@ -194,10 +221,21 @@ impl Evaluation {
         measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let EvaluationOptions { objective, baselines, so_far, half, .. } = *measure;
+        let EvaluationOptions {
+            objective,
+            baselines,
+            so_far,
+            half,
+            ..
+        } = *measure;
         let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
-        let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
+        let names = |views: &[ViewIndex]| {
+            views
+                .iter()
+                .map(|&v| model.scene.name(v).to_string())
+                .collect()
+        };
         let orders = match baselines {
             true => baselines::compare(run, model, objective, watcher)?,
             false => Vec::new(),
@@ -207,12 +245,19 @@ impl Evaluation {
             reference: run.has_reference,
             support: objective.support,
             inside: objective.inside,
-            triangles: objective.weights.iter().filter(|&&weight| weight > 0.0).count(),
+            triangles: objective
+                .weights
+                .iter()
+                .filter(|&&weight| weight > 0.0)
+                .count(),
             quality: QualityRow::new(&run.pooled(), run.has_reference),
             reached: so_far,
             predicted: predicted.total(),
             real: real.total(),
-            kept: KeptWeight { predicted: predicted.total_kept(), real: real.total_kept() },
+            kept: KeptWeight {
+                predicted: predicted.total_kept(),
+                real: real.total_kept(),
+            },
             half_size: half.map(|half| HalfSize::new(half, &real, objective)),
             gap: gaps(&predicted, &real),
             curve: EvaluationCurves {
@@ -222,7 +267,11 @@ impl Evaluation {
                 pairs: real.pairs,
             },
             missing: reached.counts(|t| objective.weights[t] > 0.0),
-            key_views: run.order.iter().map(|&c| key_view(model, run, c as usize)).collect(),
+            key_views: run
+                .order
+                .iter()
+                .map(|&c| key_view(model, run, c as usize))
+                .collect(),
             without_map: names(&run.without_map),
             other_sizes: names(&run.other_sizes),
             other_partners: names(&run.other_partners),
@@ -233,7 +282,9 @@ impl Evaluation {
 }
 
 fn shares(curve: &ReachCurve) -> Vec<f64> {
-    (0..curve.kept.len()).map(|i| curve.share(i, curve.total_kept())).collect()
+    (0..curve.kept.len())
+        .map(|i| curve.share(i, curve.total_kept()))
+        .collect()
 }
 
 fn gaps(predicted: &ReachCurve, real: &ReachCurve) -> Vec<Gap> {
@@ -251,7 +302,12 @@ fn gaps(predicted: &ReachCurve, real: &ReachCurve) -> Vec<Gap> {
 }
 
 fn key_view(model: &Model, run: &MeasuredClusters, cluster: usize) -> KeyView {
-    let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
+    let names = |views: &[ViewIndex]| {
+        views
+            .iter()
+            .map(|&v| model.scene.name(v).to_string())
+            .collect()
+    };
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum();
     KeyView {
         name: model.scene.name(run.clusters[cluster].key).into(),

@@ -46,7 +46,9 @@ impl HalfSize {
 
     /// A sentence.
     pub fn in_words(&self) -> String {
-        let Self { maps, share, work, .. } = *self;
+        let Self {
+            maps, share, work, ..
+        } = *self;
         let as_much = match self.same_as {
             Some(1) => "the first depth map at full size gives as much".into(),
             Some(same) => format!("the first {same} at full size give as much"),
@@ -73,11 +75,23 @@ impl MeasuredClusters {
         watcher: &dyn Watcher,
     ) -> Result<Self, EvaluateError> {
         let half_worth = Some(stages.settings.ranking.half_worth);
-        let input = EvaluationInput { half_worth, ..EvaluationInput::new(stages, clusters, depth_maps, reference) };
+        let input = EvaluationInput {
+            half_worth,
+            ..EvaluationInput::new(stages, clusters, depth_maps, reference)
+        };
         let measured = Self::new(&input, watcher)?;
-        match measured.scales.iter().filter(|&&scale| scale != MapScale::Half).count() {
+        match measured
+            .scales
+            .iter()
+            .filter(|&&scale| scale != MapScale::Half)
+            .count()
+        {
             0 => Ok(measured),
-            of => Err(EvaluateError::NotHalf { path: depth_maps.into(), of, maps: measured.clusters.len() }),
+            of => Err(EvaluateError::NotHalf {
+                path: depth_maps.into(),
+                of,
+                maps: measured.clusters.len(),
+            }),
         }
     }
 }

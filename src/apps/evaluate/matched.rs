@@ -1,5 +1,6 @@
-//! The partners that a backend really matched with each key view: from `report.json` of `integrations/sgm` and the records of its single tasks in
-//! `rows/`, or from the ids in OpenMVS's maps.
+//! The partners that a backend really matched with each key view: from `report.json` of
+//! `integrations/sgm` and the records of its single tasks in `rows/`, or from the ids in OpenMVS's
+//! maps.
 
 use std::{
     collections::BTreeMap,
@@ -39,7 +40,8 @@ struct File {
 #[derive(Deserialize)]
 struct Row {
     key: String,
-    /// Absent in reports of OpenMVS's runner, which name the partners by ids; its depth maps hold these ids too.
+    /// Absent in reports of OpenMVS's runner, which name the partners by ids; its depth maps hold
+    /// these ids too.
     partners: Option<Vec<Partner>>,
 }
 
@@ -59,15 +61,27 @@ pub struct MatcherReportError {
 
 impl Hint for MatcherReportError {
     fn hint(&self) -> Option<String> {
-        Some("run the matcher again, or take the report away: all partners then count as matched".into())
+        Some(
+            "run the matcher again, or take the report away: all partners then count as matched"
+                .into(),
+        )
     }
 }
 
-/// Reads the reports in a folder of depth maps. Names that are not in the scene are left out. Rows of single tasks replace those of `report.json`.
+/// Reads the reports in a folder of depth maps. Names that are not in the scene are left out. Rows
+/// of single tasks replace those of `report.json`.
 pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, MatcherReportError> {
     let mut report = read_file(folder.join("report.json"), scene)?;
-    let rows = WalkDir::new(folder.join("rows")).sort_by_file_name().into_iter().filter_map(Result::ok);
-    for entry in rows.filter(|entry| entry.path().extension().is_some_and(|extension| extension == "json")) {
+    let rows = WalkDir::new(folder.join("rows"))
+        .sort_by_file_name()
+        .into_iter()
+        .filter_map(Result::ok);
+    for entry in rows.filter(|entry| {
+        entry
+            .path()
+            .extension()
+            .is_some_and(|extension| extension == "json")
+    }) {
         report.extend(read_file(entry.into_path(), scene)?);
     }
     Ok(report)
@@ -77,35 +91,58 @@ fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, MatcherReportError>
     let bytes = match input::read(&path, FileKind::State) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
-        Err(error) => return Err(MatcherReportError { path, what: error.to_string() }),
+        Err(error) => {
+            return Err(MatcherReportError {
+                path,
+                what: error.to_string(),
+            });
+        }
     };
-    let file: File = serde_json::from_slice(&bytes)
-        .map_err(|error| MatcherReportError { path: path.clone(), what: error.to_string() })?;
+    let file: File = serde_json::from_slice(&bytes).map_err(|error| MatcherReportError {
+        path: path.clone(),
+        what: error.to_string(),
+    })?;
     let entry = |row: &Row| {
         let all = row.partners.as_ref()?;
-        let partners =
-            |wanted: fn(&&Partner) -> bool| all.iter().filter(wanted).filter_map(|p| scene.find(&p.name)).collect();
-        let reported = ReportedPartners { tried: partners(|_| true), matched: partners(|p| p.matched) };
+        let partners = |wanted: fn(&&Partner) -> bool| {
+            all.iter()
+                .filter(wanted)
+                .filter_map(|p| scene.find(&p.name))
+                .collect()
+        };
+        let reported = ReportedPartners {
+            tried: partners(|_| true),
+            matched: partners(|p| p.matched),
+        };
         Some((scene.find(&row.key)?, reported))
     };
     Ok(file.clusters.iter().filter_map(entry).collect())
 }
 
-/// Returns the cluster with the partners that were really matched: from the report, else from the ids in its depth map (OpenMVS uses the model's
-/// image ids, key view first), else all partners.
-pub fn really_matched(cluster: &ViewCluster, report: &Report, ids: &[u32], scene: &Scene) -> ViewCluster {
+/// Returns the cluster with the partners that were really matched: from the report, else from the
+/// ids in its depth map (OpenMVS uses the model's image ids, key view first), else all partners.
+pub fn really_matched(
+    cluster: &ViewCluster,
+    report: &Report,
+    ids: &[u32],
+    scene: &Scene,
+) -> ViewCluster {
     let partners = match (report.get(&cluster.key), ids) {
         (Some(reported), _) => reported.matched.clone(),
-        (None, [_, partners @ ..]) => {
-            scene.view_indices().filter(|&v| partners.contains(&scene.view(v).image_id)).collect()
-        }
+        (None, [_, partners @ ..]) => scene
+            .view_indices()
+            .filter(|&v| partners.contains(&scene.view(v).image_id))
+            .collect(),
         (None, []) => cluster.partners.clone(),
     };
-    ViewCluster { key: cluster.key, partners }
+    ViewCluster {
+        key: cluster.key,
+        partners,
+    }
 }
 
-/// Returns the partners tried for each depth map: from the report, else from the map's ids, else from the clusters of the plan; maps with no known
-/// partners are left out.
+/// Returns the partners tried for each depth map: from the report, else from the map's ids, else
+/// from the clusters of the plan; maps with no known partners are left out.
 pub fn tried(
     folder: &Path,
     maps: &[DepthMapFile],
@@ -115,15 +152,22 @@ pub fn tried(
     let report = read_report(folder, scene)?;
     let of = |map: &DepthMapFile| -> Option<ViewCluster> {
         if let Some(reported) = report.get(&map.view) {
-            return Some(ViewCluster { key: map.view, partners: reported.tried.clone() });
+            return Some(ViewCluster {
+                key: map.view,
+                partners: reported.tried.clone(),
+            });
         }
         let ids = match map.format {
             DepthMapFormat::OpenMvs => depthmaps::ids_of(&map.path).unwrap_or_default(),
             _ => Vec::new(),
         };
         let own = planned.iter().find(|c| c.key == map.view).cloned();
-        let cluster = own.unwrap_or(ViewCluster { key: map.view, partners: Vec::new() });
-        Some(really_matched(&cluster, &report, &ids, scene)).filter(|cluster| !cluster.partners.is_empty())
+        let cluster = own.unwrap_or(ViewCluster {
+            key: map.view,
+            partners: Vec::new(),
+        });
+        Some(really_matched(&cluster, &report, &ids, scene))
+            .filter(|cluster| !cluster.partners.is_empty())
     };
     Ok(maps.iter().filter_map(of).collect())
 }
@@ -136,10 +180,19 @@ mod tests {
     #[test]
     fn the_report_decides_then_the_ids_then_the_plan() {
         let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
-        let scene = Project::open(&fixture, None).and_then(|p| p.read_scene()).unwrap();
+        let scene = Project::open(&fixture, None)
+            .and_then(|p| p.read_scene())
+            .unwrap();
         let view = |name: &str| scene.find(name).unwrap();
-        let (a, b, c) = (view("grid_028.jpg"), view("grid_029.jpg"), view("grid_030.jpg"));
-        let cluster = ViewCluster { key: a, partners: vec![b, c] };
+        let (a, b, c) = (
+            view("grid_028.jpg"),
+            view("grid_029.jpg"),
+            view("grid_030.jpg"),
+        );
+        let cluster = ViewCluster {
+            key: a,
+            partners: vec![b, c],
+        };
         let folder = tempfile::tempdir().unwrap();
         assert!(read_report(folder.path(), &scene).unwrap().is_empty());
         let text = r#"{"version": 1, "clusters": [{"key": "grid_028.jpg", "width": 1, "partners": [
@@ -150,9 +203,18 @@ mod tests {
         assert_eq!(report.len(), 1);
         assert_eq!(report[&a].tried, [b, c]);
         let ids = [scene.view(a).image_id, scene.view(b).image_id, 999_999];
-        assert_eq!(really_matched(&cluster, &report, &ids, &scene).partners, [c]);
-        assert_eq!(really_matched(&cluster, &Report::new(), &ids, &scene).partners, [b]);
-        assert_eq!(really_matched(&cluster, &Report::new(), &[], &scene).partners, [b, c]);
+        assert_eq!(
+            really_matched(&cluster, &report, &ids, &scene).partners,
+            [c]
+        );
+        assert_eq!(
+            really_matched(&cluster, &Report::new(), &ids, &scene).partners,
+            [b]
+        );
+        assert_eq!(
+            really_matched(&cluster, &Report::new(), &[], &scene).partners,
+            [b, c]
+        );
         let row = r#"{"clusters": [{"key": "grid_028.jpg", "partners": [{"name": "grid_029.jpg", "matched": true}]},
             {"key": "grid_029.jpg", "partner_ids": [1, 2]}]}"#;
         std::fs::create_dir(folder.path().join("rows")).unwrap();
@@ -160,6 +222,11 @@ mod tests {
         let newer = read_report(folder.path(), &scene).unwrap();
         assert_eq!((newer.len(), &newer[&a].matched), (1, &vec![b]));
         std::fs::write(folder.path().join("report.json"), "{").unwrap();
-        assert!(read_report(folder.path(), &scene).unwrap_err().to_string().contains("report.json"));
+        assert!(
+            read_report(folder.path(), &scene)
+                .unwrap_err()
+                .to_string()
+                .contains("report.json")
+        );
     }
 }

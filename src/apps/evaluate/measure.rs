@@ -1,4 +1,5 @@
-//! Compares a finished depth map with its reference: the pixels that are right, and the share of each triangle that they show (method 8).
+//! Compares a finished depth map with its reference: the pixels that are right, and the share of
+//! each triangle that they show (method 8).
 
 use super::MapSize;
 use crate::{
@@ -12,7 +13,8 @@ use crate::{
 
 /// Largest error of a right measurement, in multiples of a_d.
 const RIGHT_WITHIN: f64 = 3.0;
-/// Relative difference of reference depths beyond which they belong to two surfaces and are not interpolated.
+/// Relative difference of reference depths beyond which they belong to two surfaces and are not
+/// interpolated.
 const SAME_SURFACE: f64 = 0.02;
 
 /// Quality of the depth map of a key view, or of several together.
@@ -43,7 +45,11 @@ impl Quality {
 
     /// Returns the root mean square error of the right pixels, scene units.
     pub fn rmse(&self) -> f64 {
-        if self.right == 0 { 0.0 } else { (self.squares / self.right as f64).sqrt() }
+        if self.right == 0 {
+            0.0
+        } else {
+            (self.squares / self.right as f64).sqrt()
+        }
     }
 
     pub fn add(&mut self, other: &Self) {
@@ -56,15 +62,21 @@ impl Quality {
 }
 
 fn share(part: u64, whole: u64) -> f64 {
-    if whole == 0 { 0.0 } else { part as f64 / whole as f64 }
+    if whole == 0 {
+        0.0
+    } else {
+        part as f64 / whole as f64
+    }
 }
 
 /// Measurement of a depth map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapMeasurement {
     pub quality: Quality,
-    /// For each triangle that the key view sees, in the order of the visibility table: share of the pixels of its visible part with
-    /// a right depth; 0 where the view's mask excludes all of the triangle. A triangle that covers no centre of a pixel is judged by the pixel of its centroid.
+    /// For each triangle that the key view sees, in the order of the visibility table: share of the
+    /// pixels of its visible part with a right depth; 0 where the view's mask excludes all of the
+    /// triangle. A triangle that covers no centre of a pixel is judged by the pixel of its
+    /// centroid.
     pub shares: Vec<f32>,
     /// Number of pixels of the visible part of each triangle.
     pub pixels: Vec<u32>,
@@ -73,7 +85,8 @@ pub struct MapMeasurement {
     pub ids: Vec<u32>,
 }
 
-/// Measures a depth map. `elsewhere`: a_d for pixels that show no triangle, scene units. Without a reference, every depth on the surface is right.
+/// Measures a depth map. `elsewhere`: a_d for pixels that show no triangle, scene units. Without a
+/// reference, every depth on the surface is right.
 pub fn measure(
     model: &Model,
     key: ViewIndex,
@@ -89,7 +102,10 @@ pub fn measure(
     let mut right = vec![false; picture.len()];
     let mut counts = vec![(0u32, 0u32); seen.len()];
     for (at, &triangle) in picture.iter().enumerate() {
-        let (column, row) = ((at % map.width as usize) as u32, (at / map.width as usize) as u32);
+        let (column, row) = (
+            (at % map.width as usize) as u32,
+            (at / map.width as usize) as u32,
+        );
         let accuracy = match triangle {
             NOTHING => elsewhere,
             t => model.target.accuracy_over_gsd * f64::from(model.target.gsd[t as usize]),
@@ -102,9 +118,14 @@ pub fn measure(
         }
     }
     let centroid_is_right = |triangle: u32| {
-        let x = model.scene.view(key).cam_from_world.camera_from_world(&model.surface.centroid(triangle));
+        let x = model
+            .scene
+            .view(key)
+            .cam_from_world
+            .camera_from_world(&model.surface.centroid(triangle));
         let pixel = camera.project(&x).and_then(|p| map.pixel_at(camera, &p));
-        pixel.is_some_and(|(column, row)| right[row as usize * map.width as usize + column as usize])
+        pixel
+            .is_some_and(|(column, row)| right[row as usize * map.width as usize + column as usize])
     };
     let share = |(&triangle, &(pixels, right)): (&u32, &(u32, u32))| match pixels {
         0 => f32::from(u8::from(centroid_is_right(triangle))),
@@ -112,8 +133,20 @@ pub fn measure(
     };
     // Nothing is expected there, but the program may not know the mask.
     let mask = model.unary.of_rows(model.visibility.rows(key));
-    let unmasked = |(row, share): (usize, f32)| if mask.at(row).allowed > 0.0 { share } else { 0.0 };
-    let shares = seen.iter().zip(&counts).map(share).enumerate().map(unmasked).collect();
+    let unmasked = |(row, share): (usize, f32)| {
+        if mask.at(row).allowed > 0.0 {
+            share
+        } else {
+            0.0
+        }
+    };
+    let shares = seen
+        .iter()
+        .zip(&counts)
+        .map(share)
+        .enumerate()
+        .map(unmasked)
+        .collect();
     MapMeasurement {
         quality,
         shares,
@@ -126,7 +159,8 @@ pub fn measure(
 /// A pixel of a depth map with its reference.
 struct Pixel {
     depth: Option<f64>,
-    /// Reference depth. `None`: no reference was given; `Some(None)`: the reference has no depth at this pixel.
+    /// Reference depth. `None`: no reference was given; `Some(None)`: the reference has no depth at
+    /// this pixel.
     reference: Option<Option<f64>>,
     /// Length of the pixel's ray per unit of depth.
     ray: f64,
@@ -162,7 +196,9 @@ impl Pixel {
             return right;
         };
         quality.reference += u64::from(reference.is_some());
-        let (Some(depth), Some(reference)) = (self.depth, reference) else { return false };
+        let (Some(depth), Some(reference)) = (self.depth, reference) else {
+            return false;
+        };
         let error = (depth - reference).abs() * self.ray;
         let right = error <= limit;
         quality.both += 1;

@@ -27,8 +27,13 @@ pub enum Missing {
     MatchingFailed,
 }
 
-const ALL: [Missing; 5] =
-    [Missing::NoView, Missing::TooFewPartners, Missing::TooCoarse, Missing::TooInaccurate, Missing::MatchingFailed];
+const ALL: [Missing; 5] = [
+    Missing::NoView,
+    Missing::TooFewPartners,
+    Missing::TooCoarse,
+    Missing::TooInaccurate,
+    Missing::MatchingFailed,
+];
 
 impl Missing {
     /// Returns the reason in words.
@@ -72,7 +77,11 @@ impl MeasuredSurface {
         let triangles = model.surface.triangles.len();
         let mut best = vec![Best::default(); triangles];
         for (c, cluster) in run.matched.iter().enumerate() {
-            model.visibility.triangles_seen_by(cluster.key).iter().for_each(|&t| best[t as usize].seen = true);
+            model
+                .visibility
+                .triangles_seen_by(cluster.key)
+                .iter()
+                .for_each(|&t| best[t as usize].seen = true);
             let (seen, values) = run.attainable.row(c);
             let (real_seen, real) = run.real.row(c);
             for (&t, &attainable) in seen.iter().zip(values) {
@@ -80,34 +89,71 @@ impl MeasuredSurface {
                 best[t as usize].offer(c, attainable, real);
             }
         }
-        let missing = best.iter().enumerate().map(|(t, best)| best.missing(model, run, t as u32)).collect();
-        Self { fulfilment: best.iter().map(|b| b.real).collect(), missing }
+        let missing = best
+            .iter()
+            .enumerate()
+            .map(|(t, best)| best.missing(model, run, t as u32))
+            .collect();
+        Self {
+            fulfilment: best.iter().map(|b| b.real).collect(),
+            missing,
+        }
     }
 
-    /// Returns the number of triangles for each reason; well-done triangles and those that don't count are left out.
+    /// Returns the number of triangles for each reason; well-done triangles and those that don't
+    /// count are left out.
     pub fn counts(&self, counts: impl Fn(usize) -> bool) -> BTreeMap<Missing, usize> {
-        let inside = self.missing.iter().enumerate().filter(|(t, _)| counts(*t)).map(|(_, missing)| missing);
+        let inside = self
+            .missing
+            .iter()
+            .enumerate()
+            .filter(|(t, _)| counts(*t))
+            .map(|(_, missing)| missing);
         let mut counts: BTreeMap<Missing, usize> = ALL.iter().map(|&m| (m, 0)).collect();
-        inside.flatten().for_each(|&m| *counts.entry(m).or_default() += 1);
+        inside
+            .flatten()
+            .for_each(|&m| *counts.entry(m).or_default() += 1);
         counts
     }
 
-    /// Returns the surface as PLY with `quality` (measured fulfilment), `missing` (number of the reason) and colours: white to green where it is well
-    /// done, by reason elsewhere.
+    /// Returns the surface as PLY with `quality` (measured fulfilment), `missing` (number of the
+    /// reason) and colours: white to green where it is well done, by reason elsewhere.
     pub fn ply(&self, model: &Model) -> Vec<u8> {
-        let numbers: Vec<u8> = self.missing.iter().map(|m| m.map_or(0, Missing::number)).collect();
-        let done =
-            |f: f32| [200.0, 225.0, 205.0].map(|c: f32| (c - (c - 90.0) * (2.0 * f - 1.0).clamp(0.0, 1.0)) as u8);
+        let numbers: Vec<u8> = self
+            .missing
+            .iter()
+            .map(|m| m.map_or(0, Missing::number))
+            .collect();
+        let done = |f: f32| {
+            [200.0, 225.0, 205.0]
+                .map(|c: f32| (c - (c - 90.0) * (2.0 * f - 1.0).clamp(0.0, 1.0)) as u8)
+        };
         let colour = |(m, &f): (&Option<Missing>, &f32)| m.map_or_else(|| done(f), Missing::colour);
-        let colours: Vec<[u8; 3]> = self.missing.iter().zip(&self.fulfilment).map(colour).collect();
+        let colours: Vec<[u8; 3]> = self
+            .missing
+            .iter()
+            .zip(&self.fulfilment)
+            .map(colour)
+            .collect();
         let fields = [
             FaceField::Colour(&colours),
             FaceField::Float("quality", &self.fulfilment),
             FaceField::Byte("missing", &numbers),
         ];
-        let mut comments = vec!["quality: real fulfilment".to_string(), "missing 0: well done".to_string()];
-        comments.extend(ALL.iter().map(|m| format!("missing {}: {}", m.number(), m.words())));
-        ply::write(&model.surface.vertices, &model.surface.triangles, &fields, &comments)
+        let mut comments = vec![
+            "quality: real fulfilment".to_string(),
+            "missing 0: well done".to_string(),
+        ];
+        comments.extend(
+            ALL.iter()
+                .map(|m| format!("missing {}: {}", m.number(), m.words())),
+        );
+        ply::write(
+            &model.surface.vertices,
+            &model.surface.triangles,
+            &fields,
+            &comments,
+        )
     }
 }
 
@@ -115,7 +161,8 @@ impl MeasuredSurface {
 #[derive(Clone, Copy, Default)]
 struct Best {
     seen: bool,
-    /// The cluster with the largest measured fulfilment, ties by attainable fulfilment; `None` if f_cov is 0 in all.
+    /// The cluster with the largest measured fulfilment, ties by attainable fulfilment; `None` if
+    /// f_cov is 0 in all.
     cluster: Option<usize>,
     attainable: f32,
     real: f32,
@@ -124,7 +171,12 @@ struct Best {
 impl Best {
     fn offer(&mut self, cluster: usize, attainable: f32, real: f32) {
         if self.cluster.is_none() || (real, attainable) > (self.real, self.attainable) {
-            *self = Self { seen: true, cluster: Some(cluster), attainable, real };
+            *self = Self {
+                seen: true,
+                cluster: Some(cluster),
+                attainable,
+                real,
+            };
         }
     }
 
@@ -133,7 +185,11 @@ impl Best {
             return None;
         }
         let Some(cluster) = self.cluster else {
-            return Some(if self.seen { Missing::TooFewPartners } else { Missing::NoView });
+            return Some(if self.seen {
+                Missing::TooFewPartners
+            } else {
+                Missing::NoView
+            });
         };
         let cluster = &run.matched[cluster];
         let f = fulfilment::value(model, cluster.key, &cluster.partners, triangle);

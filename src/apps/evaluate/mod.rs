@@ -1,7 +1,9 @@
-//! Evaluates finished depth maps (method 8): compares the measured fulfilment with the prediction and with other choices.
+//! Evaluates finished depth maps (method 8): compares the measured fulfilment with the prediction
+//! and with other choices.
 //!
-//! [`MeasuredClusters`] holds the measured depth maps of one folder: `measure` compares a map with its reference, `matched` reads which
-//! partners were really matched. [`orders`] and [`rules`] are the choices of other authors.
+//! [`MeasuredClusters`] holds the measured depth maps of one folder: `measure` compares a map with
+//! its reference, `matched` reads which partners were really matched. [`orders`] and [`rules`] are
+//! the choices of other authors.
 
 pub mod baselines;
 mod clouds;

@@ -9,8 +9,9 @@ use super::{
 use crate::{base::progress::Watcher, plan::Plan};
 
 impl Evaluation {
-    /// Measures the depth maps in `depth_maps` that were made for the plan, against those in `reference` or, without a reference, as if every
-    /// depth were right. `baselines`: also compares the order with others.
+    /// Measures the depth maps in `depth_maps` that were made for the plan, against those in
+    /// `reference` or, without a reference, as if every depth were right. `baselines`: also
+    /// compares the order with others.
     pub fn of_plan(
         plan: &Plan,
         depth_maps: &Path,
@@ -21,11 +22,23 @@ impl Evaluation {
         let stages = &plan.stages;
         let model = stages.model();
         let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
-        let clusters: Vec<_> = order.iter().map(|&c| stages.clusters[c as usize].clone()).collect();
-        let measured = MeasuredClusters::new(&EvaluationInput::new(stages, &clusters, depth_maps, reference), watcher)?;
+        let clusters: Vec<_> = order
+            .iter()
+            .map(|&c| stages.clusters[c as usize].clone())
+            .collect();
+        let measured = MeasuredClusters::new(
+            &EvaluationInput::new(stages, &clusters, depth_maps, reference),
+            watcher,
+        )?;
         let surface = MeasuredSurface::new(&model, &measured);
         let so_far = MeasuredProgress::new(stages, &measured);
-        let options = EvaluationOptions { objective: &stages.objective, so_far, clouds: None, half: None, baselines };
+        let options = EvaluationOptions {
+            objective: &stages.objective,
+            so_far,
+            clouds: None,
+            half: None,
+            baselines,
+        };
         Ok(Self::new(&model, &measured, &surface, &options, watcher)?)
     }
 }

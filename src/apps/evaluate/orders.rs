@@ -17,9 +17,17 @@ use crate::{
 /// Number of random orders.
 pub const RANDOM_SEEDS: u64 = 20;
 
-/// Returns the greedy order by a table, followed by the clusters that add nothing, by index; each cluster appears once.
-pub fn greedy(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watcher) -> Result<Vec<u32>, TableError> {
-    Ok(completed(rank(table, objective, watcher)?.order, table.clusters()))
+/// Returns the greedy order by a table, followed by the clusters that add nothing, by index; each
+/// cluster appears once.
+pub fn greedy(
+    table: &FulfilmentTable,
+    objective: &Objective,
+    watcher: &dyn Watcher,
+) -> Result<Vec<u32>, TableError> {
+    Ok(completed(
+        rank(table, objective, watcher)?.order,
+        table.clusters(),
+    ))
 }
 
 /// Returns the order with the remaining clusters appended by index.
@@ -30,13 +38,21 @@ pub fn completed(order: Vec<u32>, clusters: usize) -> Vec<u32> {
     order.iter().copied().chain(rest).collect()
 }
 
-/// Returns the order `realupdate`: next comes the cluster with the largest predicted gain over what was really reached so far.
-pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objective: &Objective) -> Vec<u32> {
+/// Returns the order `realupdate`: next comes the cluster with the largest predicted gain over what
+/// was really reached so far.
+pub fn real_update(
+    predicted: &FulfilmentTable,
+    real: &FulfilmentTable,
+    objective: &Objective,
+) -> Vec<u32> {
     let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..predicted.clusters() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
     while !left.is_empty() {
-        let best = first_largest(left.iter().map(|&c| reached.gain(predicted.row(c as usize))));
+        let best = first_largest(
+            left.iter()
+                .map(|&c| reached.gain(predicted.row(c as usize))),
+        );
         let cluster = left.remove(best);
         reached.take(real.row(cluster as usize));
         order.push(cluster);
@@ -44,7 +60,8 @@ pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objectiv
     order
 }
 
-/// Returns the order `replan` (method 5.4): as `realupdate`, but failures also lower later predictions. `beliefs`: those of the run's clusters.
+/// Returns the order `replan` (method 5.4): as `realupdate`, but failures also lower later
+/// predictions. `beliefs`: those of the run's clusters.
 pub fn replan(mut beliefs: Beliefs, run: &MeasuredClusters, objective: &Objective) -> Vec<u32> {
     let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
@@ -56,18 +73,28 @@ pub fn replan(mut beliefs: Beliefs, run: &MeasuredClusters, objective: &Objectiv
         };
         let cluster = left.remove(first_largest(left.iter().map(gain)));
         reached.take(run.real.row(cluster as usize));
-        beliefs.learn(run.clusters[cluster as usize].key, &run.attempts[cluster as usize]);
+        beliefs.learn(
+            run.clusters[cluster as usize].key,
+            &run.attempts[cluster as usize],
+        );
         order.push(cluster);
     }
     order
 }
 
-/// Returns the order `maxpts`: next comes the key view that observes the most sparse points not yet observed by a chosen one; ties by index.
+/// Returns the order `maxpts`: next comes the key view that observes the most sparse points not yet
+/// observed by a chosen one; ties by index.
 pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let points = scene.view_points();
     let mut cluster_of = vec![None; scene.views.len()];
-    clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.index()] = Some(c));
-    let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.observed_by(c.key).len()).collect();
+    clusters
+        .iter()
+        .enumerate()
+        .for_each(|(c, cluster)| cluster_of[cluster.key.index()] = Some(c));
+    let mut uncovered: Vec<usize> = clusters
+        .iter()
+        .map(|c| points.observed_by(c.key).len())
+        .collect();
     let mut covered = vec![false; scene.points.len()];
     let mut left: Vec<u32> = (0..clusters.len() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
@@ -93,18 +120,31 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     order
 }
 
-/// Returns the choice `every n-th`: `count` of `clusters`, evenly spread by name. Choices of different counts are not nested.
+/// Returns the choice `every n-th`: `count` of `clusters`, evenly spread by name. Choices of
+/// different counts are not nested.
 pub fn every_nth(clusters: usize, count: usize) -> Vec<u32> {
-    (0..count).map(|i| ((2 * i + 1) * clusters / (2 * count)) as u32).collect()
+    (0..count)
+        .map(|i| ((2 * i + 1) * clusters / (2 * count)) as u32)
+        .collect()
 }
 
-/// Returns the order `farthest view`: first the key view nearest to the centroid, then always the one farthest from all those taken; ties by index.
+/// Returns the order `farthest view`: first the key view nearest to the centroid, then always the
+/// one farthest from all those taken; ties by index.
 pub fn farthest_view(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
-    let centres: Vec<Point3<f64>> = clusters.iter().map(|c| scene.view(c.key).cam_from_world.centre()).collect();
-    let middle = centres.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords) / centres.len().max(1) as f64;
+    let centres: Vec<Point3<f64>> = clusters
+        .iter()
+        .map(|c| scene.view(c.key).cam_from_world.centre())
+        .collect();
+    let middle = centres
+        .iter()
+        .fold(Vector3::zeros(), |sum, c| sum + c.coords)
+        / centres.len().max(1) as f64;
     let mut order = Vec::with_capacity(centres.len());
     // First: nearness to the middle. Later: distance from the nearest taken one, -1 where taken.
-    let mut distance: Vec<f64> = centres.iter().map(|c| -(c.coords - middle).norm()).collect();
+    let mut distance: Vec<f64> = centres
+        .iter()
+        .map(|c| -(c.coords - middle).norm())
+        .collect();
     while order.len() < centres.len() {
         let next = first_largest(distance.iter().copied());
         let is_first = order.is_empty();
@@ -113,7 +153,9 @@ pub fn farthest_view(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
             *own = if is_first { added } else { own.min(added) };
         }
         order.push(next as u32);
-        order.iter().for_each(|&taken| distance[taken as usize] = -1.0);
+        order
+            .iter()
+            .for_each(|&taken| distance[taken as usize] = -1.0);
     }
     order
 }
@@ -130,13 +172,22 @@ pub(super) fn shuffle<T>(values: &mut [T], seed: u64) {
     let mut generator = Pcg64::seed_from_u64(seed);
     for i in (1..values.len()).rev() {
         let below = i as u128 + 1;
-        values.swap(i, ((u128::from(generator.next_u64()) * below) >> 64) as usize);
+        values.swap(
+            i,
+            ((u128::from(generator.next_u64()) * below) >> 64) as usize,
+        );
     }
 }
 
 /// Returns the position of the largest value, the first one in a tie.
 fn first_largest(values: impl Iterator<Item = f64>) -> usize {
-    values.enumerate().fold((0, f64::NEG_INFINITY), |best, v| if v.1 > best.1 { v } else { best }).0
+    values
+        .enumerate()
+        .fold(
+            (0, f64::NEG_INFINITY),
+            |best, v| if v.1 > best.1 { v } else { best },
+        )
+        .0
 }
 
 #[cfg(test)]
@@ -163,7 +214,12 @@ mod tests {
         for (view, x) in scene.views.iter_mut().zip([0.0, 1.0, 2.0, 4.0, 10.0]) {
             view.cam_from_world.translation.x = -x;
         }
-        let clusters: Vec<_> = (0..5).map(|v| ViewCluster { key: ViewIndex(v), partners: Vec::new() }).collect();
+        let clusters: Vec<_> = (0..5)
+            .map(|v| ViewCluster {
+                key: ViewIndex(v),
+                partners: Vec::new(),
+            })
+            .collect();
         // The middle is at 3.4.
         assert_eq!(farthest_view(&scene, &clusters), [3, 4, 0, 2, 1]);
         assert!(farthest_view(&scene, &[]).is_empty());
@@ -177,7 +233,8 @@ mod tests {
 
     #[test]
     fn real_update_looks_at_what_really_came_of_the_clusters_taken() {
-        // Cluster 0 promises everything and fails; its neighbour 1 promises the same, 2 less elsewhere.
+        // Cluster 0 promises everything and fails; its neighbour 1 promises the same, 2 less
+        // elsewhere.
         let predicted = table(&[&[(0, 0.9)], &[(0, 0.8)], &[(1, 0.5)]]);
         let real = table(&[&[], &[(0, 0.8)], &[(1, 0.5)]]);
         assert_eq!(real_update(&predicted, &real, &even()), [0, 1, 2]);
@@ -186,7 +243,10 @@ mod tests {
 
     /// Views that observe the points of each list.
     fn scene(observed: &[&[u32]]) -> Scene {
-        let cam_from_world = Pose { rotation: Rotation3::identity(), translation: Vector3::zeros() };
+        let cam_from_world = Pose {
+            rotation: Rotation3::identity(),
+            translation: Vector3::zeros(),
+        };
         let view = |i: usize| View {
             name: format!("{i}"),
             image_id: 0,
@@ -194,13 +254,24 @@ mod tests {
             camera: CameraIndex(0),
             cam_from_world,
         };
-        let mut scene =
-            Scene { views: (0..observed.len()).map(view).collect(), track_offsets: vec![0], ..Default::default() };
-        for point in 0..=observed.iter().flat_map(|o| o.iter()).copied().max().unwrap() {
+        let mut scene = Scene {
+            views: (0..observed.len()).map(view).collect(),
+            track_offsets: vec![0],
+            ..Default::default()
+        };
+        for point in 0..=observed
+            .iter()
+            .flat_map(|o| o.iter())
+            .copied()
+            .max()
+            .unwrap()
+        {
             scene.points.push(Point3::origin());
             let views = (0..observed.len()).filter(|&v| observed[v].contains(&point));
             // Twice each: a view may observe a point twice.
-            scene.track_views.extend(views.flat_map(|v| [ViewIndex(v as u32); 2]));
+            scene
+                .track_views
+                .extend(views.flat_map(|v| [ViewIndex(v as u32); 2]));
             scene.track_offsets.push(scene.track_views.len());
         }
         scene
@@ -209,7 +280,12 @@ mod tests {
     #[test]
     fn max_points_removes_what_is_covered() {
         let scene = scene(&[&[0, 1, 2], &[0, 1, 2, 3], &[4, 5], &[3, 4, 6]]);
-        let clusters: Vec<_> = (0..4).map(|v| ViewCluster { key: ViewIndex(v), partners: Vec::new() }).collect();
+        let clusters: Vec<_> = (0..4)
+            .map(|v| ViewCluster {
+                key: ViewIndex(v),
+                partners: Vec::new(),
+            })
+            .collect();
         // View 1 has most; then 2 and 3 have two each; then 3 or 2 has one left, 0 none.
         assert_eq!(max_points(&scene, &clusters), [1, 2, 3, 0]);
         assert_eq!(max_points(&scene, &clusters[2..]), [1, 0]);

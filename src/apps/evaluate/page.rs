@@ -14,7 +14,10 @@ use crate::show::pictures::{
 
 /// Escapes text for HTML.
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }
 
 /// Returns the page. `title`: name of the project.
@@ -25,7 +28,8 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
         escape(title)
     );
     html += &summary(evaluation);
-    html += "<section><h2>Share of what these depth maps give together</h2>\n<div class=\"plots\">\n";
+    html +=
+        "<section><h2>Share of what these depth maps give together</h2>\n<div class=\"plots\">\n";
     html += &plots(evaluation);
     html += "</div></section>\n";
     html += &gap_table(evaluation);
@@ -39,7 +43,8 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
     html + "</main></body></html>\n"
 }
 
-/// Style sheet of the page, like the report's: cards, large numbers, dark if the reader's system is, wide tables with scroll bars of their own.
+/// Style sheet of the page, like the report's: cards, large numbers, dark if the reader's system
+/// is, wide tables with scroll bars of their own.
 const STYLE: &str = ":root{--page:#f6f7f8;--card:#fff;--text:#1d2329;--soft:#5b6670;--line:#d9dee3}\
      @media(prefers-color-scheme:dark){:root{--page:#14181c;--card:#1d2328;--text:#e4e8eb;--soft:#9aa5ae;--line:#343c43}svg{background:#fff}}\
      *{box-sizing:border-box}body{font:15px/1.45 system-ui,\"Segoe UI\",sans-serif;margin:0;color:var(--text);background:var(--page)}\
@@ -53,34 +58,71 @@ const STYLE: &str = ":root{--page:#f6f7f8;--card:#fff;--text:#1d2329;--soft:#5b6
      @media print{body{background:#fff;font-size:9.5pt}section{border:0;padding:4px 0;break-inside:avoid;overflow:visible}.keys{break-inside:auto}}";
 
 fn summary(e: &Evaluation) -> String {
-    let mut html = format!("<p class=\"verdict\">{}</p>\n<section><dl>", e.enough_in_words());
+    let mut html = format!(
+        "<p class=\"verdict\">{}</p>\n<section><dl>",
+        e.enough_in_words()
+    );
     let [outliers, rmse] = e.quality.errors();
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let completeness =
-        if e.reference { "of the reference's pixels are right" } else { "of the pixels have a depth on the surface" };
+    let completeness = if e.reference {
+        "of the reference's pixels are right"
+    } else {
+        "of the pixels have a depth on the surface"
+    };
     let measured = match e.at_half_size() {
         0 => "measured".to_owned(),
         half => format!("measured, {half} at half the size"),
     };
     let numbers = [
-        ("Depth maps", e.key_views.len().to_string(), measured.as_str()),
+        (
+            "Depth maps",
+            e.key_views.len().to_string(),
+            measured.as_str(),
+        ),
         (
             "Reached",
             e.reached.share.map_or("–".into(), percent),
             "of what all depth maps of the plan are expected to give",
         ),
-        ("Completeness", percent(e.quality.completeness), completeness),
-        ("Outliers", outliers, if e.reference { "against the reference" } else { "not measured without a reference" }),
+        (
+            "Completeness",
+            percent(e.quality.completeness),
+            completeness,
+        ),
+        (
+            "Outliers",
+            outliers,
+            if e.reference {
+                "against the reference"
+            } else {
+                "not measured without a reference"
+            },
+        ),
         (
             "RMSE",
             rmse,
-            if e.reference { "scene units, of the right pixels" } else { "not measured without a reference" },
+            if e.reference {
+                "scene units, of the right pixels"
+            } else {
+                "not measured without a reference"
+            },
         ),
-        ("Fulfilment, measured", format!("{:.3}", e.real), "of what is wanted"),
-        ("Fulfilment, predicted", format!("{:.3}", e.predicted), "for the same depth maps"),
+        (
+            "Fulfilment, measured",
+            format!("{:.3}", e.real),
+            "of what is wanted",
+        ),
+        (
+            "Fulfilment, predicted",
+            format!("{:.3}", e.predicted),
+            "for the same depth maps",
+        ),
     ];
     for (what, value, of) in numbers {
-        let _ = write!(html, "<div><dt>{what}</dt><dd><b>{value}</b><small>{of}</small></dd></div>");
+        let _ = write!(
+            html,
+            "<div><dt>{what}</dt><dd><b>{value}</b><small>{of}</small></dd></div>"
+        );
     }
     html += "</dl>";
     if !e.without_map.is_empty() {
@@ -93,9 +135,13 @@ fn summary(e: &Evaluation) -> String {
     html + "</section>\n"
 }
 
-/// Units of curves and tables: key views (false), and pairs (true) unless all key views have as many.
+/// Units of curves and tables: key views (false), and pairs (true) unless all key views have as
+/// many.
 fn ways(e: &Evaluation) -> &'static [bool] {
-    let is_even = e.key_views.windows(2).all(|two| two[0].partners.len() == two[1].partners.len());
+    let is_even = e
+        .key_views
+        .windows(2)
+        .all(|two| two[0].partners.len() == two[1].partners.len());
     if is_even { &[false] } else { &[false, true] }
 }
 
@@ -111,18 +157,54 @@ fn plots(e: &Evaluation) -> String {
             line("real", COLOURS[0], "", &x, &e.curve.real),
         ];
         for (i, order) in e.orders.iter().enumerate().skip(1) {
-            let x = if over_pairs { order.pairs.clone() } else { (0..order.pairs.len()).map(|i| i as f64).collect() };
-            let y: Vec<f64> =
-                order.kept.iter().map(|kept| if e.kept.real > 0.0 { kept / e.kept.real } else { 0.0 }).collect();
+            let x = if over_pairs {
+                order.pairs.clone()
+            } else {
+                (0..order.pairs.len()).map(|i| i as f64).collect()
+            };
+            let y: Vec<f64> = order
+                .kept
+                .iter()
+                .map(|kept| {
+                    if e.kept.real > 0.0 {
+                        kept / e.kept.real
+                    } else {
+                        0.0
+                    }
+                })
+                .collect();
             // Colours are reused with dotted lines, except the first, which is the plan's.
-            let (round, colour) = ((i - 1) / (COLOURS.len() - 1), 1 + (i - 1) % (COLOURS.len() - 1));
-            lines.push(line(order.name, COLOURS[colour], if round == 0 { "" } else { DOTTED }, &x, &y));
+            let (round, colour) = (
+                (i - 1) / (COLOURS.len() - 1),
+                1 + (i - 1) % (COLOURS.len() - 1),
+            );
+            lines.push(line(
+                order.name,
+                COLOURS[colour],
+                if round == 0 { "" } else { DOTTED },
+                &x,
+                &y,
+            ));
         }
-        let over = if over_pairs { "matching pairs" } else { "key views" };
-        let plot = Plot { over, share_of: SHARE_LABEL, lines: &lines, cut: None };
+        let over = if over_pairs {
+            "matching pairs"
+        } else {
+            "key views"
+        };
+        let plot = Plot {
+            over,
+            share_of: SHARE_LABEL,
+            lines: &lines,
+            cut: None,
+        };
         let mut svg = String::new();
         plot.draw(&mut svg, 0.0, 0.0);
-        html += &plot::document(plot::WIDTH, plot.height(), &format!("{SHARE_LABEL} over {over}"), &svg);
+        html += &plot::document(
+            plot::WIDTH,
+            plot.height(),
+            &format!("{SHARE_LABEL} over {over}"),
+            &svg,
+        );
     }
     html
 }
@@ -130,8 +212,19 @@ fn plots(e: &Evaluation) -> String {
 const DASHED: &str = "6 4";
 const DOTTED: &str = "2 3";
 
-fn line(label: &'static str, colour: &'static str, dash: &'static str, x: &[f64], y: &[f64]) -> Line {
-    Line { label, colour, dash, points: x.iter().copied().zip(y.iter().copied()).collect() }
+fn line(
+    label: &'static str,
+    colour: &'static str,
+    dash: &'static str,
+    x: &[f64],
+    y: &[f64],
+) -> Line {
+    Line {
+        label,
+        colour,
+        dash,
+        points: x.iter().copied().zip(y.iter().copied()).collect(),
+    }
 }
 
 fn gap_table(e: &Evaluation) -> String {
@@ -141,7 +234,11 @@ fn gap_table(e: &Evaluation) -> String {
     // Shares that the same depth maps reach are one row.
     for same in e.gap.chunk_by(|one, next| one.clusters == next.clusters) {
         let (gap, last) = (&same[0], &same[same.len() - 1]);
-        let up_to = if same.len() > 1 { format!("–{:.0}", 100.0 * last.share) } else { String::new() };
+        let up_to = if same.len() > 1 {
+            format!("–{:.0}", 100.0 * last.share)
+        } else {
+            String::new()
+        };
         let _ = writeln!(
             html,
             "<tr><td>{:.0}{up_to} %</td><td>{}</td><td>{}</td><td>{:.1} %</td><td>{:+.1}</td></tr>",
@@ -163,11 +260,16 @@ fn order_tables(e: &Evaluation) -> String {
             html,
             "<p>{what} needed for a share of what all depth maps give (measured):</p>\n<table><tr><th>order</th>"
         );
-        e.orders[0].needed.iter().for_each(|n| html += &format!("<th>{:.0} %</th>", 100.0 * n.share));
+        e.orders[0]
+            .needed
+            .iter()
+            .for_each(|n| html += &format!("<th>{:.0} %</th>", 100.0 * n.share));
         html += "</tr>\n";
         for (names, cells) in baselines::rows(&e.orders, pairs) {
             let _ = write!(html, "<tr><td>{}</td>", escape(&names.join(", ")));
-            cells.iter().for_each(|cell| html += &format!("<td>{cell}</td>"));
+            cells
+                .iter()
+                .for_each(|cell| html += &format!("<td>{cell}</td>"));
             html += "</tr>\n";
         }
         html += "</table>\n";
@@ -177,7 +279,9 @@ fn order_tables(e: &Evaluation) -> String {
 
 /// Returns the comparison of the fused cloud with that of a full run; empty unless both were given.
 fn clouds(e: &Evaluation) -> String {
-    let Some(clouds) = &e.clouds else { return String::new() };
+    let Some(clouds) = &e.clouds else {
+        return String::new();
+    };
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let mut html = format!(
         "<section><h2>Fused cloud against the reference cloud</h2>\n<table><tr><th></th><th>this cloud</th><th>reference</th></tr>\n\
@@ -188,7 +292,9 @@ fn clouds(e: &Evaluation) -> String {
         clouds.reference_points,
         clouds.area,
         clouds.reference_area,
-        clouds.error.map_or("–".into(), |error| format!("{error:.4}")),
+        clouds
+            .error
+            .map_or("–".into(), |error| format!("{error:.4}")),
     );
     for at in &clouds.within {
         let _ = writeln!(
@@ -204,7 +310,12 @@ fn clouds(e: &Evaluation) -> String {
 
 /// Returns the comparison with all at half the size; empty unless such depth maps were given.
 fn half_size(e: &Evaluation) -> String {
-    let section = |half: &HalfSize| format!("<section><h2>Half the size</h2>\n<p>{}</p></section>\n", half.in_words());
+    let section = |half: &HalfSize| {
+        format!(
+            "<section><h2>Half the size</h2>\n<p>{}</p></section>\n",
+            half.in_words()
+        )
+    };
     e.half_size.as_ref().map(section).unwrap_or_default()
 }
 

@@ -42,7 +42,8 @@ pub struct MeasuredClusters {
     pub clusters: Vec<ViewCluster>,
     /// Size of each depth map.
     pub scales: Vec<MapScale>,
-    /// Key views whose map has neither the planned size nor half of it; `scales` says which is nearer. Only where the size matters.
+    /// Key views whose map has neither the planned size nor half of it; `scales` says which is
+    /// nearer. Only where the size matters.
     pub other_sizes: Vec<ViewIndex>,
     /// The order in which they were to be computed, indices into `clusters`.
     pub order: Vec<u32>,
@@ -55,9 +56,11 @@ pub struct MeasuredClusters {
     pub nocp: FulfilmentTable,
     /// Measured fulfilment (method 8).
     pub real: FulfilmentTable,
-    /// Fulfilment by the partners that were really matched, with f_conf = 1: the value of `real` if every pixel were right.
+    /// Fulfilment by the partners that were really matched, with f_conf = 1: the value of `real` if
+    /// every pixel were right.
     pub attainable: FulfilmentTable,
-    /// Predicted and measured shares at each triangle that the key view sees, for [`ranking::Beliefs`](crate::method::ranking::Beliefs).
+    /// Predicted and measured shares at each triangle that the key view sees, for
+    /// [`ranking::Beliefs`](crate::method::ranking::Beliefs).
     pub attempts: Vec<Vec<Attempt>>,
     /// True if the maps were compared with references.
     pub has_reference: bool,
@@ -80,7 +83,8 @@ pub struct EvaluationInput<'a> {
     pub reference: Option<&'a Path>,
     /// a_d for pixels that show no triangle, scene units.
     pub accuracy: f64,
-    /// `ranking.half_worth` if the backend can match key views at half the size; `None` if the size of a map does not matter.
+    /// `ranking.half_worth` if the backend can match key views at half the size; `None` if the size
+    /// of a map does not matter.
     pub half_worth: Option<f64>,
 }
 
@@ -88,7 +92,10 @@ impl MeasuredClusters {
     pub fn new(task: &EvaluationInput, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
         let scene = task.model.scene;
         let maps = depthmaps::find(task.depth_maps, scene)?;
-        let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.into_complete()).transpose()?;
+        let references = task
+            .reference
+            .map(|folder| depthmaps::find(folder, scene)?.into_complete())
+            .transpose()?;
         let report = matched::read_report(task.depth_maps, scene)?;
         let of = |set: &DepthMapSet, view| set.maps.iter().find(|m| m.view == view).cloned();
         let mut found: Vec<(ViewCluster, DepthMapFile, u32)> = Vec::new();
@@ -109,11 +116,17 @@ impl MeasuredClusters {
             watcher.check()?;
             let reference = references.as_ref().map(|set| of(set, cluster.key));
             let measured = task.measure(cluster.key, map, reference)?;
-            watcher.progress(Stage::Evaluate, 1 + done.fetch_add(1, Ordering::Relaxed), found.len() as u64);
+            watcher.progress(
+                Stage::Evaluate,
+                1 + done.fetch_add(1, Ordering::Relaxed),
+                found.len() as u64,
+            );
             Ok(measured)
         });
-        let tried: Vec<Result<MapMeasurement, DepthMapError>> = measured.collect::<Result<_, EvaluateError>>()?;
-        let (mut clusters, mut ranks, mut measured, mut broken) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let tried: Vec<Result<MapMeasurement, DepthMapError>> =
+            measured.collect::<Result<_, EvaluateError>>()?;
+        let (mut clusters, mut ranks, mut measured, mut broken) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for ((cluster, _, rank), tried) in found.into_iter().zip(tried) {
             match tried {
                 Ok(of_map) => {
@@ -130,13 +143,16 @@ impl MeasuredClusters {
         let mut order: Vec<u32> = (0..clusters.len() as u32).collect();
         order.sort_by_key(|&c| ranks[c as usize]);
         let unreadable = maps.unreadable.iter().map(|(_, error)| error.to_string());
-        let unreadable = unreadable.chain(broken.iter().map(DepthMapError::to_string)).collect();
-        task.tables(clusters, order, &measured, &report, watcher).map(|run| Self {
-            without_map,
-            strangers: maps.unassigned,
-            unreadable,
-            ..run
-        })
+        let unreadable = unreadable
+            .chain(broken.iter().map(DepthMapError::to_string))
+            .collect();
+        task.tables(clusters, order, &measured, &report, watcher)
+            .map(|run| Self {
+                without_map,
+                strangers: maps.unassigned,
+                unreadable,
+                ..run
+            })
     }
 
     /// Returns the quality of all clusters together.
@@ -146,14 +162,22 @@ impl MeasuredClusters {
         all
     }
 
-    /// Returns the fulfilment of a finished cluster at full size: as measured, and where its map has half the size at least what is believed of a map at full
-    /// size.
-    pub fn at_full_size(&self, cluster: usize, (triangles, believed): (&[u32], &[f32])) -> (Vec<u32>, Vec<f32>) {
+    /// Returns the fulfilment of a finished cluster at full size: as measured, and where its map
+    /// has half the size at least what is believed of a map at full size.
+    pub fn at_full_size(
+        &self,
+        cluster: usize,
+        (triangles, believed): (&[u32], &[f32]),
+    ) -> (Vec<u32>, Vec<f32>) {
         let (own, measured) = self.real.row(cluster);
         if self.scales[cluster] == MapScale::Full {
             return (own.to_vec(), measured.to_vec());
         }
-        let mut row: BTreeMap<u32, f32> = triangles.iter().copied().zip(believed.iter().copied()).collect();
+        let mut row: BTreeMap<u32, f32> = triangles
+            .iter()
+            .copied()
+            .zip(believed.iter().copied())
+            .collect();
         for (&t, &f) in own.iter().zip(measured) {
             let held = row.entry(t).or_default();
             *held = held.max(f);
@@ -168,7 +192,8 @@ impl MeasuredClusters {
 }
 
 impl<'a> EvaluationInput<'a> {
-    /// Takes the depth maps of clusters of a plan; without a reference, every depth on the surface counts as right.
+    /// Takes the depth maps of clusters of a plan; without a reference, every depth on the surface
+    /// counts as right.
     pub fn new(
         stages: &'a Stages,
         clusters: &'a [ViewCluster],
@@ -176,21 +201,25 @@ impl<'a> EvaluationInput<'a> {
         reference: Option<&'a Path>,
     ) -> Self {
         let model = stages.model();
-        let accuracy = model.target.accuracy_over_gsd * stages.settings.target.gsd.unwrap_or(f64::INFINITY);
+        let accuracy =
+            model.target.accuracy_over_gsd * stages.settings.target.gsd.unwrap_or(f64::INFINITY);
         Self {
             model,
             clusters,
             depth_maps,
             reference,
             accuracy,
-            half_worth: stages.mixes_sizes.then_some(stages.settings.ranking.half_worth),
+            half_worth: stages
+                .mixes_sizes
+                .then_some(stages.settings.ranking.half_worth),
         }
     }
 }
 
 impl EvaluationInput<'_> {
-    /// Measures a depth map. `reference` is `Some(None)` if there are references but none for this view: no pixel of the map is then right. The inner
-    /// error is a map that cannot be read, perhaps because it is still being written.
+    /// Measures a depth map. `reference` is `Some(None)` if there are references but none for this
+    /// view: no pixel of the map is then right. The inner error is a map that cannot be read,
+    /// perhaps because it is still being written.
     fn measure(
         &self,
         key: ViewIndex,
@@ -208,7 +237,13 @@ impl EvaluationInput<'_> {
             Some(Some(file)) => Some(depthmaps::read_of_view(&file, scene)?),
             Some(None) => Some(map.without_depths()),
         };
-        Ok(Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy)))
+        Ok(Ok(measure(
+            &self.model,
+            key,
+            map,
+            reference.as_ref(),
+            self.accuracy,
+        )))
     }
 
     fn tables(
@@ -221,17 +256,33 @@ impl EvaluationInput<'_> {
     ) -> Result<MeasuredClusters, EvaluateError> {
         let scene = self.model.scene;
         let matched = clusters.iter().zip(measured);
-        let matched: Vec<ViewCluster> =
-            matched.map(|(c, m)| matched::really_matched(c, report, &m.ids, scene)).collect();
+        let matched: Vec<ViewCluster> = matched
+            .map(|(c, m)| matched::really_matched(c, report, &m.ids, scene))
+            .collect();
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
         let has_sizes = self.half_worth.is_some();
-        let scale = |m: &MapMeasurement| if has_sizes { m.size.scale } else { MapScale::Full };
+        let scale = |m: &MapMeasurement| {
+            if has_sizes {
+                m.size.scale
+            } else {
+                MapScale::Full
+            }
+        };
         let scales: Vec<MapScale> = measured.iter().map(scale).collect();
-        let other_sizes = clusters.iter().zip(measured).filter(|(_, m)| has_sizes && !m.size.is_planned);
+        let other_sizes = clusters
+            .iter()
+            .zip(measured)
+            .filter(|(_, m)| has_sizes && !m.size.is_planned);
         let other_sizes = other_sizes.map(|(c, _)| c.key).collect();
         let table = |model: &Model, clusters: &[ViewCluster]| {
-            table_at(model, clusters, &scales, self.half_worth.unwrap_or_default(), watcher)
+            table_at(
+                model,
+                clusters,
+                &scales,
+                self.half_worth.unwrap_or_default(),
+                watcher,
+            )
         };
         let attainable = table(&certain, &matched)?;
         let predicted = table(&self.model, &clusters)?;
@@ -244,7 +295,9 @@ impl EvaluationInput<'_> {
             has_reference: self.reference.is_some(),
             other_partners: other_partners.map(|c| c.key).collect(),
             quality: measured.iter().map(|m| m.quality).collect(),
-            attempts: (0..clusters.len()).map(|c| self.attempts(c, &clusters, &predicted, &nocp, measured)).collect(),
+            attempts: (0..clusters.len())
+                .map(|c| self.attempts(c, &clusters, &predicted, &nocp, measured))
+                .collect(),
             predicted,
             nocp,
             real: self.real(&matched, &attainable, measured),
@@ -269,16 +322,22 @@ impl EvaluationInput<'_> {
     ) -> FulfilmentTable {
         let of_cluster = |(c, cluster): (usize, &ViewCluster)| -> Vec<(u32, f32)> {
             let seen = self.model.visibility.triangles_seen_by(cluster.key);
-            let share = |t| seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
+            let share = |t| {
+                seen.binary_search(&t)
+                    .map_or(0.0, |row| measured[c].shares[row])
+            };
             let (triangles, values) = attainable.row(c);
-            let real = triangles.iter().zip(values).map(|(&t, &f)| (t, f * share(t)));
+            let real = triangles
+                .iter()
+                .zip(values)
+                .map(|(&t, &f)| (t, f * share(t)));
             real.filter(|(_, f)| *f > 0.0).collect()
         };
         FulfilmentTable::new(clusters.iter().enumerate().map(of_cluster))
     }
 
-    /// Returns the attempts at the triangles that the cluster was predicted to fulfil. The promise is f_conf: the prediction with it over that
-    /// without it.
+    /// Returns the attempts at the triangles that the cluster was predicted to fulfil. The promise
+    /// is f_conf: the prediction with it over that without it.
     fn attempts(
         &self,
         cluster: usize,
@@ -287,14 +346,22 @@ impl EvaluationInput<'_> {
         nocp: &FulfilmentTable,
         measured: &[MapMeasurement],
     ) -> Vec<Attempt> {
-        let seen = self.model.visibility.triangles_seen_by(clusters[cluster].key);
+        let seen = self
+            .model
+            .visibility
+            .triangles_seen_by(clusters[cluster].key);
         let (certain_triangles, certain) = nocp.row(cluster);
         let (triangles, values) = predicted.row(cluster);
         let attempt = |(&t, &f): (&u32, &f32)| {
             let row = seen.binary_search(&t).ok()?;
             let without = certain[certain_triangles.binary_search(&t).ok()?];
             let measured = &measured[cluster];
-            Some(Attempt::new(t, measured.pixels[row], (f / without).min(1.0), measured.shares[row]))
+            Some(Attempt::new(
+                t,
+                measured.pixels[row],
+                (f / without).min(1.0),
+                measured.shares[row],
+            ))
         };
         triangles.iter().zip(values).filter_map(attempt).collect()
     }
@@ -314,8 +381,16 @@ fn table_at(
     }
     let half = fulfilment::half_size(model, clusters, &full, half_worth, watcher)?;
     let row = |(cluster, &scale): (usize, &MapScale)| -> Vec<(u32, f32)> {
-        let (triangles, values) = if scale == MapScale::Half { half.row(cluster) } else { full.row(cluster) };
-        triangles.iter().copied().zip(values.iter().copied()).collect()
+        let (triangles, values) = if scale == MapScale::Half {
+            half.row(cluster)
+        } else {
+            full.row(cluster)
+        };
+        triangles
+            .iter()
+            .copied()
+            .zip(values.iter().copied())
+            .collect()
     };
     Ok(FulfilmentTable::new(scales.iter().enumerate().map(row)))
 }
@@ -334,11 +409,21 @@ pub enum EvaluateError {
     #[error(transparent)]
     Report(#[from] MatcherReportError),
     #[error("cannot read cloud {}: {source}", path.display())]
-    CloudFile { path: PathBuf, source: std::io::Error },
+    CloudFile {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("cannot read cloud {}: {source}", path.display())]
-    Cloud { path: PathBuf, source: ply::PlyError },
+    Cloud {
+        path: PathBuf,
+        source: ply::PlyError,
+    },
     #[error("{of} of the {maps} depth maps in {} are not at half the size of the plan's", .path.display())]
-    NotHalf { path: PathBuf, of: usize, maps: usize },
+    NotHalf {
+        path: PathBuf,
+        of: usize,
+        maps: usize,
+    },
     #[error("none of the view clusters has a depth map in {}", .0.display())]
     NoClusters(PathBuf),
     #[error(transparent)]

@@ -11,12 +11,14 @@ use crate::{
     plan::Stages,
 };
 
-/// Measured weight that fusion keeps of the finished depth maps, over the weight that it is expected to keep of all.
+/// Measured weight that fusion keeps of the finished depth maps, over the weight that it is
+/// expected to keep of all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct MeasuredProgress {
     /// Weight that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
-    /// Weight that fusion keeps of all clusters of the plan at full size, 0 to 1: measured if finished, else predicted in the light of failures (method 5.4).
+    /// Weight that fusion keeps of all clusters of the plan at full size, 0 to 1: measured if
+    /// finished, else predicted in the light of failures (method 5.4).
     pub reachable: f64,
     /// `kept` over `reachable`; null where nothing can be kept.
     pub share: Option<f64>,
@@ -25,26 +27,50 @@ pub struct MeasuredProgress {
 impl MeasuredProgress {
     /// Computes the progress. `stages`: those of the plan that the run's clusters belong to.
     pub fn new(stages: &Stages, run: &MeasuredClusters) -> Self {
-        let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
+        let mut beliefs = Beliefs::new(
+            &stages.scene,
+            &stages.surface,
+            &stages.clusters,
+            &stages.fulfilment,
+        );
         let finished = run.clusters.iter().zip(&run.attempts);
         finished.for_each(|(cluster, attempts)| beliefs.learn(cluster.key, attempts));
-        let planned: BTreeMap<ViewIndex, usize> = stages.clusters.iter().map(|cluster| cluster.key).zip(0..).collect();
-        let (mut so_far, mut all) = (Reached::new(&stages.objective), Reached::new(&stages.objective));
+        let planned: BTreeMap<ViewIndex, usize> = stages
+            .clusters
+            .iter()
+            .map(|cluster| cluster.key)
+            .zip(0..)
+            .collect();
+        let (mut so_far, mut all) = (
+            Reached::new(&stages.objective),
+            Reached::new(&stages.objective),
+        );
         for (finished, cluster) in run.clusters.iter().enumerate() {
             so_far.take(run.real.row(finished));
             // At full size, also where the map has half of it.
-            let (triangles, believed) = planned.get(&cluster.key).map(|&c| beliefs.row(c)).unwrap_or_default();
+            let (triangles, believed) = planned
+                .get(&cluster.key)
+                .map(|&c| beliefs.row(c))
+                .unwrap_or_default();
             let (triangles, values) = run.at_full_size(finished, (triangles, &believed));
             all.take((&triangles, &values));
         }
         for (c, cluster) in stages.clusters.iter().enumerate() {
-            if run.clusters.binary_search_by_key(&cluster.key, |finished| finished.key).is_err() {
+            if run
+                .clusters
+                .binary_search_by_key(&cluster.key, |finished| finished.key)
+                .is_err()
+            {
                 let (triangles, believed) = beliefs.row(c);
                 all.take((triangles, &believed));
             }
         }
         let kept = so_far.kept_weight();
         let reachable = all.kept_weight();
-        Self { kept, reachable, share: (reachable > 0.0).then(|| kept / reachable) }
+        Self {
+            kept,
+            reachable,
+            share: (reachable > 0.0).then(|| kept / reachable),
+        }
     }
 }

@@ -7,22 +7,37 @@ use crate::{
     show::tables::{self, add_table, array, indices, offsets, rows},
 };
 
-/// Adds the plan's tables and, for the clusters that were measured: `real.npy` (row, triangle) with `real_value.npy`, where the
-/// row's key view is `real_key.npy` and the partners that were really matched are `real_partners.npy`, `real_partner_offsets.npy`
-/// (CSR); `real_order.npy`: rows in the order of the clusters; the same rows as predicted (`real_predicted*.npy`), as predicted with f_conf = 1
-/// (`real_nocp*.npy`), and as they would be if every pixel were right (`real_attainable*.npy`).
+/// Adds the plan's tables and, for the clusters that were measured: `real.npy` (row, triangle) with
+/// `real_value.npy`, where the row's key view is `real_key.npy` and the partners that were really
+/// matched are `real_partners.npy`, `real_partner_offsets.npy` (CSR); `real_order.npy`: rows in the
+/// order of the clusters; the same rows as predicted (`real_predicted*.npy`), as predicted with
+/// f_conf = 1 (`real_nocp*.npy`), and as they would be if every pixel were right
+/// (`real_attainable*.npy`).
 pub fn add(plan: &Plan, run: &MeasuredClusters, files: &mut FileSet) {
     tables::add(plan, files);
-    let partners: Vec<_> = run.matched.iter().flat_map(|c| c.partners.iter().copied()).collect();
+    let partners: Vec<_> = run
+        .matched
+        .iter()
+        .flat_map(|c| c.partners.iter().copied())
+        .collect();
     let ends = run.matched.iter().scan(0, |sum, c| {
         *sum += c.partners.len();
         Some(*sum)
     });
     let mut table = |name: &str, bytes: Vec<u8>| add_table(files, name, bytes);
-    table("real_key", indices(&run.clusters.iter().map(|c| c.key).collect::<Vec<_>>()));
+    table(
+        "real_key",
+        indices(&run.clusters.iter().map(|c| c.key).collect::<Vec<_>>()),
+    );
     table("real_partners", indices(&partners));
-    table("real_partner_offsets", offsets(&std::iter::once(0).chain(ends).collect::<Vec<usize>>()));
-    table("real_order", array(&[run.order.len()], run.order.iter().copied()));
+    table(
+        "real_partner_offsets",
+        offsets(&std::iter::once(0).chain(ends).collect::<Vec<usize>>()),
+    );
+    table(
+        "real_order",
+        array(&[run.order.len()], run.order.iter().copied()),
+    );
     let kinds = [
         ("real", &run.real),
         ("real_predicted", &run.predicted),
@@ -30,7 +45,13 @@ pub fn add(plan: &Plan, run: &MeasuredClusters, files: &mut FileSet) {
         ("real_attainable", &run.attainable),
     ];
     for (name, of) in kinds {
-        table(name, array(&[of.triangles.len(), 2], rows(&of.offsets, &of.triangles)));
-        table(&format!("{name}_value"), array(&[of.values.len()], of.values.iter().copied()));
+        table(
+            name,
+            array(&[of.triangles.len(), 2], rows(&of.offsets, &of.triangles)),
+        );
+        table(
+            &format!("{name}_value"),
+            array(&[of.values.len()], of.values.iter().copied()),
+        );
     }
 }

@@ -40,8 +40,13 @@ impl Outcomes {
 
     fn each(&self) -> impl Iterator<Item = (&[u8], f32, f32)> {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
-        let pairs = starts.zip(&self.ends).map(|(start, &end)| &self.pairs[start as usize..end as usize]);
-        pairs.zip(&self.shares).zip(&self.weights).map(|((pairs, &share), &weight)| (pairs, share, weight))
+        let pairs = starts
+            .zip(&self.ends)
+            .map(|(start, &end)| &self.pairs[start as usize..end as usize]);
+        pairs
+            .zip(&self.shares)
+            .zip(&self.weights)
+            .map(|((pairs, &share), &weight)| (pairs, share, weight))
     }
 
     pub fn joined(all: &[Self]) -> Self {
@@ -65,13 +70,18 @@ impl Outcomes {
     /// Prediction, share and weight of each triangle.
     pub fn predicted(&self, numbers: &Numbers) -> Vec<(f32, f32, f32)> {
         let chances = Chances::new(numbers);
-        self.each().map(|(pairs, share, weight)| (chances.of(pairs) as f32, share, weight)).collect()
+        self.each()
+            .map(|(pairs, share, weight)| (chances.of(pairs) as f32, share, weight))
+            .collect()
     }
 
     fn loss(&self, numbers: &Numbers) -> f64 {
         let chances = Chances::new(numbers);
         let of = |(pairs, share, weight): (&[u8], f32, f32)| {
-            let (chance, share) = (chances.of(pairs).clamp(CHANCES.0, CHANCES.1), f64::from(share));
+            let (chance, share) = (
+                chances.of(pairs).clamp(CHANCES.0, CHANCES.1),
+                f64::from(share),
+            );
             f64::from(weight) * -(share * chance.ln() + (1.0 - share) * (1.0 - chance).ln())
         };
         let weight: f64 = self.weights.iter().map(|&w| f64::from(w)).sum();
@@ -87,27 +97,50 @@ struct Chances {
 
 impl Chances {
     fn new(numbers: &Numbers) -> Self {
-        let by_agreement = std::array::from_fn(|agreement| numbers.photometric.chance(agreement as u8));
-        Self { min_matches: numbers.min_matches, by_agreement }
+        let by_agreement =
+            std::array::from_fn(|agreement| numbers.photometric.chance(agreement as u8));
+        Self {
+            min_matches: numbers.min_matches,
+            by_agreement,
+        }
     }
 
     fn of(&self, pairs: &[u8]) -> f64 {
-        at_least(self.min_matches, pairs.iter().map(|&pair| self.by_agreement[usize::from(pair)]))
+        at_least(
+            self.min_matches,
+            pairs
+                .iter()
+                .map(|&pair| self.by_agreement[usize::from(pair)]),
+        )
     }
 }
 
 /// Returns the numbers of the largest likelihood; each scene counts the same.
 pub(super) fn fit(scenes: &[&Outcomes]) -> Numbers {
-    let loss = |numbers: &Numbers| scenes.iter().map(|outcomes| outcomes.loss(numbers)).sum::<f64>();
+    let loss = |numbers: &Numbers| {
+        scenes
+            .iter()
+            .map(|outcomes| outcomes.loss(numbers))
+            .sum::<f64>()
+    };
     let of_matches = |min_matches| search(min_matches, &loss);
-    (1..=3).map(of_matches).min_by(|a, b| a.0.total_cmp(&b.0)).expect("three candidates").1
+    (1..=3)
+        .map(of_matches)
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .expect("three candidates")
+        .1
 }
 
-/// Moves to the best neighbour on a grid of the three numbers, which may trade one for another, as long as the loss falls, then halves the step.
+/// Moves to the best neighbour on a grid of the three numbers, which may trade one for another, as
+/// long as the loss falls, then halves the step.
 fn search(min_matches: u32, loss: &dyn Fn(&Numbers) -> f64) -> (f64, Numbers) {
     let numbers = |[agree, differ, full_agreement]: [f64; 3]| Numbers {
         min_matches,
-        photometric: Photometric { agree, differ: differ.min(agree), full_agreement },
+        photometric: Photometric {
+            agree,
+            differ: differ.min(agree),
+            full_agreement,
+        },
     };
     let mut at = [0.9, 0.1, 0.8];
     let mut least = loss(&numbers(at));
@@ -118,8 +151,12 @@ fn search(min_matches: u32, loss: &dyn Fn(&Numbers) -> f64) -> (f64, Numbers) {
             let along = |axis: usize| at[axis] + step * moved(direction, axis as u32);
             [0, 1, 2].map(|axis| along(axis).clamp(RANGES[axis].0, RANGES[axis].1))
         };
-        let around = (0..27).map(neighbour).map(|next| (loss(&numbers(next)), next));
-        let best = around.min_by(|a, b| a.0.total_cmp(&b.0)).expect("27 neighbours");
+        let around = (0..27)
+            .map(neighbour)
+            .map(|next| (loss(&numbers(next)), next));
+        let best = around
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .expect("27 neighbours");
         if best.0 < least {
             (least, at) = best;
         } else {
@@ -155,19 +192,38 @@ mod tests {
         for (min_matches, agree, differ, full_agreement) in
             [(1, 0.6, 0.05, 0.7), (2, 0.9, 0.2, 0.9), (3, 0.95, 0.4, 0.6)]
         {
-            let numbers = Numbers { min_matches, photometric: Photometric { agree, differ, full_agreement } };
+            let numbers = Numbers {
+                min_matches,
+                photometric: Photometric {
+                    agree,
+                    differ,
+                    full_agreement,
+                },
+            };
             let fitted = fit(&[&drawn(&numbers, 20_000, 7)]);
             assert_eq!(fitted.min_matches, min_matches, "{fitted:?}");
             let (a, b) = (fitted.photometric, numbers.photometric);
-            assert!((a.agree - b.agree).abs() < 0.05 && (a.differ - b.differ).abs() < 0.05, "{fitted:?}");
-            assert!((a.full_agreement - b.full_agreement).abs() < 0.1, "{fitted:?}");
+            assert!(
+                (a.agree - b.agree).abs() < 0.05 && (a.differ - b.differ).abs() < 0.05,
+                "{fitted:?}"
+            );
+            assert!(
+                (a.full_agreement - b.full_agreement).abs() < 0.1,
+                "{fitted:?}"
+            );
         }
     }
 
     #[test]
     fn parts_are_all_of_it() {
-        let numbers =
-            Numbers { min_matches: 2, photometric: Photometric { agree: 0.9, differ: 0.1, full_agreement: 0.8 } };
+        let numbers = Numbers {
+            min_matches: 2,
+            photometric: Photometric {
+                agree: 0.9,
+                differ: 0.1,
+                full_agreement: 0.8,
+            },
+        };
         let all = drawn(&numbers, 101, 1);
         let parts = [drawn(&numbers, 40, 2), all.clone()];
         let joined = Outcomes::joined(&parts);

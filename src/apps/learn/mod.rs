@@ -1,7 +1,8 @@
-//! Fits the photometric confidence (method 7.4) to finished depth maps: how often a backend matches where the pictures agree, where they don't, and how
-//! many matches it needs.
+//! Fits the photometric confidence (method 7.4) to finished depth maps: how often a backend matches
+//! where the pictures agree, where they don't, and how many matches it needs.
 //!
-//! The label is "the map has a depth there", which needs no reference and means the same for every backend.
+//! The label is "the map has a depth there", which needs no reference and means the same for every
+//! backend.
 
 mod fit;
 mod score;
@@ -57,7 +58,8 @@ pub struct Fitted {
     pub triangles: usize,
     /// How well the numbers before the training predict them.
     pub before: Scores,
-    /// The same for numbers that were fitted without the scene (of a single one: without the half of the maps, by name) that they predict.
+    /// The same for numbers that were fitted without the scene (of a single one: without the half
+    /// of the maps, by name) that they predict.
     pub after: Scores,
 }
 
@@ -65,18 +67,32 @@ pub struct Fitted {
 ///
 /// # Errors
 /// A depth map that cannot be read; no triangle whose pictures were compared.
-pub fn train(lessons: &[Lesson], before: Numbers, watcher: &dyn Watcher) -> Result<Fitted, TrainError> {
-    let by_map: Vec<Vec<Outcomes>> = lessons.iter().map(|lesson| lesson.outcomes(watcher)).collect::<Result<_, _>>()?;
+pub fn train(
+    lessons: &[Lesson],
+    before: Numbers,
+    watcher: &dyn Watcher,
+) -> Result<Fitted, TrainError> {
+    let by_map: Vec<Vec<Outcomes>> = lessons
+        .iter()
+        .map(|lesson| lesson.outcomes(watcher))
+        .collect::<Result<_, _>>()?;
     let outcomes: Vec<Outcomes> = by_map.iter().map(|maps| Outcomes::joined(maps)).collect();
     let parts: Vec<Outcomes> = match &by_map[..] {
-        [maps] => [&maps[..maps.len() / 2], &maps[maps.len() / 2..]].map(Outcomes::joined).into(),
+        [maps] => [&maps[..maps.len() / 2], &maps[maps.len() / 2..]]
+            .map(Outcomes::joined)
+            .into(),
         _ => outcomes.clone(),
     };
     if outcomes.iter().all(Outcomes::is_empty) {
         return Err(TrainError::NothingCompared);
     }
     let unseen = |left_out: usize| {
-        let others: Vec<&Outcomes> = parts.iter().enumerate().filter(|(i, _)| *i != left_out).map(|(_, o)| o).collect();
+        let others: Vec<&Outcomes> = parts
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| *i != left_out)
+            .map(|(_, o)| o)
+            .collect();
         parts[left_out].predicted(&fit(&others))
     };
     let after = (0..parts.len()).flat_map(unseen).collect();
@@ -96,10 +112,17 @@ impl Lesson<'_> {
         let (done, total) = (AtomicU64::new(0), self.maps.len() as u64);
         let of_map = |map: &DepthMapFile| {
             watcher.check()?;
-            watcher.progress(Stage::Train, 1 + done.fetch_add(1, Ordering::Relaxed), total);
+            watcher.progress(
+                Stage::Train,
+                1 + done.fetch_add(1, Ordering::Relaxed),
+                total,
+            );
             let cluster = self.clusters.iter().find(|cluster| cluster.key == map.view);
-            let cluster = cluster.ok_or_else(|| TrainError::NoCluster(self.model.scene.name(map.view).into()))?;
-            Ok(self.outcomes_of(map, cluster)?.thinned(MOST_TRIANGLES.div_ceil(self.maps.len())))
+            let cluster = cluster
+                .ok_or_else(|| TrainError::NoCluster(self.model.scene.name(map.view).into()))?;
+            Ok(self
+                .outcomes_of(map, cluster)?
+                .thinned(MOST_TRIANGLES.div_ceil(self.maps.len())))
         };
         let mut maps: Vec<&DepthMapFile> = self.maps.iter().collect();
         maps.sort_by_key(|map| self.model.scene.name(map.view));
@@ -107,17 +130,34 @@ impl Lesson<'_> {
     }
 
     /// The triangles of a map that enough cameras see, if all their pictures were compared.
-    fn outcomes_of(&self, file: &DepthMapFile, cluster: &ViewCluster) -> Result<Outcomes, TrainError> {
+    fn outcomes_of(
+        &self,
+        file: &DepthMapFile,
+        cluster: &ViewCluster,
+    ) -> Result<Outcomes, TrainError> {
         let model = &self.model;
         let map = depthmaps::read_of_view(file, model.scene)?;
         let measured = measure(model, cluster.key, map, None, 0.0);
-        let agreement: Option<Vec<(ViewIndex, &[u8])>> =
-            cluster.partners.iter().map(|&partner| self.compared(cluster.key, partner)).collect();
+        let agreement: Option<Vec<(ViewIndex, &[u8])>> = cluster
+            .partners
+            .iter()
+            .map(|&partner| self.compared(cluster.key, partner))
+            .collect();
         let mut outcomes = Outcomes::default();
-        for (row, &triangle) in model.visibility.triangles_seen_by(cluster.key).iter().enumerate() {
+        for (row, &triangle) in model
+            .visibility
+            .triangles_seen_by(cluster.key)
+            .iter()
+            .enumerate()
+        {
             let sees = |partner: ViewIndex| model.visibility.row(partner, triangle).is_some();
-            let pairs = agreement.iter().flatten().filter(|(partner, _)| sees(*partner));
-            let pairs: Vec<u8> = pairs.map(|(_, values)| values.get(row).copied().unwrap_or(0)).collect();
+            let pairs = agreement
+                .iter()
+                .flatten()
+                .filter(|(partner, _)| sees(*partner));
+            let pairs: Vec<u8> = pairs
+                .map(|(_, values)| values.get(row).copied().unwrap_or(0))
+                .collect();
             if 1 + pairs.len() >= model.rule.min_cameras as usize {
                 let weight = (measured.pixels[row] as f32 / FULL_WEIGHT).min(1.0);
                 outcomes.push(&pairs, measured.shares[row], weight);
@@ -126,7 +166,8 @@ impl Lesson<'_> {
         Ok(outcomes)
     }
 
-    /// The agreement of a pair by row of the key view, empty for pairs that the backend is not expected to match; `None` without pictures.
+    /// The agreement of a pair by row of the key view, empty for pairs that the backend is not
+    /// expected to match; `None` without pictures.
     fn compared(&self, key: ViewIndex, partner: ViewIndex) -> Option<(ViewIndex, &[u8])> {
         match self.model.agreement.of_pair(key, partner) {
             PairAgreement::Compared(values) => Some((partner, values)),
@@ -154,8 +195,12 @@ impl Hint for TrainError {
         match self {
             Self::Cancelled(_) => None,
             Self::Map(error) => error.hint(),
-            Self::NoCluster(_) => Some("plan the project again, or keep the matcher's report beside its maps".into()),
-            Self::NothingCompared => Some("name the images with --images, and finish some depth maps first".into()),
+            Self::NoCluster(_) => {
+                Some("plan the project again, or keep the matcher's report beside its maps".into())
+            }
+            Self::NothingCompared => {
+                Some("name the images with --images, and finish some depth maps first".into())
+            }
         }
     }
 }

@@ -1,8 +1,8 @@
-//! Plans around finished depth maps (method 5.4). Finished clusters come first, with their measured fulfilment; the rest is ranked again
-//! after them, with failures taken into account ([`Beliefs`]).
+//! Plans around finished depth maps (method 5.4). Finished clusters come first, with their measured
+//! fulfilment; the rest is ranked again after them, with failures taken into account ([`Beliefs`]).
 //!
-//! The depth maps were made for an earlier plan, possibly of an earlier model: those that still fit ([`movement`]) are kept,
-//! the others are reported and ignored.
+//! The depth maps were made for an earlier plan, possibly of an earlier model: those that still fit
+//! ([`movement`]) are kept, the others are reported and ignored.
 
 mod again;
 mod movement;
@@ -51,15 +51,27 @@ pub struct EarlierPlan {
 }
 
 impl EarlierPlan {
-    /// Reads `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the model has changed since.
+    /// Reads `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the
+    /// model has changed since.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
         let recorded = RecordedPlan::read(project)?;
         let path = project.output_folder().join("planned_views.json");
         let bytes = manifest::read_own(project, "viewrank/planned_views.json")?;
-        let views = serde_json::from_slice(&bytes)
-            .map_err(|error| WrittenPlanError::Manifest { path, what: error.to_string() })?;
-        let clusters = recorded.clusters.into_iter().map(|c| (c.key, c.partners, c.scale)).collect();
-        Ok(Self { clusters, cut: recorded.cut.clusters, outdated: recorded.outdated, views })
+        let views = serde_json::from_slice(&bytes).map_err(|error| WrittenPlanError::Manifest {
+            path,
+            what: error.to_string(),
+        })?;
+        let clusters = recorded
+            .clusters
+            .into_iter()
+            .map(|c| (c.key, c.partners, c.scale))
+            .collect();
+        Ok(Self {
+            clusters,
+            cut: recorded.cut.clusters,
+            outdated: recorded.outdated,
+            views,
+        })
     }
 
     /// Returns the names of the key views up to the cut, best first.
@@ -74,13 +86,22 @@ impl EarlierPlan {
 
     /// Returns the names of the key views with the sizes of their maps, best first.
     pub fn maps(&self) -> impl Iterator<Item = (&str, MapScale)> {
-        self.clusters.iter().map(|(key, _, scale)| (key.as_str(), *scale))
+        self.clusters
+            .iter()
+            .map(|(key, _, scale)| (key.as_str(), *scale))
     }
 
     /// Returns the earlier finding on an outdated depth map that is still the same file.
     fn outdated(&self, key: &str, hash: &str) -> Option<OutdatedMap> {
-        let same = self.views.outdated_files.get(key).is_some_and(|known| known == hash);
-        self.outdated.iter().find(|outdated| same && outdated.key == key).cloned()
+        let same = self
+            .views
+            .outdated_files
+            .get(key)
+            .is_some_and(|known| known == hash);
+        self.outdated
+            .iter()
+            .find(|outdated| same && outdated.key == key)
+            .cloned()
     }
 
     /// Returns the view as it was when the depth map of `key` was made.
@@ -99,9 +120,11 @@ pub struct MapFolder<'a> {
     pub ready: &'a (dyn Fn(&Path) -> bool + Sync),
 }
 
-/// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are none.
+/// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are
+/// none.
 ///
-/// Finished clusters keep the partners of the earlier plan. `None`: none of the maps could be measured.
+/// Finished clusters keep the partners of the earlier plan. `None`: none of the maps could be
+/// measured.
 pub fn replan(
     plan: Plan,
     earlier: &EarlierPlan,
@@ -113,7 +136,9 @@ pub fn replan(
         match found {
             MapVerdict::Fits { cluster, made_with } => {
                 if let Some(made_with) = made_with {
-                    finished.made_with.insert(plan.stages.scene.name(cluster.key).into(), made_with);
+                    finished
+                        .made_with
+                        .insert(plan.stages.scene.name(cluster.key).into(), made_with);
                 }
                 clusters.push(cluster);
             }
@@ -138,7 +163,10 @@ fn measure(
     folder: &Path,
     watcher: &dyn Watcher,
 ) -> Result<MeasuredClusters, EvaluateError> {
-    MeasuredClusters::new(&EvaluationInput::new(&plan.stages, clusters, folder, None), watcher)
+    MeasuredClusters::new(
+        &EvaluationInput::new(&plan.stages, clusters, folder, None),
+        watcher,
+    )
 }
 
 /// Replaces the clusters of finished key views and ranks all again.
@@ -151,17 +179,26 @@ fn rank_around(
     if run.is_some() {
         plan.keep_predictions();
     }
-    let Plan { mut timings, stages, .. } = plan;
+    let Plan {
+        mut timings,
+        stages,
+        ..
+    } = plan;
     let (stages, order) = match run {
         Some(run) => with_finished(stages, run, watcher)?,
         None => (stages, Vec::new()),
     };
     let decision = decide(&stages, finished, &order, &mut timings, watcher)?;
-    Ok(Plan { stages, decision, timings })
+    Ok(Plan {
+        stages,
+        decision,
+        timings,
+    })
 }
 
-/// Returns the stages with the measured fulfilment of the finished clusters and corrected predictions for the others; and the
-/// indices of the finished clusters, in their order, with the sizes of their maps.
+/// Returns the stages with the measured fulfilment of the finished clusters and corrected
+/// predictions for the others; and the indices of the finished clusters, in their order, with the
+/// sizes of their maps.
 fn with_finished(
     stages: Stages,
     run: &MeasuredClusters,
@@ -192,10 +229,25 @@ fn with_finished(
         None => None,
     };
     let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
-    let map = |&c: &u32| (places[&run.clusters[c as usize].key], run.scales[c as usize]);
+    let map = |&c: &u32| {
+        (
+            places[&run.clusters[c as usize].key],
+            run.scales[c as usize],
+        )
+    };
     let order = run.order.iter().map(map).collect();
     let work = stages.work_of(&clusters);
-    Ok((Stages { clusters, fulfilment, half, work, known_ranking: None, ..stages }, order))
+    Ok((
+        Stages {
+            clusters,
+            fulfilment,
+            half,
+            work,
+            known_ranking: None,
+            ..stages
+        },
+        order,
+    ))
 }
 
 /// Indices of a key view's cluster in the run and in the plan.
@@ -205,8 +257,8 @@ struct Rows {
     planned: Option<usize>,
 }
 
-/// Returns the table of a size, with the measured rows of the clusters that are finished at it and the predictions of the others, corrected by what was
-/// measured.
+/// Returns the table of a size, with the measured rows of the clusters that are finished at it and
+/// the predictions of the others, corrected by what was measured.
 fn believed(
     stages: &Stages,
     predicted: &FulfilmentTable,
@@ -262,25 +314,56 @@ fn look(
     maps: &MapFolder,
     watcher: &dyn Watcher,
 ) -> Result<Vec<MapVerdict>, ReplanError> {
-    let DepthMapSet { maps: files, unreadable, .. } = depthmaps::list(maps.folder, &plan.stages.scene)?;
-    let ready = unreadable.into_iter().filter(|(path, _)| (maps.ready)(path));
+    let DepthMapSet {
+        maps: files,
+        unreadable,
+        ..
+    } = depthmaps::list(maps.folder, &plan.stages.scene)?;
+    let ready = unreadable
+        .into_iter()
+        .filter(|(path, _)| (maps.ready)(path));
     let unreadable = ready.map(|(_, error)| MapVerdict::Unreadable(error.to_string()));
-    let file_of: BTreeMap<&str, &DepthMapFile> =
-        files.iter().map(|file| (plan.stages.scene.name(file.view), file)).collect();
+    let file_of: BTreeMap<&str, &DepthMapFile> = files
+        .iter()
+        .map(|file| (plan.stages.scene.name(file.view), file))
+        .collect();
     let found = earlier.clusters.par_iter().map(|(key, partners, _)| {
         watcher.check()?;
-        let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
-        Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file }.found()))
+        let file = file_of
+            .get(key.as_str())
+            .filter(|file| (maps.ready)(&file.path));
+        Ok(file.map(|file| {
+            MapCheck {
+                plan,
+                earlier,
+                key,
+                partners,
+                file,
+            }
+            .found()
+        }))
     });
     let found: Vec<Option<MapVerdict>> = found.collect::<Result<_, Cancelled>>()?;
-    // Includes views without partners in the earlier plan: earlier findings on their maps still hold.
+    // Includes views without partners in the earlier plan: earlier findings on their maps still
+    // hold.
     let keys: BTreeSet<&str> = earlier.keys().collect();
-    let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
+    let beyond = earlier
+        .outdated
+        .iter()
+        .filter(|outdated| !keys.contains(outdated.key.as_str()));
     let beyond = beyond.filter_map(|OutdatedMap { key, .. }| {
         let hash = hash(file_of.get(key.as_str())?).ok()?;
-        Some(MapVerdict::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
+        Some(MapVerdict::Outdated {
+            outdated: earlier.outdated(key, &hash)?,
+            hash,
+        })
     });
-    Ok(found.into_iter().flatten().chain(beyond).chain(unreadable).collect())
+    Ok(found
+        .into_iter()
+        .flatten()
+        .chain(beyond)
+        .chain(unreadable)
+        .collect())
 }
 
 /// Hash of the files that hold the depths of a map.
@@ -319,17 +402,25 @@ impl MapCheck<'_> {
         }
         match self.moved(&map) {
             Ok((moved_px, view)) if moved_px > self.plan.stages.settings.ranking.keep_px => {
-                MapVerdict::Outdated { outdated: self.outdated(view, Some(moved_px)), hash }
+                MapVerdict::Outdated {
+                    outdated: self.outdated(view, Some(moved_px)),
+                    hash,
+                }
             }
             Ok(_) => self.fits(),
-            Err(view) => MapVerdict::Outdated { outdated: self.outdated(view, None), hash },
+            Err(view) => MapVerdict::Outdated {
+                outdated: self.outdated(view, None),
+                hash,
+            },
         }
     }
 
-    /// Says so where the map has neither of the planned sizes: the backend cannot fuse it with the others, and makes it again.
+    /// Says so where the map has neither of the planned sizes: the backend cannot fuse it with the
+    /// others, and makes it again.
     fn other_size(&self, map: &DepthMap) -> Option<String> {
         let stages = &self.plan.stages;
-        let is_planned = !stages.mixes_sizes || MapSize::new(&stages.model(), self.file.view, map).is_planned;
+        let is_planned =
+            !stages.mixes_sizes || MapSize::new(&stages.model(), self.file.view, map).is_planned;
         (!is_planned).then(|| {
             format!(
                 "{}: {} x {} pixels are neither the size that image_scale = {} gives nor half of it, so the map does not count",
@@ -350,10 +441,15 @@ impl MapCheck<'_> {
     }
 
     fn outdated(&self, view: &str, moved_px: Option<f64>) -> OutdatedMap {
-        OutdatedMap { key: self.key.clone(), view: view.into(), moved_px }
+        OutdatedMap {
+            key: self.key.clone(),
+            view: view.into(),
+            moved_px,
+        }
     }
 
-    /// Returns the largest movement of any view of the cluster, with that view; `Err`: a view that is gone or has no record.
+    /// Returns the largest movement of any view of the cluster, with that view; `Err`: a view that
+    /// is gone or has no record.
     fn moved(&self, map: &DepthMap) -> Result<(f64, &str), &str> {
         let place = |name| self.place(name).ok_or(name);
         let key = place(self.key.as_str())?;
@@ -368,7 +464,11 @@ impl MapCheck<'_> {
     }
 
     fn place(&self, name: &str) -> Option<MovedView> {
-        MovedView::new(self.earlier.then(self.key, name)?, &self.plan.stages.scene, self.plan.stages.scene.find(name)?)
+        MovedView::new(
+            self.earlier.then(self.key, name)?,
+            &self.plan.stages.scene,
+            self.plan.stages.scene.find(name)?,
+        )
     }
 
     fn fits(&self) -> MapVerdict {
@@ -376,10 +476,19 @@ impl MapCheck<'_> {
         let then = |name: &String| Some((name.clone(), self.earlier.then(self.key, name)?.clone()));
         let made_with: BTreeMap<String, PlannedView> = self.views().filter_map(then).collect();
         let now = |name: &str| scene.find(name).map(|view| PlannedView::new(scene, view));
-        let stayed = made_with.iter().all(|(name, then)| now(name).as_ref() == Some(then));
-        let partners = self.partners.iter().filter_map(|name| scene.find(name)).collect();
+        let stayed = made_with
+            .iter()
+            .all(|(name, then)| now(name).as_ref() == Some(then));
+        let partners = self
+            .partners
+            .iter()
+            .filter_map(|name| scene.find(name))
+            .collect();
         MapVerdict::Fits {
-            cluster: ViewCluster { key: self.file.view, partners },
+            cluster: ViewCluster {
+                key: self.file.view,
+                partners,
+            },
             made_with: (!stayed).then_some(made_with),
         }
     }

@@ -47,8 +47,9 @@ use crate::{
 /// Largest number of holes that are listed.
 const HOLES: usize = 20;
 
-/// Everything on the page, as its script reads it. Points are in the map frame: x to the right, y up the sheet, z up, scene units. Views are
-/// indices in the order of names; ranks are 1-based; arrays are little-endian in base64.
+/// Everything on the page, as its script reads it. Points are in the map frame: x to the right, y
+/// up the sheet, z up, scene units. Views are indices in the order of names; ranks are 1-based;
+/// arrays are little-endian in base64.
 #[derive(Serialize)]
 pub struct Contents {
     title: String,
@@ -62,7 +63,8 @@ pub struct Contents {
     triangles: usize,
     area: f64,
     cut: usize,
-    /// Clusters at the start of the ranking whose depth maps were finished when it was made; their gains and shares are measured.
+    /// Clusters at the start of the ranking whose depth maps were finished when it was made; their
+    /// gains and shares are measured.
     finished: usize,
     limits: Limits,
     /// Warnings of the manifest, and which depth maps cannot be shown.
@@ -124,8 +126,8 @@ struct ViewData {
     rank: String,
     /// Number of the reason + 1, u8; 0 without a reason.
     reason: String,
-    /// CSR by view: best substitutes so far. Ranks (u32) of the earlier clusters that give a larger share of what this view could give than any
-    /// cluster before them, and these shares, f32.
+    /// CSR by view: best substitutes so far. Ranks (u32) of the earlier clusters that give a larger
+    /// share of what this view could give than any cluster before them, and these shares, f32.
     likest_offsets: String,
     likest: String,
     likest_shares: String,
@@ -145,7 +147,8 @@ struct SurfaceData {
     ranks: String,
     shares: String,
     first: String,
-    /// Rank (u16) from which one map likely shows the triangle, and from which fusion likely keeps it.
+    /// Rank (u16) from which one map likely shows the triangle, and from which fusion likely keeps
+    /// it.
     alone: String,
     kept: String,
     reachable: String,
@@ -209,11 +212,19 @@ impl Contents {
             wanted_partners: plan.stages.settings.partners.k,
             points: plan.stages.scene.points.len(),
             triangles: plan.stages.surface.triangles.len(),
-            area: summary.as_ref().map_or_else(|| whole_area(plan), |region| region.area),
+            area: summary
+                .as_ref()
+                .map_or_else(|| whole_area(plan), |region| region.area),
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished.clusters,
             limits: Limits::new(&plan.decision.cut),
-            warnings: plan.decision.warnings.iter().cloned().chain(left_out).collect(),
+            warnings: plan
+                .decision
+                .warnings
+                .iter()
+                .cloned()
+                .chain(left_out)
+                .collect(),
             notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
             reasons: Reason::NUMBERED.iter().map(|r| r.words()).collect(),
@@ -222,14 +233,27 @@ impl Contents {
             pairs_total: plan.decision.forecast.all_pairs,
             views: ViewData::new(plan, &frame)?,
             ranking: RankingData::new(plan),
-            region: summary.zip(plan.stages.region.as_ref()).map(|(summary, region)| RegionData {
-                words: summary.words(plan.stages.settings.ranking.weight),
-                inside: bytes(&surface.original.iter().map(|&t| u8::from(region.is_inside(t))).collect::<Vec<_>>()),
-                border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
-            }),
+            region: summary
+                .zip(plan.stages.region.as_ref())
+                .map(|(summary, region)| RegionData {
+                    words: summary.words(plan.stages.settings.ranking.weight),
+                    inside: bytes(
+                        &surface
+                            .original
+                            .iter()
+                            .map(|&t| u8::from(region.is_inside(t)))
+                            .collect::<Vec<_>>(),
+                    ),
+                    border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
+                }),
             surface: SurfaceData::new(plan, &surface, &frame),
-            subject: Subject::new(plan, &frame).map(|Subject { low, high, .. }| Corners { low, high }),
-            holes: holes.largest.iter().map(|hole| HoleData::new(hole, &frame, &place, needed)).collect(),
+            subject: Subject::new(plan, &frame)
+                .map(|Subject { low, high, .. }| Corners { low, high }),
+            holes: holes
+                .largest
+                .iter()
+                .map(|hole| HoleData::new(hole, &frame, &place, needed))
+                .collect(),
             flight: FlightData::new(&flight, &frame),
             flight_files: flight::files(&flight, &holes.largest, &frame, &place, needed),
             holes_area: holes.area,
@@ -264,54 +288,116 @@ struct Limits {
 
 impl Limits {
     fn new(cut: &Cut) -> Self {
-        let Cut { reachable, reachable_band, share_band, fulfilment, fulfilment_bound, .. } = *cut;
-        let Cut { given_up, pairs_beyond_gate, .. } = *cut;
-        Self { reachable, reachable_band, share_band, fulfilment, fulfilment_bound, given_up, pairs_beyond_gate }
+        let Cut {
+            reachable,
+            reachable_band,
+            share_band,
+            fulfilment,
+            fulfilment_bound,
+            ..
+        } = *cut;
+        let Cut {
+            given_up,
+            pairs_beyond_gate,
+            ..
+        } = *cut;
+        Self {
+            reachable,
+            reachable_band,
+            share_band,
+            fulfilment,
+            fulfilment_bound,
+            given_up,
+            pairs_beyond_gate,
+        }
     }
 }
 
 fn not_honoured(export: &ExportRecord) -> impl Iterator<Item = String> {
-    export.not_honoured.iter().map(|what| format!("{}: not honoured: {what}", export.backend))
+    export
+        .not_honoured
+        .iter()
+        .map(|what| format!("{}: not honoured: {what}", export.backend))
 }
 
-/// Returns the weight per area of each drawn triangle: 255 for the largest, one less per 1/40 octave below it; 0 without weight.
+/// Returns the weight per area of each drawn triangle: 255 for the largest, one less per 1/40
+/// octave below it; 0 without weight.
 fn weights(plan: &Plan, surface: &DrawnSurface) -> Vec<u8> {
-    let density =
-        |&t: &u32| plan.stages.objective.weights[t as usize] / plan.stages.surface.area(t).max(f64::MIN_POSITIVE);
+    let density = |&t: &u32| {
+        plan.stages.objective.weights[t as usize]
+            / plan.stages.surface.area(t).max(f64::MIN_POSITIVE)
+    };
     let densities: Vec<f64> = surface.original.iter().map(density).collect();
     let most = densities.iter().copied().fold(0.0, f64::max);
-    let shade = |&d: &f64| if d > 0.0 { (255.0 + 40.0 * (d / most).log2()).clamp(1.0, 255.0).round() as u8 } else { 0 };
+    let shade = |&d: &f64| {
+        if d > 0.0 {
+            (255.0 + 40.0 * (d / most).log2()).clamp(1.0, 255.0).round() as u8
+        } else {
+            0
+        }
+    };
     densities.iter().map(shade).collect()
 }
 
 fn whole_area(plan: &Plan) -> f64 {
-    (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum()
+    (0..plan.stages.surface.triangles.len() as u32)
+        .map(|t| plan.stages.surface.area(t))
+        .sum()
 }
 
 /// Returns the name of the folder, with `.` resolved.
 fn title(root: &Path) -> String {
     let whole = dunce::canonicalize(root).unwrap_or_else(|_| root.into());
-    whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
+    whole
+        .file_name()
+        .unwrap_or(whole.as_os_str())
+        .to_string_lossy()
+        .into_owned()
 }
 
 /// CSR offsets as the page reads them: u32 in base64.
 pub(super) fn offset_bytes(offsets: &Offsets) -> String {
-    bytes(&offsets.as_slice().iter().map(|&offset| offset as u32).collect::<Vec<_>>())
+    bytes(
+        &offsets
+            .as_slice()
+            .iter()
+            .map(|&offset| offset as u32)
+            .collect::<Vec<_>>(),
+    )
 }
 
 fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
-    points.flat_map(|point| frame.local(point)).map(|x| x as f32).collect()
+    points
+        .flat_map(|point| frame.local(point))
+        .map(|x| x as f32)
+        .collect()
 }
 
 impl ViewData {
     fn new(plan: &Plan, frame: &MapFrame) -> Result<Self, DiskError> {
         let views = || plan.stages.scene.view_indices();
-        let centres: Vec<Point3<f64>> = plan.stages.scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
-        let directions = plan.stages.scene.views.iter().map(|v| v.cam_from_world.viewing_direction());
-        let directions: Vec<f32> = directions.flat_map(|d| frame.direction(&d)).map(|x| x as f32).collect();
+        let centres: Vec<Point3<f64>> = plan
+            .stages
+            .scene
+            .views
+            .iter()
+            .map(|v| v.cam_from_world.centre())
+            .collect();
+        let directions = plan
+            .stages
+            .scene
+            .views
+            .iter()
+            .map(|v| v.cam_from_world.viewing_direction());
+        let directions: Vec<f32> = directions
+            .flat_map(|d| frame.direction(&d))
+            .map(|x| x as f32)
+            .collect();
         let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, frame);
         let mut rank = vec![0u32; plan.stages.scene.views.len()];
-        plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.index()] = i as u32 + 1);
+        plan.ranked()
+            .enumerate()
+            .for_each(|(i, cluster)| rank[cluster.key.index()] = i as u32 + 1);
         let mut substitutes = vec![Vec::new(); rank.len()];
         plan.stages
             .clusters
@@ -319,18 +405,47 @@ impl ViewData {
             .zip(plan.best_substitutes()?)
             .for_each(|(cluster, found)| substitutes[cluster.key.index()] = found);
         Ok(Self {
-            names: plan.stages.scene.views.iter().map(|view| view.name.clone()).collect(),
+            names: plan
+                .stages
+                .scene
+                .views
+                .iter()
+                .map(|view| view.name.clone())
+                .collect(),
             centres: bytes(&in_frame(frame, centres.iter())),
             directions: bytes(&directions),
             footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
-            footprint_offsets: offset_bytes(&Offsets::from_lengths(footprints.iter().map(Vec::len))),
+            footprint_offsets: offset_bytes(&Offsets::from_lengths(
+                footprints.iter().map(Vec::len),
+            )),
             rank: bytes(&rank),
-            reason: bytes(&plan.decision.views.iter().map(|&(_, reason)| Reason::number(reason)).collect::<Vec<_>>()),
+            reason: bytes(
+                &plan
+                    .decision
+                    .views
+                    .iter()
+                    .map(|&(_, reason)| Reason::number(reason))
+                    .collect::<Vec<_>>(),
+            ),
             likest_offsets: offset_bytes(&Offsets::from_lengths(substitutes.iter().map(Vec::len))),
-            likest: bytes(&substitutes.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
-            likest_shares: bytes(&substitutes.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
+            likest: bytes(
+                &substitutes
+                    .iter()
+                    .flatten()
+                    .map(|l| l.rank as u32 + 1)
+                    .collect::<Vec<_>>(),
+            ),
+            likest_shares: bytes(
+                &substitutes
+                    .iter()
+                    .flatten()
+                    .map(|l| l.share as f32)
+                    .collect::<Vec<_>>(),
+            ),
             seen: bytes(
-                &views().map(|view| plan.stages.visibility.triangles_seen_by(view).len() as u32).collect::<Vec<_>>(),
+                &views()
+                    .map(|view| plan.stages.visibility.triangles_seen_by(view).len() as u32)
+                    .collect::<Vec<_>>(),
             ),
             partners: partners(plan),
         })
@@ -339,15 +454,27 @@ impl ViewData {
 
 /// Explains the refused pairs of each view whose reason is about its pairs.
 fn partners(plan: &Plan) -> BTreeMap<u32, String> {
-    let of_pairs = [Reason::NoSharedPoints, Reason::RotationOnly, Reason::NotMatchable];
-    let lacks = |view: &ViewIndex| plan.decision.views[view.index()].1.is_some_and(|reason| of_pairs.contains(&reason));
+    let of_pairs = [
+        Reason::NoSharedPoints,
+        Reason::RotationOnly,
+        Reason::NotMatchable,
+    ];
+    let lacks = |view: &ViewIndex| {
+        plan.decision.views[view.index()]
+            .1
+            .is_some_and(|reason| of_pairs.contains(&reason))
+    };
     // In a plan, all limits that some pair exceeds are set.
     let gate = Gate::OPEN.with(&plan.stages.settings.partners.gate);
     let points = plan.stages.scene.view_points();
     let views: Vec<ViewIndex> = plan.stages.scene.view_indices().filter(lacks).collect();
     let stages = &plan.stages;
-    let words =
-        |&view: &ViewIndex| (view.0, partners_in_words(&stages.scene, &points, &stages.without_image, &gate, view));
+    let words = |&view: &ViewIndex| {
+        (
+            view.0,
+            partners_in_words(&stages.scene, &points, &stages.without_image, &gate, view),
+        )
+    };
     views.par_iter().map(words).collect()
 }
 
@@ -381,10 +508,12 @@ struct FlightData {
     directions: String,
     /// Hole of each, an index.
     holes: Vec<usize>,
-    /// Ranges over the images of each hole are what its row shows: height above the surface, and overlap, 0 to 1.
+    /// Ranges over the images of each hole are what its row shows: height above the surface, and
+    /// overlap, 0 to 1.
     heights: Vec<f64>,
     overlaps: Vec<f64>,
-    /// Part of the holes' weight that fusion is expected to keep with them, and with images from all candidate poses; 0 to 1.
+    /// Part of the holes' weight that fusion is expected to keep with them, and with images from
+    /// all candidate poses; 0 to 1.
     filled: f64,
     fillable: f64,
     /// Part of the weight of each hole.
@@ -394,7 +523,10 @@ struct FlightData {
 impl FlightData {
     fn new(flight: &Flight, frame: &MapFrame) -> Self {
         let all = || flight.waypoints.iter();
-        let directions: Vec<f32> = all().flat_map(|w| frame.direction(&w.direction)).map(|x| x as f32).collect();
+        let directions: Vec<f32> = all()
+            .flat_map(|w| frame.direction(&w.direction))
+            .map(|x| x as f32)
+            .collect();
         Self {
             centres: bytes(&in_frame(frame, all().map(|w| &w.centre))),
             directions: bytes(&directions),
@@ -410,7 +542,13 @@ impl FlightData {
 
 impl HoleData {
     fn new(hole: &Hole, frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
-        let Hole { area, triangles, reason, centre, .. } = hole;
+        let Hole {
+            area,
+            triangles,
+            reason,
+            centre,
+            ..
+        } = hole;
         let place = place.geodetic(centre).map(|at| [at.latitude, at.longitude]);
         Self {
             area: *area,

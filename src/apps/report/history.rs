@@ -1,4 +1,5 @@
-//! Growth of the fulfilment of each drawn triangle along the ranking, so that the page can show any cut.
+//! Growth of the fulfilment of each drawn triangle along the ranking, so that the page can show any
+//! cut.
 
 use super::shown::DrawnSurface;
 use crate::{base::rows::Offsets, method::ranking::Reached, plan::Plan, show::pictures};
@@ -20,7 +21,8 @@ pub struct History {
     pub shares: Vec<u8>,
     /// Ranks of the first [`COUNTED`] clusters that fulfil the triangle at all.
     pub first: Vec<u32>,
-    /// Rank from which one map is more likely than not to show the triangle, and rank from which as many maps as fusion needs are.
+    /// Rank from which one map is more likely than not to show the triangle, and rank from which as
+    /// many maps as fusion needs are.
     pub alone: Vec<u32>,
     pub kept: Vec<u32>,
     /// Fulfilment by all clusters together, in 255ths.
@@ -30,13 +32,19 @@ pub struct History {
 impl History {
     pub fn new(plan: &Plan, drawn: &DrawnSurface) -> Self {
         let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
-        drawn.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
+        drawn
+            .original
+            .iter()
+            .enumerate()
+            .for_each(|(i, &t)| place[t as usize] = i as u32);
         let mut steps: Vec<Vec<(u32, f32)>> = vec![Vec::new(); drawn.original.len()];
         let mut first: Vec<Vec<u32>> = vec![Vec::with_capacity(COUNTED); drawn.original.len()];
         pictures::for_each_step(plan, |rank, triangle, fulfilment| {
             let place = place[triangle as usize] as usize;
             let rank = rank as u32 + 1;
-            let (Some(of), Some(counted)) = (steps.get_mut(place), first.get_mut(place)) else { return };
+            let (Some(of), Some(counted)) = (steps.get_mut(place), first.get_mut(place)) else {
+                return;
+            };
             if counted.len() < COUNTED {
                 counted.push(rank);
             }
@@ -45,7 +53,11 @@ impl History {
             }
         });
         let (alone, kept) = confirmed(plan, drawn);
-        let mut history = Self { alone, kept, ..Self::default() };
+        let mut history = Self {
+            alone,
+            kept,
+            ..Self::default()
+        };
         for (steps, mut counted) in steps.into_iter().zip(first) {
             counted.resize(COUNTED, NEVER);
             history.first.extend(counted);
@@ -71,18 +83,29 @@ impl History {
     }
 }
 
-/// Returns the ranks from which one map, and as many maps as fusion needs, are more likely than not to show each drawn triangle.
+/// Returns the ranks from which one map, and as many maps as fusion needs, are more likely than not
+/// to show each drawn triangle.
 fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
     let mut reached = Reached::new(&plan.stages.objective);
-    let (mut alone, mut kept) = (vec![NEVER; drawn.original.len()], vec![NEVER; drawn.original.len()]);
+    let (mut alone, mut kept) = (
+        vec![NEVER; drawn.original.len()],
+        vec![NEVER; drawn.original.len()],
+    );
     let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
-    drawn.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
+    drawn
+        .original
+        .iter()
+        .enumerate()
+        .for_each(|(i, &t)| place[t as usize] = i as u32);
     let maps = plan.stages.maps();
     for (rank, (cluster, scale)) in (1..NEVER).zip(plan.decision.ranking.maps()) {
         let row = maps.row_at(cluster, scale);
         reached.take(row);
         for &t in row.0 {
-            let Some(place) = Some(place[t as usize] as usize).filter(|&place| place < alone.len()) else { continue };
+            let Some(place) = Some(place[t as usize] as usize).filter(|&place| place < alone.len())
+            else {
+                continue;
+            };
             if reached.best(t) > LIKELY {
                 alone[place] = alone[place].min(rank);
             }
@@ -109,8 +132,15 @@ mod tests {
         let mut history = History::default();
         history.push(&[(1, 0.2), (4, 0.2004), (70_000, 0.4)]);
         history.push(&[]);
-        assert_eq!(history.ranks, [1, 70_000], "a step of less than a 255th is left out");
+        assert_eq!(
+            history.ranks,
+            [1, 70_000],
+            "a step of less than a 255th is left out"
+        );
         assert_eq!(history.shares, [128, 255]);
-        assert_eq!((history.offsets, history.reachable), (Offsets::from_lengths([2, 0]), vec![102, 0]));
+        assert_eq!(
+            (history.offsets, history.reachable),
+            (Offsets::from_lengths([2, 0]), vec![102, 0])
+        );
     }
 }

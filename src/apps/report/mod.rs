@@ -1,8 +1,9 @@
 //! `report.html`: the plan on one self-contained page, to inspect before it is used.
 //!
-//! Everything on the page follows a slider for the cut, so the page holds the whole ranking and how each triangle's fulfilment grows along it
-//! (`history.rs`), on a surface that is made coarser where it would be too large (`shown.rs`); arrays travel as base64 of
-//! little-endian numbers. The files of `page/` draw it.
+//! Everything on the page follows a slider for the cut, so the page holds the whole ranking and how
+//! each triangle's fulfilment grows along it (`history.rs`), on a surface that is made coarser
+//! where it would be too large (`shown.rs`); arrays travel as base64 of little-endian numbers. The
+//! files of `page/` draw it.
 
 mod contents;
 mod flight;
@@ -37,12 +38,19 @@ const SCRIPT: &str = concat!(
 /// Returns the whole page.
 pub fn page(contents: &Contents) -> String {
     // "</" would end the script element; JSON allows "<" to be escaped anywhere.
-    let data =
-        serde_json::to_string(contents).expect("string keys and finite numbers are JSON").replace('<', "\\u003c");
+    let data = serde_json::to_string(contents)
+        .expect("string keys and finite numbers are JSON")
+        .replace('<', "\\u003c");
     let mut page = String::with_capacity(PAGE.len() + STYLE.len() + SCRIPT.len() + data.len());
     let mut rest = PAGE;
-    for (mark, text) in [("/*STYLE*/", STYLE), ("/*DATA*/", &data), ("/*SCRIPT*/", SCRIPT)] {
-        let (before, after) = rest.split_once(mark).expect("page.html has its marks in this order");
+    for (mark, text) in [
+        ("/*STYLE*/", STYLE),
+        ("/*DATA*/", &data),
+        ("/*SCRIPT*/", SCRIPT),
+    ] {
+        let (before, after) = rest
+            .split_once(mark)
+            .expect("page.html has its marks in this order");
         page += before;
         page += text;
         rest = after;
@@ -52,6 +60,11 @@ pub fn page(contents: &Contents) -> String {
 
 /// Returns the little-endian bytes of the numbers in base64.
 fn bytes<T: NoUninit>(values: &[T]) -> String {
-    const { assert!(cfg!(target_endian = "little"), "the page reads little-endian numbers") }
+    const {
+        assert!(
+            cfg!(target_endian = "little"),
+            "the page reads little-endian numbers"
+        )
+    }
     BASE64_STANDARD.encode(bytemuck::cast_slice(values))
 }

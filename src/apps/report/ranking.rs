@@ -40,7 +40,9 @@ impl RankingData {
         let shares: Vec<f64> = plan.ranked().map(|cluster| cluster.share).collect();
         Self {
             keys: numbers(plan.ranked().map(|cluster| cluster.key).collect()),
-            partner_offsets: offset_bytes(&Offsets::from_lengths(plan.ranked().map(|cluster| cluster.partners.len()))),
+            partner_offsets: offset_bytes(&Offsets::from_lengths(
+                plan.ranked().map(|cluster| cluster.partners.len()),
+            )),
             partners: numbers(plan.ranked().flat_map(|cluster| cluster.partners).collect()),
             gains: bytes(&plan.decision.ranking.gains),
             shares: bytes(&shares),
@@ -61,7 +63,10 @@ impl SizeData {
                 sum += own;
                 work.push(sum);
             }
-            Self { of_full: bytes(&of_full), work: bytes(&work) }
+            Self {
+                of_full: bytes(&of_full),
+                work: bytes(&work),
+            }
         })
     }
 }

@@ -7,7 +7,8 @@ use serde::Serialize;
 use super::{ReportError, bytes, history::in_255ths, shown::DrawnSurface};
 use crate::{
     apps::evaluate::{
-        EvaluateError, EvaluationInput, MeasuredClusters, MeasuredProgress, MeasuredSurface, curve::ReachCurve, orders,
+        EvaluateError, EvaluationInput, MeasuredClusters, MeasuredProgress, MeasuredSurface,
+        curve::ReachCurve, orders,
     },
     base::progress::Watcher,
     io::{
@@ -35,14 +36,16 @@ pub struct Real {
     maps: usize,
     /// Rank (from 1) of each finished cluster.
     ranks: Vec<usize>,
-    /// Measured weight kept by fusion up to that cluster, over what it is expected to keep of all clusters (method 8).
+    /// Measured weight kept by fusion up to that cluster, over what it is expected to keep of all
+    /// clusters (method 8).
     share: Vec<f64>,
     /// Measured fulfilment of each drawn triangle, in 255ths.
     triangles: String,
 }
 
 impl Real {
-    /// Measures the depth maps of this plan, `None` if there are none; also warnings about what is left out or not as planned.
+    /// Measures the depth maps of this plan, `None` if there are none; also warnings about what is
+    /// left out or not as planned.
     pub fn new(
         plan: &Plan,
         project: &Project,
@@ -62,20 +65,31 @@ impl Real {
         for folder in &folders {
             match MeasuredClusters::new(&task(plan, &clusters, folder, asked), watcher) {
                 Ok(run) => {
-                    left_out
-                        .extend(run.unreadable.iter().map(|why| format!("left out of the measured fulfilment: {why}")));
+                    left_out.extend(
+                        run.unreadable
+                            .iter()
+                            .map(|why| format!("left out of the measured fulfilment: {why}")),
+                    );
                     left_out.extend(run.other_partners.first().map(|&first| {
                         let (count, name) = (run.other_partners.len(), plan.stages.scene.name(first));
                         format!("{count} depth maps were made with other partners than planned; the first is {name}")
                     }));
                     left_out.extend(others_of(plan, folder, &folders));
-                    return Ok((Some(Self::of(plan, drawn, &run, &clusters, folder)), left_out));
+                    return Ok((
+                        Some(Self::of(plan, drawn, &run, &clusters, folder)),
+                        left_out,
+                    ));
                 }
                 Err(EvaluateError::Cancelled(cancelled)) => return Err(cancelled.into()),
                 Err(error) if !of_project => return Err(error.into()),
                 // A folder found by viewrank may hold the maps of another plan.
-                Err(EvaluateError::NoClusters(_) | EvaluateError::DepthMap(DepthMapError::None(_))) => {}
-                Err(error) => left_out.push(format!("cannot show the depth maps in {}: {error}", folder.display())),
+                Err(
+                    EvaluateError::NoClusters(_) | EvaluateError::DepthMap(DepthMapError::None(_)),
+                ) => {}
+                Err(error) => left_out.push(format!(
+                    "cannot show the depth maps in {}: {error}",
+                    folder.display()
+                )),
             }
         }
         match &asked.reference {
@@ -84,19 +98,36 @@ impl Real {
         }
     }
 
-    fn of(plan: &Plan, drawn: &DrawnSurface, run: &MeasuredClusters, clusters: &[ViewCluster], folder: &Path) -> Self {
+    fn of(
+        plan: &Plan,
+        drawn: &DrawnSurface,
+        run: &MeasuredClusters,
+        clusters: &[ViewCluster],
+        folder: &Path,
+    ) -> Self {
         let model = plan.stages.model();
         let curve = ReachCurve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
         let so_far = MeasuredProgress::new(&plan.stages, run);
-        let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
+        let rank = |&c: &u32| {
+            1 + clusters
+                .iter()
+                .take_while(|of| of.key != run.clusters[c as usize].key)
+                .count()
+        };
         let reached = MeasuredSurface::new(&model, run);
-        let shades: Vec<u8> = drawn.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
+        let shades: Vec<u8> = drawn
+            .original
+            .iter()
+            .map(|&t| in_255ths(reached.fulfilment[t as usize]))
+            .collect();
         Self {
             folder: folder.display().to_string(),
             reference: run.has_reference,
             maps: run.clusters.len(),
             ranks: run.order.iter().map(rank).collect(),
-            share: (1..curve.kept.len()).map(|i| curve.share(i, so_far.reachable)).collect(),
+            share: (1..curve.kept.len())
+                .map(|i| curve.share(i, so_far.reachable))
+                .collect(),
             triangles: bytes(&shades),
         }
     }
@@ -104,7 +135,11 @@ impl Real {
 
 /// Returns the folders that may hold depth maps, that of the plan's backend first.
 fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
-    let own = depthmaps::folder_of(&project.home, project.dense_workspace.as_deref(), plan.stages.backend);
+    let own = depthmaps::folder_of(
+        &project.home,
+        project.dense_workspace.as_deref(),
+        plan.stages.backend,
+    );
     let mut folders = depthmaps::folders(&project.home);
     folders.sort_by_key(|folder| *folder != own);
     folders
@@ -115,15 +150,25 @@ fn others_of(plan: &Plan, measured: &Path, folders: &[PathBuf]) -> Vec<String> {
     let others = folders.iter().filter(|folder| *folder != measured);
     let has_maps = |folder: &&PathBuf| depthmaps::find(folder, &plan.stages.scene).is_ok();
     let words = |folder: &PathBuf| {
-        format!("ignored the depth maps in {}; those in {} are shown", folder.display(), measured.display())
+        format!(
+            "ignored the depth maps in {}; those in {} are shown",
+            folder.display(),
+            measured.display()
+        )
     };
     others.filter(has_maps).map(words).collect()
 }
 
 /// Returns all clusters in rank order, those without predicted gain last.
 fn in_order(plan: &Plan) -> Vec<ViewCluster> {
-    let order = orders::completed(plan.decision.ranking.order.clone(), plan.stages.clusters.len());
-    order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
+    let order = orders::completed(
+        plan.decision.ranking.order.clone(),
+        plan.stages.clusters.len(),
+    );
+    order
+        .iter()
+        .map(|&c| plan.stages.clusters[c as usize].clone())
+        .collect()
 }
 
 fn task<'a>(
@@ -132,5 +177,10 @@ fn task<'a>(
     depth_maps: &'a Path,
     asked: &'a DepthMapFolders,
 ) -> EvaluationInput<'a> {
-    EvaluationInput::new(&plan.stages, clusters, depth_maps, asked.reference.as_deref())
+    EvaluationInput::new(
+        &plan.stages,
+        clusters,
+        depth_maps,
+        asked.reference.as_deref(),
+    )
 }

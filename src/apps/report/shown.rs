@@ -23,8 +23,9 @@ impl DrawnSurface {
         Self::within(surface, BUDGET)
     }
 
-    /// Reduces the surface to at most `budget` triangles by vertex clustering: vertices in the same cube are merged. The edge of the cubes
-    /// grows by a tenth until the budget is met. Of triangles that coincide, the largest is kept.
+    /// Reduces the surface to at most `budget` triangles by vertex clustering: vertices in the same
+    /// cube are merged. The edge of the cubes grows by a tenth until the budget is met. Of
+    /// triangles that coincide, the largest is kept.
     fn within(surface: &Surface, budget: usize) -> Self {
         if surface.triangles.len() <= budget {
             return Self {
@@ -33,7 +34,9 @@ impl DrawnSurface {
                 original: (0..surface.triangles.len() as u32).collect(),
             };
         }
-        let area: f64 = (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum();
+        let area: f64 = (0..surface.triangles.len() as u32)
+            .map(|t| surface.area(t))
+            .sum();
         let mut cube = (area / budget as f64).sqrt().max(f64::MIN_POSITIVE);
         loop {
             let drawn = Self::in_cubes(surface, cube);
@@ -44,7 +47,8 @@ impl DrawnSurface {
         }
     }
 
-    /// Returns the edges between drawn triangles of which one counts and the other doesn't, as pairs of vertices, ascending.
+    /// Returns the edges between drawn triangles of which one counts and the other doesn't, as
+    /// pairs of vertices, ascending.
     pub fn border(&self, counts: impl Fn(u32) -> bool) -> Vec<[u32; 2]> {
         let mut edges: Vec<([u32; 2], bool)> = Vec::with_capacity(3 * self.triangles.len());
         for (&[a, b, c], &t) in self.triangles.iter().zip(&self.original) {
@@ -52,13 +56,19 @@ impl DrawnSurface {
         }
         edges.sort_unstable();
         let same = edges.chunk_by(|a, b| a.0 == b.0);
-        same.filter(|same| same[0].1 != same[same.len() - 1].1).map(|same| same[0].0).collect()
+        same.filter(|same| same[0].1 != same[same.len() - 1].1)
+            .map(|same| same[0].0)
+            .collect()
     }
 
     fn in_cubes(surface: &Surface, cube: f64) -> Self {
         let mut number = BTreeMap::new();
         let mut sums: Vec<(Vector3<f64>, f64)> = Vec::new();
-        let anchor = surface.vertices.first().copied().unwrap_or_else(Point3::origin);
+        let anchor = surface
+            .vertices
+            .first()
+            .copied()
+            .unwrap_or_else(Point3::origin);
         let of_vertex = |v: &Point3<f64>| {
             let offset = v - anchor;
             let key = [0, 1, 2].map(|axis| (offset[axis] / cube).floor() as i64);
@@ -100,11 +110,28 @@ mod tests {
 
     #[test]
     fn a_coarser_surface_keeps_its_place_and_its_size() {
-        let surface = Town { boxes: 0, edge: 0.5, ..Town::default() }.surface();
+        let surface = Town {
+            boxes: 0,
+            edge: 0.5,
+            ..Town::default()
+        }
+        .surface();
         let coarse = DrawnSurface::within(&surface, 5000);
-        assert!((2500..=5000).contains(&coarse.triangles.len()), "{}", coarse.triangles.len());
-        let drawn = Surface { kind: surface.kind, vertices: coarse.vertices, triangles: coarse.triangles };
-        let area = |s: &Surface| (0..s.triangles.len() as u32).map(|t| s.area(t)).sum::<f64>();
+        assert!(
+            (2500..=5000).contains(&coarse.triangles.len()),
+            "{}",
+            coarse.triangles.len()
+        );
+        let drawn = Surface {
+            kind: surface.kind,
+            vertices: coarse.vertices,
+            triangles: coarse.triangles,
+        };
+        let area = |s: &Surface| {
+            (0..s.triangles.len() as u32)
+                .map(|t| s.area(t))
+                .sum::<f64>()
+        };
         assert!((area(&drawn) / area(&surface) - 1.0).abs() < 0.05);
         for (t, &original) in coarse.original.iter().enumerate() {
             assert!((drawn.centroid(t as u32) - surface.centroid(original)).norm() < 3.0);
@@ -113,11 +140,22 @@ mod tests {
 
     #[test]
     fn the_border_of_a_half_is_the_line_between_the_halves() {
-        let surface = Town { boxes: 0, relief: 0.0, edge: 2.0, ..Town::default() }.surface();
+        let surface = Town {
+            boxes: 0,
+            relief: 0.0,
+            edge: 2.0,
+            ..Town::default()
+        }
+        .surface();
         let drawn = DrawnSurface::new(&surface);
         let border = drawn.border(|t| surface.centroid(t).x < 4.0);
         assert_eq!(border.len(), 40, "80 m in steps of 2 m");
-        assert!(border.iter().flatten().all(|&v| (drawn.vertices[v as usize].x - 4.0).abs() < 1e-9));
+        assert!(
+            border
+                .iter()
+                .flatten()
+                .all(|&v| (drawn.vertices[v as usize].x - 4.0).abs() < 1e-9)
+        );
         assert!(drawn.border(|_| true).is_empty());
     }
 
@@ -126,6 +164,12 @@ mod tests {
         let surface = Town::default().surface();
         let drawn = DrawnSurface::new(&surface);
         assert_eq!(drawn.triangles, surface.triangles);
-        assert!(drawn.original.iter().enumerate().all(|(i, &t)| i == t as usize));
+        assert!(
+            drawn
+                .original
+                .iter()
+                .enumerate()
+                .all(|(i, &t)| i == t as usize)
+        );
     }
 }

@@ -14,8 +14,8 @@ const TAIL: f64 = 0.01;
 /// Margin on each side, as a share of the box's side.
 const ROOM: f64 = 0.03;
 
-/// A box in the map frame that holds all but the outermost of the weight (method 5.1) inside the region; without one, inside the region that
-/// `auto` would be (method 5.7).
+/// A box in the map frame that holds all but the outermost of the weight (method 5.1) inside the
+/// region; without one, inside the region that `auto` would be (method 5.7).
 #[derive(Clone, Debug)]
 pub struct Subject<'a> {
     frame: &'a MapFrame,
@@ -37,8 +37,19 @@ impl<'a> Subject<'a> {
         if places.is_empty() {
             return None;
         }
-        let ranges = [0, 1, 2].map(|axis| range(places.iter().map(|(place, weight)| (place[axis], *weight)).collect()));
-        Some(Self { frame, low: ranges.map(|r| r[0]), high: ranges.map(|r| r[1]) })
+        let ranges = [0, 1, 2].map(|axis| {
+            range(
+                places
+                    .iter()
+                    .map(|(place, weight)| (place[axis], *weight))
+                    .collect(),
+            )
+        });
+        Some(Self {
+            frame,
+            low: ranges.map(|r| r[0]),
+            high: ranges.map(|r| r[1]),
+        })
     }
 
     /// Returns whether a world point is in the box.
@@ -48,13 +59,16 @@ impl<'a> Subject<'a> {
     }
 }
 
-/// The region of `auto`; `None` with a region of the plan's own, whose weights are 0 outside, or if there is none.
+/// The region of `auto`; `None` with a region of the plan's own, whose weights are 0 outside, or if
+/// there is none.
 fn densest(plan: &Plan) -> Option<Region> {
     let stages = &plan.stages;
     if stages.region.is_some() {
         return None;
     }
-    RegionShape::Auto.lay_over(&stages.surface, &stages.shown.pixels, &NoWatcher).ok()
+    RegionShape::Auto
+        .lay_over(&stages.surface, &stages.shown.pixels, &NoWatcher)
+        .ok()
 }
 
 /// Returns the range of values that holds all weight except the tails, with a margin.
@@ -83,6 +97,9 @@ mod tests {
         let mut values: Vec<(f64, f64)> = (0..=1000).map(|i| (f64::from(i) / 10.0, 1.0)).collect();
         values.push((1e6, 5.0));
         let [low, high] = range(values);
-        assert!((-3.0..2.0).contains(&low) && (98.0..104.0).contains(&high), "{low} {high}");
+        assert!(
+            (-3.0..2.0).contains(&low) && (98.0..104.0).contains(&high),
+            "{low} {high}"
+        );
     }
 }

@@ -18,13 +18,15 @@ use crate::{
     show::pictures::{expected_success, in_colour},
 };
 
-/// Largest number of thumbnails, about 3 kB each; with more views, only the first in the ranking get one.
+/// Largest number of thumbnails, about 3 kB each; with more views, only the first in the ranking
+/// get one.
 pub const MOST: usize = 500;
 /// Long side, pixels.
 const SIDE: u32 = 112;
 const QUALITY: u8 = 55;
 
-/// Returns JPEG files in base64 by view. Views whose image is missing or cannot be read have no entry.
+/// Returns JPEG files in base64 by view. Views whose image is missing or cannot be read have no
+/// entry.
 pub fn thumbnails(
     plan: &Plan,
     images: &ImageFolder,
@@ -38,10 +40,16 @@ pub fn thumbnails(
     let of_view = |&view: &ViewIndex| {
         watcher.check()?;
         let scene = &plan.stages.scene;
-        let small = thumbnail(&images.file(scene.name(view)), scene.camera_of(view).most_picture_pixels());
+        let small = thumbnail(
+            &images.file(scene.name(view)),
+            scene.camera_of(view).most_picture_pixels(),
+        );
         Ok(small.map(|jpeg| (view.0, BASE64_STANDARD.encode(jpeg))))
     };
-    let all: Vec<Option<(u32, String)>> = views.par_iter().map(of_view).collect::<Result<_, Cancelled>>()?;
+    let all: Vec<Option<(u32, String)>> = views
+        .par_iter()
+        .map(of_view)
+        .collect::<Result<_, Cancelled>>()?;
     Ok(all.into_iter().flatten().collect())
 }
 
@@ -56,10 +64,14 @@ pub fn expected(plan: &Plan, watcher: &dyn Watcher) -> Result<BTreeMap<u32, Stri
         let camera = plan.stages.scene.camera_of(cluster.key);
         let [width, height] = within([camera.width, camera.height], SIDE);
         let colours = in_colour(&expected_success(&model, cluster, width, height));
-        Ok(encoded(&colours, width, height).map(|jpeg| (cluster.key.0, BASE64_STANDARD.encode(jpeg))))
+        Ok(encoded(&colours, width, height)
+            .map(|jpeg| (cluster.key.0, BASE64_STANDARD.encode(jpeg))))
     };
     let clusters: Vec<&ViewCluster> = plan.chosen().take(MOST_EXPECTED).collect();
-    let all: Vec<Option<_>> = clusters.into_par_iter().map(of_cluster).collect::<Result<_, Cancelled>>()?;
+    let all: Vec<Option<_>> = clusters
+        .into_par_iter()
+        .map(of_cluster)
+        .collect::<Result<_, Cancelled>>()?;
     Ok(all.into_iter().flatten().collect())
 }
 
@@ -71,7 +83,9 @@ fn thumbnail(path: &Path, bound: PixelBound) -> Option<Vec<u8>> {
 fn encoded(rgb: &[u8], width: u32, height: u32) -> Option<Vec<u8>> {
     let mut jpeg = Vec::new();
     let encoder = JpegEncoder::new_with_quality(&mut jpeg, QUALITY);
-    encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8).ok()?;
+    encoder
+        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+        .ok()?;
     Some(jpeg)
 }
 

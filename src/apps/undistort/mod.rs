@@ -1,7 +1,9 @@
-//! Undistorts the images for backends that need it: a COLMAP dense workspace like that of `image_undistorter`.
+//! Undistorts the images for backends that need it: a COLMAP dense workspace like that of
+//! `image_undistorter`.
 //!
-//! Images are written in batches, each completely or not at all, with a record of their inputs, so that an interrupted run resumes.
-//! The model is written last and removed first: a workspace with a `sparse/` is complete.
+//! Images are written in batches, each completely or not at all, with a record of their inputs, so
+//! that an interrupted run resumes. The model is written last and removed first: a workspace with a
+//! `sparse/` is complete.
 
 mod camera;
 mod picture;
@@ -59,7 +61,13 @@ impl UndistortOptions {
 
 impl Default for UndistortOptions {
     fn default() -> Self {
-        Self { blank_pixels: 0.0, min_scale: 0.2, max_scale: 2.0, max_image_size: None, roi: Self::WHOLE }
+        Self {
+            blank_pixels: 0.0,
+            min_scale: 0.2,
+            max_scale: 2.0,
+            max_image_size: None,
+            roi: Self::WHOLE,
+        }
     }
 }
 
@@ -70,7 +78,8 @@ pub struct UndistortReport {
     pub folder: PathBuf,
     /// Number of images in the workspace.
     pub images: usize,
-    /// Number of them computed by this run; the others were there already or are links to images without distortion.
+    /// Number of them computed by this run; the others were there already or are links to images
+    /// without distortion.
     pub computed: usize,
     /// New names of the user's files that were in the way.
     pub kept: Vec<String>,
@@ -82,7 +91,9 @@ impl UndistortReport {
     /// Warns of masks that are left behind.
     pub fn warning(&self) -> Option<String> {
         let (masks, folder) = (self.masks.as_ref()?.display(), self.folder.display());
-        Some(format!("the masks in {masks} are not undistorted: {folder} is planned and matched without them"))
+        Some(format!(
+            "the masks in {masks} are not undistorted: {folder} is planned and matched without them"
+        ))
     }
 }
 
@@ -103,9 +114,15 @@ pub fn undistort(
     let scene = project.read_scene()?;
     let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
-    let masks = Pictures::new(project).masks_of(scene.views.iter().map(|view| &*view.name)).map(Path::to_path_buf);
-    let mut done =
-        UndistortReport { folder: out.into(), images: scene.views.len(), masks, ..UndistortReport::default() };
+    let masks = Pictures::new(project)
+        .masks_of(scene.views.iter().map(|view| &*view.name))
+        .map(Path::to_path_buf);
+    let mut done = UndistortReport {
+        folder: out.into(),
+        images: scene.views.len(),
+        masks,
+        ..UndistortReport::default()
+    };
     let mut finished = 0;
     watcher.progress(Stage::Undistort, 0, done.images as u64);
     for (i, views) in batches.iter().enumerate() {
@@ -113,7 +130,8 @@ pub fn undistort(
         if !job.is_there(i, views, &note) {
             // Removes the model first: next to images of other sizes, it would be taken for valid.
             FileSet::new(out, SET).write(disk)?;
-            done.kept.extend(job.batch(i, views, note, watcher)?.write(disk)?.kept);
+            done.kept
+                .extend(job.batch(i, views, note, watcher)?.write(disk)?.kept);
             done.computed += views.iter().filter(|v| !job.stays(**v)).count();
         }
         finished += views.len();
@@ -126,9 +144,14 @@ pub fn undistort(
     Ok(done)
 }
 
-/// Returns the scene with the cameras that its undistorted images will have. A camera without a pinhole camera stays.
+/// Returns the scene with the cameras that its undistorted images will have. A camera without a
+/// pinhole camera stays.
 pub fn with_undistorted_cameras(mut scene: Scene) -> Scene {
-    for camera in scene.cameras.iter_mut().filter(|camera| camera.model().focal_length_count() > 0) {
+    for camera in scene
+        .cameras
+        .iter_mut()
+        .filter(|camera| camera.model().focal_length_count() > 0)
+    {
         if let Ok(pinhole) = camera::undistorted(camera, &UndistortOptions::default()) {
             *camera = pinhole;
         }
@@ -162,17 +185,34 @@ impl<'a> Undistortion<'a> {
         options: &UndistortOptions,
         out: &'a Path,
     ) -> Result<Self, UndistortError> {
-        let images = project.images.as_ref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
+        let images = project
+            .images
+            .as_ref()
+            .ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
         if paths::is_same(images, &out.join("images")) {
             return Err(UndistortError::OwnImages(images.to_path_buf()));
         }
         let pinhole = |camera: &Camera| match camera.model().focal_length_count() {
-            0 => Err(UndistortError::NoPinhole { model: camera.model().name() }),
-            _ => camera::undistorted(camera, options)
-                .map_err(|error| UndistortError::Image { path: images.to_path_buf(), source: error.into() }),
+            0 => Err(UndistortError::NoPinhole {
+                model: camera.model().name(),
+            }),
+            _ => camera::undistorted(camera, options).map_err(|error| UndistortError::Image {
+                path: images.to_path_buf(),
+                source: error.into(),
+            }),
         };
-        let cameras = scene.cameras.iter().map(pinhole).collect::<Result<_, _>>()?;
-        Ok(Self { project, scene, images, out, cameras })
+        let cameras = scene
+            .cameras
+            .iter()
+            .map(pinhole)
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            project,
+            scene,
+            images,
+            out,
+            cameras,
+        })
     }
 
     fn source(&self, view: ViewIndex) -> &Camera {
@@ -200,7 +240,10 @@ impl<'a> Undistortion<'a> {
                 pixels = 0;
             }
             pixels += own;
-            batches.last_mut().expect("the first view opens a batch").push(view);
+            batches
+                .last_mut()
+                .expect("the first view opens a batch")
+                .push(view);
         }
         batches
     }
@@ -209,24 +252,45 @@ impl<'a> Undistortion<'a> {
     fn note(&self, views: &[ViewIndex], watcher: &dyn Watcher) -> Result<String, UndistortError> {
         let made = |&view: &ViewIndex| {
             watcher.check()?;
-            let camera = |c: &Camera| format!("{} {}x{} {:?}", c.model().name(), c.width, c.height, c.params());
+            let camera = |c: &Camera| {
+                format!(
+                    "{} {}x{} {:?}",
+                    c.model().name(),
+                    c.width,
+                    c.height,
+                    c.params()
+                )
+            };
             let image = blake3::hash(&self.read(view)?).to_string();
             let (from, to) = (camera(self.source(view)), camera(self.target(view)));
-            Ok(ImageRecipe { name: self.scene.name(view), image, from, to })
+            Ok(ImageRecipe {
+                name: self.scene.name(view),
+                image,
+                from,
+                to,
+            })
         };
-        let made: Vec<ImageRecipe> = views.par_iter().map(made).collect::<Result<_, UndistortError>>()?;
+        let made: Vec<ImageRecipe> = views
+            .par_iter()
+            .map(made)
+            .collect::<Result<_, UndistortError>>()?;
         Ok(serde_json::to_string_pretty(&made).expect("strings are JSON") + "\n")
     }
 
     fn read(&self, view: ViewIndex) -> Result<Vec<u8>, UndistortError> {
         let path = self.images.file(self.scene.name(view));
-        input::read(&path, FileKind::Picture)
-            .map_err(|source| UndistortError::Image { path, source: image::ImageError::IoError(source).into() })
+        input::read(&path, FileKind::Picture).map_err(|source| UndistortError::Image {
+            path,
+            source: image::ImageError::IoError(source).into(),
+        })
     }
 
     fn is_there(&self, batch: usize, views: &[ViewIndex], note: &str) -> bool {
-        input::read_text(&self.out.join(note_path(batch)), FileKind::State).is_ok_and(|there| there == note)
-            && views.iter().all(|v| self.out.join("images").join(self.scene.name(*v)).exists())
+        input::read_text(&self.out.join(note_path(batch)), FileKind::State)
+            .is_ok_and(|there| there == note)
+            && views
+                .iter()
+                .all(|v| self.out.join("images").join(self.scene.name(*v)).exists())
     }
 
     fn batch(
@@ -242,13 +306,21 @@ impl<'a> Undistortion<'a> {
             let path = self.images.file(name);
             let contents = match self.stays(view) {
                 true => self.images.link(name),
-                false => picture::undistort(&self.read(view)?, name, self.source(view), self.target(view))
-                    .map(Contents::Bytes)
-                    .map_err(|source| UndistortError::Image { path, source })?,
+                false => picture::undistort(
+                    &self.read(view)?,
+                    name,
+                    self.source(view),
+                    self.target(view),
+                )
+                .map(Contents::Bytes)
+                .map_err(|source| UndistortError::Image { path, source })?,
             };
             Ok((format!("images/{name}"), contents))
         };
-        let images: Vec<_> = views.par_iter().map(image).collect::<Result<_, UndistortError>>()?;
+        let images: Vec<_> = views
+            .par_iter()
+            .map(image)
+            .collect::<Result<_, UndistortError>>()?;
         let mut files = FileSet::new(self.out, &undistorted_set(1 + batch));
         files.files.extend(images);
         files.add_text(note_path(batch), note);
@@ -258,30 +330,48 @@ impl<'a> Undistortion<'a> {
     /// Removes batches that an earlier run with more images wrote.
     fn remove_batches_from(&self, first: usize, disk: &Disk) -> Result<(), OutputError> {
         let mut later = (first..).take_while(|&i| self.out.join(note_path(i)).exists());
-        later.try_for_each(|i| FileSet::new(self.out, &undistorted_set(1 + i)).write(disk).map(|_| ()))
+        later.try_for_each(|i| {
+            FileSet::new(self.out, &undistorted_set(1 + i))
+                .write(disk)
+                .map(|_| ())
+        })
     }
 
     /// Returns whether the model of the workspace follows from the project's current model.
     fn has_model(&self) -> Result<bool, UndistortError> {
         let files = self.model()?;
         Ok(files.iter().all(|(name, bytes)| {
-            input::read(&self.out.join("sparse").join(name), FileKind::Sparse).is_ok_and(|there| there == *bytes)
+            input::read(&self.out.join("sparse").join(name), FileKind::Sparse)
+                .is_ok_and(|there| there == *bytes)
         }))
     }
 
     fn model(&self) -> Result<Vec<(&'static str, Vec<u8>)>, UndistortError> {
-        let fault = |fault| ProjectError::Fault { path: self.project.model.path.clone(), fault };
-        let write = |model: &ColmapModel| Ok(colmap_bin::write(&self.undistorted(model.reduced(|_| true, 1)?)));
-        Ok(self.project.with_colmap_model(self.scene, write)?.map_err(fault)?)
+        let fault = |fault| ProjectError::Fault {
+            path: self.project.model.path.clone(),
+            fault,
+        };
+        let write = |model: &ColmapModel| {
+            Ok(colmap_bin::write(
+                &self.undistorted(model.reduced(|_| true, 1)?),
+            ))
+        };
+        Ok(self
+            .project
+            .with_colmap_model(self.scene, write)?
+            .map_err(fault)?)
     }
 
-    /// Returns the model with pinhole cameras. 2D points that these cameras cannot see are dropped, as are their observations.
+    /// Returns the model with pinhole cameras. 2D points that these cameras cannot see are dropped,
+    /// as are their observations.
     fn undistorted<'m>(&self, mut model: ColmapModel<'m>) -> ColmapModel<'m> {
         let target = |id: u32| self.cameras.iter().find(|c| c.id == id);
         let source = |id: u32| self.scene.cameras.iter().find(|c| c.id == id);
         let mut unseen = std::collections::HashSet::new();
         for image in &mut model.images {
-            let (Some(from), Some(to)) = (source(image.camera_id), target(image.camera_id)) else { continue };
+            let (Some(from), Some(to)) = (source(image.camera_id), target(image.camera_id)) else {
+                continue;
+            };
             let moved = |(i, point): (usize, &Point2d)| match seen(from, to, point.pixel()) {
                 Some(pixel) => Point2d::new(pixel, point.point()),
                 None => {
@@ -292,14 +382,23 @@ impl<'a> Undistortion<'a> {
             image.points2d = image.points2d.iter().enumerate().map(moved).collect();
         }
         for point in &mut model.points {
-            point.track = point.track.iter().filter(|t| !unseen.contains(&(t.image(), t.index()))).copied().collect();
+            point.track = point
+                .track
+                .iter()
+                .filter(|t| !unseen.contains(&(t.image(), t.index())))
+                .copied()
+                .collect();
         }
         model.points.retain(|point| !point.track.is_empty());
-        model.cameras.iter_mut().for_each(|c| *c = target(c.id).unwrap_or(c).clone());
+        model
+            .cameras
+            .iter_mut()
+            .for_each(|c| *c = target(c.id).unwrap_or(c).clone());
         model
     }
 
-    /// Returns all files but the images: the model, folders for depth maps, and COLMAP's own lists of all images, which a plan replaces.
+    /// Returns all files but the images: the model, folders for depth maps, and COLMAP's own lists
+    /// of all images, which a plan replaces.
     fn workspace(&self) -> Result<FileSet, UndistortError> {
         let mut files = FileSet::new(self.out, SET);
         for (name, bytes) in self.model()? {
@@ -308,12 +407,22 @@ impl<'a> Undistortion<'a> {
         let names = || self.scene.views.iter().map(|view| view.name.as_str());
         for kind in ["depth_maps", "normal_maps", "consistency_graphs"] {
             for name in names() {
-                let folder = name.rsplit_once('/').map_or(String::new(), |(folder, _)| format!("/{folder}"));
+                let folder = name
+                    .rsplit_once('/')
+                    .map_or(String::new(), |(folder, _)| format!("/{folder}"));
                 files.add(format!("stereo/{kind}{folder}"), Contents::Folder);
             }
         }
-        files.add_text("stereo/patch-match.cfg", names().map(|n| format!("{n}\n__auto__, 20\n")).collect::<String>());
-        files.add_text("stereo/fusion.cfg", names().map(|n| format!("{n}\n")).collect::<String>());
+        files.add_text(
+            "stereo/patch-match.cfg",
+            names()
+                .map(|n| format!("{n}\n__auto__, 20\n"))
+                .collect::<String>(),
+        );
+        files.add_text(
+            "stereo/fusion.cfg",
+            names().map(|n| format!("{n}\n")).collect::<String>(),
+        );
         Ok(files)
     }
 }

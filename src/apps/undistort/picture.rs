@@ -2,7 +2,9 @@
 
 use std::{io::Cursor, path::Path};
 
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
+use fast_image_resize::{
+    FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels,
+};
 use image::{
     DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat,
     codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder},
@@ -35,18 +37,33 @@ pub enum PictureError {
     Camera(#[from] CameraError),
 }
 
-/// Returns the file of the undistorted image, in the format given by the ending of `name`. Grey stays grey, all else becomes 8-bit RGB; EXIF and
-/// colour profile are kept if the format supports them.
-pub fn undistort(bytes: &[u8], name: &str, source: &Camera, target: &Camera) -> Result<Vec<u8>, PictureError> {
+/// Returns the file of the undistorted image, in the format given by the ending of `name`. Grey
+/// stays grey, all else becomes 8-bit RGB; EXIF and colour profile are kept if the format supports
+/// them.
+pub fn undistort(
+    bytes: &[u8],
+    name: &str,
+    source: &Camera,
+    target: &Camera,
+) -> Result<Vec<u8>, PictureError> {
     let format = ImageFormat::from_path(Path::new(name)).map_err(|_| PictureError::Format)?;
     let (width, height) = picture::header(Cursor::new(bytes))?.dimensions();
     if [width, height] != [source.width, source.height] {
-        return Err(PictureError::Size { found: [width, height], camera: [source.width, source.height] });
+        return Err(PictureError::Size {
+            found: [width, height],
+            camera: [source.width, source.height],
+        });
     }
     let mut decoder = picture::open::<PictureError>(bytes, PixelBound::LARGEST)?;
-    let (exif, profile) = (decoder.exif_metadata().ok().flatten(), decoder.icc_profile().ok().flatten());
+    let (exif, profile) = (
+        decoder.exif_metadata().ok().flatten(),
+        decoder.icc_profile().ok().flatten(),
+    );
     let picture = Raster::from(DynamicImage::from_decoder(decoder)?);
-    picture.warped(source, &at_size_of(target, source)?).resized(target).encoded(format, exif, profile)
+    picture
+        .warped(source, &at_size_of(target, source)?)
+        .resized(target)
+        .encoded(format, exif, profile)
 }
 
 /// 8 bits per channel, row-major.
@@ -62,35 +79,51 @@ impl From<DynamicImage> for Raster {
     fn from(image: DynamicImage) -> Self {
         let (width, height) = (image.width(), image.height());
         let grey = !image.color().has_color();
-        let values = if grey { image.into_luma8().into_raw() } else { image.into_rgb8().into_raw() };
-        Self { width, height, channels: if grey { 1 } else { 3 }, values }
+        let values = if grey {
+            image.into_luma8().into_raw()
+        } else {
+            image.into_rgb8().into_raw()
+        };
+        Self {
+            width,
+            height,
+            channels: if grey { 1 } else { 3 },
+            values,
+        }
     }
 }
 
 impl Raster {
-    /// Resamples the image for `target`, a pinhole camera of the same size; pixels that `source` does not cover are black.
+    /// Resamples the image for `target`, a pinhole camera of the same size; pixels that `source`
+    /// does not cover are black.
     fn warped(&self, source: &Camera, target: &Camera) -> Self {
         let (focal, centre) = target.pinhole_part();
         let row_length = self.width as usize * self.channels;
         let mut values = vec![0; self.values.len()];
-        values.par_chunks_exact_mut(row_length).enumerate().for_each(|(y, row)| {
-            let y = (y as f64 + 0.5 - centre.y) / focal.y;
-            for (x, pixel) in row.chunks_exact_mut(self.channels).enumerate() {
-                let x = (x as f64 + 0.5 - centre.x) / focal.x;
-                if let Some(at) = source.project(&[x, y, 1.0].into()) {
-                    self.interpolate(at, pixel);
+        values
+            .par_chunks_exact_mut(row_length)
+            .enumerate()
+            .for_each(|(y, row)| {
+                let y = (y as f64 + 0.5 - centre.y) / focal.y;
+                for (x, pixel) in row.chunks_exact_mut(self.channels).enumerate() {
+                    let x = (x as f64 + 0.5 - centre.x) / focal.x;
+                    if let Some(at) = source.project(&[x, y, 1.0].into()) {
+                        self.interpolate(at, pixel);
+                    }
                 }
-            }
-        });
+            });
         Self { values, ..*self }
     }
 
-    /// Interpolates bilinearly between four pixel centres; leaves `pixel` unchanged if one of them is outside.
+    /// Interpolates bilinearly between four pixel centres; leaves `pixel` unchanged if one of them
+    /// is outside.
     fn interpolate(&self, at: Point2<f64>, pixel: &mut [u8]) {
         let (x, y) = (at.x - 0.5, at.y - 0.5);
         let (left, top) = (x.floor(), y.floor());
-        let inside =
-            left >= 0.0 && top >= 0.0 && left + 1.0 < f64::from(self.width) && top + 1.0 < f64::from(self.height);
+        let inside = left >= 0.0
+            && top >= 0.0
+            && left + 1.0 < f64::from(self.width)
+            && top + 1.0 < f64::from(self.height);
         if !inside {
             return;
         }
@@ -110,13 +143,25 @@ impl Raster {
         if (self.width, self.height) == (camera.width, camera.height) {
             return self;
         }
-        let kind = if self.channels == 1 { PixelType::U8 } else { PixelType::U8x3 };
+        let kind = if self.channels == 1 {
+            PixelType::U8
+        } else {
+            PixelType::U8x3
+        };
         let sized = "as many bytes as the size and the kind of pixels ask for, and the same kind";
         let from = Pixels::from_vec_u8(self.width, self.height, self.values, kind).expect(sized);
         let mut to = Pixels::new(camera.width, camera.height, kind);
-        let bilinear = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
-        Resizer::new().resize(&from, &mut to, &bilinear).expect(sized);
-        Self { width: camera.width, height: camera.height, channels: self.channels, values: to.into_vec() }
+        let bilinear =
+            ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
+        Resizer::new()
+            .resize(&from, &mut to, &bilinear)
+            .expect(sized);
+        Self {
+            width: camera.width,
+            height: camera.height,
+            channels: self.channels,
+            values: to.into_vec(),
+        }
     }
 
     fn encoded(
@@ -127,7 +172,11 @@ impl Raster {
     ) -> Result<Vec<u8>, PictureError> {
         let mut file = Cursor::new(Vec::new());
         match format {
-            ImageFormat::Jpeg => self.encode(JpegEncoder::new_with_quality(&mut file, JPEG_QUALITY), exif, profile)?,
+            ImageFormat::Jpeg => self.encode(
+                JpegEncoder::new_with_quality(&mut file, JPEG_QUALITY),
+                exif,
+                profile,
+            )?,
             ImageFormat::Png => self.encode(PngEncoder::new(&mut file), exif, profile)?,
             ImageFormat::Tiff => self.encode(TiffEncoder::new(&mut file), exif, profile)?,
             _ => return Err(PictureError::Format),
@@ -144,7 +193,11 @@ impl Raster {
         // A format that cannot hold them does without.
         exif.map(|exif| encoder.set_exif_metadata(exif));
         profile.map(|profile| encoder.set_icc_profile(profile));
-        let colour = if self.channels == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
+        let colour = if self.channels == 1 {
+            ExtendedColorType::L8
+        } else {
+            ExtendedColorType::Rgb8
+        };
         encoder.write_image(&self.values, self.width, self.height, colour)
     }
 }
@@ -160,56 +213,100 @@ mod tests {
     /// A ramp of grey along x of the undistorted image, as a lens with distortion shows it.
     fn ramp(source: &Camera) -> Raster {
         let grey = |i: u32| {
-            let pixel = Point2::new(f64::from(i % source.width) + 0.5, f64::from(i / source.width) + 0.5);
+            let pixel = Point2::new(
+                f64::from(i % source.width) + 0.5,
+                f64::from(i / source.width) + 0.5,
+            );
             let ray = source.ray(&pixel).unwrap();
             (128.0 + 100.0 * ray.x / ray.z).round().clamp(0.0, 255.0) as u8
         };
         let values = (0..source.width * source.height).map(grey).collect();
-        Raster { width: source.width, height: source.height, channels: 1, values }
+        Raster {
+            width: source.width,
+            height: source.height,
+            channels: 1,
+            values,
+        }
     }
 
     #[test]
     fn a_straight_ramp_becomes_straight() {
-        let source = Camera::new(1, CameraModel::Radial, 320, 240, vec![250.0, 165.0, 117.0, -0.2, 0.05]).unwrap();
+        let source = Camera::new(
+            1,
+            CameraModel::Radial,
+            320,
+            240,
+            vec![250.0, 165.0, 117.0, -0.2, 0.05],
+        )
+        .unwrap();
         let target = undistorted(&source, &UndistortOptions::default()).unwrap();
-        let picture = ramp(&source).warped(&source, &at_size_of(&target, &source).unwrap()).resized(&target);
-        assert_eq!((picture.width, picture.height), (target.width, target.height));
+        let picture = ramp(&source)
+            .warped(&source, &at_size_of(&target, &source).unwrap())
+            .resized(&target);
+        assert_eq!(
+            (picture.width, picture.height),
+            (target.width, target.height)
+        );
         let (focal, centre) = target.pinhole_part();
         for (i, value) in (0..).zip(&picture.values) {
             let x = (f64::from(i % target.width) + 0.5 - centre.x) / focal.x;
-            assert!((f64::from(*value) - (128.0 + 100.0 * x)).abs() < 1.5, "pixel {i}: {value}");
+            assert!(
+                (f64::from(*value) - (128.0 + 100.0 * x)).abs() < 1.5,
+                "pixel {i}: {value}"
+            );
         }
     }
 
     #[test]
     fn formats_keep_pixels_and_metadata() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 32, 16, vec![30.0, 30.0, 16.0, 8.0]).unwrap();
+        let camera =
+            Camera::new(1, CameraModel::Pinhole, 32, 16, vec![30.0, 30.0, 16.0, 8.0]).unwrap();
         let picture = ramp(&camera);
         let exif = b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec();
-        for (name, format) in [("a.png", ImageFormat::Png), ("a.tif", ImageFormat::Tiff), ("a.JPG", ImageFormat::Jpeg)]
-        {
+        for (name, format) in [
+            ("a.png", ImageFormat::Png),
+            ("a.tif", ImageFormat::Tiff),
+            ("a.JPG", ImageFormat::Jpeg),
+        ] {
             let file = picture.encoded(format, Some(exif.clone()), None).unwrap();
-            let half =
-                undistorted(&camera, &UndistortOptions { max_image_size: Some(16), ..UndistortOptions::default() })
-                    .unwrap();
+            let half = undistorted(
+                &camera,
+                &UndistortOptions {
+                    max_image_size: Some(16),
+                    ..UndistortOptions::default()
+                },
+            )
+            .unwrap();
             let small = undistort(&file, name, &camera, &half).unwrap();
             assert_eq!(image::guess_format(&small).unwrap(), format);
             let small = image::load_from_memory(&small).unwrap();
             assert_eq!((small.width(), small.height()), (16, 8));
             assert!(!small.color().has_color());
         }
-        let kept = picture.encoded(ImageFormat::Jpeg, Some(exif.clone()), None).unwrap();
+        let kept = picture
+            .encoded(ImageFormat::Jpeg, Some(exif.clone()), None)
+            .unwrap();
         assert!(kept.windows(exif.len()).any(|w| w == exif));
     }
 
     #[test]
     fn another_size_than_the_camera_s_is_an_error() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 32, 16, vec![30.0, 30.0, 16.0, 8.0]).unwrap();
-        let other = Camera::new(1, CameraModel::Pinhole, 31, 16, vec![30.0, 30.0, 16.0, 8.0]).unwrap();
+        let camera =
+            Camera::new(1, CameraModel::Pinhole, 32, 16, vec![30.0, 30.0, 16.0, 8.0]).unwrap();
+        let other =
+            Camera::new(1, CameraModel::Pinhole, 31, 16, vec![30.0, 30.0, 16.0, 8.0]).unwrap();
         let file = ramp(&camera).encoded(ImageFormat::Png, None, None).unwrap();
-        let error = undistort(&file, "a.png", &other, &other).unwrap_err().to_string();
-        assert!(error.contains("32x16") && error.contains("31x16"), "{error}");
-        assert!(matches!(undistort(&file, "a.webp", &camera, &camera), Err(PictureError::Format)));
+        let error = undistort(&file, "a.png", &other, &other)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("32x16") && error.contains("31x16"),
+            "{error}"
+        );
+        assert!(matches!(
+            undistort(&file, "a.webp", &camera, &camera),
+            Err(PictureError::Format)
+        ));
         assert!(undistort(&file[..60], "a.png", &camera, &camera).is_err());
     }
 }

@@ -1,7 +1,9 @@
-//! Grammar of `patch-match.cfg` and `fusion.cfg`, as COLMAP 3.8 to 4.x read them (mvs/patch_match.cc, mvs/fusion.cc).
+//! Grammar of `patch-match.cfg` and `fusion.cfg`, as COLMAP 3.8 to 4.x read them
+//! (mvs/patch_match.cc, mvs/fusion.cc).
 //!
-//! `patch-match.cfg`: lines, trimmed; empty ones and those that begin with `#` are skipped; the others are pairs of a reference image
-//! and its sources, separated by `,` or `;`. There is no escape, and an empty list of sources would shift all later pairs by a line.
+//! `patch-match.cfg`: lines, trimmed; empty ones and those that begin with `#` are skipped; the
+//! others are pairs of a reference image and its sources, separated by `,` or `;`. There is no
+//! escape, and an empty list of sources would shift all later pairs by a line.
 
 use crate::backends::BackendError;
 
@@ -22,12 +24,22 @@ pub fn write_patch_match(heading: &[String], problems: &[Problem]) -> String {
     text
 }
 
-/// Parses a `patch-match.cfg` as COLMAP does: a last reference without a line of sources is dropped.
+/// Parses a `patch-match.cfg` as COLMAP does: a last reference without a line of sources is
+/// dropped.
 pub fn read_patch_match(text: &str) -> Vec<Problem> {
-    let lines: Vec<&str> = text.lines().map(trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    let lines: Vec<&str> = text
+        .lines()
+        .map(trim)
+        .filter(|l| !l.is_empty() && !l.starts_with('#'))
+        .collect();
     let problem = |pair: &[&str]| Problem {
         reference: pair[0].into(),
-        sources: pair[1].split([',', ';']).map(trim).filter(|s| !s.is_empty()).map(Into::into).collect(),
+        sources: pair[1]
+            .split([',', ';'])
+            .map(trim)
+            .filter(|s| !s.is_empty())
+            .map(Into::into)
+            .collect(),
     };
     lines.chunks_exact(2).map(problem).collect()
 }
@@ -47,7 +59,11 @@ pub fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError>
     } else {
         return Ok(());
     };
-    Err(BackendError::Name { backend, name: name.into(), why: why.into() })
+    Err(BackendError::Name {
+        backend,
+        name: name.into(),
+        why: why.into(),
+    })
 }
 
 /// COLMAP's `StringTrim` removes ASCII white space only.
@@ -78,7 +94,8 @@ mod tests {
 
     #[test]
     fn reads_like_colmap() {
-        let text = "# comment\n\n  a b.jpg \r\n c.jpg,d.jpg ; e.jpg,\n\nc.jpg\n__auto__, 20\nlast.jpg\n";
+        let text =
+            "# comment\n\n  a b.jpg \r\n c.jpg,d.jpg ; e.jpg,\n\nc.jpg\n__auto__, 20\nlast.jpg\n";
         let read = read_patch_match(text);
         assert_eq!(read.len(), 2);
         assert_eq!(read[0].reference, "a b.jpg");
@@ -87,7 +104,8 @@ mod tests {
     }
 
     fn refused(name: &str) -> bool {
-        check_name("colmap", name).is_err_and(|e| e.to_string().contains(name.trim()) && e.hint().is_some())
+        check_name("colmap", name)
+            .is_err_and(|e| e.to_string().contains(name.trim()) && e.hint().is_some())
     }
 
     #[test]

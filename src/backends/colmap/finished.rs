@@ -1,6 +1,8 @@
-//! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, even if they were made with other partners. So `run.sh` puts a
-//! note with the recipe ([`MapRecipe::recipe`]) next to each map when it starts to compute it, and `maps.tsv` lists the wanted recipe of each map and
-//! the recipe of existing maps without a note. File times are not used: a run may outlast the plan that it was started for.
+//! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, even if they
+//! were made with other partners. So `run.sh` puts a note with the recipe ([`MapRecipe::recipe`])
+//! next to each map when it starts to compute it, and `maps.tsv` lists the wanted recipe of each
+//! map and the recipe of existing maps without a note. File times are not used: a run may outlast
+//! the plan that it was started for.
 
 use std::{
     collections::BTreeMap,
@@ -10,8 +12,9 @@ use std::{
 use super::{cfg, cfg::Problem};
 use crate::base::input::{self, FileKind};
 
-/// Path of the recipes in the workspace. Exports move files into place in the order of their names, this one after the lists for COLMAP: a run that
-/// starts in between notes the older recipe, and at worst its maps are computed again.
+/// Path of the recipes in the workspace. Exports move files into place in the order of their names,
+/// this one after the lists for COLMAP: a run that starts in between notes the older recipe, and at
+/// worst its maps are computed again.
 pub const MAPS: &str = "stereo/viewrank/maps.tsv";
 /// Mark of an empty list, and of a map of unknown origin.
 const NONE: &str = "-";
@@ -32,7 +35,11 @@ impl MapRecipe {
     pub fn new(problem: &Problem, filtered: bool, long_side: Option<u32>) -> Self {
         let mut sources = problem.sources.clone();
         sources.sort_unstable();
-        Self { sources, filtered, long_side }
+        Self {
+            sources,
+            filtered,
+            long_side,
+        }
     }
 
     /// Returns the cache key: maps that are made differently have different keys.
@@ -43,7 +50,8 @@ impl MapRecipe {
     }
 }
 
-/// Content of `maps.tsv`: a line per map with [wanted recipe] TAB [recipe of an existing map without a note] TAB [path under `stereo/depth_maps`].
+/// Content of `maps.tsv`: a line per map with [wanted recipe] TAB [recipe of an existing map
+/// without a note] TAB [path under `stereo/depth_maps`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapRecords(BTreeMap<String, Entry>);
 
@@ -55,19 +63,29 @@ struct Entry {
 
 impl MapRecords {
     pub fn new(wanted: impl IntoIterator<Item = (String, MapRecipe)>) -> Self {
-        let entry = |(map, made): (String, MapRecipe)| (map, Entry { wanted: Some(made.recipe()), made: None });
+        let entry = |(map, made): (String, MapRecipe)| {
+            (
+                map,
+                Entry {
+                    wanted: Some(made.recipe()),
+                    made: None,
+                },
+            )
+        };
         Self(wanted.into_iter().map(entry).collect())
     }
 
-    /// Returns the recipes of the maps of the workspace so far. Without `maps.tsv` these are the lists of `patch-match.cfg`, run with
-    /// COLMAP's default options.
+    /// Returns the recipes of the maps of the workspace so far. Without `maps.tsv` these are the
+    /// lists of `patch-match.cfg`, run with COLMAP's default options.
     fn before(workspace: &Path) -> Self {
         if let Ok(text) = input::read_text(&workspace.join(MAPS), FileKind::List) {
             return Self::read(&text);
         }
-        let text = input::read_text(&workspace.join("stereo/patch-match.cfg"), FileKind::List).unwrap_or_default();
+        let text = input::read_text(&workspace.join("stereo/patch-match.cfg"), FileKind::List)
+            .unwrap_or_default();
         let kinds = |p: Problem| {
-            ["photometric", "geometric"].map(|k| (map_name(&p.reference, k), MapRecipe::new(&p, false, None)))
+            ["photometric", "geometric"]
+                .map(|k| (map_name(&p.reference, k), MapRecipe::new(&p, false, None)))
         };
         Self::new(cfg::read_patch_match(&text).into_iter().flat_map(kinds))
     }
@@ -80,13 +98,19 @@ impl MapRecords {
             if !is_below(map) {
                 return None;
             }
-            Some((map.to_owned(), Entry { wanted: word(wanted), made: word(made) }))
+            Some((
+                map.to_owned(),
+                Entry {
+                    wanted: word(wanted),
+                    made: word(made),
+                },
+            ))
         };
         Self(text.lines().filter_map(line).collect())
     }
 
-    /// Takes over the known recipes of the finished maps of the workspace; returns the maps that would be kept although their recipes differ or
-    /// are unknown.
+    /// Takes over the known recipes of the finished maps of the workspace; returns the maps that
+    /// would be kept although their recipes differ or are unknown.
     pub fn follow(&mut self, workspace: &Path) -> Vec<String> {
         let before = Self::before(workspace);
         for map in before.0.keys() {
@@ -96,18 +120,32 @@ impl MapRecords {
         self.0.retain(|map, entry| {
             let earlier = before.0.get(map).cloned().unwrap_or_default();
             let noted = input::read_text(&folder.join(format!("{map}.made")), FileKind::List).ok();
-            let noted = noted.map(|note| note.trim().to_owned()).filter(|note| is_recipe(note));
+            let noted = noted
+                .map(|note| note.trim().to_owned())
+                .filter(|note| is_recipe(note));
             let made = noted.or(earlier.made).or(earlier.wanted);
-            entry.made = folder.join(map).is_file().then(|| made.unwrap_or(UNKNOWN.into()));
+            entry.made = folder
+                .join(map)
+                .is_file()
+                .then(|| made.unwrap_or(UNKNOWN.into()));
             entry.wanted.is_some() || entry.made.is_some()
         });
-        let stale = |entry: &Entry| entry.wanted.is_some() && entry.made.is_some() && entry.wanted != entry.made;
-        self.0.iter().filter(|(_, entry)| stale(entry)).map(|(map, _)| map.clone()).collect()
+        let stale = |entry: &Entry| {
+            entry.wanted.is_some() && entry.made.is_some() && entry.wanted != entry.made
+        };
+        self.0
+            .iter()
+            .filter(|(_, entry)| stale(entry))
+            .map(|(map, _)| map.clone())
+            .collect()
     }
 
     pub fn to_tsv(&self) -> String {
         let word = |word: &Option<String>| word.clone().unwrap_or(NONE.into());
-        self.0.iter().map(|(map, entry)| format!("{}\t{}\t{map}\n", word(&entry.wanted), word(&entry.made))).collect()
+        self.0
+            .iter()
+            .map(|(map, entry)| format!("{}\t{}\t{map}\n", word(&entry.wanted), word(&entry.made)))
+            .collect()
     }
 }
 
@@ -118,7 +156,9 @@ fn is_recipe(note: &str) -> bool {
 
 /// Returns whether a path of a list, which may be anybody's, stays below its folder.
 fn is_below(map: &str) -> bool {
-    Path::new(map).components().all(|part| matches!(part, Component::Normal(_)))
+    Path::new(map)
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)))
 }
 
 /// Returns the path of a map under `stereo/depth_maps` and `stereo/normal_maps`.
@@ -139,8 +179,14 @@ mod tests {
     }
 
     fn of_size(partners: &[&str], filtered: bool, long_side: Option<u32>) -> MapRecords {
-        let problem = Problem { reference: "a.jpg".into(), sources: partners.iter().map(|&s| s.into()).collect() };
-        MapRecords::new([(map_name("a.jpg", "photometric"), MapRecipe::new(&problem, filtered, long_side))])
+        let problem = Problem {
+            reference: "a.jpg".into(),
+            sources: partners.iter().map(|&s| s.into()).collect(),
+        };
+        MapRecords::new([(
+            map_name("a.jpg", "photometric"),
+            MapRecipe::new(&problem, filtered, long_side),
+        )])
     }
 
     fn put(workspace: &Path, path: &str, text: &str) {
@@ -160,7 +206,11 @@ mod tests {
     /// Decision of `run.sh` before it computes the map.
     fn begin(workspace: &Path) {
         let lists = MapRecords::before(workspace);
-        let wanted = lists.0.values().find_map(|entry| entry.wanted.clone()).unwrap();
+        let wanted = lists
+            .0
+            .values()
+            .find_map(|entry| entry.wanted.clone())
+            .unwrap();
         put(workspace, &format!("{MAP}.made"), &format!("{wanted}\n"));
     }
 
@@ -171,7 +221,11 @@ mod tests {
         assert_eq!(export(at, lists(&["b.jpg"], true)), 0);
         put(at, MAP, "");
         assert_eq!(export(at, of_size(&["b.jpg"], true, Some(800))), 1);
-        assert_eq!(export(at, of_size(&["b.jpg"], true, Some(800))), 1, "until it is made anew");
+        assert_eq!(
+            export(at, of_size(&["b.jpg"], true, Some(800))),
+            1,
+            "until it is made anew"
+        );
         begin(at);
         assert_eq!(export(at, of_size(&["b.jpg"], true, Some(800))), 0);
     }
@@ -180,20 +234,42 @@ mod tests {
     fn colmap_stale_maps_skipped() {
         let workspace = tempfile::tempdir().unwrap();
         let at = workspace.path();
-        assert!(lists(&["b.jpg"], true).follow(at).is_empty(), "no map, nothing to report");
+        assert!(
+            lists(&["b.jpg"], true).follow(at).is_empty(),
+            "no map, nothing to report"
+        );
 
         put(at, MAP, "");
-        assert_eq!(lists(&["b.jpg"], true).follow(at), ["a.jpg.photometric.bin"], "nobody knows how it was made");
+        assert_eq!(
+            lists(&["b.jpg"], true).follow(at),
+            ["a.jpg.photometric.bin"],
+            "nobody knows how it was made"
+        );
         put(at, "stereo/patch-match.cfg", "a.jpg\nc.jpg, b.jpg\n");
-        assert!(lists(&["b.jpg", "c.jpg"], false).follow(at).is_empty(), "made by COLMAP from the same partners");
-        assert_eq!(lists(&["b.jpg"], false).follow(at).len(), 1, "made from more partners");
+        assert!(
+            lists(&["b.jpg", "c.jpg"], false).follow(at).is_empty(),
+            "made by COLMAP from the same partners"
+        );
+        assert_eq!(
+            lists(&["b.jpg"], false).follow(at).len(),
+            1,
+            "made from more partners"
+        );
 
         fs::remove_file(at.join(MAP)).unwrap();
         assert_eq!(export(at, lists(&["b.jpg"], false)), 0);
         put(at, MAP, "");
-        assert_eq!(export(at, lists(&["b.jpg"], false)), 0, "made by hand, by the list in place");
+        assert_eq!(
+            export(at, lists(&["b.jpg"], false)),
+            0,
+            "made by hand, by the list in place"
+        );
         assert_eq!(export(at, lists(&["c.jpg"], false)), 1);
-        assert_eq!(export(at, lists(&["c.jpg"], false)), 1, "still the map of the first lists");
+        assert_eq!(
+            export(at, lists(&["c.jpg"], false)),
+            1,
+            "still the map of the first lists"
+        );
         assert_eq!(export(at, lists(&["b.jpg"], false)), 0);
     }
 
@@ -204,7 +280,11 @@ mod tests {
         let at = workspace.path();
         export(at, lists(&["b.jpg"], true));
         begin(at);
-        assert_eq!(export(at, lists(&["c.jpg"], true)), 0, "no map is there yet");
+        assert_eq!(
+            export(at, lists(&["c.jpg"], true)),
+            0,
+            "no map is there yet"
+        );
         put(at, MAP, "");
         assert_eq!(export(at, lists(&["c.jpg"], true)), 1);
         assert_eq!(export(at, lists(&["b.jpg"], true)), 0);

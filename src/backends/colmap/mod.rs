@@ -1,8 +1,9 @@
 //! COLMAP's dense stereo, 3.8 to 4.x: `docs/backends.md` 1.
 //!
-//! `stereo/patch-match.cfg` always runs through with the options at its head, `stereo/viewrank/run.sh` runs all steps. The difficulty is
-//! geometric consistency: it needs the photometric depth maps of every partner, and a partner that isn't a reference image never gets one.
-//! There are four variants, by [`ExportOptions::refs`] and [`ExportOptions::geometric`]:
+//! `stereo/patch-match.cfg` always runs through with the options at its head,
+//! `stereo/viewrank/run.sh` runs all steps. The difficulty is geometric consistency: it needs the
+//! photometric depth maps of every partner, and a partner that isn't a reference image never gets
+//! one. There are four variants, by [`ExportOptions::refs`] and [`ExportOptions::geometric`]:
 //!
 //! | refs | geometric | depth maps |
 //! | --- | --- | --- |
@@ -11,7 +12,8 @@
 //! | keys | on | photometric of the key views, then geometric with those partners that are key views |
 //! | all | on or off | every view: key views first, with exactly their partners |
 //!
-//! With geometric consistency the ranked list is cut into batches, so that an interrupted run leaves complete results of the best clusters.
+//! With geometric consistency the ranked list is cut into batches, so that an interrupted run
+//! leaves complete results of the best clusters.
 
 use std::collections::HashSet;
 
@@ -22,8 +24,8 @@ use self::{
     finished::{MapRecipe, MapRecords, map_name},
 };
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    PlanningNumbers, References, Selection, TaskRunner, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
     record::{at_full_size, capped_scale},
     selection,
     workspace::add_workspace,
@@ -80,7 +82,11 @@ pub static BACKEND: Backend = Backend {
 
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     let passes = Passes::new(selection, &ExportOptions::default());
-    let made: HashSet<&str> = passes.last.iter().map(|problem| &*problem.reference).collect();
+    let made: HashSet<&str> = passes
+        .last
+        .iter()
+        .map(|problem| &*problem.reference)
+        .collect();
     let map = |c: &RankedCluster| {
         let name = selection.scene.name(c.key);
         let path = format!("stereo/depth_maps/{}", map_name(name, "photometric"));
@@ -102,7 +108,9 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     let passes = Passes::new(selection, options);
-    passes.names().try_for_each(|name| cfg::check_name(BACKEND.name, name))?;
+    passes
+        .names()
+        .try_for_each(|name| cfg::check_name(BACKEND.name, name))?;
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     passes.describe(selection, &mut record);
     let mut files = match (&options.out, &selection.project.dense_workspace) {
@@ -117,7 +125,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         }
     };
     passes.add_files(selection, &mut files, &mut record);
-    add_lists(passes.lists(|scale| max_image_size(selection, scale)), &mut files, &mut record);
+    add_lists(
+        passes.lists(|scale| max_image_size(selection, scale)),
+        &mut files,
+        &mut record,
+    );
     files.add_text("stereo/viewrank/export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -135,8 +147,17 @@ fn own_workspace(
         _ => selection.views(),
     };
     let mut files = options.file_set(&BACKEND, selection);
-    // Points that a single view observes are kept: COLMAP derives the depth range of a view from all of its points.
-    add_workspace(BACKEND.name, &mut files, selection, &views, "sparse", 1, origin)?;
+    // Points that a single view observes are kept: COLMAP derives the depth range of a view from
+    // all of its points.
+    add_workspace(
+        BACKEND.name,
+        &mut files,
+        selection,
+        &views,
+        "sparse",
+        1,
+        origin,
+    )?;
     Ok(files)
 }
 
@@ -148,14 +169,21 @@ struct Passes {
     first: Vec<Problem>,
     /// Last pass, whose maps are fused.
     last: Vec<Problem>,
-    /// References of the last pass that are matched at half the size; empty if maps start from those of others.
+    /// References of the last pass that are matched at half the size; empty if maps start from
+    /// those of others.
     half: HashSet<String>,
 }
 
 impl Passes {
     fn new(selection: &Selection, options: &ExportOptions) -> Self {
-        let geometric = options.geometric.unwrap_or(options.refs == Some(References::KeysAndPartners));
-        let refs = options.refs.unwrap_or(if geometric { References::KeysAndPartners } else { References::Keys });
+        let geometric = options
+            .geometric
+            .unwrap_or(options.refs == Some(References::KeysAndPartners));
+        let refs = options.refs.unwrap_or(if geometric {
+            References::KeysAndPartners
+        } else {
+            References::Keys
+        });
         let with_points = views_with_points(selection);
         let keys = key_problems(selection, &with_points);
         let all = [keys.clone(), other_problems(selection, refs, &with_points)].concat();
@@ -171,20 +199,38 @@ impl Passes {
             }
             (true, References::All) => (all.clone(), with_sources_among(&all, &all)),
         };
-        let at_half = selection.clusters.iter().filter(|c| !geometric && c.scale == MapScale::Half);
-        let half = at_half.map(|c| selection.scene.name(c.key).to_owned()).collect();
-        Self { refs, geometric, first, last, half }
+        let at_half = selection
+            .clusters
+            .iter()
+            .filter(|c| !geometric && c.scale == MapScale::Half);
+        let half = at_half
+            .map(|c| selection.scene.name(c.key).to_owned())
+            .collect();
+        Self {
+            refs,
+            geometric,
+            first,
+            last,
+            half,
+        }
     }
 
     /// Returns all names in the lists.
     fn names(&self) -> impl Iterator<Item = &str> {
         let problems = self.first.iter().chain(&self.last);
-        problems.flat_map(|problem| std::iter::once(&problem.reference).chain(&problem.sources)).map(String::as_str)
+        problems
+            .flat_map(|problem| std::iter::once(&problem.reference).chain(&problem.sources))
+            .map(String::as_str)
     }
 
-    /// Returns a list that can be run with COLMAP's default options, or with `geom_consistency 0` if not geometric.
+    /// Returns a list that can be run with COLMAP's default options, or with `geom_consistency 0`
+    /// if not geometric.
     fn main_list(&self) -> &[Problem] {
-        if self.geometric && self.refs != References::Keys { &self.first } else { &self.last }
+        if self.geometric && self.refs != References::Keys {
+            &self.first
+        } else {
+            &self.last
+        }
     }
 
     fn describe(&self, selection: &Selection, record: &mut ExportRecord) {
@@ -197,14 +243,23 @@ impl Passes {
         record.made_for = "COLMAP 3.8 to 4.x".into();
         record.way = format!(
             "refs {}, geometric {}",
-            serde_json::to_value(self.refs).expect("a plain enum").as_str().unwrap_or_default(),
+            serde_json::to_value(self.refs)
+                .expect("a plain enum")
+                .as_str()
+                .unwrap_or_default(),
             if self.geometric { "on" } else { "off" }
         );
-        record.not_honoured.push("the order of the partners of a key view".into());
+        record
+            .not_honoured
+            .push("the order of the partners of a key view".into());
         if self.geometric {
             record.warnings.extend(at_full_size(selection));
         }
-        record.key_maps = selection.clusters.iter().filter(|c| last.contains(selection.scene.name(c.key))).count();
+        record.key_maps = selection
+            .clusters
+            .iter()
+            .filter(|c| last.contains(selection.scene.name(c.key)))
+            .count();
         record.other_maps = maps - record.key_maps.min(maps);
         record.note_scale(selection, capped_scale(size_cap(selection)));
         let with_points = views_with_points(selection);
@@ -212,12 +267,16 @@ impl Passes {
             let key = selection.scene.name(cluster.key);
             if !last.contains(key) {
                 let why = self.left_out(cluster, &with_points);
-                record.warnings.push(format!("{key}: {why}, so no depth map"));
+                record
+                    .warnings
+                    .push(format!("{key}: {why}, so no depth map"));
             }
         }
         record.warnings.extend(mixed_widths(selection));
         if self.geometric && self.refs == References::Keys {
-            record.not_honoured.push("partners that are no key views take part in the photometric pass only".into());
+            record.not_honoured.push(
+                "partners that are no key views take part in the photometric pass only".into(),
+            );
         }
     }
 
@@ -237,15 +296,27 @@ impl Passes {
     fn add_files(&self, selection: &Selection, files: &mut FileSet, record: &mut ExportRecord) {
         let geometric = |on: bool| format!("--PatchMatchStereo.geom_consistency {} ", u8::from(on));
         let heading = [
-            format!("viewrank, {}: references in rank order, each followed by its partners", record.way),
+            format!(
+                "viewrank, {}: references in rank order, each followed by its partners",
+                record.way
+            ),
             format!("patch_match_stereo {}", geometric(self.geometric).trim()),
         ];
-        files.add_text(MAIN_LIST, cfg::write_patch_match(&heading, self.main_list()));
-        let fused: String = self.last.iter().map(|p| p.reference.clone() + "\n").collect();
+        files.add_text(
+            MAIN_LIST,
+            cfg::write_patch_match(&heading, self.main_list()),
+        );
+        let fused: String = self
+            .last
+            .iter()
+            .map(|p| p.reference.clone() + "\n")
+            .collect();
         files.add_text("stereo/fusion.cfg", fused);
         let mut patch_match = |config: &str, options: &str, scale: MapScale| {
             let size = max_image_size(selection, scale);
-            let size = size.map_or(String::new(), |n| format!(" --PatchMatchStereo.max_image_size {n}"));
+            let size = size.map_or(String::new(), |n| {
+                format!(" --PatchMatchStereo.max_image_size {n}")
+            });
             record
                 .commands
                 .push(format!("colmap patch_match_stereo --workspace_path . --config_path {config} {options}{size}"));
@@ -273,19 +344,28 @@ impl Passes {
                 patch_match(&config, &options, scale);
             }
             if !self.half.is_empty() {
-                let half: String = self.half_in_order().map(|name| format!("{name}\n")).collect();
+                let half: String = self
+                    .half_in_order()
+                    .map(|name| format!("{name}\n"))
+                    .collect();
                 files.add_text("stereo/viewrank/half.txt", half);
             }
         }
         self.add_fusion(selection, record);
-        let ranks: String = selection.clusters.iter().map(|c| format!("{}\n", selection.scene.name(c.key))).collect();
+        let ranks: String = selection
+            .clusters
+            .iter()
+            .map(|c| format!("{}\n", selection.scene.name(c.key)))
+            .collect();
         files.add_text("stereo/viewrank/ranks.txt", ranks);
         for folder in map_folders(self.main_list()) {
             files.add(folder, Contents::Folder);
         }
         files.add(
             "stereo/viewrank/run.sh",
-            Contents::Script(script::runner(record, self.geometric, self.half_size(selection)).into_bytes()),
+            Contents::Script(
+                script::runner(record, self.geometric, self.half_size(selection)).into_bytes(),
+            ),
         );
     }
 
@@ -293,38 +373,74 @@ impl Passes {
     fn lists(&self, long_side: impl Fn(MapScale) -> Option<u32>) -> MapRecords {
         let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
             let made = |p: &Problem| {
-                let scale = if self.half.contains(&p.reference) { MapScale::Half } else { MapScale::Full };
-                (map_name(&p.reference, kind), MapRecipe::new(p, filtered, long_side(scale)))
+                let scale = if self.half.contains(&p.reference) {
+                    MapScale::Half
+                } else {
+                    MapScale::Full
+                };
+                (
+                    map_name(&p.reference, kind),
+                    MapRecipe::new(p, filtered, long_side(scale)),
+                )
             };
             problems.iter().map(made).collect()
         };
         let first = maps(&self.first, "photometric", false);
-        let last = maps(&self.last, if self.geometric { "geometric" } else { "photometric" }, !self.geometric);
+        let last = maps(
+            &self.last,
+            if self.geometric {
+                "geometric"
+            } else {
+                "photometric"
+            },
+            !self.geometric,
+        );
         MapRecords::new(first.into_iter().chain(last))
     }
 
-    /// MapRecords of key views of one size each, in the order of computation, with their paths: the main list where all have full size.
+    /// MapRecords of key views of one size each, in the order of computation, with their paths: the
+    /// main list where all have full size.
     fn lists_of_one_size(&self) -> Vec<(String, MapScale, &[Problem])> {
-        let scale = |p: &Problem| if self.half.contains(&p.reference) { MapScale::Half } else { MapScale::Full };
+        let scale = |p: &Problem| {
+            if self.half.contains(&p.reference) {
+                MapScale::Half
+            } else {
+                MapScale::Full
+            }
+        };
         if self.half.is_empty() {
             return vec![(MAIN_LIST.into(), MapScale::Full, &self.last)];
         }
         let lists = self.last.chunk_by(|a, b| scale(a) == scale(b)).zip(1..);
-        lists.map(|(list, n)| (format!("stereo/viewrank/{n:04}.cfg"), scale(&list[0]), list)).collect()
+        lists
+            .map(|(list, n)| (format!("stereo/viewrank/{n:04}.cfg"), scale(&list[0]), list))
+            .collect()
     }
 
     fn half_in_order(&self) -> impl Iterator<Item = &str> {
-        self.last.iter().map(|p| p.reference.as_str()).filter(|name| self.half.contains(*name))
+        self.last
+            .iter()
+            .map(|p| p.reference.as_str())
+            .filter(|name| self.half.contains(*name))
     }
 
-    /// Splits the last pass into batches of [`BATCH`], each with the photometric maps that it needs and that no earlier batch makes.
+    /// Splits the last pass into batches of [`BATCH`], each with the photometric maps that it needs
+    /// and that no earlier batch makes.
     fn batches(&self) -> Vec<(Vec<Problem>, Vec<Problem>)> {
         let mut made = HashSet::new();
         let batch = |last: &[Problem]| {
-            let needed: HashSet<&str> =
-                last.iter().flat_map(|p| std::iter::once(&p.reference).chain(&p.sources)).map(String::as_str).collect();
-            let wanted = |p: &&Problem| needed.contains(p.reference.as_str()) && made.insert(p.reference.clone());
-            (self.first.iter().filter(wanted).cloned().collect(), last.to_vec())
+            let needed: HashSet<&str> = last
+                .iter()
+                .flat_map(|p| std::iter::once(&p.reference).chain(&p.sources))
+                .map(String::as_str)
+                .collect();
+            let wanted = |p: &&Problem| {
+                needed.contains(p.reference.as_str()) && made.insert(p.reference.clone())
+            };
+            (
+                self.first.iter().filter(wanted).cloned().collect(),
+                last.to_vec(),
+            )
         };
         self.last.chunks(BATCH).map(batch).collect()
     }
@@ -335,10 +451,18 @@ impl Passes {
     }
 
     fn add_fusion(&self, selection: &Selection, record: &mut ExportRecord) {
-        let typical = if self.refs == References::All { 5 } else { selection.typical_key_views_per_point() };
+        let typical = if self.refs == References::All {
+            5
+        } else {
+            selection.typical_key_views_per_point()
+        };
         // With a single map no other can agree.
         let min_pixels = typical.clamp(2, 5).min(self.last.len().max(1));
-        let kind = if self.geometric { "geometric" } else { "photometric" };
+        let kind = if self.geometric {
+            "geometric"
+        } else {
+            "photometric"
+        };
         record.commands.push(format!(
             "colmap stereo_fusion --workspace_path . --input_type {kind} --StereoFusion.min_num_pixels {min_pixels} \
              --StereoFusion.check_num_images {} --output_path {FUSED}",
@@ -369,30 +493,57 @@ fn add_lists(mut lists: MapRecords, files: &mut FileSet, record: &mut ExportReco
 /// Warns of key views with partners of several widths, as the images of different cameras have.
 fn mixed_widths(selection: &Selection) -> Option<String> {
     let width = |view: &ViewIndex| selection.scene.camera_of(*view).width;
-    let is_mixed = |cluster: &&RankedCluster| cluster.partners.iter().any(|p| width(p) != width(&cluster.partners[0]));
-    let mixed: Vec<&str> = selection.clusters.iter().filter(is_mixed).map(|c| selection.scene.name(c.key)).collect();
+    let is_mixed = |cluster: &&RankedCluster| {
+        cluster
+            .partners
+            .iter()
+            .any(|p| width(p) != width(&cluster.partners[0]))
+    };
+    let mixed: Vec<&str> = selection
+        .clusters
+        .iter()
+        .filter(is_mixed)
+        .map(|c| selection.scene.name(c.key))
+        .collect();
     let (first, others) = mixed.split_first()?;
-    let others = if others.is_empty() { String::new() } else { format!(" and {} more key views", others.len()) };
+    let others = if others.is_empty() {
+        String::new()
+    } else {
+        format!(" and {} more key views", others.len())
+    };
     Some(format!(
         "{first}{others}: the partners differ in width; COLMAP 4.0 and later may copy the narrower ones wrongly to the GPU"
     ))
 }
 
-/// Returns, for each view, whether it observes a sparse point. COLMAP derives the depth range from these and aborts at a view without any.
+/// Returns, for each view, whether it observes a sparse point. COLMAP derives the depth range from
+/// these and aborts at a view without any.
 fn views_with_points(selection: &Selection) -> Vec<bool> {
     let points = selection.scene.view_points();
-    selection.scene.view_indices().map(|v| !selection::depths(selection.scene, &points, v).is_empty()).collect()
+    selection
+        .scene
+        .view_indices()
+        .map(|v| !selection::depths(selection.scene, &points, v).is_empty())
+        .collect()
 }
 
 /// Returns the chosen clusters as problems, in rank order.
 fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
     let name = |v: ViewIndex| selection.scene.name(v).to_owned();
-    let problem =
-        |c: &RankedCluster| Problem { reference: name(c.key), sources: c.partners.iter().map(|&p| name(p)).collect() };
-    selection.clusters.iter().filter(|c| with_points[c.key.index()] && !c.partners.is_empty()).map(problem).collect()
+    let problem = |c: &RankedCluster| Problem {
+        reference: name(c.key),
+        sources: c.partners.iter().map(|&p| name(p)).collect(),
+    };
+    selection
+        .clusters
+        .iter()
+        .filter(|c| with_points[c.key.index()] && !c.partners.is_empty())
+        .map(problem)
+        .collect()
 }
 
-/// Returns problems for views that aren't key views but need a depth map, by name; their sources are the views with most shared points that get maps, too.
+/// Returns problems for views that aren't key views but need a depth map, by name; their sources
+/// are the views with most shared points that get maps, too.
 fn other_problems(selection: &Selection, refs: References, with_points: &[bool]) -> Vec<Problem> {
     let scene = selection.scene;
     let views = match refs {
@@ -405,27 +556,48 @@ fn other_problems(selection: &Selection, refs: References, with_points: &[bool])
     let count = selection.most_partners().max(1);
     let problem = |&v: &ViewIndex| {
         let shared = selection::shared_points(scene, &points, v);
-        let mut sources: Vec<_> =
-            views.iter().copied().filter(|s| shared[s.index()] > 0 && with_points[s.index()]).collect();
+        let mut sources: Vec<_> = views
+            .iter()
+            .copied()
+            .filter(|s| shared[s.index()] > 0 && with_points[s.index()])
+            .collect();
         sources.sort_by_key(|s| std::cmp::Reverse(shared[s.index()]));
         sources.truncate(count);
         Problem {
             reference: scene.name(v).into(),
-            sources: sources.into_iter().map(|s| scene.name(s).to_owned()).collect(),
+            sources: sources
+                .into_iter()
+                .map(|s| scene.name(s).to_owned())
+                .collect(),
         }
     };
-    let others = views.iter().filter(|v| !is_key[v.index()] && with_points[v.index()]);
-    others.map(problem).filter(|p| !p.sources.is_empty()).collect()
+    let others = views
+        .iter()
+        .filter(|v| !is_key[v.index()] && with_points[v.index()]);
+    others
+        .map(problem)
+        .filter(|p| !p.sources.is_empty())
+        .collect()
 }
 
-/// Returns the problems with only those sources that are references of `among`; problems without any are omitted.
+/// Returns the problems with only those sources that are references of `among`; problems without
+/// any are omitted.
 fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
     let references: HashSet<&str> = among.iter().map(|p| p.reference.as_str()).collect();
     let reduced = |p: &Problem| Problem {
         reference: p.reference.clone(),
-        sources: p.sources.iter().filter(|s| references.contains(s.as_str())).cloned().collect(),
+        sources: p
+            .sources
+            .iter()
+            .filter(|s| references.contains(s.as_str()))
+            .cloned()
+            .collect(),
     };
-    problems.iter().map(reduced).filter(|p| !p.sources.is_empty()).collect()
+    problems
+        .iter()
+        .map(reduced)
+        .filter(|p| !p.sources.is_empty())
+        .collect()
 }
 
 /// Returns the long side of the matched images, if it differs from that of the images.
@@ -439,13 +611,26 @@ fn size_cap(selection: &Selection) -> u32 {
     (f64::from(selection.long_side()) * selection.image_scale).ceil() as u32
 }
 
-/// Adds folders, which patch match does not create: one for each sub-folder of a name, under each kind of map.
+/// Adds folders, which patch match does not create: one for each sub-folder of a name, under each
+/// kind of map.
 fn map_folders(problems: &[Problem]) -> Vec<String> {
-    let mut subfolders: Vec<&str> =
-        problems.iter().map(|p| p.reference.rsplit_once('/').map_or("", |(folder, _)| folder)).collect();
+    let mut subfolders: Vec<&str> = problems
+        .iter()
+        .map(|p| {
+            p.reference
+                .rsplit_once('/')
+                .map_or("", |(folder, _)| folder)
+        })
+        .collect();
     subfolders.sort_unstable();
     subfolders.dedup();
     let kinds = ["depth_maps", "normal_maps", "consistency_graphs"];
-    let folder = |sub: &&str| kinds.map(|kind| format!("stereo/{kind}/{sub}").trim_end_matches('/').to_owned());
+    let folder = |sub: &&str| {
+        kinds.map(|kind| {
+            format!("stereo/{kind}/{sub}")
+                .trim_end_matches('/')
+                .to_owned()
+        })
+    };
     subfolders.iter().flat_map(folder).collect()
 }

@@ -10,38 +10,78 @@ use crate::{
 
 pub fn all(patient: &ExaminedProject) -> Vec<Trap> {
     let names = patient.bad_names("colmap-name", |name| cfg::check_name("colmap", name));
-    let points = patient.without_points("colmap-key-view-without-points", "COLMAP ends the whole run there");
-    let of_model = [names, points, blanks_in_text(patient), text_beside_binary(patient), mixed_widths(patient)];
-    of_model.into_iter().chain([far_away(patient), finished_maps(patient)]).flatten().collect()
+    let points = patient.without_points(
+        "colmap-key-view-without-points",
+        "COLMAP ends the whole run there",
+    );
+    let of_model = [
+        names,
+        points,
+        blanks_in_text(patient),
+        text_beside_binary(patient),
+        mixed_widths(patient),
+    ];
+    of_model
+        .into_iter()
+        .chain([far_away(patient), finished_maps(patient)])
+        .flatten()
+        .collect()
 }
 
 /// Finds maps without a record of their lists.
 fn finished_maps(patient: &ExaminedProject) -> Option<Trap> {
-    let workspace = patient.project.dense_workspace.as_ref().filter(|folder| !folder.join(finished::MAPS).exists())?;
-    let cure = "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
+    let workspace = patient
+        .project
+        .dense_workspace
+        .as_ref()
+        .filter(|folder| !folder.join(finished::MAPS).exists())?;
+    let cure =
+        "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
     let folder = workspace.join("stereo/depth_maps");
-    patient.finished_maps("colmap-stale-maps-skipped", &folder, 8, |name| name.ends_with(".bin"), cure)
+    patient.finished_maps(
+        "colmap-stale-maps-skipped",
+        &folder,
+        8,
+        |name| name.ends_with(".bin"),
+        cure,
+    )
 }
 
 /// Finds names with blanks, which text models cut at the first blank.
 fn blanks_in_text(patient: &ExaminedProject) -> Option<Trap> {
     let text = patient.project.model.format == ModelFormat::ColmapText;
-    let views: Vec<_> = patient.scene.view_indices().filter(|&v| text && patient.scene.name(v).contains(' ')).collect();
+    let views: Vec<_> = patient
+        .scene
+        .view_indices()
+        .filter(|&v| text && patient.scene.name(v).contains(' '))
+        .collect();
     let first = patient.scene.name(*views.first()?);
     let model = patient.project.model.path.display();
     Some(Trap {
         name: "colmap-text-model-blank-name",
         what: format!("COLMAP cuts \"{first}\" at its first blank when it reads this text model"),
-        cure: format!("rename the images, or write the model as binary from the program that made it into {model}"),
+        cure: format!(
+            "rename the images, or write the model as binary from the program that made it into {model}"
+        ),
         views,
     })
 }
 
-/// Finds coordinates too large for f32, in existing workspaces only: there the model is COLMAP's own.
+/// Finds coordinates too large for f32, in existing workspaces only: there the model is COLMAP's
+/// own.
 fn far_away(patient: &ExaminedProject) -> Option<Trap> {
-    let what = patient.project.dense_workspace.as_ref().and_then(|_| rounded(patient.scene))?;
+    let what = patient
+        .project
+        .dense_workspace
+        .as_ref()
+        .and_then(|_| rounded(patient.scene))?;
     let cure = "move the model near its origin (colmap model_transformer) before image_undistorter, or export with --out, which does".into();
-    Some(Trap { name: "colmap-far-from-origin", what, cure, views: Vec::new() })
+    Some(Trap {
+        name: "colmap-far-from-origin",
+        what,
+        cure,
+        views: Vec::new(),
+    })
 }
 
 /// Cameras in patch match and fusion are f32, and so are the points of `fused.ply`.
@@ -74,12 +114,19 @@ fn text_beside_binary(patient: &ExaminedProject) -> Option<Trap> {
 fn mixed_widths(patient: &ExaminedProject) -> Option<Trap> {
     let (scene, project) = (patient.scene, patient.project);
     // These formats do not store image sizes, which are guessed without the images.
-    if matches!(project.model.format, ModelFormat::Bundler | ModelFormat::Nvm) && project.images.is_none() {
+    if matches!(
+        project.model.format,
+        ModelFormat::Bundler | ModelFormat::Nvm
+    ) && project.images.is_none()
+    {
         return None;
     }
     let width = |v| scene.camera_of(v).width;
     let widest = scene.view_indices().map(width).max()?;
-    let narrower: Vec<_> = scene.view_indices().filter(|&v| width(v) < widest).collect();
+    let narrower: Vec<_> = scene
+        .view_indices()
+        .filter(|&v| width(v) < widest)
+        .collect();
     (!narrower.is_empty()).then(|| Trap {
         name: "colmap-4x-mixed-width-sources",
         what: format!(

@@ -1,16 +1,19 @@
 //! OpenMVS's DensifyPointCloud, v2.0 to v2.3 and branch develop: `docs/backends.md` 2.
 //!
-//! It reads no list of key views, and a list of neighbours sets the search range to 0.1 to 100 units regardless of the scene. So each cluster
-//! becomes a scene of its own, in which only the key view can be computed and the depth range comes from its sparse points. The scenes share a
-//! folder and the ids of the images, which name the depth maps; a final run fuses these in a scene of the key views. `run.py` does all
-//! that and checks each map, since DensifyPointCloud exits with 0 even on failure.
+//! It reads no list of key views, and a list of neighbours sets the search range to 0.1 to 100
+//! units regardless of the scene. So each cluster becomes a scene of its own, in which only the key
+//! view can be computed and the depth range comes from its sparse points. The scenes share a folder
+//! and the ids of the images, which name the depth maps; a final run fuses these in a scene of the
+//! key views. `run.py` does all that and checks each map, since DensifyPointCloud exits with 0 even
+//! on failure.
 
 use serde::Serialize;
 
 use self::scene::Builder;
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
-    PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale, selection, strangers::list_links,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale, selection,
+    strangers::list_links,
 };
 use crate::{
     base::shell::command_path,
@@ -37,14 +40,28 @@ const MAPS_PER_POINT: usize = 2;
 const FUSED_WITH: usize = 24;
 
 /// Confidence of a PatchMatch pair (method 7.2), measured as [`PlanningNumbers::source`] says.
-pub(super) const CONFIDENCE: PairConfidence =
-    PairConfidence { min_matches: 1, p0: 0.6, cosine_power: 0.0, scale_octaves: None, full_angle_deg: Some(8.0) };
+pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
+    min_matches: 1,
+    p0: 0.6,
+    cosine_power: 0.0,
+    scale_octaves: None,
+    full_angle_deg: Some(8.0),
+};
 
-/// By depth maps of seven scenes (method 7.4): it fills nearly everything, so that a depth says little of a match.
-const PHOTOMETRIC: Photometric = Photometric { agree: 0.55, differ: 0.1, full_agreement: 0.82 };
+/// By depth maps of seven scenes (method 7.4): it fills nearly everything, so that a depth says
+/// little of a match.
+const PHOTOMETRIC: Photometric = Photometric {
+    agree: 0.55,
+    differ: 0.1,
+    full_agreement: 0.82,
+};
 
-/// Measured with v2.3.0 (CPU) on caliterra: 1.8 s and 1.0 s per partner at 500 x 374, proportional to pixels; 0.15 s to load a scene.
-pub(super) const WORK: WorkPerMap = WorkPerMap { fixed: 0.03, per_map: 1.8 };
+/// Measured with v2.3.0 (CPU) on caliterra: 1.8 s and 1.0 s per partner at 500 x 374, proportional
+/// to pixels; 0.15 s to load a scene.
+pub(super) const WORK: WorkPerMap = WorkPerMap {
+    fixed: 0.03,
+    per_map: 1.8,
+};
 
 pub(super) const PLANNING: PlanningNumbers = PlanningNumbers {
     reach: None,
@@ -93,7 +110,10 @@ pub static BACKEND: Backend = Backend {
 
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     let map = |c: &RankedCluster| {
-        Some(export.files.root.join(format!("depth{:04}.dmap", selection.scene.view(c.key).image_id)))
+        Some(export.files.root.join(format!(
+            "depth{:04}.dmap",
+            selection.scene.view(c.key).image_id
+        )))
     };
     let command = "\"$python\" -I run.py --densify \"$program\" --threads \"$threads\"";
     Some(TaskRunner {
@@ -108,11 +128,21 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
 
 /// Finds coordinates too large for the f32 points and cameras of a scene.mvs.
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let largest = patient.scene.points.iter().flat_map(|p| p.iter().map(|x| x.abs())).fold(0.0, f64::max);
+    let largest = patient
+        .scene
+        .points
+        .iter()
+        .flat_map(|p| p.iter().map(|x| x.abs()))
+        .fold(0.0, f64::max);
     let step = largest * f64::from(f32::EPSILON);
     let of_openmvs = patient.project.model.format == ModelFormat::OpenMvs;
-    let named = patient.bad_names("openmvs-backslash-name", |name| check_name(BACKEND.name, name));
-    let rounded = patient.scene.median_gsd().filter(|gsd| of_openmvs && step > *gsd);
+    let named = patient.bad_names("openmvs-backslash-name", |name| {
+        check_name(BACKEND.name, name)
+    });
+    let rounded = patient
+        .scene
+        .median_gsd()
+        .filter(|gsd| of_openmvs && step > *gsd);
     let trap = rounded.map(|gsd| Trap {
     name: "openmvs-far-from-origin",
     what: format!(
@@ -123,8 +153,10 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     views: Vec::new(),
 });
     let folder = &patient.project.root;
-    let cure =
-        format!("remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap", command_path(folder));
+    let cure = format!(
+        "remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap",
+        command_path(folder)
+    );
     let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
     let maps = patient.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
     trap.into_iter().chain(named).chain(maps).collect()
@@ -150,7 +182,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             scene: path.clone(),
             key: selection.scene.name(cluster.key).into(),
             id: selection.scene.view(cluster.key).image_id,
-            partner_ids: cluster.partners.iter().map(|&p| selection.scene.view(p).image_id).collect(),
+            partner_ids: cluster
+                .partners
+                .iter()
+                .map(|&p| selection.scene.view(p).image_id)
+                .collect(),
             scale: cluster.scale,
             size: [camera.width, camera.height],
             share: cluster.share,
@@ -164,11 +200,22 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let (common, overlaps) = common_project(selection);
     files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
-    let run = Run { clusters: rows, overlaps, maps_per_point: MAPS_PER_POINT, resolution: resolution(selection) };
-    files.add_text("run.json", serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n");
+    let run = Run {
+        clusters: rows,
+        overlaps,
+        maps_per_point: MAPS_PER_POINT,
+        resolution: resolution(selection),
+    };
+    files.add_text(
+        "run.json",
+        serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n",
+    );
     files.add_text("dense.cfg", dense_config(selection));
     list_links(&mut files);
-    files.add("run.py", Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()));
+    files.add(
+        "run.py",
+        Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()),
+    );
     let mut record = record_of(selection);
     record.moved(near.origin);
     files.add_text("export.json", record.to_json());
@@ -177,28 +224,44 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 
 /// Refuses names that OpenMVS would resolve to another path; `backend` is the one that runs it.
 pub fn check_names(backend: &'static str, selection: &Selection) -> Result<(), BackendError> {
-    selection.views().into_iter().try_for_each(|view| check_name(backend, selection.scene.name(view)))
+    selection
+        .views()
+        .into_iter()
+        .try_for_each(|view| check_name(backend, selection.scene.name(view)))
 }
 
 fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError> {
     let why = || "OpenMVS takes a backslash for the end of a folder's name".into();
-    if name.contains('\\') { Err(BackendError::Name { backend, name: name.into(), why: why() }) } else { Ok(()) }
+    if name.contains('\\') {
+        Err(BackendError::Name {
+            backend,
+            name: name.into(),
+            why: why(),
+        })
+    } else {
+        Ok(())
+    }
 }
 
 fn record_of(selection: &Selection) -> ExportRecord {
-    let mut record =
-        ExportRecord::new(&BACKEND, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| {
+        format!("depth{:04}.dmap", selection.scene.view(v).image_id)
+    });
     record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
     record.way = "one scene per cluster".into();
     record.commands = vec!["python3 run.py".into()];
-    record.not_honoured.extend(["the order of the partners of a key view (all of them are used)".into()]);
+    record
+        .not_honoured
+        .extend(["the order of the partners of a key view (all of them are used)".into()]);
     record.note_scale(selection, capped_scale(resolution(selection)));
     record.pixel_shift = -0.5;
-    record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
+    record.fusion =
+        format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
     record
 }
 
-/// Returns one scene of all clusters in model coordinates, with the given image paths, for programs that run OpenMVS themselves.
+/// Returns one scene of all clusters in model coordinates, with the given image paths, for programs
+/// that run OpenMVS themselves.
 pub(super) fn joint_scene(selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
     Builder::new(selection).joint(selection, path)
 }
@@ -224,14 +287,16 @@ struct Row {
 #[derive(Serialize)]
 struct Run {
     clusters: Vec<Row>,
-    /// For each image of `fuse.mvs`, the indices of the key views that overlap it, best first; empty if it is not a key view.
+    /// For each image of `fuse.mvs`, the indices of the key views that overlap it, best first;
+    /// empty if it is not a key view.
     overlaps: Vec<Vec<usize>>,
     maps_per_point: usize,
     /// Long side of the matched images, pixels.
     resolution: u32,
 }
 
-/// Returns the images of the fusion (key views in rank order, and a partner if there is only one key view) and their overlaps.
+/// Returns the images of the fusion (key views in rank order, and a partner if there is only one
+/// key view) and their overlaps.
 fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
     let mut views: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
     let keys = views.len();
@@ -244,22 +309,32 @@ fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
         let mut others: Vec<_> = (0..views.len()).filter(|&o| o != i).collect();
         others.sort_by_key(|&o| std::cmp::Reverse(shared[views[o].index()]));
         // OpenMVS requires a neighbour: a view without overlap is compared with an arbitrary one.
-        let overlapping = others.iter().filter(|&&o| shared[views[o].index()] > 0).count().max(1);
+        let overlapping = others
+            .iter()
+            .filter(|&&o| shared[views[o].index()] > 0)
+            .count()
+            .max(1);
         others.truncate(overlapping.min(FUSED_WITH));
         others
     };
-    let overlaps = (0..views.len()).map(|i| if i < keys { overlaps(i) } else { Vec::new() }).collect();
+    let overlaps = (0..views.len())
+        .map(|i| if i < keys { overlaps(i) } else { Vec::new() })
+        .collect();
     (views, overlaps)
 }
 
-/// Options with which every partner is used regardless of OpenMVS's score, and no limit cuts a list.
+/// Options with which every partner is used regardless of OpenMVS's score, and no limit cuts a
+/// list.
 fn dense_config(selection: &Selection) -> String {
     // OpenMVS filters neighbours beyond three quarters of the limit by angle and scale.
-    let views = (selection.most_partners() * 4).div_ceil(3).max(FUSED_WITH * 4 / 3);
+    let views = (selection.most_partners() * 4)
+        .div_ceil(3)
+        .max(FUSED_WITH * 4 / 3);
     format!("View Min Score = 0\nView Min Score Ratio = 0\nMax Views = {views}\n")
 }
 
-/// Resolution level 1, but neither below 640 nor above 2560 pixels: the defaults of DensifyPointCloud.
+/// Resolution level 1, but neither below 640 nor above 2560 pixels: the defaults of
+/// DensifyPointCloud.
 fn own_scale(camera: &Camera) -> f64 {
     scale_at(camera, 1, OWN_SIZES)
 }
@@ -267,10 +342,15 @@ fn own_scale(camera: &Camera) -> f64 {
 /// Least and greatest long side of OpenMVS's images by default, pixels.
 const OWN_SIZES: [u32; 2] = [640, 2560];
 
-/// Returns the size of the images at a resolution level, over their own size. Levels stop before an image becomes smaller than the least size.
+/// Returns the size of the images at a resolution level, over their own size. Levels stop before an
+/// image becomes smaller than the least size.
 pub(super) fn scale_at(camera: &Camera, level: u32, [least, greatest]: [u32; 2]) -> f64 {
     let side = camera.width.max(camera.height);
-    let halved = (0..=level).rev().map(|level| side >> level).find(|size| *size >= least).unwrap_or(side);
+    let halved = (0..=level)
+        .rev()
+        .map(|level| side >> level)
+        .find(|size| *size >= least)
+        .unwrap_or(side);
     f64::from(halved.min(greatest)) / f64::from(side)
 }
 

@@ -1,8 +1,9 @@
 //! The plain list of neighbours for an existing `scene.mvs`.
 //!
-//! It replaces only the neighbours of the listed images: OpenMVS computes the other images too, and searches depths of 0.1 to 100 units for
-//! the listed ones, regardless of the scene. So the depths are checked, and on request a copy of the scene is made at a scale that fits,
-//! without points, so that only the listed images can be computed.
+//! It replaces only the neighbours of the listed images: OpenMVS computes the other images too, and
+//! searches depths of 0.1 to 100 units for the listed ones, regardless of the scene. So the depths
+//! are checked, and on request a copy of the scene is made at a scale that fits, without points, so
+//! that only the listed images can be computed.
 
 use std::path::Path;
 
@@ -11,7 +12,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::{BACKEND, dense_config, resolution};
 use crate::{
     backends::{
-        BackendError, Export, ExportOptions, ExportRecord, Selection, record::capped_scale, selection::origin_among,
+        BackendError, Export, ExportOptions, ExportRecord, Selection, record::capped_scale,
+        selection::origin_among,
     },
     base::input::{self, FileKind},
     io::{
@@ -24,22 +26,43 @@ use crate::{
 
 /// Depths that OpenMVS searches for an image with given neighbours, scene units.
 const SEARCHED: [f64; 2] = [0.1, 100.0];
-/// Tolerance when comparing distances between cameras of scene and model, share of the cameras' spread.
+/// Tolerance when comparing distances between cameras of scene and model, share of the cameras'
+/// spread.
 const SAME_SHAPE: f64 = 0.01;
 /// Median depth of the key views in a scaled scene, units.
 const SCALED_DEPTH: f64 = 10.0;
 
-pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Result<Export, BackendError> {
+pub fn export(
+    selection: &Selection,
+    options: &ExportOptions,
+    path: &Path,
+) -> Result<Export, BackendError> {
     let mvs = read(path)?;
     let positions = positions(selection, &mvs, path)?;
-    let centres: Vec<Vector3<f64>> = selection.views().iter().map(|v| pose_of(&mvs, positions[v.index()]).1).collect();
+    let centres: Vec<Vector3<f64>> = selection
+        .views()
+        .iter()
+        .map(|v| pose_of(&mvs, positions[v.index()]).1)
+        .collect();
     let size_of_scene = size_of_scene(selection, &centres, path)?;
     let depths: Vec<Depths> = selection
         .clusters
         .iter()
-        .map(|c| Depths::new(&mvs, positions[c.key.index()], selection, c.key, size_of_scene))
+        .map(|c| {
+            Depths::new(
+                &mvs,
+                positions[c.key.index()],
+                selection,
+                c.key,
+                size_of_scene,
+            )
+        })
         .collect();
-    let scale = if options.scale { SCALED_DEPTH / median(depths.iter().map(|d| d.median)) } else { 1.0 };
+    let scale = if options.scale {
+        SCALED_DEPTH / median(depths.iter().map(|d| d.median))
+    } else {
+        1.0
+    };
     check_depths(&depths, scale, options.scale)?;
 
     let mut record = ExportRecord::new(&BACKEND, selection, |v| positions[v.index()].to_string());
@@ -49,19 +72,39 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     let mut files = options.file_set(&BACKEND, selection);
     let list = |c: &crate::model::cluster::RankedCluster| {
         let views = std::iter::once(&c.key).chain(&c.partners);
-        views.map(|v| positions[v.index()].to_string()).collect::<Vec<_>>().join(" ") + "\n"
+        views
+            .map(|v| positions[v.index()].to_string())
+            .collect::<Vec<_>>()
+            .join(" ")
+            + "\n"
     };
     let lists: String = selection.clusters.iter().map(list).collect();
-    let folder = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
+    let folder = std::path::absolute(path)
+        .ok()
+        .and_then(|p| p.parent().map(Path::to_path_buf))
+        .unwrap_or_default();
     let size = resolution(selection);
-    let origin = origin_among(&centres, selection.scene.median_gsd().map(|gsd| gsd * size_of_scene));
+    let origin = origin_among(
+        &centres,
+        selection.scene.median_gsd().map(|gsd| gsd * size_of_scene),
+    );
     record.moved(origin);
     let mvs = moved(mvs, origin);
-    let mvs = with_absolute_paths(if options.scale { scaled(mvs, scale) } else { mvs }, &folder);
+    let mvs = with_absolute_paths(
+        if options.scale {
+            scaled(mvs, scale)
+        } else {
+            mvs
+        },
+        &folder,
+    );
     let scene = mvs.write();
     // OpenMVS keeps every depth map in its working folder, even of other scenes.
     let mut made_from = blake3::Hasher::new();
-    made_from.update(&scene).update(lists.as_bytes()).update(&size.to_le_bytes());
+    made_from
+        .update(&scene)
+        .update(lists.as_bytes())
+        .update(&size.to_le_bytes());
     let work = format!("maps-{}", &made_from.finalize().to_hex()[..8]);
     files.add(&*work, Contents::Folder);
     files.add("scene.mvs", Contents::Bytes(scene));
@@ -78,7 +121,10 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
         let unscale = include_bytes!("../../../integrations/openmvs/unscale.py");
         files.add("unscale.py", Contents::Script(unscale.to_vec()));
         record.way = "list of neighbours, with a scaled copy of the scene without points".into();
-        record.commands = vec![densify(1), format!("python3 unscale.py dense.ply dense_unscaled.ply {scale}")];
+        record.commands = vec![
+            densify(1),
+            format!("python3 unscale.py dense.ply dense_unscaled.ply {scale}"),
+        ];
         record.fusion = "number-views-fuse 1: partners have no depth maps that could agree".into();
     } else {
         record.way = "list of neighbours, with a copy of the existing scene".into();
@@ -95,27 +141,46 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
 }
 
 fn read(path: &Path) -> Result<Mvs, BackendError> {
-    let bytes = input::read(path, FileKind::Sparse).map_err(|source| ProjectError::Io { path: path.into(), source })?;
-    Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault { path: path.into(), fault })?)
+    let bytes = input::read(path, FileKind::Sparse).map_err(|source| ProjectError::Io {
+        path: path.into(),
+        source,
+    })?;
+    Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault {
+        path: path.into(),
+        fault,
+    })?)
 }
 
-/// Returns, for each view of the selection, the index of its image in the scene: the one with the shortest path that ends with the view's name,
-/// since a name may be the end of another.
+/// Returns, for each view of the selection, the index of its image in the scene: the one with the
+/// shortest path that ends with the view's name, since a name may be the end of another.
 fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>, BackendError> {
-    let names: Vec<String> =
-        mvs.images.iter().map(|image| String::from_utf8_lossy(&image.name).replace('\\', "/")).collect();
+    let names: Vec<String> = mvs
+        .images
+        .iter()
+        .map(|image| String::from_utf8_lossy(&image.name).replace('\\', "/"))
+        .collect();
     let mut positions = vec![usize::MAX; selection.scene.views.len()];
     for view in selection.views() {
         let name = selection.scene.name(view);
-        let is = |image: &str| image == name || image.strip_suffix(name).is_some_and(|rest| rest.ends_with('/'));
-        let mut found: Vec<usize> =
-            (0..names.len()).filter(|&i| is(&names[i]) && mvs.images[i].pose != NO_POSE).collect();
+        let is = |image: &str| {
+            image == name
+                || image
+                    .strip_suffix(name)
+                    .is_some_and(|rest| rest.ends_with('/'))
+        };
+        let mut found: Vec<usize> = (0..names.len())
+            .filter(|&i| is(&names[i]) && mvs.images[i].pose != NO_POSE)
+            .collect();
         let shortest = found.iter().map(|&i| names[i].len()).min();
         found.retain(|&i| Some(names[i].len()) == shortest);
         let [position] = found[..] else {
             return Err(BackendError::Needs {
                 backend: "openmvs",
-                what: format!("one calibrated image {name} in {}, which has {}", path.display(), found.len()),
+                what: format!(
+                    "one calibrated image {name} in {}, which has {}",
+                    path.display(),
+                    found.len()
+                ),
                 hint: "give a scene of the same images, or leave --scene out".into(),
             });
         };
@@ -128,27 +193,38 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
 fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
     let image = &mvs.images[position];
     let platform = &mvs.platforms[image.platform as usize];
-    let (camera, pose) = (&platform.cameras[image.camera as usize], &platform.poses[image.pose as usize]);
+    let (camera, pose) = (
+        &platform.cameras[image.camera as usize],
+        &platform.poses[image.pose as usize],
+    );
     let pose_r = Matrix3::from_row_slice(&pose.r);
     let centre = pose_r.transpose() * Vector3::from(camera.c) + Vector3::from(pose.c);
     (Matrix3::from_row_slice(&camera.r) * pose_r, centre)
 }
 
-/// Returns scene units per model unit, from the spread of the cameras in both. `of_scene`: centres of the selection's cameras in the scene.
+/// Returns scene units per model unit, from the spread of the cameras in both. `of_scene`: centres
+/// of the selection's cameras in the scene.
 ///
 /// # Errors
 /// Fails if the cameras are arranged differently from the model's.
-fn size_of_scene(selection: &Selection, of_scene: &[Vector3<f64>], path: &Path) -> Result<f64, BackendError> {
+fn size_of_scene(
+    selection: &Selection,
+    of_scene: &[Vector3<f64>],
+    path: &Path,
+) -> Result<f64, BackendError> {
     let views = selection.views();
     if views.len() < 2 {
         return Ok(1.0);
     }
-    let of_model: Vec<Vector3<f64>> =
-        views.iter().map(|&v| selection.scene.view(v).cam_from_world.centre().coords).collect();
+    let of_model: Vec<Vector3<f64>> = views
+        .iter()
+        .map(|&v| selection.scene.view(v).cam_from_world.centre().coords)
+        .collect();
     let spread_of_scene = spread(of_scene);
     let size = spread_of_scene / spread(&of_model);
     let same = |i: usize, j: usize| {
-        let [model, scene] = [&of_model[..], of_scene].map(|centres| (centres[i] - centres[j]).norm());
+        let [model, scene] =
+            [&of_model[..], of_scene].map(|centres| (centres[i] - centres[j]).norm());
         (scene - size * model).abs() <= SAME_SHAPE * spread_of_scene
     };
     if size.is_normal() && (1..views.len()).all(|i| same(i, i - 1)) {
@@ -156,18 +232,27 @@ fn size_of_scene(selection: &Selection, of_scene: &[Vector3<f64>], path: &Path) 
     }
     Err(BackendError::Needs {
         backend: "openmvs",
-        what: format!("the cameras of the model, and {} has them in other places", path.display()),
+        what: format!(
+            "the cameras of the model, and {} has them in other places",
+            path.display()
+        ),
         hint: "give a scene made from this model, or leave --scene out".into(),
     })
 }
 
 /// Moves the scene's origin to `origin`.
 fn moved(mut mvs: Mvs, origin: Vector3<f64>) -> Mvs {
-    for pose in mvs.platforms.iter_mut().flat_map(|platform| &mut platform.poses) {
+    for pose in mvs
+        .platforms
+        .iter_mut()
+        .flat_map(|platform| &mut platform.poses)
+    {
         pose.c = (Vector3::from(pose.c) - origin).into();
     }
     for vertex in &mut mvs.vertices {
-        vertex.x = (Vector3::from(vertex.x.map(f64::from)) - origin).map(|x| x as f32).into();
+        vertex.x = (Vector3::from(vertex.x.map(f64::from)) - origin)
+            .map(|x| x as f32)
+            .into();
     }
     if has_region(&mvs) {
         let turned = Matrix3::from_row_slice(&mvs.region[..9]) * origin;
@@ -176,7 +261,8 @@ fn moved(mut mvs: Mvs, origin: Vector3<f64>) -> Mvs {
     mvs
 }
 
-/// Returns whether a region of interest is set; otherwise its corners are the largest floats, in inverse order.
+/// Returns whether a region of interest is set; otherwise its corners are the largest floats, in
+/// inverse order.
 fn has_region(mvs: &Mvs) -> bool {
     (0..3).all(|i| mvs.region[9 + i] < mvs.region[12 + i])
 }
@@ -184,7 +270,12 @@ fn has_region(mvs: &Mvs) -> bool {
 /// Returns the root mean square distance from the centroid.
 fn spread(centres: &[Vector3<f64>]) -> f64 {
     let middle = centres.iter().sum::<Vector3<f64>>() / centres.len() as f64;
-    (centres.iter().map(|c| (c - middle).norm_squared()).sum::<f64>() / centres.len() as f64).sqrt()
+    (centres
+        .iter()
+        .map(|c| (c - middle).norm_squared())
+        .sum::<f64>()
+        / centres.len() as f64)
+        .sqrt()
 }
 
 /// Depths of the sparse points of a key view, scene units.
@@ -196,14 +287,28 @@ struct Depths {
 }
 
 impl Depths {
-    /// Uses the scene's own vertices, or our points scaled to the scene if the image sees no vertex.
-    fn new(mvs: &Mvs, position: usize, selection: &Selection, view: ViewIndex, size_of_scene: f64) -> Self {
+    /// Uses the scene's own vertices, or our points scaled to the scene if the image sees no
+    /// vertex.
+    fn new(
+        mvs: &Mvs,
+        position: usize,
+        selection: &Selection,
+        view: ViewIndex,
+        size_of_scene: f64,
+    ) -> Self {
         let (r, centre) = pose_of(mvs, position);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
-        let seen = mvs.vertices.iter().filter(|v| v.views.iter().any(|s| s.image as usize == position));
+        let seen = mvs
+            .vertices
+            .iter()
+            .filter(|v| v.views.iter().any(|s| s.image as usize == position));
         let mut depths: Vec<f64> = seen.map(|v| depth(v.x)).filter(|z| *z > 0.0).collect();
         if depths.is_empty() {
-            depths = crate::backends::selection::depths(selection.scene, &selection.scene.view_points(), view);
+            depths = crate::backends::selection::depths(
+                selection.scene,
+                &selection.scene.view_points(),
+                view,
+            );
             depths.iter_mut().for_each(|depth| *depth *= size_of_scene);
         }
         depths.sort_unstable_by(f64::total_cmp);
@@ -211,20 +316,31 @@ impl Depths {
             let last = depths.len().checked_sub(1)?;
             depths.get((last as f64 * share).round() as usize).copied()
         };
-        let [least, median, greatest] = [0.01, 0.5, 0.99].map(|share| at(share).unwrap_or(f64::NAN));
-        Self { view: selection.scene.name(view).into(), least, median, greatest }
+        let [least, median, greatest] =
+            [0.01, 0.5, 0.99].map(|share| at(share).unwrap_or(f64::NAN));
+        Self {
+            view: selection.scene.name(view).into(),
+            least,
+            median,
+            greatest,
+        }
     }
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(SCALED_DEPTH)
+    values
+        .get(values.len() / 2)
+        .copied()
+        .unwrap_or(SCALED_DEPTH)
 }
 
 fn check_depths(depths: &[Depths], scale: f64, scaled: bool) -> Result<(), BackendError> {
     let fits = |d: &&Depths| d.least * scale >= SEARCHED[0] && d.greatest * scale <= SEARCHED[1];
-    let Some(wrong) = depths.iter().find(|d| !fits(d)) else { return Ok(()) };
+    let Some(wrong) = depths.iter().find(|d| !fits(d)) else {
+        return Ok(());
+    };
     let hint = if scaled {
         "leave --scene out: a scene per cluster takes its range from the sparse points"
     } else {
@@ -248,7 +364,11 @@ fn check_depths(depths: &[Depths], scale: f64, scaled: bool) -> Result<(), Backe
 fn with_absolute_paths(mut mvs: Mvs, folder: &Path) -> Mvs {
     let absolute = |name: &mut Vec<u8>| {
         if !name.is_empty() {
-            *name = folder.join(String::from_utf8_lossy(name).replace('\\', "/")).to_string_lossy().into_owned().into();
+            *name = folder
+                .join(String::from_utf8_lossy(name).replace('\\', "/"))
+                .to_string_lossy()
+                .into_owned()
+                .into();
         }
     };
     for image in &mut mvs.images {
@@ -262,7 +382,10 @@ fn with_absolute_paths(mut mvs: Mvs, folder: &Path) -> Mvs {
 fn scaled(mut mvs: Mvs, scale: f64) -> Mvs {
     let grow = |values: &mut [f64]| values.iter_mut().for_each(|v| *v *= scale);
     for platform in &mut mvs.platforms {
-        platform.cameras.iter_mut().for_each(|camera| grow(&mut camera.c));
+        platform
+            .cameras
+            .iter_mut()
+            .for_each(|camera| grow(&mut camera.c));
         platform.poses.iter_mut().for_each(|pose| grow(&mut pose.c));
     }
     if has_region(&mvs) {

@@ -1,10 +1,11 @@
-//! The reference matcher of this repository, `integrations/sgm`: semi-global matching along epipolar lines.
+//! The reference matcher of this repository, `integrations/sgm`: semi-global matching along
+//! epipolar lines.
 
 mod search;
 
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
-    PlanningNumbers, Selection, TaskRunner, Trap, place, sure,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, PlanningNumbers, Selection, TaskRunner, Trap, place, sure,
 };
 use crate::{
     base::shell::quoted_path,
@@ -14,14 +15,24 @@ use crate::{
 };
 
 /// Ranks best by real curves (`integrations/sgm/RESULTS.md`).
-pub(super) const CONFIDENCE: PairConfidence =
-    PairConfidence { min_matches: 2, p0: 0.9, cosine_power: 0.0, scale_octaves: Some(2.0), full_angle_deg: None };
+pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
+    min_matches: 2,
+    p0: 0.9,
+    cosine_power: 0.0,
+    scale_octaves: Some(2.0),
+    full_angle_deg: None,
+};
 
-/// By depth maps of seven scenes (method 7.4): semi-global matching also bridges what the pictures do not agree on.
-pub(super) const PHOTOMETRIC: Photometric = Photometric { agree: 0.95, differ: 0.19, full_agreement: 0.9 };
+/// By depth maps of seven scenes (method 7.4): semi-global matching also bridges what the pictures
+/// do not agree on.
+pub(super) const PHOTOMETRIC: Photometric = Photometric {
+    agree: 0.95,
+    differ: 0.19,
+    full_agreement: 0.9,
+};
 
-/// It works on a polar grid around the epipole, so an epipole in the image or a large scale ratio matters less than for a
-/// matcher that rectifies (tables in `integrations/sgm/README.md`).
+/// It works on a polar grid around the epipole, so an epipole in the image or a large scale ratio
+/// matters less than for a matcher that rectifies (tables in `integrations/sgm/README.md`).
 const NUMBERS: PlanningNumbers = PlanningNumbers {
     gate: Gate {
         min_shared_points: 8,
@@ -34,7 +45,10 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
     confidence: CONFIDENCE,
     photometric: PHOTOMETRIC,
     support: 1,
-    work: WorkPerMap { fixed: 0.13, per_map: 0.5 },
+    work: WorkPerMap {
+        fixed: 0.13,
+        per_map: 0.5,
+    },
     measured: "valley, 2 more",
     source: "measured with integrations/sgm/measure.py on valley against exact depth, on boruszyn and lewis against the \
              maps of 22 partners; support 1: a depth map is checked against its own pairs; work: seconds of maps of full and half size of six \
@@ -45,11 +59,26 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
 const MATCHER: [(&str, &str); 7] = [
     ("sgm.py", include_str!("../../../integrations/sgm/sgm.py")),
     ("fuse.py", include_str!("../../../integrations/sgm/fuse.py")),
-    ("matching.py", include_str!("../../../integrations/sgm/matching.py")),
-    ("merge.py", include_str!("../../../integrations/sgm/merge.py")),
-    ("pairs.py", include_str!("../../../integrations/sgm/pairs.py")),
-    ("rectify.py", include_str!("../../../integrations/sgm/rectify.py")),
-    ("workspace.py", include_str!("../../../integrations/sgm/workspace.py")),
+    (
+        "matching.py",
+        include_str!("../../../integrations/sgm/matching.py"),
+    ),
+    (
+        "merge.py",
+        include_str!("../../../integrations/sgm/merge.py"),
+    ),
+    (
+        "pairs.py",
+        include_str!("../../../integrations/sgm/pairs.py"),
+    ),
+    (
+        "rectify.py",
+        include_str!("../../../integrations/sgm/rectify.py"),
+    ),
+    (
+        "workspace.py",
+        include_str!("../../../integrations/sgm/workspace.py"),
+    ),
 ];
 
 pub static BACKEND: Backend = Backend {
@@ -76,7 +105,9 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let bad = patient.bad_names("sgm-name", |name| sure::checked_name(BACKEND.name, name).map(|_| ()));
+    let bad = patient.bad_names("sgm-name", |name| {
+        sure::checked_name(BACKEND.name, name).map(|_| ())
+    });
     bad.into_iter().collect()
 }
 
@@ -90,11 +121,16 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
             export.record.image_scale
         )
     };
-    let map = |c: &RankedCluster| Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))));
+    let map = |c: &RankedCluster| {
+        Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))))
+    };
     Some(TaskRunner {
         program: "sgm.py",
         variable: "SGM",
-        compute: format!("{} --cache {folder}/pairs --rank \"$rank\"", command("match")),
+        compute: format!(
+            "{} --cache {folder}/pairs --rank \"$rank\"",
+            command("match")
+        ),
         fuse: format!("{} --stop-at 0 && {}", command("match"), command("fuse")),
         cloud: out.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
@@ -110,10 +146,13 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut files = options.file_set(&BACKEND, selection);
     let project = quoted_path(&place::path_from(&files.root, &selection.project.root));
     let command = |what| {
-        format!("python3 sgm.py {what} {project} --clusters clusters.txt --out depth_maps --image-scale {scale}")
+        format!(
+            "python3 sgm.py {what} {project} --clusters clusters.txt --out depth_maps --image-scale {scale}"
+        )
     };
     record.commands = vec![command("match"), command("fuse")];
-    record.fusion = "a point per cell of one ground sampling distance, the mean of the depths in it".into();
+    record.fusion =
+        "a point per cell of one ground sampling distance, the mean of the depths in it".into();
     for (name, text) in MATCHER {
         files.add_text(name, text);
     }

@@ -1,8 +1,10 @@
-//! What `integrations/sgm` searches of a pair: its rule (`rectify.py`), computed from the same sparse points.
+//! What `integrations/sgm` searches of a pair: its rule (`rectify.py`), computed from the same
+//! sparse points.
 //!
-//! It brings a pair onto a canvas on which the dominant plane of the shared points does not move, and searches the disparities that the points around
-//! have there. Where they need more than it can search, it takes the window with most of them; what lies in front of or behind that stays unmatched,
-//! such as the hall around a statue. A pair whose window would have too few is refused.
+//! It brings a pair onto a canvas on which the dominant plane of the shared points does not move,
+//! and searches the disparities that the points around have there. Where they need more than it can
+//! search, it takes the window with most of them; what lies in front of or behind that stays
+//! unmatched, such as the hall around a statue. A pair whose window would have too few is refused.
 
 use std::{cell::OnceCell, cmp::Reverse, ops::Range};
 
@@ -29,7 +31,8 @@ const RANGE_MARGIN: f64 = 0.1;
 const RANGE_PIXELS: f64 = 5.0;
 /// Share of the key view that the partner must show.
 const MIN_OVERLAP: f64 = 0.03;
-/// Places of the longer side, and disparities of the search range, at which the matcher looks for what both show.
+/// Places of the longer side, and disparities of the search range, at which the matcher looks for
+/// what both show.
 const OVERLAP_GRID: (f64, u32) = (64.0, 5);
 /// Size of the sample of points that decides clear cases.
 const SAMPLE: usize = 96;
@@ -40,17 +43,28 @@ const FAR: f64 = 1e6;
 /// Disparities are searched in groups.
 const GROUP: f64 = 16.0;
 
-/// Returns what is searched of the pairs of a key view: the points of the scene whose disparity is searched; nothing where these are too few of the
-/// pair's points, or the pictures hardly overlap.
+/// Returns what is searched of the pairs of a key view: the points of the scene whose disparity is
+/// searched; nothing where these are too few of the pair's points, or the pictures hardly overlap.
 pub fn reach<'a>(
     scene: &'a Scene,
     points: &'a ViewPoints,
     key: ViewIndex,
     image_scale: f64,
 ) -> Box<dyn ReachOfPair + 'a> {
-    let (view, observed) = (Reduced::new(scene, key, image_scale), points.observed_by(key));
+    let (view, observed) = (
+        Reduced::new(scene, key, image_scale),
+        points.observed_by(key),
+    );
     let sample = SeenPoints::new(&view, scene, sampled(observed));
-    Box::new(KeyView { scene, points, image_scale, key: view, observed, sample, all: OnceCell::new() })
+    Box::new(KeyView {
+        scene,
+        points,
+        image_scale,
+        key: view,
+        observed,
+        sample,
+        all: OnceCell::new(),
+    })
 }
 
 /// A key view with the points that it observes.
@@ -67,7 +81,9 @@ struct KeyView<'a> {
 
 impl ReachOfPair for KeyView<'_> {
     fn reach(&self, pair: &PairGeometry) -> Reach {
-        let Some((parallax, Range { start, end })) = self.searched(pair) else { return Reach::Nothing };
+        let Some((parallax, Range { start, end })) = self.searched(pair) else {
+            return Reach::Nothing;
+        };
         let searched = start..start + GROUP * ((end - start) / GROUP).ceil();
         let key = self.key.clone();
         Reach::Part(Box::new(move |point| {
@@ -88,24 +104,40 @@ impl KeyView<'_> {
         let others = without(self.points.observed_by(pair.partner), pair.shared);
         let position = |point: &PointIndex| self.scene.points[point.index()];
         let parallax = Parallax::new(&self.key, &partner, pair.shared.iter().map(position))?;
-        let seen = self.all.get_or_init(|| SeenPoints::new(&self.key, self.scene, self.observed.iter()));
-        let mut disparities = parallax.disparities(&self.key, &partner, seen, others.iter().map(position));
+        let seen = self
+            .all
+            .get_or_init(|| SeenPoints::new(&self.key, self.scene, self.observed.iter()));
+        let mut disparities =
+            parallax.disparities(&self.key, &partner, seen, others.iter().map(position));
         let searched = searched(&mut disparities, &self.key)?;
-        parallax.overlaps(&self.key, &partner, &searched, MIN_OVERLAP).then_some((parallax, searched))
+        parallax
+            .overlaps(&self.key, &partner, &searched, MIN_OVERLAP)
+            .then_some((parallax, searched))
     }
 
-    /// Returns whether a sample of the points shows that the pair is accepted with room to spare: half the search range suffices, and the images overlap by
-    /// twice the minimum. If less than 70 % of all points fit in the window, 32 random ones do with a probability of 0.7^32, 1 in 100,000.
+    /// Returns whether a sample of the points shows that the pair is accepted with room to spare:
+    /// half the search range suffices, and the images overlap by twice the minimum. If less than 70
+    /// % of all points fit in the window, 32 random ones do with a probability of 0.7^32, 1 in
+    /// 100,000.
     fn clearly_matches(&self, pair: &PairGeometry) -> bool {
         let partner = Reduced::new(self.scene, pair.partner, self.image_scale);
         let position = |point: &PointIndex| self.scene.points[point.index()];
-        let Some(parallax) = Parallax::new(&self.key, &partner, sampled(pair.shared).map(position)) else {
+        let Some(parallax) = Parallax::new(&self.key, &partner, sampled(pair.shared).map(position))
+        else {
             return false;
         };
         let observed = sampled(self.points.observed_by(pair.partner));
-        let others: Vec<_> = observed.filter(|point| pair.shared.binary_search(point).is_err()).map(position).collect();
-        let disparities = parallax.disparities(&self.key, &partner, &self.sample, others.into_iter());
-        let (low, high) = disparities.iter().fold((f64::MAX, f64::MIN), |(low, high), &d| (low.min(d), high.max(d)));
+        let others: Vec<_> = observed
+            .filter(|point| pair.shared.binary_search(point).is_err())
+            .map(position)
+            .collect();
+        let disparities =
+            parallax.disparities(&self.key, &partner, &self.sample, others.into_iter());
+        let (low, high) = disparities
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(low, high), &d| {
+                (low.min(d), high.max(d))
+            });
         let needed = with_margin(low, high);
         disparities.len() >= MIN_SAMPLED
             && needed.end - needed.start <= 0.5 * most_disparities(&self.key)
@@ -149,21 +181,39 @@ impl Reduced {
         let size = full.map(|side| (side * image_scale).round_ties_even().max(1.0));
         let (focal, centre) = camera.pinhole_part();
         let reduced = size.component_div(&full);
-        let (focal, centre) = (focal.component_mul(&reduced), centre.coords.component_mul(&reduced));
+        let (focal, centre) = (
+            focal.component_mul(&reduced),
+            centre.coords.component_mul(&reduced),
+        );
         Self {
             size,
-            intrinsics: Matrix3::new(focal.x, 0.0, centre.x - 0.5, 0.0, focal.y, centre.y - 0.5, 0.0, 0.0, 1.0),
+            intrinsics: Matrix3::new(
+                focal.x,
+                0.0,
+                centre.x - 0.5,
+                0.0,
+                focal.y,
+                centre.y - 0.5,
+                0.0,
+                0.0,
+                1.0,
+            ),
             rotation: *pose.rotation.matrix(),
             translation: pose.translation,
         }
     }
 
-    /// Homogeneous pixel: x and y times depth, and depth; spelt out, as all below that is called in loops, for vector instructions.
+    /// Homogeneous pixel: x and y times depth, and depth; spelt out, as all below that is called in
+    /// loops, for vector instructions.
     #[inline(always)]
     fn homogeneous(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let (r, t, k) = (&self.rotation, &self.translation, &self.intrinsics);
         let [a, b, depth] = [0, 1, 2].map(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]);
-        [k[(0, 0)] * a + k[(0, 2)] * depth, k[(1, 1)] * b + k[(1, 2)] * depth, depth]
+        [
+            k[(0, 0)] * a + k[(0, 2)] * depth,
+            k[(1, 1)] * b + k[(1, 2)] * depth,
+            depth,
+        ]
     }
 
     /// Pixel x, pixel y and inverse depth.
@@ -215,25 +265,50 @@ struct Parallax {
 }
 
 impl Parallax {
-    fn new(key: &Reduced, partner: &Reduced, shared: impl Iterator<Item = Point3<f64>>) -> Option<Self> {
-        let is_in_front = |&point: &[f64; 3]| [key, partner].iter().all(|view| view.homogeneous(point)[2] > 0.0);
-        let seen = shared.map(<[f64; 3]>::from).filter(is_in_front).map(|point| key.project(point));
-        let samples: Vec<(Vector2<f64>, f64)> = seen.map(|[u, v, inverse]| (Vector2::new(u, v), inverse)).collect();
+    fn new(
+        key: &Reduced,
+        partner: &Reduced,
+        shared: impl Iterator<Item = Point3<f64>>,
+    ) -> Option<Self> {
+        let is_in_front = |&point: &[f64; 3]| {
+            [key, partner]
+                .iter()
+                .all(|view| view.homogeneous(point)[2] > 0.0)
+        };
+        let seen = shared
+            .map(<[f64; 3]>::from)
+            .filter(is_in_front)
+            .map(|point| key.project(point));
+        let samples: Vec<(Vector2<f64>, f64)> = seen
+            .map(|[u, v, inverse]| (Vector2::new(u, v), inverse))
+            .collect();
         if samples.len() < MIN_SHARED {
             return None;
         }
         let rotation = partner.rotation * key.rotation.transpose();
         let translation = partner.translation - rotation * key.translation;
         let centre = -rotation.transpose() * translation;
-        let level = Vector3::new(0.0, 0.0, quantile(&mut samples.iter().map(|s| s.1).collect::<Vec<_>>(), 50.0));
+        let level = Vector3::new(
+            0.0,
+            0.0,
+            quantile(&mut samples.iter().map(|s| s.1).collect::<Vec<_>>(), 50.0),
+        );
         let bend = |plane: &Vector3<f64>| 1.0 - plane.dot(&(key.intrinsics * centre));
         let planes = [dominant_plane(&samples)?, level];
-        let plane = planes.into_iter().find(|plane| bend(plane) > 0.1).filter(|_| centre.norm() > 0.0)?;
+        let plane = planes
+            .into_iter()
+            .find(|plane| bend(plane) > 0.1)
+            .filter(|_| centre.norm() > 0.0)?;
         let e = -key.intrinsics * centre;
         let height = e.z.abs().max(e.xy().norm() / FAR).copysign(e.z);
         let by_plane = rotation + translation * (plane.transpose() * key.intrinsics);
         let homography = partner.intrinsics * by_plane * key.intrinsics.try_inverse()?;
-        Some(Self { plane, epipole: e.xy() / height, gain: height / bend(&plane), homography })
+        Some(Self {
+            plane,
+            epipole: e.xy() / height,
+            gain: height / bend(&plane),
+            homography,
+        })
     }
 
     /// Returns the disparity at pixel x, pixel y and inverse depth of the key view.
@@ -245,8 +320,8 @@ impl Parallax {
         radius * off / (1.0 + off)
     }
 
-    /// Returns the disparities of the points that both images show, pixels. `seen`, `others`: points that the key view observes, and that only the
-    /// partner does.
+    /// Returns the disparities of the points that both images show, pixels. `seen`, `others`:
+    /// points that the key view observes, and that only the partner does.
     fn disparities(
         &self,
         key: &Reduced,
@@ -254,13 +329,27 @@ impl Parallax {
         seen: &SeenPoints,
         others: impl ExactSizeIterator<Item = Point3<f64>>,
     ) -> Vec<f64> {
-        vectorised(Disparities { parallax: self, key, partner, seen, others })
+        vectorised(Disparities {
+            parallax: self,
+            key,
+            partner,
+            seen,
+            others,
+        })
     }
 
-    /// Returns whether the partner shows at least this share of the key view's picture at one of the searched disparities.
-    fn overlaps(&self, key: &Reduced, partner: &Reduced, searched: &Range<f64>, share: f64) -> bool {
+    /// Returns whether the partner shows at least this share of the key view's picture at one of
+    /// the searched disparities.
+    fn overlaps(
+        &self,
+        key: &Reduced,
+        partner: &Reduced,
+        searched: &Range<f64>,
+        share: f64,
+    ) -> bool {
         let step = key.size.max() / OVERLAP_GRID.0;
-        let [columns, rows] = [key.size.x, key.size.y].map(|side| ((side + 0.5) / step).ceil() as usize);
+        let [columns, rows] =
+            [key.size.x, key.size.y].map(|side| ((side + 0.5) / step).ceil() as usize);
         let enough = (share * (columns * rows) as f64).ceil() as usize;
         let (range, parts) = (searched.end - searched.start, f64::from(OVERLAP_GRID.1 - 1));
         let shown = |place: &usize| {
@@ -291,8 +380,9 @@ fn most_disparities(key: &Reduced) -> f64 {
     GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even()
 }
 
-/// Returns the disparities that the matcher is to search: those of the points, with a margin, or the window that it can search with most of them; `None`
-/// if these are too few. The disparities change places.
+/// Returns the disparities that the matcher is to search: those of the points, with a margin, or
+/// the window that it can search with most of them; `None` if these are too few. The disparities
+/// change places.
 fn searched(disparities: &mut [f64], key: &Reduced) -> Option<Range<f64>> {
     if disparities.len() < MIN_SHARED {
         return None;
@@ -303,11 +393,17 @@ fn searched(disparities: &mut [f64], key: &Reduced) -> Option<Range<f64>> {
         return Some(needed);
     }
     disparities.sort_unstable_by(f64::total_cmp);
-    let held =
-        |(i, d): (usize, &f64)| disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS).saturating_sub(i);
+    let held = |(i, d): (usize, &f64)| {
+        disparities
+            .partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS)
+            .saturating_sub(i)
+    };
     // Of several windows with as many points the matcher takes the first.
-    let (most, first) =
-        disparities.iter().enumerate().map(|at| (held(at), at.0)).max_by_key(|&(held, i)| (held, Reverse(i)))?;
+    let (most, first) = disparities
+        .iter()
+        .enumerate()
+        .map(|at| (held(at), at.0))
+        .max_by_key(|&(held, i)| (held, Reverse(i)))?;
     let low = disparities[first].floor() - RANGE_PIXELS;
     (most > 0 && most as f64 >= MIN_HELD * disparities.len() as f64).then_some(low..low + room)
 }
@@ -335,9 +431,12 @@ impl<I: ExactSizeIterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
         let (mut disparities, mut shown) = ([0.0; LANES], [false; LANES]);
         for start in (0..x.len()).step_by(LANES) {
             let count = LANES.min(x.len() - start);
-            let [x, y, z, u, v, inverse] = [x, y, z, u, v, inverse].map(|list| &list[start..start + count]);
+            let [x, y, z, u, v, inverse] =
+                [x, y, z, u, v, inverse].map(|list| &list[start..start + count]);
             for lane in 0..count {
-                shown[lane] = self.partner.shows(self.partner.homogeneous([x[lane], y[lane], z[lane]]));
+                shown[lane] = self
+                    .partner
+                    .shows(self.partner.homogeneous([x[lane], y[lane], z[lane]]));
                 disparities[lane] = self.parallax.disparity([u[lane], v[lane], inverse[lane]]);
             }
             let both = disparities[..count].iter().zip(&shown);
@@ -351,8 +450,8 @@ impl<I: ExactSizeIterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
             }
             for lane in 0..LANES {
                 let place = [places[0][lane], places[1][lane], places[2][lane]];
-                shown[lane] =
-                    self.key.shows(self.key.homogeneous(place)) & self.partner.shows(self.partner.homogeneous(place));
+                shown[lane] = self.key.shows(self.key.homogeneous(place))
+                    & self.partner.shows(self.partner.homogeneous(place));
                 disparities[lane] = self.parallax.disparity(self.key.project(place));
             }
             let both = disparities[..count].iter().zip(&shown);
@@ -362,15 +461,26 @@ impl<I: ExactSizeIterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
     }
 }
 
-/// Robust fit of inverse depth = plane . (u, v, 1): least squares, reweighted (Cauchy), slightly damped towards a level plane.
+/// Robust fit of inverse depth = plane . (u, v, 1): least squares, reweighted (Cauchy), slightly
+/// damped towards a level plane.
 fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
     let count = samples.len() as f64;
     let centre = samples.iter().map(|s| s.0).sum::<Vector2<f64>>() / count;
-    let variance = samples.iter().map(|s| (s.0 - centre).map(|x| x * x)).sum::<Vector2<f64>>() / count;
+    let variance = samples
+        .iter()
+        .map(|s| (s.0 - centre).map(|x| x * x))
+        .sum::<Vector2<f64>>()
+        / count;
     let spread = variance.map(|v| v.sqrt() + 1e-9);
     let rows = Rows {
-        x: samples.iter().map(|s| (s.0.x - centre.x) / spread.x).collect(),
-        y: samples.iter().map(|s| (s.0.y - centre.y) / spread.y).collect(),
+        x: samples
+            .iter()
+            .map(|s| (s.0.x - centre.x) / spread.x)
+            .collect(),
+        y: samples
+            .iter()
+            .map(|s| (s.0.y - centre.y) / spread.y)
+            .collect(),
         z: samples.iter().map(|s| s.1).collect(),
     };
     let damping = Matrix3::from_diagonal(&(Vector3::new(0.0025, 0.0025, 0.0) * count));
@@ -378,9 +488,16 @@ fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
     for _ in 0..20 {
         let (normal, right) = rows.normal_equations(&weights);
         fit = (normal + damping).lu().solve(&right)?;
-        vectorised(Residuals { rows: &rows, fit: fit.into(), residuals: &mut weights });
+        vectorised(Residuals {
+            rows: &rows,
+            fit: fit.into(),
+            residuals: &mut weights,
+        });
         let scale = 1.5 * quantile(&mut weights.clone(), 50.0) + 1e-12;
-        vectorised(Weights { residuals: &mut weights, scale });
+        vectorised(Weights {
+            residuals: &mut weights,
+            scale,
+        });
     }
     let slopes = fit.xy().component_div(&spread);
     Some(slopes.push(fit.z - slopes.dot(&centre)))
@@ -396,7 +513,17 @@ struct Rows {
 impl Rows {
     /// Returns the sums of row . rowᵀ w and of row w z.
     fn normal_equations(&self, weights: &[f64]) -> (Matrix3<f64>, Vector3<f64>) {
-        let [mut xx, mut xy, mut yy, mut x1, mut y1, mut one, mut xz, mut yz, mut z1] = [0.0; 9];
+        let [
+            mut xx,
+            mut xy,
+            mut yy,
+            mut x1,
+            mut y1,
+            mut one,
+            mut xz,
+            mut yz,
+            mut z1,
+        ] = [0.0; 9];
         for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(weights) {
             let wz = w * z;
             xx += x * x * w;
@@ -409,7 +536,10 @@ impl Rows {
             yz += y * wz;
             z1 += wz;
         }
-        (Matrix3::new(xx, xy, x1, xy, yy, y1, x1, y1, one), Vector3::new(xz, yz, z1))
+        (
+            Matrix3::new(xx, xy, x1, xy, yy, y1, x1, y1, one),
+            Vector3::new(xz, yz, z1),
+        )
     }
 }
 
@@ -453,8 +583,14 @@ impl Kernel for Weights<'_> {
 /// Quantile, linear between two values; the values change places.
 fn quantile(values: &mut [f64], percent: f64) -> f64 {
     let place = percent / 100.0 * (values.len() - 1) as f64;
-    let (_, &mut below, rest) = values.select_nth_unstable_by(place.floor() as usize, f64::total_cmp);
-    let above = rest.iter().copied().min_by(f64::total_cmp).filter(|_| place.fract() > 0.0).unwrap_or(below);
+    let (_, &mut below, rest) =
+        values.select_nth_unstable_by(place.floor() as usize, f64::total_cmp);
+    let above = rest
+        .iter()
+        .copied()
+        .min_by(f64::total_cmp)
+        .filter(|_| place.fract() > 0.0)
+        .unwrap_or(below);
     below + place.fract() * (above - below)
 }
 
@@ -469,10 +605,14 @@ mod tests {
         model::camera::{Camera, CameraModel},
     };
 
-    /// A town; each point on the line to the mean camera, at 1 / (1 + nearness) of its distance, observed by all views whose images it is in.
+    /// A town; each point on the line to the mean camera, at 1 / (1 + nearness) of its distance,
+    /// observed by all views whose images it is in.
     fn moved(town: &Town, mut nearness: impl FnMut() -> f64) -> Scene {
         let mut scene = town.scene();
-        let centres = scene.views.iter().map(|view| view.cam_from_world.centre().coords);
+        let centres = scene
+            .views
+            .iter()
+            .map(|view| view.cam_from_world.centre().coords);
         let middle = Point3::from(centres.sum::<Vector3<f64>>() / scene.views.len() as f64);
         (scene.track_offsets, scene.track_views) = (vec![0], Vec::new());
         for i in 0..scene.points.len() {
@@ -490,7 +630,8 @@ mod tests {
         scene
     }
 
-    /// Returns the numbers of pairs that are matched and refused; each has to be refused exactly where nothing of it is reached.
+    /// Returns the numbers of pairs that are matched and refused; each has to be refused exactly
+    /// where nothing of it is reached.
     fn matched_and_refused(scene: &Scene) -> [usize; 2] {
         let points = scene.view_points();
         let mut found = [0, 0];
@@ -499,7 +640,11 @@ mod tests {
             for (partner, shared) in neighbours(scene, &points, key) {
                 let pair = PairGeometry::new(scene, key, partner, &shared);
                 let refused = rule.refuses(&pair);
-                assert_eq!(refused, rule.reach(&pair).is_nothing(), "{key:?} with {partner:?}");
+                assert_eq!(
+                    refused,
+                    rule.reach(&pair).is_nothing(),
+                    "{key:?} with {partner:?}"
+                );
                 found[usize::from(refused)] += 1;
             }
         }
@@ -511,12 +656,21 @@ mod tests {
         let mut random = Pcg64::seed_from_u64(1);
         let mut number = move || random.next_u64() as f64 / u64::MAX as f64;
         let many = |[matched, refused]: [usize; 2]| [matched > 100, refused > 100];
-        assert_eq!(many(matched_and_refused(&Town::default().scene())), [true, false], "flat");
+        assert_eq!(
+            many(matched_and_refused(&Town::default().scene())),
+            [true, false],
+            "flat"
+        );
         let scattered = moved(&Town::default(), || 3.0 * number());
-        assert_eq!(many(matched_and_refused(&scattered)), [true, true], "at all depths");
+        assert_eq!(
+            many(matched_and_refused(&scattered)),
+            [true, true],
+            "at all depths"
+        );
     }
 
-    /// From 60 to 78 % of the points far away, the others near: around the 70 % that one window has to hold.
+    /// From 60 to 78 % of the points far away, the others near: around the 70 % that one window has
+    /// to hold.
     #[test]
     fn pairs_at_two_depths_are_refused_where_neither_holds_enough() {
         let mut random = Pcg64::seed_from_u64(2);
@@ -527,7 +681,10 @@ mod tests {
             let [matched, refused] = matched_and_refused(&scene);
             found = [found[0] + matched, found[1] + refused];
         }
-        assert!(found.iter().all(|&pairs| pairs > 100), "matched and refused: {found:?}");
+        assert!(
+            found.iter().all(|&pairs| pairs > 100),
+            "matched and refused: {found:?}"
+        );
     }
 
     #[test]
@@ -535,13 +692,34 @@ mod tests {
         let small = |side: u32| {
             let (width, height) = (f64::from(side), 0.75 * f64::from(side));
             let parameters = vec![0.85 * width, 0.85 * width, 0.5 * width, 0.5 * height];
-            Town::new(Camera::new(1, CameraModel::Pinhole, side.into(), height as u64, parameters).unwrap())
+            Town::new(
+                Camera::new(
+                    1,
+                    CameraModel::Pinhole,
+                    side.into(),
+                    height as u64,
+                    parameters,
+                )
+                .unwrap(),
+            )
         };
-        let [matched, refused] = matched_and_refused(&Town { points: 60, ..Town::default() }.scene());
-        assert!(matched > 20 && refused > 20, "few points: {matched} and {refused}");
+        let [matched, refused] = matched_and_refused(
+            &Town {
+                points: 60,
+                ..Town::default()
+            }
+            .scene(),
+        );
+        assert!(
+            matched > 20 && refused > 20,
+            "few points: {matched} and {refused}"
+        );
         for side in [12, 40, 80] {
             let [matched, refused] = matched_and_refused(&small(side).scene());
-            assert!(matched + refused > 100, "{side} pixels: {matched} and {refused}");
+            assert!(
+                matched + refused > 100,
+                "{side} pixels: {matched} and {refused}"
+            );
         }
     }
 }

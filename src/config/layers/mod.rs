@@ -1,4 +1,5 @@
-//! Settings in force: defaults, over them the user's file, the project's `viewrank.toml`, and the command line.
+//! Settings in force: defaults, over them the user's file, the project's `viewrank.toml`, and the
+//! command line.
 
 use std::{
     collections::BTreeMap,
@@ -36,7 +37,9 @@ pub struct UnknownBackend {
 
 impl Hint for UnknownBackend {
     fn hint(&self) -> Option<String> {
-        let meant = self.meant.map_or(String::new(), |name| format!("did you mean {name}? "));
+        let meant = self
+            .meant
+            .map_or(String::new(), |name| format!("did you mean {name}? "));
         Some(format!("{meant}take one of {}", self.known.join(", ")))
     }
 
@@ -54,9 +57,12 @@ pub struct Files {
     pub project: Option<PathBuf>,
 }
 
-/// Path of `viewrank/viewrank.toml` in the user's configuration folder (`$XDG_CONFIG_HOME`, `~/.config`).
+/// Path of `viewrank/viewrank.toml` in the user's configuration folder (`$XDG_CONFIG_HOME`,
+/// `~/.config`).
 pub fn user_file() -> Option<PathBuf> {
-    etcetera::choose_base_strategy().ok().map(|folders| folders.config_dir().join("viewrank/viewrank.toml"))
+    etcetera::choose_base_strategy()
+        .ok()
+        .map(|folders| folders.config_dir().join("viewrank/viewrank.toml"))
 }
 
 /// Settings from the command line: option, key, value.
@@ -67,7 +73,11 @@ impl CommandLineSettings {
     /// Records the value of an option, if given.
     pub fn set(&mut self, option: &'static str, key: &str, value: Option<impl Into<Value>>) {
         if let Some(value) = value {
-            self.0.push(Entry { key: key.into(), value: value.into(), place: SettingLocation::Option(option) });
+            self.0.push(Entry {
+                key: key.into(),
+                value: value.into(),
+                place: SettingLocation::Option(option),
+            });
         }
     }
 
@@ -125,8 +135,13 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// Loads the settings of the files and the command line; `backend` resolves the name of each backend.
-    pub fn load(files: &Files, typed: CommandLineSettings, backend: BackendLookup) -> Result<Self, ConfigError> {
+    /// Loads the settings of the files and the command line; `backend` resolves the name of each
+    /// backend.
+    pub fn load(
+        files: &Files,
+        typed: CommandLineSettings,
+        backend: BackendLookup,
+    ) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         for file in [&files.root, &files.project].into_iter().flatten() {
             let project = read(file)?;
@@ -148,21 +163,28 @@ impl Configuration {
             places.insert(entry.key, entry.place);
         }
         let mut settings = Settings::deserialize(table).expect("each entry was checked by itself");
-        settings.backends = proper_names(&settings.backends, backend).expect("each entry was checked by itself");
+        settings.backends =
+            proper_names(&settings.backends, backend).expect("each entry was checked by itself");
         let configuration = Self { settings, places };
         configuration.check_together()?;
         Ok(configuration)
     }
 
     pub fn source(&self, key: &str) -> Source {
-        self.places.get(key).cloned().map_or(Source::Default, Source::Written)
+        self.places
+            .get(key)
+            .cloned()
+            .map_or(Source::Default, Source::Written)
     }
 
     /// Checks that depend on several values or on more than type and range.
     pub(super) fn check_together(&self) -> Result<(), ConfigError> {
         let surface = &self.settings.surface;
         if surface.max_edge_factor < surface.edge_factor {
-            let why = format!("must not be below surface.edge_factor, which is {}", surface.edge_factor);
+            let why = format!(
+                "must not be below surface.edge_factor, which is {}",
+                surface.edge_factor
+            );
             return Err(self.refuse("surface.max_edge_factor", surface.max_edge_factor, why));
         }
         let gate = &self.settings.partners.gate;
@@ -183,35 +205,64 @@ impl Configuration {
             return Err(self.refuse("surface.up", "0,0,0", "must be a direction".into()));
         }
         if !self.settings.ranking.scales.contains(&MapScale::Full) {
-            let why = "must have 1 among them; to match all images at half the size, halve image_scale".into();
+            let why =
+                "must have 1 among them; to match all images at half the size, halve image_scale"
+                    .into();
             return Err(self.refuse("ranking.scales", "0.5", why));
         }
         let frame = &self.settings.frame;
-        if let Some([latitude, longitude, _]) = frame.origin.filter(|o| o[0].abs() > 90.0 || o[1].abs() > 360.0) {
+        if let Some([latitude, longitude, _]) = frame
+            .origin
+            .filter(|o| o[0].abs() > 90.0 || o[1].abs() > 360.0)
+        {
             let why = "must be latitude, longitude and height".into();
             return Err(self.refuse("frame.origin", format!("{latitude}, {longitude}"), why));
         }
-        if let Some(zone) = frame.utm.as_deref().filter(|zone| Zone::parse(zone).is_none()) {
-            return Err(self.refuse("frame.utm", zone, "must be a zone and N or S, as 33N".into()));
+        if let Some(zone) = frame
+            .utm
+            .as_deref()
+            .filter(|zone| Zone::parse(zone).is_none())
+        {
+            return Err(self.refuse(
+                "frame.utm",
+                zone,
+                "must be a zone and N or S, as 33N".into(),
+            ));
         }
         Ok(())
     }
 
     fn refuse(&self, key: &str, value: impl fmt::Display, why: String) -> ConfigError {
-        ConfigError::Value { from: self.source(key), key: key.into(), value: value.to_string(), why }
+        ConfigError::Value {
+            from: self.source(key),
+            key: key.into(),
+            value: value.to_string(),
+            why,
+        }
     }
 }
 
 /// Metres in the units of length that people write behind a number.
-const METRES: [(&str, f64); 5] = [("mm", 0.001), ("cm", 0.01), ("dm", 0.1), ("km", 1000.0), ("m", 1.0)];
+const METRES: [(&str, f64); 5] = [
+    ("mm", 0.001),
+    ("cm", 0.01),
+    ("dm", 0.1),
+    ("km", 1000.0),
+    ("m", 1.0),
+];
 
-/// Replaces lengths with a unit ("2cm") by numbers, metres, where a unit of the model is a metre; the last of `units` holds.
+/// Replaces lengths with a unit ("2cm") by numbers, metres, where a unit of the model is a metre;
+/// the last of `units` holds.
 fn convert_lengths(entries: &mut [Entry]) -> Result<(), ConfigError> {
     let units = entries.iter().rev().find(|entry| entry.key == "units");
     let is_metric = units.is_some_and(|entry| entry.value.as_str() == Some("metric"));
     for entry in entries {
-        let is_length = keys().iter().any(|key| key.name == entry.key && key.is_length());
-        let Some(text) = entry.value.as_str().filter(|_| is_length) else { continue };
+        let is_length = keys()
+            .iter()
+            .any(|key| key.name == entry.key && key.is_length());
+        let Some(text) = entry.value.as_str().filter(|_| is_length) else {
+            continue;
+        };
         let refuse = |why: &str| ConfigError::Value {
             from: Source::Written(entry.place.clone()),
             key: entry.key.clone(),
@@ -219,13 +270,17 @@ fn convert_lengths(entries: &mut [Entry]) -> Result<(), ConfigError> {
             why: why.into(),
         };
         let text = text.trim();
-        let unit = METRES.iter().find_map(|(unit, metres)| Some((text.strip_suffix(unit)?, *metres)));
+        let unit = METRES
+            .iter()
+            .find_map(|(unit, metres)| Some((text.strip_suffix(unit)?, *metres)));
         let (number, metres) = unit.unwrap_or((text, 1.0));
         if number.contains(',') {
             return Err(refuse("must be a number with a decimal point, as 0.02"));
         }
-        let number: f64 =
-            number.trim().parse().map_err(|_| refuse("must be a number, in metres also with mm, cm or m"))?;
+        let number: f64 = number
+            .trim()
+            .parse()
+            .map_err(|_| refuse("must be a number, in metres also with mm, cm or m"))?;
         if unit.is_some() && !is_metric {
             return Err(ConfigError::NotMetric {
                 place: entry.place.clone(),
@@ -234,7 +289,11 @@ fn convert_lengths(entries: &mut [Entry]) -> Result<(), ConfigError> {
             });
         }
         // 2 cm are 0.02, not 0.02 plus the rounding of the product.
-        let length = if metres < 1.0 { number / (1.0 / metres).round() } else { number * metres };
+        let length = if metres < 1.0 {
+            number / (1.0 / metres).round()
+        } else {
+            number * metres
+        };
         entry.value = length.into();
     }
     Ok(())
@@ -244,25 +303,56 @@ fn convert_lengths(entries: &mut [Entry]) -> Result<(), ConfigError> {
 fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     let text = match input::read_text(path, FileKind::Settings) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(source) => return Err(ConfigError::Read { path: path.into(), source }),
+        Err(source) => {
+            return Err(ConfigError::Read {
+                path: path.into(),
+                source,
+            });
+        }
         Ok(text) => text,
     };
-    let ends: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+    let ends: Vec<usize> = text
+        .bytes()
+        .enumerate()
+        .filter(|(_, byte)| *byte == b'\n')
+        .map(|(at, _)| at)
+        .collect();
     let line_of = |byte: usize| 1 + ends.partition_point(|&end| end < byte);
     let syntax = |error: toml::de::Error| {
         let line = line_of(error.span().map_or(0, |span| span.start));
-        let place = SettingLocation::File { path: path.into(), line };
-        ConfigError::Syntax { place, why: error.message().replace('\n', ", ") }
+        let place = SettingLocation::File {
+            path: path.into(),
+            line,
+        };
+        ConfigError::Syntax {
+            place,
+            why: error.message().replace('\n', ", "),
+        }
     };
     let values: Value = toml::from_str(&text).map_err(syntax)?;
     let mut entries = Vec::new();
-    collect(DeTable::parse(&text).map_err(syntax)?.get_ref(), "", &mut |key, at| {
-        let place = SettingLocation::File { path: path.into(), line: line_of(at) };
-        let value = key.split('.').try_fold(&values, |value, part| value.get(part));
-        let entry =
-            value.map(|value| Entry { key: key.into(), value: from_file(key, value, path), place: place.clone() });
-        entries.push(entry.ok_or_else(|| ConfigError::UnknownKey { place, key: key.into() }));
-    });
+    collect(
+        DeTable::parse(&text).map_err(syntax)?.get_ref(),
+        "",
+        &mut |key, at| {
+            let place = SettingLocation::File {
+                path: path.into(),
+                line: line_of(at),
+            };
+            let value = key
+                .split('.')
+                .try_fold(&values, |value, part| value.get(part));
+            let entry = value.map(|value| Entry {
+                key: key.into(),
+                value: from_file(key, value, path),
+                place: place.clone(),
+            });
+            entries.push(entry.ok_or_else(|| ConfigError::UnknownKey {
+                place,
+                key: key.into(),
+            }));
+        },
+    );
     entries.into_iter().collect()
 }
 
@@ -273,19 +363,30 @@ fn from_file(key: &str, value: &Value, file: &Path) -> Value {
         "region" => RegionChoice::is_file(text),
         _ => false,
     };
-    match (value.as_str().filter(names_file), file.parent().map(std::path::absolute)) {
+    match (
+        value.as_str().filter(names_file),
+        file.parent().map(std::path::absolute),
+    ) {
         (Some(name), Some(Ok(folder))) => folder.join(name).to_string_lossy().into_owned().into(),
         _ => value.clone(),
     }
 }
 
-/// Calls `found` with each key that is not a section, and its byte offset. A name with a dot keeps its quotes: `"partners.k"` is not the
-/// setting `partners.k`.
+/// Calls `found` with each key that is not a section, and its byte offset. A name with a dot keeps
+/// its quotes: `"partners.k"` is not the setting `partners.k`.
 fn collect(table: &DeTable, path: &str, found: &mut impl FnMut(&str, usize)) {
     for (name, value) in table {
         let text = name.get_ref();
-        let text = if text.contains('.') { format!("\"{text}\"") } else { text.to_string() };
-        let key = if path.is_empty() { text } else { format!("{path}.{text}") };
+        let text = if text.contains('.') {
+            format!("\"{text}\"")
+        } else {
+            text.to_string()
+        };
+        let key = if path.is_empty() {
+            text
+        } else {
+            format!("{path}.{text}")
+        };
         match value.get_ref().as_table() {
             Some(section) if is_section(&key) => collect(section, &key, found),
             _ => found(&key, name.span().start),
@@ -294,13 +395,23 @@ fn collect(table: &DeTable, path: &str, found: &mut impl FnMut(&str, usize)) {
 }
 
 fn is_section(key: &str) -> bool {
-    keys().iter().any(|known| known.name.strip_prefix(key).is_some_and(|rest| rest.starts_with('.')))
+    keys().iter().any(|known| {
+        known
+            .name
+            .strip_prefix(key)
+            .is_some_and(|rest| rest.starts_with('.'))
+    })
 }
 
 /// Refuses settings that run commands in a project's file, which may come from anybody.
 fn refuse_commands(entry: &Entry) -> Result<(), ConfigError> {
-    let user_only = keys().iter().any(|key| key.name == entry.key && key.user_only);
-    let refusal = || ConfigError::UserOnly { place: entry.place.clone(), key: entry.key.clone() };
+    let user_only = keys()
+        .iter()
+        .any(|key| key.name == entry.key && key.user_only);
+    let refusal = || ConfigError::UserOnly {
+        place: entry.place.clone(),
+        key: entry.key.clone(),
+    };
     if user_only { Err(refusal()) } else { Ok(()) }
 }
 
@@ -326,29 +437,45 @@ fn check(entry: &Entry, backend: BackendLookup) -> Result<(), ConfigError> {
     };
     let Some(key) = keys().iter().find(|key| key.name == entry.key) else {
         return Err(match is_section(&entry.key) {
-            true => refuse(format!("is a section: write [{}] and its settings below", entry.key)),
-            false => ConfigError::UnknownKey { place: entry.place.clone(), key: entry.key.clone() },
+            true => refuse(format!(
+                "is a section: write [{}] and its settings below",
+                entry.key
+            )),
+            false => ConfigError::UnknownKey {
+                place: entry.place.clone(),
+                key: entry.key.clone(),
+            },
         });
     };
     let numbers = match &entry.value {
         Value::Array(members) => members.as_slice(),
         one => std::slice::from_ref(one),
     };
-    let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64));
+    let number = |value: &Value| {
+        value
+            .as_float()
+            .or_else(|| value.as_integer().map(|n| n as f64))
+    };
     if numbers.iter().filter_map(number).any(|n| !key.allows(n)) {
         return Err(refuse(format!("must be {}", wanted(key))));
     }
     let mut alone = Table::new();
     insert(&mut alone, &entry.key, entry.value.clone());
     let settings = Settings::deserialize(alone).map_err(|error| refuse(type_error(key, &error)))?;
-    let unknown = |error| ConfigError::Backend { place: entry.place.clone(), error };
-    proper_names(&settings.backends, backend).map(drop).map_err(unknown)
+    let unknown = |error| ConfigError::Backend {
+        place: entry.place.clone(),
+        error,
+    };
+    proper_names(&settings.backends, backend)
+        .map(drop)
+        .map_err(unknown)
 }
 
 /// Describes the accepted values: range and unit.
 fn wanted(key: &Key) -> String {
     let range = key.range().unwrap_or_else(|| "a number".into());
-    key.unit(None).map_or(range.clone(), |unit| format!("{range} ({unit})"))
+    key.unit(None)
+        .map_or(range.clone(), |unit| format!("{range} ({unit})"))
 }
 
 fn type_error(key: &Key, error: &toml::de::Error) -> String {
@@ -359,7 +486,9 @@ fn type_error(key: &Key, error: &toml::de::Error) -> String {
             ("expected f", "must be a number"),
             ("expected a bool", "must be true or false"),
         ];
-        let kind = kinds.iter().find(|(expected, _)| message.contains(expected));
+        let kind = kinds
+            .iter()
+            .find(|(expected, _)| message.contains(expected));
         return kind.map_or(message, |(_, words)| words).to_owned();
     }
     format!("must be {}", key.words.join(", "))
@@ -389,11 +518,23 @@ pub enum ConfigError {
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: SettingLocation, key: String },
     #[error("{place}: {error}")]
-    Backend { place: SettingLocation, error: UnknownBackend },
+    Backend {
+        place: SettingLocation,
+        error: UnknownBackend,
+    },
     #[error("{place}: {key} = {value}: the model's unit of length is unknown")]
-    NotMetric { place: SettingLocation, key: String, value: String },
+    NotMetric {
+        place: SettingLocation,
+        key: String,
+        value: String,
+    },
     #[error("{from}: {key} = {value}: {why}")]
-    Value { from: Source, key: String, value: String, why: String },
+    Value {
+        from: Source,
+        key: String,
+        value: String,
+        why: String,
+    },
 }
 
 impl Hint for ConfigError {
@@ -427,11 +568,26 @@ impl Hint for ConfigError {
     fn path(&self) -> Option<&Path> {
         match self {
             Self::Read { path, .. } => Some(path),
-            Self::Syntax { place: SettingLocation::File { path, .. }, .. }
-            | Self::UnknownKey { place: SettingLocation::File { path, .. }, .. }
-            | Self::UserOnly { place: SettingLocation::File { path, .. }, .. }
-            | Self::Backend { place: SettingLocation::File { path, .. }, .. }
-            | Self::Value { from: Source::Written(SettingLocation::File { path, .. }), .. } => Some(path),
+            Self::Syntax {
+                place: SettingLocation::File { path, .. },
+                ..
+            }
+            | Self::UnknownKey {
+                place: SettingLocation::File { path, .. },
+                ..
+            }
+            | Self::UserOnly {
+                place: SettingLocation::File { path, .. },
+                ..
+            }
+            | Self::Backend {
+                place: SettingLocation::File { path, .. },
+                ..
+            }
+            | Self::Value {
+                from: Source::Written(SettingLocation::File { path, .. }),
+                ..
+            } => Some(path),
             _ => None,
         }
     }
@@ -440,13 +596,18 @@ impl Hint for ConfigError {
 /// Longest key that is compared with the known ones, bytes: the time grows with its length.
 const LONGEST_KEY: usize = 100;
 
-/// Finds the known key or section nearest to a misspelt one: similar as a whole, or in its last part.
+/// Finds the known key or section nearest to a misspelt one: similar as a whole, or in its last
+/// part.
 fn nearest(key: &str) -> Option<String> {
     if key.len() > LONGEST_KEY {
         return None;
     }
-    let parts =
-        |key: &'_ str| key.rsplit_once('.').map_or((String::new(), key.into()), |(s, l)| (s.into(), String::from(l)));
+    let parts = |key: &'_ str| {
+        key.rsplit_once('.')
+            .map_or((String::new(), key.into()), |(s, l)| {
+                (s.into(), String::from(l))
+            })
+    };
     let (section, last) = parts(key);
     let is_section = keys().iter().any(|known| parts(&known.name).0 == section);
     let likeness = |known: &str| {
@@ -456,12 +617,26 @@ fn nearest(key: &str) -> Option<String> {
             true => strsim::jaro_winkler(known, key),
             false => strsim::normalized_damerau_levenshtein(known, key),
         };
-        let other = if section.is_empty() || !is_section || of_known == section { 0.99 } else { 0.8 };
+        let other = if section.is_empty() || !is_section || of_known == section {
+            0.99
+        } else {
+            0.8
+        };
         whole.max(other * strsim::jaro_winkler(&last_of_known, &last))
     };
-    let best = keys().iter().max_by(|a, b| likeness(&a.name).total_cmp(&likeness(&b.name)))?;
-    let to_section = |known: &&str| if section.is_empty() { strsim::jaro_winkler(known, key) } else { 0.0 };
-    let sections = keys().iter().filter_map(|known| Some(known.name.split_once('.')?.0));
+    let best = keys()
+        .iter()
+        .max_by(|a, b| likeness(&a.name).total_cmp(&likeness(&b.name)))?;
+    let to_section = |known: &&str| {
+        if section.is_empty() {
+            strsim::jaro_winkler(known, key)
+        } else {
+            0.0
+        }
+    };
+    let sections = keys()
+        .iter()
+        .filter_map(|known| Some(known.name.split_once('.')?.0));
     let nearest_section = sections.max_by(|a, b| to_section(a).total_cmp(&to_section(b)))?;
     match (likeness(&best.name), to_section(&nearest_section)) {
         (of_key, of_section) if of_key.max(of_section) <= 0.8 => None,

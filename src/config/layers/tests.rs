@@ -7,7 +7,11 @@ use crate::backends::canonical_name;
 use crate::model::scene::Units;
 
 /// Loads a user's file, a project's file and command-line options.
-fn load(user: &str, project: &str, typed: CommandLineSettings) -> Result<Configuration, ConfigError> {
+fn load(
+    user: &str,
+    project: &str,
+    typed: CommandLineSettings,
+) -> Result<Configuration, ConfigError> {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);
@@ -15,7 +19,11 @@ fn load(user: &str, project: &str, typed: CommandLineSettings) -> Result<Configu
         Some(path)
     };
     Configuration::load(
-        &Files { user: write("user.toml", user), root: None, project: write("project.toml", project) },
+        &Files {
+            user: write("user.toml", user),
+            root: None,
+            project: write("project.toml", project),
+        },
         typed,
         canonical_name,
     )
@@ -24,7 +32,10 @@ fn load(user: &str, project: &str, typed: CommandLineSettings) -> Result<Configu
 fn refused(project: &str) -> (String, String) {
     let error = load("", project, CommandLineSettings::default()).unwrap_err();
     let message = error.to_string();
-    (message[message.find("project.toml").unwrap()..].to_owned(), error.hint().unwrap())
+    (
+        message[message.find("project.toml").unwrap()..].to_owned(),
+        error.hint().unwrap(),
+    )
 }
 
 #[test]
@@ -40,18 +51,32 @@ fn each_layer_covers_the_one_before_and_is_named() {
     assert_eq!(both.settings.partners.k, 3);
     assert_eq!(both.settings.units, Some(Units::Metric));
     assert_eq!(both.source("target.gsd").to_string(), "--gsd");
-    assert!(both.source("target.accuracy").to_string().ends_with("user.toml:4"));
-    assert!(both.source("partners.k").to_string().ends_with("project.toml:1"));
+    assert!(
+        both.source("target.accuracy")
+            .to_string()
+            .ends_with("user.toml:4")
+    );
+    assert!(
+        both.source("partners.k")
+            .to_string()
+            .ends_with("project.toml:1")
+    );
     assert_eq!(both.source("seed"), Source::Default);
 }
 
 #[test]
 fn a_quoted_name_with_a_dot_is_no_setting() {
-    for text in
-        ["\"partners.k\" = 2\n", "[partners]\nk = 3\n[\"partners.k\"]\n", "[partners]\n\"k.k\" = 2\n", "'' = 1\n"]
-    {
+    for text in [
+        "\"partners.k\" = 2\n",
+        "[partners]\nk = 3\n[\"partners.k\"]\n",
+        "[partners]\n\"k.k\" = 2\n",
+        "'' = 1\n",
+    ] {
         let error = load("", text, CommandLineSettings::default()).unwrap_err();
-        assert!(matches!(error, ConfigError::UnknownKey { .. }), "{text}: {error}");
+        assert!(
+            matches!(error, ConfigError::UnknownKey { .. }),
+            "{text}: {error}"
+        );
     }
     let (message, hint) = refused("seed = 1\n\"partners.k\" = 2\n");
     assert_eq!(message, "project.toml:2: unknown setting \"partners.k\"");
@@ -60,10 +85,18 @@ fn a_quoted_name_with_a_dot_is_no_setting() {
 
 #[test]
 fn nothing_written_is_the_default() {
-    assert_eq!(load("", "", CommandLineSettings::default()).unwrap(), Configuration::default());
-    let none = Files { user: Some("/nowhere/viewrank.toml".into()), ..Files::default() };
     assert_eq!(
-        Configuration::load(&none, CommandLineSettings::default(), canonical_name).unwrap().settings,
+        load("", "", CommandLineSettings::default()).unwrap(),
+        Configuration::default()
+    );
+    let none = Files {
+        user: Some("/nowhere/viewrank.toml".into()),
+        ..Files::default()
+    };
+    assert_eq!(
+        Configuration::load(&none, CommandLineSettings::default(), canonical_name)
+            .unwrap()
+            .settings,
         Settings::default()
     );
 }
@@ -71,17 +104,41 @@ fn nothing_written_is_the_default() {
 #[test]
 fn unknown_keys_name_the_line_and_the_nearest() {
     for (text, message, hint) in [
-        ("\n[partner]\nk = 3\n", "project.toml:2: unknown setting partner", "did you mean [partners]?"),
-        ("[targt]\ngsd = 1\n", "project.toml:1: unknown setting targt", "did you mean [target]?"),
-        ("gsd = 1\n", "project.toml:1: unknown setting gsd", "did you mean target.gsd?"),
-        ("[target]\ngds = 1\n", "project.toml:2: unknown setting target.gds", "did you mean target.gsd?"),
-        ("xyzzy = 1\n", "project.toml:1: unknown setting xyzzy", "run viewrank config to list all settings"),
+        (
+            "\n[partner]\nk = 3\n",
+            "project.toml:2: unknown setting partner",
+            "did you mean [partners]?",
+        ),
+        (
+            "[targt]\ngsd = 1\n",
+            "project.toml:1: unknown setting targt",
+            "did you mean [target]?",
+        ),
+        (
+            "gsd = 1\n",
+            "project.toml:1: unknown setting gsd",
+            "did you mean target.gsd?",
+        ),
+        (
+            "[target]\ngds = 1\n",
+            "project.toml:2: unknown setting target.gds",
+            "did you mean target.gsd?",
+        ),
+        (
+            "xyzzy = 1\n",
+            "project.toml:1: unknown setting xyzzy",
+            "run viewrank config to list all settings",
+        ),
         (
             "confidence.model = 1\n",
             "project.toml:1: unknown setting confidence.model",
             "run viewrank config to list all settings",
         ),
-        ("confidence.agre = 1\n", "project.toml:1: unknown setting confidence.agre", "did you mean confidence.agree?"),
+        (
+            "confidence.agre = 1\n",
+            "project.toml:1: unknown setting confidence.agre",
+            "did you mean confidence.agree?",
+        ),
     ] {
         assert_eq!(refused(text), (message.to_owned(), hint.to_owned()));
     }
@@ -90,19 +147,35 @@ fn unknown_keys_name_the_line_and_the_nearest() {
 #[test]
 fn values_out_of_range_or_type_are_refused() {
     let message = |text| refused(text).0;
-    assert_eq!(message("fulfilment.alpha = 1.5"), "project.toml:1: fulfilment.alpha = 1.5: must be 0 to 1");
-    assert_eq!(message("target.gsd = -1"), "project.toml:1: target.gsd = -1: must be above 0 (scene units/px)");
-    assert_eq!(message("target.gsd = nan"), "project.toml:1: target.gsd = nan: must be above 0 (scene units/px)");
+    assert_eq!(
+        message("fulfilment.alpha = 1.5"),
+        "project.toml:1: fulfilment.alpha = 1.5: must be 0 to 1"
+    );
+    assert_eq!(
+        message("target.gsd = -1"),
+        "project.toml:1: target.gsd = -1: must be above 0 (scene units/px)"
+    );
+    assert_eq!(
+        message("target.gsd = nan"),
+        "project.toml:1: target.gsd = nan: must be above 0 (scene units/px)"
+    );
     assert!(message("target.gsd = \"1 cm\"").ends_with("the model's unit of length is unknown"));
-    assert!(message("target.gsd = \"0,02\"").ends_with("must be a number with a decimal point, as 0.02"));
+    assert!(
+        message("target.gsd = \"0,02\"")
+            .ends_with("must be a number with a decimal point, as 0.02")
+    );
     assert!(message("target.gsd = \"fine\"").contains("must be a number"));
     assert!(message("partners.k = \"auto\"").ends_with("must be a whole number"));
     assert!(message("ranking.support = 4000000000").contains("must be 1 to 100"));
     assert!(message("partners.method = \"best\"").contains("must be "));
     assert!(message("cut.target = \"180\"").contains("a share above 0% and up to 100%"));
-    assert!(message("surface.max_edge_factor = 10").contains("must not be below surface.edge_factor, which is 20"));
     assert!(
-        message("[confidence]\nagree = 0.3\ndiffer = 0.4").contains("must not be above confidence.agree, which is 0.3")
+        message("surface.max_edge_factor = 10")
+            .contains("must not be below surface.edge_factor, which is 20")
+    );
+    assert!(
+        message("[confidence]\nagree = 0.3\ndiffer = 0.4")
+            .contains("must not be above confidence.agree, which is 0.3")
     );
     assert!(message("target = 3").contains("target = 3"));
     assert!(message("[target\ngsd = 1").starts_with("project.toml:1: "));
@@ -112,18 +185,47 @@ fn values_out_of_range_or_type_are_refused() {
 #[test]
 fn a_projects_file_names_no_commands() {
     let user = "on_target = \"touch stop\"\n[dispatch]\nsetup = \"module load colmap\"\n";
-    let both = load(user, "dispatch.partition = \"mvs\"", CommandLineSettings::default()).unwrap().settings;
+    let both = load(
+        user,
+        "dispatch.partition = \"mvs\"",
+        CommandLineSettings::default(),
+    )
+    .unwrap()
+    .settings;
     assert_eq!(both.on_target.as_deref(), Some("touch stop"));
-    assert_eq!((both.dispatch.setup.as_str(), both.dispatch.partition.as_deref()), ("module load colmap", Some("mvs")));
-    let refusal = "project.toml:1: dispatch.setup runs commands, so a project's file may not set it";
+    assert_eq!(
+        (
+            both.dispatch.setup.as_str(),
+            both.dispatch.partition.as_deref()
+        ),
+        ("module load colmap", Some("mvs"))
+    );
+    let refusal =
+        "project.toml:1: dispatch.setup runs commands, so a project's file may not set it";
     assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
-    assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", CommandLineSettings::default()).is_err());
-    assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target runs commands"));
+    assert!(
+        load(
+            "",
+            "[dispatch]\noptions = [\"--wrap=id\"]",
+            CommandLineSettings::default()
+        )
+        .is_err()
+    );
+    assert!(
+        refused("\non_target = \"rm -r /\"")
+            .0
+            .starts_with("project.toml:2: on_target runs commands")
+    );
 }
 
 #[test]
 fn backends_are_known_by_name() {
-    let named = load("", "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]", CommandLineSettings::default()).unwrap();
+    let named = load(
+        "",
+        "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]",
+        CommandLineSettings::default(),
+    )
+    .unwrap();
     assert_eq!(named.settings.backends, ["colmap", "alicevision"]);
     let (message, hint) = refused("\nbackends = [\"colmpa\"]");
     assert_eq!(message, "project.toml:2: no backend \"colmpa\"");
@@ -134,11 +236,27 @@ fn backends_are_known_by_name() {
 fn lengths_have_units_where_the_model_is_metric() {
     let mut typed = CommandLineSettings::default();
     typed.set("--gsd", "target.gsd", Some("2cm"));
-    let settings = load("", "units = \"metric\"\ntarget.accuracy = \"15 mm\"", typed.clone()).unwrap().settings;
-    assert_eq!((settings.target.gsd, settings.target.accuracy), (Some(0.02), Some(0.015)));
-    assert!(matches!(load("units = \"metric\"", "units = \"relative\"", typed), Err(ConfigError::NotMetric { .. })));
+    let settings = load(
+        "",
+        "units = \"metric\"\ntarget.accuracy = \"15 mm\"",
+        typed.clone(),
+    )
+    .unwrap()
+    .settings;
     assert_eq!(
-        load("", "target.gsd = \"0.5\"", CommandLineSettings::default()).unwrap().settings.target.gsd,
+        (settings.target.gsd, settings.target.accuracy),
+        (Some(0.02), Some(0.015))
+    );
+    assert!(matches!(
+        load("units = \"metric\"", "units = \"relative\"", typed),
+        Err(ConfigError::NotMetric { .. })
+    ));
+    assert_eq!(
+        load("", "target.gsd = \"0.5\"", CommandLineSettings::default())
+            .unwrap()
+            .settings
+            .target
+            .gsd,
         Some(0.5)
     );
 }
@@ -151,16 +269,29 @@ fn a_watched_folder_s_settings_are_below_those_of_its_projects() {
         Some(folder.path().join(name))
     };
     let root = file("root.toml", "partners.k = 4\nseed = 3");
-    let files = Files { user: file("user.toml", "seed = 1"), root, project: file("project.toml", "partners.k = 6") };
-    let settings = Configuration::load(&files, CommandLineSettings::default(), canonical_name).unwrap().settings;
+    let files = Files {
+        user: file("user.toml", "seed = 1"),
+        root,
+        project: file("project.toml", "partners.k = 6"),
+    };
+    let settings = Configuration::load(&files, CommandLineSettings::default(), canonical_name)
+        .unwrap()
+        .settings;
     assert_eq!((settings.seed, settings.partners.k), (3, 6));
     let root = file("root.toml", "on_target = \"rm -r /\"");
-    let refused = Configuration::load(&Files { root, ..files }, CommandLineSettings::default(), canonical_name);
+    let refused = Configuration::load(
+        &Files { root, ..files },
+        CommandLineSettings::default(),
+        canonical_name,
+    );
     assert!(matches!(refused, Err(ConfigError::UserOnly { .. })));
 }
 
 #[test]
 fn amounts_may_be_numbers() {
     let configuration = load("", "cut.budget = 40", CommandLineSettings::default()).unwrap();
-    assert_eq!(configuration.settings.cut.budget, Some(crate::config::Budget::Clusters(40)));
+    assert_eq!(
+        configuration.settings.cut.budget,
+        Some(crate::config::Budget::Clusters(40))
+    );
 }

@@ -1,7 +1,8 @@
 //! Main loop: takes events and deadlines, scans projects and starts jobs.
 //!
-//! One thread owns all state; each job runs in a thread of its own and sends its outcome. Every scan compares stamps, so that a lost,
-//! late or duplicate event only changes when the scan happens.
+//! One thread owns all state; each job runs in a thread of its own and sends its outcome. Every
+//! scan compares stamps, so that a lost, late or duplicate event only changes when the scan
+//! happens.
 
 use std::{
     cell::Cell,
@@ -55,8 +56,18 @@ pub struct WatchSummary {
 
 enum Event {
     Change(Change),
-    Progress { project: PathBuf, job: u64, stage: String, percent: u8 },
-    Finished { project: PathBuf, job: u64, input: JobInput, outcome: Outcome },
+    Progress {
+        project: PathBuf,
+        job: u64,
+        stage: String,
+        percent: u8,
+    },
+    Finished {
+        project: PathBuf,
+        job: u64,
+        input: JobInput,
+        outcome: Outcome,
+    },
     Signal(Signal),
 }
 
@@ -73,7 +84,9 @@ struct Supervisor {
 
 impl Supervisor {
     fn new() -> Self {
-        Self { next: Cell::new(Instant::now()) }
+        Self {
+            next: Cell::new(Instant::now()),
+        }
     }
 
     /// Notifies the supervisor, at most every [`WATCHDOG_PAUSE`], that the loop is alive.
@@ -86,8 +99,8 @@ impl Supervisor {
     }
 }
 
-/// Watches the roots until stopped or, with [`WatchOptions::once`], until nothing is left to plan. `signals` receives a function that sends
-/// signals to the daemon from any thread.
+/// Watches the roots until stopped or, with [`WatchOptions::once`], until nothing is left to plan.
+/// `signals` receives a function that sends signals to the daemon from any thread.
 ///
 /// # Errors
 /// Roots that can't be read, written or locked, and metrics that can't be written.
@@ -100,15 +113,22 @@ pub fn watch_roots(
     let (sender, events) = channel();
     let to_loop = sender.clone();
     // Fails once the loop has ended.
-    signals(Box::new(move |signal| _ = to_loop.send(Event::Signal(signal))));
-    let found = options
-        .roots
-        .iter()
-        .map(|root| dunce::canonicalize(root).map_err(|source| DaemonError::Root { path: root.clone(), source }));
+    signals(Box::new(move |signal| {
+        _ = to_loop.send(Event::Signal(signal))
+    }));
+    let found = options.roots.iter().map(|root| {
+        dunce::canonicalize(root).map_err(|source| DaemonError::Root {
+            path: root.clone(),
+            source,
+        })
+    });
     let mut roots = found.collect::<Result<Vec<_>, _>>()?;
     roots.sort();
     roots.dedup_by(|inner, outer| inner.starts_with(outer));
-    let holders = roots.iter().map(|root| Holder::take(root, disk)).collect::<Result<Vec<_>, _>>()?;
+    let holders = roots
+        .iter()
+        .map(|root| Holder::take(root, disk))
+        .collect::<Result<Vec<_>, _>>()?;
     let network = roots.iter().any(|root| platform::is_network(root));
     let poll = options.poll.or(network.then_some(NETWORK_POLL));
     let mut daemon = Daemon {
@@ -129,7 +149,9 @@ pub fn watch_roots(
     };
     for root in &daemon.roots {
         match daemon.poll {
-            Some(poll) => info!(root = %root.display(), "watching, with a scan every {} s", poll.as_secs_f64()),
+            Some(poll) => {
+                info!(root = %root.display(), "watching, with a scan every {} s", poll.as_secs_f64())
+            }
             None => info!(root = %root.display(), "watching for file events"),
         }
     }
@@ -191,12 +213,22 @@ impl<'a> Daemon<'a> {
         let now = Instant::now();
         match event {
             Event::Change(change) => self.note_change(change, now),
-            Event::Progress { project, job, stage, percent } => {
+            Event::Progress {
+                project,
+                job,
+                stage,
+                percent,
+            } => {
                 if let Some(tracked) = self.projects.get_mut(&project) {
                     tracked.progress(job, stage, percent);
                 }
             }
-            Event::Finished { project, job, input, outcome } => self.finish(&project, job, input, outcome, now),
+            Event::Finished {
+                project,
+                job,
+                input,
+                outcome,
+            } => self.finish(&project, job, input, outcome, now),
             Event::Signal(Signal::Stop) => {
                 self.stopping = true;
                 self.projects.values().for_each(TrackedProject::cancel);
@@ -209,15 +241,24 @@ impl<'a> Daemon<'a> {
         }
     }
 
-    fn finish(&mut self, project: &Path, job: u64, input: JobInput, outcome: Outcome, now: Instant) {
+    fn finish(
+        &mut self,
+        project: &Path,
+        job: u64,
+        input: JobInput,
+        outcome: Outcome,
+        now: Instant,
+    ) {
         self.queue.release(job);
         let Some(tracked) = self.projects.get_mut(project) else {
             // The project is gone: drop what its job cached.
             return self.planner.forget(project);
         };
         let abandoned = outcome == Outcome::Abandoned;
-        let (is_unchanged, before) =
-            (matches!(outcome, Outcome::Planned { anew: false, .. }), tracked.result().clone());
+        let (is_unchanged, before) = (
+            matches!(outcome, Outcome::Planned { anew: false, .. }),
+            tracked.result().clone(),
+        );
         if !tracked.finish(job, input, outcome, now) {
             return;
         }
@@ -238,9 +279,14 @@ impl<'a> Daemon<'a> {
         if self.stopping {
             return;
         }
-        self.projects.values_mut().for_each(|tracked| tracked.wait_for(None));
+        self.projects
+            .values_mut()
+            .for_each(|tracked| tracked.wait_for(None));
         let due = |t: &TrackedProject| t.due(self.options.settle).filter(|(at, _)| *at <= now);
-        let waiting = self.projects.values().filter_map(|t| due(t).map(|(at, work)| (at, t.root.clone(), work)));
+        let waiting = self
+            .projects
+            .values()
+            .filter_map(|t| due(t).map(|(at, work)| (at, t.root.clone(), work)));
         let mut waiting: Vec<_> = waiting.collect();
         // Plans before measurements, because backends wait for plans.
         waiting.sort_by(|a, b| (a.2, a.0, &a.1).cmp(&(b.2, b.0, &b.1)));
@@ -250,19 +296,39 @@ impl<'a> Daemon<'a> {
         }
     }
 
-    fn start_job<'s>(&mut self, threads: &'s Scope<'s, '_>, project: &Path, work: Work, now: Instant)
-    where
+    fn start_job<'s>(
+        &mut self,
+        threads: &'s Scope<'s, '_>,
+        project: &Path,
+        work: Work,
+        now: Instant,
+    ) where
         'a: 's,
     {
-        let WatchOptions { on_busy, follow_links, settle, max_memory, .. } = *self.options;
-        let Some(number) = self.admit(project) else { return };
-        let Some(tracked) = self.projects.get_mut(project) else { return };
+        let WatchOptions {
+            on_busy,
+            follow_links,
+            settle,
+            max_memory,
+            ..
+        } = *self.options;
+        let Some(number) = self.admit(project) else {
+            return;
+        };
+        let Some(tracked) = self.projects.get_mut(project) else {
+            return;
+        };
         let (input, cancel) = tracked.start(number, work, settle, now);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
         let named = planner.named_files(&project);
         threads.spawn(move || {
             let progress = |stage: &str, percent| {
-                let event = Event::Progress { project: project.clone(), job: number, stage: stage.into(), percent };
+                let event = Event::Progress {
+                    project: project.clone(),
+                    job: number,
+                    stage: stage.into(),
+                    percent,
+                };
                 // Fails once the loop has ended.
                 _ = sender.send(event);
             };
@@ -278,7 +344,12 @@ impl<'a> Daemon<'a> {
                 progress: &progress,
             };
             let outcome = outcome_of(planner, work, &job);
-            _ = sender.send(Event::Finished { project: project.clone(), job: number, input, outcome });
+            _ = sender.send(Event::Finished {
+                project: project.clone(),
+                job: number,
+                input,
+                outcome,
+            });
         });
     }
 
@@ -297,21 +368,44 @@ impl<'a> Daemon<'a> {
 
     /// Time until there is something to do.
     fn sleep(&self, now: Instant) -> Duration {
-        let due = self.projects.values().filter(|tracked| !tracked.is_queued());
-        let due = due.filter_map(|t| t.due(self.options.settle)).map(|(at, _)| at).min();
+        let due = self
+            .projects
+            .values()
+            .filter(|tracked| !tracked.is_queued());
+        let due = due
+            .filter_map(|t| t.due(self.options.settle))
+            .map(|(at, _)| at)
+            .min();
         let times = [Some(self.scans.due()), due, self.status.due()];
         let next = times.into_iter().flatten().min();
-        next.map_or(LONGEST_SLEEP, |at| at.saturating_duration_since(now).min(LONGEST_SLEEP))
+        next.map_or(LONGEST_SLEEP, |at| {
+            at.saturating_duration_since(now).min(LONGEST_SLEEP)
+        })
     }
 
     fn is_done(&self) -> bool {
-        let nothing_due = || self.projects.values().all(|t| t.due(self.options.settle).is_none() || t.has_failed());
-        self.queue.is_idle() && (self.stopping || self.options.once && self.scans.is_empty() && nothing_due())
+        let nothing_due = || {
+            self.projects
+                .values()
+                .all(|t| t.due(self.options.settle).is_none() || t.has_failed())
+        };
+        self.queue.is_idle()
+            && (self.stopping || self.options.once && self.scans.is_empty() && nothing_due())
     }
 
     fn summary(&self) -> WatchSummary {
-        let count = |wanted: fn(&Phase) -> bool| self.projects.values().filter(|t| wanted(&t.phase())).count();
-        let planned = |p: &Phase| matches!(p, Phase::Planned { .. } | Phase::Computing { .. } | Phase::Reached { .. });
+        let count = |wanted: fn(&Phase) -> bool| {
+            self.projects
+                .values()
+                .filter(|t| wanted(&t.phase()))
+                .count()
+        };
+        let planned = |p: &Phase| {
+            matches!(
+                p,
+                Phase::Planned { .. } | Phase::Computing { .. } | Phase::Reached { .. }
+            )
+        };
         WatchSummary {
             projects: self.projects.len(),
             planned: count(planned),

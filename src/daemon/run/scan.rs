@@ -24,7 +24,8 @@ use crate::{
 
 /// Changes within this time of the first one share a scan.
 const GATHER: Duration = Duration::from_millis(50);
-/// After a scan of changes the next one waits for this multiple of its duration, up to the settle time and [`LONGEST_REST`].
+/// After a scan of changes the next one waits for this multiple of its duration, up to the settle
+/// time and [`LONGEST_REST`].
 const REST: u32 = 19;
 const LONGEST_REST: Duration = Duration::from_secs(2);
 
@@ -46,7 +47,15 @@ pub(super) struct Scans {
 impl Scans {
     pub fn new(now: Instant) -> Self {
         let (projects, search) = (BTreeMap::new(), None);
-        Self { projects, search, everything: true, lost: false, gather_until: None, rest_until: now, next_full: now }
+        Self {
+            projects,
+            search,
+            everything: true,
+            lost: false,
+            gather_until: None,
+            rest_until: now,
+            next_full: now,
+        }
     }
 
     pub fn add_everything(&mut self) {
@@ -64,7 +73,8 @@ impl Scans {
     }
 
     fn gather(&mut self, now: Instant) {
-        self.gather_until.get_or_insert((now + GATHER).max(self.rest_until));
+        self.gather_until
+            .get_or_insert((now + GATHER).max(self.rest_until));
     }
 
     pub fn is_empty(&self) -> bool {
@@ -73,7 +83,8 @@ impl Scans {
 
     /// Returns when the next scan is due.
     pub fn due(&self) -> Instant {
-        self.gather_until.map_or(self.next_full, |until| until.min(self.next_full))
+        self.gather_until
+            .map_or(self.next_full, |until| until.min(self.next_full))
     }
 }
 
@@ -94,7 +105,10 @@ impl Daemon<'_> {
     }
 
     fn note_path(&mut self, path: &Path, is_gone: bool, now: Instant) {
-        let Some(project) = path.ancestors().find(|above| self.projects.contains_key(*above)) else {
+        let Some(project) = path
+            .ancestors()
+            .find(|above| self.projects.contains_key(*above))
+        else {
             return self.note_outside(path, now);
         };
         if path.starts_with(project.join("images"))
@@ -109,14 +123,26 @@ impl Daemon<'_> {
 
     /// A change outside projects may make one, or move some.
     fn note_outside(&mut self, path: &Path, now: Instant) {
-        let inside = self.roots.iter().find_map(|root| path.strip_prefix(root).ok());
-        if !inside.is_some_and(|inside| inside.components().all(|part| discover::is_searched(part.as_os_str()))) {
+        let inside = self
+            .roots
+            .iter()
+            .find_map(|root| path.strip_prefix(root).ok());
+        if !inside.is_some_and(|inside| {
+            inside
+                .components()
+                .all(|part| discover::is_searched(part.as_os_str()))
+        }) {
             return;
         }
         // Folders inside one that was moved raise no events of their own.
-        let moved = self.projects.range(path.to_path_buf()..).map(|(project, _)| project);
+        let moved = self
+            .projects
+            .range(path.to_path_buf()..)
+            .map(|(project, _)| project);
         let moved = moved.take_while(|project| project.starts_with(path));
-        self.scans.projects.extend(moved.map(|project| (project.clone(), now)));
+        self.scans
+            .projects
+            .extend(moved.map(|project| (project.clone(), now)));
         self.scans.add_search(now);
     }
 
@@ -124,10 +150,17 @@ impl Daemon<'_> {
     pub(super) fn scan(&mut self, now: Instant) {
         if self.scans.everything || now >= self.scans.next_full {
             self.scan_everything(now);
-        } else if self.scans.gather_until.is_some_and(|until| now >= until || self.is_job_due(now)) {
+        } else if self
+            .scans
+            .gather_until
+            .is_some_and(|until| now >= until || self.is_job_due(now))
+        {
             self.scan_changed(now);
             let ended = Instant::now();
-            self.scans.rest_until = ended + ((ended - now) * REST).min(LONGEST_REST).min(self.options.settle);
+            self.scans.rest_until = ended
+                + ((ended - now) * REST)
+                    .min(LONGEST_REST)
+                    .min(self.options.settle);
         }
         if let Some(notice) = self.watches.notice() {
             self.status.notice(notice.clone());
@@ -137,8 +170,14 @@ impl Daemon<'_> {
 
     /// True if a job could start now. All known changes must be scanned before.
     fn is_job_due(&self, now: Instant) -> bool {
-        let due = |tracked: &TrackedProject| tracked.due(self.options.settle).is_some_and(|(at, _)| at <= now);
-        self.projects.values().any(|tracked| !tracked.is_queued() && due(tracked))
+        let due = |tracked: &TrackedProject| {
+            tracked
+                .due(self.options.settle)
+                .is_some_and(|(at, _)| at <= now)
+        };
+        self.projects
+            .values()
+            .any(|tracked| !tracked.is_queued() && due(tracked))
     }
 
     /// The longest time between two scans of everything.
@@ -146,7 +185,9 @@ impl Daemon<'_> {
         match self.poll {
             Some(poll) => poll,
             // No event reports a root that comes back.
-            None if self.watches.needs_polling() || self.roots.iter().any(|root| !root.is_dir()) => {
+            None if self.watches.needs_polling()
+                || self.roots.iter().any(|root| !root.is_dir()) =>
+            {
                 NETWORK_POLL.min(self.options.rescan)
             }
             None => self.options.rescan,
@@ -155,20 +196,28 @@ impl Daemon<'_> {
 
     fn scan_everything(&mut self, now: Instant) {
         let lost = self.scans.lost;
-        self.scans = Scans { everything: false, rest_until: self.scans.rest_until, ..Scans::new(now) };
+        self.scans = Scans {
+            everything: false,
+            rest_until: self.scans.rest_until,
+            ..Scans::new(now)
+        };
         self.status.begin_scan();
         if lost {
-            self.status.notice("file events were lost; scanned everything".into());
+            self.status
+                .notice("file events were lost; scanned everything".into());
         }
         if self.is_on_network {
-            self.status.notice("network file system: polling the folders every 10 s (--poll)".into());
+            self.status
+                .notice("network file system: polling the folders every 10 s (--poll)".into());
         }
         if self.poll.is_none() {
             self.watches.renew();
         }
         self.search(now);
         let projects: Vec<PathBuf> = self.projects.keys().cloned().collect();
-        projects.iter().for_each(|project| self.scan_project(project, None, now));
+        projects
+            .iter()
+            .for_each(|project| self.scan_project(project, None, now));
         self.scans.next_full = now + self.pause();
     }
 
@@ -179,44 +228,67 @@ impl Daemon<'_> {
         let is_project = |path: &PathBuf| discover::is_project(path, self.options.follow_links);
         if search.is_some() || !projects.keys().all(is_project) {
             let new = self.search(now);
-            projects.extend(new.into_iter().map(|project| (project, search.unwrap_or(now))));
+            projects.extend(
+                new.into_iter()
+                    .map(|project| (project, search.unwrap_or(now))),
+            );
         }
-        projects.iter().for_each(|(project, heard)| self.scan_project(project, Some(*heard), now));
+        projects
+            .iter()
+            .for_each(|(project, heard)| self.scan_project(project, Some(*heard), now));
     }
 
     /// Searches the roots for projects: forgets those that are gone, adds and returns the new ones.
     fn search(&mut self, now: Instant) -> BTreeSet<PathBuf> {
         let mut found = BTreeSet::new();
         for root in &self.roots {
-            let walk = discover::walk(root, &self.roots, self.options.follow_links, &|| self.supervisor.alive());
+            let walk = discover::walk(root, &self.roots, self.options.follow_links, &|| {
+                self.supervisor.alive()
+            });
             if self.watches.add(&walk.folders) {
                 // Something may have changed between the walk and the watch.
                 self.scans.add_search(now);
             }
             for (folder, reason) in walk.unreadable {
-                self.status.notice(format!("cannot read folder {}: {reason}", folder.display()));
+                self.status
+                    .notice(format!("cannot read folder {}: {reason}", folder.display()));
             }
             found.extend(walk.projects);
         }
-        let gone: Vec<PathBuf> = self.projects.keys().filter(|project| !found.contains(*project)).cloned().collect();
+        let gone: Vec<PathBuf> = self
+            .projects
+            .keys()
+            .filter(|project| !found.contains(*project))
+            .cloned()
+            .collect();
         gone.iter().for_each(|project| self.forget(project));
         found.retain(|project| !self.projects.contains_key(project));
         for project in &found {
             info!(project = %project.display(), "found");
-            self.projects.insert(project.clone(), TrackedProject::new(project.clone(), now));
+            self.projects
+                .insert(project.clone(), TrackedProject::new(project.clone(), now));
         }
         found
     }
 
-    /// Compares a project with the last scan of it, and watches its folders. `heard` is the time of its last event, where known.
+    /// Compares a project with the last scan of it, and watches its folders. `heard` is the time of
+    /// its last event, where known.
     fn scan_project(&mut self, project: &Path, heard: Option<Instant>, now: Instant) {
         self.supervisor.alive();
-        let Some(tracked) = self.projects.get_mut(project) else { return };
-        let WatchOptions { on_busy, follow_links, .. } = *self.options;
+        let Some(tracked) = self.projects.get_mut(project) else {
+            return;
+        };
+        let WatchOptions {
+            on_busy,
+            follow_links,
+            ..
+        } = *self.options;
         let named = self.planner.named_files(project);
         let input = InputFolders::find(project, follow_links);
         let (map_folders, maps) = maps::scan(project, follow_links);
-        let new_watches = self.watches.add(&folders_to_watch(project, &input, map_folders, &named));
+        let new_watches = self
+            .watches
+            .add(&folders_to_watch(project, &input, map_folders, &named));
         let stamp = Stamp::of_folders(&input).with(&named);
         let scanned = (Instant::now(), SystemTime::now());
         let since = heard.map_or(now, |heard| stamp.same_since(heard, scanned));
@@ -245,17 +317,30 @@ impl Daemon<'_> {
     }
 }
 
-/// True for a path in the project's output folder that viewrank itself writes. Only files that were removed and those of depth maps matter there.
+/// True for a path in the project's output folder that viewrank itself writes. Only files that were
+/// removed and those of depth maps matter there.
 fn is_own_output(project: &Path, path: &Path, is_gone: bool) -> bool {
-    let Ok(inside) = path.strip_prefix(project.join(discover::OUTPUT_FOLDER)) else { return false };
-    let is_hidden = inside.components().any(|part| part.as_os_str().as_encoded_bytes().starts_with(b"."));
+    let Ok(inside) = path.strip_prefix(project.join(discover::OUTPUT_FOLDER)) else {
+        return false;
+    };
+    let is_hidden = inside
+        .components()
+        .any(|part| part.as_os_str().as_encoded_bytes().starts_with(b"."));
     is_hidden || !is_gone && path.extension().is_some() && !depthmaps::is_of_a_map(inside)
 }
 
-/// Folders whose changes concern the project; `named` are the files that it depends on besides model and images.
-fn folders_to_watch(project: &Path, input: &InputFolders, maps: Vec<PathBuf>, named: &[PathBuf]) -> BTreeSet<PathBuf> {
+/// Folders whose changes concern the project; `named` are the files that it depends on besides
+/// model and images.
+fn folders_to_watch(
+    project: &Path,
+    input: &InputFolders,
+    maps: Vec<PathBuf>,
+    named: &[PathBuf],
+) -> BTreeSet<PathBuf> {
     let own = project.join(discover::OUTPUT_FOLDER);
-    let named = named.iter().filter_map(|file| file.parent().map(Path::to_path_buf));
+    let named = named
+        .iter()
+        .filter_map(|file| file.parent().map(Path::to_path_buf));
     let named = named.filter(|folder| folder.starts_with(project) && !folder.starts_with(&own));
     let mut folders: BTreeSet<PathBuf> = input.all().cloned().chain(maps).chain(named).collect();
     folders.extend(Some(own).filter(|own| own.is_dir()));
@@ -271,8 +356,13 @@ mod tests {
         let own = |path: &str, is_gone| is_own_output(Path::new("/p"), Path::new(path), is_gone);
         assert!(own("/p/viewrank/clusters.txt", false) && !own("/p/viewrank/clusters.txt", true));
         assert!(own("/p/viewrank/.staging/clusters.txt", true) && own("/p/viewrank/.lock", false));
-        assert!(!own("/p/viewrank/openmvs/depth0001.dmap", false) && !own("/p/viewrank/openmvs", false));
-        assert!(!own("/p/viewrank/micmac/MM-Malt-Img-a/Z_Num8.tif", false), "rewritten after the description");
+        assert!(
+            !own("/p/viewrank/openmvs/depth0001.dmap", false) && !own("/p/viewrank/openmvs", false)
+        );
+        assert!(
+            !own("/p/viewrank/micmac/MM-Malt-Img-a/Z_Num8.tif", false),
+            "rewritten after the description"
+        );
         assert!(
             !own("/p/viewrank/micmac/MM-Malt-Img-a/viewrank.recipe", false)
                 && own("/p/viewrank/micmac/links.tif", false)

@@ -45,17 +45,15 @@ pub enum Outcome {
         note: Option<String>,
     },
     /// The model doesn't parse, or its files contradict each other: it isn't complete yet.
-    Incomplete {
-        reason: String,
-    },
+    Incomplete { reason: String },
     /// Nothing was written, because the input changed or the job was cancelled.
     Abandoned,
     Failed {
         reason: String,
         hint: Option<String>,
     },
-    /// Planning the input takes more memory than is allowed, or has ended its process: it does so again as long as the input is the same, after the
-    /// other jobs had to wait for it.
+    /// Planning the input takes more memory than is allowed, or has ended its process: it does so
+    /// again as long as the input is the same, after the other jobs had to wait for it.
     Aside {
         reason: String,
         hint: Option<String>,
@@ -140,23 +138,44 @@ impl TrackedProject {
     /// Current phase to show.
     pub fn phase(&self) -> Phase {
         match (&self.job, self.queued) {
-            (Some(RunningJob { work: Work::Plan, stage, percent, .. }), _) => {
-                Phase::Planning { stage: stage.clone(), percent: *percent }
-            }
+            (
+                Some(RunningJob {
+                    work: Work::Plan,
+                    stage,
+                    percent,
+                    ..
+                }),
+                _,
+            ) => Phase::Planning {
+                stage: stage.clone(),
+                percent: *percent,
+            },
             // Depth maps still to be measured leave the last result valid.
             _ if self.concluded => match self.result.clone() {
-                Phase::Computing { done, clusters, share, note, .. } => {
-                    Phase::Computing { done, clusters, share, unmeasured: self.maps.unmeasured(), note }
-                }
+                Phase::Computing {
+                    done,
+                    clusters,
+                    share,
+                    note,
+                    ..
+                } => Phase::Computing {
+                    done,
+                    clusters,
+                    share,
+                    unmeasured: self.maps.unmeasured(),
+                    note,
+                },
                 result => result,
             },
-            (_, Some(reason)) => Phase::Queued { reason: reason.into() },
+            (_, Some(reason)) => Phase::Queued {
+                reason: reason.into(),
+            },
             _ => waiting(self.still.stamp()),
         }
     }
 
-    /// Takes a new stamp of the input; if it differs, the input has been still since `since`. A change makes the project wait, and cancels
-    /// its job with [`OnBusy::Restart`].
+    /// Takes a new stamp of the input; if it differs, the input has been still since `since`. A
+    /// change makes the project wait, and cancels its job with [`OnBusy::Restart`].
     pub fn observe(&mut self, stamp: Stamp, since: Instant, on_busy: OnBusy) {
         if !self.still.observe(stamp, since) {
             return;
@@ -170,12 +189,14 @@ impl TrackedProject {
         }
     }
 
-    /// Marks the input as not still at `then`: an image was being written, which the stamp doesn't show.
+    /// Marks the input as not still at `then`: an image was being written, which the stamp doesn't
+    /// show.
     pub fn disturb(&mut self, then: Instant) {
         self.still.restart(then);
     }
 
-    /// Takes a new list of depth maps. If they changed, a failed job is retried soon, because they may have been the cause.
+    /// Takes a new list of depth maps. If they changed, a failed job is retried soon, because they
+    /// may have been the cause.
     pub fn observe_maps(&mut self, maps: MapFiles, now: Instant) {
         if self.maps.observe(maps, now)
             && let Some((at, _)) = &mut self.retry
@@ -201,7 +222,9 @@ impl TrackedProject {
 
     /// True while its depth maps are measured.
     pub fn is_measuring(&self) -> bool {
-        self.job.as_ref().is_some_and(|job| job.work == Work::Follow)
+        self.job
+            .as_ref()
+            .is_some_and(|job| job.work == Work::Follow)
     }
 
     /// The input as last scanned.
@@ -225,7 +248,13 @@ impl TrackedProject {
     }
 
     /// Starts a job on the last scanned input; setting the returned flag cancels it.
-    pub fn start(&mut self, number: u64, work: Work, settle: Duration, now: Instant) -> (JobInput, Arc<AtomicBool>) {
+    pub fn start(
+        &mut self,
+        number: u64,
+        work: Work,
+        settle: Duration,
+        now: Instant,
+    ) -> (JobInput, Arc<AtomicBool>) {
         let cancel = Arc::new(AtomicBool::new(false));
         let stage = "read".into();
         self.job = Some(RunningJob {
@@ -237,7 +266,13 @@ impl TrackedProject {
             stage,
             percent: 0,
         });
-        (JobInput { stamp: self.still.stamp().clone(), maps: self.maps.settled(settle, now) }, cancel)
+        (
+            JobInput {
+                stamp: self.still.stamp().clone(),
+                maps: self.maps.settled(settle, now),
+            },
+            cancel,
+        )
     }
 
     /// Records the progress of the job with this number.
@@ -253,9 +288,12 @@ impl TrackedProject {
         }
     }
 
-    /// Ends the job with this number. False if the job is not this project's, but of an earlier project at this path.
+    /// Ends the job with this number. False if the job is not this project's, but of an earlier
+    /// project at this path.
     pub fn finish(&mut self, number: u64, input: JobInput, outcome: Outcome, now: Instant) -> bool {
-        let Some(job) = self.job.take_if(|job| job.number == number) else { return false };
+        let Some(job) = self.job.take_if(|job| job.number == number) else {
+            return false;
+        };
         let cancelled = job.cancel.load(Ordering::Relaxed);
         match (job.work, &outcome) {
             (Work::Plan, Outcome::Abandoned) => {
@@ -268,7 +306,9 @@ impl TrackedProject {
             (Work::Plan, _) => self.concluded = !job.overtaken,
             (Work::Follow, Outcome::Failed { .. } | Outcome::Aside { .. }) => {}
             (Work::Follow, _) if cancelled => {}
-            (Work::Follow, _) => self.maps.record_measured(input.maps, now - job.started, now),
+            (Work::Follow, _) => self
+                .maps
+                .record_measured(input.maps, now - job.started, now),
         }
         if outcome != Outcome::Abandoned {
             self.conclude(job.work, outcome, now);
@@ -280,21 +320,50 @@ impl TrackedProject {
         let failures = self.failures + 1;
         (self.failures, self.retry) = (0, None);
         self.result = match outcome {
-            Outcome::Planned { clusters, share, note, known, .. } => {
+            Outcome::Planned {
+                clusters,
+                share,
+                note,
+                known,
+                ..
+            } => {
                 // Measure again even where the plan is unchanged.
                 self.maps.forget_measured();
                 self.planned = true;
                 match known {
                     Some(known) => return self.conclude(work, *known, now),
-                    None => Phase::Planned { clusters, share, note },
+                    None => Phase::Planned {
+                        clusters,
+                        share,
+                        note,
+                    },
                 }
             }
-            Outcome::Followed { done, clusters, share: Some(share), reached: true, note } => {
-                Phase::Reached { done, clusters, share, note }
-            }
-            Outcome::Followed { done, clusters, share, note, .. } => {
-                Phase::Computing { done, clusters, share, unmeasured: 0, note }
-            }
+            Outcome::Followed {
+                done,
+                clusters,
+                share: Some(share),
+                reached: true,
+                note,
+            } => Phase::Reached {
+                done,
+                clusters,
+                share,
+                note,
+            },
+            Outcome::Followed {
+                done,
+                clusters,
+                share,
+                note,
+                ..
+            } => Phase::Computing {
+                done,
+                clusters,
+                share,
+                unmeasured: 0,
+                note,
+            },
             Outcome::Incomplete { reason } => {
                 // New depth maps would belong to a plan whose model is gone.
                 self.planned = false;
@@ -310,9 +379,19 @@ impl TrackedProject {
     }
 
     /// Plans a retry after a pause.
-    fn fail(&mut self, reason: String, hint: Option<String>, pause: Duration, (now, work): (Instant, Work)) -> Phase {
+    fn fail(
+        &mut self,
+        reason: String,
+        hint: Option<String>,
+        pause: Duration,
+        (now, work): (Instant, Work),
+    ) -> Phase {
         self.retry = Some((now + pause, work));
-        Phase::Failed { reason, hint, retry_after_s: pause.as_secs() }
+        Phase::Failed {
+            reason,
+            hint,
+            retry_after_s: pause.as_secs(),
+        }
     }
 
     /// Result of the last job, even if the input has changed since.
@@ -335,14 +414,18 @@ impl TrackedProject {
 fn waiting(stamp: &Stamp) -> Phase {
     let reason = match stamp.read_error() {
         Some(error) => error,
-        None if stamp.is_empty() => "model files (add --follow-links for those behind links)".into(),
+        None if stamp.is_empty() => {
+            "model files (add --follow-links for those behind links)".into()
+        }
         None => "files to stop changing".into(),
     };
     Phase::Waiting { reason }
 }
 
 fn retry_after(failures: u32) -> Duration {
-    FIRST_RETRY.saturating_mul(1 << (failures - 1).min(16)).min(LONGEST_RETRY)
+    FIRST_RETRY
+        .saturating_mul(1 << (failures - 1).min(16))
+        .min(LONGEST_RETRY)
 }
 
 #[cfg(test)]

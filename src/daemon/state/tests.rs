@@ -13,11 +13,21 @@ fn stamped(bytes: usize) -> (tempfile::TempDir, Stamp) {
 
 fn planned(text: &str) -> Outcome {
     let fingerprint = serde_json::from_value(text.into()).expect("a string");
-    Outcome::Planned { fingerprint, clusters: 3, share: 0.9, note: None, anew: true, known: None }
+    Outcome::Planned {
+        fingerprint,
+        clusters: 3,
+        share: 0.9,
+        note: None,
+        anew: true,
+        known: None,
+    }
 }
 
 fn failed() -> Outcome {
-    Outcome::Failed { reason: "disk full".into(), hint: None }
+    Outcome::Failed {
+        reason: "disk full".into(),
+        hint: None,
+    }
 }
 
 fn map(length: u64) -> MapFiles {
@@ -37,7 +47,11 @@ fn run(project: &mut TrackedProject, work: Work, outcome: Outcome, now: Instant)
     assert!(project.finish(7, input, outcome, now));
 }
 
-const PLANNED: Phase = Phase::Planned { clusters: 3, share: 0.9, note: None };
+const PLANNED: Phase = Phase::Planned {
+    clusters: 3,
+    share: 0.9,
+    note: None,
+};
 
 #[test]
 fn a_project_that_stops_changing_is_planned_once() {
@@ -48,7 +62,13 @@ fn a_project_that_stops_changing_is_planned_once() {
     let input = project.start(1, Work::Plan, SETTLE, start).0;
     assert_eq!(project.due(SETTLE), None);
     project.progress(1, "surface".into(), 40);
-    assert_eq!(project.phase(), Phase::Planning { stage: "surface".into(), percent: 40 });
+    assert_eq!(
+        project.phase(),
+        Phase::Planning {
+            stage: "surface".into(),
+            percent: 40
+        }
+    );
     project.finish(1, input, planned("a"), start + SETTLE);
     assert_eq!(project.due(SETTLE), None);
     project.observe(stamp, start + SETTLE * 9, OnBusy::Restart);
@@ -85,7 +105,12 @@ fn input_that_changes_and_returns_is_checked_again() {
     run(&mut project, Work::Plan, planned("a"), start);
     project.observe(changed, start + SETTLE, OnBusy::Restart);
     project.observe(stamp, start + SETTLE * 2, OnBusy::Restart);
-    assert_eq!(project.phase(), Phase::Waiting { reason: "files to stop changing".into() });
+    assert_eq!(
+        project.phase(),
+        Phase::Waiting {
+            reason: "files to stop changing".into()
+        }
+    );
     assert_eq!(project.due(SETTLE), Some((start + SETTLE * 3, Work::Plan)));
     run(&mut project, Work::Plan, planned("a"), start + SETTLE * 3);
     assert_eq!(project.phase(), PLANNED);
@@ -109,7 +134,12 @@ fn maps_that_come_and_go_while_a_job_is_queued_leave_the_project_planned() {
     let start = Instant::now();
     let mut project = tracked(&stamp, start);
     project.wait_for(Some("a free job slot (--jobs)"));
-    assert_eq!(project.phase(), Phase::Queued { reason: "a free job slot (--jobs)".into() });
+    assert_eq!(
+        project.phase(),
+        Phase::Queued {
+            reason: "a free job slot (--jobs)".into()
+        }
+    );
     project.wait_for(None);
     run(&mut project, Work::Plan, planned("a"), start);
     project.observe_maps(map(1), start);
@@ -119,7 +149,12 @@ fn maps_that_come_and_go_while_a_job_is_queued_leave_the_project_planned() {
     assert_eq!(project.phase(), PLANNED);
     project.observe_maps(MapFiles::new(), start + SETTLE);
     project.wait_for(None);
-    run(&mut project, Work::Follow, Outcome::Abandoned, start + SETTLE * 2);
+    run(
+        &mut project,
+        Work::Follow,
+        Outcome::Abandoned,
+        start + SETTLE * 2,
+    );
     assert_eq!((project.phase(), project.due(SETTLE)), (PLANNED, None));
 }
 
@@ -132,9 +167,27 @@ fn the_job_of_an_earlier_project_at_the_same_path_is_ignored() {
     let own = project.start(2, Work::Plan, SETTLE, now).0;
     project.progress(1, "ranking".into(), 99);
     assert!(!project.finish(1, input, planned("of the other"), now));
-    assert_eq!(project.phase(), Phase::Planning { stage: "read".into(), percent: 0 });
-    assert!(project.finish(2, own, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, now));
-    assert_eq!(project.phase(), Phase::Waiting { reason: "images.bin ends at byte 5".into() });
+    assert_eq!(
+        project.phase(),
+        Phase::Planning {
+            stage: "read".into(),
+            percent: 0
+        }
+    );
+    assert!(project.finish(
+        2,
+        own,
+        Outcome::Incomplete {
+            reason: "images.bin ends at byte 5".into()
+        },
+        now
+    ));
+    assert_eq!(
+        project.phase(),
+        Phase::Waiting {
+            reason: "images.bin ends at byte 5".into()
+        }
+    );
 }
 
 #[test]
@@ -178,7 +231,14 @@ fn failed_measurements_are_retried_and_wait_for_a_complete_model() {
     project.cancel();
     project.finish(1, input, Outcome::Abandoned, now);
     project.observe(changed, now, OnBusy::Restart);
-    run(&mut project, Work::Plan, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, now);
+    run(
+        &mut project,
+        Work::Plan,
+        Outcome::Incomplete {
+            reason: "images.bin ends at byte 5".into(),
+        },
+        now,
+    );
     assert_eq!(project.due(SETTLE), None);
     project.observe(stamp, now, OnBusy::Restart);
     run(&mut project, Work::Plan, planned("a"), now);
@@ -192,16 +252,33 @@ fn maps_newer_than_the_last_measurement_are_counted() {
     let mut project = tracked(&stamp, now);
     run(&mut project, Work::Plan, planned("a"), now);
     project.observe_maps(map(1), now);
-    let followed = Outcome::Followed { done: 1, clusters: 3, share: Some(0.5), reached: false, note: None };
+    let followed = Outcome::Followed {
+        done: 1,
+        clusters: 3,
+        share: Some(0.5),
+        reached: false,
+        note: None,
+    };
     let unmeasured = |project: &TrackedProject| match project.phase() {
         Phase::Computing { unmeasured, .. } => unmeasured,
         phase => panic!("{phase}"),
     };
     run(&mut project, Work::Follow, followed, now + SETTLE);
     assert_eq!(unmeasured(&project), 0);
-    project.observe_maps(map(1).into_iter().chain([("b".into(), Entry::of_length(1))]).collect(), now + SETTLE);
+    project.observe_maps(
+        map(1)
+            .into_iter()
+            .chain([("b".into(), Entry::of_length(1))])
+            .collect(),
+        now + SETTLE,
+    );
     assert_eq!(unmeasured(&project), 1);
-    assert!(project.phase().to_string().ends_with("50 % reached, 1 new file to measure"));
+    assert!(
+        project
+            .phase()
+            .to_string()
+            .ends_with("50 % reached, 1 new file to measure")
+    );
     project.start(1, Work::Follow, SETTLE, now + SETTLE * 2);
     assert!(project.is_measuring() && unmeasured(&project) == 1);
 }
@@ -220,7 +297,10 @@ fn a_failed_job_is_retried_soon_after_maps_change() {
         project.observe_maps(map(1), now);
         assert_eq!(project.due(SETTLE), Some((late, work)), "nothing changed");
         project.observe_maps(map(2), now + SETTLE);
-        assert_eq!(project.due(SETTLE), Some((now + SETTLE + FIRST_RETRY, work)));
+        assert_eq!(
+            project.due(SETTLE),
+            Some((now + SETTLE + FIRST_RETRY, work))
+        );
     }
 }
 
@@ -229,9 +309,21 @@ fn an_incomplete_model_waits_for_a_change_without_an_error() {
     let (_root, stamp) = stamped(5);
     let start = Instant::now();
     let mut project = tracked(&stamp, start);
-    run(&mut project, Work::Plan, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, start);
+    run(
+        &mut project,
+        Work::Plan,
+        Outcome::Incomplete {
+            reason: "images.bin ends at byte 5".into(),
+        },
+        start,
+    );
     assert_eq!(project.due(SETTLE), None);
-    assert_eq!(project.phase(), Phase::Waiting { reason: "images.bin ends at byte 5".into() });
+    assert_eq!(
+        project.phase(),
+        Phase::Waiting {
+            reason: "images.bin ends at byte 5".into()
+        }
+    );
     project.observe(stamped(7).1, start + SETTLE, OnBusy::Restart);
     assert_eq!(project.due(SETTLE), Some((start + SETTLE * 2, Work::Plan)));
 }
@@ -247,7 +339,11 @@ fn retries_back_off_until_a_success() {
         pauses.push(project.due(SETTLE).expect("a retry").0 - now);
     }
     assert!(project.has_failed());
-    assert!(pauses.windows(2).all(|w| w[1] == (w[0] * 2).min(LONGEST_RETRY)));
+    assert!(
+        pauses
+            .windows(2)
+            .all(|w| w[1] == (w[0] * 2).min(LONGEST_RETRY))
+    );
     run(&mut project, Work::Plan, planned("a"), now);
     assert!(!project.has_failed());
     project.recheck();
@@ -260,7 +356,15 @@ fn a_plan_that_is_too_large_is_rarely_tried_again_unless_its_input_changes() {
     let (_root, stamp) = stamped(5);
     let now = Instant::now();
     let mut project = tracked(&stamp, now);
-    run(&mut project, Work::Plan, Outcome::Aside { reason: "5G".into(), hint: None }, now);
+    run(
+        &mut project,
+        Work::Plan,
+        Outcome::Aside {
+            reason: "5G".into(),
+            hint: None,
+        },
+        now,
+    );
     assert!(project.has_failed());
     assert_eq!(project.due(SETTLE), Some((now + LONGEST_RETRY, Work::Plan)));
     project.observe(stamped(7).1, now + SETTLE, OnBusy::Restart);

@@ -1,5 +1,5 @@
-//! OpenMVS's `depthNNNN.dmap`: header, image path, ids (key view first, then the partners used), K R C, depth plane. The
-//! planes after it (normals, confidence, views) are ignored.
+//! OpenMVS's `depthNNNN.dmap`: header, image path, ids (key view first, then the partners used), K
+//! R C, depth plane. The planes after it (normals, confidence, views) are ignored.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
 use crate::base::pixels::PixelBound;
@@ -43,14 +43,28 @@ pub(super) fn header(bytes: &[u8]) -> Parsed<Header> {
     let (width, height) = (u32_at(bytes, 12)?, u32_at(bytes, 16)?);
     let name_length = usize::from(u16::from_le_bytes([bytes[FIXED], bytes[FIXED + 1]]));
     let name_end = FIXED + 2 + name_length;
-    let name = bytes
-        .get(FIXED + 2..name_end)
-        .ok_or_else(|| (FIXED, "unexpected end of file in the image path".to_string()))?;
+    let name = bytes.get(FIXED + 2..name_end).ok_or_else(|| {
+        (
+            FIXED,
+            "unexpected end of file in the image path".to_string(),
+        )
+    })?;
     let count = u32_at(bytes, name_end)?;
     if count > MOST_IDS {
-        return Err((name_end, format!("{count} ids of views, at most {MOST_IDS} are plausible")));
+        return Err((
+            name_end,
+            format!("{count} ids of views, at most {MOST_IDS} are plausible"),
+        ));
     }
-    let ids = (0..count as usize).map(|i| u32_at(bytes, name_end + 4 + 4 * i)).collect::<Parsed<Vec<u32>>>()?;
+    let ids = (0..count as usize)
+        .map(|i| u32_at(bytes, name_end + 4 + 4 * i))
+        .collect::<Parsed<Vec<u32>>>()?;
     let length = name_end + 4 + 4 * ids.len() + MATRICES;
-    Ok(Header { width, height, image: String::from_utf8_lossy(name).into_owned(), ids, length })
+    Ok(Header {
+        width,
+        height,
+        image: String::from_utf8_lossy(name).into_owned(),
+        ids,
+        length,
+    })
 }

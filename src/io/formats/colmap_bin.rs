@@ -1,7 +1,8 @@
-//! COLMAP's binary model files (`cameras.bin`, `images.bin`, `points3D.bin`; since 4.0 `rigs.bin`, `frames.bin`): little-endian, no padding, a
-//! u64 count followed by the records.
+//! COLMAP's binary model files (`cameras.bin`, `images.bin`, `points3D.bin`; since 4.0 `rigs.bin`,
+//! `frames.bin`): little-endian, no padding, a u64 count followed by the records.
 //!
-//! Counts are checked against the remaining bytes before anything is allocated. 2D points and tracks are borrowed from the input.
+//! Counts are checked against the remaining bytes before anything is allocated. 2D points and
+//! tracks are borrowed from the input.
 
 use std::{borrow::Cow, collections::BTreeSet};
 
@@ -14,7 +15,10 @@ use nom::{
 
 use super::{
     Bytes, Fault, Place, Problem,
-    colmap::{ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose, TrackElement},
+    colmap::{
+        ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose,
+        TrackElement,
+    },
 };
 use crate::{
     base::large_pages,
@@ -28,11 +32,31 @@ use crate::{
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     let mut warnings = Vec::new();
     Ok(ColmapModel {
-        cameras: records("cameras", bytes.cameras, "camera", 24, camera, &mut warnings)?,
+        cameras: records(
+            "cameras",
+            bytes.cameras,
+            "camera",
+            24,
+            camera,
+            &mut warnings,
+        )?,
         images: records("images", bytes.images, "image", 73, image, &mut warnings)?,
-        points: records("points3D", bytes.points3d, "point", 51, point, &mut warnings)?,
-        rigs: bytes.rigs.map(|b| records("rigs", b, "rig", 8, rig, &mut warnings)).transpose()?,
-        frames: bytes.frames.map(|b| records("frames", b, "frame", 68, frame, &mut warnings)).transpose()?,
+        points: records(
+            "points3D",
+            bytes.points3d,
+            "point",
+            51,
+            point,
+            &mut warnings,
+        )?,
+        rigs: bytes
+            .rigs
+            .map(|b| records("rigs", b, "rig", 8, rig, &mut warnings))
+            .transpose()?,
+        frames: bytes
+            .frames
+            .map(|b| records("frames", b, "frame", 68, frame, &mut warnings))
+            .transpose()?,
         warnings,
     })
 }
@@ -40,7 +64,10 @@ pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
 /// Reads the names of the images in `images.bin`.
 pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
     let images = records("images", images, "image", 73, image, &mut Vec::new())?;
-    Ok(images.into_iter().map(|image| image.name.into_owned()).collect())
+    Ok(images
+        .into_iter()
+        .map(|image| image.name.into_owned())
+        .collect())
 }
 
 /// Reads a whole file: the count, and that number of records of at least `smallest` bytes each.
@@ -52,15 +79,23 @@ fn records<'a, T>(
     mut record: impl FnMut(&mut Reader<'a>) -> Result<T, Fault>,
     warnings: &mut Vec<ModelWarning>,
 ) -> Result<Vec<T>, Fault> {
-    let mut reader = Reader { file, whole: bytes, rest: bytes };
+    let mut reader = Reader {
+        file,
+        whole: bytes,
+        rest: bytes,
+    };
     let count = reader.count("records", smallest)?;
     let mut all = large_pages::room_for(count);
     for n in 0..count {
-        all.push(record(&mut reader).map_err(|fault| fault.in_record(|| format!("{what} {} of {count}", n + 1)))?);
+        all.push(
+            record(&mut reader)
+                .map_err(|fault| fault.in_record(|| format!("{what} {} of {count}", n + 1)))?,
+        );
     }
     if !reader.rest.is_empty() {
         let left = reader.rest.len();
-        let text = format!("{file}.bin: {left} bytes after the last of {count} records are ignored");
+        let text =
+            format!("{file}.bin: {left} bytes after the last of {count} records are ignored");
         warnings.push(ModelWarning::new(WarningKind::Damaged, text));
     }
     Ok(all)
@@ -89,21 +124,35 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Reads a u64 count of records of at least `smallest` bytes each, and checks that they fit in the rest of the file.
+    /// Reads a u64 count of records of at least `smallest` bytes each, and checks that they fit in
+    /// the rest of the file.
     fn count(&mut self, what: &'static str, smallest: usize) -> Result<usize, Fault> {
         let at = self.place();
         let count = self.take("a count", le_u64)?;
-        self.fits(count, what, smallest).map_err(|problem| Fault::new(self.file, at, problem))
+        self.fits(count, what, smallest)
+            .map_err(|problem| Fault::new(self.file, at, problem))
     }
 
     fn fits(&self, count: u64, what: &'static str, smallest: usize) -> Result<usize, Problem> {
         let room = self.rest.len() / smallest;
-        usize::try_from(count).ok().filter(|&n| n <= room).ok_or(Problem::Count { what, count, room: room as u64 })
+        usize::try_from(count)
+            .ok()
+            .filter(|&n| n <= room)
+            .ok_or(Problem::Count {
+                what,
+                count,
+                room: room as u64,
+            })
     }
 
     /// Borrows `count` elements of a type without padding or alignment.
-    fn slice<T: bytemuck::AnyBitPattern>(&mut self, what: &'static str, count: usize) -> Result<&'a [T], Fault> {
-        self.take(what, take(count * size_of::<T>())).map(bytemuck::cast_slice)
+    fn slice<T: bytemuck::AnyBitPattern>(
+        &mut self,
+        what: &'static str,
+        count: usize,
+    ) -> Result<&'a [T], Fault> {
+        self.take(what, take(count * size_of::<T>()))
+            .map(bytemuck::cast_slice)
     }
 
     fn place(&self) -> Place {
@@ -119,55 +168,102 @@ fn camera(reader: &mut Reader) -> Result<Camera, Fault> {
     let at = reader.place();
     let fault = |problem| Fault::new("cameras", at, problem);
     let (id, model, width, height) = reader.take("a camera", (le_u32, le_u32, le_u64, le_u64))?;
-    let model = CameraModel::from_id(model).ok_or_else(|| fault(Problem::CameraModel(model.to_string())))?;
-    let params = reader.take("the camera parameters", nom::multi::count(le_f64, model.parameter_count()))?;
+    let model = CameraModel::from_id(model)
+        .ok_or_else(|| fault(Problem::CameraModel(model.to_string())))?;
+    let params = reader.take(
+        "the camera parameters",
+        nom::multi::count(le_f64, model.parameter_count()),
+    )?;
     Camera::new(id, model, width, height, params).map_err(|error| fault(error.into()))
 }
 
 fn pose(input: &[u8]) -> IResult<&[u8], StoredPose> {
     let quaternion = (le_f64, le_f64, le_f64, le_f64).map(<[f64; 4]>::from);
     let translation = (le_f64, le_f64, le_f64).map(<[f64; 3]>::from);
-    (quaternion, translation).map(|(quaternion, translation)| StoredPose { quaternion, translation }).parse(input)
+    (quaternion, translation)
+        .map(|(quaternion, translation)| StoredPose {
+            quaternion,
+            translation,
+        })
+        .parse(input)
 }
 
 fn image<'a>(reader: &mut Reader<'a>) -> Result<ColmapImage<'a>, Fault> {
     let at = reader.place();
     let (id, cam_from_world, camera_id) = reader.take("an image", (le_u32, pose, le_u32))?;
     let name_at = reader.place();
-    let name = reader.take("an image name", terminated(take_till(|b| b == 0), tag(&[0][..])))?;
+    let name = reader.take(
+        "an image name",
+        terminated(take_till(|b| b == 0), tag(&[0][..])),
+    )?;
     let name = std::str::from_utf8(name).map_err(|_| {
         let name = String::from_utf8_lossy(name).into_owned();
-        Fault::new("images", name_at, Problem::Name { name, why: "is not UTF-8" })
+        Fault::new(
+            "images",
+            name_at,
+            Problem::Name {
+                name,
+                why: "is not UTF-8",
+            },
+        )
     })?;
     let count = reader.count("2D points", size_of::<Point2d>())?;
     let points2d = Cow::Borrowed(reader.slice("the 2D points", count)?);
-    Ok(ColmapImage { id, cam_from_world, camera_id, name: Cow::Borrowed(name), points2d, at })
+    Ok(ColmapImage {
+        id,
+        cam_from_world,
+        camera_id,
+        name: Cow::Borrowed(name),
+        points2d,
+        at,
+    })
 }
 
 fn point<'a>(reader: &mut Reader<'a>) -> Result<ColmapPoint<'a>, Fault> {
     let at = reader.place();
-    let (id, x, y, z, rgb, error) = reader.take("a point", (le_u64, le_f64, le_f64, le_f64, take(3usize), le_f64))?;
+    let (id, x, y, z, rgb, error) = reader.take(
+        "a point",
+        (le_u64, le_f64, le_f64, le_f64, take(3usize), le_f64),
+    )?;
     let count = reader.count("track elements", size_of::<TrackElement>())?;
     let track = Cow::Borrowed(reader.slice("the track", count)?);
-    Ok(ColmapPoint { id, xyz: [x, y, z], colour: [rgb[0], rgb[1], rgb[2]], error, track, at })
+    Ok(ColmapPoint {
+        id,
+        xyz: [x, y, z],
+        colour: [rgb[0], rgb[1], rgb[2]],
+        error,
+        track,
+        at,
+    })
 }
 
 fn sensor(input: &[u8]) -> IResult<&[u8], Sensor> {
-    (le_i32, le_u32).map(|(kind, id)| Sensor { kind, id }).parse(input)
+    (le_i32, le_u32)
+        .map(|(kind, id)| Sensor { kind, id })
+        .parse(input)
 }
 
 fn rig(reader: &mut Reader) -> Result<Rig, Fault> {
     let at = reader.place();
     let (id, count) = reader.take("a rig", (le_u32, le_u32))?;
     let others = count.saturating_sub(1);
-    reader.fits(others.into(), "sensors", 9).map_err(|problem| Fault::new("rigs", at, problem))?;
+    reader
+        .fits(others.into(), "sensors", 9)
+        .map_err(|problem| Fault::new("rigs", at, problem))?;
     let mut sensors = Vec::with_capacity(count as usize);
     if count > 0 {
-        sensors.push((reader.take("the reference sensor", sensor)?, Some(StoredPose::IDENTITY)));
+        sensors.push((
+            reader.take("the reference sensor", sensor)?,
+            Some(StoredPose::IDENTITY),
+        ));
     }
     for _ in 0..others {
         let (sensor, has_pose) = reader.take("a sensor", (sensor, le_u8))?;
-        let pose = if has_pose == 0 { None } else { Some(reader.take("the pose of a sensor", pose)?) };
+        let pose = if has_pose == 0 {
+            None
+        } else {
+            Some(reader.take("the pose of a sensor", pose)?)
+        };
         sensors.push((sensor, pose));
     }
     Ok(Rig { id, sensors, at })
@@ -175,11 +271,20 @@ fn rig(reader: &mut Reader) -> Result<Rig, Fault> {
 
 fn frame(reader: &mut Reader) -> Result<Frame, Fault> {
     let at = reader.place();
-    let (id, rig_id, rig_from_world, count) = reader.take("a frame", (le_u32, le_u32, pose, le_u32))?;
-    let count = reader.fits(count.into(), "data ids", 16).map_err(|problem| Fault::new("frames", at, problem))?;
+    let (id, rig_id, rig_from_world, count) =
+        reader.take("a frame", (le_u32, le_u32, pose, le_u32))?;
+    let count = reader
+        .fits(count.into(), "data ids", 16)
+        .map_err(|problem| Fault::new("frames", at, problem))?;
     let datum = (sensor, le_u64).map(|(sensor, id)| FrameData { sensor, id });
     let data = reader.take("the data ids", nom::multi::count(datum, count))?;
-    Ok(Frame { id, rig_id, rig_from_world, data, at })
+    Ok(Frame {
+        id,
+        rig_id,
+        rig_from_world,
+        data,
+        at,
+    })
 }
 
 /// Writes the files of a model for COLMAP 3.x and 4.x.
@@ -189,8 +294,18 @@ pub fn write(model: &ColmapModel) -> Vec<(&'static str, Vec<u8>)> {
         ("images.bin", file(&model.images, write_image)),
         ("points3D.bin", file(&model.points, write_point)),
     ];
-    files.extend(model.rigs.as_ref().map(|rigs| ("rigs.bin", file(rigs, write_rig))));
-    files.extend(model.frames.as_ref().map(|frames| ("frames.bin", file(frames, write_frame))));
+    files.extend(
+        model
+            .rigs
+            .as_ref()
+            .map(|rigs| ("rigs.bin", file(rigs, write_rig))),
+    );
+    files.extend(
+        model
+            .frames
+            .as_ref()
+            .map(|frames| ("frames.bin", file(frames, write_frame))),
+    );
     files
 }
 
@@ -205,11 +320,17 @@ fn write_camera(bytes: &mut Vec<u8>, camera: &Camera) {
     bytes.extend(camera.model().id().to_le_bytes());
     bytes.extend(u64::from(camera.width).to_le_bytes());
     bytes.extend(u64::from(camera.height).to_le_bytes());
-    camera.params().iter().for_each(|p| bytes.extend(p.to_le_bytes()));
+    camera
+        .params()
+        .iter()
+        .for_each(|p| bytes.extend(p.to_le_bytes()));
 }
 
 fn write_pose(bytes: &mut Vec<u8>, pose: &StoredPose) {
-    pose.quaternion.iter().chain(&pose.translation).for_each(|v| bytes.extend(v.to_le_bytes()));
+    pose.quaternion
+        .iter()
+        .chain(&pose.translation)
+        .for_each(|v| bytes.extend(v.to_le_bytes()));
 }
 
 fn write_image(bytes: &mut Vec<u8>, image: &ColmapImage) {

@@ -4,7 +4,8 @@ use std::{io::Read, path::Path};
 
 use crate::{base::input, model::georeference::Geodetic};
 
-/// Bytes of an image that are searched; EXIF data is at the beginning of a JPEG file, and at most 64 KiB long.
+/// Bytes of an image that are searched; EXIF data is at the beginning of a JPEG file, and at most
+/// 64 KiB long.
 const SEARCHED: u64 = 256 << 10;
 /// Largest number of entries of a directory that is read.
 const MOST_ENTRIES: usize = 512;
@@ -17,11 +18,20 @@ const LONGITUDE: u16 = 4;
 const ALTITUDE_REF: u16 = 5;
 const ALTITUDE: u16 = 6;
 
-/// The position at which the image was taken, its height above sea level; `None` if it has none or cannot be read.
+/// The position at which the image was taken, its height above sea level; `None` if it has none or
+/// cannot be read.
 pub fn position(image: &Path) -> Option<Geodetic> {
     let mut bytes = Vec::new();
-    input::open(image).ok()?.take(SEARCHED).read_to_end(&mut bytes).ok()?;
-    let tiff = if bytes.starts_with(&[0xff, 0xd8]) { exif_of_jpeg(&bytes)? } else { &bytes };
+    input::open(image)
+        .ok()?
+        .take(SEARCHED)
+        .read_to_end(&mut bytes)
+        .ok()?;
+    let tiff = if bytes.starts_with(&[0xff, 0xd8]) {
+        exif_of_jpeg(&bytes)?
+    } else {
+        &bytes
+    };
     Tiff::new(tiff)?.position()
 }
 
@@ -29,7 +39,9 @@ pub fn position(image: &Path) -> Option<Geodetic> {
 fn exif_of_jpeg(bytes: &[u8]) -> Option<&[u8]> {
     let mut rest = bytes.get(2..)?;
     loop {
-        let [0xff, kind, high, low, ..] = *rest else { return None };
+        let [0xff, kind, high, low, ..] = *rest else {
+            return None;
+        };
         let length = usize::from(u16::from_be_bytes([high, low]));
         let segment = rest.get(4..2 + length)?;
         match (kind, segment.strip_prefix(b"Exif\0\0")) {
@@ -61,24 +73,39 @@ impl<'a> Tiff<'a> {
             b"II" => false,
             _ => return None,
         };
-        Some(Self { bytes, is_big_endian })
+        Some(Self {
+            bytes,
+            is_big_endian,
+        })
     }
 
     fn u16(&self, at: usize) -> Option<u16> {
         let bytes = self.bytes.get(at..at.checked_add(2)?)?.try_into().ok()?;
-        Some(if self.is_big_endian { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
+        Some(if self.is_big_endian {
+            u16::from_be_bytes(bytes)
+        } else {
+            u16::from_le_bytes(bytes)
+        })
     }
 
     fn u32(&self, at: usize) -> Option<u32> {
         let bytes = self.bytes.get(at..at.checked_add(4)?)?.try_into().ok()?;
-        Some(if self.is_big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
+        Some(if self.is_big_endian {
+            u32::from_be_bytes(bytes)
+        } else {
+            u32::from_le_bytes(bytes)
+        })
     }
 
     fn directory(&self, at: usize) -> Option<Vec<Entry>> {
         let count = usize::from(self.u16(at)?).min(MOST_ENTRIES);
         let entry = |i: usize| {
             let at = at + 2 + 12 * i;
-            Some(Entry { tag: self.u16(at)?, count: self.u32(at + 4)?, place: at + 8 })
+            Some(Entry {
+                tag: self.u16(at)?,
+                count: self.u32(at + 4)?,
+                place: at + 8,
+            })
         };
         (0..count).map(entry).collect()
     }
@@ -89,13 +116,35 @@ impl<'a> Tiff<'a> {
         let gps = self.directory(self.u32(gps.place)? as usize)?;
         let find = |tag| gps.iter().find(|entry| entry.tag == tag);
         let letter = |tag| self.bytes.get(find(tag)?.place).copied();
-        let latitude = self.degrees(find(LATITUDE)?)? * if letter(LATITUDE_REF) == Some(b'S') { -1.0 } else { 1.0 };
-        let longitude = self.degrees(find(LONGITUDE)?)? * if letter(LONGITUDE_REF) == Some(b'W') { -1.0 } else { 1.0 };
-        let height = find(ALTITUDE).and_then(|entry| self.rational(self.u32(entry.place)? as usize)).unwrap_or(0.0);
-        let height = if letter(ALTITUDE_REF) == Some(1) { -height } else { height };
+        let latitude = self.degrees(find(LATITUDE)?)?
+            * if letter(LATITUDE_REF) == Some(b'S') {
+                -1.0
+            } else {
+                1.0
+            };
+        let longitude = self.degrees(find(LONGITUDE)?)?
+            * if letter(LONGITUDE_REF) == Some(b'W') {
+                -1.0
+            } else {
+                1.0
+            };
+        let height = find(ALTITUDE)
+            .and_then(|entry| self.rational(self.u32(entry.place)? as usize))
+            .unwrap_or(0.0);
+        let height = if letter(ALTITUDE_REF) == Some(1) {
+            -height
+        } else {
+            height
+        };
         // Cameras without a fix write zeros.
-        let is_position = latitude.abs() <= 90.0 && longitude.abs() <= 180.0 && (latitude, longitude) != (0.0, 0.0);
-        (is_position && height.is_finite()).then_some(Geodetic { longitude, latitude, height })
+        let is_position = latitude.abs() <= 90.0
+            && longitude.abs() <= 180.0
+            && (latitude, longitude) != (0.0, 0.0);
+        (is_position && height.is_finite()).then_some(Geodetic {
+            longitude,
+            latitude,
+            height,
+        })
     }
 
     /// Degrees, minutes and seconds.
@@ -122,7 +171,13 @@ mod tests {
     fn jpeg() -> Vec<u8> {
         let mut tiff = b"MM\0*\0\0\0\x08".to_vec();
         let entry = |tag: u16, kind: u16, count: u32, value: [u8; 4]| {
-            [&tag.to_be_bytes()[..], &kind.to_be_bytes(), &count.to_be_bytes(), &value].concat()
+            [
+                &tag.to_be_bytes()[..],
+                &kind.to_be_bytes(),
+                &count.to_be_bytes(),
+                &value,
+            ]
+            .concat()
         };
         let at = |offset: u32| offset.to_be_bytes();
         tiff.extend([&[0, 1][..], &entry(GPS_DIRECTORY, 4, 1, at(26)), &[0; 4]].concat());
@@ -134,19 +189,37 @@ mod tests {
         tiff.extend(entry(ALTITUDE_REF, 1, 1, [1, 0, 0, 0]));
         tiff.extend(entry(ALTITUDE, 5, 1, at(152)));
         tiff.extend([0; 4]);
-        for (number, divisor) in [(52u32, 1u32), (30, 1), (0, 1), (13, 1), (1500, 100), (0, 1), (60, 2)] {
+        for (number, divisor) in [
+            (52u32, 1u32),
+            (30, 1),
+            (0, 1),
+            (13, 1),
+            (1500, 100),
+            (0, 1),
+            (60, 2),
+        ] {
             tiff.extend([number.to_be_bytes(), divisor.to_be_bytes()].concat());
         }
         let segment = [b"Exif\0\0", &tiff[..]].concat();
         let length = (segment.len() as u16 + 2).to_be_bytes();
-        [&[0xff, 0xd8, 0xff, 0xe0, 0, 4, 7, 7, 0xff, 0xe1][..], &length, &segment, &[0xff, 0xda, 0, 2]].concat()
+        [
+            &[0xff, 0xd8, 0xff, 0xe0, 0, 4, 7, 7, 0xff, 0xe1][..],
+            &length,
+            &segment,
+            &[0xff, 0xda, 0, 2],
+        ]
+        .concat()
     }
 
     #[test]
     fn a_position_is_read_from_a_jpeg_file() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), jpeg()).unwrap();
-        let expected = Geodetic { longitude: -13.25, latitude: 52.5, height: -30.0 };
+        let expected = Geodetic {
+            longitude: -13.25,
+            latitude: 52.5,
+            height: -30.0,
+        };
         assert_eq!(position(file.path()), Some(expected));
     }
 

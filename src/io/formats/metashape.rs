@@ -8,9 +8,10 @@
 //!     cameras (group)/camera id label sensor_id component_id    transform: 16 numbers, camera to chunk
 //! ```
 //!
-//! Camera axes and pixels are as in COLMAP. cx and cy are relative to the image centre; beside fx and fy, which PhotoScan wrote before 1.4, to its
-//! corner. p1 and p2 are OpenCV's p2 and p1; b1 is added to f along x. The transform of the component or the chunk, where there is one, leads to the
-//! world, but points may have been exported without it: [`Frame`].
+//! Camera axes and pixels are as in COLMAP. cx and cy are relative to the image centre; beside fx
+//! and fy, which PhotoScan wrote before 1.4, to its corner. p1 and p2 are OpenCV's p2 and p1; b1 is
+//! added to f along x. The transform of the component or the chunk, where there is one, leads to
+//! the world, but points may have been exported without it: [`Frame`].
 
 use std::collections::{HashMap, HashSet};
 
@@ -39,8 +40,13 @@ pub enum Frame {
 /// Largest error in pixels that leaving out a term of the distortion may cause.
 const NEGLIGIBLE_PX: f64 = 0.5;
 
-/// Reads cameras and poses of the first chunk that has any. `spelled` completes labels, which may lack the extension of the image.
-pub fn read(bytes: &[u8], frame: Frame, spelled: &dyn Fn(&str) -> String) -> Result<ForeignModel, Fault> {
+/// Reads cameras and poses of the first chunk that has any. `spelled` completes labels, which may
+/// lack the extension of the image.
+pub fn read(
+    bytes: &[u8],
+    frame: Frame,
+    spelled: &dyn Fn(&str) -> String,
+) -> Result<ForeignModel, Fault> {
     let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
     let mut foreign = ForeignModel::default();
     let mut chunks = 0;
@@ -54,7 +60,10 @@ pub fn read(bytes: &[u8], frame: Frame, spelled: &dyn Fn(&str) -> String) -> Res
         foreign = Chunk::read(&mut xml)?.model(frame, spelled)?;
     }
     if chunks > 1 {
-        foreign.warn(WarningKind::OtherModels, "only the first chunk with aligned cameras is read");
+        foreign.warn(
+            WarningKind::OtherModels,
+            "only the first chunk with aligned cameras is read",
+        );
     }
     Ok(foreign)
 }
@@ -85,7 +94,9 @@ impl Chunk {
                         // The partition below, a list of all cameras, may be long.
                         let component = xml.whole(component)?;
                         if let Some(transform) = component.child("transform") {
-                            chunk.components.insert(id_of(&component, "id"), Similarity::read(transform)?);
+                            chunk
+                                .components
+                                .insert(id_of(&component, "id"), Similarity::read(transform)?);
                         }
                     }
                 }
@@ -128,22 +139,37 @@ impl Chunk {
             let sensor = self.sensors.get(&id_of(element, "sensor_id"));
             let (id, sensor) = sensor.ok_or_else(|| {
                 let found = format!("sensor_id {:?}", id_of(element, "sensor_id"));
-                Fault::new("", element.at(), Problem::Syntax { expected: "the id of a sensor", found }).in_record(what)
+                Fault::new(
+                    "",
+                    element.at(),
+                    Problem::Syntax {
+                        expected: "the id of a sensor",
+                        found,
+                    },
+                )
+                .in_record(what)
             })?;
             if used.insert(*id) {
-                let camera =
-                    lens(sensor, *id, &mut foreign).map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
+                let camera = lens(sensor, *id, &mut foreign)
+                    .map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
                 foreign.model.cameras.push(camera);
             }
             let component = self.components.get(&id_of(element, "component_id"));
-            let world = component.or(self.transform.as_ref()).filter(|_| frame == Frame::World);
-            let pose = pose(&transform.numbers().map_err(|fault| fault.in_record(what))?, world);
-            let pose = pose.map_err(|problem| Fault::new("", transform.at(), problem).in_record(what))?;
+            let world = component
+                .or(self.transform.as_ref())
+                .filter(|_| frame == Frame::World);
+            let pose = pose(
+                &transform.numbers().map_err(|fault| fault.in_record(what))?,
+                world,
+            );
+            let pose =
+                pose.map_err(|problem| Fault::new("", transform.at(), problem).in_record(what))?;
             foreign.add_image(n, name, *id, pose, element.at());
         }
         if of_rigs > 0 {
-            let text =
-                format!("{of_rigs} images of further cameras of a rig have no pose of their own and are left out");
+            let text = format!(
+                "{of_rigs} images of further cameras of a rig have no pose of their own and are left out"
+            );
             foreign.warn(WarningKind::Format, text);
         }
         Ok(foreign)
@@ -163,10 +189,18 @@ struct Similarity {
 
 impl Similarity {
     fn read(transform: &Element) -> Result<Self, Fault> {
-        let rotation = transform.child("rotation").map(|rotation| rotation.numbers::<9>()).transpose()?;
-        let translation = transform.child("translation").map(|translation| translation.numbers::<3>()).transpose()?;
+        let rotation = transform
+            .child("rotation")
+            .map(|rotation| rotation.numbers::<9>())
+            .transpose()?;
+        let translation = transform
+            .child("translation")
+            .map(|translation| translation.numbers::<3>())
+            .transpose()?;
         Ok(Self {
-            rotation: rotation.map_or_else(Matrix3::identity, |rotation| Matrix3::from_row_slice(&rotation)),
+            rotation: rotation.map_or_else(Matrix3::identity, |rotation| {
+                Matrix3::from_row_slice(&rotation)
+            }),
             translation: translation.map_or_else(Vector3::zeros, Vector3::from),
             scale: transform.number("scale")?.unwrap_or(1.0),
         })
@@ -178,7 +212,12 @@ fn pose(to_chunk: &[f64; 16], world: Option<&Similarity>) -> Result<StoredPose, 
     let m = |row: usize, column: usize| to_chunk[4 * row + column];
     let mut rotation = Matrix3::from_fn(m);
     let mut centre = Vector3::from_fn(|row, _| m(row, 3));
-    if let Some(Similarity { rotation: turn, translation, scale }) = world {
+    if let Some(Similarity {
+        rotation: turn,
+        translation,
+        scale,
+    }) = world
+    {
         rotation = turn * rotation;
         centre = turn * centre * *scale + translation;
     }
@@ -186,60 +225,101 @@ fn pose(to_chunk: &[f64; 16], world: Option<&Similarity>) -> Result<StoredPose, 
 }
 
 fn lens(sensor: &Element, id: u32, foreign: &mut ForeignModel) -> Result<Camera, Fault> {
-    let adjusted = sensor.children("calibration").find(|one| one.attribute("class") != Some("initial"));
+    let adjusted = sensor
+        .children("calibration")
+        .find(|one| one.attribute("class") != Some("initial"));
     let calibration = adjusted.or(sensor.child("calibration"));
-    let kind = [calibration, Some(sensor)].into_iter().flatten().find_map(|element| element.attribute("type"));
+    let kind = [calibration, Some(sensor)]
+        .into_iter()
+        .flatten()
+        .find_map(|element| element.attribute("type"));
     let kind = kind.unwrap_or("frame");
-    let resolution = calibration.and_then(|c| c.child("resolution")).or(sensor.child("resolution"));
+    let resolution = calibration
+        .and_then(|c| c.child("resolution"))
+        .or(sensor.child("resolution"));
     let resolution = resolution.ok_or_else(|| sensor.lacks("resolution"))?;
     let side = |name: &'static str| {
-        let side = resolution.attribute(name).and_then(|side| side.parse::<u64>().ok());
+        let side = resolution
+            .attribute(name)
+            .and_then(|side| side.parse::<u64>().ok());
         side.ok_or_else(|| resolution.lacks(name))
     };
     let (width, height) = (side("width")?, side("height")?);
     let (w, h) = (width as f64, height as f64);
     let what = || "its camera".into();
     if kind == "spherical" {
-        return camera(Camera::new(id, CameraModel::Equirectangular, width, height, vec![w, h]), what);
+        return camera(
+            Camera::new(id, CameraModel::Equirectangular, width, height, vec![w, h]),
+            what,
+        );
     }
     let calibration = calibration.ok_or_else(|| sensor.lacks("calibration"))?;
     let value = |name: &str| calibration.number(name).map(Option::unwrap_or_default);
     let [k1, k2, k3, k4, p1, p2, p3, p4] = {
         let mut values = [0.0; 8];
-        for (to, name) in values.iter_mut().zip(["k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4"]) {
+        for (to, name) in values
+            .iter_mut()
+            .zip(["k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4"])
+        {
             *to = value(name)?;
         }
         values
     };
     let (focal, centre) = match calibration.number("f")? {
-        Some(f) => ([f + value("b1")?, f], [w / 2.0 + value("cx")?, h / 2.0 + value("cy")?]),
-        None => (calibration.required(["fx", "fy"])?, calibration.required(["cx", "cy"])?),
+        Some(f) => (
+            [f + value("b1")?, f],
+            [w / 2.0 + value("cx")?, h / 2.0 + value("cy")?],
+        ),
+        None => (
+            calibration.required(["fx", "fy"])?,
+            calibration.required(["cx", "cy"])?,
+        ),
     };
     let ([fx, fy], [cx, cy]) = (focal, centre);
     let corner = (w / 2.0 / fx).hypot(h / 2.0 / fy);
-    let tangential = (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
+    let tangential =
+        (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
     let skew = value("b2")?.abs() * h / 2.0 / fy;
     let (model, params, left_out) = match kind {
         "frame" => {
             let off = fx * (k4.abs() * corner.powi(9) + 3.0 * corner.powi(2) * tangential);
-            (CameraModel::FullOpenCv, vec![fx, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0], off + skew)
+            (
+                CameraModel::FullOpenCv,
+                vec![fx, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0],
+                off + skew,
+            )
         }
         "fisheye" | "equidistant_fisheye" => {
             let off = 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2);
-            (CameraModel::OpenCvFisheye, vec![fx, fy, cx, cy, k1, k2, k3, k4], off + skew)
+            (
+                CameraModel::OpenCvFisheye,
+                vec![fx, fy, cx, cy, k1, k2, k3, k4],
+                off + skew,
+            )
         }
-        _ => return Err(Fault::new("", sensor.at(), Problem::CameraModel(format!("{kind} (Metashape)")))),
+        _ => {
+            return Err(Fault::new(
+                "",
+                sensor.at(),
+                Problem::CameraModel(format!("{kind} (Metashape)")),
+            ));
+        }
     };
     if left_out.is_nan() || left_out > 100.0 * NEGLIGIBLE_PX {
         let what = format!(
             "b2, k4, p3 or p4 of the calibration move pixels by {left_out:.0}, and COLMAP's models have no such term"
         );
-        let hint =
-            "undistort the photos in Metashape (Export > Undistort Photos), or fit the calibration without these terms";
-        return Err(Fault::new("", calibration.at(), Problem::Unsupported { what, hint }));
+        let hint = "undistort the photos in Metashape (Export > Undistort Photos), or fit the calibration without these terms";
+        return Err(Fault::new(
+            "",
+            calibration.at(),
+            Problem::Unsupported { what, hint },
+        ));
     }
     if left_out > NEGLIGIBLE_PX {
-        let text = format!("b2, k4, p3 and p4 of sensor {id} are left out, which moves pixels by up to {left_out:.1}");
+        let text = format!(
+            "b2, k4, p3 and p4 of sensor {id} are left out, which moves pixels by up to {left_out:.1}"
+        );
         foreign.warn(WarningKind::Format, text);
     }
     camera(Camera::new(id, model, width, height, params), what)
@@ -251,7 +331,8 @@ mod tests {
 
     use super::*;
 
-    /// Two aligned cameras, the second in a group, turned by 180 degrees about x and 10 above; one that isn't aligned.
+    /// Two aligned cameras, the second in a group, turned by 180 degrees about x and 10 above; one
+    /// that isn't aligned.
     fn file(calibration: &str, more: &str) -> String {
         format!(
             r#"<?xml version="1.0" encoding="UTF-8"?><document version="2.0.0"><chunk label="C &amp; D"><sensors next_id="1">
@@ -272,17 +353,37 @@ mod tests {
 
     #[test]
     fn cameras_are_as_in_colmap_but_for_their_centre_and_p1_p2() {
-        let text = file("<f>80</f><cx>3</cx><cy>-2</cy><b1>1</b1><k1>0.1</k1><p1>0.01</p1><p2>0.02</p2>", "");
+        let text = file(
+            "<f>80</f><cx>3</cx><cy>-2</cy><b1>1</b1><k1>0.1</k1><p1>0.01</p1><p2>0.02</p2>",
+            "",
+        );
         let foreign = read(&text, Frame::World).unwrap();
         let scene = foreign.scene().unwrap();
-        assert_eq!(scene.views.iter().map(|v| v.name.as_str()).collect::<Vec<_>>(), ["a.jpg", "b.jpg"]);
+        assert_eq!(
+            scene
+                .views
+                .iter()
+                .map(|v| v.name.as_str())
+                .collect::<Vec<_>>(),
+            ["a.jpg", "b.jpg"]
+        );
         assert_eq!(scene.unregistered, ["c.jpg"]);
-        let expected = [81.0, 80.0, 103.0, 48.0, 0.1, 0.0, 0.02, 0.01, 0.0, 0.0, 0.0, 0.0];
+        let expected = [
+            81.0, 80.0, 103.0, 48.0, 0.1, 0.0, 0.02, 0.01, 0.0, 0.0, 0.0, 0.0,
+        ];
         assert_eq!(scene.cameras[0].params(), expected);
-        let seen = scene.views[1].cam_from_world.camera_from_world(&Point3::new(1.0, 2.0, 4.0));
-        assert!((seen - Point3::new(1.0, -2.0, 6.0)).norm() < 1e-12, "{seen}");
+        let seen = scene.views[1]
+            .cam_from_world
+            .camera_from_world(&Point3::new(1.0, 2.0, 4.0));
+        assert!(
+            (seen - Point3::new(1.0, -2.0, 6.0)).norm() < 1e-12,
+            "{seen}"
+        );
         let old = file("<fx>81</fx><fy>80</fy><cx>103</cx><cy>48</cy>", "");
-        assert_eq!(read(&old, Frame::World).unwrap().scene().unwrap().cameras[0].params(), [81.0, 80.0, 103.0, 48.0]);
+        assert_eq!(
+            read(&old, Frame::World).unwrap().scene().unwrap().cameras[0].params(),
+            [81.0, 80.0, 103.0, 48.0]
+        );
     }
 
     #[test]
@@ -300,7 +401,13 @@ mod tests {
 
     #[test]
     fn what_colmap_cannot_say_is_left_out_with_a_warning_or_refused() {
-        let warnings = |calibration: &str| read(&file(calibration, ""), Frame::World).unwrap().model.warnings.len();
+        let warnings = |calibration: &str| {
+            read(&file(calibration, ""), Frame::World)
+                .unwrap()
+                .model
+                .warnings
+                .len()
+        };
         assert_eq!(warnings("<f>80</f><k4>1e-9</k4>"), 0);
         assert_eq!(warnings("<f>80</f><b2>3</b2>"), 1);
         let said = |text: &str| read(text, Frame::World).unwrap_err().to_string();
@@ -312,6 +419,9 @@ mod tests {
         assert!(said("<document><chunk></document>").contains("XML"));
         assert!(said(&file("&lol;", "")).contains("&lol;"));
         assert!(said(&format!("<document>{}", "<a>".repeat(1000))).contains("deeper"));
-        assert!(said(&file("<f>80</f>", "").replace("sensor_id=\"4\"", "sensor_id=\"5\"")).contains("sensor"));
+        assert!(
+            said(&file("<f>80</f>", "").replace("sensor_id=\"4\"", "sensor_id=\"5\""))
+                .contains("sensor")
+        );
     }
 }

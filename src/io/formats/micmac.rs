@@ -1,13 +1,15 @@
-//! MicMac's `Ori-` folders: an `Orientation-IMAGE.xml` per image, which names a calibration (`AutoCal….xml`) in the same folder.
+//! MicMac's `Ori-` folders: an `Orientation-IMAGE.xml` per image, which names a calibration
+//! (`AutoCal….xml`) in the same folder.
 //!
 //! ```text
 //! OrientationConique    FileInterne, Externe: Centre, ParamRotation/CodageMatr L1 L2 L3
 //! CalibrationInternConique    PP F SzIm CalibDistortion: ModNoDist | ModRad CDist CoeffDist | ModPhgrStd RadialePart P1 P2 b1 b2
 //! ```
 //!
-//! Rows of the rotation are those from camera to world; camera axes are as in COLMAP. The distortion (convention `DistM2C`) moves ideal to measured
-//! pixels and is in pixels: p + (p - CDist) (c0 r² + c1 r⁴ + c2 r⁶), then Brown's P1 (of r² + 2x²), P2, and an affinity b1, b2. The centre of the
-//! first pixel is (0, 0), by the source (f8fe432).
+//! Rows of the rotation are those from camera to world; camera axes are as in COLMAP. The
+//! distortion (convention `DistM2C`) moves ideal to measured pixels and is in pixels: p + (p -
+//! CDist) (c0 r² + c1 r⁴ + c2 r⁶), then Brown's P1 (of r² + 2x²), P2, and an affinity b1, b2. The
+//! centre of the first pixel is (0, 0), by the source (f8fe432).
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -30,33 +32,67 @@ pub struct Oriented {
 /// Reads an `Orientation-*.xml`.
 pub fn read_orientation(bytes: &[u8]) -> Result<Oriented, Fault> {
     let root = named(bytes, "OrientationConique")?;
-    if let Some(projection) = root.child("TypeProj").map(Element::text).filter(|text| *text != "eProjStenope") {
-        return Err(Fault::new("", root.at(), Problem::CameraModel(format!("{projection} (MicMac)"))));
+    if let Some(projection) = root
+        .child("TypeProj")
+        .map(Element::text)
+        .filter(|text| *text != "eProjStenope")
+    {
+        return Err(Fault::new(
+            "",
+            root.at(),
+            Problem::CameraModel(format!("{projection} (MicMac)")),
+        ));
     }
-    let file = root.child("FileInterne").ok_or_else(|| root.lacks("FileInterne"))?;
-    let calibration = file.text().rsplit(['/', '\\']).next().unwrap_or_default().to_owned();
+    let file = root
+        .child("FileInterne")
+        .ok_or_else(|| root.lacks("FileInterne"))?;
+    let calibration = file
+        .text()
+        .rsplit(['/', '\\'])
+        .next()
+        .unwrap_or_default()
+        .to_owned();
     let outer = root.child("Externe").ok_or_else(|| root.lacks("Externe"))?;
-    let centre = outer.child("Centre").ok_or_else(|| outer.lacks("Centre"))?.numbers::<3>()?;
-    let matrix = outer.child("ParamRotation").and_then(|rotation| rotation.child("CodageMatr"));
+    let centre = outer
+        .child("Centre")
+        .ok_or_else(|| outer.lacks("Centre"))?
+        .numbers::<3>()?;
+    let matrix = outer
+        .child("ParamRotation")
+        .and_then(|rotation| rotation.child("CodageMatr"));
     let matrix = matrix.ok_or_else(|| outer.lacks("CodageMatr"))?;
     let mut rotation = Matrix3::zeros();
     for (row, name) in ["L1", "L2", "L3"].into_iter().enumerate() {
-        let values = matrix.child(name).ok_or_else(|| matrix.lacks(name))?.numbers::<3>()?;
+        let values = matrix
+            .child(name)
+            .ok_or_else(|| matrix.lacks(name))?
+            .numbers::<3>()?;
         rotation.set_row(row, &Vector3::from(values).transpose());
     }
     let cam_from_world = pose_with_centre(rotation.transpose(), Vector3::from(centre));
     let cam_from_world = cam_from_world.map_err(|problem| Fault::new("", outer.at(), problem))?;
-    Ok(Oriented { cam_from_world, calibration })
+    Ok(Oriented {
+        cam_from_world,
+        calibration,
+    })
 }
 
-/// Reads a calibration; returns the camera and by how many pixels it is off, at most, since COLMAP has no model with a distortion centre of its own.
+/// Reads a calibration; returns the camera and by how many pixels it is off, at most, since COLMAP
+/// has no model with a distortion centre of its own.
 pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
     let root = named(bytes, "CalibrationInternConique")?;
     let part = |name: &'static str| root.child(name).ok_or_else(|| root.lacks(name));
-    let (pp, [focal], [w, h]) = (part("PP")?.numbers()?, part("F")?.numbers()?, part("SzIm")?.numbers()?);
+    let (pp, [focal], [w, h]) = (
+        part("PP")?.numbers()?,
+        part("F")?.numbers()?,
+        part("SzIm")?.numbers()?,
+    );
     let pp = from_corner(pp);
     let distortion = Distortion::read(&root, pp)?;
-    let camera = camera(distortion.camera(id, pp, focal, [w as u64, h as u64]), || "its camera".into())?;
+    let camera = camera(
+        distortion.camera(id, pp, focal, [w as u64, h as u64]),
+        || "its camera".into(),
+    )?;
     let mut off = 0.0f64;
     for i in 0..=20 {
         for j in 0..=20 {
@@ -65,7 +101,9 @@ pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
             let [x, y] = distortion.measured(ideal);
             // What is moved far out of the image is nobody's pixel.
             if x > -0.1 * w && y > -0.1 * h && x < 1.1 * w && y < 1.1 * h {
-                off = camera.project(&ray).map_or(f64::INFINITY, |p| off.max((p.x - x).hypot(p.y - y)));
+                off = camera
+                    .project(&ray)
+                    .map_or(f64::INFINITY, |p| off.max((p.x - x).hypot(p.y - y)));
             }
         }
     }
@@ -74,7 +112,11 @@ pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
             "no camera model of COLMAP has the distortion of this calibration: its centre is too far from the principal point"
                 .into();
         let hint = "calibrate with Tapas RadialBasic or FraserBasic, or undistort the images with mm3d Drunk";
-        return Err(Fault::new("", root.at(), Problem::Unsupported { what, hint }));
+        return Err(Fault::new(
+            "",
+            root.at(),
+            Problem::Unsupported { what, hint },
+        ));
     }
     Ok((camera, off))
 }
@@ -102,7 +144,14 @@ fn named(bytes: &[u8], name: &'static str) -> Result<Element, Fault> {
             xml.skip()?;
         }
     }
-    Err(Fault::new("", Place::File, Problem::Syntax { expected: name, found: "no such element".into() }))
+    Err(Fault::new(
+        "",
+        Place::File,
+        Problem::Syntax {
+            expected: name,
+            found: "no such element".into(),
+        },
+    ))
 }
 
 /// In pixels.
@@ -115,25 +164,45 @@ struct Distortion {
 
 impl Distortion {
     fn read(root: &Element, pp: [f64; 2]) -> Result<Self, Fault> {
-        let mut distortion = Self { centre: pp, radial: [0.0; 3], brown: [0.0; 4] };
-        let unknown = |at, what: String| Fault::new("", at, Problem::CameraModel(format!("{what} (MicMac)")));
+        let mut distortion = Self {
+            centre: pp,
+            radial: [0.0; 3],
+            brown: [0.0; 4],
+        };
+        let unknown =
+            |at, what: String| Fault::new("", at, Problem::CameraModel(format!("{what} (MicMac)")));
         let mut parts = root.children("CalibDistortion");
-        let Some(part) = parts.next() else { return Ok(distortion) };
+        let Some(part) = parts.next() else {
+            return Ok(distortion);
+        };
         if parts.next().is_some() {
-            return Err(unknown(root.at(), "several distortions, one after another".into()));
+            return Err(unknown(
+                root.at(),
+                "several distortions, one after another".into(),
+            ));
         }
-        let convention = root.child("KnownConv").map_or("eConvApero_DistM2C", Element::text);
+        let convention = root
+            .child("KnownConv")
+            .map_or("eConvApero_DistM2C", Element::text);
         if convention != "eConvApero_DistM2C" {
             return Err(unknown(root.at(), convention.into()));
         }
         let standard = part.child("ModPhgrStd");
         let radial = match standard {
-            Some(standard) => Some(standard.child("RadialePart").ok_or_else(|| standard.lacks("RadialePart"))?),
+            Some(standard) => Some(
+                standard
+                    .child("RadialePart")
+                    .ok_or_else(|| standard.lacks("RadialePart"))?,
+            ),
             None => part.child("ModRad"),
         };
         let Some(radial) = radial else {
             let is_none = part.child("ModNoDist").is_some();
-            return if is_none { Ok(distortion) } else { Err(unknown(part.at(), "a distortion model".into())) };
+            return if is_none {
+                Ok(distortion)
+            } else {
+                Err(unknown(part.at(), "a distortion model".into()))
+            };
         };
         if let Some(centre) = radial.child("CDist") {
             distortion.centre = from_corner(centre.numbers()?);
@@ -143,7 +212,12 @@ impl Distortion {
             match distortion.radial.get_mut(n) {
                 Some(to) => *to = value,
                 None if value == 0.0 => {}
-                None => return Err(unknown(coefficient.at(), "more than three radial coefficients".into())),
+                None => {
+                    return Err(unknown(
+                        coefficient.at(),
+                        "more than three radial coefficients".into(),
+                    ));
+                }
             }
         }
         if let Some(standard) = standard {
@@ -166,8 +240,15 @@ impl Distortion {
         [px + dx, py + dy]
     }
 
-    /// The most similar of COLMAP's cameras: a shift of the distortion's centre by d acts, to first order, as Brown's terms of -c0 d.
-    fn camera(&self, id: u32, pp: [f64; 2], focal: f64, [width, height]: [u64; 2]) -> Result<Camera, CameraError> {
+    /// The most similar of COLMAP's cameras: a shift of the distortion's centre by d acts, to first
+    /// order, as Brown's terms of -c0 d.
+    fn camera(
+        &self,
+        id: u32,
+        pp: [f64; 2],
+        focal: f64,
+        [width, height]: [u64; 2],
+    ) -> Result<Camera, CameraError> {
         let [c0, c1, c2] = self.radial;
         let [p1, p2, b1, _] = self.brown;
         let f2 = focal * focal;
@@ -212,41 +293,84 @@ mod tests {
         assert_eq!(oriented.calibration, "AutoCal_Foc-9.xml");
         let pose = oriented.cam_from_world.pose().unwrap();
         // The camera looks along the world's x, and its x is the world's y.
-        assert!((pose.camera_from_world(&Point3::new(6.0, 3.0, 5.0)) - Point3::new(1.0, 2.0, 5.0)).norm() < 1e-12);
-        (1..ORIENTATION.len() - 14).for_each(|end| _ = read_orientation(&ORIENTATION.as_bytes()[..end]).unwrap_err());
-        assert!(read_orientation(ORIENTATION.replace("eProjStenope", "eProjOrthographique").as_bytes()).is_err());
+        assert!(
+            (pose.camera_from_world(&Point3::new(6.0, 3.0, 5.0)) - Point3::new(1.0, 2.0, 5.0))
+                .norm()
+                < 1e-12
+        );
+        (1..ORIENTATION.len() - 14)
+            .for_each(|end| _ = read_orientation(&ORIENTATION.as_bytes()[..end]).unwrap_err());
+        assert!(
+            read_orientation(
+                ORIENTATION
+                    .replace("eProjStenope", "eProjOrthographique")
+                    .as_bytes()
+            )
+            .is_err()
+        );
     }
 
     #[test]
     fn distortion_is_in_pixels() {
         let read = |distortion: &str| read_calibration(calibration(distortion).as_bytes(), 1);
-        let (camera, off) = read("<ModRad><CDist>1000 700</CDist><CoeffDist>2.5e-8</CoeffDist></ModRad>").unwrap();
-        assert!((camera.params()[4] - 0.1).abs() < 1e-12 && off < 1e-6, "{off}");
+        let (camera, off) =
+            read("<ModRad><CDist>1000 700</CDist><CoeffDist>2.5e-8</CoeffDist></ModRad>").unwrap();
+        assert!(
+            (camera.params()[4] - 0.1).abs() < 1e-12 && off < 1e-6,
+            "{off}"
+        );
         // 500 pixels to the right of the centre, moved by 500 * 2.5e-8 * 500².
         let pixel = camera.project(&Point3::new(0.25, 0.0, 1.0)).unwrap();
         assert!((pixel.x - 1503.625).abs() < 1e-9);
         let fraser = "<ModPhgrStd><RadialePart><CDist>1000 700</CDist><CoeffDist>2.5e-8</CoeffDist></RadialePart><P1>1e-7</P1><P2>2e-7</P2></ModPhgrStd>";
         let (camera, off) = read(fraser).unwrap();
-        assert!((camera.params()[7] - 2e-4).abs() < 1e-12 && (camera.params()[6] - 4e-4).abs() < 1e-12 && off < 1e-6);
-        assert_eq!(read("<ModNoDist/>").unwrap().0.model(), CameraModel::Pinhole);
+        assert!(
+            (camera.params()[7] - 2e-4).abs() < 1e-12
+                && (camera.params()[6] - 4e-4).abs() < 1e-12
+                && off < 1e-6
+        );
+        assert_eq!(
+            read("<ModNoDist/>").unwrap().0.model(),
+            CameraModel::Pinhole
+        );
     }
 
     #[test]
     fn a_centre_of_its_own_is_taken_in_by_browns_terms() {
         let read = |centre: &str| {
-            let text = format!("<ModRad><CDist>{centre}</CDist><CoeffDist>2.5e-8</CoeffDist></ModRad>");
+            let text =
+                format!("<ModRad><CDist>{centre}</CDist><CoeffDist>2.5e-8</CoeffDist></ModRad>");
             read_calibration(calibration(&text).as_bytes(), 1)
         };
         let (_, off) = read("1010 705").unwrap();
-        assert!(off > 0.0 && off < 0.2, "without these terms 1.3 pixels: {off}");
-        assert!(matches!(read("1900 700").unwrap_err().problem, Problem::Unsupported { .. }));
+        assert!(
+            off > 0.0 && off < 0.2,
+            "without these terms 1.3 pixels: {off}"
+        );
+        assert!(matches!(
+            read("1900 700").unwrap_err().problem,
+            Problem::Unsupported { .. }
+        ));
     }
 
     #[test]
     fn other_models_are_named() {
-        let said = |distortion: &str| read_calibration(calibration(distortion).as_bytes(), 1).unwrap_err().to_string();
-        assert!(said("<ModUnif><TypeModele>eModele_FishEye_10_5_5</TypeModele></ModUnif>").contains("MicMac"));
-        assert!(said(&format!("<ModRad>{}</ModRad>", "<CoeffDist>1e-30</CoeffDist>".repeat(4))).contains("three"));
+        let said = |distortion: &str| {
+            read_calibration(calibration(distortion).as_bytes(), 1)
+                .unwrap_err()
+                .to_string()
+        };
+        assert!(
+            said("<ModUnif><TypeModele>eModele_FishEye_10_5_5</TypeModele></ModUnif>")
+                .contains("MicMac")
+        );
+        assert!(
+            said(&format!(
+                "<ModRad>{}</ModRad>",
+                "<CoeffDist>1e-30</CoeffDist>".repeat(4)
+            ))
+            .contains("three")
+        );
         assert!(said("<ModRad><CDist>1</CDist></ModRad>").contains("CDist"));
         assert!(read_calibration(b"<a/>", 1).is_err() && read_calibration(b"", 1).is_err());
     }

@@ -1,5 +1,6 @@
-//! File formats of sparse models, one module each: bytes <-> [`crate::model::scene::Scene`], without file access. Conventions of a format (axes,
-//! pixel centre, distortion) don't leave its module.
+//! File formats of sparse models, one module each: bytes <-> [`crate::model::scene::Scene`],
+//! without file access. Conventions of a format (axes, pixel centre, distortion) don't leave its
+//! module.
 
 pub mod alicevision;
 pub mod blocks;
@@ -50,7 +51,12 @@ pub struct Fault {
 
 impl Fault {
     pub fn new(file: &'static str, place: Place, problem: Problem) -> Self {
-        Self { file, place, record: None, problem }
+        Self {
+            file,
+            place,
+            record: None,
+            problem,
+        }
     }
 
     /// Adds the record, unless there is one.
@@ -87,9 +93,16 @@ pub enum Problem {
     #[error("the file ends within {0}")]
     Truncated(&'static str),
     #[error("{count} {what} declared, but at most {room} fit in the rest of the file")]
-    Count { what: &'static str, count: u64, room: u64 },
+    Count {
+        what: &'static str,
+        count: u64,
+        room: u64,
+    },
     #[error("expected {expected}, found {found:?}")]
-    Syntax { expected: &'static str, found: String },
+    Syntax {
+        expected: &'static str,
+        found: String,
+    },
     #[error("{0}")]
     Json(String),
     #[error("unknown camera model {0}")]
@@ -118,8 +131,12 @@ impl Problem {
     /// Hint: what to do about the problem.
     pub fn hint(&self) -> &'static str {
         match self {
-            Self::Truncated(_) | Self::Count { .. } => "copy or export the file again: it is incomplete or damaged",
-            Self::Syntax { .. } | Self::Json(_) => "export the model again, or correct the line by hand",
+            Self::Truncated(_) | Self::Count { .. } => {
+                "copy or export the file again: it is incomplete or damaged"
+            }
+            Self::Syntax { .. } | Self::Json(_) => {
+                "export the model again, or correct the line by hand"
+            }
             Self::CameraModel(_) => {
                 "convert the cameras to a model that COLMAP 4.2 supports, or check that the file has the format of its name"
             }
@@ -131,7 +148,9 @@ impl Problem {
             Self::NotFinite(_) | Self::ZeroQuaternion => {
                 "remove the record in the program that made the model, whose bundle adjustment has probably failed"
             }
-            Self::Name { name, .. } if name.is_empty() => "copy or export the file again: it is incomplete or damaged",
+            Self::Name { name, .. } if name.is_empty() => {
+                "copy or export the file again: it is incomplete or damaged"
+            }
             Self::Name { .. } => "rename the image, in the image folder and in the model",
             Self::TrackIndex { .. } | Self::Contradiction(_) => {
                 "export all files of the model together; delete rigs and frames files of other models"
@@ -141,7 +160,8 @@ impl Problem {
     }
 }
 
-/// Most images, and most cameras, of a model: each takes up to a kilobyte while the model is read, and a few bytes in some formats.
+/// Most images, and most cameras, of a model: each takes up to a kilobyte while the model is read,
+/// and a few bytes in some formats.
 const MOST_IMAGES: usize = 1 << 18;
 
 /// Checks the number of images or cameras of a model.
@@ -150,13 +170,25 @@ fn check_images(count: usize) -> Result<(), Fault> {
         return Ok(());
     }
     let what = format!("{count} images, at most {MOST_IMAGES} are read");
-    Err(Fault::new("", Place::File, Problem::Unsupported { what, hint: "split the model" }))
+    Err(Fault::new(
+        "",
+        Place::File,
+        Problem::Unsupported {
+            what,
+            hint: "split the model",
+        },
+    ))
 }
 
-/// Checks an image name relative to the image folder: not empty, not absolute, and not outside the parent of the image folder.
-/// `../other/a.jpg` occurs in practice and is allowed.
+/// Checks an image name relative to the image folder: not empty, not absolute, and not outside the
+/// parent of the image folder. `../other/a.jpg` occurs in practice and is allowed.
 pub fn check_name(name: &str) -> Result<(), Problem> {
-    let refuse = |why| Err(Problem::Name { name: name.into(), why });
+    let refuse = |why| {
+        Err(Problem::Name {
+            name: name.into(),
+            why,
+        })
+    };
     if name.is_empty() {
         return refuse("is empty");
     }
@@ -186,10 +218,24 @@ mod tests {
 
     #[test]
     fn names_outside_the_project_are_refused() {
-        for name in ["a.jpg", "../up/one.jpg", "./dot.jpg", "back\\slash.jpg", "a/../../b.jpg", "日本/写真 2.png"] {
+        for name in [
+            "a.jpg",
+            "../up/one.jpg",
+            "./dot.jpg",
+            "back\\slash.jpg",
+            "a/../../b.jpg",
+            "日本/写真 2.png",
+        ] {
             assert_eq!(check_name(name), Ok(()), "{name}");
         }
-        for name in ["", "/etc/passwd", "../../etc/passwd", "a/../../../b", "..//../x", "a\0b"] {
+        for name in [
+            "",
+            "/etc/passwd",
+            "../../etc/passwd",
+            "a/../../../b",
+            "..//../x",
+            "a\0b",
+        ] {
             assert!(check_name(name).is_err(), "{name}");
         }
     }

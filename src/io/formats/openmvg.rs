@@ -1,7 +1,7 @@
 //! OpenMVG's `sfm_data.json`, versions 0.2 and 0.3 (cereal JSON).
 //!
-//! Poses are a world-to-camera rotation (row-major) and a centre; axes as in COLMAP; the centre of the first pixel is (0, 0). Radial, Brown and
-//! fisheye distortion have COLMAP's formulas.
+//! Poses are a world-to-camera rotation (row-major) and a centre; axes as in COLMAP; the centre of
+//! the first pixel is (0, 0). Radial, Brown and fisheye distortion have COLMAP's formulas.
 
 use std::collections::HashMap;
 
@@ -90,8 +90,10 @@ struct Observation {
 
 pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     let data: SfmData = json(bytes)?;
-    let mut foreign =
-        ForeignModel { image_folder: Some(data.root_path).filter(|path| !path.is_empty()), ..ForeignModel::default() };
+    let mut foreign = ForeignModel {
+        image_folder: Some(data.root_path).filter(|path| !path.is_empty()),
+        ..ForeignModel::default()
+    };
     // cereal writes a type name only at its first occurrence.
     let mut type_names = HashMap::new();
     for Entry { key, value } in &data.intrinsics {
@@ -100,10 +102,19 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
             type_names.insert(number, name.as_str());
         }
         let name = type_names.get(&number).copied().unwrap_or("pinhole");
-        foreign.model.cameras.push(intrinsic(*key, name, &value.ptr_wrapper.data)?);
+        foreign
+            .model
+            .cameras
+            .push(intrinsic(*key, name, &value.ptr_wrapper.data)?);
     }
-    let poses: HashMap<u32, &Extrinsic> = data.extrinsics.iter().map(|pose| (pose.key, &pose.value)).collect();
-    let cameras: HashMap<u32, usize> = (0..data.intrinsics.len()).map(|n| (data.intrinsics[n].key, n)).collect();
+    let poses: HashMap<u32, &Extrinsic> = data
+        .extrinsics
+        .iter()
+        .map(|pose| (pose.key, &pose.value))
+        .collect();
+    let cameras: HashMap<u32, usize> = (0..data.intrinsics.len())
+        .map(|n| (data.intrinsics[n].key, n))
+        .collect();
     let mut images = HashMap::new();
     for Entry { key, value } in &data.views {
         let view = &value.ptr_wrapper.data;
@@ -112,21 +123,34 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
         } else {
             format!("{}/{}", view.local_path, view.filename)
         };
-        match poses.get(&view.id_pose).filter(|_| cameras.contains_key(&view.id_intrinsic)) {
+        match poses
+            .get(&view.id_pose)
+            .filter(|_| cameras.contains_key(&view.id_intrinsic))
+        {
             None => foreign.unregistered.push(name),
             Some(pose) => {
                 images.insert(*key, foreign.model.images.len());
                 let rotation = Matrix3::from_fn(|row, column| pose.rotation[row][column]);
                 let pose = pose_with_centre(rotation, Vector3::from(pose.center));
-                let pose =
-                    pose.map_err(|p| Fault::new("", Place::File, p).in_record(|| format!("view {key}, {name:?}")))?;
+                let pose = pose.map_err(|p| {
+                    Fault::new("", Place::File, p).in_record(|| format!("view {key}, {name:?}"))
+                })?;
                 foreign.add_image(*key, name, view.id_intrinsic, pose, Place::File);
             }
         }
     }
     for Entry { key, value } in &data.structure {
-        let observations = value.observations.iter().filter_map(|o| Some((*images.get(&o.key)?, shift(o.value.x))));
-        foreign.add_point((*key).into(), value.position, [255; 3], observations, Place::File);
+        let observations = value
+            .observations
+            .iter()
+            .filter_map(|o| Some((*images.get(&o.key)?, shift(o.value.x))));
+        foreign.add_point(
+            (*key).into(),
+            value.position,
+            [255; 3],
+            observations,
+            Place::File,
+        );
     }
     foreign.shorten_names();
     Ok(foreign)
@@ -139,26 +163,47 @@ fn intrinsic(id: u32, kind: &str, data: &Intrinsic) -> Result<Camera, Fault> {
         let list = list.clone().filter(|list| list.len() == n);
         list.ok_or_else(|| {
             let message = format!("{kind} without its {n} distortion parameters");
-            Fault::new("", Place::File, Problem::Json(message)).in_record(|| format!("intrinsic {id}"))
+            Fault::new("", Place::File, Problem::Json(message))
+                .in_record(|| format!("intrinsic {id}"))
         })
     };
     let (model, params) = match kind {
         "pinhole" => (CameraModel::SimplePinhole, vec![f, cx, cy]),
-        "pinhole_radial_k1" => (CameraModel::SimpleRadial, vec![f, cx, cy, parameters(&data.disto_k1, 1)?[0]]),
+        "pinhole_radial_k1" => (
+            CameraModel::SimpleRadial,
+            vec![f, cx, cy, parameters(&data.disto_k1, 1)?[0]],
+        ),
         "pinhole_radial_k3" => {
             let k = parameters(&data.disto_k3, 3)?;
-            (CameraModel::FullOpenCv, vec![f, f, cx, cy, k[0], k[1], 0.0, 0.0, k[2], 0.0, 0.0, 0.0])
+            (
+                CameraModel::FullOpenCv,
+                vec![f, f, cx, cy, k[0], k[1], 0.0, 0.0, k[2], 0.0, 0.0, 0.0],
+            )
         }
         "pinhole_brown_t2" => {
             let k = parameters(&data.disto_t2, 5)?;
-            (CameraModel::FullOpenCv, vec![f, f, cx, cy, k[0], k[1], k[3], k[4], k[2], 0.0, 0.0, 0.0])
+            (
+                CameraModel::FullOpenCv,
+                vec![f, f, cx, cy, k[0], k[1], k[3], k[4], k[2], 0.0, 0.0, 0.0],
+            )
         }
-        "fisheye" => (CameraModel::OpenCvFisheye, [&[f, f, cx, cy], &parameters(&data.fisheye, 4)?[..]].concat()),
-        "spherical" => (CameraModel::Equirectangular, vec![data.width as f64, data.height as f64]),
+        "fisheye" => (
+            CameraModel::OpenCvFisheye,
+            [&[f, f, cx, cy], &parameters(&data.fisheye, 4)?[..]].concat(),
+        ),
+        "spherical" => (
+            CameraModel::Equirectangular,
+            vec![data.width as f64, data.height as f64],
+        ),
         _ => {
             let problem = Problem::CameraModel(format!("{kind} (OpenMVG)"));
-            return Err(Fault::new("", Place::File, problem).in_record(|| format!("intrinsic {id}")));
+            return Err(
+                Fault::new("", Place::File, problem).in_record(|| format!("intrinsic {id}"))
+            );
         }
     };
-    camera(Camera::new(id, model, data.width, data.height, params), || format!("intrinsic {id}"))
+    camera(
+        Camera::new(id, model, data.width, data.height, params),
+        || format!("intrinsic {id}"),
+    )
 }

@@ -1,8 +1,9 @@
 //! OpenSfM's `reconstruction.json` with its `tracks.csv` (also OpenDroneMap's).
 //!
-//! Poses are world-to-camera angle-axis rotations and translations; axes as in COLMAP. Pixels are normalised: `(u - w/2) / max(w, h)` with
-//! COLMAP's u; focal lengths and principal points have the same unit. Of several reconstructions the one with the most shots is read, ties by
-//! position in the file.
+//! Poses are world-to-camera angle-axis rotations and translations; axes as in COLMAP. Pixels are
+//! normalised: `(u - w/2) / max(w, h)` with COLMAP's u; focal lengths and principal points have the
+//! same unit. Of several reconstructions the one with the most shots is read, ties by position in
+//! the file.
 
 use std::collections::HashMap;
 
@@ -57,7 +58,24 @@ impl Default for OpenSfmCamera {
         let [focal, c_x, c_y, k1, k2, k3, k4, k5, k6, p1, p2] = [0.0; 11];
         let projection_type = "perspective".into();
         let (focal_x, focal_y) = (None, None);
-        Self { projection_type, width: 0, height: 0, focal, focal_x, focal_y, c_x, c_y, k1, k2, k3, k4, k5, k6, p1, p2 }
+        Self {
+            projection_type,
+            width: 0,
+            height: 0,
+            focal,
+            focal_x,
+            focal_y,
+            c_x,
+            c_y,
+            k1,
+            k2,
+            k3,
+            k4,
+            k5,
+            k6,
+            p1,
+            p2,
+        }
     }
 }
 
@@ -82,28 +100,41 @@ type Observations<'a> = HashMap<&'a [u8], Vec<(usize, [f64; 2])>>;
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
     let reconstructions: Vec<Reconstruction> = json(reconstruction)?;
     let all = reconstructions.len();
-    let largest = reconstructions.into_iter().rev().max_by_key(|r| r.shots.len());
+    let largest = reconstructions
+        .into_iter()
+        .rev()
+        .max_by_key(|r| r.shots.len());
     let mut foreign = ForeignModel::default();
-    let Some(largest) = largest else { return Ok(foreign) };
+    let Some(largest) = largest else {
+        return Ok(foreign);
+    };
     if all > 1 {
         let shots = largest.shots.len();
-        let text = format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
+        let text =
+            format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
         foreign.warn(WarningKind::OtherModels, text);
     }
     check_images(largest.cameras.len().max(largest.shots.len()))?;
     let mut camera_ids = HashMap::new();
     for (n, (name, camera)) in largest.cameras.iter().enumerate() {
         camera_ids.insert(name.as_str(), (n as u32 + 1, camera));
-        foreign.model.cameras.push(intrinsics(n as u32 + 1, name, camera)?);
+        foreign
+            .model
+            .cameras
+            .push(intrinsics(n as u32 + 1, name, camera)?);
     }
     let mut shots = HashMap::new();
     for (n, (name, shot)) in largest.shots.iter().enumerate() {
-        let fault = |problem| Fault::new("", Place::File, problem).in_record(|| format!("shot {name:?}"));
+        let fault =
+            |problem| Fault::new("", Place::File, problem).in_record(|| format!("shot {name:?}"));
         let unknown = || fault(Problem::Json(format!("unknown camera {:?}", shot.camera)));
         let &(camera_id, camera) = camera_ids.get(shot.camera.as_str()).ok_or_else(unknown)?;
         let rotation = Rotation3::new(Vector3::from(shot.rotation));
         let q = UnitQuaternion::from_rotation_matrix(&rotation);
-        let pose = StoredPose { quaternion: [q.w, q.i, q.j, q.k], translation: shot.translation };
+        let pose = StoredPose {
+            quaternion: [q.w, q.i, q.j, q.k],
+            translation: shot.translation,
+        };
         shots.insert(name.as_bytes(), (foreign.model.images.len(), camera));
         foreign.add_image(n as u32 + 1, name.clone(), camera_id, pose, Place::File);
     }
@@ -127,8 +158,16 @@ fn add_points(foreign: &mut ForeignModel, points: &JsonMap<Point>, observations:
     order.sort_by_key(|&(id, ..)| id);
     for (id, name, point) in order {
         let colour = point.color.map(|c| c.round().clamp(0.0, 255.0) as u8);
-        let track = observations.get(name.as_bytes()).map_or(&[][..], Vec::as_slice);
-        foreign.add_point(id, point.coordinates, colour, track.iter().copied(), Place::File);
+        let track = observations
+            .get(name.as_bytes())
+            .map_or(&[][..], Vec::as_slice);
+        foreign.add_point(
+            id,
+            point.coordinates,
+            colour,
+            track.iter().copied(),
+            Place::File,
+        );
     }
 }
 
@@ -144,16 +183,24 @@ fn observations<'a>(
             continue;
         }
         let fields: Vec<&[u8]> = line.split(|&b| b == b'\t').take(5).collect();
-        let xy = fields.get(3..5).and_then(|xy| Some([parse::<f64>(xy[0]).ok()?, parse::<f64>(xy[1]).ok()?]));
+        let xy = fields
+            .get(3..5)
+            .and_then(|xy| Some([parse::<f64>(xy[0]).ok()?, parse::<f64>(xy[1]).ok()?]));
         let Some([x, y]) = xy else {
             let found = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
-            let problem = Problem::Syntax { expected: "shot, track, feature, x, y separated by tabs", found };
+            let problem = Problem::Syntax {
+                expected: "shot, track, feature, x, y separated by tabs",
+                found,
+            };
             return Err(Fault::new("tracks", Place::Line(n as u64 + 1), problem));
         };
         if let Some(&(image, camera)) = shots.get(fields[0]) {
             let (w, h) = (camera.width as f64, camera.height as f64);
             let size = w.max(h);
-            by_track.entry(fields[1]).or_default().push((image, [x * size + w / 2.0, y * size + h / 2.0]));
+            by_track
+                .entry(fields[1])
+                .or_default()
+                .push((image, [x * size + w / 2.0, y * size + h / 2.0]));
         }
     }
     Ok(by_track)
@@ -162,18 +209,31 @@ fn observations<'a>(
 fn intrinsics(id: u32, name: &str, c: &OpenSfmCamera) -> Result<Camera, Fault> {
     let (w, h) = (c.width as f64, c.height as f64);
     let size = w.max(h);
-    let (fx, fy) = (c.focal_x.unwrap_or(c.focal) * size, c.focal_y.or(c.focal_x).unwrap_or(c.focal) * size);
+    let (fx, fy) = (
+        c.focal_x.unwrap_or(c.focal) * size,
+        c.focal_y.or(c.focal_x).unwrap_or(c.focal) * size,
+    );
     let (cx, cy) = (w / 2.0 + c.c_x * size, h / 2.0 + c.c_y * size);
     let (model, params) = match c.projection_type.as_str() {
         "perspective" => (CameraModel::Radial, vec![fx, cx, cy, c.k1, c.k2]),
-        "radial" | "simple_radial" => (CameraModel::OpenCv, vec![fx, fy, cx, cy, c.k1, c.k2, 0.0, 0.0]),
-        "brown" => (CameraModel::FullOpenCv, vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, 0.0, 0.0, 0.0]),
+        "radial" | "simple_radial" => (
+            CameraModel::OpenCv,
+            vec![fx, fy, cx, cy, c.k1, c.k2, 0.0, 0.0],
+        ),
+        "brown" => (
+            CameraModel::FullOpenCv,
+            vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, 0.0, 0.0, 0.0],
+        ),
         "fisheye" => (CameraModel::RadialFisheye, vec![fx, cx, cy, c.k1, c.k2]),
-        "fisheye_opencv" => (CameraModel::OpenCvFisheye, vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4]),
+        "fisheye_opencv" => (
+            CameraModel::OpenCvFisheye,
+            vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4],
+        ),
         // Tangential plus radial distortion, for which COLMAP has four radial coefficients.
-        "fisheye62" if c.k5 == 0.0 && c.k6 == 0.0 => {
-            (CameraModel::ThinPrismFisheye, vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, c.k4, 0.0, 0.0])
-        }
+        "fisheye62" if c.k5 == 0.0 && c.k6 == 0.0 => (
+            CameraModel::ThinPrismFisheye,
+            vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, c.k4, 0.0, 0.0],
+        ),
         "fisheye62" if c.p1 == 0.0 && c.p2 == 0.0 => {
             let mut params = vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4, c.k5, c.k6];
             params.resize(16, 0.0);
@@ -182,8 +242,12 @@ fn intrinsics(id: u32, name: &str, c: &OpenSfmCamera) -> Result<Camera, Fault> {
         "spherical" | "equirectangular" => (CameraModel::Equirectangular, vec![w, h]),
         other => {
             let problem = Problem::CameraModel(format!("{other} (OpenSfM)"));
-            return Err(Fault::new("", Place::File, problem).in_record(|| format!("camera {name:?}")));
+            return Err(
+                Fault::new("", Place::File, problem).in_record(|| format!("camera {name:?}"))
+            );
         }
     };
-    camera(Camera::new(id, model, c.width, c.height, params), || format!("camera {name:?}"))
+    camera(Camera::new(id, model, c.width, c.height, params), || {
+        format!("camera {name:?}")
+    })
 }

@@ -25,7 +25,11 @@ pub(super) struct Words<'a> {
 
 impl<'a> Words<'a> {
     pub fn new(whole: &'a [u8]) -> Self {
-        Self { whole, rest: whole, counted: Cell::new((0, 1)) }
+        Self {
+            whole,
+            rest: whole,
+            counted: Cell::new((0, 1)),
+        }
     }
 
     /// Parses the next field.
@@ -63,18 +67,27 @@ impl<'a> Words<'a> {
         std::iter::from_fn(|| self.line()).find(|line| !line.is_empty())
     }
 
-    /// Parses a number of records, at least `smallest` bytes each; refuses one too large for the rest of the file.
+    /// Parses a number of records, at least `smallest` bytes each; refuses one too large for the
+    /// rest of the file.
     pub fn count(&mut self, what: &'static str, smallest: usize) -> Result<usize, Fault> {
         let at = self.place();
         let count: u64 = self.number(what)?;
         // The last field of a file needs no separator after it.
         let room = (self.rest.len() + 1) / smallest;
         let fits = usize::try_from(count).ok().filter(|&n| n <= room);
-        fits.ok_or(Fault::new("", at, Problem::Count { what, count, room: room as u64 }))
+        fits.ok_or(Fault::new(
+            "",
+            at,
+            Problem::Count {
+                what,
+                count,
+                room: room as u64,
+            },
+        ))
     }
 
-    /// Parses the observations of a point in the format of Bundler and VisualSFM: their number, then camera, key, x and y of each. The key is
-    /// dropped.
+    /// Parses the observations of a point in the format of Bundler and VisualSFM: their number,
+    /// then camera, key, x and y of each. The key is dropped.
     pub fn observations(&mut self, cameras: usize) -> Result<Vec<Observation>, Fault> {
         let count = self.count("observations", 8)?;
         let mut observations = Vec::with_capacity(count);
@@ -83,7 +96,10 @@ impl<'a> Words<'a> {
             let _key: i64 = self.number("a key")?;
             let pixel = self.numbers("x and y")?;
             if camera >= cameras {
-                return Err(self.fault(Problem::Absent { what: "camera", id: camera as u64 }));
+                return Err(self.fault(Problem::Absent {
+                    what: "camera",
+                    id: camera as u64,
+                }));
             }
             observations.push((camera, pixel));
         }
@@ -127,7 +143,9 @@ fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
 
 /// Parses a field as a number.
 pub(super) fn parse<T: FromStr>(field: &[u8]) -> Result<T, ()> {
-    std::str::from_utf8(field).map_err(drop).and_then(|text| text.parse().map_err(drop))
+    std::str::from_utf8(field)
+        .map_err(drop)
+        .and_then(|text| text.parse().map_err(drop))
 }
 
 /// Splits a line into a name, which may contain white space, and the `N` numbers after it.

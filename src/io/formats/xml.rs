@@ -1,4 +1,5 @@
-//! Pull reader for XML: a reader walks down to the records and takes them one after another, so a file of any size needs the memory of one record.
+//! Pull reader for XML: a reader walks down to the records and takes them one after another, so a
+//! file of any size needs the memory of one record.
 
 use std::borrow::Cow;
 
@@ -32,7 +33,10 @@ impl Element {
     }
 
     pub fn attribute(&self, name: &str) -> Option<&str> {
-        self.attributes.iter().find(|(known, _)| known == name).map(|(_, value)| &**value)
+        self.attributes
+            .iter()
+            .find(|(known, _)| known == name)
+            .map(|(_, value)| &**value)
     }
 
     /// The text, trimmed.
@@ -53,16 +57,27 @@ impl Element {
     pub fn numbers<const N: usize>(&self) -> Result<[f64; N], Fault> {
         let words = self.text.split_ascii_whitespace().take(N + 1);
         let values: Option<Vec<f64>> = words.map(|word| parse(word.as_bytes()).ok()).collect();
-        values.and_then(|values| values.try_into().ok()).ok_or_else(|| {
-            let found = self.text().chars().take(40).collect();
-            let fault = Fault::new("", self.at, Problem::Syntax { expected: "numbers", found });
-            fault.in_record(|| format!("<{}>", self.name))
-        })
+        values
+            .and_then(|values| values.try_into().ok())
+            .ok_or_else(|| {
+                let found = self.text().chars().take(40).collect();
+                let fault = Fault::new(
+                    "",
+                    self.at,
+                    Problem::Syntax {
+                        expected: "numbers",
+                        found,
+                    },
+                );
+                fault.in_record(|| format!("<{}>", self.name))
+            })
     }
 
     /// The number in a child, if there is one.
     pub fn number(&self, child: &str) -> Result<Option<f64>, Fault> {
-        self.child(child).map(|child| child.numbers::<1>().map(|[value]| value)).transpose()
+        self.child(child)
+            .map(|child| child.numbers::<1>().map(|[value]| value))
+            .transpose()
     }
 
     /// The numbers in children, all of which must be there.
@@ -77,7 +92,14 @@ impl Element {
     /// The fault of an element that has no such child.
     pub fn lacks(&self, child: &'static str) -> Fault {
         let found = format!("<{}> without it", self.name);
-        Fault::new("", self.at, Problem::Syntax { expected: child, found })
+        Fault::new(
+            "",
+            self.at,
+            Problem::Syntax {
+                expected: child,
+                found,
+            },
+        )
     }
 }
 
@@ -95,7 +117,10 @@ impl<'a> Xml<'a> {
             Fault::new(
                 "",
                 Place::Byte(error.valid_up_to() as u64),
-                Problem::Syntax { expected: "text in UTF-8", found },
+                Problem::Syntax {
+                    expected: "text in UTF-8",
+                    found,
+                },
             )
         })?;
         let mut reader = Reader::from_str(text);
@@ -110,13 +135,18 @@ impl<'a> Xml<'a> {
             Some(root) if root.name == name => Ok(xml),
             root => {
                 let found = root.map_or("nothing".into(), |root| format!("<{}>", root.name));
-                Err(Fault::new("", Place::File, Problem::Syntax { expected, found }))
+                Err(Fault::new(
+                    "",
+                    Place::File,
+                    Problem::Syntax { expected, found },
+                ))
             }
         }
     }
 
-    /// Walks into the next child of the element that was entered last, which is returned without what it contains; leaves the element and returns
-    /// `None` if there is no other. At first, the root is the only child.
+    /// Walks into the next child of the element that was entered last, which is returned without
+    /// what it contains; leaves the element and returns `None` if there is no other. At first, the
+    /// root is the only child.
     pub fn enter(&mut self) -> Result<Option<Element>, Fault> {
         loop {
             match self.step()? {
@@ -146,7 +176,9 @@ impl<'a> Xml<'a> {
             match self.step()? {
                 Step::Into(child) => {
                     let full = || format!("a record of more than {MOST_ELEMENTS} elements");
-                    *room = room.checked_sub(1).ok_or_else(|| Fault::new("", child.at, Problem::Json(full())))?;
+                    *room = room
+                        .checked_sub(1)
+                        .ok_or_else(|| Fault::new("", child.at, Problem::Json(full())))?;
                     let child = self.fill(child, room)?;
                     element.children.push(child);
                 }
@@ -159,10 +191,15 @@ impl<'a> Xml<'a> {
     fn step(&mut self) -> Result<Step<'a>, Fault> {
         loop {
             let at = self.place();
-            let event = self.reader.read_event().map_err(|error| broken(at, &error))?;
+            let event = self
+                .reader
+                .read_event()
+                .map_err(|error| broken(at, &error))?;
             return Ok(match event {
                 Event::Start(start) => Step::Into(self.start(&start, at)?),
-                Event::Eof if self.open > 0 => return Err(Fault::new("", at, Problem::Truncated("an element"))),
+                Event::Eof if self.open > 0 => {
+                    return Err(Fault::new("", at, Problem::Truncated("an element")));
+                }
                 Event::End(_) | Event::Eof => {
                     self.open = self.open.saturating_sub(1);
                     Step::Out
@@ -170,10 +207,17 @@ impl<'a> Xml<'a> {
                 Event::Text(text) => Step::Text(text.xml10_content()),
                 Event::CData(text) => Step::Text(text.xml10_content()),
                 Event::GeneralRef(name) => {
-                    let character = name.resolve_char_ref().map_err(|error| broken(at, &error))?.map(String::from);
-                    let text = character.or_else(|| resolve_predefined_entity(&name).map(String::from));
-                    let unknown = || Problem::Json(format!("an entity that is no character: &{};", &*name));
-                    Step::Text(Cow::Owned(text.ok_or_else(|| Fault::new("", at, unknown()))?))
+                    let character = name
+                        .resolve_char_ref()
+                        .map_err(|error| broken(at, &error))?
+                        .map(String::from);
+                    let text =
+                        character.or_else(|| resolve_predefined_entity(&name).map(String::from));
+                    let unknown =
+                        || Problem::Json(format!("an entity that is no character: &{};", &*name));
+                    Step::Text(Cow::Owned(
+                        text.ok_or_else(|| Fault::new("", at, unknown()))?,
+                    ))
                 }
                 _ => continue,
             });
@@ -183,7 +227,11 @@ impl<'a> Xml<'a> {
     fn start(&mut self, start: &BytesStart, at: Place) -> Result<Element, Fault> {
         self.open += 1;
         if self.open > DEEPEST {
-            return Err(Fault::new("", at, Problem::Json(format!("elements are nested deeper than {DEEPEST}"))));
+            return Err(Fault::new(
+                "",
+                at,
+                Problem::Json(format!("elements are nested deeper than {DEEPEST}")),
+            ));
         }
         let mut attributes = Vec::new();
         // Without the search for repeated names, which takes the square of their number.
@@ -191,14 +239,26 @@ impl<'a> Xml<'a> {
         all.with_checks(false);
         for attribute in all {
             if attributes.len() == MOST_ATTRIBUTES {
-                return Err(Fault::new("", at, Problem::Json(format!("more than {MOST_ATTRIBUTES} attributes"))));
+                return Err(Fault::new(
+                    "",
+                    at,
+                    Problem::Json(format!("more than {MOST_ATTRIBUTES} attributes")),
+                ));
             }
             let attribute = attribute.map_err(|error| broken(at, &error))?;
-            let value = attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|error| broken(at, &error))?;
+            let value = attribute
+                .normalized_value(XmlVersion::Implicit1_0)
+                .map_err(|error| broken(at, &error))?;
             attributes.push((attribute.key.0.to_owned(), value.into_owned()));
         }
         let name = start.local_name().into_inner().to_owned();
-        Ok(Element { name, attributes, text: String::new(), children: Vec::new(), at })
+        Ok(Element {
+            name,
+            attributes,
+            text: String::new(),
+            children: Vec::new(),
+            at,
+        })
     }
 
     fn place(&self) -> Place {
@@ -213,5 +273,9 @@ enum Step<'a> {
 }
 
 fn broken(at: Place, error: &dyn std::error::Error) -> Fault {
-    Fault::new("", at, Problem::Json(format!("not well-formed XML: {error}")))
+    Fault::new(
+        "",
+        at,
+        Problem::Json(format!("not well-formed XML: {error}")),
+    )
 }

@@ -27,7 +27,8 @@ pub enum Operation {
     RemoveFolder,
 }
 
-/// The file system. `before` is called ahead of each change and may refuse it; [`Disk::REAL`] refuses none.
+/// The file system. `before` is called ahead of each change and may refuse it; [`Disk::REAL`]
+/// refuses none.
 #[derive(Clone, Copy)]
 pub struct Disk<'a> {
     before: &'a (dyn Fn(Operation, &Path) -> io::Result<()> + Sync),
@@ -35,17 +36,24 @@ pub struct Disk<'a> {
 }
 
 impl Disk<'static> {
-    pub const REAL: Self = Self { before: &|_, _| Ok(()), within: &[] };
+    pub const REAL: Self = Self {
+        before: &|_, _| Ok(()),
+        within: &[],
+    };
 }
 
 impl<'a> Disk<'a> {
     /// A disk on which `before` can refuse changes, to test failures.
     pub fn guarded(before: &'a (dyn Fn(Operation, &Path) -> io::Result<()> + Sync)) -> Self {
-        Self { before, within: &[] }
+        Self {
+            before,
+            within: &[],
+        }
     }
 
-    /// The same disk for a folder in a folder in … : the first is opened by its path, as the user named it; no link is followed on the way from
-    /// there to the last, nor out of the last. Paths elsewhere are the user's.
+    /// The same disk for a folder in a folder in … : the first is opened by its path, as the user
+    /// named it; no link is followed on the way from there to the last, nor out of the last. Paths
+    /// elsewhere are the user's.
     pub fn within(self, within: &'a [PathBuf]) -> Self {
         Self { within, ..self }
     }
@@ -69,8 +77,14 @@ impl<'a> Disk<'a> {
 
     /// Opens the folder from which the path is resolved; returns the rest of the path, too.
     fn base(&self, path: &Path) -> Result<(Folder, PathBuf), OutputError> {
-        let Some((outermost, others)) = self.within.split_first() else { return named_by_user(path) };
-        if self.within.iter().any(|outer| folder::below(outer, path).is_none()) {
+        let Some((outermost, others)) = self.within.split_first() else {
+            return named_by_user(path);
+        };
+        if self
+            .within
+            .iter()
+            .any(|outer| folder::below(outer, path).is_none())
+        {
             return named_by_user(path);
         }
         let (mut base, mut at) = (Folder::open(outermost)?, outermost);
@@ -96,33 +110,53 @@ impl<'a> Disk<'a> {
     }
 
     fn make_folders(&self, base: &Folder, path: &Path) -> Result<(), OutputError> {
-        let mut folders: Vec<&Path> = path.ancestors().filter(|folder| !folder.as_os_str().is_empty()).collect();
+        let mut folders: Vec<&Path> = path
+            .ancestors()
+            .filter(|folder| !folder.as_os_str().is_empty())
+            .collect();
         folders.reverse();
-        folders.into_iter().try_for_each(|folder| self.make_folder(base, folder))
+        folders
+            .into_iter()
+            .try_for_each(|folder| self.make_folder(base, folder))
     }
 
     /// Creates one folder; no error if it exists.
-    pub(super) fn make_folder(&self, folder: &Folder, name: impl AsRef<Path>) -> Result<(), OutputError> {
+    pub(super) fn make_folder(
+        &self,
+        folder: &Folder,
+        name: impl AsRef<Path>,
+    ) -> Result<(), OutputError> {
         let name = name.as_ref();
         match folder.folder(name) {
             Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
             found => return found.map(drop),
         }
         self.change(Operation::MakeFolder, (folder, name), || {
-            folder.dir.create_dir(name).or_else(|e| if folder.folder(name).is_ok() { Ok(()) } else { Err(e) })
+            folder.dir.create_dir(name).or_else(|e| {
+                if folder.folder(name).is_ok() {
+                    Ok(())
+                } else {
+                    Err(e)
+                }
+            })
         })
     }
 
     /// Creates one folder; an error if the name exists.
     pub(super) fn make_new_folder(&self, folder: &Folder, name: &str) -> Result<(), OutputError> {
-        self.change(Operation::MakeFolder, (folder, name.as_ref()), || folder.dir.create_dir(name))
+        self.change(Operation::MakeFolder, (folder, name.as_ref()), || {
+            folder.dir.create_dir(name)
+        })
     }
 
-    /// Opens a lock file and waits for its lock, which is released when the file is dropped or the process ends.
+    /// Opens a lock file and waits for its lock, which is released when the file is dropped or the
+    /// process ends.
     pub(super) fn lock(&self, folder: &Folder, name: &str) -> Result<File, OutputError> {
         self.before(Operation::Create, &folder.path(name))?;
         let file = folder.lock_file(name)?;
-        file.lock().map(|()| file).map_err(|error| folder.failed(name.as_ref(), error))
+        file.lock()
+            .map(|()| file)
+            .map_err(|error| folder.failed(name.as_ref(), error))
     }
 
     /// Writes a new file in blocks of 1 MiB and syncs it.
@@ -134,10 +168,14 @@ impl<'a> Disk<'a> {
         executable: bool,
     ) -> Result<(), OutputError> {
         let at = (folder, name.as_ref());
-        let mut file = self.change(Operation::Create, at, || create_new(folder, name, executable))?;
+        let mut file = self.change(Operation::Create, at, || {
+            create_new(folder, name, executable)
+        })?;
         let mut block = vec![0; 1 << 20];
         loop {
-            let length = contents.read(&mut block).map_err(|error| folder.failed(at.1, error))?;
+            let length = contents
+                .read(&mut block)
+                .map_err(|error| folder.failed(at.1, error))?;
             if length == 0 {
                 break;
             }
@@ -147,22 +185,41 @@ impl<'a> Disk<'a> {
     }
 
     /// Creates a hard link for the file `from`; doesn't follow a symbolic link.
-    pub(super) fn hard_link(&self, from: (&Folder, &Path), to: (&Folder, &str)) -> Result<(), OutputError> {
+    pub(super) fn hard_link(
+        &self,
+        from: (&Folder, &Path),
+        to: (&Folder, &str),
+    ) -> Result<(), OutputError> {
         let (folder, name) = to;
-        self.change(Operation::Link, (folder, name.as_ref()), || from.0.dir.hard_link(from.1, &folder.dir, name))
+        self.change(Operation::Link, (folder, name.as_ref()), || {
+            from.0.dir.hard_link(from.1, &folder.dir, name)
+        })
     }
 
-    pub(super) fn symbolic_link(&self, target: &Path, folder: &Folder, name: &str) -> Result<(), OutputError> {
-        self.change(Operation::Link, (folder, name.as_ref()), || platform::link_file(target, &folder.dir, name))
+    pub(super) fn symbolic_link(
+        &self,
+        target: &Path,
+        folder: &Folder,
+        name: &str,
+    ) -> Result<(), OutputError> {
+        self.change(Operation::Link, (folder, name.as_ref()), || {
+            platform::link_file(target, &folder.dir, name)
+        })
     }
 
     /// Renames `from` to `to`, replacing it; `Ok(false)` if `from` doesn't exist.
-    pub(super) fn rename(&self, folder: &Folder, from: &str, to: &str) -> Result<bool, OutputError> {
+    pub(super) fn rename(
+        &self,
+        folder: &Folder,
+        from: &str,
+        to: &str,
+    ) -> Result<bool, OutputError> {
         if folder.find(from)?.is_none() {
             return Ok(false);
         }
         let rename = || folder.dir.rename(from, &folder.dir, to);
-        self.change(Operation::Rename, (folder, to.as_ref()), rename).map(|()| true)
+        self.change(Operation::Rename, (folder, to.as_ref()), rename)
+            .map(|()| true)
     }
 
     /// Removes a file or a link; no error if it doesn't exist.
@@ -170,14 +227,26 @@ impl<'a> Disk<'a> {
         if folder.find(name)?.is_none() {
             return Ok(());
         }
-        self.change(Operation::Remove, (folder, name.as_ref()), || folder.dir.remove_file(name))
+        self.change(Operation::Remove, (folder, name.as_ref()), || {
+            folder.dir.remove_file(name)
+        })
     }
 
     /// Removes a folder if it exists and is empty.
-    pub(super) fn remove_empty_folder(&self, folder: &Folder, name: &str) -> Result<(), OutputError> {
-        let is_empty = folder.names(name).is_ok_and(|mut names| names.next().is_none());
+    pub(super) fn remove_empty_folder(
+        &self,
+        folder: &Folder,
+        name: &str,
+    ) -> Result<(), OutputError> {
+        let is_empty = folder
+            .names(name)
+            .is_ok_and(|mut names| names.next().is_none());
         let remove = || folder.dir.remove_dir(name);
-        if is_empty { self.change(Operation::RemoveFolder, (folder, name.as_ref()), remove) } else { Ok(()) }
+        if is_empty {
+            self.change(Operation::RemoveFolder, (folder, name.as_ref()), remove)
+        } else {
+            Ok(())
+        }
     }
 
     /// Removes a folder with its contents; no error if it doesn't exist.
@@ -185,11 +254,17 @@ impl<'a> Disk<'a> {
         if folder.find(name)?.is_none() {
             return Ok(());
         }
-        self.change(Operation::RemoveFolder, (folder, name.as_ref()), || folder.dir.remove_dir_all(name))
+        self.change(Operation::RemoveFolder, (folder, name.as_ref()), || {
+            folder.dir.remove_dir_all(name)
+        })
     }
 
     /// Syncs the directory entries of a folder.
-    pub(super) fn sync_folder(&self, folder: &Folder, name: impl AsRef<Path>) -> Result<(), OutputError> {
+    pub(super) fn sync_folder(
+        &self,
+        folder: &Folder,
+        name: impl AsRef<Path>,
+    ) -> Result<(), OutputError> {
         let name = name.as_ref();
         self.change(Operation::Sync, (folder, name), || {
             match platform::sync_folder(&folder.dir, folder::self_if_empty(name)) {
@@ -204,8 +279,14 @@ impl<'a> Disk<'a> {
 /// Opens the nearest existing folder of a path, through links; returns the rest of the path, too.
 fn named_by_user(path: &Path) -> Result<(Folder, PathBuf), OutputError> {
     let path = std::path::absolute(path).map_err(|error| OutputError::new(path, error))?;
-    let there = path.ancestors().find(|above| above.exists()).unwrap_or(&path);
-    let inner = path.strip_prefix(there).map(Path::to_path_buf).unwrap_or_default();
+    let there = path
+        .ancestors()
+        .find(|above| above.exists())
+        .unwrap_or(&path);
+    let inner = path
+        .strip_prefix(there)
+        .map(Path::to_path_buf)
+        .unwrap_or_default();
     Ok((Folder::open(there)?, inner))
 }
 
@@ -215,5 +296,8 @@ fn create_new(folder: &Folder, name: &str, executable: bool) -> io::Result<File>
     if executable {
         platform::make_executable(&mut options);
     }
-    folder.dir.open_with(name, &options).map(cap_std::fs::File::into_std)
+    folder
+        .dir
+        .open_with(name, &options)
+        .map(cap_std::fs::File::into_std)
 }

@@ -1,12 +1,15 @@
 //! Open folders, through which all output is written.
 //!
-//! Projects may be untrusted, and somebody with write access to one may exchange its folders for links while viewrank writes. A folder is therefore
-//! held open, names are resolved from it and beneath it, and each file is made, renamed and removed in the open folder that holds it: `openat2` with
-//! RESOLVE_BENEATH on Linux, elsewhere and on old kernels one component at a time without links (cap-std). On Windows, where renames and hard links go by
-//! path, the open folders cannot be renamed meanwhile.
+//! Projects may be untrusted, and somebody with write access to one may exchange its folders for
+//! links while viewrank writes. A folder is therefore held open, names are resolved from it and
+//! beneath it, and each file is made, renamed and removed in the open folder that holds it:
+//! `openat2` with RESOLVE_BENEATH on Linux, elsewhere and on old kernels one component at a time
+//! without links (cap-std). On Windows, where renames and hard links go by path, the open folders
+//! cannot be renamed meanwhile.
 //!
-//! The path that a user names is followed through links. Folders below it may be relative links that stay there (`viewrank -> outputs`); an
-//! absolute one counts as leading out. Only regular files are opened: not symbolic links, whose target would be truncated or read with the user's
+//! The path that a user names is followed through links. Folders below it may be relative links
+//! that stay there (`viewrank -> outputs`); an absolute one counts as leading out. Only regular
+//! files are opened: not symbolic links, whose target would be truncated or read with the user's
 //! permissions, and not pipes, which would block.
 
 use std::{
@@ -37,20 +40,35 @@ impl Folder {
     /// Opens a folder by a path that the user named, through links.
     pub fn open(path: &Path) -> Result<Self, OutputError> {
         let opened = Dir::open_ambient_dir(path, ambient_authority());
-        opened.map(|dir| Self { path: path.into(), dir }).map_err(|error| match error.kind() {
-            io::ErrorKind::NotADirectory => OutputError::InTheWay { path: path.into(), folder: false },
-            _ => OutputError::new(path, error),
-        })
+        opened
+            .map(|dir| Self {
+                path: path.into(),
+                dir,
+            })
+            .map_err(|error| match error.kind() {
+                io::ErrorKind::NotADirectory => OutputError::InTheWay {
+                    path: path.into(),
+                    folder: false,
+                },
+                _ => OutputError::new(path, error),
+            })
     }
 
     /// Opens a folder below this one; the empty name is this folder.
     ///
     /// # Errors
-    /// [`OutputError::Escapes`], [`OutputError::InTheWay`] for a file, [`OutputError::Io`] with `NotFound`.
+    /// [`OutputError::Escapes`], [`OutputError::InTheWay`] for a file, [`OutputError::Io`] with
+    /// `NotFound`.
     pub fn folder(&self, name: impl AsRef<Path>) -> Result<Self, OutputError> {
         let name = name.as_ref();
-        let dir = self.dir.open_dir(self_if_empty(name)).map_err(|error| self.failed(name, error))?;
-        Ok(Self { path: self.path(name), dir })
+        let dir = self
+            .dir
+            .open_dir(self_if_empty(name))
+            .map_err(|error| self.failed(name, error))?;
+        Ok(Self {
+            path: self.path(name),
+            dir,
+        })
     }
 
     /// As [`Self::folder`], but follows no link at all.
@@ -60,17 +78,27 @@ impl Folder {
     pub fn folder_without_links(&self, name: impl AsRef<Path>) -> Result<Self, OutputError> {
         let mut at = self.folder("")?;
         for part in name.as_ref() {
-            let dir = at.dir.open_dir_nofollow(part).map_err(|error| match at.find(part) {
-                Ok(Some(found)) if found.is_symlink() => at.foreign(part, &found),
-                _ => at.failed(part.as_ref(), error),
-            })?;
-            at = Self { path: at.path(part), dir };
+            let dir = at
+                .dir
+                .open_dir_nofollow(part)
+                .map_err(|error| match at.find(part) {
+                    Ok(Some(found)) if found.is_symlink() => at.foreign(part, &found),
+                    _ => at.failed(part.as_ref(), error),
+                })?;
+            at = Self {
+                path: at.path(part),
+                dir,
+            };
         }
         Ok(at)
     }
 
     pub fn path(&self, name: impl AsRef<Path>) -> PathBuf {
-        if name.as_ref().as_os_str().is_empty() { self.path.clone() } else { self.path.join(name) }
+        if name.as_ref().as_os_str().is_empty() {
+            self.path.clone()
+        } else {
+            self.path.join(name)
+        }
     }
 
     /// Metadata of this folder itself.
@@ -82,7 +110,9 @@ impl Folder {
     pub(super) fn find(&self, name: impl AsRef<Path>) -> Result<Option<Metadata>, OutputError> {
         match self.dir.symlink_metadata(&name) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-            found => found.map(Some).map_err(|error| self.failed(name.as_ref(), error)),
+            found => found
+                .map(Some)
+                .map_err(|error| self.failed(name.as_ref(), error)),
         }
     }
 
@@ -93,18 +123,26 @@ impl Folder {
 
     /// Returns whether a folder on the way to the name is a symbolic link.
     pub(super) fn has_links(&self, name: &str) -> bool {
-        let is_link = |folder: &str| matches!(self.find(folder), Ok(Some(found)) if found.is_symlink());
-        name.match_indices('/').any(|(end, _)| is_link(&name[..end]))
+        let is_link =
+            |folder: &str| matches!(self.find(folder), Ok(Some(found)) if found.is_symlink());
+        name.match_indices('/')
+            .any(|(end, _)| is_link(&name[..end]))
     }
 
     /// Names in a folder below this one.
     pub(super) fn names(&self, folder: &str) -> io::Result<impl Iterator<Item = OsString>> {
-        Ok(self.dir.read_dir(folder)?.flatten().map(|entry| entry.file_name()))
+        Ok(self
+            .dir
+            .read_dir(folder)?
+            .flatten()
+            .map(|entry| entry.file_name()))
     }
 
     /// Target of a symbolic link.
     pub(super) fn link(&self, name: &str) -> Result<PathBuf, OutputError> {
-        self.dir.read_link_contents(name).map_err(|error| self.failed(name.as_ref(), error))
+        self.dir
+            .read_link_contents(name)
+            .map_err(|error| self.failed(name.as_ref(), error))
     }
 
     /// Opens a regular file for reading.
@@ -119,19 +157,32 @@ impl Folder {
 
     /// Opens a regular file; never follows a link in its place and never blocks on a pipe.
     fn regular_file(&self, name: &str, options: &mut OpenOptions) -> Result<File, OutputError> {
-        let before = self.find(name).ok().flatten().filter(|found| !found.is_file());
+        let before = self
+            .find(name)
+            .ok()
+            .flatten()
+            .filter(|found| !found.is_file());
         options.follow(FollowSymlinks::No);
         if cfg!(unix) {
             options.nonblock(true);
         } else if let Some(found) = before {
             return Err(self.foreign(name, &found));
         }
-        let file = self.dir.open_with(name, options).map_err(|error| match &before {
-            Some(found) => self.foreign(name, found),
-            None => self.failed(name.as_ref(), error),
-        })?;
-        let found = file.metadata().map_err(|error| self.failed(name.as_ref(), error))?;
-        if found.is_file() { Ok(file.into_std()) } else { Err(self.foreign(name, &found)) }
+        let file = self
+            .dir
+            .open_with(name, options)
+            .map_err(|error| match &before {
+                Some(found) => self.foreign(name, found),
+                None => self.failed(name.as_ref(), error),
+            })?;
+        let found = file
+            .metadata()
+            .map_err(|error| self.failed(name.as_ref(), error))?;
+        if found.is_file() {
+            Ok(file.into_std())
+        } else {
+            Err(self.foreign(name, &found))
+        }
     }
 
     pub(super) fn foreign(&self, name: impl AsRef<Path>, found: &Metadata) -> OutputError {
@@ -140,12 +191,19 @@ impl Folder {
             () if found.is_dir() => "a folder",
             () => "a pipe or a device",
         };
-        OutputError::Foreign { path: self.path(name), what }
+        OutputError::Foreign {
+            path: self.path(name),
+            what,
+        }
     }
 
-    /// The error of an access to a name: where a link on the way leads out, or a file is in the place of a folder, the first one.
+    /// The error of an access to a name: where a link on the way leads out, or a file is in the
+    /// place of a folder, the first one.
     pub(super) fn failed(&self, name: &Path, error: io::Error) -> OutputError {
-        let parts: Vec<&Path> = name.ancestors().filter(|part| !part.as_os_str().is_empty()).collect();
+        let parts: Vec<&Path> = name
+            .ancestors()
+            .filter(|part| !part.as_os_str().is_empty())
+            .collect();
         let first = |is: &dyn Fn(io::Result<Metadata>) -> bool| {
             let found = parts.iter().rev().find(|part| is(self.dir.metadata(part)));
             self.path(found.unwrap_or(&name))
@@ -155,16 +213,21 @@ impl Folder {
                 path: first(&|found| found.is_err_and(|error| leads_out(&error))),
                 root: self.path.clone(),
             },
-            io::ErrorKind::NotADirectory => {
-                OutputError::InTheWay { path: first(&|found| found.is_ok_and(|found| !found.is_dir())), folder: false }
-            }
+            io::ErrorKind::NotADirectory => OutputError::InTheWay {
+                path: first(&|found| found.is_ok_and(|found| !found.is_dir())),
+                folder: false,
+            },
             _ => OutputError::new(&self.path(name), error),
         }
     }
 }
 
 pub(super) fn self_if_empty(name: &Path) -> &Path {
-    if name.as_os_str().is_empty() { Path::new(".") } else { name }
+    if name.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        name
+    }
 }
 
 /// Returns whether cap-std refused to resolve a path; a refusal of the system has a number.
@@ -175,7 +238,8 @@ fn leads_out(error: &io::Error) -> bool {
 /// Opens one of viewrank's files for reading.
 ///
 /// # Errors
-/// [`OutputError::Io`] with `NotFound` if it doesn't exist, [`OutputError::Escapes`], [`OutputError::Foreign`].
+/// [`OutputError::Io`] with `NotFound` if it doesn't exist, [`OutputError::Escapes`],
+/// [`OutputError::Foreign`].
 pub fn open_own(root: &Path, name: &str) -> Result<File, OutputError> {
     Folder::open(root)?.file(name)
 }
@@ -186,24 +250,35 @@ pub fn open_own(root: &Path, name: &str) -> Result<File, OutputError> {
 /// As [`open_own`], and if the file is larger than any that viewrank writes.
 pub fn read_own(root: &Path, name: &str) -> Result<Vec<u8>, OutputError> {
     let file = open_own(root, name)?;
-    input::read_all(file, FileKind::State).map_err(|error| OutputError::new(&root.join(name), error))
+    input::read_all(file, FileKind::State)
+        .map_err(|error| OutputError::new(&root.join(name), error))
 }
 
-/// Checks that a folder whose path is below `root` is there through all links, before work whose results go there.
+/// Checks that a folder whose path is below `root` is there through all links, before work whose
+/// results go there.
 ///
 /// # Errors
 /// [`OutputError::Escapes`] if a link on the way leads out of `root`.
 pub fn refuse_to_leave(root: &Path, folder: &Path) -> Result<(), OutputError> {
-    let Some(inner) = below(root, folder) else { return Ok(()) };
+    let Some(inner) = below(root, folder) else {
+        return Ok(());
+    };
     match Folder::open(root).and_then(|root| root.folder(inner)) {
         Err(error @ OutputError::Escapes { .. }) => Err(error),
         _ => Ok(()),
     }
 }
 
-/// The path relative to `root`, whatever links there are; `None` if it isn't below it, or has a `..`.
+/// The path relative to `root`, whatever links there are; `None` if it isn't below it, or has a
+/// `..`.
 pub fn below(root: &Path, path: &Path) -> Option<PathBuf> {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-    let inner = absolute(path).strip_prefix(absolute(root)).ok()?.to_path_buf();
-    inner.components().all(|part| matches!(part, Component::Normal(_))).then_some(inner)
+    let inner = absolute(path)
+        .strip_prefix(absolute(root))
+        .ok()?
+        .to_path_buf();
+    inner
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)))
+        .then_some(inner)
 }

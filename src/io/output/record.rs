@@ -1,7 +1,8 @@
 //! Records of the files that viewrank wrote below a root: one per set, `viewrank/.sets/NAME.json`.
 //!
-//! A record that was not written in this folder (`identity.rs`) is trusted only for files below `viewrank/`, and not through links there, which
-//! may lead to the user's folders. A file elsewhere counts as viewrank's again once a set contains it with the same contents.
+//! A record that was not written in this folder (`identity.rs`) is trusted only for files below
+//! `viewrank/`, and not through links there, which may lead to the user's folders. A file elsewhere
+//! counts as viewrank's again once a set contains it with the same contents.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -27,7 +28,8 @@ pub(super) struct Record {
     pub files: BTreeMap<String, String>,
     /// Folders created for the set.
     pub folders: BTreeSet<String>,
-    /// Identity of the folder in which the record was written, see [`identity`](super::identity::identity).
+    /// Identity of the folder in which the record was written, see
+    /// [`identity`](super::identity::identity).
     #[serde(default)]
     pub identity: String,
 }
@@ -56,11 +58,22 @@ impl<'a> Records<'a> {
             let file = root.file(&format!("{FOLDER}/{name}.json")).ok()?;
             let bytes = input::read_all(file, FileKind::State).ok()?;
             let record: Record = serde_json::from_slice(&bytes).ok()?;
-            let sound = record.files.keys().chain(&record.folders).all(|path| check_name(path).is_ok());
+            let sound = record
+                .files
+                .keys()
+                .chain(&record.folders)
+                .all(|path| check_name(path).is_ok());
             sound.then_some((name, record))
         });
-        let identity = root.folder("viewrank").ok().and_then(|folder| identity(&folder).ok());
-        Self { by_set: records.collect(), root, identity }
+        let identity = root
+            .folder("viewrank")
+            .ok()
+            .and_then(|folder| identity(&folder).ok());
+        Self {
+            by_set: records.collect(),
+            root,
+            identity,
+        }
     }
 
     /// The trusted part of the record of a set.
@@ -79,16 +92,26 @@ impl<'a> Records<'a> {
 
     /// Paths of the files of sets whose names begin with `prefix`, sorted.
     pub fn paths(&self, prefix: &str) -> Vec<String> {
-        let sets = self.by_set.iter().filter(|(name, _)| name.starts_with(prefix));
+        let sets = self
+            .by_set
+            .iter()
+            .filter(|(name, _)| name.starts_with(prefix));
         let paths: BTreeSet<&String> = sets.flat_map(|(_, record)| record.files.keys()).collect();
         paths.into_iter().cloned().collect()
     }
 
     /// Returns a claim if the file has the contents that some record lists.
     pub fn claim(&self, path: &str) -> Result<Option<Claim>, OutputError> {
-        let Some(hash) = self.recorded_hash(path, |_| true)? else { return Ok(None) };
-        let is_trusted = |r: &&Record| self.is_own(path) || self.identity.as_ref() == Some(&r.identity);
-        let is_ours = self.by_set.values().filter(is_trusted).any(|r| r.files.get(path) == Some(&hash));
+        let Some(hash) = self.recorded_hash(path, |_| true)? else {
+            return Ok(None);
+        };
+        let is_trusted =
+            |r: &&Record| self.is_own(path) || self.identity.as_ref() == Some(&r.identity);
+        let is_ours = self
+            .by_set
+            .values()
+            .filter(is_trusted)
+            .any(|r| r.files.get(path) == Some(&hash));
         Ok(Some(Claim { hash, is_ours }))
     }
 
@@ -99,13 +122,21 @@ impl<'a> Records<'a> {
 
     /// Returns whether the folder was created for a set other than `set`.
     pub fn other_has_folder(&self, set: &str, folder: &str) -> bool {
-        self.by_set.iter().any(|(name, record)| name != set && record.folders.contains(folder))
+        self.by_set
+            .iter()
+            .any(|(name, record)| name != set && record.folders.contains(folder))
     }
 
     /// Returns the hash of the file if a set whose name passes `filter` recorded it.
-    fn recorded_hash(&self, path: &str, filter: impl Fn(&str) -> bool) -> Result<Option<String>, OutputError> {
+    fn recorded_hash(
+        &self,
+        path: &str,
+        filter: impl Fn(&str) -> bool,
+    ) -> Result<Option<String>, OutputError> {
         let sets = self.by_set.iter().filter(|(name, _)| filter(name));
-        let mut hashes = sets.filter_map(|(_, record)| record.files.get(path)).peekable();
+        let mut hashes = sets
+            .filter_map(|(_, record)| record.files.get(path))
+            .peekable();
         if hashes.peek().is_none() {
             return Ok(None);
         }
@@ -113,16 +144,18 @@ impl<'a> Records<'a> {
     }
 }
 
-/// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is neither. Of a file with larger holes or longer than
-/// any of viewrank's, which would take minutes to read, what the file system says about it.
+/// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is
+/// neither. Of a file with larger holes or longer than any of viewrank's, which would take minutes
+/// to read, what the file system says about it.
 pub(super) fn hash(root: &Folder, path: &str) -> Result<Option<String>, OutputError> {
     match root.find(path)? {
-        Some(found) if found.is_symlink() => {
-            Ok(Some(format!("link:{}", blake3::hash(root.link(path)?.as_os_str().as_encoded_bytes()))))
-        }
-        Some(found) if found.is_file() => {
-            hash_of_file(&root.file(path)?).map(Some).map_err(|error| root.failed(path.as_ref(), error))
-        }
+        Some(found) if found.is_symlink() => Ok(Some(format!(
+            "link:{}",
+            blake3::hash(root.link(path)?.as_os_str().as_encoded_bytes())
+        ))),
+        Some(found) if found.is_file() => hash_of_file(&root.file(path)?)
+            .map(Some)
+            .map_err(|error| root.failed(path.as_ref(), error)),
         _ => Ok(None),
     }
 }
@@ -130,9 +163,16 @@ pub(super) fn hash(root: &Folder, path: &str) -> Result<Option<String>, OutputEr
 fn hash_of_file(file: &File) -> io::Result<String> {
     let found = file.metadata()?;
     if found.len() > FileKind::Sparse.limit() || input::large_holes(file, found.len()).is_some() {
-        let modified = found.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+        let modified = found
+            .modified()?
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default();
         let inode = input::identity(&found).1;
-        return Ok(format!("large:{} {} {inode}", found.len(), modified.as_nanos()));
+        return Ok(format!(
+            "large:{} {} {inode}",
+            found.len(),
+            modified.as_nanos()
+        ));
     }
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(file)?;

@@ -1,18 +1,23 @@
-//! Journalled changes: staged, journalled, renamed into place; completed or undone after a crash, undone after a failure.
+//! Journalled changes: staged, journalled, renamed into place; completed or undone after a crash,
+//! undone after a failure.
 //!
-//! Step `i` of the journal has its new file in `.staging/i.new` (none: the path is removed) and a link to the old file in `.staging/i.old`
-//! (none: the path was free). Every step is idempotent, so a crash while finishing or undoing does no harm; the journal stores which of the two
-//! is in progress.
+//! Step `i` of the journal has its new file in `.staging/i.new` (none: the path is removed) and a
+//! link to the old file in `.staging/i.old` (none: the path was free). Every step is idempotent, so
+//! a crash while finishing or undoing does no harm; the journal stores which of the two is in
+//! progress.
 //!
-//! The journal of an earlier process is carried out only if it was written in this folder (`identity.rs`) and each file that it would replace or
-//! remove has the hash from before or after the change. Otherwise the journal and its staged files are set aside, and no file is touched
+//! The journal of an earlier process is carried out only if it was written in this folder
+//! (`identity.rs`) and each file that it would replace or remove has the hash from before or after
+//! the change. Otherwise the journal and its staged files are set aside, and no file is touched
 //! (`found.rs`).
 
 use std::{collections::BTreeSet, fs::File, path::Path};
 
 use serde::{Deserialize, Serialize};
 
-use super::{Disk, FileSet, OutputError, WriteReport, folder::Folder, found, identity::identity, staging};
+use super::{
+    Disk, FileSet, OutputError, WriteReport, folder::Folder, found, identity::identity, staging,
+};
 
 pub(super) const FOLDER: &str = "viewrank";
 pub(super) const STAGING: &str = "viewrank/.staging";
@@ -64,10 +69,16 @@ pub(super) struct Root<'a> {
 }
 
 /// Writes the sets of one root.
-pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<WriteReport>, OutputError> {
+pub(super) fn write(
+    path: &Path,
+    sets: &[&FileSet],
+    disk: &Disk,
+) -> Result<Vec<WriteReport>, OutputError> {
     let root = Root::open(path, disk)?;
     root.settle()?;
-    let staged = root.make_staging().and_then(|()| staging::stage(&root, sets));
+    let staged = root
+        .make_staging()
+        .and_then(|()| staging::stage(&root, sets));
     let (change, written) = staged.inspect_err(|_| root.clear_staging())?;
     if change.steps.is_empty() && change.new_folders.is_empty() && change.old_folders.is_empty() {
         root.clear_staging();
@@ -96,14 +107,20 @@ impl<'a> Root<'a> {
         let lock = disk.lock(&folder, LOCK)?;
         let own = folder.folder(FOLDER)?;
         let identity = identity(&own).map_err(|error| folder.failed(FOLDER.as_ref(), error))?;
-        Ok(Self { folder, disk, identity, _lock: lock })
+        Ok(Self {
+            folder,
+            disk,
+            identity,
+            _lock: lock,
+        })
     }
 
     fn make_staging(&self) -> Result<(), OutputError> {
         self.disk.make_new_folder(&self.folder, STAGING)
     }
 
-    /// Removes the staged files. Errors are ignored: the set is complete, and the next run removes the rest.
+    /// Removes the staged files. Errors are ignored: the set is complete, and the next run removes
+    /// the rest.
     fn clear_staging(&self) {
         let _ = self.disk.remove_folder(&self.folder, STAGING);
     }
@@ -120,7 +137,11 @@ impl<'a> Root<'a> {
     }
 
     fn carry_out(&self, change: Change) -> Result<(), OutputError> {
-        let mut journal = Journal { direction: Direction::Finish, identity: self.identity.clone(), change };
+        let mut journal = Journal {
+            direction: Direction::Finish,
+            identity: self.identity.clone(),
+            change,
+        };
         if let Err(failure) = self.write_journal(&journal)
             && matches!(self.folder.find(JOURNAL), Ok(None))
         {
@@ -129,9 +150,15 @@ impl<'a> Root<'a> {
         }
         let done = self.finish(&journal.change).map_err(|failure| {
             journal.direction = Direction::Undo;
-            match self.write_journal(&journal).and_then(|()| self.undo(&journal.change)) {
+            match self
+                .write_journal(&journal)
+                .and_then(|()| self.undo(&journal.change))
+            {
                 Ok(()) => failure,
-                Err(undoing) => OutputError::Interrupted { failure: failure.into(), undoing: undoing.into() },
+                Err(undoing) => OutputError::Interrupted {
+                    failure: failure.into(),
+                    undoing: undoing.into(),
+                },
             }
         });
         if !matches!(done, Err(OutputError::Interrupted { .. })) {
@@ -140,14 +167,16 @@ impl<'a> Root<'a> {
         done
     }
 
-    /// Writes the journal: from now on the change will be completed or undone, even if this process is killed.
+    /// Writes the journal: from now on the change will be completed or undone, even if this process
+    /// is killed.
     fn write_journal(&self, journal: &Journal) -> Result<(), OutputError> {
         let draft = match journal.direction {
             Direction::Finish => format!("{STAGING}/finish"),
             Direction::Undo => format!("{STAGING}/undo"),
         };
         let text = serde_json::to_vec(journal).expect("strings and booleans are JSON");
-        self.disk.write_new(&self.folder, &draft, text.as_slice(), false)?;
+        self.disk
+            .write_new(&self.folder, &draft, text.as_slice(), false)?;
         self.disk.sync_folder(&self.folder, STAGING)?;
         self.disk.rename(&self.folder, &draft, JOURNAL)?;
         self.disk.sync_folder(&self.folder, FOLDER)
@@ -159,7 +188,8 @@ impl<'a> Root<'a> {
         }
         for (i, step) in change.steps.iter().enumerate() {
             if step.new.is_some() {
-                self.disk.rename(&self.folder, &staged(i, "new"), &step.path)?;
+                self.disk
+                    .rename(&self.folder, &staged(i, "new"), &step.path)?;
             } else {
                 self.disk.remove(&self.folder, &step.path)?;
             }
@@ -176,7 +206,8 @@ impl<'a> Root<'a> {
         }
         for (i, step) in change.steps.iter().enumerate().rev() {
             if step.old.is_some() {
-                self.disk.rename(&self.folder, &staged(i, "old"), &step.path)?;
+                self.disk
+                    .rename(&self.folder, &staged(i, "old"), &step.path)?;
             } else if step.new.is_some() && self.folder.find(staged(i, "new"))?.is_none() {
                 self.disk.remove(&self.folder, &step.path)?;
             }
@@ -189,9 +220,17 @@ impl<'a> Root<'a> {
 
     /// Syncs the changed folders, then removes the journal.
     fn close(&self, change: &Change) -> Result<(), OutputError> {
-        let paths = change.steps.iter().map(|s| &s.path).chain(&change.new_folders).chain(&change.old_folders);
+        let paths = change
+            .steps
+            .iter()
+            .map(|s| &s.path)
+            .chain(&change.new_folders)
+            .chain(&change.old_folders);
         let parents: BTreeSet<&Path> = paths.filter_map(|path| Path::new(path).parent()).collect();
-        for folder in parents.into_iter().filter(|folder| self.folder.folder(folder).is_ok()) {
+        for folder in parents
+            .into_iter()
+            .filter(|folder| self.folder.folder(folder).is_ok())
+        {
             self.disk.sync_folder(&self.folder, folder)?;
         }
         self.disk.remove(&self.folder, JOURNAL)?;

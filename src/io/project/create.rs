@@ -48,33 +48,49 @@ impl Hint for CreateError {
 }
 
 impl Project {
-    /// Writes the scene as COLMAP model to `folder/sparse/0` and opens it as a project. `images`, the folder to which view names are relative,
-    /// is noted in the model's `project.ini`. A folder that has the same model already is left as it is.
+    /// Writes the scene as COLMAP model to `folder/sparse/0` and opens it as a project. `images`,
+    /// the folder to which view names are relative, is noted in the model's `project.ini`. A folder
+    /// that has the same model already is left as it is.
     ///
     /// # Errors
     /// The folder cannot be written, or has another model; names that no file can have.
-    pub fn create(folder: &Path, scene: &Scene, images: Option<&Path>) -> Result<Self, CreateError> {
+    pub fn create(
+        folder: &Path,
+        scene: &Scene,
+        images: Option<&Path>,
+    ) -> Result<Self, CreateError> {
         let mut files = FileSet::new(folder, "model");
         for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(scene)) {
             files.add(format!("{MODEL}/{name}"), Contents::Bytes(bytes));
         }
         let images = images.map(|images| std::path::absolute(images).unwrap_or(images.into()));
         if let Some(images) = &images {
-            files.add_text(format!("{MODEL}/project.ini"), format!("image_path={}\n", images.display()));
+            files.add_text(
+                format!("{MODEL}/project.ini"),
+                format!("image_path={}\n", images.display()),
+            );
         }
         let is_same = |(name, contents): (&String, &Contents)| match contents {
-            Contents::Bytes(bytes) => fs::read(folder.join(name)).is_ok_and(|there| there == *bytes),
+            Contents::Bytes(bytes) => {
+                fs::read(folder.join(name)).is_ok_and(|there| there == *bytes)
+            }
             _ => false,
         };
         if !files.files.iter().all(is_same) {
             if folder.join("sparse").exists() {
                 return Err(CreateError::OtherModel(folder.into()));
             }
-            fs::create_dir_all(folder).map_err(|source| ProjectError::Io { path: folder.into(), source })?;
+            fs::create_dir_all(folder).map_err(|source| ProjectError::Io {
+                path: folder.into(),
+                source,
+            })?;
             files.write(&Disk::REAL)?;
         }
         let project = Self::open(folder, None)?;
-        Ok(Self { images: images.map(ImageFolder::new).or(project.images.clone()), ..project })
+        Ok(Self {
+            images: images.map(ImageFolder::new).or(project.images.clone()),
+            ..project
+        })
     }
 }
 
@@ -95,6 +111,9 @@ mod tests {
         let read = project.read_scene().unwrap();
         assert!(read.has_same_views(&scene) && read.observations() == scene.observations());
         let other = scene.moved(nalgebra::Vector3::new(1.0, 0.0, 0.0));
-        assert!(matches!(Project::create(folder.path(), &other, None), Err(CreateError::OtherModel(_))));
+        assert!(matches!(
+            Project::create(folder.path(), &other, None),
+            Err(CreateError::OtherModel(_))
+        ));
     }
 }

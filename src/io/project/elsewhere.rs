@@ -16,6 +16,7 @@ struct RecordedPlan {
 
 /// The project of the plan in this folder, if it is another folder.
 pub(super) fn project_of(folder: &Path) -> Option<PathBuf> {
-    let recorded: RecordedPlan = serde_json::from_slice(&output::read_own(folder, PROJECT_FILE).ok()?).ok()?;
+    let recorded: RecordedPlan =
+        serde_json::from_slice(&output::read_own(folder, PROJECT_FILE).ok()?).ok()?;
     Some(recorded.project)
 }

@@ -17,24 +17,36 @@ use crate::{
 /// Required files of a COLMAP model.
 pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 
-/// Reads a regular file. It is not memory-mapped: another process that truncated it would crash this one.
+/// Reads a regular file. It is not memory-mapped: another process that truncated it would crash
+/// this one.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
-    let fail = |source| ProjectError::Io { path: path.into(), source };
+    let fail = |source| ProjectError::Io {
+        path: path.into(),
+        source,
+    };
     let file = input::open(path).map_err(fail)?;
     input::read_large(&file, FileKind::Sparse).map_err(fail)
 }
 
-/// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be read.
+/// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be
+/// read.
 pub(super) fn image_names(model: &ModelLocation) -> Option<BTreeSet<String>> {
     let images = read(&colmap_file(&model.path, "images", model.format)).ok()?;
     let is_text = model.format == ModelFormat::ColmapText;
-    if is_text { colmap_text::image_names(&images) } else { colmap_bin::image_names(&images) }.ok()
+    if is_text {
+        colmap_text::image_names(&images)
+    } else {
+        colmap_bin::image_names(&images)
+    }
+    .ok()
 }
 
 /// Names of the first images of a COLMAP model, by reading little of its file; empty if that fails.
 pub(super) fn first_names(model: &ModelLocation) -> Vec<String> {
     let file = input::open(&colmap_file(&model.path, "images", model.format));
-    let Ok(file) = file.map(BufReader::new) else { return Vec::new() };
+    let Ok(file) = file.map(BufReader::new) else {
+        return Vec::new();
+    };
     match model.format {
         ModelFormat::ColmapText => names_in_text(file),
         _ => names_in_binary(file).unwrap_or_default(),
@@ -49,7 +61,8 @@ const LONGEST_NAME: u64 = 4096;
 fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
     let number = |file: &mut BufReader<File>| {
         let mut bytes = [0; 8];
-        file.read_exact(&mut bytes).map(|()| u64::from_le_bytes(bytes))
+        file.read_exact(&mut bytes)
+            .map(|()| u64::from_le_bytes(bytes))
     };
     let count = number(&mut file)?;
     let mut names = Vec::new();
@@ -60,7 +73,9 @@ fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
         name.pop();
         names.extend(String::from_utf8(name));
         let observations = number(&mut file)?;
-        let length = observations.checked_mul(24).and_then(|length| i64::try_from(length).ok());
+        let length = observations
+            .checked_mul(24)
+            .and_then(|length| i64::try_from(length).ok());
         file.seek_relative(length.ok_or(io::ErrorKind::InvalidData)?)?;
     }
     Ok(names)
@@ -70,10 +85,21 @@ fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
 const SEARCHED: u64 = 16 << 20;
 
 fn names_in_text(file: BufReader<File>) -> Vec<String> {
-    let lines = file.take(SEARCHED).lines().map_while(Result::ok).filter(|line| !line.starts_with('#'));
+    let lines = file
+        .take(SEARCHED)
+        .lines()
+        .map_while(Result::ok)
+        .filter(|line| !line.starts_with('#'));
     let heads = lines.step_by(2).take(PROBED);
     // ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; names may have blanks.
-    heads.filter_map(|line| line.trim().splitn(10, ' ').nth(9).map(|name| name.trim().to_owned())).collect()
+    heads
+        .filter_map(|line| {
+            line.trim()
+                .splitn(10, ' ')
+                .nth(9)
+                .map(|name| name.trim().to_owned())
+        })
+        .collect()
 }
 
 /// The files of a COLMAP model, in memory.
@@ -116,8 +142,11 @@ impl ColmapFiles {
             rigs: self.rigs.as_deref(),
             frames: self.frames.as_deref(),
         };
-        let model =
-            if self.format == ModelFormat::ColmapText { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
+        let model = if self.format == ModelFormat::ColmapText {
+            colmap_text::read(&bytes)
+        } else {
+            colmap_bin::read(&bytes)
+        };
         model.map_err(|fault| self.locate(fault))
     }
 
@@ -126,19 +155,26 @@ impl ColmapFiles {
     }
 
     fn locate(&self, fault: Fault) -> ProjectError {
-        ProjectError::Fault { path: colmap_file(&self.folder, fault.file, self.format), fault }
+        ProjectError::Fault {
+            path: colmap_file(&self.folder, fault.file, self.format),
+            fault,
+        }
     }
 }
 
 /// The existing files of a COLMAP model.
 pub(super) fn all(model: &ModelLocation) -> Vec<PathBuf> {
-    let files =
-        ["cameras", "images", "points3D", "rigs", "frames"].map(|stem| colmap_file(&model.path, stem, model.format));
+    let files = ["cameras", "images", "points3D", "rigs", "frames"]
+        .map(|stem| colmap_file(&model.path, stem, model.format));
     files.into_iter().filter(|path| path.is_file()).collect()
 }
 
 /// Path of a file of a COLMAP model.
 pub(super) fn colmap_file(folder: &Path, stem: &str, format: ModelFormat) -> PathBuf {
-    let extension = if format == ModelFormat::ColmapText { "txt" } else { "bin" };
+    let extension = if format == ModelFormat::ColmapText {
+        "txt"
+    } else {
+        "bin"
+    };
     folder.join(format!("{stem}.{extension}"))
 }

@@ -64,8 +64,18 @@ pub(super) fn in_binary(root: &Path) -> Option<ProjectError> {
     let names = file_names(root);
     BINARY.iter().find_map(|&(ending, what, hint)| {
         let name = names.iter().find(|name| name.ends_with(ending))?;
-        let fault = Fault::new("", Place::File, Problem::Unsupported { what: what.into(), hint });
-        Some(ProjectError::Fault { path: root.join(name), fault })
+        let fault = Fault::new(
+            "",
+            Place::File,
+            Problem::Unsupported {
+                what: what.into(),
+                hint,
+            },
+        );
+        Some(ProjectError::Fault {
+            path: root.join(name),
+            fault,
+        })
     })
 }
 
@@ -75,7 +85,11 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
     let mut models: Vec<ModelLocation> = Vec::new();
     for (pattern, format) in MODEL_PATHS {
         let found: Vec<PathBuf> = match pattern.strip_prefix('*') {
-            Some(ending) => files.iter().filter(|name| name.ends_with(ending)).map(|name| root.join(name)).collect(),
+            Some(ending) => files
+                .iter()
+                .filter(|name| name.ends_with(ending))
+                .map(|name| root.join(name))
+                .collect(),
             None => vec![root.join(pattern)],
         };
         for path in found.into_iter().filter(|path| path.is_file()) {
@@ -84,14 +98,26 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
             }
         }
     }
-    for path in files.iter().filter(|name| name.ends_with(".xml")).map(|name| root.join(name)) {
+    for path in files
+        .iter()
+        .filter(|name| name.ends_with(".xml"))
+        .map(|name| root.join(name))
+    {
         models.extend(xml_format(&path).map(|format| location(root, format, path)));
     }
-    let of_micmac = files.iter().filter(|name| name.starts_with("Ori-")).map(|name| root.join(name));
-    for folder in of_micmac.chain([root.into()]).filter(|folder| !oriented_by_micmac(folder).is_empty()) {
+    let of_micmac = files
+        .iter()
+        .filter(|name| name.starts_with("Ori-"))
+        .map(|name| root.join(name));
+    for folder in of_micmac
+        .chain([root.into()])
+        .filter(|folder| !oriented_by_micmac(folder).is_empty())
+    {
         models.push(location(root, ModelFormat::MicMac, folder));
     }
-    let ori = [root.join("ori"), root.into()].into_iter().find(|folder| !orientations(folder).is_empty());
+    let ori = [root.join("ori"), root.into()]
+        .into_iter()
+        .find(|folder| !orientations(folder).is_empty());
     if let Some(folder) = ori {
         // NVM and Bundler files next to orientations are their sparse cloud.
         models.retain(|model| !matches!(model.format, ModelFormat::Nvm | ModelFormat::Bundler));
@@ -127,7 +153,8 @@ fn json_format(path: &Path) -> Option<ModelFormat> {
     } else if head.trim_start().starts_with('[') {
         Some(ModelFormat::OpenSfm)
     } else {
-        head.contains("\"version\"").then_some(ModelFormat::AliceVision)
+        head.contains("\"version\"")
+            .then_some(ModelFormat::AliceVision)
     }
 }
 
@@ -143,25 +170,40 @@ fn xml_format(path: &Path) -> Option<ModelFormat> {
 /// The first bytes of a file, as text.
 fn head(path: &Path) -> Option<String> {
     let mut head = Vec::new();
-    input::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)).ok()?;
+    input::open(path)
+        .and_then(|file| file.take(4096).read_to_end(&mut head))
+        .ok()?;
     Some(String::from_utf8_lossy(&head).into_owned())
 }
 
 fn location(root: &Path, format: ModelFormat, path: PathBuf) -> ModelLocation {
-    let mut model = ModelLocation { format, path, registered: 0 };
+    let mut model = ModelLocation {
+        format,
+        path,
+        registered: 0,
+    };
     model.registered = read(root, &model).map_or(0, |foreign| foreign.model.images.len() as u64);
     model
 }
 
 fn file_names(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
-    let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    let entries = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .filter_map(Result::ok);
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .collect();
     names.sort_unstable();
     names
 }
 
 fn orientations(folder: &Path) -> Vec<PathBuf> {
-    file_names(folder).iter().filter(|name| name.ends_with(".ori")).map(|name| folder.join(name)).collect()
+    file_names(folder)
+        .iter()
+        .filter(|name| name.ends_with(".ori"))
+        .map(|name| folder.join(name))
+        .collect()
 }
 
 /// Names of the images that a folder of MicMac orients, and the files.
@@ -178,10 +220,17 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     let beside = match model.format {
         ModelFormat::Bundler => bundler_list(&model.path),
         ModelFormat::OpenSfm => Some(model.path.with_file_name("tracks.csv")),
-        ModelFormat::Metashape | ModelFormat::Blocks | ModelFormat::Transforms => cloud_beside(&model.path),
+        ModelFormat::Metashape | ModelFormat::Blocks | ModelFormat::Transforms => {
+            cloud_beside(&model.path)
+        }
         ModelFormat::MicMac => {
-            let files = file_names(&model.path).into_iter().filter(|name| name.ends_with(".xml"));
-            return files.map(|name| model.path.join(name)).chain(cloud_beside(&model.path)).collect();
+            let files = file_names(&model.path)
+                .into_iter()
+                .filter(|name| name.ends_with(".xml"));
+            return files
+                .map(|name| model.path.join(name))
+                .chain(cloud_beside(&model.path))
+                .collect();
         }
         ModelFormat::Sure => {
             let cloud = sure_cloud(root).map(|(path, _)| path);
@@ -189,7 +238,11 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
         }
         _ => None,
     };
-    [Some(model.path.clone()), beside].into_iter().flatten().filter(|path| path.is_file()).collect()
+    [Some(model.path.clone()), beside]
+        .into_iter()
+        .flatten()
+        .filter(|path| path.is_file())
+        .collect()
 }
 
 /// Reads the model; its image sizes come from the image files for formats that don't store them.
@@ -197,7 +250,10 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
     let search = ImageSearch::new(images::candidates(root, &model.path));
     let size_of = |name: &str| search.size_of(name);
     let spelled = |name: &str| search.spelled(name);
-    let at = |path: &Path, fault| ProjectError::Fault { path: path.into(), fault };
+    let at = |path: &Path, fault| ProjectError::Fault {
+        path: path.into(),
+        fault,
+    };
     let path = &model.path;
     if model.format == ModelFormat::Sure {
         return read_sure(root, path);
@@ -208,9 +264,11 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
     let bytes = files::read(path)?;
     let mut foreign = match model.format {
         ModelFormat::Transforms => {
-            let (mut foreign, cloud) = transforms::read(&bytes, &size_of, &spelled).map_err(|fault| at(path, fault))?;
-            let named =
-                cloud.map(|cloud| path.with_file_name(cloud.replace('\\', "/"))).filter(|cloud| cloud.is_file());
+            let (mut foreign, cloud) =
+                transforms::read(&bytes, &size_of, &spelled).map_err(|fault| at(path, fault))?;
+            let named = cloud
+                .map(|cloud| path.with_file_name(cloud.replace('\\', "/")))
+                .filter(|cloud| cloud.is_file());
             if let Some(cloud) = named {
                 cloud::add_cloud(&mut foreign, &vertices(&cloud)?);
             }
@@ -225,16 +283,32 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
         ModelFormat::OpenSfm => {
             let tracks = path.with_file_name("tracks.csv");
             let rows = tracks.is_file().then(|| files::read(&tracks)).transpose()?;
-            opensfm::read(&bytes, rows.as_deref())
-                .map_err(|fault| at(if fault.file == "tracks" { &tracks } else { path }, fault))?
+            opensfm::read(&bytes, rows.as_deref()).map_err(|fault| {
+                at(
+                    if fault.file == "tracks" {
+                        &tracks
+                    } else {
+                        path
+                    },
+                    fault,
+                )
+            })?
         }
         ModelFormat::Metashape => {
-            let read = |frame| metashape::read(&bytes, frame, &spelled).map_err(|fault| at(path, fault));
+            let read =
+                |frame| metashape::read(&bytes, frame, &spelled).map_err(|fault| at(path, fault));
             let (world, chunk) = (read(Frame::World)?, read(Frame::Chunk)?);
             // Points may be exported in either; they are where the cameras look.
-            let points = cloud_beside(path).map(|cloud| vertices(&cloud)).transpose()?.unwrap_or_default();
+            let points = cloud_beside(path)
+                .map(|cloud| vertices(&cloud))
+                .transpose()?
+                .unwrap_or_default();
             let seen = |model| cloud::views_per_point(model, &points);
-            if seen(&chunk) > seen(&world) { chunk } else { world }
+            if seen(&chunk) > seen(&world) {
+                chunk
+            } else {
+                world
+            }
         }
         ModelFormat::Blocks => blocks::read(&bytes).map_err(|fault| at(path, fault))?,
         ModelFormat::Mve => {
@@ -245,7 +319,9 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
         ModelFormat::Nvm => nvm::read(&bytes, &size_of).map_err(|fault| at(path, fault))?,
         ModelFormat::OpenMvg => openmvg::read(&bytes).map_err(|fault| at(path, fault))?,
         ModelFormat::AliceVision => alicevision::read(&bytes).map_err(|fault| at(path, fault))?,
-        _ => Mvs::read(&bytes).and_then(|mvs| mvs.model(&size_of)).map_err(|fault| at(path, fault))?,
+        _ => Mvs::read(&bytes)
+            .and_then(|mvs| mvs.model(&size_of))
+            .map_err(|fault| at(path, fault))?,
     };
     foreign.shorten_names();
     if foreign.model.points.is_empty() {
@@ -254,21 +330,31 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
     Ok(foreign)
 }
 
-/// Reads an `Ori-` folder of MicMac, with the points of a PLY file in the folder of the images (`AperiCloud`).
+/// Reads an `Ori-` folder of MicMac, with the points of a PLY file in the folder of the images
+/// (`AperiCloud`).
 fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
     let mut foreign = ForeignModel::default();
     let mut calibrations: Vec<String> = Vec::new();
     for (n, (image, path)) in (1..).zip(oriented_by_micmac(folder)) {
-        let at = |path: &Path, fault| ProjectError::Fault { path: path.into(), fault };
-        let oriented = micmac::read_orientation(&files::read(&path)?).map_err(|fault| at(&path, fault))?;
-        let known = calibrations.iter().position(|known| *known == oriented.calibration);
+        let at = |path: &Path, fault| ProjectError::Fault {
+            path: path.into(),
+            fault,
+        };
+        let oriented =
+            micmac::read_orientation(&files::read(&path)?).map_err(|fault| at(&path, fault))?;
+        let known = calibrations
+            .iter()
+            .position(|known| *known == oriented.calibration);
         let camera_id = known.unwrap_or(calibrations.len()) as u32 + 1;
         if known.is_none() {
             let path = folder.join(&oriented.calibration);
             let read = micmac::read_calibration(&files::read(&path)?, camera_id);
             let (camera, off) = read.map_err(|fault| at(&path, fault))?;
             if off > 0.5 {
-                let text = format!("{}: COLMAP's nearest camera is off by up to {off:.1} pixels", oriented.calibration);
+                let text = format!(
+                    "{}: COLMAP's nearest camera is off by up to {off:.1} pixels",
+                    oriented.calibration
+                );
                 foreign.warn(WarningKind::Format, text);
             }
             foreign.model.cameras.push(camera);
@@ -290,8 +376,11 @@ fn add_cloud_beside(foreign: &mut ForeignModel, model: &Path) -> Result<(), Proj
     let points = vertices(&path)?;
     let has_both = !points.is_empty() && !foreign.model.images.is_empty();
     if has_both && cloud::views_per_point(foreign, &points) == 0.0 {
-        let what = "no point lies before any camera: points and cameras are in different coordinates".into();
-        let hint = "export both in the same coordinate system, such as Metashape's Local Coordinates";
+        let what =
+            "no point lies before any camera: points and cameras are in different coordinates"
+                .into();
+        let hint =
+            "export both in the same coordinate system, such as Metashape's Local Coordinates";
         let fault = Fault::new("", Place::File, Problem::Unsupported { what, hint });
         return Err(ProjectError::Fault { path, fault });
     }
@@ -302,7 +391,10 @@ fn add_cloud_beside(foreign: &mut ForeignModel, model: &Path) -> Result<(), Proj
 /// The first PLY file in the folder of a model.
 fn cloud_beside(model: &Path) -> Option<PathBuf> {
     let folder = model.parent()?;
-    file_names(folder).iter().find(|name| name.ends_with(".ply")).map(|name| folder.join(name))
+    file_names(folder)
+        .iter()
+        .find(|name| name.ends_with(".ply"))
+        .map(|name| folder.join(name))
 }
 
 /// The views beside a bundle of MVE, by their `meta.ini` and undistorted image.
@@ -310,11 +402,16 @@ fn mve_views(bundle: &Path) -> Vec<mve::View> {
     let folder = bundle.with_file_name("views");
     let search = ImageSearch::new(vec![folder.clone()]);
     let view = |name: &String| {
-        let meta = input::read_text(&folder.join(name).join("meta.ini"), FileKind::Settings).ok()?;
+        let meta =
+            input::read_text(&folder.join(name).join("meta.ini"), FileKind::Settings).ok()?;
         let image = search.spelled(&format!("{name}/undistorted.jpg"));
         mve::View::read(&meta, image)
     };
-    file_names(&folder).iter().filter(|name| name.ends_with(".mve")).filter_map(view).collect()
+    file_names(&folder)
+        .iter()
+        .filter(|name| name.ends_with(".mve"))
+        .filter_map(view)
+        .collect()
 }
 
 /// The vertices of a PLY file.
@@ -326,32 +423,61 @@ fn vertices(path: &Path) -> Result<Vec<nalgebra::Point3<f64>>, ProjectError> {
     Ok(cloud.vertices)
 }
 
-/// Finds the image list of a bundle file: `list.rd.txt` for `*.rd.out`, `X.list.txt` for `X.bundle.out`, otherwise `list.txt` in its folder or
-/// the one above; `imagelist.lst` is RealityCapture's.
+/// Finds the image list of a bundle file: `list.rd.txt` for `*.rd.out`, `X.list.txt` for
+/// `X.bundle.out`, otherwise `list.txt` in its folder or the one above; `imagelist.lst` is
+/// RealityCapture's.
 fn bundler_list(bundle: &Path) -> Option<PathBuf> {
     let name = bundle.file_name()?.to_string_lossy();
-    let own = name.strip_suffix("bundle.out").map(|stem| bundle.with_file_name(format!("{stem}list.txt")));
-    let undistorted = name.ends_with(".rd.out").then(|| bundle.with_file_name("list.rd.txt"));
-    let up = bundle.parent().and_then(Path::parent).map(|folder| folder.join("list.txt"));
+    let own = name
+        .strip_suffix("bundle.out")
+        .map(|stem| bundle.with_file_name(format!("{stem}list.txt")));
+    let undistorted = name
+        .ends_with(".rd.out")
+        .then(|| bundle.with_file_name("list.rd.txt"));
+    let up = bundle
+        .parent()
+        .and_then(Path::parent)
+        .map(|folder| folder.join("list.txt"));
     let beside = |name: &str| Some(bundle.with_file_name(name));
-    let lists = [undistorted, own, beside("list.txt"), beside("imagelist.lst"), up];
+    let lists = [
+        undistorted,
+        own,
+        beside("list.txt"),
+        beside("imagelist.lst"),
+        up,
+    ];
     lists.into_iter().flatten().find(|path| path.is_file())
 }
 
 /// Finds the sparse cloud of a SURE project: NVM, Bundler or PLY.
 fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
     let names = file_names(root);
-    let endings = [(".nvm", ModelFormat::Nvm), (".out", ModelFormat::Bundler), (".ply", ModelFormat::Sure)];
-    let first = |ending: &str| names.iter().find(|name| name.ends_with(ending)).map(|name| root.join(name));
-    endings.into_iter().find_map(|(ending, format)| Some((first(ending)?, format)))
+    let endings = [
+        (".nvm", ModelFormat::Nvm),
+        (".out", ModelFormat::Bundler),
+        (".ply", ModelFormat::Sure),
+    ];
+    let first = |ending: &str| {
+        names
+            .iter()
+            .find(|name| name.ends_with(ending))
+            .map(|name| root.join(name))
+    };
+    endings
+        .into_iter()
+        .find_map(|(ending, format)| Some((first(ending)?, format)))
 }
 
-/// Reads oriented images, and points from an NVM or Bundler file (with tracks) or a PLY file (without).
+/// Reads oriented images, and points from an NVM or Bundler file (with tracks) or a PLY file
+/// (without).
 fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
     let mut oriented = Vec::new();
     for (n, path) in orientations(folder).iter().enumerate() {
         let found = sure::read(&files::read(path)?, n as u32 + 1);
-        oriented.push(found.map_err(|fault| ProjectError::Fault { path: path.clone(), fault })?);
+        oriented.push(found.map_err(|fault| ProjectError::Fault {
+            path: path.clone(),
+            fault,
+        })?);
     }
     let search = ImageSearch::new(images::candidates(root, folder));
     let mut foreign = sure::model(oriented, |name| search.spelled(name));
@@ -363,10 +489,22 @@ fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
         }
         Some((path, ModelFormat::Sure)) => cloud::add_cloud(&mut foreign, &vertices(&path)?),
         Some((path, format)) => {
-            let cloud = read(root, &ModelLocation { format, path: path.clone(), registered: 0 })?;
-            foreign.model.warnings.extend(cloud.model.warnings.iter().cloned());
-            sure::add_tracks(&mut foreign, &cloud)
-                .map_err(|problem| ProjectError::Fault { fault: Fault::new("", Place::File, problem), path })?;
+            let cloud = read(
+                root,
+                &ModelLocation {
+                    format,
+                    path: path.clone(),
+                    registered: 0,
+                },
+            )?;
+            foreign
+                .model
+                .warnings
+                .extend(cloud.model.warnings.iter().cloned());
+            sure::add_tracks(&mut foreign, &cloud).map_err(|problem| ProjectError::Fault {
+                fault: Fault::new("", Place::File, problem),
+                path,
+            })?;
         }
     }
     Ok(foreign)

@@ -66,9 +66,18 @@ impl ModelFormat {
         matches!(self, Self::ColmapBinary | Self::ColmapText)
     }
 
-    /// Returns whether the format stores measured pixels. Without them, observations are placed at the projections of their points.
+    /// Returns whether the format stores measured pixels. Without them, observations are placed at
+    /// the projections of their points.
     pub fn has_pixels(self) -> bool {
-        !matches!(self, Self::OpenMvs | Self::Sure | Self::Transforms | Self::Metashape | Self::Mve | Self::MicMac)
+        !matches!(
+            self,
+            Self::OpenMvs
+                | Self::Sure
+                | Self::Transforms
+                | Self::Metashape
+                | Self::Mve
+                | Self::MicMac
+        )
     }
 
     /// Display name.
@@ -105,7 +114,11 @@ pub struct ModelLocation {
 impl ModelLocation {
     /// Name of the folder or file, as passed to `--model`.
     pub fn name(&self) -> String {
-        self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
+        self.path
+            .file_name()
+            .unwrap_or(self.path.as_os_str())
+            .to_string_lossy()
+            .into_owned()
     }
 }
 
@@ -127,7 +140,8 @@ pub enum ProjectKind {
 #[derive(Clone, Debug)]
 pub struct Project {
     pub root: PathBuf,
-    /// Folder with viewrank's output folder: `root`, or another one for a project that must not be written to.
+    /// Folder with viewrank's output folder: `root`, or another one for a project that must not be
+    /// written to.
     pub home: PathBuf,
     pub kind: ProjectKind,
     /// The model to plan for.
@@ -144,7 +158,8 @@ pub struct Project {
     pub model_stamps: Vec<FileStamp>,
 }
 
-/// Length and modification time of a file; `None` if it is missing. Not the inode, which some network file systems make up anew each time.
+/// Length and modification time of a file; `None` if it is missing. Not the inode, which some
+/// network file systems make up anew each time.
 pub type FileStamp = Option<(u64, Option<SystemTime>)>;
 
 /// Name of the file set of a batch of undistorted images, from 1.
@@ -153,8 +168,8 @@ pub fn undistorted_set(batch: usize) -> String {
 }
 
 impl Project {
-    /// Opens a project folder, a model folder or a model file. Of several sub-models it takes the one named by `model`, or the one with the most
-    /// registered images, ties by name.
+    /// Opens a project folder, a model folder or a model file. Of several sub-models it takes the
+    /// one named by `model`, or the one with the most registered images, ties by name.
     ///
     /// # Errors
     /// If there is no complete model, or no sub-model of that name.
@@ -162,7 +177,8 @@ impl Project {
         discover::open(path, model)
     }
 
-    /// Opens what a user names: as [`Self::open`], or the folder of a plan that was written elsewhere (`plan --out`).
+    /// Opens what a user names: as [`Self::open`], or the folder of a plan that was written
+    /// elsewhere (`plan --out`).
     pub fn open_or_planned(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
         match Self::open(path, model) {
             Err(ProjectError::NoModel { .. }) if elsewhere::project_of(path).is_some() => {
@@ -173,12 +189,16 @@ impl Project {
         }
     }
 
-    /// The same project with the results in another folder; nothing is written to its own. The plan there names the project, so that the
-    /// folder can be opened in its place.
+    /// The same project with the results in another folder; nothing is written to its own. The plan
+    /// there names the project, so that the folder can be opened in its place.
     pub fn with_home(self, home: &Path) -> Self {
         let home = std::path::absolute(home).unwrap_or_else(|_| home.into());
         // A workspace gets the files of its backend, which would be written into the project.
-        Self { home, dense_workspace: None, ..self }
+        Self {
+            home,
+            dense_workspace: None,
+            ..self
+        }
     }
 
     /// The same project with its images in this folder; `None`: where they were found.
@@ -192,7 +212,8 @@ impl Project {
         self.home != self.root
     }
 
-    /// Command line argument for the project: its folder, and `--model` unless the sub-model is the default.
+    /// Command line argument for the project: its folder, and `--model` unless the sub-model is the
+    /// default.
     pub fn as_argument(&self) -> String {
         let root = command_path(&self.home);
         match discover::is_first(&self.model, &self.other_models) {
@@ -203,9 +224,11 @@ impl Project {
 
     /// Returns whether `viewrank undistort` made the dense workspace.
     pub fn has_undistorted_workspace(&self) -> bool {
-        self.dense_workspace
-            .as_ref()
-            .is_some_and(|dense| dense.join(format!("viewrank/{}.json", undistorted_set(1))).is_file())
+        self.dense_workspace.as_ref().is_some_and(|dense| {
+            dense
+                .join(format!("viewrank/{}.json", undistorted_set(1)))
+                .is_file()
+        })
     }
 
     /// viewrank's output folder: `home/viewrank`.
@@ -223,20 +246,36 @@ impl Project {
         let mut scene = match self.model.format {
             ModelFormat::ColmapBinary | ModelFormat::ColmapText => self.colmap_files()?.scene()?,
             _ => {
-                let fault = |fault| ProjectError::Fault { path: self.model.path.clone(), fault };
-                foreign::read(&self.root, &self.model)?.scene().map_err(fault)?
+                let fault = |fault| ProjectError::Fault {
+                    path: self.model.path.clone(),
+                    fault,
+                };
+                foreign::read(&self.root, &self.model)?
+                    .scene()
+                    .map_err(fault)?
             }
         };
         let others = self.sub_model_warning(scene.views.len());
-        scene.warnings.extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
+        scene
+            .warnings
+            .extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
         let workspace = self.other_workspace_warning();
-        scene.warnings.extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
+        scene
+            .warnings
+            .extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
         if let Some(images) = &self.images {
             images.resolve(&scene);
         }
-        // If the project folder itself is the image folder, an image in it need not belong to the survey.
-        if let Some(images) = self.images.as_ref().filter(|images| ***images != *self.root) {
-            scene.unregistered.extend(images::unregistered(images, &scene));
+        // If the project folder itself is the image folder, an image in it need not belong to the
+        // survey.
+        if let Some(images) = self
+            .images
+            .as_ref()
+            .filter(|images| ***images != *self.root)
+        {
+            scene
+                .unregistered
+                .extend(images::unregistered(images, &scene));
             scene.unregistered.sort_unstable();
             scene.unregistered.dedup();
         }
@@ -245,21 +284,36 @@ impl Project {
 
     /// Checks the image files of the scene; finds no faults without an image folder.
     pub fn image_faults(&self, scene: &Scene) -> ImageFaults {
-        self.images.as_ref().map_or_else(ImageFaults::default, |folder| ImageFaults::find(folder, scene))
+        self.images
+            .as_ref()
+            .map_or_else(ImageFaults::default, |folder| {
+                ImageFaults::find(folder, scene)
+            })
     }
 
     /// Returns whether the image folder, if there is one, has no image of the scene.
     pub fn has_only_other_images(&self, scene: &Scene) -> bool {
-        let has_image = |folder: &ImageFolder| scene.view_indices().any(|view| folder.file(scene.name(view)).is_file());
-        self.images.as_ref().is_some_and(|folder| !has_image(folder))
+        let has_image = |folder: &ImageFolder| {
+            scene
+                .view_indices()
+                .any(|view| folder.file(scene.name(view)).is_file())
+        };
+        self.images
+            .as_ref()
+            .is_some_and(|folder| !has_image(folder))
     }
 
     /// Returns the folders of masks, the first of which counts if several have one for an image.
     pub fn mask_folders(&self) -> Vec<PathBuf> {
         let place = |folder: &Path| folder.canonicalize().unwrap_or_else(|_| folder.into());
         // The folder above the project may belong to others.
-        let images = self.images.as_deref().filter(|images| place(images) != place(&self.root));
-        let above = [Some(&*self.root), images.and_then(Path::parent), images].into_iter().flatten();
+        let images = self
+            .images
+            .as_deref()
+            .filter(|images| place(images) != place(&self.root));
+        let above = [Some(&*self.root), images.and_then(Path::parent), images]
+            .into_iter()
+            .flatten();
         let mut places = HashSet::new();
         above
             .map(|folder| folder.join(MASKS))
@@ -272,23 +326,34 @@ impl Project {
         ColmapFiles::open(&self.model)
     }
 
-    /// Returns whether the folder of a binary COLMAP model also has a text model with other images or poses, or one that cannot be read.
+    /// Returns whether the folder of a binary COLMAP model also has a text model with other images
+    /// or poses, or one that cannot be read.
     pub fn has_other_text_model(&self, scene: &Scene) -> bool {
-        let location = ModelLocation { format: ModelFormat::ColmapText, ..self.model.clone() };
-        if self.model.format != ModelFormat::ColmapBinary || !self.model.path.join("images.txt").is_file() {
+        let location = ModelLocation {
+            format: ModelFormat::ColmapText,
+            ..self.model.clone()
+        };
+        if self.model.format != ModelFormat::ColmapBinary
+            || !self.model.path.join("images.txt").is_file()
+        {
             return false;
         }
-        ColmapFiles::open(&location).and_then(|files| files.scene()).map_or(true, |text| !text.has_same_views(scene))
+        ColmapFiles::open(&location)
+            .and_then(|files| files.scene())
+            .map_or(true, |text| !text.has_same_views(scene))
     }
 
-    /// Calls `use_model` with the COLMAP model in the project's files, or with one made from the scene for other formats.
+    /// Calls `use_model` with the COLMAP model in the project's files, or with one made from the
+    /// scene for other formats.
     pub fn with_colmap_model<T>(
         &self,
         scene: &Scene,
         use_model: impl FnOnce(&ColmapModel) -> T,
     ) -> Result<T, ProjectError> {
         Ok(match self.model.format {
-            ModelFormat::ColmapBinary | ModelFormat::ColmapText => use_model(&self.colmap_files()?.model()?),
+            ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
+                use_model(&self.colmap_files()?.model()?)
+            }
             _ => use_model(&ColmapModel::from_scene(scene)),
         })
     }
@@ -298,7 +363,8 @@ impl Project {
         model_files(&self.root, &self.model)
     }
 
-    /// Returns an error if the model's files have changed since the project was opened: what is known of them is out of date.
+    /// Returns an error if the model's files have changed since the project was opened: what is
+    /// known of them is out of date.
     pub fn refuse_changed_model(&self) -> Result<(), ProjectError> {
         match stamps(&self.root, &self.model) == self.model_stamps {
             true => Ok(()),
@@ -306,20 +372,27 @@ impl Project {
         }
     }
 
-    /// Other models at least half of whose images are in the scene: copies of the model, possibly in other coordinates.
+    /// Other models at least half of whose images are in the scene: copies of the model, possibly
+    /// in other coordinates.
     pub fn copies(&self, scene: &Scene) -> Vec<&ModelLocation> {
         let is_copy = |model: &&ModelLocation| {
             let names = discover::image_names(&self.root, model).unwrap_or_default();
-            let shared = names.iter().filter(|name| scene.find(name).is_some()).count();
+            let shared = names
+                .iter()
+                .filter(|name| scene.find(name).is_some())
+                .count();
             2 * shared >= names.len()
         };
         self.other_models.iter().filter(is_copy).collect()
     }
 
-    /// Warns of a dense workspace that was made from another model, unless nothing is written into the project anyway.
+    /// Warns of a dense workspace that was made from another model, unless nothing is written into
+    /// the project anyway.
     fn other_workspace_warning(&self) -> Option<String> {
         let others = discover::dense_folders(&self.root, &self.model);
-        let other = others.first().filter(|_| self.dense_workspace.is_none() && !self.is_elsewhere())?;
+        let other = others
+            .first()
+            .filter(|_| self.dense_workspace.is_none() && !self.is_elsewhere())?;
         Some(format!(
             "{} lacks images of this model, or its own model cannot be read; viewrank writes nothing into it",
             other.display()
@@ -328,12 +401,18 @@ impl Project {
 
     /// Names the model that is used, and the others.
     fn sub_model_warning(&self, registered: usize) -> Option<String> {
-        let others = self.other_models.iter().map(|m| format!("{} ({} images)", m.name(), m.registered));
+        let others = self
+            .other_models
+            .iter()
+            .map(|m| format!("{} ({} images)", m.name(), m.registered));
         let others: Vec<String> = others.collect();
         (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model.name();
             let how = match self.model.path.is_dir() {
-                true => format!("`viewrank plan {}` plans another one", command_path(&self.other_models[0].path)),
+                true => format!(
+                    "`viewrank plan {}` plans another one",
+                    command_path(&self.other_models[0].path)
+                ),
                 false => "choose another one with --model".into(),
             };
             format!(
@@ -345,7 +424,11 @@ impl Project {
 }
 
 fn model_files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
-    if model.format.is_colmap() { files::all(model) } else { foreign::files(root, model) }
+    if model.format.is_colmap() {
+        files::all(model)
+    } else {
+        foreign::files(root, model)
+    }
 }
 
 fn stamps(root: &Path, model: &ModelLocation) -> Vec<FileStamp> {
@@ -373,7 +456,11 @@ pub enum ProjectError {
     #[error("incomplete COLMAP model in {folder}: {missing} missing")]
     IncompleteModel { folder: PathBuf, missing: String },
     #[error("no sub-model {wanted:?} in {path}, only {present}")]
-    NoSuchModel { path: PathBuf, wanted: String, present: String },
+    NoSuchModel {
+        path: PathBuf,
+        wanted: String,
+        present: String,
+    },
     #[error("cannot read {path}: {source}")]
     Io { path: PathBuf, source: io::Error },
     #[error("{path}, {fault}")]

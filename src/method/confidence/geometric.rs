@@ -1,5 +1,6 @@
-//! Geometric confidence of a pair (method 7.2): probability of a match from the geometry of the two views and the triangle. Needs no image. The
-//! sparse points around contribute in [`nearby`](super::nearby()).
+//! Geometric confidence of a pair (method 7.2): probability of a match from the geometry of the two
+//! views and the triangle. Needs no image. The sparse points around contribute in
+//! [`nearby`](super::nearby()).
 
 use nalgebra::Point3;
 
@@ -11,11 +12,13 @@ pub struct PairConfidence {
     /// Minimum number of successful matches for a pixel (method 3.4), 1 to 3.
     pub min_matches: u32,
     pub p0: f64,
-    /// Exponent of the smaller cosine of incidence (gamma). A higher value penalises slanted views more.
+    /// Exponent of the smaller cosine of incidence (gamma). A higher value penalises slanted views
+    /// more.
     pub cosine_power: f64,
     /// Standard deviation of the scale ratio, octaves (s); `None`: scale has no effect.
     pub scale_octaves: Option<f64>,
-    /// Triangulation angle, degrees, from which the angle no longer lowers the probability (a); `None`: it never does.
+    /// Triangulation angle, degrees, from which the angle no longer lowers the probability (a);
+    /// `None`: it never does.
     pub full_angle_deg: Option<f64>,
 }
 
@@ -36,11 +39,20 @@ impl PairConfidence {
         }
     }
 
-    /// p_i(t) = p0 min(cos key, cos partner)^gamma exp(-(log2(l_i / l_key) / s)^2 / 2) min(angle / a, 1), in [0, 1].
+    /// p_i(t) = p0 min(cos key, cos partner)^gamma exp(-(log2(l_i / l_key) / s)^2 / 2) min(angle /
+    /// a, 1), in [0, 1].
     pub fn confidence(&self, c: &Constellation) -> f64 {
-        let incidence = c.cos_key.min(c.cos_partner).max(0.0).powf(self.cosine_power);
-        let scale = self.scale_octaves.map_or(1.0, |s| (-0.5 * (c.octaves / s).powi(2)).exp());
-        let angle = self.full_angle_deg.map_or(1.0, |a| (c.angle_deg / a).min(1.0));
+        let incidence = c
+            .cos_key
+            .min(c.cos_partner)
+            .max(0.0)
+            .powf(self.cosine_power);
+        let scale = self
+            .scale_octaves
+            .map_or(1.0, |s| (-0.5 * (c.octaves / s).powi(2)).exp());
+        let angle = self
+            .full_angle_deg
+            .map_or(1.0, |a| (c.angle_deg / a).min(1.0));
         (self.p0 * incidence * scale * angle).clamp(0.0, 1.0)
     }
 }
@@ -77,24 +89,61 @@ impl Constellation {
 mod tests {
     use super::*;
 
-    const SURE: PairConfidence =
-        PairConfidence { min_matches: 2, p0: 0.8, cosine_power: 1.0, scale_octaves: Some(0.7), full_angle_deg: None };
+    const SURE: PairConfidence = PairConfidence {
+        min_matches: 2,
+        p0: 0.8,
+        cosine_power: 1.0,
+        scale_octaves: Some(0.7),
+        full_angle_deg: None,
+    };
 
     #[test]
     fn follows_its_formula() {
-        let frontal = Constellation { cos_key: 1.0, cos_partner: 1.0, octaves: 0.0, angle_deg: 4.0 };
+        let frontal = Constellation {
+            cos_key: 1.0,
+            cos_partner: 1.0,
+            octaves: 0.0,
+            angle_deg: 4.0,
+        };
         assert_eq!(SURE.confidence(&frontal), 0.8);
-        let aside = Constellation { cos_partner: 0.5, ..frontal };
+        let aside = Constellation {
+            cos_partner: 0.5,
+            ..frontal
+        };
         assert_eq!(SURE.confidence(&aside), 0.4);
-        let finer = Constellation { octaves: -0.7, ..frontal };
+        let finer = Constellation {
+            octaves: -0.7,
+            ..frontal
+        };
         assert!((SURE.confidence(&finer) - 0.8 * (-0.5f64).exp()).abs() < 1e-15);
-        let patch_match = PairConfidence { full_angle_deg: Some(8.0), scale_octaves: None, ..SURE };
-        assert_eq!(patch_match.confidence(&Constellation { octaves: 3.0, ..frontal }), 0.4);
+        let patch_match = PairConfidence {
+            full_angle_deg: Some(8.0),
+            scale_octaves: None,
+            ..SURE
+        };
+        assert_eq!(
+            patch_match.confidence(&Constellation {
+                octaves: 3.0,
+                ..frontal
+            }),
+            0.4
+        );
     }
 
     #[test]
     fn settings_replace_the_backends_numbers() {
-        let settings = ConfidenceSettings { p0: Some(0.5), scale_octaves: Some(0.0), ..Default::default() };
-        assert_eq!(SURE.with(&settings), PairConfidence { p0: 0.5, scale_octaves: None, ..SURE });
+        let settings = ConfidenceSettings {
+            p0: Some(0.5),
+            scale_octaves: Some(0.0),
+            ..Default::default()
+        };
+        assert_eq!(
+            SURE.with(&settings),
+            PairConfidence {
+                p0: 0.5,
+                scale_octaves: None,
+                ..SURE
+            }
+        );
     }
 }

@@ -1,6 +1,8 @@
-//! Decodes pictures at reduced size (method 7.4): JPEG at a fraction of its size, PNG and TIFF completely, then reduced.
+//! Decodes pictures at reduced size (method 7.4): JPEG at a fraction of its size, PNG and TIFF
+//! completely, then reduced.
 //!
-//! Pixels keep their position in the file: EXIF orientation is never applied, because poses and observations refer to the file.
+//! Pixels keep their position in the file: EXIF orientation is never applied, because poses and
+//! observations refer to the file.
 
 use std::{io::BufReader, path::Path};
 
@@ -14,7 +16,9 @@ use crate::{
         project::Unread,
     },
 };
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
+use fast_image_resize::{
+    FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels,
+};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
 use jpeg_decoder::PixelFormat;
 use zune_jpeg::{
@@ -26,7 +30,8 @@ use zune_jpeg::{
 const LEAST_PIXELS: f64 = 750_000.0;
 /// Minimum side relative to the file's.
 const LEAST_SCALE: f64 = 0.25;
-/// Limit on the scans of a JPEG, each of which may visit all its pixels in a few hundred bytes; programs write about ten.
+/// Limit on the scans of a JPEG, each of which may visit all its pixels in a few hundred bytes;
+/// programs write about ten.
 const MOST_SCANS: usize = 100;
 
 /// A reduced picture: RGB, 8 bit, row-major.
@@ -56,7 +61,11 @@ pub enum ImageError {
     #[error("a JPEG of more than {MOST_SCANS} scans")]
     Scans,
     #[error("{width} x {height} pixels, the camera has {} x {}", camera[0], camera[1])]
-    Shape { width: u32, height: u32, camera: [u32; 2] },
+    Shape {
+        width: u32,
+        height: u32,
+        camera: [u32; 2],
+    },
     #[error("{0}")]
     Unread(#[from] Unread),
     #[error("its mask: {0}")]
@@ -64,8 +73,8 @@ pub enum ImageError {
 }
 
 impl ImageError {
-    /// Returns true if no program can match the image: it is damaged, or its aspect ratio differs from its camera's. False for formats that other
-    /// programs may read.
+    /// Returns true if no program can match the image: it is damaged, or its aspect ratio differs
+    /// from its camera's. False for formats that other programs may read.
     pub fn is_unusable(&self) -> bool {
         matches!(
             self,
@@ -77,13 +86,22 @@ impl ImageError {
 }
 
 impl Image {
-    /// Reads an image file and reduces it to the size that `wanted` returns for its width and height.
-    pub fn read(path: &Path, bound: PixelBound, wanted: impl Fn([u32; 2]) -> [u32; 2]) -> Result<Self, ImageError> {
+    /// Reads an image file and reduces it to the size that `wanted` returns for its width and
+    /// height.
+    pub fn read(
+        path: &Path,
+        bound: PixelBound,
+        wanted: impl Fn([u32; 2]) -> [u32; 2],
+    ) -> Result<Self, ImageError> {
         Self::decode(&input::read(path, FileKind::Picture)?, bound, wanted)
     }
 
     /// Decodes an image and reduces it to the size that `wanted` returns for its width and height.
-    pub fn decode(bytes: &[u8], bound: PixelBound, wanted: impl Fn([u32; 2]) -> [u32; 2]) -> Result<Self, ImageError> {
+    pub fn decode(
+        bytes: &[u8],
+        bound: PixelBound,
+        wanted: impl Fn([u32; 2]) -> [u32; 2],
+    ) -> Result<Self, ImageError> {
         let image = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
             ImageFormat::Jpeg => jpeg(bytes, bound, &wanted)?,
             _ => whole(bytes, bound)?,
@@ -92,7 +110,8 @@ impl Image {
         Ok(image.shrunk(width, height))
     }
 
-    /// Decodes an image to grey levels, reduced to the size that `wanted` returns for its width and height; also returns its full size.
+    /// Decodes an image to grey levels, reduced to the size that `wanted` returns for its width and
+    /// height; also returns its full size.
     pub fn decode_grey(
         bytes: &[u8],
         bound: PixelBound,
@@ -111,8 +130,17 @@ impl Image {
         let from = Pixels::from_vec_u8(full[0], full[1], pixels, PixelType::U8).expect(sized);
         let mut to = Pixels::new(width, height, PixelType::U8);
         let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
-        Resizer::new().resize(&from, &mut to, &by_areas).expect(sized);
-        Ok((GreyImage { width, height, pixels: to.into_vec() }, full))
+        Resizer::new()
+            .resize(&from, &mut to, &by_areas)
+            .expect(sized);
+        Ok((
+            GreyImage {
+                width,
+                height,
+                pixels: to.into_vec(),
+            },
+            full,
+        ))
     }
 
     /// Reduces by area averaging; unchanged if it has that size already.
@@ -121,11 +149,19 @@ impl Image {
             return self;
         }
         let sized = "three bytes a pixel, and the kind of pixels is the same";
-        let from = Pixels::from_vec_u8(self.width, self.height, self.rgb, PixelType::U8x3).expect(sized);
+        let from =
+            Pixels::from_vec_u8(self.width, self.height, self.rgb, PixelType::U8x3).expect(sized);
         let mut to = Pixels::new(width, height, PixelType::U8x3);
         let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
-        Resizer::new().resize(&from, &mut to, &by_areas).expect(sized);
-        Self { width, height, rgb: to.into_vec(), full: self.full }
+        Resizer::new()
+            .resize(&from, &mut to, &by_areas)
+            .expect(sized);
+        Self {
+            width,
+            height,
+            rgb: to.into_vec(),
+            full: self.full,
+        }
     }
 }
 
@@ -143,11 +179,14 @@ fn jpeg_grey(bytes: &[u8], bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]), Ima
         return Ok(stored);
     }
     let Image { rgb, full, .. } = jpeg(bytes, bound, &|full| full)?;
-    let luma = |p: &[u8]| ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8;
+    let luma = |p: &[u8]| {
+        ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8
+    };
     Ok((rgb.chunks_exact(3).map(luma).collect(), full))
 }
 
-/// Decodes luma alone, which saves the colour conversion; `None` if the file doesn't store it, is too large, or cannot be decoded.
+/// Decodes luma alone, which saves the colour conversion; `None` if the file doesn't store it, is
+/// too large, or cannot be decoded.
 fn stored_luma(bytes: &[u8], bound: PixelBound) -> Option<(Vec<u8>, [u32; 2])> {
     let options = DecoderOptions::default()
         .jpeg_set_out_colorspace(ColorSpace::Luma)
@@ -155,15 +194,21 @@ fn stored_luma(bytes: &[u8], bound: PixelBound) -> Option<(Vec<u8>, [u32; 2])> {
         .set_max_height(65_535);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().ok()?;
-    let full = decoder.dimensions().map(|(width, height)| [width, height].map(|side| side as u32))?;
-    let is_stored = matches!(decoder.input_colorspace(), Some(ColorSpace::YCbCr | ColorSpace::Luma));
+    let full = decoder
+        .dimensions()
+        .map(|(width, height)| [width, height].map(|side| side as u32))?;
+    let is_stored = matches!(
+        decoder.input_colorspace(),
+        Some(ColorSpace::YCbCr | ColorSpace::Luma)
+    );
     if !is_stored || bound.admit(full[0], full[1]).is_err() {
         return None;
     }
     Some((decoder.decode().ok()?, full))
 }
 
-/// Returns the size at which a picture is drawn: three quarters of a megapixel or a quarter of the side, whichever is larger.
+/// Returns the size at which a picture is drawn: three quarters of a megapixel or a quarter of the
+/// side, whichever is larger.
 pub fn drawn_size(full: [u32; 2]) -> [u32; 2] {
     let pixels = f64::from(full[0]) * f64::from(full[1]);
     let scale = (LEAST_PIXELS / pixels).sqrt().clamp(LEAST_SCALE, 1.0);
@@ -171,43 +216,64 @@ pub fn drawn_size(full: [u32; 2]) -> [u32; 2] {
 }
 
 /// Decodes at the smallest of 1/8, 1/4, 1/2 and 1 that is not below the wanted size.
-fn jpeg(bytes: &[u8], bound: PixelBound, wanted: &impl Fn([u32; 2]) -> [u32; 2]) -> Result<Image, ImageError> {
+fn jpeg(
+    bytes: &[u8],
+    bound: PixelBound,
+    wanted: &impl Fn([u32; 2]) -> [u32; 2],
+) -> Result<Image, ImageError> {
     check_scans(bytes)?;
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_max_decoding_buffer_size(MOST_BYTES as usize);
     decoder.read_info()?;
-    let full = decoder.info().map_or([1, 1], |info| [info.width, info.height].map(u32::from));
+    let full = decoder
+        .info()
+        .map_or([1, 1], |info| [info.width, info.height].map(u32::from));
     bound.admit(full[0], full[1])?;
     // The sides of a JPEG are 16-bit numbers.
     let [width, height] = wanted(full).map(|side| side as u16);
     let (width, height) = decoder.scale(width, height)?;
     let data = decoder.decode()?;
-    let format = decoder.info().map_or(PixelFormat::RGB24, |info| info.pixel_format);
+    let format = decoder
+        .info()
+        .map_or(PixelFormat::RGB24, |info| info.pixel_format);
     let rgb = match format {
         PixelFormat::RGB24 => data,
         PixelFormat::L8 => data.iter().flat_map(|&v| [v; 3]).collect(),
-        PixelFormat::L16 => {
-            data.chunks_exact(2).flat_map(|v| [(u16::from_ne_bytes([v[0], v[1]]) >> 8) as u8; 3]).collect()
-        }
+        PixelFormat::L16 => data
+            .chunks_exact(2)
+            .flat_map(|v| [(u16::from_ne_bytes([v[0], v[1]]) >> 8) as u8; 3])
+            .collect(),
         // CMYK; the decoder has already inverted it where necessary.
-        PixelFormat::CMYK32 => {
-            data.chunks_exact(4).flat_map(|v| [0, 1, 2].map(|c| product(255 - v[c], 255 - v[3]))).collect()
-        }
+        PixelFormat::CMYK32 => data
+            .chunks_exact(4)
+            .flat_map(|v| [0, 1, 2].map(|c| product(255 - v[c], 255 - v[3])))
+            .collect(),
     };
-    Ok(Image { width: width.into(), height: height.into(), rgb, full })
+    Ok(Image {
+        width: width.into(),
+        height: height.into(),
+        rgb,
+        full,
+    })
 }
 
 /// Checks the number of scans.
 fn check_scans(bytes: &[u8]) -> Result<(), ImageError> {
-    if scans(bytes) > MOST_SCANS { Err(ImageError::Scans) } else { Ok(()) }
+    if scans(bytes) > MOST_SCANS {
+        Err(ImageError::Scans)
+    } else {
+        Ok(())
+    }
 }
 
-/// Counts the scans up to the end of the image. Neither segments nor what follows the image (the film of a motion photo, say) count; scan data has no
-/// marker but restarts (ITU T.81, B.1.1.5).
+/// Counts the scans up to the end of the image. Neither segments nor what follows the image (the
+/// film of a motion photo, say) count; scan data has no marker but restarts (ITU T.81, B.1.1.5).
 fn scans(bytes: &[u8]) -> usize {
     const RESTARTS: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
     let (mut at, mut scans) = (2, 0);
-    while let Some(next) = bytes.get(at..).and_then(|rest| rest.windows(2).position(|pair| is_marker(pair[0], pair[1])))
+    while let Some(next) = bytes
+        .get(at..)
+        .and_then(|rest| rest.windows(2).position(|pair| is_marker(pair[0], pair[1])))
     {
         let marker = bytes[at + next + 1];
         at += next + 2;
@@ -217,7 +283,9 @@ fn scans(bytes: &[u8]) -> usize {
             _ if RESTARTS.contains(&marker) => {}
             _ => {
                 scans += usize::from(marker == 0xda);
-                let Some(length) = bytes.get(at..at + 2) else { break };
+                let Some(length) = bytes.get(at..at + 2) else {
+                    break;
+                };
                 at += usize::from(u16::from_be_bytes([length[0], length[1]])).max(2);
             }
         }
@@ -238,11 +306,18 @@ fn product(a: u8, b: u8) -> u8 {
 fn whole(bytes: &[u8], bound: PixelBound) -> Result<Image, ImageError> {
     let pixels = open(bytes, bound)?.into_rgb8();
     let (width, height) = pixels.dimensions();
-    Ok(Image { width, height, rgb: pixels.into_raw(), full: [width, height] })
+    Ok(Image {
+        width,
+        height,
+        rgb: pixels.into_raw(),
+        full: [width, height],
+    })
 }
 
 fn open(bytes: &[u8], bound: PixelBound) -> Result<DynamicImage, ImageError> {
-    Ok(DynamicImage::from_decoder(picture::open::<ImageError>(bytes, bound)?)?)
+    Ok(DynamicImage::from_decoder(picture::open::<ImageError>(
+        bytes, bound,
+    )?)?)
 }
 
 /// Mask of an image by COLMAP's convention: black pixels must not be used.
@@ -263,10 +338,15 @@ impl Mask {
             // 16 bits, so that the darkest grey is not rounded to black.
             other => other.into_luma16().iter().map(|&grey| grey > 0).collect(),
         };
-        Ok(Self { width, height, usable })
+        Ok(Self {
+            width,
+            height,
+            usable,
+        })
     }
 
-    /// Returns about how many bytes of memory reading a mask takes at its peak, by its header; `None` if it cannot be read.
+    /// Returns about how many bytes of memory reading a mask takes at its peak, by its header;
+    /// `None` if it cannot be read.
     pub fn reading_bytes(path: &Path, bound: PixelBound) -> Option<u64> {
         let file = BufReader::new(input::open(path).ok()?);
         let length = file.get_ref().metadata().ok()?.len();
@@ -274,20 +354,28 @@ impl Mask {
         let decoded = Some(decoder.total_bytes()).filter(|&bytes| bytes <= MOST_BYTES)?;
         let (width, height) = decoder.dimensions();
         let pixels = bound.admit(width, height).ok()? as u64;
-        let of_pixel = if matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) { 1 } else { 2 };
+        let of_pixel = if matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
+            1
+        } else {
+            2
+        };
         Some(length + decoded + of_pixel * pixels)
     }
 
     /// Returns whether the pixel at a position, given as shares of width and height, may be used.
     pub fn allows(&self, x: f64, y: f64) -> bool {
-        let [column, row] = [(x, self.width), (y, self.height)]
-            .map(|(share, side)| ((share * f64::from(side)).max(0.0) as usize).min(side as usize - 1));
+        let [column, row] = [(x, self.width), (y, self.height)].map(|(share, side)| {
+            ((share * f64::from(side)).max(0.0) as usize).min(side as usize - 1)
+        });
         self.usable[row * self.width as usize + column]
     }
 
     /// Returns the share of usable pixels in a cell of a grid that covers the image.
     pub fn share(&self, grid: [u32; 2], column: u32, row: u32) -> f32 {
-        let (columns, rows) = (span(self.width, grid[0], column), span(self.height, grid[1], row));
+        let (columns, rows) = (
+            span(self.width, grid[0], column),
+            span(self.height, grid[1], row),
+        );
         let pixels = columns.len() * rows.len();
         let usable = rows.map(|y| {
             let line = &self.usable[y * self.width as usize..][columns.clone()];

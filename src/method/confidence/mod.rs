@@ -1,7 +1,8 @@
 //! Confidence (method 7): predicts where the backend will succeed.
 //!
-//! p_i(t), the probability that the pair (key view, partner i) measures triangle t, comes from the agreement of the two pictures on the surface
-//! ([`Agreement`]), or, without pictures, from the geometry of the pair ([`PairConfidence`]) and the sparse points and masks around ([`Unary`]).
+//! p_i(t), the probability that the pair (key view, partner i) measures triangle t, comes from the
+//! agreement of the two pictures on the surface ([`Agreement`]), or, without pictures, from the
+//! geometry of the pair ([`PairConfidence`]) and the sparse points and masks around ([`Unary`]).
 
 mod geometric;
 pub mod image;
@@ -15,7 +16,9 @@ pub use image::{Image, ImageError, drawn_size};
 pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
-pub use photometric::{Agreement, PairAgreement, Photometric, ProgramReach, ReachOfPartner, SampleRoom};
+pub use photometric::{
+    Agreement, PairAgreement, Photometric, ProgramReach, ReachOfPartner, SampleRoom,
+};
 pub use pictures::{ALL_COUNTS, NOT_COMPARED, Pictures, picture_warnings};
 pub use unary::{AROUND, AtTriangle, Unary};
 
@@ -29,7 +32,10 @@ pub enum Confidence {
     /// Method 7.2, with the unary confidence of both views.
     Pair(PairConfidence),
     /// Method 7.4 if the pictures of both views are available, else method 7.2.
-    Photometric { agreement: Photometric, otherwise: PairConfidence },
+    Photometric {
+        agreement: Photometric,
+        otherwise: PairConfidence,
+    },
 }
 
 impl Confidence {
@@ -43,7 +49,10 @@ impl Confidence {
         let otherwise = numbers.with(settings);
         match source {
             ConfidenceSource::None => Self::None,
-            ConfidenceSource::Photometric => Self::Photometric { agreement: photometric.with(settings), otherwise },
+            ConfidenceSource::Photometric => Self::Photometric {
+                agreement: photometric.with(settings),
+                otherwise,
+            },
             ConfidenceSource::Geometric | ConfidenceSource::Auto => Self::Pair(otherwise),
         }
     }
@@ -55,7 +64,11 @@ impl Confidence {
             settings.differ = Some(agreement.differ);
             settings.full_agreement = Some(agreement.full_agreement);
         }
-        if let Self::Pair(numbers) | Self::Photometric { otherwise: numbers, .. } = self {
+        if let Self::Pair(numbers)
+        | Self::Photometric {
+            otherwise: numbers, ..
+        } = self
+        {
             settings.min_matches = Some(numbers.min_matches);
             settings.p0 = Some(numbers.p0);
             settings.cosine_power = Some(numbers.cosine_power);
@@ -68,21 +81,27 @@ impl Confidence {
     pub fn min_matches(&self) -> u32 {
         match self {
             Self::None => 0,
-            Self::Pair(numbers) | Self::Photometric { otherwise: numbers, .. } => numbers.min_matches,
+            Self::Pair(numbers)
+            | Self::Photometric {
+                otherwise: numbers, ..
+            } => numbers.min_matches,
         }
     }
 
-    /// Returns p_i of a partner that sees the triangle, from the geometry of the pair and the factor of its views by themselves ([`AtTriangle::with`]).
+    /// Returns p_i of a partner that sees the triangle, from the geometry of the pair and the
+    /// factor of its views by themselves ([`AtTriangle::with`]).
     pub fn pair(&self, constellation: &Constellation, by_view: f64) -> f64 {
         match self {
             Self::None => 1.0,
-            Self::Pair(numbers) | Self::Photometric { otherwise: numbers, .. } => {
-                numbers.confidence(constellation) * by_view
-            }
+            Self::Pair(numbers)
+            | Self::Photometric {
+                otherwise: numbers, ..
+            } => numbers.confidence(constellation) * by_view,
         }
     }
 
-    /// Returns f_conf of method 3.4: the probability that at least [`Confidence::min_matches`] of independent matches succeed.
+    /// Returns f_conf of method 3.4: the probability that at least [`Confidence::min_matches`] of
+    /// independent matches succeed.
     pub fn at_least(&self, matches: impl Iterator<Item = f64>) -> f64 {
         at_least(self.min_matches(), matches)
     }
@@ -90,8 +109,9 @@ impl Confidence {
 
 /// Returns the probability that at least `least` (0 to 3) of independent matches succeed.
 ///
-/// `at_least[m]` is the probability of m successes among the matches so far. A match of probability p turns "exactly m - 1" into m. Only adding
-/// to "at least m", never subtracting from 1, keeps small probabilities exact.
+/// `at_least[m]` is the probability of m successes among the matches so far. A match of probability
+/// p turns "exactly m - 1" into m. Only adding to "at least m", never subtracting from 1, keeps
+/// small probabilities exact.
 pub fn at_least(least: u32, matches: impl Iterator<Item = f64>) -> f64 {
     let mut at_least = [1.0, 0.0, 0.0, 0.0];
     for p in matches {
@@ -117,7 +137,9 @@ mod tests {
                 e[i] += p * e[i - 1];
             }
         }
-        (2..e.len()).map(|i| (i as f64 - 1.0) * if i % 2 == 0 { e[i] } else { -e[i] }).sum()
+        (2..e.len())
+            .map(|i| (i as f64 - 1.0) * if i % 2 == 0 { e[i] } else { -e[i] })
+            .sum()
     }
 
     /// Enumerates all outcomes.
@@ -126,7 +148,10 @@ mod tests {
             let one = |(i, &p): (usize, &f64)| if outcome >> i & 1 == 1 { p } else { 1.0 - p };
             p.iter().enumerate().map(one).product::<f64>()
         };
-        (0..1u32 << p.len()).filter(|o| o.count_ones() >= least).map(chance).sum()
+        (0..1u32 << p.len())
+            .filter(|o| o.count_ones() >= least)
+            .map(chance)
+            .sum()
     }
 
     proptest! {

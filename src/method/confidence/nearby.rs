@@ -1,4 +1,5 @@
-//! Evidence of the sparse points around a triangle: a view that observes them was matched there before (method 7.2).
+//! Evidence of the sparse points around a triangle: a view that observes them was matched there
+//! before (method 7.2).
 
 use rayon::prelude::*;
 
@@ -13,7 +14,8 @@ use crate::{
     model::scene::{Scene, ViewIndex, ViewPoints},
 };
 
-/// Weights each row of the visibility table 0.5 to 1 by the share of the sparse points nearest to the triangle that the view observes.
+/// Weights each row of the visibility table 0.5 to 1 by the share of the sparse points nearest to
+/// the triangle that the view observes.
 pub fn nearby(
     scene: &Scene,
     points: &ViewPoints,
@@ -45,7 +47,10 @@ impl Nearest {
             let found: [u32; AROUND] = tree.nearest(&surface.centroid(t as u32));
             nearest.copy_from_slice(&found[..around]);
         };
-        points.par_chunks_exact_mut(around.max(1)).enumerate().for_each(of_triangle);
+        points
+            .par_chunks_exact_mut(around.max(1))
+            .enumerate()
+            .for_each(of_triangle);
         Ok(Self { around, points })
     }
 
@@ -54,7 +59,8 @@ impl Nearest {
         &self.points[self.around * triangle as usize..][..self.around]
     }
 
-    /// Returns, for each row of the visibility table, the number of the nearest points that the view observes.
+    /// Returns, for each row of the visibility table, the number of the nearest points that the
+    /// view observes.
     fn observed(
         &self,
         scene: &Scene,
@@ -64,10 +70,25 @@ impl Nearest {
     ) -> Result<Column<u8>, TableError> {
         let of_view = |observed: &mut Vec<bool>, view: ViewIndex| {
             watcher.check()?;
-            points.observed_by(view).iter().for_each(|p| observed[p.index()] = true);
-            let of_triangle = |&t: &u32| self.points_near(t).iter().filter(|&&p| observed[p as usize]).count() as u8;
-            let row: Vec<u8> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
-            points.observed_by(view).iter().for_each(|p| observed[p.index()] = false);
+            points
+                .observed_by(view)
+                .iter()
+                .for_each(|p| observed[p.index()] = true);
+            let of_triangle = |&t: &u32| {
+                self.points_near(t)
+                    .iter()
+                    .filter(|&&p| observed[p as usize])
+                    .count() as u8
+            };
+            let row: Vec<u8> = visibility
+                .triangles_seen_by(view)
+                .iter()
+                .map(of_triangle)
+                .collect();
+            points
+                .observed_by(view)
+                .iter()
+                .for_each(|p| observed[p.index()] = false);
             Ok(row)
         };
         visibility.column(READ_AT_ONCE, || vec![false; scene.points.len()], of_view)
@@ -91,12 +112,17 @@ mod tests {
 
     #[test]
     fn confidence_is_the_share_of_observed_points_by_its_definition() {
-        let town = Town { edge: 3.0, points: 400, ..Town::default() };
+        let town = Town {
+            edge: 3.0,
+            points: 400,
+            ..Town::default()
+        };
         let (mut scene, surface) = (town.scene(), town.surface());
         // View 0 observes nothing.
         let (mut views, mut offsets) = (Vec::new(), vec![0]);
         for point in 0..scene.points.len() {
-            let track = &scene.track_views[scene.track_offsets[point]..scene.track_offsets[point + 1]];
+            let track =
+                &scene.track_views[scene.track_offsets[point]..scene.track_offsets[point + 1]];
             views.extend(track.iter().filter(|v| v.0 != 0));
             offsets.push(views.len());
         }
@@ -117,12 +143,19 @@ mod tests {
         for view in scene.view_indices() {
             for &t in visibility.triangles_seen_by(view) {
                 let around = by_sorting(&scene.points, &surface.centroid(t));
-                let known = around.iter().filter(|&&p| points.observed_by(view).iter().any(|o| o.0 == p)).count();
+                let known = around
+                    .iter()
+                    .filter(|&&p| points.observed_by(view).iter().any(|o| o.0 == p))
+                    .count();
                 assert_eq!(unary.at(row).observed, 0.5 + known as f32 / 16.0);
                 assert!(view.0 != 0 || unary.at(row).observed == 0.5);
                 row += 1;
             }
         }
-        assert!(row > 0 && unary.columns().0.len() == row && (0..row).any(|row| unary.at(row).observed > 0.9));
+        assert!(
+            row > 0
+                && unary.columns().0.len() == row
+                && (0..row).any(|row| unary.at(row).observed > 0.9)
+        );
     }
 }

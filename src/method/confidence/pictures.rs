@@ -23,7 +23,8 @@ use crate::{
     },
 };
 
-/// Consequence of a damaged picture or one with the wrong aspect ratio, if other pictures can be compared.
+/// Consequence of a damaged picture or one with the wrong aspect ratio, if other pictures can be
+/// compared.
 pub const NOT_PLANNED: &str = "the image is neither matched nor planned";
 /// Consequence of any other unusable picture or mask with photometric confidence.
 pub const NOT_COMPARED: &str = "the image is not compared";
@@ -36,7 +37,8 @@ const NAMED: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Pictures {
     images: Option<ImageFolder>,
-    /// As COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
+    /// As COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be
+    /// used.
     masks: Vec<PathBuf>,
     project: PathBuf,
     /// Views whose image is not read, ascending.
@@ -52,7 +54,8 @@ pub struct Stamp {
     size: u64,
     /// Modification time, nanoseconds since 1970.
     modified: u64,
-    /// Time of the last change to content or name, which no program can set; on systems without it, the modification time.
+    /// Time of the last change to content or name, which no program can set; on systems without it,
+    /// the modification time.
     changed: u64,
 }
 
@@ -66,14 +69,23 @@ impl Pictures {
         }
     }
 
-    /// Returns the same pictures without the images of these views, ascending, which are known to be missing or unreadable.
+    /// Returns the same pictures without the images of these views, ascending, which are known to
+    /// be missing or unreadable.
     pub fn without(self, views: &[ViewIndex]) -> Self {
-        Self { without_image: views.to_vec(), ..self }
+        Self {
+            without_image: views.to_vec(),
+            ..self
+        }
     }
 
     #[cfg(test)]
     pub fn of(project: &Path, images: Option<ImageFolder>) -> Self {
-        Self { images, masks: Vec::new(), project: project.into(), without_image: Vec::new() }
+        Self {
+            images,
+            masks: Vec::new(),
+            project: project.into(),
+            without_image: Vec::new(),
+        }
     }
 
     pub fn have_images(&self) -> bool {
@@ -92,20 +104,31 @@ impl Pictures {
         &self.project
     }
 
-    /// Returns size and times of a view's image and mask, where they exist; `None` if the time of change of a file is unknown.
+    /// Returns size and times of a view's image and mask, where they exist; `None` if the time of
+    /// change of a file is unknown.
     pub fn stamps(&self, name: &str) -> Option<[Option<Stamp>; 2]> {
-        let stamps = self.files(name).map(|path| path.and_then(|path| path.metadata().ok()).map(|m| Stamp::new(&m)));
-        stamps.iter().flatten().all(|stamp| stamp.modified != 0).then_some(stamps)
+        let stamps = self.files(name).map(|path| {
+            path.and_then(|path| path.metadata().ok())
+                .map(|m| Stamp::new(&m))
+        });
+        stamps
+            .iter()
+            .flatten()
+            .all(|stamp| stamp.modified != 0)
+            .then_some(stamps)
     }
 
-    /// Returns the view's picture in grey at half the size at which it is matched, and its mask; `None` without an image folder.
+    /// Returns the view's picture in grey at half the size at which it is matched, and its mask;
+    /// `None` without an image folder.
     pub(super) fn grey(
         &self,
         scene: &Scene,
         view: ViewIndex,
         image_scale: f64,
     ) -> Result<Option<(Grey, Option<Mask>)>, ImageError> {
-        let Some(folder) = &self.images else { return Ok(None) };
+        let Some(folder) = &self.images else {
+            return Ok(None);
+        };
         if self.without_image.binary_search(&view).is_ok() {
             return Err(Unread::Missing.into());
         }
@@ -126,19 +149,28 @@ impl Pictures {
         let path = self.mask_file(scene.name(view));
         let read = |path: PathBuf| {
             let camera = scene.camera_of(view);
-            let mask = Mask::decode(&input::read(&path, FileKind::Picture)?, camera.most_picture_pixels())?;
+            let mask = Mask::decode(
+                &input::read(&path, FileKind::Picture)?,
+                camera.most_picture_pixels(),
+            )?;
             check_shape([mask.width, mask.height], camera).map(|()| mask)
         };
-        path.map(read).transpose().map_err(|fault| ImageError::Mask(Box::new(fault)))
+        path.map(read)
+            .transpose()
+            .map_err(|fault| ImageError::Mask(Box::new(fault)))
     }
 
-    /// Returns the fault of a view's mask that its header and its end show; `None` if the view has no mask.
+    /// Returns the fault of a view's mask that its header and its end show; `None` if the view has
+    /// no mask.
     pub fn check_mask(&self, scene: &Scene, view: ViewIndex) -> Option<Result<(), ImageError>> {
         let path = self.mask_file(scene.name(view))?;
         let check = || {
             // Says what is wrong with a pipe, say.
             input::open(&path)?;
-            check_shape(project::probe(&path)?.ok_or(ImageError::Unknown)?, scene.camera_of(view))
+            check_shape(
+                project::probe(&path)?.ok_or(ImageError::Unknown)?,
+                scene.camera_of(view),
+            )
         };
         Some(check())
     }
@@ -148,31 +180,51 @@ impl Pictures {
         let views: Vec<ViewIndex> = scene.view_indices().collect();
         let bytes = |view: &ViewIndex| {
             let bound = scene.camera_of(*view).most_picture_pixels();
-            self.mask_file(scene.name(*view)).and_then(|path| Mask::reading_bytes(&path, bound))
+            self.mask_file(scene.name(*view))
+                .and_then(|path| Mask::reading_bytes(&path, bound))
         };
         views.par_iter().filter_map(bytes).max().unwrap_or_default()
     }
 
-    /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene has one in it.
+    /// Returns what is wrong and what to do if there is a folder of masks, but no view of the scene
+    /// has one in it.
     pub fn unused_masks(&self, scene: &Scene) -> Option<[String; 2]> {
         let cure = self.naming_of_masks(scene)?;
-        if self.masks_of(scene.views.iter().map(|view| &*view.name)).is_some() {
+        if self
+            .masks_of(scene.views.iter().map(|view| &*view.name))
+            .is_some()
+        {
             return None;
         }
-        let folders: Vec<String> = self.masks.iter().map(|folder| folder.display().to_string()).collect();
-        Some([format!("no image has a mask in {}", folders.join(" or ")), cure])
+        let folders: Vec<String> = self
+            .masks
+            .iter()
+            .map(|folder| folder.display().to_string())
+            .collect();
+        Some([
+            format!("no image has a mask in {}", folders.join(" or ")),
+            cure,
+        ])
     }
 
-    /// Says how masks are named, with an image of the scene as the example; `None` without views or folders of masks.
+    /// Says how masks are named, with an image of the scene as the example; `None` without views or
+    /// folders of masks.
     pub fn naming_of_masks(&self, scene: &Scene) -> Option<String> {
         let (first, folder) = (scene.view_indices().next()?, self.masks.first()?);
         let example = folder.join(format!("{}.png", scene.name(first)));
-        Some(format!("name them after the images, as COLMAP does: {}", example.display()))
+        Some(format!(
+            "name them after the images, as COLMAP does: {}",
+            example.display()
+        ))
     }
 
     /// Paths of the masks that belong to no image of the project, sorted by folder, then name.
     pub fn stray_masks(&self, scene: &Scene) -> Vec<PathBuf> {
-        let names = scene.views.iter().map(|view| &*view.name).chain(scene.unregistered.iter().map(String::as_str));
+        let names = scene
+            .views
+            .iter()
+            .map(|view| &*view.name)
+            .chain(scene.unregistered.iter().map(String::as_str));
         let named: HashSet<PathBuf> = names.flat_map(|name| self.mask_files(name)).collect();
         let stray = |folder: &PathBuf| -> Vec<PathBuf> {
             let names = project::images_below(folder, |name| !named.contains(&folder.join(name)));
@@ -183,12 +235,16 @@ impl Pictures {
 
     /// Returns whether the view has a mask that excludes all of its image.
     pub fn is_all_masked(&self, scene: &Scene, view: ViewIndex) -> bool {
-        self.mask(scene, view).is_ok_and(|mask| mask.is_some_and(|mask| mask.share([1, 1], 0, 0) == 0.0))
+        self.mask(scene, view)
+            .is_ok_and(|mask| mask.is_some_and(|mask| mask.share([1, 1], 0, 0) == 0.0))
     }
 
     /// Returns the paths of a view's image and mask; the image may not exist.
     pub fn files(&self, name: &str) -> [Option<PathBuf>; 2] {
-        [self.images.as_ref().map(|folder| folder.file(name)), self.mask_file(name)]
+        [
+            self.images.as_ref().map(|folder| folder.file(name)),
+            self.mask_file(name),
+        ]
     }
 
     /// Folders of masks, in the order in which they count.
@@ -198,7 +254,10 @@ impl Pictures {
 
     /// Returns the folder of masks that counts first, if one of these views has a mask.
     pub fn masks_of<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<&Path> {
-        self.masks.first().filter(|_| names.any(|name| self.has_mask(name))).map(PathBuf::as_path)
+        self.masks
+            .first()
+            .filter(|_| names.any(|name| self.has_mask(name)))
+            .map(PathBuf::as_path)
     }
 
     fn has_mask(&self, name: &str) -> bool {
@@ -207,39 +266,69 @@ impl Pictures {
 
     /// A pipe or a device is found, too, so that reading it says what is wrong.
     fn mask_file(&self, name: &str) -> Option<PathBuf> {
-        self.mask_files(name).find(|path| path.exists() && !path.is_dir())
+        self.mask_files(name)
+            .find(|path| path.exists() && !path.is_dir())
     }
 
     /// `NAME.png` in each folder; for a PNG image also its own name.
     fn mask_files(&self, name: &str) -> impl Iterator<Item = PathBuf> {
         let is_png = name.to_ascii_lowercase().ends_with(".png");
         let names = [Some(format!("{name}.png")), is_png.then(|| name.to_owned())];
-        self.masks.iter().flat_map(move |folder| names.clone().into_iter().flatten().map(|name| folder.join(name)))
+        self.masks.iter().flat_map(move |folder| {
+            names
+                .clone()
+                .into_iter()
+                .flatten()
+                .map(|name| folder.join(name))
+        })
     }
 }
 
 impl Stamp {
     fn new(metadata: &std::fs::Metadata) -> Self {
-        let since = metadata.modified().unwrap_or(UNIX_EPOCH).duration_since(UNIX_EPOCH);
+        let since = metadata
+            .modified()
+            .unwrap_or(UNIX_EPOCH)
+            .duration_since(UNIX_EPOCH);
         let modified = since.map_or(0, |since| since.as_nanos() as u64);
-        Self { size: metadata.len(), modified, changed: input::identity(metadata).0 as u64 }
+        Self {
+            size: metadata.len(),
+            modified,
+            changed: input::identity(metadata).0 as u64,
+        }
     }
 }
 
 /// Names the first views with a fault and its `consequence`, and counts the rest.
 ///
-/// Missing and unreadable image files are left out: the warnings of the project's image files have them.
+/// Missing and unreadable image files are left out: the warnings of the project's image files have
+/// them.
 pub fn picture_warnings(scene: &Scene, faults: &[PictureFault], consequence: &str) -> Vec<String> {
     let is_known = |fault: &ImageError| match fault {
         ImageError::Io(error) => error.kind() == ErrorKind::NotFound,
         ImageError::Unread(_) => true,
         _ => false,
     };
-    let faults: Vec<_> = faults.iter().filter(|(_, fault)| !is_known(fault)).collect();
+    let faults: Vec<_> = faults
+        .iter()
+        .filter(|(_, fault)| !is_known(fault))
+        .collect();
     // Decoders break lines.
-    let one_line = |fault: &ImageError| fault.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-    let sentence = |(view, fault): &PictureFault| format!("{}: {}; {consequence}", scene.name(*view), one_line(fault));
-    let mut warnings: Vec<String> = faults.iter().take(NAMED).map(|fault| sentence(fault)).collect();
+    let one_line = |fault: &ImageError| {
+        fault
+            .to_string()
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
+    let sentence = |(view, fault): &PictureFault| {
+        format!("{}: {}; {consequence}", scene.name(*view), one_line(fault))
+    };
+    let mut warnings: Vec<String> = faults
+        .iter()
+        .take(NAMED)
+        .map(|fault| sentence(fault))
+        .collect();
     if let Some(others) = faults.len().checked_sub(NAMED).filter(|&others| others > 0) {
         warnings.push(format!("{others} more like these: {consequence}"));
     }
@@ -250,5 +339,13 @@ pub fn picture_warnings(scene: &Scene, faults: &[PictureFault], consequence: &st
 fn check_shape(size: [u32; 2], camera: &Camera) -> Result<(), ImageError> {
     let ([width, height], of_camera) = (size, [camera.width, camera.height]);
     let fits = camera.has_aspect_ratio_of(size);
-    if fits { Ok(()) } else { Err(ImageError::Shape { width, height, camera: of_camera }) }
+    if fits {
+        Ok(())
+    } else {
+        Err(ImageError::Shape {
+            width,
+            height,
+            camera: of_camera,
+        })
+    }
 }

@@ -1,5 +1,6 @@
-//! Confidence of each view at each triangle that it sees: the sparse points and the mask there (method 7.2). The table has as many rows as that of
-//! visibility, so it holds what a row is computed from: a byte for the points, and numbers only where there are masks.
+//! Confidence of each view at each triangle that it sees: the sparse points and the mask there
+//! (method 7.2). The table has as many rows as that of visibility, so it holds what a row is
+//! computed from: a byte for the points, and numbers only where there are masks.
 
 use std::{ops::Range, sync::Mutex};
 
@@ -49,7 +50,8 @@ pub struct AtTriangle {
 }
 
 impl AtTriangle {
-    /// Returns the factor of p_i that the two views of a pair have by themselves, 0 to 1: what one mask excludes cannot be matched at all.
+    /// Returns the factor of p_i that the two views of a pair have by themselves, 0 to 1: what one
+    /// mask excludes cannot be matched at all.
     pub fn with(self, other: Self) -> f64 {
         let observed = f64::from(self.observed) + f64::from(other.observed);
         0.5 * observed * f64::from(self.allowed) * f64::from(other.allowed)
@@ -68,11 +70,17 @@ impl Unary {
         Self::default()
     }
 
-    /// Returns 0.5 to 1 by the share of the `around` nearest sparse points that a view observes, at most all of them.
+    /// Returns 0.5 to 1 by the share of the `around` nearest sparse points that a view observes, at
+    /// most all of them.
     pub fn of_points(observed: Column<u8>, around: u8) -> Self {
         let share = |number: usize| (number as f32 / f32::from(around)).min(1.0);
         let levels = std::array::from_fn(|number| UNOBSERVED + (1.0 - UNOBSERVED) * share(number));
-        Self { observed, around, levels, allowed: Column::default() }
+        Self {
+            observed,
+            around,
+            levels,
+            allowed: Column::default(),
+        }
     }
 
     /// Returns this confidence with the shares that masks allow.
@@ -96,9 +104,21 @@ impl Unary {
 
     /// Returns a part of the table, which is faster to read in loops.
     pub fn of_rows(&self, rows: Range<usize>) -> UnaryRows<'_> {
-        let observed = if self.observed.is_empty() { &[][..] } else { &self.observed[rows.clone()] };
-        let allowed = if self.allowed.is_empty() { &[][..] } else { &self.allowed[rows] };
-        UnaryRows { observed, levels: &self.levels, allowed }
+        let observed = if self.observed.is_empty() {
+            &[][..]
+        } else {
+            &self.observed[rows.clone()]
+        };
+        let allowed = if self.allowed.is_empty() {
+            &[][..]
+        } else {
+            &self.allowed[rows]
+        };
+        UnaryRows {
+            observed,
+            levels: &self.levels,
+            allowed,
+        }
     }
 
     /// Bytes of heap memory.
@@ -112,15 +132,21 @@ impl Unary {
         self.allowed.release();
     }
 
-    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask, and the faults of masks
-    /// that cannot be used, by view. `views_at_once`: whose masks are read at once.
+    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask,
+    /// and the faults of masks that cannot be used, by view. `views_at_once`: whose masks are read
+    /// at once.
     pub fn of_masks(
         geometry: &Geometry,
         pictures: &Pictures,
         views_at_once: usize,
         watcher: &dyn Watcher,
     ) -> Result<(Column<f32>, Vec<PictureFault>), TableError> {
-        let Geometry { scene, surface, visibility, .. } = *geometry;
+        let Geometry {
+            scene,
+            surface,
+            visibility,
+            ..
+        } = *geometry;
         let found = Mutex::new(Vec::new());
         let of_view = |_: &mut (), view: ViewIndex| {
             watcher.check()?;
@@ -131,7 +157,10 @@ impl Unary {
             let triangles = visibility.triangles_seen_by(view);
             Ok(match mask.map(|mask| UsableShares::new(&mask)) {
                 None => vec![1.0; triangles.len()],
-                Some(shares) => triangles.iter().map(|&t| mean_over(scene, surface, view, t, &shares)).collect(),
+                Some(shares) => triangles
+                    .iter()
+                    .map(|&t| mean_over(scene, surface, view, t, &shares))
+                    .collect(),
             })
         };
         let values = visibility.column(views_at_once, || (), of_view)?;
@@ -152,8 +181,14 @@ pub struct UnaryRows<'a> {
 impl UnaryRows<'_> {
     /// `row`: from the first of these.
     pub fn at(&self, row: usize) -> AtTriangle {
-        let observed = self.observed.get(row).map_or(1.0, |&number| self.levels[usize::from(number)]);
-        AtTriangle { observed, allowed: self.allowed.get(row).copied().unwrap_or(1.0) }
+        let observed = self
+            .observed
+            .get(row)
+            .map_or(1.0, |&number| self.levels[usize::from(number)]);
+        AtTriangle {
+            observed,
+            allowed: self.allowed.get(row).copied().unwrap_or(1.0),
+        }
     }
 }
 
@@ -172,7 +207,13 @@ impl UsableShares {
     fn new(mask: &Mask) -> Self {
         let [columns, rows] = [mask.width, mask.height].map(|side| side.div_ceil(CELL));
         let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));
-        Self { columns, rows, values: cells.map(|(column, row)| mask.share([columns, rows], column, row)).collect() }
+        Self {
+            columns,
+            rows,
+            values: cells
+                .map(|(column, row)| mask.share([columns, rows], column, row))
+                .collect(),
+        }
     }
 
     fn cell(&self, column: usize, row: usize) -> f32 {
@@ -180,10 +221,21 @@ impl UsableShares {
     }
 }
 
-/// Returns the mean of the cells whose centres are in the projected triangle; if there are none, the cell of its centroid.
-fn mean_over(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, shares: &UsableShares) -> f32 {
+/// Returns the mean of the cells whose centres are in the projected triangle; if there are none,
+/// the cell of its centroid.
+fn mean_over(
+    scene: &Scene,
+    surface: &Surface,
+    view: ViewIndex,
+    triangle: u32,
+    shares: &UsableShares,
+) -> f32 {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-    let place = |x| camera.project(&pose.camera_from_world(&x)).map(|pixel| in_cells(camera, shares, &pixel));
+    let place = |x| {
+        camera
+            .project(&pose.camera_from_world(&x))
+            .map(|pixel| in_cells(camera, shares, &pixel))
+    };
     let [a, b, c] = surface.corners(triangle).map(place);
     let inside = match (a, b, c) {
         (Some(a), Some(b), Some(c)) => mean_inside(shares, [a, b, c]),
@@ -191,7 +243,10 @@ fn mean_over(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, s
     };
     inside.unwrap_or_else(|| {
         let centroid = place(surface.centroid(triangle)).unwrap_or_default();
-        shares.cell(cell(centroid.x, shares.columns), cell(centroid.y, shares.rows))
+        shares.cell(
+            cell(centroid.x, shares.columns),
+            cell(centroid.y, shares.rows),
+        )
     })
 }
 
@@ -232,10 +287,15 @@ mod tests {
 
     use super::*;
 
-    /// A grid that grows linearly to the right: its mean over a region is its value at the region's centre.
+    /// A grid that grows linearly to the right: its mean over a region is its value at the region's
+    /// centre.
     fn ramp(columns: u32, rows: u32) -> UsableShares {
         let value = move |i: u32| (i % columns) as f32 / (columns - 1) as f32;
-        UsableShares { columns, rows, values: (0..columns * rows).map(value).collect() }
+        UsableShares {
+            columns,
+            rows,
+            values: (0..columns * rows).map(value).collect(),
+        }
     }
 
     proptest! {

@@ -51,12 +51,23 @@ const TRIANGLES_AT_ONCE: usize = if cfg!(test) { 3 } else { 1 << 13 };
 
 impl ByTriangle {
     /// Transposes the rows of `clusters`, with the table's storage.
-    pub(crate) fn new(table: &FulfilmentTable, clusters: &[u32], triangles: usize) -> Result<Self, DiskError> {
+    pub(crate) fn new(
+        table: &FulfilmentTable,
+        clusters: &[u32],
+        triangles: usize,
+    ) -> Result<Self, DiskError> {
         let row = |cluster| table.row(cluster as usize);
-        Self::of_rows(&row, &|| table.release(), table.triangles.storage(), clusters, triangles)
+        Self::of_rows(
+            &row,
+            &|| table.release(),
+            table.triangles.storage(),
+            clusters,
+            triangles,
+        )
     }
 
-    /// As [`Self::new`], for rows from several tables; `release` lets the operating system drop their pages.
+    /// As [`Self::new`], for rows from several tables; `release` lets the operating system drop
+    /// their pages.
     pub(crate) fn of_rows<'r>(
         row: &(dyn Fn(u32) -> (&'r [u32], &'r [f32]) + Sync),
         release: &dyn Fn(),
@@ -66,7 +77,10 @@ impl ByTriangle {
     ) -> Result<Self, DiskError> {
         let mut offsets = vec![0; triangles + 1];
         for (place, &cluster) in clusters.iter().enumerate() {
-            row(cluster).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+            row(cluster)
+                .0
+                .iter()
+                .for_each(|&t| offsets[t as usize + 1] += 1);
             if place.is_multiple_of(column::READ_AT_ONCE) {
                 release();
             }
@@ -78,11 +92,22 @@ impl ByTriangle {
         while from < triangles {
             // At least one triangle, even if its entries exceed the batch.
             let room = offsets[from] + ENTRIES_AT_ONCE;
-            let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
-            entries.extend(&Self::entries(row, release, clusters, &offsets[from..=end], from as u32))?;
+            let end =
+                (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
+            entries.extend(&Self::entries(
+                row,
+                release,
+                clusters,
+                &offsets[from..=end],
+                from as u32,
+            ))?;
             from = end;
         }
-        Ok(Self { offsets, entries: entries.finish()?, clusters: clusters.len() })
+        Ok(Self {
+            offsets,
+            entries: entries.finish()?,
+            clusters: clusters.len(),
+        })
     }
 
     /// Returns the entries of consecutive triangles with these offsets.
@@ -98,14 +123,26 @@ impl ByTriangle {
         let (mut parts, mut rest) = (Vec::new(), &mut entries[..]);
         for from in (0..triangles).step_by(TRIANGLES_AT_ONCE) {
             let end = (from + TRIANGLES_AT_ONCE).min(triangles);
-            let next = offsets[from..end].iter().map(|offset| offset - offsets[from]).collect();
+            let next = offsets[from..end]
+                .iter()
+                .map(|offset| offset - offsets[from])
+                .collect();
             let (own, others) = rest.split_at_mut(offsets[end] - offsets[from]);
-            parts.push(Part { first: first + from as u32, next, entries: own });
+            parts.push(Part {
+                first: first + from as u32,
+                next,
+                entries: own,
+            });
             rest = others;
         }
-        for (start, some) in (0..).step_by(column::READ_AT_ONCE).zip(clusters.chunks(column::READ_AT_ONCE)) {
+        for (start, some) in (0..)
+            .step_by(column::READ_AT_ONCE)
+            .zip(clusters.chunks(column::READ_AT_ONCE))
+        {
             parts.par_iter_mut().for_each(|part| {
-                (start..).zip(some).for_each(|(place, &cluster)| part.add(place, row(cluster)));
+                (start..)
+                    .zip(some)
+                    .for_each(|(place, &cluster)| part.add(place, row(cluster)));
             });
             release();
         }
@@ -122,11 +159,16 @@ impl ByTriangle {
         self.entries.release();
     }
 
-    /// Returns, for each of the first `end` clusters of the list, the sum of min(its f, f) over the triangles.
+    /// Returns, for each of the first `end` clusters of the list, the sum of min(its f, f) over the
+    /// triangles.
     pub(crate) fn given_by_each(&self, triangles: &[u32], values: &[f32], end: usize) -> Vec<f64> {
         let mut given = vec![0.0; end];
         for (&t, &own) in triangles.iter().zip(values) {
-            for entry in self.row(t).iter().take_while(|entry| (entry.place as usize) < end) {
+            for entry in self
+                .row(t)
+                .iter()
+                .take_while(|entry| (entry.place as usize) < end)
+            {
                 given[entry.place as usize] += f64::from(entry.f.min(own));
             }
         }
@@ -135,6 +177,8 @@ impl ByTriangle {
 
     /// Returns the largest such sum that a single cluster of the list reaches.
     pub(crate) fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
-        self.given_by_each(triangles, values, self.clusters).into_iter().fold(0.0, f64::max)
+        self.given_by_each(triangles, values, self.clusters)
+            .into_iter()
+            .fold(0.0, f64::max)
     }
 }

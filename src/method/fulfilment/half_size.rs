@@ -9,8 +9,8 @@ use crate::{
     model::cluster::{MapScale, ViewCluster},
 };
 
-/// Returns f of clusters at half size: f by the half-size pixels and their deviations, plus `worth` (0 to 1) times the difference to f at full size,
-/// `full`.
+/// Returns f of clusters at half size: f by the half-size pixels and their deviations, plus `worth`
+/// (0 to 1) times the difference to f at full size, `full`.
 pub fn half_size(
     model: &Model,
     clusters: &[ViewCluster],
@@ -26,7 +26,11 @@ pub fn half_size(
         let blend = |(&t, &fine): (&u32, &f32)| {
             let before = coarse.0.partition_point(|&other| other < t);
             coarse = (&coarse.0[before..], &coarse.1[before..]);
-            let own = if coarse.0.first() == Some(&t) { coarse.1[0] } else { 0.0 };
+            let own = if coarse.0.first() == Some(&t) {
+                coarse.1[0]
+            } else {
+                0.0
+            };
             own + worth as f32 * (fine - own)
         };
         let values: Vec<f32> = triangles.iter().zip(values).map(blend).collect();

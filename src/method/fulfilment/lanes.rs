@@ -1,8 +1,10 @@
-//! f of [`LANES`] triangles at once: straight-line arithmetic over small arrays, which the compiler turns into vector instructions.
+//! f of [`LANES`] triangles at once: straight-line arithmetic over small arrays, which the compiler
+//! turns into vector instructions.
 //!
-//! Information matrices are expressed in an orthonormal frame whose third axis points to the key view, and divided by the squared
-//! norm of the key view's Jacobian. In this frame the key view measures nothing along the third axis. The partners' contribution along
-//! it decides f_unc and is small at small angles; as a component of its own it keeps its relative precision in f32.
+//! Information matrices are expressed in an orthonormal frame whose third axis points to the key
+//! view, and divided by the squared norm of the key view's Jacobian. In this frame the key view
+//! measures nothing along the third axis. The partners' contribution along it decides f_unc and is
+//! small at small angles; as a component of its own it keeps its relative precision in f32.
 
 use nalgebra::{RealField, convert};
 
@@ -17,7 +19,8 @@ pub type Lanes = [f32; LANES];
 pub struct KeyLanes {
     /// Information matrix of the key view: xx, xy, yy. Its trace is 1.
     pub information: [Lanes; 3],
-    /// a_d over the standard deviation of the key view's best direction: f_unc = min(unit sqrt(smallest eigenvalue), 1).
+    /// a_d over the standard deviation of the key view's best direction: f_unc = min(unit
+    /// sqrt(smallest eigenvalue), 1).
     pub unit: Lanes,
     /// alpha * f_res.
     pub resolution: Lanes,
@@ -25,8 +28,11 @@ pub struct KeyLanes {
 
 impl KeyLanes {
     /// No triangles: f is 0.
-    pub const EMPTY: Self =
-        Self { information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]], unit: [0.0; LANES], resolution: [0.0; LANES] };
+    pub const EMPTY: Self = Self {
+        information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]],
+        unit: [0.0; LANES],
+        resolution: [0.0; LANES],
+    };
 }
 
 /// A partner's contribution; all 0 for triangles that it does not see.
@@ -42,7 +48,11 @@ pub struct PartnerLanes {
 
 impl PartnerLanes {
     /// Triangles that the partner does not see.
-    pub const EMPTY: Self = Self { information: [[0.0; LANES]; 6], confidence: [0.0; LANES], sees: [0.0; LANES] };
+    pub const EMPTY: Self = Self {
+        information: [[0.0; LANES]; 6],
+        confidence: [0.0; LANES],
+        sees: [0.0; LANES],
+    };
 }
 
 /// Sum over the key view and a set of partners.
@@ -71,7 +81,11 @@ impl ClusterLanes {
     pub fn new(key: &KeyLanes) -> Self {
         let [xx, xy, yy] = key.information;
         let zero = [0.0; LANES];
-        Self { information: [xx, xy, yy, zero, zero, zero], at_least: [zero; 3], seeing: zero }
+        Self {
+            information: [xx, xy, yy, zero, zero, zero],
+            at_least: [zero; 3],
+            seeing: zero,
+        }
     }
 
     #[inline(always)]
@@ -99,7 +113,11 @@ impl ClusterLanes {
             _ => self.at_least[2],
         };
         for (chance, seeing) in chance.iter_mut().zip(self.seeing) {
-            *chance = if seeing >= weights.min_partners { *chance } else { 0.0 };
+            *chance = if seeing >= weights.min_partners {
+                *chance
+            } else {
+                0.0
+            };
         }
         chance
     }
@@ -123,7 +141,8 @@ impl ClusterLanes {
     }
 }
 
-/// Approximates cos((acos(r) + 2 pi) / 3) by a polynomial in sqrt(1 - r), in which it is smooth up to the double root at r = 1; error below 1e-10.
+/// Approximates cos((acos(r) + 2 pi) / 3) by a polynomial in sqrt(1 - r), in which it is smooth up
+/// to the double root at r = 1; error below 1e-10.
 const COSINE: [f64; 11] = [
     -0.50000000008108,
     -0.40824827654124,
@@ -138,25 +157,32 @@ const COSINE: [f64; 11] = [
     6.4873863514301e-06,
 ];
 
-/// Returns the smallest eigenvalue, at least 0, of a positive semidefinite matrix given by xx, xy, yy, xz, yz, zz, with a trace of at least 1.
+/// Returns the smallest eigenvalue, at least 0, of a positive semidefinite matrix given by xx, xy,
+/// yy, xz, yz, zz, with a trace of at least 1.
 ///
-/// Closed form. Where the eigenvalue is much smaller than the others this form cancels; one Newton step from there finds the root of the
-/// characteristic polynomial, whose coefficients do not cancel.
+/// Closed form. Where the eigenvalue is much smaller than the others this form cancels; one Newton
+/// step from there finds the root of the characteristic polynomial, whose coefficients do not
+/// cancel.
 #[inline(always)]
 pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]) -> T {
     let c = convert::<f64, T>;
     let trace = xx + yy + zz;
     let mean = trace * c(1.0 / 3.0);
     let (kx, ky, kz) = (xx - mean, yy - mean, zz - mean);
-    let spread = (kx * kx + ky * ky + kz * kz + (xy * xy + xz * xz + yz * yz) * c(2.0)) * c(1.0 / 6.0);
+    let spread =
+        (kx * kx + ky * ky + kz * kz + (xy * xy + xz * xz + yz * yz) * c(2.0)) * c(1.0 / 6.0);
     let p = (if spread > c(1e-20) { spread } else { c(1e-20) }).sqrt();
-    let determinant = kx * (ky * kz - yz * yz) - xy * (xy * kz - xz * yz) + xz * (xy * yz - ky * xz);
+    let determinant =
+        kx * (ky * kz - yz * yz) - xy * (xy * kz - xz * yz) + xz * (xy * yz - ky * xz);
     let r = determinant / (p * p * p * c(2.0));
     let below = T::one() - r;
     let below = if below < T::zero() { T::zero() } else { below };
     let below = if below > c(2.0) { c(2.0) } else { below };
     let s = below.sqrt();
-    let cosine = COSINE.iter().rev().fold(T::zero(), |sum, &k| sum * s + c(k));
+    let cosine = COSINE
+        .iter()
+        .rev()
+        .fold(T::zero(), |sum, &k| sum * s + c(k));
     let closed = mean + p * cosine * c(2.0);
 
     let minor = xx * yy - xy * xy;
@@ -165,7 +191,11 @@ pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]
     let value = ((closed - trace) * closed + minors) * closed - determinant;
     let slope = (closed * c(3.0) - trace * c(2.0)) * closed + minors;
     let polished = closed - value / slope;
-    let best = if closed < mean * c(0.05) { polished } else { closed };
+    let best = if closed < mean * c(0.05) {
+        polished
+    } else {
+        closed
+    };
     if best > T::zero() { best } else { T::zero() }
 }
 
@@ -174,8 +204,17 @@ pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]
 pub fn log2(x: f32) -> f32 {
     // A polynomial fit; its first coefficient is close to a mathematical constant by chance.
     #[allow(clippy::approx_constant)]
-    const SERIES: [f32; 9] =
-        [1.442695, -0.7213475, 0.48091075, -0.36069327, 0.28790326, -0.23916988, 0.21607823, -0.20586188, 0.12310968];
+    const SERIES: [f32; 9] = [
+        1.442695,
+        -0.7213475,
+        0.48091075,
+        -0.36069327,
+        0.28790326,
+        -0.23916988,
+        0.21607823,
+        -0.20586188,
+        0.12310968,
+    ];
     // Chooses the exponent that puts the mantissa between sqrt(1/2) and sqrt(2).
     let exponent = (x.to_bits() as i32 - 0x3f35_04f3) >> 23;
     let m = f32::from_bits((x.to_bits() as i32 - (exponent << 23)) as u32) - 1.0;
@@ -187,27 +226,52 @@ pub fn log2(x: f32) -> f32 {
 pub fn exp2(x: f32) -> f32 {
     // A polynomial fit, as above, with all digits.
     #[allow(clippy::approx_constant, clippy::excessive_precision)]
-    const SERIES: [f32; 7] = [1.0, 0.6931472, 0.24022651, 0.055503272, 0.009618057, 0.0013400428, 0.00015461445];
+    const SERIES: [f32; 7] = [
+        1.0,
+        0.6931472,
+        0.24022651,
+        0.055503272,
+        0.009618057,
+        0.0013400428,
+        0.00015461445,
+    ];
     /// Adding this constant rounds to an integer, which appears in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
     let x = if x > -125.0 { x } else { -125.0 };
     let whole = x + ROUND;
     let rest = x - (whole - ROUND);
-    let power = f32::from_bits(((whole.to_bits() as i32 - ROUND.to_bits() as i32 + 127) << 23) as u32);
+    let power =
+        f32::from_bits(((whole.to_bits() as i32 - ROUND.to_bits() as i32 + 127) << 23) as u32);
     power * SERIES.iter().rev().fold(0.0, |sum, k| sum * rest + k)
 }
 
-/// Returns the angle, radians, from the squared length of its chord on the unit circle; relative error below 1e-6.
+/// Returns the angle, radians, from the squared length of its chord on the unit circle; relative
+/// error below 1e-6.
 #[inline(always)]
 pub fn angle_of_chord(squared: f32) -> f32 {
-    const SERIES: [f32; 6] = [1.0, 0.16666782, 0.07494697, 0.045520636, 0.023994, 0.042417374];
+    const SERIES: [f32; 6] = [
+        1.0,
+        0.16666782,
+        0.07494697,
+        0.045520636,
+        0.023994,
+        0.042417374,
+    ];
     // From sin^2 of half the angle; beyond 60 degrees from the complement.
     let sin2 = 0.25 * squared;
     let sin2 = if sin2 < 1.0 { sin2 } else { 1.0 };
     let small = sin2 <= 0.25;
-    let t = if small { sin2 } else { 0.5 * (1.0 - sin2.sqrt()) };
+    let t = if small {
+        sin2
+    } else {
+        0.5 * (1.0 - sin2.sqrt())
+    };
     let asin = t.sqrt() * SERIES.iter().rev().fold(0.0, |sum, k| sum * t + k);
-    2.0 * if small { asin } else { std::f32::consts::FRAC_PI_2 - 2.0 * asin }
+    2.0 * if small {
+        asin
+    } else {
+        std::f32::consts::FRAC_PI_2 - 2.0 * asin
+    }
 }
 
 #[cfg(test)]
@@ -221,13 +285,15 @@ mod tests {
         [m.m11, m.m12, m.m22, m.m13, m.m23, m.m33]
     }
 
-    /// Information of views in directions within `spread` of the third axis, at scales of 1/8 to 8; the first along the axis.
+    /// Information of views in directions within `spread` of the third axis, at scales of 1/8 to 8;
+    /// the first along the axis.
     fn information(views: &[(f64, f64, f64)], spread: f64) -> Matrix3<f64> {
         let of_view = |&(x, y, scale): &(f64, f64, f64)| {
             let d = Vector3::new(spread * x, spread * y, 1.0).normalize();
             (Matrix3::identity() - d * d.transpose()) * 64f64.powf(scale)
         };
-        Matrix3::from_diagonal(&Vector3::new(0.5, 0.5, 0.0)) + views.iter().map(of_view).sum::<Matrix3<f64>>()
+        Matrix3::from_diagonal(&Vector3::new(0.5, 0.5, 0.0))
+            + views.iter().map(of_view).sum::<Matrix3<f64>>()
     }
 
     proptest! {
@@ -284,8 +350,18 @@ mod tests {
 
     #[test]
     fn no_triangle_fulfils_nothing() {
-        let weights = Weights { uncertainty: 0.5, min_partners: 0.0, min_matches: 0 };
-        assert_eq!(ClusterLanes::new(&KeyLanes::EMPTY).value::<f32>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
-        assert_eq!(ClusterLanes::new(&KeyLanes::EMPTY).value::<f64>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
+        let weights = Weights {
+            uncertainty: 0.5,
+            min_partners: 0.0,
+            min_matches: 0,
+        };
+        assert_eq!(
+            ClusterLanes::new(&KeyLanes::EMPTY).value::<f32>(&KeyLanes::EMPTY, &weights),
+            [0.0; LANES]
+        );
+        assert_eq!(
+            ClusterLanes::new(&KeyLanes::EMPTY).value::<f64>(&KeyLanes::EMPTY, &weights),
+            [0.0; LANES]
+        );
     }
 }

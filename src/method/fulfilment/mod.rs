@@ -1,7 +1,9 @@
-//! Fulfilment (method 3): how well a cluster meets the wanted completeness, resolution and accuracy on a triangle, 0 to 1.
+//! Fulfilment (method 3): how well a cluster meets the wanted completeness, resolution and accuracy
+//! on a triangle, 0 to 1.
 //!
-//! `f = (alpha f_res + (1 - alpha) f_unc) f_cov f_conf`, each factor in [0, 1]. [`Model`] holds all inputs of f; [`value`] is its
-//! definition in f64, for one (cluster, triangle) pair. [`block`] computes the same for many triangles at once.
+//! `f = (alpha f_res + (1 - alpha) f_unc) f_cov f_conf`, each factor in [0, 1]. [`Model`] holds all
+//! inputs of f; [`value`] is its definition in f64, for one (cluster, triangle) pair. [`block`]
+//! computes the same for many triangles at once.
 
 pub(crate) mod block;
 mod by_triangle;
@@ -30,7 +32,8 @@ use crate::{
     },
 };
 
-/// Clusters evaluated in parallel before their rows are appended to the table; bounds the memory of unfinished rows.
+/// Clusters evaluated in parallel before their rows are appended to the table; bounds the memory of
+/// unfinished rows.
 pub(crate) const BATCH: usize = 64;
 
 /// Parameters of f (method 3).
@@ -61,20 +64,54 @@ pub struct Model<'a> {
 }
 
 impl<'a> Model<'a> {
-    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, agreement: &'a Agreement, rule: FulfilmentRule) -> Self {
-        let Geometry { scene, surface, visibility, target, .. } = geometry;
-        Self { scene, surface, visibility, target, unary, agreement, rule }
+    pub fn new(
+        geometry: Geometry<'a>,
+        unary: &'a Unary,
+        agreement: &'a Agreement,
+        rule: FulfilmentRule,
+    ) -> Self {
+        let Geometry {
+            scene,
+            surface,
+            visibility,
+            target,
+            ..
+        } = geometry;
+        Self {
+            scene,
+            surface,
+            visibility,
+            target,
+            unary,
+            agreement,
+            rule,
+        }
     }
 
     /// Returns the inputs that confidence depends on.
     pub fn geometry(&self) -> Geometry<'a> {
-        let Self { scene, surface, visibility, target, .. } = *self;
-        Geometry { scene, surface, visibility, target, image_scale: self.rule.image_scale }
+        let Self {
+            scene,
+            surface,
+            visibility,
+            target,
+            ..
+        } = *self;
+        Geometry {
+            scene,
+            surface,
+            visibility,
+            target,
+            image_scale: self.rule.image_scale,
+        }
     }
 
     /// Returns the model for matched images of this size relative to the plan's.
     pub(crate) fn at(&self, scale: MapScale) -> Self {
-        let rule = FulfilmentRule { image_scale: self.rule.image_scale * scale.factor(), ..self.rule };
+        let rule = FulfilmentRule {
+            image_scale: self.rule.image_scale * scale.factor(),
+            ..self.rule
+        };
         Self { rule, ..*self }
     }
 
@@ -100,7 +137,8 @@ pub struct Fulfilment {
     pub value: f64,
 }
 
-/// f(t, cluster) of every cluster: sparse table, CSR by cluster, triangles ascending; only entries with f > 0.
+/// f(t, cluster) of every cluster: sparse table, CSR by cluster, triangles ascending; only entries
+/// with f > 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FulfilmentTable {
     /// Start of each cluster's row, and the end of the last: clusters + 1 entries.
@@ -119,7 +157,11 @@ impl FulfilmentTable {
             values.extend(row.as_ref().iter().map(|entry| entry.1));
             offsets.push(triangles.len());
         }
-        Self { offsets, triangles: triangles.into(), values: values.into() }
+        Self {
+            offsets,
+            triangles: triangles.into(),
+            values: values.into(),
+        }
     }
 
     /// Lets the operating system drop pages of a table on disk; they are read again when needed.
@@ -147,13 +189,18 @@ pub(crate) struct FulfilmentTableBuilder {
 }
 
 impl FulfilmentTableBuilder {
-    /// Starts an empty table with the storage (memory or disk) of `visibility`, which has at least as many rows.
+    /// Starts an empty table with the storage (memory or disk) of `visibility`, which has at least
+    /// as many rows.
     pub(crate) fn like(visibility: &Visibility) -> Result<Self, DiskError> {
         let (keep, rows) = (visibility.triangles.storage(), visibility.triangles.len());
         let (mut triangles, mut values) = (ColumnBuilder::new(keep)?, ColumnBuilder::new(keep)?);
         triangles.reserve(rows);
         values.reserve(rows);
-        Ok(Self { offsets: vec![0], triangles, values })
+        Ok(Self {
+            offsets: vec![0],
+            triangles,
+            values,
+        })
     }
 
     /// Appends a cluster, given f of each triangle that its key view sees.
@@ -162,18 +209,31 @@ impl FulfilmentTableBuilder {
         let (triangles, values): (Vec<u32>, Vec<f32>) = fulfilled.unzip();
         self.triangles.extend(&triangles)?;
         self.values.extend(&values)?;
-        self.offsets.push(self.offsets.last().expect("starts with one") + values.len());
+        self.offsets
+            .push(self.offsets.last().expect("starts with one") + values.len());
         Ok(())
     }
 
     pub(crate) fn finish(self) -> Result<FulfilmentTable, DiskError> {
-        let Self { offsets, triangles, values } = self;
-        Ok(FulfilmentTable { offsets, triangles: triangles.finish()?, values: values.finish()? })
+        let Self {
+            offsets,
+            triangles,
+            values,
+        } = self;
+        Ok(FulfilmentTable {
+            offsets,
+            triangles: triangles.finish()?,
+            values: values.finish()?,
+        })
     }
 }
 
 /// Computes f of all clusters, in their order.
-pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> Result<FulfilmentTable, TableError> {
+pub fn table(
+    model: &Model,
+    clusters: &[ViewCluster],
+    watcher: &dyn Watcher,
+) -> Result<FulfilmentTable, TableError> {
     let mut table = FulfilmentTableBuilder::like(model.visibility)?;
     let of_cluster = |slots: &mut BlockSlots, cluster: &ViewCluster| {
         watcher.check()?;
@@ -187,28 +247,42 @@ pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> 
         of_cluster,
         |batch, rows| {
             model.release();
-            batch
-                .iter()
-                .zip(rows)
-                .try_for_each(|(cluster, f)| table.push(model.visibility.triangles_seen_by(cluster.key), &f))
+            batch.iter().zip(rows).try_for_each(|(cluster, f)| {
+                table.push(model.visibility.triangles_seen_by(cluster.key), &f)
+            })
         },
     )?;
     Ok(table.finish()?)
 }
 
-/// Returns f of one triangle for one cluster by the definition; 0 if the key view does not see the triangle.
+/// Returns f of one triangle for one cluster by the definition; 0 if the key view does not see the
+/// triangle.
 pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Fulfilment {
-    let Some(success) = Success::new(model, key, partners, triangle) else { return Fulfilment::default() };
+    let Some(success) = Success::new(model, key, partners, triangle) else {
+        return Fulfilment::default();
+    };
     let (rule, gsd) = (&model.rule, f64::from(model.target.gsd[triangle as usize]));
     let resolution = (density(model, key, triangle) * gsd * gsd).min(1.0);
     let views = success.seeing.iter().copied().chain([key]);
-    let information = views.map(|view| information(model, view, triangle)).sum::<Matrix3<f64>>();
+    let information = views
+        .map(|view| information(model, view, triangle))
+        .sum::<Matrix3<f64>>();
     // The largest eigenvalue of the inverse is the reciprocal of the smallest of the matrix.
     let smallest = information.symmetric_eigenvalues().min().max(0.0);
     let uncertainty = (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0);
-    let Success { coverage, confidence, .. } = success;
+    let Success {
+        coverage,
+        confidence,
+        ..
+    } = success;
     let weighted = rule.alpha * resolution + (1.0 - rule.alpha) * uncertainty;
-    Fulfilment { coverage, resolution, uncertainty, confidence, value: weighted * coverage * confidence }
+    Fulfilment {
+        coverage,
+        resolution,
+        uncertainty,
+        confidence,
+        value: weighted * coverage * confidence,
+    }
 }
 
 /// The partners of a cluster that see a triangle, and the factors of f that follow.
@@ -222,47 +296,76 @@ impl Success {
     /// Returns `None` if the key view does not see the triangle.
     fn new(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Option<Self> {
         let key_row = model.visibility.row(key, triangle)?;
-        let rows = partners.iter().filter_map(|&p| Some((p, model.visibility.row(p, triangle)?)));
+        let rows = partners
+            .iter()
+            .filter_map(|&p| Some((p, model.visibility.row(p, triangle)?)));
         let rule = &model.rule;
-        let (mut seeing, mut chances) = (Vec::with_capacity(partners.len()), Vec::with_capacity(partners.len()));
+        let (mut seeing, mut chances) = (
+            Vec::with_capacity(partners.len()),
+            Vec::with_capacity(partners.len()),
+        );
         for (view, row) in rows {
             let by_view = model.unary.at(key_row).with(model.unary.at(row));
             seeing.push(view);
             let first = model.visibility.rows(key).start;
-            let by_geometry =
-                || rule.confidence.pair(&Constellation::new(&model.geometry(), key, view, triangle), by_view);
-            chances.push(match (rule.confidence, model.agreement.of_pair(key, view)) {
-                (Confidence::Photometric { agreement, .. }, PairAgreement::Compared(values)) => {
-                    agreement.chance(values[key_row - first])
-                }
-                (Confidence::Photometric { .. }, PairAgreement::NoCandidate) => 0.0,
-                _ => by_geometry(),
-            });
+            let by_geometry = || {
+                rule.confidence.pair(
+                    &Constellation::new(&model.geometry(), key, view, triangle),
+                    by_view,
+                )
+            };
+            chances.push(
+                match (rule.confidence, model.agreement.of_pair(key, view)) {
+                    (
+                        Confidence::Photometric { agreement, .. },
+                        PairAgreement::Compared(values),
+                    ) => agreement.chance(values[key_row - first]),
+                    (Confidence::Photometric { .. }, PairAgreement::NoCandidate) => 0.0,
+                    _ => by_geometry(),
+                },
+            );
         }
-        let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
-        Some(Self { seeing, coverage, confidence: rule.confidence.at_least(chances.into_iter()) })
+        let coverage = if 1 + seeing.len() >= rule.min_cameras as usize {
+            1.0
+        } else {
+            0.0
+        };
+        Some(Self {
+            seeing,
+            coverage,
+            confidence: rule.confidence.at_least(chances.into_iter()),
+        })
     }
 }
 
-/// Returns rho of method 3.2: pixels of the matched image per squared scene unit, from the area of the triangle between its projected corners;
-/// if a corner does not project, the density at the centroid. 0 for a triangle without area.
+/// Returns rho of method 3.2: pixels of the matched image per squared scene unit, from the area of
+/// the triangle between its projected corners; if a corner does not project, the density at the
+/// centroid. 0 for a triangle without area.
 fn density(model: &Model, key: ViewIndex, triangle: u32) -> f64 {
-    let (camera, pose) = (model.scene.camera_of(key), &model.scene.view(key).cam_from_world);
-    let corners = model.surface.corners(triangle).map(|v| pose.camera_from_world(&v));
+    let (camera, pose) = (
+        model.scene.camera_of(key),
+        &model.scene.view(key).cam_from_world,
+    );
+    let corners = model
+        .surface
+        .corners(triangle)
+        .map(|v| pose.camera_from_world(&v));
     let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
     let projected = visibility::projected_area(camera, &corners);
     let density = 2.0 * projected / normal.norm() * model.rule.image_scale.powi(2);
     if density.is_finite() { density } else { 0.0 }
 }
 
-/// Returns J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene unit.
+/// Returns J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene
+/// unit.
 pub(crate) fn information(model: &Model, view: ViewIndex, triangle: u32) -> Matrix3<f64> {
     let pose = &model.scene.view(view).cam_from_world;
     let centroid = pose.camera_from_world(&model.surface.centroid(triangle));
     let Some((_, jacobian)) = model.scene.camera_of(view).project_with_jacobian(&centroid) else {
         return Matrix3::zeros();
     };
-    let jacobian = jacobian * pose.rotation.matrix() * (model.rule.image_scale / model.rule.sigma_px);
+    let jacobian =
+        jacobian * pose.rotation.matrix() * (model.rule.image_scale / model.rule.sigma_px);
     jacobian.transpose() * jacobian
 }
 

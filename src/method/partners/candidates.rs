@@ -34,7 +34,8 @@ pub struct Refusal {
 pub struct Candidates {
     pub offsets: Offsets,
     pub views: Vec<ViewIndex>,
-    /// By view: number of its last candidates that are beyond the backend's gate, taken because there are not enough others.
+    /// By view: number of its last candidates that are beyond the backend's gate, taken because
+    /// there are not enough others.
     pub beyond: Vec<usize>,
     pub refusal_offsets: Offsets,
     /// Pairs with shared points that were refused, most shared points first, CSR by view.
@@ -52,7 +53,8 @@ impl Candidates {
         &candidates[candidates.len() - self.beyond[view.index()]..]
     }
 
-    /// Returns the other views that share points with this one but are not candidates, with the reason.
+    /// Returns the other views that share points with this one but are not candidates, with the
+    /// reason.
     pub fn refused(&self, view: ViewIndex) -> &[Refusal] {
         &self.refusals[self.refusal_offsets.row(view.index())]
     }
@@ -62,7 +64,8 @@ impl Candidates {
 pub struct Limits<'a> {
     /// Limits beyond which matching usually fails (method 7.1).
     pub gate: &'a Gate,
-    /// Returns, for a key view, which pairs cannot be matched at all: the program refuses them, or an image is missing.
+    /// Returns, for a key view, which pairs cannot be matched at all: the program refuses them, or
+    /// an image is missing.
     pub refusals_of: &'a (dyn Fn(ViewIndex) -> Refuses<'a> + Sync),
 }
 
@@ -73,12 +76,16 @@ pub type Refuses<'a> = Box<dyn Fn(&PairGeometry) -> bool + 'a>;
 impl<'a> Limits<'a> {
     /// Limits with this gate, for a program that refuses no pair.
     pub fn gate(gate: &'a Gate) -> Self {
-        Self { gate, refusals_of: &|_| Box::new(|_| false) }
+        Self {
+            gate,
+            refusals_of: &|_| Box::new(|_| false),
+        }
     }
 }
 
-/// The search for each view's n views with the most shared points that have a baseline and that the backend can match, ties by name. If fewer than k
-/// remain, the best connected views beyond the gate follow, unless the program refuses them.
+/// The search for each view's n views with the most shared points that have a baseline and that the
+/// backend can match, ties by name. If fewer than k remain, the best connected views beyond the
+/// gate follow, unless the program refuses them.
 pub struct CandidateSearch<'a, 'limits> {
     scene: &'a Scene,
     points: &'a ViewPoints,
@@ -100,24 +107,42 @@ impl<'a, 'limits> CandidateSearch<'a, 'limits> {
         watcher: &'a dyn Watcher,
     ) -> Self {
         let rows = scene.views.iter().map(|_| OnceLock::new()).collect();
-        Self { scene, points, settings, limits, watcher, rows, resting: Mutex::default() }
+        Self {
+            scene,
+            points,
+            settings,
+            limits,
+            watcher,
+            rows,
+            resting: Mutex::default(),
+        }
     }
 
-    /// Starts a job for each view: short ones, so that a thread soon helps again with what others share.
+    /// Starts a job for each view: short ones, so that a thread soon helps again with what others
+    /// share.
     pub fn start<'jobs>(&'jobs self, jobs: &ScopeFifo<'jobs>) {
-        self.scene.view_indices().for_each(|key| jobs.spawn_fifo(move |_| self.find(key)));
+        self.scene
+            .view_indices()
+            .for_each(|key| jobs.spawn_fifo(move |_| self.find(key)));
     }
 
     fn find(&self, key: ViewIndex) {
         if self.watcher.cancelled() {
             return;
         }
-        let rested = self.resting.lock().ok().and_then(|mut resting| resting.pop());
+        let rested = self
+            .resting
+            .lock()
+            .ok()
+            .and_then(|mut resting| resting.pop());
         let mut neighbours = rested.unwrap_or_else(|| Neighbours::new(self.scene));
         neighbours.collect(self.scene, self.points, key);
         let row = select(self.scene, &neighbours, key, self.settings, self.limits);
         self.rows[key.index()].set(row).ok();
-        self.resting.lock().map(|mut resting| resting.push(neighbours)).ok();
+        self.resting
+            .lock()
+            .map(|mut resting| resting.push(neighbours))
+            .ok();
     }
 
     /// Returns the candidates, when all jobs are done.
@@ -149,11 +174,19 @@ pub fn candidates(
     search.finish()
 }
 
-/// Returns the views that share points with one, with those points; most shared points first, ties by name.
-pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(ViewIndex, Vec<PointIndex>)> {
+/// Returns the views that share points with one, with those points; most shared points first, ties
+/// by name.
+pub fn neighbours(
+    scene: &Scene,
+    points: &ViewPoints,
+    view: ViewIndex,
+) -> Vec<(ViewIndex, Vec<PointIndex>)> {
     let mut neighbours = Neighbours::new(scene);
     neighbours.collect(scene, points, view);
-    neighbours.pairs().map(|(other, shared)| (other, shared.to_vec())).collect()
+    neighbours
+        .pairs()
+        .map(|(other, shared)| (other, shared.to_vec()))
+        .collect()
 }
 
 /// The candidates of one view.
@@ -187,16 +220,25 @@ fn select(
                 unlikely.extend((reason == Reason::NotMatchable).then_some(pair));
             }
             None if selected.views.len() == settings.candidates as usize => break,
-            None if refuses(&pair) => selected.refused.push(Refusal { partner, reason: Reason::NotMatchable }),
+            None if refuses(&pair) => selected.refused.push(Refusal {
+                partner,
+                reason: Reason::NotMatchable,
+            }),
             None => selected.views.push(partner),
         }
     }
     // Beyond the gate matching usually fails, but such a partner is better than none.
     let empty = (settings.k as usize).saturating_sub(selected.views.len());
-    let filled: Vec<ViewIndex> =
-        unlikely.iter().filter(|pair| !refuses(pair)).take(empty).map(|pair| pair.partner).collect();
+    let filled: Vec<ViewIndex> = unlikely
+        .iter()
+        .filter(|pair| !refuses(pair))
+        .take(empty)
+        .map(|pair| pair.partner)
+        .collect();
     selected.beyond = filled.len();
-    selected.refused.retain(|refusal| !filled.contains(&refusal.partner));
+    selected
+        .refused
+        .retain(|refusal| !filled.contains(&refusal.partner));
     selected.views.extend(filled);
     selected
 }
@@ -217,16 +259,26 @@ struct Neighbours {
 impl Neighbours {
     fn new(scene: &Scene) -> Self {
         let counts = vec![0; scene.views.len()];
-        Self { shared: Vec::new(), views: Vec::new(), ranges: Vec::new(), points: Vec::new(), counts }
+        Self {
+            shared: Vec::new(),
+            views: Vec::new(),
+            ranges: Vec::new(),
+            points: Vec::new(),
+            counts,
+        }
     }
 
     fn pairs(&self) -> impl Iterator<Item = (ViewIndex, &[PointIndex])> {
-        self.views.iter().zip(&self.ranges).map(|(&v, range)| (v, &self.points[range.clone()]))
+        self.views
+            .iter()
+            .zip(&self.ranges)
+            .map(|(&v, range)| (v, &self.points[range.clone()]))
     }
 
     fn collect(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
         self.count(scene, points, key);
-        self.views.sort_unstable_by_key(|v| (Reverse(self.counts[v.index()]), *v));
+        self.views
+            .sort_unstable_by_key(|v| (Reverse(self.counts[v.index()]), *v));
         let mut end = 0;
         self.ranges.clear();
         for view in &self.views {
@@ -271,18 +323,36 @@ mod tests {
     use crate::{base::progress::NoWatcher, method::synthetic::Town};
 
     fn scene() -> Scene {
-        Town { points: 300, ..Town::default() }.scene()
+        Town {
+            points: 300,
+            ..Town::default()
+        }
+        .scene()
     }
 
     fn select_all(scene: &Scene, n: u32, gate: &Gate) -> Candidates {
-        let settings = PartnerSettings { candidates: n, ..Default::default() };
-        candidates(scene, &scene.view_points(), &settings, &Limits::gate(gate), &NoWatcher).unwrap()
+        let settings = PartnerSettings {
+            candidates: n,
+            ..Default::default()
+        };
+        candidates(
+            scene,
+            &scene.view_points(),
+            &settings,
+            &Limits::gate(gate),
+            &NoWatcher,
+        )
+        .unwrap()
     }
 
     fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
         let points = scene.view_points();
         let other: HashSet<_> = points.observed_by(b).iter().collect();
-        points.observed_by(a).iter().filter(|p| other.contains(p)).count()
+        points
+            .observed_by(a)
+            .iter()
+            .filter(|p| other.contains(p))
+            .count()
     }
 
     #[test]
@@ -290,8 +360,11 @@ mod tests {
         let scene = scene();
         let table = select_all(&scene, 22, &Gate::OPEN);
         for key in scene.view_indices().step_by(5) {
-            let mut all: Vec<_> =
-                scene.view_indices().filter(|&v| v != key).map(|v| (shared(&scene, key, v), v)).collect();
+            let mut all: Vec<_> = scene
+                .view_indices()
+                .filter(|&v| v != key)
+                .map(|v| (shared(&scene, key, v), v))
+                .collect();
             all.retain(|s| s.0 > 0);
             all.sort_by_key(|s| (Reverse(s.0), s.1));
             let expected: Vec<_> = all.iter().take(22).map(|s| s.1).collect();
@@ -302,8 +375,14 @@ mod tests {
     #[test]
     fn refused_pairs_make_room_for_others_and_stand_in_where_there_are_none() {
         let scene = scene();
-        let gate = Gate { max_angle_deg: 12.0, ..Gate::OPEN };
-        let (all, table) = (select_all(&scene, 60, &Gate::OPEN), select_all(&scene, 5, &gate));
+        let gate = Gate {
+            max_angle_deg: 12.0,
+            ..Gate::OPEN
+        };
+        let (all, table) = (
+            select_all(&scene, 60, &Gate::OPEN),
+            select_all(&scene, 5, &gate),
+        );
         let points = scene.view_points();
         for key in scene.view_indices() {
             let around = neighbours(&scene, &points, key);
@@ -311,14 +390,23 @@ mod tests {
                 let (_, shared) = around.iter().find(|(view, _)| *view == partner).unwrap();
                 PairGeometry::new(&scene, key, partner, shared).angle_deg
             };
-            let (narrow, wide): (Vec<_>, Vec<_>) =
-                all.candidates_of(key).iter().copied().partition(|&v| angle(v) <= 12.0);
+            let (narrow, wide): (Vec<_>, Vec<_>) = all
+                .candidates_of(key)
+                .iter()
+                .copied()
+                .partition(|&v| angle(v) <= 12.0);
             let expected: Vec<ViewIndex> = narrow.iter().chain(&wide).copied().take(5).collect();
             assert_eq!(table.candidates_of(key), expected);
             assert_eq!(table.beyond_gate(key), &expected[narrow.len().min(5)..]);
             let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
             assert!(table.refused(key).iter().all(wide));
-            assert!(table.refused(key).iter().all(|r| !expected.contains(&r.partner)), "a candidate is not refused");
+            assert!(
+                table
+                    .refused(key)
+                    .iter()
+                    .all(|r| !expected.contains(&r.partner)),
+                "a candidate is not refused"
+            );
         }
         assert!(!table.refusals.is_empty());
     }
@@ -329,7 +417,10 @@ mod tests {
         scene.views[1].cam_from_world = scene.views[0].cam_from_world;
         let table = select_all(&scene, 60, &Gate::OPEN);
         assert!(!table.candidates_of(ViewIndex(0)).contains(&ViewIndex(1)));
-        let still = Refusal { partner: ViewIndex(1), reason: Reason::RotationOnly };
+        let still = Refusal {
+            partner: ViewIndex(1),
+            reason: Reason::RotationOnly,
+        };
         assert!(table.refused(ViewIndex(0)).contains(&still));
     }
 
@@ -338,7 +429,11 @@ mod tests {
         let scene = scene();
         let twice = |views: &[ViewIndex]| views.iter().flat_map(|&v| [v, v]).collect();
         let doubled = Scene {
-            track_offsets: scene.track_offsets.iter().map(|offset| 2 * offset).collect(),
+            track_offsets: scene
+                .track_offsets
+                .iter()
+                .map(|offset| 2 * offset)
+                .collect(),
             track_views: twice(&scene.track_views),
             track_pixels: scene.track_pixels.iter().flat_map(|&p| [p, p]).collect(),
             ..scene.clone()

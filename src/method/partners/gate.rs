@@ -10,7 +10,9 @@ impl Gate {
     /// Returns the gate with the limits that the settings override.
     pub fn with(self, set: &GateSettings) -> Self {
         Self {
-            min_shared_points: set.min_shared_points.map_or(self.min_shared_points, |points| points as usize),
+            min_shared_points: set
+                .min_shared_points
+                .map_or(self.min_shared_points, |points| points as usize),
             min_angle_deg: set.min_angle.unwrap_or(self.min_angle_deg),
             max_angle_deg: set.max_angle.unwrap_or(self.max_angle_deg),
             max_scale_octaves: set.max_scale_octaves.unwrap_or(self.max_scale_octaves),
@@ -70,11 +72,29 @@ mod tests {
 
     #[test]
     fn limits_that_are_set_take_the_place_of_the_backends() {
-        let gate = Gate { min_angle_deg: 5.0, ..Gate::OPEN };
+        let gate = Gate {
+            min_angle_deg: 5.0,
+            ..Gate::OPEN
+        };
         assert_eq!(gate.with(&GateSettings::default()), gate);
-        assert_eq!(Gate::OPEN.with(&gate.settings()), gate, "what is in force is a setting that says the same");
-        let set = GateSettings { min_angle: Some(2.0), max_scale_octaves: Some(1.0), ..GateSettings::default() };
-        assert_eq!(gate.with(&set), Gate { min_angle_deg: 2.0, max_scale_octaves: 1.0, ..gate });
+        assert_eq!(
+            Gate::OPEN.with(&gate.settings()),
+            gate,
+            "what is in force is a setting that says the same"
+        );
+        let set = GateSettings {
+            min_angle: Some(2.0),
+            max_scale_octaves: Some(1.0),
+            ..GateSettings::default()
+        };
+        assert_eq!(
+            gate.with(&set),
+            Gate {
+                min_angle_deg: 2.0,
+                max_scale_octaves: 1.0,
+                ..gate
+            }
+        );
     }
 
     #[test]
@@ -99,19 +119,49 @@ mod tests {
         };
         assert_eq!(gate.refusal(&good), None);
         for limit in [
-            PairGeometry { angle_deg: 1.0, ..good },
-            PairGeometry { angle_deg: 60.0, ..good },
-            PairGeometry { scale_octaves: 0.5, ..good },
+            PairGeometry {
+                angle_deg: 1.0,
+                ..good
+            },
+            PairGeometry {
+                angle_deg: 60.0,
+                ..good
+            },
+            PairGeometry {
+                scale_octaves: 0.5,
+                ..good
+            },
         ] {
             assert_eq!(gate.refusal(&limit), None);
         }
-        assert_eq!(gate.refusal(&PairGeometry { shared: &[], ..good }), Some(Reason::NoSharedPoints));
+        assert_eq!(
+            gate.refusal(&PairGeometry {
+                shared: &[],
+                ..good
+            }),
+            Some(Reason::NoSharedPoints)
+        );
         for bad in [
-            PairGeometry { angle_deg: 0.9, ..good },
-            PairGeometry { angle_deg: 61.0, ..good },
-            PairGeometry { angle_deg: f64::NAN, ..good },
-            PairGeometry { scale_octaves: -0.6, ..good },
-            PairGeometry { epipole_inside: true, ..good },
+            PairGeometry {
+                angle_deg: 0.9,
+                ..good
+            },
+            PairGeometry {
+                angle_deg: 61.0,
+                ..good
+            },
+            PairGeometry {
+                angle_deg: f64::NAN,
+                ..good
+            },
+            PairGeometry {
+                scale_octaves: -0.6,
+                ..good
+            },
+            PairGeometry {
+                epipole_inside: true,
+                ..good
+            },
         ] {
             assert_eq!(gate.refusal(&bad), Some(Reason::NotMatchable));
             assert_eq!(Gate::OPEN.refusal(&bad).is_none(), !bad.angle_deg.is_nan());

@@ -1,7 +1,8 @@
 //! Selection of the matching partners of each key view (method 4).
 //!
-//! [`CandidateSearch`] finds the views with the most shared sparse points that the backend can match; [`choose`] selects k of them for each
-//! key view, as in the paper ([`sampled`]) or by a search that continues from there ([`search`]).
+//! [`CandidateSearch`] finds the views with the most shared sparse points that the backend can
+//! match; [`choose`] selects k of them for each key view, as in the paper ([`sampled`]) or by a
+//! search that continues from there ([`search`]).
 
 mod candidates;
 mod gate;
@@ -30,10 +31,11 @@ use crate::{
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// Selects a view cluster for each view that has candidates, in the order of views, and computes its fulfilment.
+/// Selects a view cluster for each view that has candidates, in the order of views, and computes
+/// its fulfilment.
 ///
-/// A view with at most k candidates gets all of them. Views with a rejected picture are neither key views nor
-/// partners.
+/// A view with at most k candidates gets all of them. Views with a rejected picture are neither key
+/// views nor partners.
 pub fn choose(
     model: &Model,
     candidates: &Candidates,
@@ -41,11 +43,22 @@ pub fn choose(
     seed: u64,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
-    let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
+    let judges = sampled::judging_triangles(
+        model.surface.triangles.len(),
+        settings.triangle_fraction,
+        seed,
+    );
     let is_sound = |view: &ViewIndex| model.agreement.rejected.binary_search(view).is_err();
-    let candidates_of =
-        |key: ViewIndex| -> Vec<ViewIndex> { candidates.candidates_of(key).iter().copied().filter(is_sound).collect() };
-    let has_candidates = |key: &ViewIndex| is_sound(key) && candidates.candidates_of(*key).iter().any(is_sound);
+    let candidates_of = |key: ViewIndex| -> Vec<ViewIndex> {
+        candidates
+            .candidates_of(key)
+            .iter()
+            .copied()
+            .filter(is_sound)
+            .collect()
+    };
+    let has_candidates =
+        |key: &ViewIndex| is_sound(key) && candidates.candidates_of(*key).iter().any(is_sound);
     let keys: Vec<ViewIndex> = model.scene.view_indices().filter(has_candidates).collect();
     let (done, total) = (AtomicU64::new(0), keys.len() as u64);
     watcher.progress(Stage::Partners, 0, total);
@@ -55,10 +68,17 @@ pub fn choose(
         let candidates = candidates_of(key);
         let mut block = Block::new(model, key, &candidates, is_judge, slots);
         let choice = choose_for(&mut block, model, key, &candidates, settings, seed);
-        watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
+        watcher.progress(
+            Stage::Partners,
+            1 + done.fetch_add(1, Ordering::Relaxed),
+            total,
+        );
         Ok(choice)
     };
-    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), FulfilmentTableBuilder::like(model.visibility)?);
+    let (mut clusters, mut table) = (
+        Vec::with_capacity(keys.len()),
+        FulfilmentTableBuilder::like(model.visibility)?,
+    );
     column::in_order(
         &keys,
         BATCH,
@@ -94,7 +114,10 @@ fn choose_for(
         PartnerMethod::Search => search::search(block, start, n),
     };
     let ordered = search::best_first(block, choice.partners);
-    (ordered.into_iter().map(|p| candidates[p]).collect(), choice.values)
+    (
+        ordered.into_iter().map(|p| candidates[p]).collect(),
+        choice.values,
+    )
 }
 
 #[cfg(test)]

@@ -4,7 +4,8 @@ use nalgebra::{Point3, Vector3};
 
 use crate::model::scene::{PointIndex, Scene, ViewIndex};
 
-/// Relative geometry of two views: the input of a backend's decision whether it can match them (method 7.1).
+/// Relative geometry of two views: the input of a backend's decision whether it can match them
+/// (method 7.1).
 #[derive(Clone, Copy)]
 pub struct PairGeometry<'a> {
     pub scene: &'a Scene,
@@ -16,7 +17,8 @@ pub struct PairGeometry<'a> {
     pub angle_deg: f64,
     /// Share of the shared points with an angle below 0.5 degrees.
     pub still_share: f64,
-    /// Median over the shared points of the partner's scale relative to the key view's, octaves; positive: the partner is finer.
+    /// Median over the shared points of the partner's scale relative to the key view's, octaves;
+    /// positive: the partner is finer.
     pub scale_octaves: f64,
     /// True if the line through the two centres meets one of the images.
     pub epipole_inside: bool,
@@ -29,10 +31,18 @@ const STILL_SHARE: f64 = 0.5;
 
 impl<'a> PairGeometry<'a> {
     /// `shared`: the points that both views observe; at least one.
-    pub fn new(scene: &'a Scene, key: ViewIndex, partner: ViewIndex, shared: &'a [PointIndex]) -> Self {
+    pub fn new(
+        scene: &'a Scene,
+        key: ViewIndex,
+        partner: ViewIndex,
+        shared: &'a [PointIndex],
+    ) -> Self {
         let centres = [key, partner].map(|v| scene.view(v).cam_from_world.centre());
         let focal = [key, partner].map(|v| scene.camera_of(v).mean_focal_length());
-        let (mut cosines, mut ratios) = (Vec::with_capacity(shared.len()), Vec::with_capacity(shared.len()));
+        let (mut cosines, mut ratios) = (
+            Vec::with_capacity(shared.len()),
+            Vec::with_capacity(shared.len()),
+        );
         for point in shared.iter().map(|p| scene.points[p.index()]) {
             let [a, b] = centres.map(|c| c - point);
             let (a2, b2) = (a.norm_squared(), b.norm_squared());
@@ -40,7 +50,8 @@ impl<'a> PairGeometry<'a> {
             ratios.push(a2 / b2);
         }
         let still = STILL_DEG.to_radians().cos();
-        let still_share = cosines.iter().filter(|&&c| c > still).count() as f64 / shared.len() as f64;
+        let still_share =
+            cosines.iter().filter(|&&c| c > still).count() as f64 / shared.len() as f64;
         let octaves = |ratio: f64| 0.5 * ratio.log2() + (focal[1] / focal[0]).log2();
         Self {
             scene,
@@ -50,7 +61,8 @@ impl<'a> PairGeometry<'a> {
             angle_deg: median_of(&mut cosines, |c| c.clamp(-1.0, 1.0).acos().to_degrees()),
             still_share,
             scale_octaves: median_of(&mut ratios, octaves),
-            epipole_inside: meets_image(scene, key, &centres[1]) || meets_image(scene, partner, &centres[0]),
+            epipole_inside: meets_image(scene, key, &centres[1])
+                || meets_image(scene, partner, &centres[0]),
         }
     }
 
@@ -72,11 +84,20 @@ fn median_of(values: &mut [f64], f: impl Fn(f64) -> f64) -> f64 {
     if median.is_nan() { 0.0 } else { median }
 }
 
-/// Returns whether the line from the view's centre through a point meets its image, in front of or behind the camera.
+/// Returns whether the line from the view's centre through a point meets its image, in front of or
+/// behind the camera.
 fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
     let camera = scene.camera_of(view);
-    let direction = scene.view(view).cam_from_world.camera_from_world(point).coords;
-    let inside = |d: Vector3<f64>| camera.project(&d.into()).is_some_and(|pixel| camera.contains(&pixel));
+    let direction = scene
+        .view(view)
+        .cam_from_world
+        .camera_from_world(point)
+        .coords;
+    let inside = |d: Vector3<f64>| {
+        camera
+            .project(&d.into())
+            .is_some_and(|pixel| camera.contains(&pixel))
+    };
     inside(direction) || inside(-direction)
 }
 
@@ -88,7 +109,11 @@ mod tests {
     use crate::method::synthetic::Town;
 
     fn scene() -> Scene {
-        Town { points: 300, ..Town::default() }.scene()
+        Town {
+            points: 300,
+            ..Town::default()
+        }
+        .scene()
     }
 
     #[test]
@@ -96,9 +121,21 @@ mod tests {
         let scene = scene();
         let (a, b) = (ViewIndex(6), ViewIndex(32));
         let other: HashSet<_> = scene.view_points().observed_by(b).iter().copied().collect();
-        let both: Vec<_> = scene.view_points().observed_by(a).iter().copied().filter(|p| other.contains(p)).collect();
-        let (ab, ba) = (PairGeometry::new(&scene, a, b, &both), PairGeometry::new(&scene, b, a, &both));
-        assert!((ab.angle_deg - ba.angle_deg).abs() < 1e-9 && (ab.scale_octaves + ba.scale_octaves).abs() < 1e-9);
+        let both: Vec<_> = scene
+            .view_points()
+            .observed_by(a)
+            .iter()
+            .copied()
+            .filter(|p| other.contains(p))
+            .collect();
+        let (ab, ba) = (
+            PairGeometry::new(&scene, a, b, &both),
+            PairGeometry::new(&scene, b, a, &both),
+        );
+        assert!(
+            (ab.angle_deg - ba.angle_deg).abs() < 1e-9
+                && (ab.scale_octaves + ba.scale_octaves).abs() < 1e-9
+        );
         assert!(ab.angle_deg > 1.0 && ab.still_share == 0.0);
         assert_eq!(ab.epipole_inside, ba.epipole_inside);
     }
@@ -114,7 +151,8 @@ mod tests {
         let points = [PointIndex(0)];
         assert!(PairGeometry::new(&scene, ViewIndex(0), ViewIndex(1), &points).epipole_inside);
         let aside = Vector3::new(2.0, 0.0, 0.0);
-        scene.views[1].cam_from_world.translation = scene.views[0].cam_from_world.translation - aside;
+        scene.views[1].cam_from_world.translation =
+            scene.views[0].cam_from_world.translation - aside;
         assert!(!PairGeometry::new(&scene, ViewIndex(0), ViewIndex(1), &points).epipole_inside);
     }
 
@@ -128,7 +166,10 @@ mod tests {
             let pose = &mut scene.views[1].cam_from_world;
             (pose.rotation, pose.translation) = (rotation, -(rotation * centre.coords));
             for [key, partner] in [[0, 1], [1, 0]].map(|pair| pair.map(ViewIndex)) {
-                assert!(PairGeometry::new(&scene, key, partner, &[PointIndex(0)]).epipole_inside, "{towards} {key:?}");
+                assert!(
+                    PairGeometry::new(&scene, key, partner, &[PointIndex(0)]).epipole_inside,
+                    "{towards} {key:?}"
+                );
             }
         }
     }
@@ -140,15 +181,26 @@ mod tests {
         let nearer = nalgebra::center(&pose.centre(), &point);
         scene.views[1].cam_from_world = pose;
         scene.views[1].cam_from_world.translation = -(pose.rotation * nearer.coords);
-        let of = |key, partner| PairGeometry::new(&scene, ViewIndex(key), ViewIndex(partner), &[PointIndex(0)]);
-        assert!((of(0, 1).scale_octaves - 1.0).abs() < 1e-9 && (of(1, 0).scale_octaves + 1.0).abs() < 1e-9);
+        let of = |key, partner| {
+            PairGeometry::new(&scene, ViewIndex(key), ViewIndex(partner), &[PointIndex(0)])
+        };
+        assert!(
+            (of(0, 1).scale_octaves - 1.0).abs() < 1e-9
+                && (of(1, 0).scale_octaves + 1.0).abs() < 1e-9
+        );
     }
 
     #[test]
     fn views_have_no_baseline_where_most_points_stand_still() {
         let scene = scene();
         let pair = PairGeometry::new(&scene, ViewIndex(6), ViewIndex(32), &[PointIndex(0)]);
-        let has_none = |still_share| PairGeometry { still_share, ..pair }.has_no_baseline();
+        let has_none = |still_share| {
+            PairGeometry {
+                still_share,
+                ..pair
+            }
+            .has_no_baseline()
+        };
         assert!(!has_none(0.5) && has_none(0.6));
     }
 

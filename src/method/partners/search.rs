@@ -1,10 +1,12 @@
-//! Beyond the paper: greedy addition and exchange, proposed on a subset of the triangles and accepted on all of them.
+//! Beyond the paper: greedy addition and exchange, proposed on a subset of the triangles and
+//! accepted on all of them.
 
 use crate::method::fulfilment::block::{Block, Judges, LANES};
 
 /// Minimum number of judging triangles; with fewer, all triangles of the view judge.
 const ENOUGH_TO_JUDGE: usize = 512;
-/// From twice this number on, only a sample of them judges: proposals are decided on all triangles anyway.
+/// From twice this number on, only a sample of them judges: proposals are decided on all triangles
+/// anyway.
 const PLENTY_TO_JUDGE: usize = 1024;
 /// Exchanges tried on all triangles before the search gives up.
 const TRIES: usize = 3;
@@ -21,12 +23,16 @@ impl PartnerChoice {
     pub fn new(block: &mut Block, partners: Vec<usize>) -> Self {
         let values = block.values(&partners);
         let sum = values.iter().map(|&f| f64::from(f)).sum();
-        Self { partners, values, sum }
+        Self {
+            partners,
+            values,
+            sum,
+        }
     }
 }
 
-/// Returns the best set that greedy addition and exchange find from the better of `start` and the greedy set. Its sum over all triangles is never
-/// below that of `start`.
+/// Returns the best set that greedy addition and exchange find from the better of `start` and the
+/// greedy set. Its sum over all triangles is never below that of `start`.
 pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
     let k = start.len();
     let judges = judges(block);
@@ -46,8 +52,15 @@ pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
 
 /// Returns the triangles that the search is judged by.
 pub fn judges(block: &Block) -> Judges {
-    let groups = if block.first() * LANES < ENOUGH_TO_JUDGE { block.len() } else { block.first() };
-    Judges { groups, step: (groups * LANES / PLENTY_TO_JUDGE).max(1) }
+    let groups = if block.first() * LANES < ENOUGH_TO_JUDGE {
+        block.len()
+    } else {
+        block.first()
+    };
+    Judges {
+        groups,
+        step: (groups * LANES / PLENTY_TO_JUDGE).max(1),
+    }
 }
 
 /// Adds partners one by one, each time the one with the largest gain, ties by shared points.
@@ -57,21 +70,40 @@ pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usiz
         let left: Vec<usize> = (0..n).filter(|p| !chosen.contains(p)).collect();
         let sums = block.sums_with(&chosen, &left, judges);
         let best = (0..left.len()).fold(0, |best, i| if sums[i] > sums[best] { i } else { best });
-        let Some(&partner) = left.get(best) else { break };
+        let Some(&partner) = left.get(best) else {
+            break;
+        };
         chosen.push(partner);
     }
     chosen
 }
 
-/// Returns the best exchange of one partner by the judging triangles that also gains on all triangles.
-fn exchange(block: &mut Block, best: &PartnerChoice, n: usize, judges: Judges) -> Option<PartnerChoice> {
+/// Returns the best exchange of one partner by the judging triangles that also gains on all
+/// triangles.
+fn exchange(
+    block: &mut Block,
+    best: &PartnerChoice,
+    n: usize,
+    judges: Judges,
+) -> Option<PartnerChoice> {
     let now = block.sums(std::slice::from_ref(&best.partners), judges)[0];
     let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
     let mut moves = Vec::new();
     for out in 0..best.partners.len() {
-        let rest: Vec<usize> = best.partners.iter().enumerate().filter(|(i, _)| *i != out).map(|(_, &p)| p).collect();
+        let rest: Vec<usize> = best
+            .partners
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| *i != out)
+            .map(|(_, &p)| p)
+            .collect();
         let sums = block.sums_with(&rest, &left, judges);
-        moves.extend(sums.into_iter().zip(&left).filter(|(sum, _)| *sum > now).map(|(sum, &p)| (sum, out, p)));
+        moves.extend(
+            sums.into_iter()
+                .zip(&left)
+                .filter(|(sum, _)| *sum > now)
+                .map(|(sum, &p)| (sum, out, p)),
+        );
     }
     moves.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
     moves.into_iter().take(TRIES).find_map(|(_, out, p)| {
@@ -89,7 +121,8 @@ pub fn best_first(block: &mut Block, mut partners: Vec<usize>) -> Vec<usize> {
     let mut ordered = Vec::with_capacity(partners.len());
     while !partners.is_empty() {
         let sums = block.sums_with(&ordered, &partners, judges);
-        let best = (0..partners.len()).fold(0, |best, i| if sums[i] > sums[best] { i } else { best });
+        let best =
+            (0..partners.len()).fold(0, |best, i| if sums[i] > sums[best] { i } else { best });
         ordered.push(partners.remove(best));
     }
     ordered

@@ -1,8 +1,11 @@
-//! Belief in the prediction after finished depth maps (method 5.4): a triangle that failed is not tried again from a neighbouring view.
+//! Belief in the prediction after finished depth maps (method 5.4): a triangle that failed is not
+//! tried again from a neighbouring view.
 //!
-//! The prediction says which share of a triangle's pixels a cluster measures (its f_conf). Finished clusters update a Beta distribution over "is matched
-//! as predicted": predicted pixels are trials, measured ones successes, weighted by the similarity of the two key views, with a prior of [`TRUST`]
-//! successes. Its mean multiplies the confidence of the remaining clusters. It is 1 if nothing fell short of the prediction.
+//! The prediction says which share of a triangle's pixels a cluster measures (its f_conf). Finished
+//! clusters update a Beta distribution over "is matched as predicted": predicted pixels are trials,
+//! measured ones successes, weighted by the similarity of the two key views, with a prior of
+//! [`TRUST`] successes. Its mean multiplies the confidence of the remaining clusters. It is 1 if
+//! nothing fell short of the prediction.
 
 use nalgebra::Vector3;
 
@@ -16,7 +19,8 @@ use crate::{
 
 /// Prior: successes before the first trial.
 const TRUST: f32 = 0.3;
-/// Correlation of the pixels of a triangle: even a large one counts as at most 1 / `CORRELATION` trials.
+/// Correlation of the pixels of a triangle: even a large one counts as at most 1 / `CORRELATION`
+/// trials.
 const CORRELATION: f32 = 0.2;
 /// Angle between viewing directions, degrees, at which similarity is exp(-1/2).
 const DIRECTION_DEG: f64 = 45.0;
@@ -34,12 +38,17 @@ pub struct Attempt {
 }
 
 impl Attempt {
-    /// Builds the result from the number of pixels that show the triangle and the predicted and measured shares of them, 0 to 1. A surplus at one triangle
-    /// does not offset a shortfall at another.
+    /// Builds the result from the number of pixels that show the triangle and the predicted and
+    /// measured shares of them, 0 to 1. A surplus at one triangle does not offset a shortfall at
+    /// another.
     pub fn new(triangle: u32, pixels: u32, predicted: f32, measured: f32) -> Self {
         let pixels = pixels.max(1) as f32;
         let independent = pixels / (1.0 + (pixels - 1.0) * CORRELATION);
-        Self { triangle, promised: independent * predicted, kept: independent * predicted.min(measured) }
+        Self {
+            triangle,
+            promised: independent * predicted,
+            kept: independent * predicted.min(measured),
+        }
     }
 }
 
@@ -68,7 +77,16 @@ impl<'a> Beliefs<'a> {
         let (offsets, entries) = by_triangle(predicted, surface.triangles.len());
         let none = vec![0.0; predicted.triangles.len()];
         let keys = clusters.iter().map(|cluster| cluster.key).collect();
-        Self { scene, surface, keys, predicted, offsets, entries, promised: none.clone(), kept: none }
+        Self {
+            scene,
+            surface,
+            keys,
+            predicted,
+            offsets,
+            entries,
+            promised: none.clone(),
+            kept: none,
+        }
     }
 
     /// Adds the results of a finished cluster with this key view.
@@ -77,8 +95,12 @@ impl<'a> Beliefs<'a> {
             let look = ViewingGeometry::new(self.scene, self.surface, key, attempt.triangle);
             let t = attempt.triangle as usize;
             for &(cluster, entry) in &self.entries[self.offsets[t]..self.offsets[t + 1]] {
-                let other =
-                    ViewingGeometry::new(self.scene, self.surface, self.keys[cluster as usize], attempt.triangle);
+                let other = ViewingGeometry::new(
+                    self.scene,
+                    self.surface,
+                    self.keys[cluster as usize],
+                    attempt.triangle,
+                );
                 let alike = look.similarity(&other) as f32;
                 self.promised[entry] += alike * attempt.promised;
                 self.kept[entry] += alike * attempt.kept;
@@ -90,7 +112,11 @@ impl<'a> Beliefs<'a> {
     pub fn row(&self, cluster: usize) -> (&'a [u32], Vec<f32>) {
         let (triangles, values) = self.predicted.row(cluster);
         let first = self.predicted.offsets[cluster];
-        let believed = values.iter().enumerate().map(|(i, f)| f * self.mean(first + i)).collect();
+        let believed = values
+            .iter()
+            .enumerate()
+            .map(|(i, f)| f * self.mean(first + i))
+            .collect();
         (triangles, believed)
     }
 
@@ -102,7 +128,10 @@ impl<'a> Beliefs<'a> {
 /// Returns the entries of each triangle with their clusters, ascending.
 fn by_triangle(table: &FulfilmentTable, triangles: usize) -> (Vec<usize>, Vec<(u32, usize)>) {
     let mut offsets = vec![0; triangles + 1];
-    table.triangles.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+    table
+        .triangles
+        .iter()
+        .for_each(|&t| offsets[t as usize + 1] += 1);
     (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
     let mut next = offsets.clone();
     let mut entries = vec![(0, 0); table.triangles.len()];
@@ -128,12 +157,21 @@ impl ViewingGeometry {
     fn new(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> Self {
         let ray = scene.view(view).cam_from_world.centre() - surface.centroid(triangle);
         let distance = ray.norm();
-        Self { direction: ray / distance, gsd: distance / scene.camera_of(view).mean_focal_length() }
+        Self {
+            direction: ray / distance,
+            gsd: distance / scene.camera_of(view).mean_focal_length(),
+        }
     }
 
-    /// Returns the similarity: 1 if equal, falling with the angle between the directions and the octaves between the scales.
+    /// Returns the similarity: 1 if equal, falling with the angle between the directions and the
+    /// octaves between the scales.
     fn similarity(&self, other: &Self) -> f64 {
-        let angle = self.direction.dot(&other.direction).clamp(-1.0, 1.0).acos().to_degrees();
+        let angle = self
+            .direction
+            .dot(&other.direction)
+            .clamp(-1.0, 1.0)
+            .acos()
+            .to_degrees();
         let octaves = (self.gsd / other.gsd).log2();
         let distance = (angle / DIRECTION_DEG).powi(2) + (octaves / SCALE_OCTAVES).powi(2);
         let alike = (-0.5 * distance).exp();
@@ -160,12 +198,32 @@ mod tests {
 
     impl Fixture {
         fn new() -> Self {
-            let town =
-                Town::new(Camera::new(1, CameraModel::Pinhole, 300, 225, vec![280.0, 280.0, 150.0, 112.5]).unwrap());
+            let town = Town::new(
+                Camera::new(
+                    1,
+                    CameraModel::Pinhole,
+                    300,
+                    225,
+                    vec![280.0, 280.0, 150.0, 112.5],
+                )
+                .unwrap(),
+            );
             let (scene, surface) = (town.scene(), town.surface());
-            let predicted = FulfilmentTable::new(scene.view_indices().map(|_| [(0, 0.8), (1, 0.4)]));
-            let clusters = scene.view_indices().map(|key| ViewCluster { key, partners: Vec::new() }).collect();
-            Self { scene, surface, clusters, predicted }
+            let predicted =
+                FulfilmentTable::new(scene.view_indices().map(|_| [(0, 0.8), (1, 0.4)]));
+            let clusters = scene
+                .view_indices()
+                .map(|key| ViewCluster {
+                    key,
+                    partners: Vec::new(),
+                })
+                .collect();
+            Self {
+                scene,
+                surface,
+                clusters,
+                predicted,
+            }
         }
 
         fn beliefs(&self) -> Beliefs<'_> {
@@ -186,7 +244,10 @@ mod tests {
     fn kept_promises_change_nothing() {
         let fixture = Fixture::new();
         let mut beliefs = fixture.beliefs();
-        beliefs.learn(ViewIndex(0), &[Attempt::new(0, 40, 0.7, 0.7), Attempt::new(1, 3, 0.2, 1.0)]);
+        beliefs.learn(
+            ViewIndex(0),
+            &[Attempt::new(0, 40, 0.7, 0.7), Attempt::new(1, 3, 0.2, 1.0)],
+        );
         for cluster in 0..fixture.clusters.len() {
             let (triangles, row) = beliefs.row(cluster);
             assert_eq!((triangles, row.as_slice()), fixture.predicted.row(cluster));
@@ -202,7 +263,12 @@ mod tests {
         beliefs.learn(key, &[attempt]);
         let own = ViewingGeometry::new(&fixture.scene, &fixture.surface, key, 0);
         let alike = |c: usize| {
-            own.similarity(&ViewingGeometry::new(&fixture.scene, &fixture.surface, fixture.clusters[c].key, 0))
+            own.similarity(&ViewingGeometry::new(
+                &fixture.scene,
+                &fixture.surface,
+                fixture.clusters[c].key,
+                0,
+            ))
         };
         let mut by_likeness: Vec<usize> = (0..fixture.clusters.len()).collect();
         by_likeness.sort_by(|&a, &b| alike(b).total_cmp(&alike(a)));
@@ -210,12 +276,19 @@ mod tests {
         assert_eq!(by_likeness[0], 0);
         assert!(values[0] < 0.3 * 0.8, "tried from there: {}", values[0]);
         assert!(values.windows(2).all(|w| w[0] <= w[1]));
-        assert!(values[values.len() - 1] > 2.0 * values[0], "not tried from there: {}", values[values.len() - 1]);
+        assert!(
+            values[values.len() - 1] > 2.0 * values[0],
+            "not tried from there: {}",
+            values[values.len() - 1]
+        );
         for (&c, value) in by_likeness.iter().zip(&values) {
             let expected = 0.8 * TRUST / (TRUST + alike(c) as f32 * attempt.promised);
             assert!((value - expected).abs() < 1e-6, "{value} {expected}");
         }
-        assert!(by_likeness.iter().all(|&c| beliefs.row(c).1[1] == 0.4), "the other triangle was not tried");
+        assert!(
+            by_likeness.iter().all(|&c| beliefs.row(c).1[1] == 0.4),
+            "the other triangle was not tried"
+        );
     }
 
     #[test]
@@ -224,21 +297,35 @@ mod tests {
         let failed = Attempt::new(0, 10, 0.9, 0.0);
         let after = |attempts: &[Attempt]| {
             let mut beliefs = fixture.beliefs();
-            attempts.iter().for_each(|attempt| beliefs.learn(ViewIndex(3), &[*attempt]));
+            attempts
+                .iter()
+                .for_each(|attempt| beliefs.learn(ViewIndex(3), &[*attempt]));
             beliefs.row(3).1[0]
         };
         assert!(after(&[failed, failed]) < after(&[failed]));
         assert!(after(&[failed]) < after(&[failed, Attempt::new(0, 10, 0.9, 0.9)]));
-        assert!(after(&[Attempt::new(0, 1000, 0.9, 0.0)]) < after(&[failed]), "more pixels failed");
-        let (huge, large) = (Attempt::new(0, 100_000, 0.9, 0.0), Attempt::new(0, 1000, 0.9, 0.0));
-        assert!((after(&[huge]) - after(&[large])).abs() < 0.01, "pixels of a triangle fail together");
+        assert!(
+            after(&[Attempt::new(0, 1000, 0.9, 0.0)]) < after(&[failed]),
+            "more pixels failed"
+        );
+        let (huge, large) = (
+            Attempt::new(0, 100_000, 0.9, 0.0),
+            Attempt::new(0, 1000, 0.9, 0.0),
+        );
+        assert!(
+            (after(&[huge]) - after(&[large])).abs() < 0.01,
+            "pixels of a triangle fail together"
+        );
     }
 
     #[test]
     fn looks_are_alike_by_direction_and_scale() {
         let look = |degrees: f64, gsd: f64| {
             let (sin, cos) = degrees.to_radians().sin_cos();
-            ViewingGeometry { direction: Vector3::new(sin, 0.0, cos), gsd }
+            ViewingGeometry {
+                direction: Vector3::new(sin, 0.0, cos),
+                gsd,
+            }
         };
         let e = (-0.5f64).exp();
         assert_eq!(look(0.0, 1.0).similarity(&look(0.0, 1.0)), 1.0);

@@ -14,19 +14,23 @@ const ROUNDS: usize = 16;
 const FIRST_STEP: f64 = 0.8;
 /// Steps without improvement after which the step length is halved.
 const PATIENCE: usize = 2;
-/// Weight of the previous direction in a step: damps oscillation, since the best maps change with every step.
+/// Weight of the previous direction in a step: damps oscillation, since the best maps change with
+/// every step.
 const MOMENTUM: f32 = 0.5;
-/// Largest number of parts in which threads update the prices: each part goes through all of the best maps.
+/// Largest number of parts in which threads update the prices: each part goes through all of the
+/// best maps.
 const PARTS: usize = 64;
 /// Least number of triangles per part.
 const LEAST_PART: usize = if cfg!(test) { 3 } else { 1 << 14 };
 /// Triangles whose surplus is added at once.
 const LANES: usize = 8;
 
-/// Returns an upper bound on f_o of any set of maps that needs no more work than the first `length` of the ranking.
+/// Returns an upper bound on f_o of any set of maps that needs no more work than the first `length`
+/// of the ranking.
 ///
-/// Any prices at the triangles give a bound (Lagrangian dual, method 5.2). They start from f of the ranking's first maps; a subgradient step raises
-/// the price of triangles that the best maps at these prices cover more often than needed, and lowers the others.
+/// Any prices at the triangles give a bound (Lagrangian dual, method 5.2). They start from f of the
+/// ranking's first maps; a subgradient step raises the price of triangles that the best maps at
+/// these prices cover more often than needed, and lowers the others.
 pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
     match objective.support {
         1 => most_at_prices::<1>(length, maps, objective, ranking),
@@ -35,23 +39,38 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
 }
 
 /// Returns [`most_of_any`] by this number of prices at each triangle.
-fn most_at_prices<const N: usize>(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
+fn most_at_prices<const N: usize>(
+    length: usize,
+    maps: &Maps,
+    objective: &Objective,
+    ranking: &Ranking,
+) -> f64 {
     let all: Vec<u32> = (0..maps.len()).collect();
-    let order: Vec<u32> = ranking.maps().map(|(cluster, scale)| maps.index(cluster, scale)).collect();
+    let order: Vec<u32> = ranking
+        .maps()
+        .map(|(cluster, scale)| maps.index(cluster, scale))
+        .collect();
     let work_of = |maps_taken: &[u32]| maps_taken.iter().map(|&map| maps.work(map)).sum::<f64>();
     let mut reached = Reached::new(objective);
     let first = &order[..length.min(order.len())];
     first.iter().for_each(|&map| reached.take(maps.row(map)));
-    let least: Vec<f32> = (0..objective.weights.len() as u32).map(|t| reached.largest(t)[0]).collect();
+    let least: Vec<f32> = (0..objective.weights.len() as u32)
+        .map(|t| reached.largest(t)[0])
+        .collect();
     let goal = reached.fulfilment();
     // All clusters at full size are an upper bound, too.
     let mut bound = match maps.has_half() {
         true => Reached::by_all(maps, objective).fulfilment(),
-        // The ranking has taken all of them, in whole numbers, so that no other order gives another sum.
+        // The ranking has taken all of them, in whole numbers, so that no other order gives another
+        // sum.
         false => ranking.fulfilment.last().copied().unwrap_or(0.0),
     };
     drop(reached);
-    let limit = if length > order.len() { f64::INFINITY } else { work_of(first) };
+    let limit = if length > order.len() {
+        f64::INFINITY
+    } else {
+        work_of(first)
+    };
     let mut dual = Dual::<N>::new(objective, least);
     let (mut step, mut in_vain) = (FIRST_STEP, 0);
     for round in 1..=ROUNDS {
@@ -60,7 +79,9 @@ fn most_at_prices<const N: usize>(length: usize, maps: &Maps, objective: &Object
         let mut best = all.clone();
         best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));
         let (whole, part) = within(limit, &best, |map| maps.work(map));
-        let next = best.get(whole).map_or(0.0, |&map| part * gains[map as usize]);
+        let next = best
+            .get(whole)
+            .map_or(0.0, |&map| part * gains[map as usize]);
         best.truncate(whole);
         let most = dual.paid() + best.iter().map(|&map| gains[map as usize]).sum::<f64>() + next;
         in_vain = if most < bound { 0 } else { in_vain + 1 };
@@ -69,14 +90,18 @@ fn most_at_prices<const N: usize>(length: usize, maps: &Maps, objective: &Object
             (step, in_vain) = (0.5 * step, 0);
         }
         if round < ROUNDS {
-            dual.improve(&best.iter().map(|&map| maps.row(map)).collect::<Vec<_>>(), step * (most - goal));
+            dual.improve(
+                &best.iter().map(|&map| maps.row(map)).collect::<Vec<_>>(),
+                step * (most - goal),
+            );
         }
     }
     maps.release();
     bound
 }
 
-/// A triangle: its weight, and its prices (see [`Dual`]); side by side in memory, because the triangles of a map are scattered.
+/// A triangle: its weight, and its prices (see [`Dual`]); side by side in memory, because the
+/// triangles of a map are scattered.
 #[derive(Clone, Copy, Debug)]
 struct Priced<const N: usize> {
     weight: f64,
@@ -100,7 +125,8 @@ impl<const N: usize> Kernel for Surplus<'_, N> {
         for (triangles, values) in self.triangles.chunks(LANES).zip(self.values.chunks(LANES)) {
             for ((sums, &t), &f) in sums.iter_mut().zip(triangles).zip(values) {
                 let Priced { weight, prices } = self.priced[t as usize];
-                // In f64, where the difference is exact; rounded down in f32, it would no longer be a bound.
+                // In f64, where the difference is exact; rounded down in f32, it would no longer be
+                // a bound.
                 sums.iter_mut().zip(prices).for_each(|(sum, price)| {
                     *sum += weight * (f64::from(f) - f64::from(price)).max(0.0);
                 });
@@ -125,10 +151,12 @@ fn within(limit: f64, maps: &[u32], work: impl Fn(u32) -> f64) -> (usize, f64) {
 
 /// Prices at each triangle: one for each of its m largest f, and one for the m-th unless m is 1.
 ///
-/// For every p, the m largest f add up to at most m p + s, and the m-th is at most p + s / m, where s is the sum of max(f - p, 0) over all f.
+/// For every p, the m largest f add up to at most m p + s, and the m-th is at most p + s / m, where
+/// s is the sum of max(f - p, 0) over all f.
 struct Dual<const N: usize> {
     priced: Vec<Priced<N>>,
-    /// Direction of the last step, by triangle and price, per unit of weight; empty before the first one.
+    /// Direction of the last step, by triangle and price, per unit of weight; empty before the
+    /// first one.
     direction: Vec<[f32; N]>,
     support: u32,
     /// Weight in f_o of a unit of f above each of the prices.
@@ -143,16 +171,28 @@ impl<const N: usize> Dual<N> {
             1 => [1.0, 0.0],
             _ => [each / (1.0 + e), (1.0 - each) / (m * (1.0 + e))],
         };
-        let priced = |(&weight, price)| Priced { weight, prices: [price; N] };
+        let priced = |(&weight, price)| Priced {
+            weight,
+            prices: [price; N],
+        };
         let priced = objective.weights.iter().zip(start).map(priced).collect();
         let shares = std::array::from_fn(|price| shares[price]);
-        Self { priced, direction: Vec::new(), support: objective.support, shares }
+        Self {
+            priced,
+            direction: Vec::new(),
+            support: objective.support,
+            shares,
+        }
     }
 
     /// Returns the price that m clusters pay at all triangles together.
     fn paid(&self) -> f64 {
         let of = |price: usize| {
-            let paid: f64 = self.priced.iter().map(|at| at.weight * f64::from(at.prices[price])).sum();
+            let paid: f64 = self
+                .priced
+                .iter()
+                .map(|at| at.weight * f64::from(at.prices[price]))
+                .sum();
             f64::from(self.support) * self.shares[price] * paid
         };
         (0..N).map(of).sum()
@@ -160,33 +200,62 @@ impl<const N: usize> Dual<N> {
 
     /// Returns the surplus of a map over the prices.
     fn gain(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
-        let surplus = vectorised(Surplus { triangles, values, priced: &self.priced });
-        self.shares.iter().zip(surplus).map(|(share, surplus)| share * surplus).sum()
+        let surplus = vectorised(Surplus {
+            triangles,
+            values,
+            priced: &self.priced,
+        });
+        self.shares
+            .iter()
+            .zip(surplus)
+            .map(|(share, surplus)| share * surplus)
+            .sum()
     }
 
-    /// Moves the prices against the subgradient of the bound, which per unit of weight is m minus the number of `best` maps above the price, with
-    /// [`MOMENTUM`]. `gap`: target for the decrease of the bound.
+    /// Moves the prices against the subgradient of the bound, which per unit of weight is m minus
+    /// the number of `best` maps above the price, with [`MOMENTUM`]. `gap`: target for the decrease
+    /// of the bound.
     fn improve(&mut self, best: &[(&[u32], &[f32])], gap: f64) {
-        let kept = if self.direction.is_empty() { 0.0 } else { MOMENTUM };
+        let kept = if self.direction.is_empty() {
+            0.0
+        } else {
+            MOMENTUM
+        };
         self.direction.resize(self.priced.len(), [0.0; N]);
         let (shares, uncovered) = (self.shares, (1.0 - kept) * self.support as f32);
         let length = self.priced.len().div_ceil(PARTS).max(LEAST_PART);
-        let parts = self.direction.par_chunks_mut(length).zip(self.priced.par_chunks(length)).enumerate();
+        let parts = self
+            .direction
+            .par_chunks_mut(length)
+            .zip(self.priced.par_chunks(length))
+            .enumerate();
         let turn = |(part, (direction, priced)): (usize, (&mut [[f32; N]], &[Priced<N>]))| {
-            direction.as_flattened_mut().iter_mut().for_each(|along| *along = kept * *along + uncovered);
+            direction
+                .as_flattened_mut()
+                .iter_mut()
+                .for_each(|along| *along = kept * *along + uncovered);
             let first = part * length;
             for (triangles, values) in best {
-                let [from, to] =
-                    [first, first + priced.len()].map(|end| triangles.partition_point(|&t| (t as usize) < end));
+                let [from, to] = [first, first + priced.len()]
+                    .map(|end| triangles.partition_point(|&t| (t as usize) < end));
                 for (&t, &f) in triangles[from..to].iter().zip(&values[from..to]) {
                     let at = t as usize - first;
-                    let above = priced[at].prices.map(|price| f32::from(u8::from(f > price)));
-                    direction[at].iter_mut().zip(above).for_each(|(along, above)| *along -= (1.0 - kept) * above);
+                    let above = priced[at]
+                        .prices
+                        .map(|price| f32::from(u8::from(f > price)));
+                    direction[at]
+                        .iter_mut()
+                        .zip(above)
+                        .for_each(|(along, above)| *along -= (1.0 - kept) * above);
                 }
             }
             let square = |(at, along): (&Priced<N>, &[f32; N])| {
                 at.weight
-                    * along.iter().zip(shares).map(|(&along, share)| (share * f64::from(along)).powi(2)).sum::<f64>()
+                    * along
+                        .iter()
+                        .zip(shares)
+                        .map(|(&along, share)| (share * f64::from(along)).powi(2))
+                        .sum::<f64>()
             };
             priced.iter().zip(&*direction).map(square).sum::<f64>()
         };
@@ -195,11 +264,14 @@ impl<const N: usize> Dual<N> {
         if !(squares > 0.0 && gap > 0.0) {
             return;
         }
-        self.priced.par_iter_mut().zip(&self.direction).for_each(|(at, along)| {
-            for ((price, &along), share) in at.prices.iter_mut().zip(along).zip(shares) {
-                let down = gap / squares * share * f64::from(along);
-                *price = (f64::from(*price) - down).clamp(0.0, 1.0) as f32;
-            }
-        });
+        self.priced
+            .par_iter_mut()
+            .zip(&self.direction)
+            .for_each(|(at, along)| {
+                for ((price, &along), share) in at.prices.iter_mut().zip(along).zip(shares) {
+                    let down = gap / squares * share * f64::from(along);
+                    *price = (f64::from(*price) - down).clamp(0.0, 1.0) as f32;
+                }
+            });
     }
 }

@@ -2,7 +2,8 @@
 
 use crate::{base::column::Storage, method::fulfilment::FulfilmentTable, model::cluster::MapScale};
 
-/// Depth maps by index: those of all clusters at full size, then, if requested, those of all clusters at half size.
+/// Depth maps by index: those of all clusters at full size, then, if requested, those of all
+/// clusters at half size.
 #[derive(Clone, Copy, Debug)]
 pub struct Maps<'a> {
     full: &'a FulfilmentTable,
@@ -22,9 +23,17 @@ impl<'a> Maps<'a> {
         Self { full, half: None }
     }
 
-    /// Builds candidates of both sizes. `work`: that of each cluster's map at full and at half size, in any unit, above 0.
-    pub fn two_sizes(full: &'a FulfilmentTable, half: &'a FulfilmentTable, work: &'a [[f64; 2]]) -> Self {
-        Self { full, half: Some(Half { table: half, work }) }
+    /// Builds candidates of both sizes. `work`: that of each cluster's map at full and at half
+    /// size, in any unit, above 0.
+    pub fn two_sizes(
+        full: &'a FulfilmentTable,
+        half: &'a FulfilmentTable,
+        work: &'a [[f64; 2]],
+    ) -> Self {
+        Self {
+            full,
+            half: Some(Half { table: half, work }),
+        }
     }
 
     /// Returns true if the maps of a cluster differ by size.
@@ -45,7 +54,11 @@ impl<'a> Maps<'a> {
     }
 
     pub(super) fn scale(&self, map: u32) -> MapScale {
-        if map < self.clusters() { MapScale::Full } else { MapScale::Half }
+        if map < self.clusters() {
+            MapScale::Full
+        } else {
+            MapScale::Half
+        }
     }
 
     pub(super) fn index(&self, cluster: u32, scale: MapScale) -> u32 {
@@ -74,7 +87,8 @@ impl<'a> Maps<'a> {
     /// Returns the cost of a map, in the ranking and in the bound.
     pub(super) fn work(&self, map: u32) -> f64 {
         let size = usize::from(map >= self.clusters());
-        self.half.map_or(1.0, |half| half.work[self.cluster(map) as usize][size])
+        self.half
+            .map_or(1.0, |half| half.work[self.cluster(map) as usize][size])
     }
 
     /// Returns the storage (memory or disk) of tables derived from these.

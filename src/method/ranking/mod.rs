@@ -1,7 +1,8 @@
 //! Ranking (method 5): the order in which the view clusters are computed.
 //!
-//! Greedy: the next cluster is the one that adds most to the [`Objective`]. The objective is monotone, but submodular only if a single map is enough:
-//! a map gains worth when another one can confirm it. Gains are therefore kept up to date instead of evaluated lazily.
+//! Greedy: the next cluster is the one that adds most to the [`Objective`]. The objective is
+//! monotone, but submodular only if a single map is enough: a map gains worth when another one can
+//! confirm it. Gains are therefore kept up to date instead of evaluated lazily.
 
 mod belief;
 mod bound;
@@ -33,7 +34,8 @@ use crate::{
     model::cluster::MapScale,
 };
 
-/// Prices of work at which maps of two sizes are ranked, besides 0: enough that plans of any length have one that fits them (method 5.8).
+/// Prices of work at which maps of two sizes are ranked, besides 0: enough that plans of any length
+/// have one that fits them (method 5.8).
 pub const PRICES: u32 = 30;
 const PRICES_PER_OCTAVE: f64 = 3.0;
 /// Raised triangles that a thread takes at a time: about a tenth of a millisecond of work.
@@ -42,7 +44,8 @@ const TRIANGLES_AT_ONCE: usize = if cfg!(test) { 2 } else { 256 };
 /// A ranking of view clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ranking {
-    /// Cluster indices (into the plan's clusters), best first; only finished ones and those with a gain above 0.
+    /// Cluster indices (into the plan's clusters), best first; only finished ones and those with a
+    /// gain above 0.
     pub order: Vec<u32>,
     /// Size at which each cluster is matched.
     pub scales: Vec<MapScale>,
@@ -57,7 +60,8 @@ pub struct Ranking {
 }
 
 impl Ranking {
-    /// Returns the share: weight that fusion keeps of the first `length` clusters over that of all, 0 to 1; 0 if it keeps nothing of all.
+    /// Returns the share: weight that fusion keeps of the first `length` clusters over that of all,
+    /// 0 to 1; 0 if it keeps nothing of all.
     pub fn share(&self, length: usize) -> f64 {
         match length.min(self.kept.len()) {
             n if n > 0 && self.reachable > 0.0 => self.kept[n - 1] / self.reachable,
@@ -65,7 +69,8 @@ impl Ranking {
         }
     }
 
-    /// Returns the minimum number of clusters with that [`Self::share`]; all of them if fusion keeps nothing.
+    /// Returns the minimum number of clusters with that [`Self::share`]; all of them if fusion
+    /// keeps nothing.
     pub fn length_for_share(&self, share: f64) -> usize {
         if self.reachable == 0.0 {
             return self.kept.len();
@@ -80,8 +85,13 @@ impl Ranking {
     }
 }
 
-/// Ranks clusters at full size. Ties go to the cluster with the larger f_o by itself, then to the first by view name.
-pub fn rank(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watcher) -> Result<Ranking, TableError> {
+/// Ranks clusters at full size. Ties go to the cluster with the larger f_o by itself, then to the
+/// first by view name.
+pub fn rank(
+    table: &FulfilmentTable,
+    objective: &Objective,
+    watcher: &dyn Watcher,
+) -> Result<Ranking, TableError> {
     Ok(Ranker::new(&Maps::full_size(table), objective)?.rank(&[], 0.0, watcher)?)
 }
 
@@ -101,7 +111,9 @@ pub fn shares_by(objective: &Objective, ranking: &Ranking, maps: &Maps) -> Vec<f
     } else {
         kept.last().copied().unwrap_or(0.0)
     };
-    kept.into_iter().map(|kept| if all > 0.0 { kept / all } else { 0.0 }).collect()
+    kept.into_iter()
+        .map(|kept| if all > 0.0 { kept / all } else { 0.0 })
+        .collect()
 }
 
 /// Ranks depth maps, one per cluster, by gain less a price for their work.
@@ -111,7 +123,8 @@ pub struct Ranker<'a> {
     nothing: Reached<'a>,
     /// Gain of each map by itself.
     alone: Vec<i64>,
-    /// Weight that fusion keeps of all clusters at full size, if that is not what it keeps of all ranked ones.
+    /// Weight that fusion keeps of all clusters at full size, if that is not what it keeps of all
+    /// ranked ones.
     reachable: Option<f64>,
 }
 
@@ -128,29 +141,49 @@ impl<'a> Ranker<'a> {
         let nothing = Reached::new(objective);
         let gain = |&map: &u32| nothing.whole_gain(maps.row(map));
         let alone = column::read_by_parts(&all, gain, || maps.release());
-        let reachable = maps.has_half().then(|| Reached::by_all(maps, objective).kept_weight());
-        Ok(Self { maps, by_triangle, nothing, alone, reachable })
+        let reachable = maps
+            .has_half()
+            .then(|| Reached::by_all(maps, objective).kept_weight());
+        Ok(Self {
+            maps,
+            by_triangle,
+            nothing,
+            alone,
+            reachable,
+        })
     }
 
-    /// Returns prices of a unit of work, f_o: 0, at which all maps have full size, and falling ones from that at which no map by itself is worth its
-    /// work.
+    /// Returns prices of a unit of work, f_o: 0, at which all maps have full size, and falling ones
+    /// from that at which no map by itself is worth its work.
     pub fn prices(&self) -> Vec<f64> {
         let worth = |map: u32| FixedPoint(self.alone[map as usize]).value() / self.maps.work(map);
         let most = (0..self.maps.len()).map(worth).fold(0.0, f64::max);
         let octaves = |step: u32| f64::from(step) / PRICES_PER_OCTAVE;
-        std::iter::once(0.0).chain((1..=PRICES).map(|step| most * (-octaves(step)).exp2())).collect()
+        std::iter::once(0.0)
+            .chain((1..=PRICES).map(|step| most * (-octaves(step)).exp2()))
+            .collect()
     }
 
-    /// Ranks the maps at a price per unit of work. Finished maps come first, in the given order, whatever their gain (method 5.4). Ties go to the map
-    /// with the larger gain by itself, then to the first.
-    pub fn rank(&self, finished: &[(u32, MapScale)], price: f64, watcher: &dyn Watcher) -> Result<Ranking, Cancelled> {
+    /// Ranks the maps at a price per unit of work. Finished maps come first, in the given order,
+    /// whatever their gain (method 5.4). Ties go to the map with the larger gain by itself, then to
+    /// the first.
+    pub fn rank(
+        &self,
+        finished: &[(u32, MapScale)],
+        price: f64,
+        watcher: &dyn Watcher,
+    ) -> Result<Ranking, Cancelled> {
         let mut greedy = Greedy::new(self, price);
         let mut ranking = Ranking::default();
         for &(cluster, scale) in finished {
             watcher.check()?;
             greedy.take(self.maps.index(cluster, scale), &mut ranking);
         }
-        let total = greedy.left.iter().filter(|&&map| greedy.gain(map) > 0).count() as u64;
+        let total = greedy
+            .left
+            .iter()
+            .filter(|&&map| greedy.gain(map) > 0)
+            .count() as u64;
         watcher.progress(Stage::Ranking, 0, total);
         while let Some(map) = greedy.best() {
             watcher.check()?;
@@ -159,13 +192,15 @@ impl<'a> Ranker<'a> {
             watcher.progress(Stage::Ranking, done.min(total), total);
         }
         watcher.progress(Stage::Ranking, total, total);
-        ranking.reachable = self.reachable.unwrap_or_else(|| ranking.kept.last().copied().unwrap_or(0.0));
+        ranking.reachable = self
+            .reachable
+            .unwrap_or_else(|| ranking.kept.last().copied().unwrap_or(0.0));
         Ok(ranking)
     }
 }
 
-/// Gains of the remaining maps, kept up to date: when f of a triangle rises, the gains of all maps that see it change by integers, and so stay equal
-/// to a fresh sum.
+/// Gains of the remaining maps, kept up to date: when f of a triangle rises, the gains of all maps
+/// that see it change by integers, and so stay equal to a fresh sum.
 struct Greedy<'a> {
     ranker: &'a Ranker<'a>,
     reached: Reached<'a>,
@@ -202,8 +237,18 @@ impl<'a> Greedy<'a> {
     fn best(&self) -> Option<u32> {
         let surplus = |gain: i64, map: u32| gain - self.costs[map as usize];
         let alone = |map: u32| self.ranker.alone[map as usize];
-        let key = |&map: &u32| (surplus(self.gain(map), map), surplus(alone(map), map), Reverse(map));
-        self.left.iter().copied().filter(|&map| self.gain(map) > 0).max_by_key(key)
+        let key = |&map: &u32| {
+            (
+                surplus(self.gain(map), map),
+                surplus(alone(map), map),
+                Reverse(map),
+            )
+        };
+        self.left
+            .iter()
+            .copied()
+            .filter(|&map| self.gain(map) > 0)
+            .max_by_key(key)
     }
 
     fn gain(&self, map: u32) -> i64 {
@@ -211,7 +256,9 @@ impl<'a> Greedy<'a> {
     }
 
     fn take(&mut self, map: u32, ranking: &mut Ranking) {
-        let Ranker { maps, by_triangle, .. } = self.ranker;
+        let Ranker {
+            maps, by_triangle, ..
+        } = self.ranker;
         let (gain, cluster) = (self.gain(map), maps.cluster(map));
         self.left.retain(|&other| maps.cluster(other) != cluster);
         let (triangles, values) = maps.row(map);
@@ -226,16 +273,31 @@ impl<'a> Greedy<'a> {
         }
         let Self { reached, gains, .. } = self;
         let update = |(&t, before): (&u32, &[f32])| {
-            let [then, now] = [before, reached.largest(t)].map(|largest| reached.gains_at(t, largest));
-            for entry in by_triangle.row(t).iter().filter(|entry| entry.f > before[0]) {
-                gains[entry.place as usize].fetch_add(now(entry.f) - then(entry.f), Ordering::Relaxed);
+            let [then, now] =
+                [before, reached.largest(t)].map(|largest| reached.gains_at(t, largest));
+            for entry in by_triangle
+                .row(t)
+                .iter()
+                .filter(|entry| entry.f > before[0])
+            {
+                gains[entry.place as usize]
+                    .fetch_add(now(entry.f) - then(entry.f), Ordering::Relaxed);
             }
         };
-        // Rankings at several prices run at once, and one that waited for parts of its own would begin another.
-        let at_once = if maps.has_half() { usize::MAX } else { TRIANGLES_AT_ONCE };
+        // Rankings at several prices run at once, and one that waited for parts of its own would
+        // begin another.
+        let at_once = if maps.has_half() {
+            usize::MAX
+        } else {
+            TRIANGLES_AT_ONCE
+        };
         let Raised { triangles, before } = &raised;
         let before = before.par_chunks_exact(reached.objective.support as usize);
-        triangles.par_iter().zip(before).with_min_len(at_once).for_each(update);
+        triangles
+            .par_iter()
+            .zip(before)
+            .with_min_len(at_once)
+            .for_each(update);
         if ranking.order.len().is_multiple_of(column::READ_AT_ONCE) {
             maps.release();
             by_triangle.release();

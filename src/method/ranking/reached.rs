@@ -3,8 +3,9 @@
 use super::{Maps, Objective};
 use crate::base::column;
 
-/// f_o is counted in integer multiples of 1 / `UNIT`. Integer sums are exact: gains can be updated by differences, and the result depends neither on
-/// the order of additions nor on the number of threads.
+/// f_o is counted in integer multiples of 1 / `UNIT`. Integer sums are exact: gains can be updated
+/// by differences, and the result depends neither on the order of additions nor on the number of
+/// threads.
 const UNIT: f64 = (1u64 << 60) as f64;
 
 /// Amount of f_o, or of the weight that fusion is expected to keep.
@@ -35,7 +36,12 @@ pub(crate) struct Reached<'a> {
 impl<'a> Reached<'a> {
     pub(crate) fn new(objective: &'a Objective) -> Self {
         let largest = vec![0.0; objective.support as usize * objective.weights.len()];
-        Self { objective, largest, fulfilment: 0, kept: 0 }
+        Self {
+            objective,
+            largest,
+            fulfilment: 0,
+            kept: 0,
+        }
     }
 
     /// Returns what all clusters at full size reach.
@@ -99,14 +105,27 @@ impl<'a> Reached<'a> {
 
     /// Returns [`Self::gain_at`] as a function of f.
     #[inline]
-    pub(super) fn gains_at<'l>(&self, triangle: u32, largest: &'l [f32]) -> impl Fn(f32) -> i64 + use<'l> {
+    pub(super) fn gains_at<'l>(
+        &self,
+        triangle: u32,
+        largest: &'l [f32],
+    ) -> impl Fn(f32) -> i64 + use<'l> {
         let weight = self.objective.weights[triangle as usize];
         let before = FixedPoint::new(weight, Objective::worth(largest.iter().copied())).0;
-        move |f| if f <= largest[0] { 0 } else { FixedPoint::new(weight, with(largest, f)).0 - before }
+        move |f| {
+            if f <= largest[0] {
+                0
+            } else {
+                FixedPoint::new(weight, with(largest, f)).0 - before
+            }
+        }
     }
 
     pub(crate) fn take(&mut self, (triangles, values): (&[u32], &[f32])) {
-        triangles.iter().zip(values).for_each(|(&t, &f)| self.take_at(t, f));
+        triangles
+            .iter()
+            .zip(values)
+            .for_each(|(&t, &f)| self.take_at(t, f));
     }
 
     pub(crate) fn take_at(&mut self, triangle: u32, f: f32) {
@@ -115,13 +134,18 @@ impl<'a> Reached<'a> {
         if place == 0 {
             return;
         }
-        let (gain, agreed, m) = (self.gain_at(triangle, largest, f), largest[0], largest.len());
+        let (gain, agreed, m) = (
+            self.gain_at(triangle, largest, f),
+            largest[0],
+            largest.len(),
+        );
         self.fulfilment += gain;
         let largest = &mut self.largest[triangle as usize * m..][..m];
         largest.copy_within(1..place, 0);
         largest[place - 1] = f;
         let weight = self.objective.weights[triangle as usize];
-        self.kept += FixedPoint::new(weight, f64::from(largest[0])).0 - FixedPoint::new(weight, f64::from(agreed)).0;
+        self.kept += FixedPoint::new(weight, f64::from(largest[0])).0
+            - FixedPoint::new(weight, f64::from(agreed)).0;
     }
 }
 

@@ -11,8 +11,15 @@ fn even(triangles: u32, support: u32) -> Objective {
 }
 
 /// Ranks clusters at full size behind finished ones.
-fn rank_after(table: &FulfilmentTable, finished: &[(u32, MapScale)], objective: &Objective) -> Ranking {
-    Ranker::new(&Maps::full_size(table), objective).unwrap().rank(finished, 0.0, &NoWatcher).unwrap()
+fn rank_after(
+    table: &FulfilmentTable,
+    finished: &[(u32, MapScale)],
+    objective: &Objective,
+) -> Ranking {
+    Ranker::new(&Maps::full_size(table), objective)
+        .unwrap()
+        .rank(finished, 0.0, &NoWatcher)
+        .unwrap()
 }
 
 fn rank(table: &FulfilmentTable, objective: &Objective) -> Ranking {
@@ -25,9 +32,18 @@ fn total(ranking: &Ranking) -> f64 {
 }
 
 /// f of the chosen rows at a triangle, descending, with zeros behind.
-fn descending(rows: &[Vec<(u32, f32)>], chosen: &[usize], triangle: u32, support: usize) -> Vec<f64> {
-    let mut f: Vec<f64> =
-        chosen.iter().flat_map(|&c| &rows[c]).filter(|r| r.0 == triangle).map(|r| f64::from(r.1)).collect();
+fn descending(
+    rows: &[Vec<(u32, f32)>],
+    chosen: &[usize],
+    triangle: u32,
+    support: usize,
+) -> Vec<f64> {
+    let mut f: Vec<f64> = chosen
+        .iter()
+        .flat_map(|&c| &rows[c])
+        .filter(|r| r.0 == triangle)
+        .map(|r| f64::from(r.1))
+        .collect();
     f.resize(f.len() + support, 0.0);
     f.sort_by(|a, b| b.total_cmp(a));
     f
@@ -41,7 +57,8 @@ fn fulfilment(rows: &[Vec<(u32, f32)>], chosen: &[usize], support: usize) -> f64
         match others.len() {
             0 => f[0],
             n => {
-                (f[support - 1] + SINGLE_MAP_CREDIT * others.iter().sum::<f64>() / n as f64) / (1.0 + SINGLE_MAP_CREDIT)
+                (f[support - 1] + SINGLE_MAP_CREDIT * others.iter().sum::<f64>() / n as f64)
+                    / (1.0 + SINGLE_MAP_CREDIT)
             }
         }
     };
@@ -66,7 +83,12 @@ fn plain_greedy(table: &FulfilmentTable, objective: &Objective) -> Vec<(u32, i64
     loop {
         let of = |c: u32, reached: &Reached| reached.whole_gain(table.row(c as usize));
         let rank = |c: u32| (of(c, &reached), of(c, &nothing), std::cmp::Reverse(c));
-        let Some(best) = left.iter().copied().max_by_key(|&c| rank(c)).filter(|&c| of(c, &reached) > 0) else {
+        let Some(best) = left
+            .iter()
+            .copied()
+            .max_by_key(|&c| rank(c))
+            .filter(|&c| of(c, &reached) > 0)
+        else {
             return order;
         };
         order.push((best, of(best, &reached)));
@@ -77,7 +99,11 @@ fn plain_greedy(table: &FulfilmentTable, objective: &Objective) -> Vec<(u32, i64
 
 fn rows() -> impl Strategy<Value = Vec<Vec<(u32, f32)>>> {
     // Few distinct values, so that ties are common.
-    let row = proptest::collection::btree_map(0..TRIANGLES, (1u8..8).prop_map(|v| f32::from(v) / 8.0), 0..10);
+    let row = proptest::collection::btree_map(
+        0..TRIANGLES,
+        (1u8..8).prop_map(|v| f32::from(v) / 8.0),
+        0..10,
+    );
     proptest::collection::vec(row.prop_map(|r| r.into_iter().collect()), 0..9)
 }
 
@@ -149,29 +175,57 @@ fn a_map_alone_is_not_kept() {
     let rows = [vec![(0, 0.8f32)], vec![(1, 0.8)], vec![(0, 0.8)]];
     let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2));
     assert_eq!(ranking.order, [0, 2, 1]);
-    assert!(ranking.kept.iter().zip([0.0, 0.4, 0.4]).all(|(kept, expected)| (kept - expected).abs() < 1e-6));
+    assert!(
+        ranking
+            .kept
+            .iter()
+            .zip([0.0, 0.4, 0.4])
+            .all(|(kept, expected)| (kept - expected).abs() < 1e-6)
+    );
     assert_eq!([0, 1, 2, 3].map(|n| ranking.share(n)), [0.0, 0.0, 1.0, 1.0]);
 }
 
 #[test]
 fn the_prefix_for_a_share_is_the_shortest() {
-    let ranking = Ranking { kept: vec![0.5, 0.75, 0.75, 1.0], reachable: 1.0, ..Ranking::default() };
-    assert_eq!([0.4, 0.5, 0.6, 0.75, 0.8, 1.0].map(|s| ranking.length_for_share(s)), [1, 1, 2, 2, 4, 4]);
+    let ranking = Ranking {
+        kept: vec![0.5, 0.75, 0.75, 1.0],
+        reachable: 1.0,
+        ..Ranking::default()
+    };
+    assert_eq!(
+        [0.4, 0.5, 0.6, 0.75, 0.8, 1.0].map(|s| ranking.length_for_share(s)),
+        [1, 1, 2, 2, 4, 4]
+    );
     assert_eq!(Ranking::default().length_for_share(0.9), 0);
     assert_eq!(Ranking::default().share(3), 0.0);
-    assert_eq!([0, 1, 2, 4, 9].map(|n| ranking.share(n)), [0.0, 0.5, 0.75, 1.0, 1.0]);
+    assert_eq!(
+        [0, 1, 2, 4, 9].map(|n| ranking.share(n)),
+        [0.0, 0.5, 0.75, 1.0, 1.0]
+    );
 }
 
 #[test]
 fn where_nothing_is_kept_all_are_taken() {
     let rows = [vec![(0, 0.2f32)], vec![(1, 0.1)]];
     let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2));
-    assert_eq!((ranking.reachable, ranking.share(2), ranking.length_for_share(0.5)), (0.0, 0.0, 2));
+    assert_eq!(
+        (
+            ranking.reachable,
+            ranking.share(2),
+            ranking.length_for_share(0.5)
+        ),
+        (0.0, 0.0, 2)
+    );
 }
 
 #[test]
 fn a_gain_of_zero_ends_the_order() {
-    let rows = [vec![(0, 0.5f32), (1, 0.5)], vec![(0, 0.5)], vec![(1, 0.25)], vec![]];
+    let rows = [
+        vec![(0, 0.5f32), (1, 0.5)],
+        vec![(0, 0.5)],
+        vec![(1, 0.25)],
+        vec![],
+    ];
     let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1));
     assert_eq!(ranking.order, [0]);
 }
@@ -181,23 +235,48 @@ type Rows = Vec<Vec<(u32, f32)>>;
 
 /// Clusters with f at full and at half size, and the work of each map.
 fn two_sizes() -> impl Strategy<Value = (Rows, Rows, Vec<[f64; 2]>)> {
-    let work = (1u8..4).prop_map(f64::from).prop_map(|full| [full, 0.25 * full + 0.25]);
+    let work = (1u8..4)
+        .prop_map(f64::from)
+        .prop_map(|full| [full, 0.25 * full + 0.25]);
     (rows(), proptest::collection::vec(work, 9)).prop_map(|(full, work)| {
-        let half = full.iter().map(|row| row.iter().map(|&(t, f)| (t, 0.5 * f)).collect()).collect();
+        let half = full
+            .iter()
+            .map(|row| row.iter().map(|&(t, f)| (t, 0.5 * f)).collect())
+            .collect();
         let work = work[..full.len()].to_vec();
         (full, half, work)
     })
 }
 
-/// The map with the largest gain less the price of its work, with every gain added up afresh; `None` where none gains.
-fn best_afresh(maps: &Maps, taken: &[(u32, MapScale)], objective: &Objective, price: f64) -> Option<(u32, MapScale)> {
+/// The map with the largest gain less the price of its work, with every gain added up afresh;
+/// `None` where none gains.
+fn best_afresh(
+    maps: &Maps,
+    taken: &[(u32, MapScale)],
+    objective: &Objective,
+    price: f64,
+) -> Option<(u32, MapScale)> {
     let (mut reached, nothing) = (Reached::new(objective), Reached::new(objective));
-    taken.iter().for_each(|&(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+    taken
+        .iter()
+        .for_each(|&(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
     let cost = |map: u32| FixedPoint::new(price, maps.work(map)).0;
     let gain = |reached: &Reached, map: u32| reached.whole_gain(maps.row(map));
-    let left = (0..maps.len()).filter(|&map| taken.iter().all(|&(cluster, _)| cluster != maps.cluster(map)));
-    let key = |&map: &u32| (gain(&reached, map) - cost(map), gain(&nothing, map) - cost(map), Reverse(map));
-    let best = left.filter(|&map| gain(&reached, map) > 0).max_by_key(key)?;
+    let left = (0..maps.len()).filter(|&map| {
+        taken
+            .iter()
+            .all(|&(cluster, _)| cluster != maps.cluster(map))
+    });
+    let key = |&map: &u32| {
+        (
+            gain(&reached, map) - cost(map),
+            gain(&nothing, map) - cost(map),
+            Reverse(map),
+        )
+    };
+    let best = left
+        .filter(|&map| gain(&reached, map) > 0)
+        .max_by_key(key)?;
     Some((maps.cluster(best), maps.scale(best)))
 }
 
@@ -266,9 +345,19 @@ fn shares_of_two_sizes_are_of_all_at_full_size() {
     assert!((ranking.reachable - 0.6).abs() < 1e-6);
     assert!((ranking.share(2) - 0.75).abs() < 1e-6);
     let shares = shares_by(&Objective::weighing(vec![3.0, 1.0], 1), &ranking, &maps);
-    assert!((shares[0] - 0.6 * 3.0 / 2.8).abs() < 1e-6 && (shares[1] - 0.75).abs() < 1e-6, "{shares:?}");
-    let of_full = shares_by(&objective, &rank(&full, &objective), &Maps::full_size(&full));
-    assert!((of_full[0] - 2.0 / 3.0).abs() < 1e-6 && of_full[1] == 1.0, "{of_full:?}");
+    assert!(
+        (shares[0] - 0.6 * 3.0 / 2.8).abs() < 1e-6 && (shares[1] - 0.75).abs() < 1e-6,
+        "{shares:?}"
+    );
+    let of_full = shares_by(
+        &objective,
+        &rank(&full, &objective),
+        &Maps::full_size(&full),
+    );
+    assert!(
+        (of_full[0] - 2.0 / 3.0).abs() < 1e-6 && of_full[1] == 1.0,
+        "{of_full:?}"
+    );
     assert!(shares_by(&even(2, 1), &Ranking::default(), &maps).is_empty());
 }
 
@@ -276,7 +365,9 @@ fn shares_of_two_sizes_are_of_all_at_full_size() {
 fn the_guarantee_is_the_textbooks_where_one_map_is_enough() {
     assert!((even(1, 1).guarantee() - (1.0 - (-1f64).exp())).abs() < 1e-12);
     let credit = SINGLE_MAP_CREDIT / 2.0;
-    assert!((even(1, 3).guarantee() - (1.0 - (-2.0 * credit / (1.0 + credit)).exp())).abs() < 1e-12);
+    assert!(
+        (even(1, 3).guarantee() - (1.0 - (-2.0 * credit / (1.0 + credit)).exp())).abs() < 1e-12
+    );
 }
 
 /// The mean excess of the bound over the optimum, over 40 tables of numbers that look random.
@@ -285,13 +376,24 @@ fn the_bound_is_near_the_optimum() {
     for (support, most) in [(1, 0.02), (2, 0.05), (3, 0.06)] {
         let (mut excess, mut bounds) = (0.0, 0);
         for seed in 0..40u32 {
-            let f =
-                |c: u32, t: u32| f32::from(((seed * 31 + c * 17 + t * 29 + c * t * (seed + 3)) % 97 % 9) as u8) / 8.0;
-            let row = |c: u32| (0..TRIANGLES).map(|t| (t, f(c, t) - 0.5)).filter(|entry| entry.1 > 0.0).collect();
+            let f = |c: u32, t: u32| {
+                f32::from(((seed * 31 + c * 17 + t * 29 + c * t * (seed + 3)) % 97 % 9) as u8) / 8.0
+            };
+            let row = |c: u32| {
+                (0..TRIANGLES)
+                    .map(|t| (t, f(c, t) - 0.5))
+                    .filter(|entry| entry.1 > 0.0)
+                    .collect()
+            };
             let rows: Vec<Vec<(u32, f32)>> = (0..8).map(row).collect();
             let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
             let ranking = rank(&table, &objective);
-            for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate().skip(1).take(6) {
+            for (n, optimum) in optima(&rows, support as usize)
+                .into_iter()
+                .enumerate()
+                .skip(1)
+                .take(6)
+            {
                 excess += most_of_any(n, &Maps::full_size(&table), &objective, &ranking) - optimum;
                 bounds += 1;
             }

@@ -40,32 +40,54 @@ pub enum Projection {
     /// Longitude and latitude, degrees.
     Geodetic(Georeference),
     /// Scene units along two axes; `origin` is on the map's ground.
-    Axes { axes: [Vector3<f64>; 3], origin: Point3<f64> },
+    Axes {
+        axes: [Vector3<f64>; 3],
+        origin: Point3<f64>,
+    },
 }
 
 impl Projection {
-    fn new(coordinates: Coordinates, place: &Georeference, frame: &MapFrame, path: &Path) -> Result<Self, RegionError> {
-        let on_the_map = Self::Axes { axes: frame.axes, origin: frame.origin };
+    fn new(
+        coordinates: Coordinates,
+        place: &Georeference,
+        frame: &MapFrame,
+        path: &Path,
+    ) -> Result<Self, RegionError> {
+        let on_the_map = Self::Axes {
+            axes: frame.axes,
+            origin: frame.origin,
+        };
         match (coordinates, place) {
-            (Coordinates::Geodetic, Georeference::Local) => Err(RegionError::NoGeoreference { path: path.into() }),
+            (Coordinates::Geodetic, Georeference::Local) => {
+                Err(RegionError::NoGeoreference { path: path.into() })
+            }
             (Coordinates::Model { axes: Some(axes) }, _) => {
                 let axes = axes.map(Vector3::from);
                 // Comparisons with NaN are false.
                 let are_units = axes.iter().all(|axis| (axis.norm() - 1.0).abs() < UNIT);
                 match are_units {
-                    true => Ok(Self::Axes { axes, origin: frame.origin }),
+                    true => Ok(Self::Axes {
+                        axes,
+                        origin: frame.origin,
+                    }),
                     false => Err(RegionError::Axes { path: path.into() }),
                 }
             }
-            (Coordinates::Model { axes: None }, _) | (Coordinates::Unsaid, Georeference::Local) => Ok(on_the_map),
+            (Coordinates::Model { axes: None }, _) | (Coordinates::Unsaid, Georeference::Local) => {
+                Ok(on_the_map)
+            }
             (Coordinates::Unsaid | Coordinates::Geodetic, place) => Ok(Self::Geodetic(*place)),
         }
     }
 
     fn project(&self, point: &Point3<f64>) -> [f64; 2] {
         match self {
-            Self::Geodetic(place) => place.geodetic(point).map_or([f64::NAN; 2], |at| [at.longitude, at.latitude]),
-            Self::Axes { axes: [x, y, _], .. } => [x.dot(&point.coords), y.dot(&point.coords)],
+            Self::Geodetic(place) => place
+                .geodetic(point)
+                .map_or([f64::NAN; 2], |at| [at.longitude, at.latitude]),
+            Self::Axes {
+                axes: [x, y, _], ..
+            } => [x.dot(&point.coords), y.dot(&point.coords)],
         }
     }
 
@@ -88,25 +110,59 @@ impl Projection {
 }
 
 impl MapAreas {
-    pub fn new(areas: Areas, place: &Georeference, frame: &MapFrame, path: &Path) -> Result<Self, RegionError> {
+    pub fn new(
+        areas: Areas,
+        place: &Georeference,
+        frame: &MapFrame,
+        path: &Path,
+    ) -> Result<Self, RegionError> {
         let projection = Projection::new(areas.coordinates, place, frame, path)?;
         let wishes = areas.areas.iter().flat_map(|area| {
-            std::iter::repeat_n(RegionProperties { weight: area.weight, gsd: area.gsd }, area.polygons.len())
+            std::iter::repeat_n(
+                RegionProperties {
+                    weight: area.weight,
+                    gsd: area.gsd,
+                },
+                area.polygons.len(),
+            )
         });
         let wishes = wishes.collect();
-        let rings: Vec<Polygon> = areas.areas.into_iter().flat_map(|area| area.polygons).collect();
+        let rings: Vec<Polygon> = areas
+            .areas
+            .into_iter()
+            .flat_map(|area| area.polygons)
+            .collect();
         if let Projection::Geodetic(_) = projection {
             let on_earth = |p: &&[f64; 2]| p[0].abs() <= 180.0 && p[1].abs() <= 90.0;
             if let Some(&[x, y]) = rings.iter().flatten().flatten().find(|p| !on_earth(p)) {
-                return Err(RegionError::NotDegrees { path: path.into(), x, y });
+                return Err(RegionError::NotDegrees {
+                    path: path.into(),
+                    x,
+                    y,
+                });
             }
         }
-        let polygons: Vec<PreparedPolygon> = rings.iter().map(|rings| PreparedPolygon::new(rings)).collect();
-        let columns = Columns::new(&polygons.iter().map(|polygon| polygon.bounds).collect::<Vec<_>>());
-        Ok(Self { polygons, rings, wishes, columns, projection })
+        let polygons: Vec<PreparedPolygon> = rings
+            .iter()
+            .map(|rings| PreparedPolygon::new(rings))
+            .collect();
+        let columns = Columns::new(
+            &polygons
+                .iter()
+                .map(|polygon| polygon.bounds)
+                .collect::<Vec<_>>(),
+        );
+        Ok(Self {
+            polygons,
+            rings,
+            wishes,
+            columns,
+            projection,
+        })
     }
 
-    /// Returns the properties of the last polygon that contains the position. Adds the polygons and edges that it looks at to `looked_at`.
+    /// Returns the properties of the last polygon that contains the position. Adds the polygons and
+    /// edges that it looks at to `looked_at`.
     fn at(&self, place: [f64; 2], looked_at: &mut u64) -> Option<RegionProperties> {
         let holds = |&&i: &&u32| {
             *looked_at += 1;
@@ -116,18 +172,32 @@ impl MapAreas {
         holding.map(|&i| self.wishes[i as usize])
     }
 
-    pub fn sampled(&self, surface: &Surface, watcher: &dyn Watcher) -> Result<Vec<TriangleSamples>, RegionError> {
-        let vertices: Vec<[f64; 2]> = surface.vertices.par_iter().map(|v| self.projection.project(v)).collect();
+    pub fn sampled(
+        &self,
+        surface: &Surface,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<TriangleSamples>, RegionError> {
+        let vertices: Vec<[f64; 2]> = surface
+            .vertices
+            .par_iter()
+            .map(|v| self.projection.project(v))
+            .collect();
         in_parts(surface, watcher, |t, looked_at| {
             let [a, b, c] = surface.triangles[t as usize].map(|v| vertices[v as usize]);
             let [b, c] = [b, c].map(|corner| self.projection.beside(a, corner));
-            let at = |u: f64, v: f64| [0, 1].map(|axis| a[axis] + u * (b[axis] - a[axis]) + v * (c[axis] - a[axis]));
+            let at = |u: f64, v: f64| {
+                [0, 1].map(|axis| a[axis] + u * (b[axis] - a[axis]) + v * (c[axis] - a[axis]))
+            };
             sampled(|[u, v]| self.at(self.projection.wrapped(at(u, v)), looked_at))
         })
     }
 
     pub fn outside(&self, surface: &Surface) -> RegionError {
-        let vertices: Vec<[f64; 2]> = surface.vertices.iter().map(|v| self.projection.project(v)).collect();
+        let vertices: Vec<[f64; 2]> = surface
+            .vertices
+            .iter()
+            .map(|v| self.projection.project(v))
+            .collect();
         RegionError::OutsideMap {
             region: Rectangle::around(self.rings.iter().flatten().flatten()),
             model: Rectangle::around(&vertices),
@@ -136,12 +206,21 @@ impl MapAreas {
     }
 
     pub fn outline(&self) -> Outline {
-        let Projection::Axes { axes: [x, y, up], origin } = &self.projection else {
+        let Projection::Axes {
+            axes: [x, y, up],
+            origin,
+        } = &self.projection
+        else {
             return Outline::Geodetic(self.rings.clone());
         };
         let height = up.dot(&origin.coords);
         let world = |at: &[f64; 2]| Point3::from(x * at[0] + y * at[1] + up * height);
-        let polygon = |rings: &Polygon| rings.iter().map(|ring| ring.iter().map(world).collect()).collect();
+        let polygon = |rings: &Polygon| {
+            rings
+                .iter()
+                .map(|ring| ring.iter().map(world).collect())
+                .collect()
+        };
         Outline::Polygons(self.rings.iter().map(polygon).collect())
     }
 }

@@ -17,7 +17,10 @@ pub struct Rectangle {
 impl Rectangle {
     /// Returns the bounding rectangle of points; empty (low above high) without points.
     pub fn around<'a>(points: impl IntoIterator<Item = &'a [f64; 2]>) -> Self {
-        let mut all = Self { low: [f64::INFINITY; 2], high: [f64::NEG_INFINITY; 2] };
+        let mut all = Self {
+            low: [f64::INFINITY; 2],
+            high: [f64::NEG_INFINITY; 2],
+        };
         for point in points {
             all.low = [0, 1].map(|axis| all.low[axis].min(point[axis]));
             all.high = [0, 1].map(|axis| all.high[axis].max(point[axis]));
@@ -44,8 +47,19 @@ pub struct Columns {
 impl Columns {
     pub fn new(rectangles: &[Rectangle]) -> Self {
         let all = Rectangle::around(rectangles.iter().flat_map(Rectangle::corners));
-        let of_side = |side| Self { all, side, offsets: Offsets::default(), entries: Vec::new() };
-        let entries = |grid: &Self| rectangles.iter().map(|r| grid.touched(r)).map(|[x, y]| x.len() * y.len()).sum();
+        let of_side = |side| Self {
+            all,
+            side,
+            offsets: Offsets::default(),
+            entries: Vec::new(),
+        };
+        let entries = |grid: &Self| {
+            rectangles
+                .iter()
+                .map(|r| grid.touched(r))
+                .map(|[x, y]| x.len() * y.len())
+                .sum()
+        };
         let mut grid = of_side(((rectangles.len() as f64).sqrt() as usize).clamp(1, MOST));
         // Many large rectangles would fill every column.
         while grid.side > 1 && ENTRIES * rectangles.len() < entries(&grid) {
@@ -62,7 +76,10 @@ impl Columns {
             y.flat_map(move |row| x.clone().map(move |column| row * side + column))
         };
         let mut lengths = vec![0usize; side * side];
-        rectangles.iter().flat_map(columns).for_each(|column| lengths[column] += 1);
+        rectangles
+            .iter()
+            .flat_map(columns)
+            .for_each(|column| lengths[column] += 1);
         let offsets = Offsets::from_lengths(lengths);
         let mut next = offsets.as_slice().to_vec();
         let mut entries = vec![0u32; offsets.entries()];
@@ -77,11 +94,13 @@ impl Columns {
 
     /// Returns the ranges of columns, along x and y, that a rectangle touches.
     fn touched(&self, rectangle: &Rectangle) -> [std::ops::Range<usize>; 2] {
-        [0, 1].map(|axis| self.place(rectangle.low[axis], axis)..self.place(rectangle.high[axis], axis) + 1)
+        [0, 1].map(|axis| {
+            self.place(rectangle.low[axis], axis)..self.place(rectangle.high[axis], axis) + 1
+        })
     }
 
-    /// Returns the column of a coordinate. The function is monotonic and the same for rectangles and points, so rounding
-    /// never separates a point from its rectangles.
+    /// Returns the column of a coordinate. The function is monotonic and the same for rectangles
+    /// and points, so rounding never separates a point from its rectangles.
     fn place(&self, x: f64, axis: usize) -> usize {
         let extent = self.all.high[axis] - self.all.low[axis];
         let place = (x - self.all.low[axis]) / extent * self.side as f64;
@@ -89,11 +108,17 @@ impl Columns {
         (place as usize).min(self.side - 1)
     }
 
-    /// Returns the rectangles that may contain the point, ascending; none if it is outside all of them.
+    /// Returns the rectangles that may contain the point, ascending; none if it is outside all of
+    /// them.
     pub fn cell(&self, point: [f64; 2]) -> &[u32] {
-        let inside = (0..2).all(|axis| self.all.low[axis] <= point[axis] && point[axis] <= self.all.high[axis]);
+        let inside = (0..2)
+            .all(|axis| self.all.low[axis] <= point[axis] && point[axis] <= self.all.high[axis]);
         match inside {
-            true => &self.entries[self.offsets.row(self.place(point[1], 1) * self.side + self.place(point[0], 0))],
+            true => {
+                &self.entries[self
+                    .offsets
+                    .row(self.place(point[1], 1) * self.side + self.place(point[0], 0))]
+            }
             false => &[],
         }
     }

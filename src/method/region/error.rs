@@ -22,7 +22,11 @@ pub enum RegionError {
     #[error("cannot use the region {}: its axes are not unit vectors", path.display())]
     Axes { path: PathBuf },
     #[error("no part of the surface is inside the region: it covers {}, the surface {}", on_map(region, *is_geodetic), on_map(model, *is_geodetic))]
-    OutsideMap { region: Rectangle, model: Rectangle, is_geodetic: bool },
+    OutsideMap {
+        region: Rectangle,
+        model: Rectangle,
+        is_geodetic: bool,
+    },
     #[error(
         "no part of the surface is inside the region: it covers {}, the surface {}",
         in_space(region),
@@ -31,39 +35,57 @@ pub enum RegionError {
     OutsideBox { region: [f64; 6], model: [f64; 6] },
     #[error("the areas of the region that hold parts of the surface all have the weight 0")]
     Weightless,
-    #[error("the region has too many edges across the surface: finding what is inside would take minutes")]
+    #[error(
+        "the region has too many edges across the surface: finding what is inside would take minutes"
+    )]
     TooIntricate,
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
 impl RegionError {
-    /// Returns whether the region is where the surface is, but between the samples of its triangles.
+    /// Returns whether the region is where the surface is, but between the samples of its
+    /// triangles.
     fn is_too_small(&self) -> bool {
         match self {
-            Self::OutsideMap { region, model, .. } => {
-                (0..2).all(|axis| model.low[axis] <= region.low[axis] && region.high[axis] <= model.high[axis])
-            }
-            Self::OutsideBox { region, model } => {
-                (0..3).all(|axis| model[axis] <= region[axis] && region[axis + 3] <= model[axis + 3])
-            }
+            Self::OutsideMap { region, model, .. } => (0..2).all(|axis| {
+                model.low[axis] <= region.low[axis] && region.high[axis] <= model.high[axis]
+            }),
+            Self::OutsideBox { region, model } => (0..3)
+                .all(|axis| model[axis] <= region[axis] && region[axis + 3] <= model[axis + 3]),
             _ => false,
         }
     }
 
     pub(super) fn outside_box(region: &[f64], model: &[f64; 6]) -> Self {
-        Self::OutsideBox { region: std::array::from_fn(|i| region[i]), model: *model }
+        Self::OutsideBox {
+            region: std::array::from_fn(|i| region[i]),
+            model: *model,
+        }
     }
 }
 
 fn on_map(Rectangle { low, high }: &Rectangle, is_geodetic: bool) -> String {
-    let [first, second] = if is_geodetic { ["longitude", "latitude"] } else { ["x", "y"] };
-    format!("{first} {:.6} to {:.6}, {second} {:.6} to {:.6}", low[0], high[0], low[1], high[1])
+    let [first, second] = if is_geodetic {
+        ["longitude", "latitude"]
+    } else {
+        ["x", "y"]
+    };
+    format!(
+        "{first} {:.6} to {:.6}, {second} {:.6} to {:.6}",
+        low[0], high[0], low[1], high[1]
+    )
 }
 
 fn in_space(corners: &[f64; 6]) -> String {
-    let axis = |(i, name): (usize, &str)| format!("{name} {:.6} to {:.6}", corners[i], corners[i + 3]);
-    ["x", "y", "z"].into_iter().enumerate().map(axis).collect::<Vec<_>>().join(", ")
+    let axis =
+        |(i, name): (usize, &str)| format!("{name} {:.6} to {:.6}", corners[i], corners[i + 3]);
+    ["x", "y", "z"]
+        .into_iter()
+        .enumerate()
+        .map(axis)
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 impl Hint for RegionError {
@@ -72,11 +94,19 @@ impl Hint for RegionError {
             _ if self.is_too_small() => {
                 "draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer --gsd"
             }
-            Self::File { fault: RegionFault::Read(_), .. } => "check that the file exists and is readable",
-            Self::File { fault: RegionFault::Collection(_), .. } => {
+            Self::File {
+                fault: RegionFault::Read(_),
+                ..
+            } => "check that the file exists and is readable",
+            Self::File {
+                fault: RegionFault::Collection(_),
+                ..
+            } => {
                 "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"
             }
-            Self::File { .. } => "give GeoJSON polygons, a closed PLY mesh, or a box x0,y0,z0,x1,y1,z1",
+            Self::File { .. } => {
+                "give GeoJSON polygons, a closed PLY mesh, or a box x0,y0,z0,x1,y1,z1"
+            }
             Self::Mesh { .. } => "close its holes, or give a box x0,y0,z0,x1,y1,z1",
             Self::NoGeoreference { .. } => {
                 "set frame.origin or frame.utm, or draw the polygon in model units with \"crs\": null"
@@ -85,7 +115,9 @@ impl Hint for RegionError {
                 "export it in WGS 84 (EPSG:4326), longitude first; for model units add \"crs\": null to the file"
             }
             Self::Axes { .. } => "copy crs and axes from viewrank/views_local.json",
-            Self::OutsideMap { is_geodetic: true, .. } => {
+            Self::OutsideMap {
+                is_geodetic: true, ..
+            } => {
                 "check that the polygon has longitude before latitude, and frame.origin or frame.utm"
             }
             Self::OutsideMap { .. } => {
@@ -93,7 +125,9 @@ impl Hint for RegionError {
             }
             Self::OutsideBox { .. } => "give it in the frame and the units of the model",
             Self::Weightless => "give the areas that count a weight above 0",
-            Self::TooIntricate => "simplify its outline to the detail of the surface: ogr2ogr -simplify",
+            Self::TooIntricate => {
+                "simplify its outline to the detail of the surface: ogr2ogr -simplify"
+            }
             Self::Cancelled(error) => return error.hint(),
         };
         Some(hint.into())

@@ -1,7 +1,8 @@
 //! Region of interest (method 5.7): the part of the scene that is planned for.
 //!
-//! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. The other stages see it only as a factor on the weight of each triangle
-//! and, for polygons, a wanted g_d. The factor is the mean over 16 samples of the triangle: the share inside, times the weight of the polygons.
+//! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. The other stages see
+//! it only as a factor on the weight of each triangle and, for polygons, a wanted g_d. The factor
+//! is the mean over 16 samples of the triangle: the share inside, times the weight of the polygons.
 
 mod areas;
 mod columns;
@@ -30,8 +31,9 @@ use crate::{
 
 /// Triangles between two checks for cancellation.
 const AT_ONCE: usize = 16_384;
-/// Edges (of a mesh, triangles) of the region that may be looked at in all, and for each triangle of the surface: a hundred times as many as
-/// outlines of towns or coasts need. A comb of some hundred thousand teeth would take minutes.
+/// Edges (of a mesh, triangles) of the region that may be looked at in all, and for each triangle
+/// of the surface: a hundred times as many as outlines of towns or coasts need. A comb of some
+/// hundred thousand teeth would take minutes.
 const LOOKED_AT: [u64; 2] = [100_000_000, 16_000];
 
 /// Kind of a region.
@@ -51,13 +53,16 @@ pub enum RegionKind {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
     pub kind: RegionKind,
-    /// Factor on the weight of each triangle: its share inside, times the weight of the areas there.
+    /// Factor on the weight of each triangle: its share inside, times the weight of the areas
+    /// there.
     pub factors: Vec<f32>,
     /// Share of each triangle inside areas of positive weight, 0 to 1.
     pub covered: Vec<f32>,
-    /// g_d that the areas ask for, per triangle, infinite where they ask for none; empty if no area asks for any.
+    /// g_d that the areas ask for, per triangle, infinite where they ask for none; empty if no area
+    /// asks for any.
     pub gsd: Vec<f32>,
-    /// The box; for polygons and meshes the bounds of the triangles inside. Low corner, high corner, world coordinates.
+    /// The box; for polygons and meshes the bounds of the triangles inside. Low corner, high
+    /// corner, world coordinates.
     pub bounds: [f64; 6],
     pub outline: Outline,
 }
@@ -97,7 +102,10 @@ pub struct RegionProperties {
 }
 
 impl RegionProperties {
-    const INSIDE: Self = Self { weight: 1.0, gsd: None };
+    const INSIDE: Self = Self {
+        weight: 1.0,
+        gsd: None,
+    };
 }
 
 /// Mean over the 16 samples of a triangle.
@@ -110,38 +118,59 @@ pub struct TriangleSamples {
 }
 
 impl RegionShape {
-    /// Reads the region of the settings. `frame`: the map on which polygons without a georeference are drawn.
-    pub fn read(choice: &RegionChoice, place: &Georeference, frame: &MapFrame) -> Result<Self, RegionError> {
+    /// Reads the region of the settings. `frame`: the map on which polygons without a georeference
+    /// are drawn.
+    pub fn read(
+        choice: &RegionChoice,
+        place: &Georeference,
+        frame: &MapFrame,
+    ) -> Result<Self, RegionError> {
         let path = match choice {
             RegionChoice::Auto => return Ok(Self::Auto),
             RegionChoice::Box(corners) => return Ok(Self::Box(ordered(*corners))),
             RegionChoice::File(path) => path,
         };
-        match region_file::read(path).map_err(|fault| RegionError::File { path: path.clone(), fault })? {
+        match region_file::read(path).map_err(|fault| RegionError::File {
+            path: path.clone(),
+            fault,
+        })? {
             RegionFile::Box(corners) => Ok(Self::Box(ordered(corners))),
             RegionFile::Mesh(mesh) => match Solid::new(&mesh) {
                 Ok(solid) => {
                     let hull = frame.hull(&solid.vertices().collect::<Vec<_>>());
                     Ok(Self::Solid(Box::new(solid), hull))
                 }
-                Err(fault) => Err(RegionError::Mesh { path: path.clone(), fault }),
+                Err(fault) => Err(RegionError::Mesh {
+                    path: path.clone(),
+                    fault,
+                }),
             },
-            RegionFile::Areas(areas) => Ok(Self::Areas(Box::new(MapAreas::new(areas, place, frame, path)?))),
+            RegionFile::Areas(areas) => Ok(Self::Areas(Box::new(MapAreas::new(
+                areas, place, frame, path,
+            )?))),
         }
     }
 
-    /// Projects the region onto a surface. `pixels`: number per triangle, over all views; for `auto` only.
+    /// Projects the region onto a surface. `pixels`: number per triangle, over all views; for
+    /// `auto` only.
     ///
     /// # Errors
     /// No part of the surface counts; cancellation.
-    pub fn lay_over(self, surface: &Surface, pixels: &[f64], watcher: &dyn Watcher) -> Result<Region, RegionError> {
+    pub fn lay_over(
+        self,
+        surface: &Surface,
+        pixels: &[f64],
+        watcher: &dyn Watcher,
+    ) -> Result<Region, RegionError> {
         let whole = bounds(surface, |_| true);
         match self {
             Self::Areas(areas) => {
                 let sampled = areas.sampled(surface, watcher)?;
                 let outside = || areas.outside(surface);
-                region(RegionKind::Polygons, surface, sampled, outside)
-                    .map(|r| Region { outline: areas.outline(), ..r })
+                region(RegionKind::Polygons, surface, sampled, outside).map(|r| Region {
+                    outline: areas.outline(),
+                    ..r
+                })
             }
             Self::Solid(solid, hull) => {
                 let sampled = in_parts(surface, watcher, |t, looked_at| {
@@ -149,8 +178,10 @@ impl RegionShape {
                 })?;
                 let corners = [solid.low, solid.high].map(|p| [p.x, p.y, p.z]).concat();
                 let outside = || RegionError::outside_box(&corners, &whole);
-                region(RegionKind::Mesh, surface, sampled, outside)
-                    .map(|r| Region { outline: Outline::Hull(hull), ..r })
+                region(RegionKind::Mesh, surface, sampled, outside).map(|r| Region {
+                    outline: Outline::Hull(hull),
+                    ..r
+                })
             }
             Self::Box(corners) => boxed(RegionKind::Box, corners, surface, watcher),
             Self::Auto => {
@@ -161,16 +192,28 @@ impl RegionShape {
     }
 }
 
-fn boxed(kind: RegionKind, corners: [f64; 6], surface: &Surface, watcher: &dyn Watcher) -> Result<Region, RegionError> {
-    let inside = |p: &Point3<f64>| (0..3).all(|axis| corners[axis] <= p[axis] && p[axis] <= corners[axis + 3]);
+fn boxed(
+    kind: RegionKind,
+    corners: [f64; 6],
+    surface: &Surface,
+    watcher: &dyn Watcher,
+) -> Result<Region, RegionError> {
+    let inside = |p: &Point3<f64>| {
+        (0..3).all(|axis| corners[axis] <= p[axis] && p[axis] <= corners[axis + 3])
+    };
     let sampled = in_parts(surface, watcher, |t, _| solid_sample(surface, t, inside))?;
     let outside = || RegionError::outside_box(&corners, &bounds(surface, |_| true));
     let found = region(kind, surface, sampled, outside)?;
     let corner = |i: usize| Point3::from([0, 1, 2].map(|axis| corners[axis + 3 * (i >> axis & 1)]));
-    Ok(Region { bounds: corners, outline: Outline::Hull((0..8).map(corner).collect()), ..found })
+    Ok(Region {
+        bounds: corners,
+        outline: Outline::Hull((0..8).map(corner).collect()),
+        ..found
+    })
 }
 
-/// Builds a region from the samples of its triangles, with the bounds of those inside and an empty outline.
+/// Builds a region from the samples of its triangles, with the bounds of those inside and an empty
+/// outline.
 fn region(
     kind: RegionKind,
     surface: &Surface,
@@ -179,20 +222,29 @@ fn region(
 ) -> Result<Region, RegionError> {
     if sampled.iter().all(|sample| sample.factor == 0.0) {
         let is_weightless = sampled.iter().any(|sample| sample.is_touched);
-        return Err(if is_weightless { RegionError::Weightless } else { outside() });
+        return Err(if is_weightless {
+            RegionError::Weightless
+        } else {
+            outside()
+        });
     }
     let has_gsd = sampled.iter().any(|sample| sample.gsd.is_finite());
     Ok(Region {
         kind,
         bounds: bounds(surface, |t| sampled[t].factor > 0.0),
-        gsd: if has_gsd { sampled.iter().map(|sample| sample.gsd).collect() } else { Vec::new() },
+        gsd: if has_gsd {
+            sampled.iter().map(|sample| sample.gsd).collect()
+        } else {
+            Vec::new()
+        },
         covered: sampled.iter().map(|sample| sample.covered).collect(),
         factors: sampled.into_iter().map(|sample| sample.factor).collect(),
         outline: Outline::Hull(Vec::new()),
     })
 }
 
-/// Samples all triangles, in their order; `sample` adds what it looks at of the region to its second argument.
+/// Samples all triangles, in their order; `sample` adds what it looks at of the region to its
+/// second argument.
 fn in_parts(
     surface: &Surface,
     watcher: &dyn Watcher,
@@ -223,19 +275,25 @@ fn in_parts(
     Ok(all)
 }
 
-fn solid_sample(surface: &Surface, triangle: u32, mut inside: impl FnMut(&Point3<f64>) -> bool) -> TriangleSamples {
+fn solid_sample(
+    surface: &Surface,
+    triangle: u32,
+    mut inside: impl FnMut(&Point3<f64>) -> bool,
+) -> TriangleSamples {
     let [a, b, c] = surface.corners(triangle);
     let at = |[u, v]: [f64; 2]| a + (b - a) * u + (c - a) * v;
     sampled(|place| inside(&at(place)).then_some(RegionProperties::INSIDE))
 }
 
-/// Samples a triangle at the centroids of the 16 triangles of a regular subdivision; `at` gets the barycentric coordinates of the second and third
-/// corner.
+/// Samples a triangle at the centroids of the 16 triangles of a regular subdivision; `at` gets the
+/// barycentric coordinates of the second and third corner.
 fn sampled(at: impl FnMut([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples {
     const CUTS: u32 = 4;
     let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);
-    let upright = (0..CUTS).flat_map(|i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));
-    let inverted = (0..CUTS - 1).flat_map(|i| (0..CUTS - 1 - i).map(move |j| [place(i, 2.0), place(j, 2.0)]));
+    let upright =
+        (0..CUTS).flat_map(|i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));
+    let inverted =
+        (0..CUTS - 1).flat_map(|i| (0..CUTS - 1 - i).map(move |j| [place(i, 2.0), place(j, 2.0)]));
     let (mut sum, mut gsd, mut is_touched, mut covered) = (0.0, f64::INFINITY, false, 0u8);
     for wish in upright.chain(inverted).filter_map(at) {
         is_touched = true;
@@ -245,15 +303,33 @@ fn sampled(at: impl FnMut([f64; 2]) -> Option<RegionProperties>) -> TriangleSamp
     }
     let samples = f64::from(CUTS * CUTS);
     let covered = (f64::from(covered) / samples) as f32;
-    TriangleSamples { is_touched, covered, factor: (sum / samples) as f32, gsd: gsd as f32 }
+    TriangleSamples {
+        is_touched,
+        covered,
+        factor: (sum / samples) as f32,
+        gsd: gsd as f32,
+    }
 }
 
 /// Returns the low and high corner of the triangles that count.
 fn bounds(surface: &Surface, counts: impl Fn(usize) -> bool) -> [f64; 6] {
-    let mut bounds =
-        [f64::INFINITY, f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
-    let inside = surface.triangles.iter().enumerate().filter(|(t, _)| counts(*t));
-    for vertex in inside.flat_map(|(_, corners)| corners).map(|&v| surface.vertices[v as usize]) {
+    let mut bounds = [
+        f64::INFINITY,
+        f64::INFINITY,
+        f64::INFINITY,
+        f64::NEG_INFINITY,
+        f64::NEG_INFINITY,
+        f64::NEG_INFINITY,
+    ];
+    let inside = surface
+        .triangles
+        .iter()
+        .enumerate()
+        .filter(|(t, _)| counts(*t));
+    for vertex in inside
+        .flat_map(|(_, corners)| corners)
+        .map(|&v| surface.vertices[v as usize])
+    {
         for axis in 0..3 {
             bounds[axis] = bounds[axis].min(vertex[axis]);
             bounds[axis + 3] = bounds[axis + 3].max(vertex[axis]);
@@ -264,7 +340,13 @@ fn bounds(surface: &Surface, counts: impl Fn(usize) -> bool) -> [f64; 6] {
 
 /// Sorts two opposite corners into the low and the high one.
 fn ordered(corners: [f64; 6]) -> [f64; 6] {
-    std::array::from_fn(|i| if i < 3 { corners[i].min(corners[i + 3]) } else { corners[i].max(corners[i - 3]) })
+    std::array::from_fn(|i| {
+        if i < 3 {
+            corners[i].min(corners[i + 3])
+        } else {
+            corners[i].max(corners[i - 3])
+        }
+    })
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! Point in polygon, exactly: even-odd over the outer ring and the holes, by the signs of adaptive predicates.
+//! Point in polygon, exactly: even-odd over the outer ring and the holes, by the signs of adaptive
+//! predicates.
 //!
 //! A point on a shared edge belongs to exactly one of the two polygons.
 //! Edges are sorted into horizontal bands; a query reads those of one band.
@@ -14,15 +15,16 @@ const ENTRIES: f64 = 8.0;
 /// An edge between two points of the plane.
 pub type Edge = [[f64; 2]; 2];
 
-/// Returns whether the ray from the point in the direction of x crosses the edge. The order of the two ends does not matter;
-/// the lower end belongs to the edge, the upper one does not.
+/// Returns whether the ray from the point in the direction of x crosses the edge. The order of the
+/// two ends does not matter; the lower end belongs to the edge, the upper one does not.
 #[inline]
 pub fn crosses([a, b]: Edge, point: [f64; 2]) -> bool {
     let (low, high) = if a[1] <= b[1] { (a, b) } else { (b, a) };
     low[1] <= point[1] && point[1] < high[1] && side(low, high, point) > 0.0
 }
 
-/// Returns a value that is positive if the point is on the left of the line from `a` to `b`; the sign is exact.
+/// Returns a value that is positive if the point is on the left of the line from `a` to `b`; the
+/// sign is exact.
 #[inline]
 pub fn side(a: [f64; 2], b: [f64; 2], point: [f64; 2]) -> f64 {
     let [a, b, point] = [a, b, point].map(|[x, y]| Coord { x, y });
@@ -43,9 +45,16 @@ pub struct PreparedPolygon {
 impl PreparedPolygon {
     /// `rings`: the outer ring and the holes; the first position may be repeated at the end.
     pub fn new(rings: &[Vec<[f64; 2]>]) -> Self {
-        let edges = |ring: &Vec<[f64; 2]>| (0..ring.len()).map(|i| [ring[i], ring[(i + 1) % ring.len()]]).collect();
+        let edges = |ring: &Vec<[f64; 2]>| {
+            (0..ring.len())
+                .map(|i| [ring[i], ring[(i + 1) % ring.len()]])
+                .collect()
+        };
         // The ray crosses no horizontal edge.
-        let edges: Vec<Edge> = rings.iter().flat_map(|ring| -> Vec<Edge> { edges(ring) }).collect();
+        let edges: Vec<Edge> = rings
+            .iter()
+            .flat_map(|ring| -> Vec<Edge> { edges(ring) })
+            .collect();
         let edges: Vec<Edge> = edges.into_iter().filter(|[a, b]| a[1] != b[1]).collect();
         let bounds = Rectangle::around(rings.iter().flatten());
         let height = bounds.high[1] - bounds.low[1];
@@ -53,7 +62,13 @@ impl PreparedPolygon {
         // Each edge is in the bands that it climbs through, and at most two more.
         let most = (ENTRIES - 2.0) * edges.len() as f64 * height / climbed;
         let bands = (edges.len() as f64).min(most).max(1.0) as usize;
-        let mut polygon = Self { bounds, edges, bands, offsets: Offsets::default(), entries: Vec::new() };
+        let mut polygon = Self {
+            bounds,
+            edges,
+            bands,
+            offsets: Offsets::default(),
+            entries: Vec::new(),
+        };
         polygon.fill();
         polygon
     }
@@ -61,7 +76,10 @@ impl PreparedPolygon {
     fn fill(&mut self) {
         let bands = |[a, b]: &Edge| self.band(a[1].min(b[1]))..self.band(a[1].max(b[1])) + 1;
         let mut lengths = vec![0usize; self.bands];
-        self.edges.iter().flat_map(bands).for_each(|band| lengths[band] += 1);
+        self.edges
+            .iter()
+            .flat_map(bands)
+            .for_each(|band| lengths[band] += 1);
         let offsets = Offsets::from_lengths(lengths);
         let mut next = offsets.as_slice().to_vec();
         let mut entries = vec![0u32; offsets.entries()];
@@ -75,7 +93,8 @@ impl PreparedPolygon {
     }
 
     fn band(&self, y: f64) -> usize {
-        let place = (y - self.bounds.low[1]) / (self.bounds.high[1] - self.bounds.low[1]) * self.bands as f64;
+        let place = (y - self.bounds.low[1]) / (self.bounds.high[1] - self.bounds.low[1])
+            * self.bands as f64;
         (place as usize).min(self.bands - 1)
     }
 
@@ -87,7 +106,11 @@ impl PreparedPolygon {
         }
         let band = &self.entries[self.offsets.row(self.band(point[1]))];
         *looked_at += band.len() as u64;
-        band.iter().filter(|&&edge| crosses(self.edges[edge as usize], point)).count() % 2 == 1
+        band.iter()
+            .filter(|&&edge| crosses(self.edges[edge as usize], point))
+            .count()
+            % 2
+            == 1
     }
 }
 
@@ -111,7 +134,9 @@ mod tests {
     /// Share of the centres of an n x n grid over the unit square that are inside.
     fn share(polygon: &PreparedPolygon, n: usize) -> f64 {
         let at = |i: usize| (i as f64 + 0.5) / n as f64;
-        let inside = (0..n * n).filter(|i| polygon.contains([at(i % n), at(i / n)], &mut 0)).count();
+        let inside = (0..n * n)
+            .filter(|i| polygon.contains([at(i % n), at(i / n)], &mut 0))
+            .count();
         inside as f64 / (n * n) as f64
     }
 
@@ -128,15 +153,28 @@ mod tests {
         let outer = star(20, |i| if i % 2 == 0 { 0.48 } else { 0.3 });
         let hole: Vec<[f64; 2]> = star(7, |_| 0.2).into_iter().rev().collect();
         let mut comb = vec![[0.9, 0.1], [0.9, 0.05], [0.1, 0.05]];
-        comb.extend(
-            (0..16).flat_map(|i| [0.0, 0.05].map(|dx| [0.1 + 0.05 * f64::from(i) + dx, 0.95 - 0.8 * f64::from(i % 2)])),
-        );
-        for rings in [vec![outer.clone()], vec![outer, hole], vec![vec![[0.2, 0.1], [0.9, 0.3], [0.4, 0.8]]]] {
+        comb.extend((0..16).flat_map(|i| {
+            [0.0, 0.05].map(|dx| {
+                [
+                    0.1 + 0.05 * f64::from(i) + dx,
+                    0.95 - 0.8 * f64::from(i % 2),
+                ]
+            })
+        }));
+        for rings in [
+            vec![outer.clone()],
+            vec![outer, hole],
+            vec![vec![[0.2, 0.1], [0.9, 0.3], [0.4, 0.8]]],
+        ] {
             let (found, expected) = (share(&PreparedPolygon::new(&rings), 1000), area(&rings));
             assert!((found - expected).abs() < 1e-3, "{found} {expected}");
         }
         let comb = PreparedPolygon::new(&[comb]);
-        assert!(comb.entries.len() as f64 <= ENTRIES * comb.edges.len() as f64, "bounded: {}", comb.entries.len());
+        assert!(
+            comb.entries.len() as f64 <= ENTRIES * comb.edges.len() as f64,
+            "bounded: {}",
+            comb.entries.len()
+        );
     }
 
     #[test]
@@ -148,7 +186,8 @@ mod tests {
     }
 
     proptest! {
-        /// A square cut along any diagonal of a grid: each corner of the grid, many of them on the cut, is in one part.
+        /// A square cut along any diagonal of a grid: each corner of the grid, many of them on the
+        /// cut, is in one part.
         #[test]
         fn neighbours_share_no_point_and_lose_none(x in 0usize..=20, y in 0usize..=20) {
             let at = |i: usize| i as f64 * 0.1;

@@ -18,10 +18,18 @@ use crate::{
     model::{georeference::Geodetic, scene::Scene},
 };
 
-const PLACE: Geodetic = Geodetic { longitude: 13.4, latitude: 52.5, height: 34.0 };
+const PLACE: Geodetic = Geodetic {
+    longitude: 13.4,
+    latitude: 52.5,
+    height: 34.0,
+};
 
 fn town() -> Town {
-    Town { boxes: 0, points: 300, ..Town::default() }
+    Town {
+        boxes: 0,
+        points: 300,
+        ..Town::default()
+    }
 }
 
 /// The town's surface, its scene, and a folder for the files of regions.
@@ -33,7 +41,11 @@ struct Site {
 
 impl Site {
     fn new() -> Self {
-        Self { scene: town().scene(), surface: town().surface(), folder: tempfile::tempdir().unwrap() }
+        Self {
+            scene: town().scene(),
+            surface: town().surface(),
+            folder: tempfile::tempdir().unwrap(),
+        }
     }
 
     fn file(&self, contents: &[u8]) -> PathBuf {
@@ -44,7 +56,11 @@ impl Site {
 
     fn on(&self, choice: &RegionChoice, place: &Georeference) -> Result<Region, RegionError> {
         let shape = RegionShape::read(choice, place, &MapFrame::new(&self.scene, None))?;
-        shape.lay_over(&self.surface, &vec![1.0; self.surface.triangles.len()], &NoWatcher)
+        shape.lay_over(
+            &self.surface,
+            &vec![1.0; self.surface.triangles.len()],
+            &NoWatcher,
+        )
     }
 
     fn with_file(&self, contents: &[u8], place: &Georeference) -> Result<Region, RegionError> {
@@ -57,18 +73,38 @@ impl Site {
 
     /// Horizontal area of what counts.
     fn flat_area(&self, region: &Region) -> f64 {
-        let of = |(t, &factor): (usize, &f32)| 0.5 * self.surface.area_normal(t as u32).z.abs() * f64::from(factor);
+        let of = |(t, &factor): (usize, &f32)| {
+            0.5 * self.surface.area_normal(t as u32).z.abs() * f64::from(factor)
+        };
         region.factors.iter().enumerate().map(of).sum()
     }
 }
 
 /// A box with outward normals.
 pub fn block(low: [f64; 3], high: [f64; 3]) -> Mesh {
-    let corner = |i: usize| Point3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { low[axis] } else { high[axis] }));
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let corner = |i: usize| {
+        Point3::from([0, 1, 2].map(|axis| {
+            if i >> axis & 1 == 0 {
+                low[axis]
+            } else {
+                high[axis]
+            }
+        }))
+    };
+    let quads = [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ];
     Mesh {
         vertices: (0..8).map(corner).collect(),
-        triangles: quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect(),
+        triangles: quads
+            .iter()
+            .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
+            .collect(),
     }
 }
 
@@ -94,13 +130,25 @@ fn the_area_of_a_polygon_with_a_hole_counts_in_each_frame() {
     let site = Site::new();
     let (outer, hole) = ([-31.0, -20.5, 20.3, 30.7], [-5.0, -5.0, 10.5, 8.25]);
     let expected = 51.3 * 51.2 - 15.5 * 13.25;
-    let far_north = Geodetic { latitude: 70.0, ..PLACE };
-    for place in [Georeference::Local, Georeference::east_north_up(PLACE), Georeference::east_north_up(far_north)] {
+    let far_north = Geodetic {
+        latitude: 70.0,
+        ..PLACE
+    };
+    for place in [
+        Georeference::Local,
+        Georeference::east_north_up(PLACE),
+        Georeference::east_north_up(far_north),
+    ] {
         let rings = [outer, hole].map(|corners| ring(corners, &place));
-        let region = site.polygons(&feature(&rings, Value::Null), &place).unwrap();
+        let region = site
+            .polygons(&feature(&rings, Value::Null), &place)
+            .unwrap();
         let found = site.flat_area(&region);
         // The samples are half a metre apart.
-        assert!((found / expected - 1.0).abs() < 0.01, "{place:?}: {found} {expected}");
+        assert!(
+            (found / expected - 1.0).abs() < 0.01,
+            "{place:?}: {found} {expected}"
+        );
         assert_eq!((region.kind, region.gsd.len()), (RegionKind::Polygons, 0));
     }
 }
@@ -110,23 +158,36 @@ fn the_last_area_that_holds_a_place_decides() {
     let site = Site::new();
     let place = Georeference::Local;
     let areas = [
-        feature(&[ring([-30.0, -30.0, 30.0, 30.0], &place)], json!({ "weight": 0.5, "gsd": 0.2 })),
-        feature(&[ring([-10.0, -10.0, 10.0, 10.0], &place)], json!({ "weight": 3, "gsd": 0.01 })),
-        feature(&[ring([20.0, 20.0, 30.0, 30.0], &place)], json!({ "weight": 0 })),
+        feature(
+            &[ring([-30.0, -30.0, 30.0, 30.0], &place)],
+            json!({ "weight": 0.5, "gsd": 0.2 }),
+        ),
+        feature(
+            &[ring([-10.0, -10.0, 10.0, 10.0], &place)],
+            json!({ "weight": 3, "gsd": 0.01 }),
+        ),
+        feature(
+            &[ring([20.0, 20.0, 30.0, 30.0], &place)],
+            json!({ "weight": 0 }),
+        ),
     ];
     let region = site.polygons(&collection(&areas), &place).unwrap();
     let (mut seen, gsd) = ([0; 4], |t: usize| region.gsd[t]);
     for t in 0..site.surface.triangles.len() {
         let inside = |half: f64| {
             let corners = site.surface.corners(t as u32);
-            corners.iter().all(|p| p.x.abs() < half - 0.1 && p.y.abs() < half - 0.1)
+            corners
+                .iter()
+                .all(|p| p.x.abs() < half - 0.1 && p.y.abs() < half - 0.1)
         };
         let centre = site.surface.centroid(t as u32);
         let (kind, expected) = match () {
             () if inside(10.0) => (0, (3.0, 0.01)),
             () if centre.x.min(centre.y) > 22.0 && inside(30.0) => (1, (0.0, f32::INFINITY)),
             () if centre.x.abs().max(centre.y.abs()) > 34.0 => (2, (0.0, f32::INFINITY)),
-            () if centre.x.abs().max(centre.y.abs()) > 14.0 && centre.x < 18.0 && inside(30.0) => (3, (0.5, 0.2)),
+            () if centre.x.abs().max(centre.y.abs()) > 14.0 && centre.x < 18.0 && inside(30.0) => {
+                (3, (0.5, 0.2))
+            }
             () => continue,
         };
         assert_eq!((region.factors[t], gsd(t)), expected, "{centre}");
@@ -138,13 +199,22 @@ fn the_last_area_that_holds_a_place_decides() {
 #[test]
 fn wishes_replace_the_target_inside_only() {
     let site = Site::new();
-    let square = feature(&[ring([-10.0, -10.0, 10.0, 10.0], &Georeference::Local)], json!({ "gsd": 0.01 }));
+    let square = feature(
+        &[ring([-10.0, -10.0, 10.0, 10.0], &Georeference::Local)],
+        json!({ "gsd": 0.01 }),
+    );
     let region = site.polygons(&square, &Georeference::Local).unwrap();
-    let target =
-        Target { mode: Default::default(), gsd: vec![0.5; site.surface.triangles.len()], accuracy_over_gsd: 2.0 };
+    let target = Target {
+        mode: Default::default(),
+        gsd: vec![0.5; site.surface.triangles.len()],
+        accuracy_over_gsd: 2.0,
+    };
     let with = target.with_wishes(&region);
     for t in 0..site.surface.triangles.len() as u32 {
-        assert_eq!(with.gsd[t as usize], if region.is_inside(t) { 0.01 } else { 0.5 });
+        assert_eq!(
+            with.gsd[t as usize],
+            if region.is_inside(t) { 0.01 } else { 0.5 }
+        );
     }
     let inside = (0..).find(|&t| region.is_inside(t)).unwrap();
     assert!((with.accuracy(inside) - 0.02).abs() < 1e-8);
@@ -155,12 +225,34 @@ fn a_region_of_everything_is_no_region() {
     let site = Site::new();
     let settings = VisibilitySettings::default();
     let points = site.scene.view_points();
-    let visibility =
-        visibility::estimate(&site.scene, &points, &site.surface, &settings, 2.0, Storage::Memory, &NoWatcher).unwrap();
+    let visibility = visibility::estimate(
+        &site.scene,
+        &points,
+        &site.surface,
+        &settings,
+        2.0,
+        Storage::Memory,
+        &NoWatcher,
+    )
+    .unwrap();
     let shown = Shown::new(&site.scene, &site.surface, &visibility);
-    let everything = site.on(&RegionChoice::Box([-1e3, -1e3, -1e3, 1e3, 1e3, 1e3]), &Georeference::Local).unwrap();
-    let half = site.on(&RegionChoice::Box([0.0, -1e3, -1e3, 1e3, 1e3, 1e3]), &Georeference::Local).unwrap();
-    for weight in [TriangleWeight::Pixels, TriangleWeight::Area, TriangleWeight::Count] {
+    let everything = site
+        .on(
+            &RegionChoice::Box([-1e3, -1e3, -1e3, 1e3, 1e3, 1e3]),
+            &Georeference::Local,
+        )
+        .unwrap();
+    let half = site
+        .on(
+            &RegionChoice::Box([0.0, -1e3, -1e3, 1e3, 1e3, 1e3]),
+            &Georeference::Local,
+        )
+        .unwrap();
+    for weight in [
+        TriangleWeight::Pixels,
+        TriangleWeight::Area,
+        TriangleWeight::Count,
+    ] {
         let objective = |region| Objective::new(&site.surface, &shown, weight, region, 2);
         assert_eq!(objective(Some(&everything)), objective(None));
         let of_half = objective(Some(&half));
@@ -175,27 +267,47 @@ fn a_region_of_everything_is_no_region() {
 fn a_box_its_file_and_its_mesh_are_the_same_region() {
     let site = Site::new();
     let corners = [-20.3, 25.1, -40.0, 13.7, -11.9, 1.1];
-    let region = site.on(&RegionChoice::Box(corners), &Georeference::Local).unwrap();
-    let file = site.with_file(b"13.7 -11.9 1.1\n-20.3 25.1 -40\n", &Georeference::Local).unwrap();
+    let region = site
+        .on(&RegionChoice::Box(corners), &Georeference::Local)
+        .unwrap();
+    let file = site
+        .with_file(b"13.7 -11.9 1.1\n-20.3 25.1 -40\n", &Georeference::Local)
+        .unwrap();
     assert_eq!(file, region);
     let [low, high] = [[-20.3, -11.9, -40.0], [13.7, 25.1, 1.1]];
     let mesh = block(low, high);
     let ply = ply::write(&mesh.vertices, &mesh.triangles, &[], &[]);
     let solid = site.with_file(&ply, &Georeference::Local).unwrap();
-    assert_eq!((solid.kind, &solid.factors), (RegionKind::Mesh, &region.factors));
+    assert_eq!(
+        (solid.kind, &solid.factors),
+        (RegionKind::Mesh, &region.factors)
+    );
     assert_eq!(region.bounds, [-20.3, -11.9, -40.0, 13.7, 25.1, 1.1]);
-    let partly = region.factors.iter().filter(|&&factor| factor > 0.0 && factor < 1.0).count();
+    let partly = region
+        .factors
+        .iter()
+        .filter(|&&factor| factor > 0.0 && factor < 1.0)
+        .count();
     assert!(partly > 20, "triangles on the border count partly");
 }
 
 #[test]
 fn a_polygon_on_the_180th_meridian_is_one_in_two_parts() {
     let site = Site::new();
-    let place = Georeference::east_north_up(Geodetic { longitude: 180.0, latitude: -17.0, height: 0.0 });
-    let [west, east] = [[-30.0, -30.0, -1e-6, 30.0], [1e-6, -30.0, 30.0, 30.0]].map(|corners| ring(corners, &place));
+    let place = Georeference::east_north_up(Geodetic {
+        longitude: 180.0,
+        latitude: -17.0,
+        height: 0.0,
+    });
+    let [west, east] = [[-30.0, -30.0, -1e-6, 30.0], [1e-6, -30.0, 30.0, 30.0]]
+        .map(|corners| ring(corners, &place));
     let parts = json!({ "type": "MultiPolygon", "coordinates": [[west], [east]] });
     let region = site.polygons(&parts, &place).unwrap();
-    assert!((site.flat_area(&region) / 3600.0 - 1.0).abs() < 0.01, "{}", site.flat_area(&region));
+    assert!(
+        (site.flat_area(&region) / 3600.0 - 1.0).abs() < 0.01,
+        "{}",
+        site.flat_area(&region)
+    );
 }
 
 #[test]
@@ -203,13 +315,23 @@ fn polygons_in_model_units_may_bring_their_axes() {
     let site = Site::new();
     let place = Georeference::east_north_up(PLACE);
     // The file's x is the model's y.
-    let mut turned = feature(&[ring([20.0, -10.0, 30.0, 15.0], &Georeference::Local)], Value::Null);
+    let mut turned = feature(
+        &[ring([20.0, -10.0, 30.0, 15.0], &Georeference::Local)],
+        Value::Null,
+    );
     (turned["crs"], turned["axes"]) = (Value::Null, json!([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]));
     let region = site.polygons(&turned, &place).unwrap();
     let middle = |i: usize| 0.5 * (region.bounds[i] + region.bounds[i + 3]);
-    assert!((middle(0) + 2.5).abs() < 1.1 && (middle(1) - 25.0).abs() < 1.1, "{:?}", region.bounds);
+    assert!(
+        (middle(0) + 2.5).abs() < 1.1 && (middle(1) - 25.0).abs() < 1.1,
+        "{:?}",
+        region.bounds
+    );
     turned["axes"] = json!([[0, 0, 0], [-1, 0, 0], [0, 0, 1]]);
-    assert!(matches!(site.polygons(&turned, &place), Err(RegionError::Axes { .. })));
+    assert!(matches!(
+        site.polygons(&turned, &place),
+        Err(RegionError::Axes { .. })
+    ));
 }
 
 #[test]
@@ -219,56 +341,106 @@ fn regions_that_hold_nothing_say_why() {
     let local = Georeference::Local;
     let square = |place: &Georeference| ring([-30.0, -30.0, 30.0, 30.0], place);
     let weightless = feature(&[square(&local)], json!({ "weight": 0 }));
-    assert!(matches!(site.polygons(&weightless, &local), Err(RegionError::Weightless)));
-    let utm = json!([[391_000.0, 5_818_000.0], [391_100.0, 5_818_000.0], [391_000.0, 5_818_100.0]]);
+    assert!(matches!(
+        site.polygons(&weightless, &local),
+        Err(RegionError::Weightless)
+    ));
+    let utm = json!([
+        [391_000.0, 5_818_000.0],
+        [391_100.0, 5_818_000.0],
+        [391_000.0, 5_818_100.0]
+    ]);
     assert!(matches!(
         site.polygons(&feature(&[utm], Value::Null), &here),
         Err(RegionError::NotDegrees { x: 391_000.0, .. })
     ));
     let degrees = feature(&[square(&here)], Value::Null);
-    assert!(matches!(site.polygons(&degrees, &local), Err(RegionError::OutsideMap { is_geodetic: false, .. })));
+    assert!(matches!(
+        site.polygons(&degrees, &local),
+        Err(RegionError::OutsideMap {
+            is_geodetic: false,
+            ..
+        })
+    ));
     let mut named = degrees.clone();
-    named["crs"] = json!({ "type": "name", "properties": { "name": "urn:ogc:def:crs:OGC:1.3:CRS84" } });
-    assert!(matches!(site.polygons(&named, &local), Err(RegionError::NoGeoreference { .. })));
-    let there = Georeference::east_north_up(Geodetic { longitude: 14.0, ..PLACE });
+    named["crs"] =
+        json!({ "type": "name", "properties": { "name": "urn:ogc:def:crs:OGC:1.3:CRS84" } });
+    assert!(matches!(
+        site.polygons(&named, &local),
+        Err(RegionError::NoGeoreference { .. })
+    ));
+    let there = Georeference::east_north_up(Geodetic {
+        longitude: 14.0,
+        ..PLACE
+    });
     match site.polygons(&feature(&[square(&there)], Value::Null), &here) {
-        Err(RegionError::OutsideMap { region, model, is_geodetic: true }) => {
+        Err(RegionError::OutsideMap {
+            region,
+            model,
+            is_geodetic: true,
+        }) => {
             assert!((region.low[0] - 14.0).abs() < 0.01 && (model.low[0] - 13.4).abs() < 0.01);
         }
         other => panic!("{other:?}"),
     }
-    let far = site.on(&RegionChoice::Box([500.0, 0.0, 0.0, 600.0, 1.0, 1.0]), &local);
+    let far = site.on(
+        &RegionChoice::Box([500.0, 0.0, 0.0, 600.0, 1.0, 1.0]),
+        &local,
+    );
     assert!(matches!(far, Err(RegionError::OutsideBox { .. })));
     let mut open = block([-9.0; 3], [9.0; 3]);
     open.triangles.pop();
     let open = ply::write(&open.vertices, &open.triangles, &[], &[]);
-    assert!(matches!(site.with_file(&open, &local), Err(RegionError::Mesh { .. })));
+    assert!(matches!(
+        site.with_file(&open, &local),
+        Err(RegionError::Mesh { .. })
+    ));
     for contents in [&b"what"[..], b"{\"type\": 3}", b"ply\nformat ascii 1.0\n"] {
-        assert!(matches!(site.with_file(contents, &local), Err(RegionError::File { .. })));
+        assert!(matches!(
+            site.with_file(contents, &local),
+            Err(RegionError::File { .. })
+        ));
     }
     let nowhere = RegionChoice::File(Path::new("/nowhere/at/all").into());
-    assert!(matches!(site.on(&nowhere, &local), Err(RegionError::File { .. })));
+    assert!(matches!(
+        site.on(&nowhere, &local),
+        Err(RegionError::File { .. })
+    ));
 }
 
 #[test]
 fn a_huge_file_is_not_read() {
     let site = Site::new();
     let path = site.folder.path().join("region");
-    std::fs::File::create(&path).unwrap().set_len(1 << 40).unwrap();
+    std::fs::File::create(&path)
+        .unwrap()
+        .set_len(1 << 40)
+        .unwrap();
     let refused = site.on(&RegionChoice::File(path), &Georeference::Local);
-    assert!(matches!(refused, Err(RegionError::File { fault: region_file::RegionFault::Read(_), .. })));
+    assert!(matches!(
+        refused,
+        Err(RegionError::File {
+            fault: region_file::RegionFault::Read(_),
+            ..
+        })
+    ));
 }
 
 /// All of them would have to be looked at for each sample.
 #[test]
 fn a_comb_or_many_polygons_above_each_other_are_too_intricate() {
     let (site, local) = (Site::new(), Georeference::Local);
-    let tooth = |i: u32| [[0.0, -40.0], [0.2, 40.0]].map(|[dx, y]| [f64::from(i) * 4e-4 - 40.0 + dx * 1e-3, y]);
+    let tooth = |i: u32| {
+        [[0.0, -40.0], [0.2, 40.0]].map(|[dx, y]| [f64::from(i) * 4e-4 - 40.0 + dx * 1e-3, y])
+    };
     let comb: Vec<[f64; 2]> = (0..200_000).flat_map(tooth).collect();
     let square = [[[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0]]];
     for coordinates in [json!([[comb]]), json!(vec![square; 100_000])] {
         let polygons = json!({ "type": "MultiPolygon", "coordinates": coordinates, "crs": null });
         let refused = site.polygons(&polygons, &local);
-        assert!(matches!(refused, Err(RegionError::TooIntricate)), "{refused:?}");
+        assert!(
+            matches!(refused, Err(RegionError::TooIntricate)),
+            "{refused:?}"
+        );
     }
 }

@@ -1,8 +1,10 @@
-//! Soft visibility votes of the rays from cameras to points, and extraction of the facets between outside and inside (method 1.2).
+//! Soft visibility votes of the rays from cameras to points, and extraction of the facets between
+//! outside and inside (method 1.2).
 //!
-//! Labatut, Pons, Keriven, "Efficient Multi-View Reconstruction of Large-Scale Scenes using Interest Points, Delaunay Triangulation and
-//! Graph Cuts" (2007), with the soft visibility of "Robust and Efficient Surface Reconstruction from Range Data" (2009). Votes are
-//! integers, so their sum does not depend on the order in which threads add them.
+//! Labatut, Pons, Keriven, "Efficient Multi-View Reconstruction of Large-Scale Scenes using
+//! Interest Points, Delaunay Triangulation and Graph Cuts" (2007), with the soft visibility of
+//! "Robust and Efficient Surface Reconstruction from Range Data" (2009). Votes are integers, so
+//! their sum does not depend on the order in which threads add them.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -30,7 +32,8 @@ const UNITS: f64 = 1024.0;
 const FULL_VOTE_SIGMA: f64 = 4.5;
 /// Vertices per task: about a millisecond of work.
 const CHUNK: usize = 512;
-/// Cosine of the largest angle between a facet's normal and a ray that sees it: 85 degrees, as in method 2.
+/// Cosine of the largest angle between a facet's normal and a ray that sees it: 85 degrees, as in
+/// method 2.
 const MIN_FACING_COSINE: f64 = 0.087_155_742_747_658_17;
 
 /// The voting rays: for each vertex, the centres of some of the cameras that see it.
@@ -45,16 +48,25 @@ pub struct Rays {
 }
 
 impl Rays {
-    /// Selects the rays of each vertex from the tracks of its points: at most `most`, the angular extremes among them.
+    /// Selects the rays of each vertex from the tracks of its points: at most `most`, the angular
+    /// extremes among them.
     pub fn choose(scene: &Scene, delaunay: &Delaunay, points: &[PointIndex], most: usize) -> Self {
-        let centres: Vec<Point3<f64>> = scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
-        let focals: Vec<f64> = scene.view_indices().map(|v| scene.camera_of(v).mean_focal_length()).collect();
+        let centres: Vec<Point3<f64>> = scene
+            .views
+            .iter()
+            .map(|v| v.cam_from_world.centre())
+            .collect();
+        let focals: Vec<f64> = scene
+            .view_indices()
+            .map(|v| scene.camera_of(v).mean_focal_length())
+            .collect();
         let (starts, members) = points_by_vertex(delaunay, points);
         let choose_chunk = |vertices: &[u32]| {
             let mut chunk = RayChunk::default();
             let mut views = Vec::new();
             for &v in vertices {
-                let members = &members[starts[v as usize] as usize..starts[v as usize + 1] as usize];
+                let members =
+                    &members[starts[v as usize] as usize..starts[v as usize + 1] as usize];
                 views_of(scene, members, &mut views);
                 chunk.add(&delaunay.position(v), &views, &centres, &focals, most);
             }
@@ -62,7 +74,12 @@ impl Rays {
         };
         let vertices: Vec<u32> = (0..delaunay.vertex_count() as u32).collect();
         let chunks: Vec<RayChunk> = vertices.par_chunks(CHUNK).map(choose_chunk).collect();
-        let mut rays = Self { offsets: vec![0], views: Vec::new(), centres, sigma: 0.0 };
+        let mut rays = Self {
+            offsets: vec![0],
+            views: Vec::new(),
+            centres,
+            sigma: 0.0,
+        };
         let mut sigmas = Vec::with_capacity(vertices.len());
         for chunk in chunks {
             let last = *rays.offsets.last().expect("starts with one");
@@ -80,7 +97,8 @@ impl Rays {
 
     /// Returns the camera centres of the vertex's rays.
     pub fn centres(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
-        let range = self.offsets[vertex as usize] as usize..self.offsets[vertex as usize + 1] as usize;
+        let range =
+            self.offsets[vertex as usize] as usize..self.offsets[vertex as usize + 1] as usize;
         self.views[range].iter().map(|v| &self.centres[v.index()])
     }
 }
@@ -95,19 +113,39 @@ struct RayChunk {
 }
 
 impl RayChunk {
-    fn add(&mut self, at: &Point3<f64>, views: &[ViewIndex], centres: &[Point3<f64>], focals: &[f64], most: usize) {
-        let direction = |v: &ViewIndex| (centres[v.index()] - at).try_normalize(0.0).unwrap_or_default();
+    fn add(
+        &mut self,
+        at: &Point3<f64>,
+        views: &[ViewIndex],
+        centres: &[Point3<f64>],
+        focals: &[f64],
+        most: usize,
+    ) {
+        let direction = |v: &ViewIndex| {
+            (centres[v.index()] - at)
+                .try_normalize(0.0)
+                .unwrap_or_default()
+        };
         let directions: Vec<Vector3<f64>> = views.iter().map(direction).collect();
-        self.views.extend(extremes(&directions, most).into_iter().map(|i| views[i]));
+        self.views
+            .extend(extremes(&directions, most).into_iter().map(|i| views[i]));
         self.ends.push(self.views.len() as u32);
-        self.sigmas.extend(depth_sigma(at, views.iter().map(|v| (centres[v.index()], focals[v.index()]))));
+        self.sigmas.extend(depth_sigma(
+            at,
+            views
+                .iter()
+                .map(|v| (centres[v.index()], focals[v.index()])),
+        ));
     }
 }
 
 /// Returns the points of each vertex (CSR), ascending. `points`: those that were triangulated.
 fn points_by_vertex(delaunay: &Delaunay, points: &[PointIndex]) -> (Vec<u32>, Vec<PointIndex>) {
     let mut starts = vec![0u32; delaunay.vertex_count() + 1];
-    delaunay.vertex_of_point.iter().for_each(|&v| starts[v as usize + 1] += 1);
+    delaunay
+        .vertex_of_point
+        .iter()
+        .for_each(|&v| starts[v as usize + 1] += 1);
     for v in 0..delaunay.vertex_count() {
         starts[v + 1] += starts[v];
     }
@@ -143,17 +181,23 @@ pub fn capacities(
     watcher: &dyn Watcher,
 ) -> Result<Vec<Capacities>, Cancelled> {
     // One vote per ray and facet at most, so no sum can overflow.
-    let most = f64::from(u32::MAX) / (rays.count().max(1) as f64 * settings.ray_weight.max(f64::MIN_POSITIVE));
+    let most = f64::from(u32::MAX)
+        / (rays.count().max(1) as f64 * settings.ray_weight.max(f64::MIN_POSITIVE));
     let units = UNITS.min(most);
     let ballot = Ballot {
-        votes: (0..delaunay.cells.len()).into_par_iter().map(|_| Votes::default()).collect(),
+        votes: (0..delaunay.cells.len())
+            .into_par_iter()
+            .map(|_| Votes::default())
+            .collect(),
         full: settings.ray_weight * units,
         sigma: (rays.sigma * settings.sigma_factor).max(delaunay.step()),
         behind_sigma: settings.behind_sigma,
     };
     let vertices: Vec<u32> = (0..delaunay.vertex_count() as u32).collect();
     vertices.par_chunks(CHUNK).try_for_each(|chunk| {
-        chunk.iter().for_each(|&v| ballot.cast_rays(delaunay, rays, v));
+        chunk
+            .iter()
+            .for_each(|&v| ballot.cast_rays(delaunay, rays, v));
         watcher.check()
     })?;
     let quality: Vec<[u32; 4]> = (0..delaunay.cells.len() as u32)
@@ -164,11 +208,22 @@ pub fn capacities(
         let facet = |i: usize| {
             let beyond = delaunay.cells[c].neighbours[i];
             let worse = quality[c][i].max(quality[beyond.cell() as usize][beyond.index()]);
-            votes.facets[i].load(Ordering::Relaxed).saturating_add(worse)
+            votes.facets[i]
+                .load(Ordering::Relaxed)
+                .saturating_add(worse)
         };
-        Capacities { facets: [0, 1, 2, 3].map(facet), source: votes.source.into_inner(), sink: votes.sink.into_inner() }
+        Capacities {
+            facets: [0, 1, 2, 3].map(facet),
+            source: votes.source.into_inner(),
+            sink: votes.sink.into_inner(),
+        }
     };
-    Ok(ballot.votes.into_par_iter().enumerate().map(with_quality).collect())
+    Ok(ballot
+        .votes
+        .into_par_iter()
+        .enumerate()
+        .map(with_quality)
+        .collect())
 }
 
 struct Ballot {
@@ -194,10 +249,16 @@ impl Ballot {
             ray.aim(centre, start);
             for crossing in ray.by_ref() {
                 let beyond = delaunay.neighbour(crossing.facet);
-                cast(&self.votes[beyond.cell() as usize].facets[beyond.index()], self.vote(crossing.t * length));
+                cast(
+                    &self.votes[beyond.cell() as usize].facets[beyond.index()],
+                    self.vote(crossing.t * length),
+                );
             }
             cast(&self.votes[ray.cell() as usize].source, self.full as u32);
-            behind.aim(&(at - towards * (self.behind_sigma * self.sigma / length)), ray.first());
+            behind.aim(
+                &(at - towards * (self.behind_sigma * self.sigma / length)),
+                ray.first(),
+            );
             behind.by_ref().for_each(drop);
             cast(&self.votes[behind.cell() as usize].sink, self.full as u32);
         }
@@ -213,13 +274,16 @@ impl Ballot {
     }
 }
 
-/// Returns `weight` times 1 − cosine of the angle between each facet and the cell's circumsphere. For an infinite cell, the sphere is the plane of its
-/// hull facet (opposite to corner 3), and its other facets are perpendicular to it.
+/// Returns `weight` times 1 − cosine of the angle between each facet and the cell's circumsphere.
+/// For an infinite cell, the sphere is the plane of its hull facet (opposite to corner 3), and its
+/// other facets are perpendicular to it.
 fn quality(delaunay: &Delaunay, cell: u32, weight: f64) -> [u32; 4] {
     if delaunay.is_infinite(cell) {
         return [weight as u32, weight as u32, weight as u32, 0];
     }
-    let corners = delaunay.cells[cell as usize].vertices.map(|v| delaunay.position(v));
+    let corners = delaunay.cells[cell as usize]
+        .vertices
+        .map(|v| delaunay.position(v));
     let centre = circumcentre(&corners);
     let radius = (centre - corners[0]).norm();
     std::array::from_fn(|i| {
@@ -227,14 +291,20 @@ fn quality(delaunay: &Delaunay, cell: u32, weight: f64) -> [u32; 4] {
         let outward = (b - a).cross(&(c - a)).normalize();
         let cosine = outward.dot(&(a - centre)) / radius;
         // Cells that are flat in floating point have no centre.
-        if cosine.is_finite() { (weight * (1.0 - cosine.clamp(-1.0, 1.0))) as u32 } else { weight as u32 }
+        if cosine.is_finite() {
+            (weight * (1.0 - cosine.clamp(-1.0, 1.0))) as u32
+        } else {
+            weight as u32
+        }
     })
 }
 
 /// Returns the centre of the sphere through four points.
 fn circumcentre(corners: &[Point3<f64>; 4]) -> Point3<f64> {
     let [a, b, c] = [1, 2, 3].map(|i| corners[i] - corners[0]);
-    let numerator = b.cross(&c) * a.norm_squared() + c.cross(&a) * b.norm_squared() + a.cross(&b) * c.norm_squared();
+    let numerator = b.cross(&c) * a.norm_squared()
+        + c.cross(&a) * b.norm_squared()
+        + a.cross(&b) * c.norm_squared();
     corners[0] + numerator / (2.0 * a.dot(&b.cross(&c)))
 }
 
@@ -269,12 +339,29 @@ pub fn surface(delaunay: &Delaunay, rays: &Rays, outside: &[bool]) -> CarvedSurf
                 && outside[delaunay.neighbour(*f).cell() as usize]
                 && delaunay.facet_vertices(*f).iter().all(|&v| v != INFINITE)
         };
-        (0..4).map(move |i| Facet::new(cell, i)).filter(is_surface).map(|f| delaunay.facet_vertices(f))
+        (0..4)
+            .map(move |i| Facet::new(cell, i))
+            .filter(is_surface)
+            .map(|f| delaunay.facet_vertices(f))
     };
-    let triangles: Vec<[u32; 3]> = (0..delaunay.cells.len() as u32).flat_map(facets_of).collect();
-    let seen = triangles.par_iter().map(|t| is_seen(delaunay, rays, t)).collect();
-    let vertices = (0..delaunay.vertex_count() as u32).map(|v| delaunay.position(v)).collect();
-    CarvedSurface { surface: Surface { kind: SurfaceKind::Carved, vertices, triangles }, seen }
+    let triangles: Vec<[u32; 3]> = (0..delaunay.cells.len() as u32)
+        .flat_map(facets_of)
+        .collect();
+    let seen = triangles
+        .par_iter()
+        .map(|t| is_seen(delaunay, rays, t))
+        .collect();
+    let vertices = (0..delaunay.vertex_count() as u32)
+        .map(|v| delaunay.position(v))
+        .collect();
+    CarvedSurface {
+        surface: Surface {
+            kind: SurfaceKind::Carved,
+            vertices,
+            triangles,
+        },
+        seen,
+    }
 }
 
 /// Returns whether a ray reaches a corner of the facet from its outer side.

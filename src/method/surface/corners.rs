@@ -1,7 +1,9 @@
-//! Corner table of a triangle mesh: pairs of corners that face each other across an edge (Rossignac's corner operations).
+//! Corner table of a triangle mesh: pairs of corners that face each other across an edge
+//! (Rossignac's corner operations).
 //!
-//! Corner `c = 3 t + i` is at vertex `triangles[t][i]` and faces the edge from `next(c)` to `prev(c)` in the direction of its
-//! triangle. Two corners face each other if their triangles share that edge in opposite directions; [`BORDER`] if there is none.
+//! Corner `c = 3 t + i` is at vertex `triangles[t][i]` and faces the edge from `next(c)` to
+//! `prev(c)` in the direction of its triangle. Two corners face each other if their triangles share
+//! that edge in opposite directions; [`BORDER`] if there is none.
 
 use nalgebra::{Point3, Vector3};
 
@@ -12,12 +14,20 @@ pub const BORDER: u32 = u32::MAX;
 
 #[inline]
 pub fn next(corner: u32) -> u32 {
-    if corner % 3 == 2 { corner - 2 } else { corner + 1 }
+    if corner % 3 == 2 {
+        corner - 2
+    } else {
+        corner + 1
+    }
 }
 
 #[inline]
 pub fn prev(corner: u32) -> u32 {
-    if corner.is_multiple_of(3) { corner + 2 } else { corner - 1 }
+    if corner.is_multiple_of(3) {
+        corner + 2
+    } else {
+        corner - 1
+    }
 }
 
 #[inline]
@@ -25,7 +35,8 @@ pub fn vertex(triangles: &[[u32; 3]], corner: u32) -> u32 {
     triangles[corner as usize / 3][corner as usize % 3]
 }
 
-/// Returns the next corner at the same vertex, counter-clockwise seen from outside; `None` at a border.
+/// Returns the next corner at the same vertex, counter-clockwise seen from outside; `None` at a
+/// border.
 #[inline]
 pub fn swing(opposite: &[u32], corner: u32) -> Option<u32> {
     let across = opposite[next(corner) as usize];
@@ -39,8 +50,9 @@ pub fn unswing(opposite: &[u32], corner: u32) -> Option<u32> {
     (across != BORDER).then(|| prev(across))
 }
 
-/// Returns the facing corner of each corner. At an edge of more than two triangles, those that enclose the same inside are paired; corners
-/// without a partner of opposite direction become a border. Triangles must have three different vertices.
+/// Returns the facing corner of each corner. At an edge of more than two triangles, those that
+/// enclose the same inside are paired; corners without a partner of opposite direction become a
+/// border. Triangles must have three different vertices.
 pub fn opposites(surface: &Surface) -> Vec<u32> {
     pair_edges(surface).0
 }
@@ -66,7 +78,8 @@ fn pair_edges(surface: &Surface) -> (Vec<u32>, Vec<Vec<u32>>) {
     (opposite, crowded)
 }
 
-/// Groups all corners by the smaller vertex of the edge that they face (CSR), each with the larger one.
+/// Groups all corners by the smaller vertex of the edge that they face (CSR), each with the larger
+/// one.
 fn corners_by_smaller_end(vertices: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<(u32, u32)>) {
     let corner_count = 3 * triangles.len() as u32;
     let mut offsets = vec![0u32; vertices + 1];
@@ -113,15 +126,17 @@ fn pair_edge(surface: &Surface, edge: &[u32], opposite: &mut [u32]) {
     }
 }
 
-/// Pairs at an edge of more than two triangles: about the edge from its smaller to its larger vertex, the inside is clockwise of a
-/// forward triangle, which therefore pairs with the backward triangle that precedes it.
+/// Pairs at an edge of more than two triangles: about the edge from its smaller to its larger
+/// vertex, the inside is clockwise of a forward triangle, which therefore pairs with the backward
+/// triangle that precedes it.
 fn pair_crowded_edge(surface: &Surface, edge: &[u32], opposite: &mut [u32]) {
     let triangles = &surface.triangles;
     let from = surface.vertices[smaller_end(triangles, edge[0]) as usize];
     let to = surface.vertices[larger_end(triangles, edge[0]) as usize];
     let frame = axis_frame(to - from);
     let angle = |c: u32| {
-        let towards: Vector3<f64> = surface.vertices[vertex(triangles, c) as usize] - Point3::from(from.coords);
+        let towards: Vector3<f64> =
+            surface.vertices[vertex(triangles, c) as usize] - Point3::from(from.coords);
         towards.dot(&frame[1]).atan2(towards.dot(&frame[0]))
     };
     let mut around: Vec<(f64, u32)> = edge.iter().map(|&c| (angle(c), c)).collect();
@@ -142,12 +157,16 @@ fn axis_frame(axis: Vector3<f64>) -> [Vector3<f64>; 2] {
     [first, axis.cross(&first)]
 }
 
-/// Splits vertices so that each fan of triangles has one of its own, and removes unused vertices: an oriented manifold with borders.
-/// The first fan, by its smallest corner, keeps the position of the vertex. Triangles must have three different
-/// vertices, and no two triangles the same three.
+/// Splits vertices so that each fan of triangles has one of its own, and removes unused vertices:
+/// an oriented manifold with borders. The first fan, by its smallest corner, keeps the position of
+/// the vertex. Triangles must have three different vertices, and no two triangles the same three.
 pub fn split_fans(surface: Surface) -> Surface {
     let (mut opposite, crowded) = pair_edges(&surface);
-    let Surface { kind, vertices, mut triangles } = surface;
+    let Surface {
+        kind,
+        vertices,
+        mut triangles,
+    } = surface;
     let (mut owner, mut first) = fans(&opposite);
     if open_doubled_edges(&crowded, &owner, &mut opposite) {
         (owner, first) = fans(&opposite);
@@ -157,17 +176,28 @@ pub fn split_fans(surface: Surface) -> Surface {
     let mut order: Vec<u32> = (0..fan_vertex.len() as u32).collect();
     order.sort_by_key(|&f| fan_vertex[f as usize]);
     let mut place = vec![0u32; order.len()];
-    order.iter().enumerate().for_each(|(i, &f)| place[f as usize] = i as u32);
+    order
+        .iter()
+        .enumerate()
+        .for_each(|(i, &f)| place[f as usize] = i as u32);
     for (c, fan) in owner.iter().enumerate() {
         triangles[c / 3][c % 3] = place[*fan as usize];
     }
-    let vertices = order.iter().map(|&f| vertices[fan_vertex[f as usize] as usize]).collect();
-    Surface { kind, vertices, triangles }
+    let vertices = order
+        .iter()
+        .map(|&f| vertices[fan_vertex[f as usize] as usize])
+        .collect();
+    Surface {
+        kind,
+        vertices,
+        triangles,
+    }
 }
 
-/// Where sheets touch along an edge and are connected around both its ends, splitting fans would leave the edge with several triangles of
-/// one direction. Unpairs such edges, which opens their fans; then no fan has two borders of one direction, and triangles adjacent
-/// around both ends are paired by their vertices. Returns whether there were any.
+/// Where sheets touch along an edge and are connected around both its ends, splitting fans would
+/// leave the edge with several triangles of one direction. Unpairs such edges, which opens their
+/// fans; then no fan has two borders of one direction, and triangles adjacent around both ends are
+/// paired by their vertices. Returns whether there were any.
 fn open_doubled_edges(crowded: &[Vec<u32>], owner: &[u32], opposite: &mut [u32]) -> bool {
     let directed = |&c: &u32| (owner[next(c) as usize], owner[prev(c) as usize]);
     let mut has_opened = false;
@@ -220,7 +250,10 @@ mod tests {
     fn surface(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> Surface {
         Surface {
             kind: SurfaceKind::Mesh,
-            vertices: vertices.iter().map(|&[x, y, z]| Point3::new(x, y, z)).collect(),
+            vertices: vertices
+                .iter()
+                .map(|&[x, y, z]| Point3::new(x, y, z))
+                .collect(),
             triangles: triangles.to_vec(),
         }
     }
@@ -228,17 +261,34 @@ mod tests {
     /// Two tetrahedra that touch along one edge; each keeps its own closed surface.
     #[test]
     fn solids_that_touch_along_an_edge_come_apart() {
-        let points = [[0., 0., 0.], [0., 0., 1.], [1., -0.5, 0.5], [1., 0.5, 0.5], [-1., -0.5, 0.5], [-1., 0.5, 0.5]];
-        let tetrahedron = |a: u32, b: u32, c: u32, d: u32| [[a, c, b], [a, b, d], [b, c, d], [a, d, c]];
+        let points = [
+            [0., 0., 0.],
+            [0., 0., 1.],
+            [1., -0.5, 0.5],
+            [1., 0.5, 0.5],
+            [-1., -0.5, 0.5],
+            [-1., 0.5, 0.5],
+        ];
+        let tetrahedron =
+            |a: u32, b: u32, c: u32, d: u32| [[a, c, b], [a, b, d], [b, c, d], [a, d, c]];
         let mut triangles = tetrahedron(0, 1, 2, 3).to_vec();
         triangles.extend(tetrahedron(0, 1, 5, 4));
         let mesh = surface(&points, &triangles);
         let opposite = opposites(&mesh);
         assert!(opposite.iter().all(|&c| c != BORDER));
-        assert!(opposite.iter().enumerate().all(|(a, &b)| (a < 12) == (b < 12)), "a pair joins the two solids");
+        assert!(
+            opposite
+                .iter()
+                .enumerate()
+                .all(|(a, &b)| (a < 12) == (b < 12)),
+            "a pair joins the two solids"
+        );
         let apart = split_fans(mesh);
         assert_eq!(apart.vertices.len(), 8);
-        assert_eq!(check_manifold(&apart).map(|t| (t.euler, t.components)), Ok((4, 2)));
+        assert_eq!(
+            check_manifold(&apart).map(|t| (t.euler, t.components)),
+            Ok((4, 2))
+        );
     }
 
     /// The outside of a set of unit cubes, two triangles a face.
@@ -246,7 +296,10 @@ mod tests {
         let mut places: Vec<[i32; 3]> = Vec::new();
         let mut triangles = Vec::new();
         for cube in cubes {
-            for (axis, side) in [0, 1, 2].into_iter().flat_map(|axis| [(axis, 0), (axis, 1)]) {
+            for (axis, side) in [0, 1, 2]
+                .into_iter()
+                .flat_map(|axis| [(axis, 0), (axis, 1)])
+            {
                 let mut beside = *cube;
                 beside[axis] += 2 * side - 1;
                 if cubes.contains(&beside) {
@@ -268,25 +321,35 @@ mod tests {
                 triangles.extend([[face[0], face[1], face[2]], [face[0], face[2], face[3]]]);
             }
         }
-        surface(&places.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>(), &triangles)
+        surface(
+            &places.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>(),
+            &triangles,
+        )
     }
 
-    /// A block without two cubes of its middle layer that touch along a vertical edge: around both ends of the edge, all four faces are connected through
-    /// the layers below and above.
+    /// A block without two cubes of its middle layer that touch along a vertical edge: around both
+    /// ends of the edge, all four faces are connected through the layers below and above.
     #[test]
     fn sheets_that_touch_along_an_edge_and_hang_together_at_its_ends_come_apart() {
         let floor = |z: i32| [[0, 0, z], [1, 0, z], [0, 1, z], [1, 1, z]];
         let all = [floor(0), floor(1), floor(2)].concat();
-        let cubes: Vec<[i32; 3]> = all.into_iter().filter(|c| ![[1, 0, 1], [0, 1, 1]].contains(c)).collect();
+        let cubes: Vec<[i32; 3]> = all
+            .into_iter()
+            .filter(|c| ![[1, 0, 1], [0, 1, 1]].contains(c))
+            .collect();
         let block = boundary(&cubes);
         let apart = split_fans(block.clone());
         assert!(apart.vertices.len() > block.vertices.len());
-        assert_eq!(check_manifold(&apart).map(|t| (t.border_edges, t.components)), Ok((0, 1)));
+        assert_eq!(
+            check_manifold(&apart).map(|t| (t.border_edges, t.components)),
+            Ok((0, 1))
+        );
         assert_eq!(crate::method::surface::shapes::volume(&apart), 10.0);
     }
 
     proptest::proptest! {
-        /// Random cubes touch along edges and at corners in every possible way; the result is a closed manifold of the same triangles.
+        /// Random cubes touch along edges and at corners in every possible way; the result is a
+        /// closed manifold of the same triangles.
         #[test]
         fn whatever_cubes_leave_is_a_manifold(cells in proptest::collection::vec(proptest::bool::ANY, 27)) {
             let places = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9]);
@@ -302,7 +365,10 @@ mod tests {
 
     #[test]
     fn triangles_of_the_same_direction_do_not_pair() {
-        let mesh = surface(&[[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., -1., 0.]], &[[0, 1, 2], [0, 1, 3]]);
+        let mesh = surface(
+            &[[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., -1., 0.]],
+            &[[0, 1, 2], [0, 1, 3]],
+        );
         assert!(opposites(&mesh).iter().all(|&c| c == BORDER));
         assert_eq!(split_fans(mesh).vertices.len(), 6);
     }

@@ -18,7 +18,11 @@ pub struct Topology {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ManifoldError {
     #[error("triangle {triangle} names vertex {vertex} of {vertices}")]
-    NoSuchVertex { triangle: usize, vertex: u32, vertices: usize },
+    NoSuchVertex {
+        triangle: usize,
+        vertex: u32,
+        vertices: usize,
+    },
     #[error("triangle {0} repeats a vertex")]
     Degenerate(usize),
     #[error("the edge from vertex {0} to {1} has two triangles in the same direction")]
@@ -29,15 +33,20 @@ pub enum ManifoldError {
     StrayVertex(u32),
 }
 
-/// Checks that each directed edge has at most one triangle, that the triangles around each vertex form one fan, and that each vertex is
-/// finite and used. Deliberately simple and slow: hash tables of edges.
+/// Checks that each directed edge has at most one triangle, that the triangles around each vertex
+/// form one fan, and that each vertex is finite and used. Deliberately simple and slow: hash tables
+/// of edges.
 pub fn check_manifold(surface: &Surface) -> Result<Topology, ManifoldError> {
     let vertices = surface.vertices.len();
     let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
     let mut links: Vec<Vec<(u32, u32)>> = vec![Vec::new(); vertices];
     for (t, &[a, b, c]) in surface.triangles.iter().enumerate() {
         if let Some(vertex) = [a, b, c].into_iter().find(|&v| v as usize >= vertices) {
-            return Err(ManifoldError::NoSuchVertex { triangle: t, vertex, vertices });
+            return Err(ManifoldError::NoSuchVertex {
+                triangle: t,
+                vertex,
+                vertices,
+            });
         }
         if a == b || b == c || c == a {
             return Err(ManifoldError::Degenerate(t));
@@ -57,7 +66,10 @@ pub fn check_manifold(surface: &Surface) -> Result<Topology, ManifoldError> {
             return Err(ManifoldError::SeveralFans(v as u32));
         }
     }
-    let border_edges = edges.keys().filter(|&&(a, b)| !edges.contains_key(&(b, a))).count();
+    let border_edges = edges
+        .keys()
+        .filter(|&&(a, b)| !edges.contains_key(&(b, a)))
+        .count();
     let undirected = (edges.len() + border_edges) / 2;
     Ok(Topology {
         euler: vertices as i64 - undirected as i64 + surface.triangles.len() as i64,
@@ -112,16 +124,40 @@ mod tests {
     #[test]
     fn known_shapes_have_their_topology() {
         let of = |surface: &Surface| check_manifold(surface).unwrap();
-        assert_eq!(of(&shapes::sphere(2)), Topology { euler: 2, border_edges: 0, components: 1 });
-        assert_eq!(of(&shapes::torus(8)), Topology { euler: 0, border_edges: 0, components: 1 });
-        assert_eq!(of(&shapes::terrain(3, |_, _| 0.0)), Topology { euler: 1, border_edges: 12, components: 1 });
+        assert_eq!(
+            of(&shapes::sphere(2)),
+            Topology {
+                euler: 2,
+                border_edges: 0,
+                components: 1
+            }
+        );
+        assert_eq!(
+            of(&shapes::torus(8)),
+            Topology {
+                euler: 0,
+                border_edges: 0,
+                components: 1
+            }
+        );
+        assert_eq!(
+            of(&shapes::terrain(3, |_, _| 0.0)),
+            Topology {
+                euler: 1,
+                border_edges: 12,
+                components: 1
+            }
+        );
     }
 
     #[test]
     fn what_is_not_a_manifold_is_named() {
         let mut twice = shapes::sphere(0);
         twice.triangles.push([0, 1, 2]);
-        assert_eq!(check_manifold(&twice), Err(ManifoldError::CrowdedEdge(0, 1)));
+        assert_eq!(
+            check_manifold(&twice),
+            Err(ManifoldError::CrowdedEdge(0, 1))
+        );
         let mut bow = shapes::terrain(2, |_, _| 0.0);
         bow.triangles = vec![bow.triangles[0], bow.triangles[6]];
         bow.vertices.truncate(9);
@@ -131,6 +167,13 @@ mod tests {
         assert_eq!(check_manifold(&stray), Err(ManifoldError::StrayVertex(6)));
         let mut beyond = shapes::sphere(0);
         beyond.triangles[7] = [0, 4, 6];
-        assert_eq!(check_manifold(&beyond), Err(ManifoldError::NoSuchVertex { triangle: 7, vertex: 6, vertices: 6 }));
+        assert_eq!(
+            check_manifold(&beyond),
+            Err(ManifoldError::NoSuchVertex {
+                triangle: 7,
+                vertex: 6,
+                vertices: 6
+            })
+        );
     }
 }

@@ -1,8 +1,9 @@
 //! Surface (method 1): from sparse points to an oriented triangle mesh.
 //!
-//! `delaunay` tetrahedralises the points, `carve` casts rays from cameras to points through the cells, `cut` separates inside
-//! from outside, `clean` keeps the visible part as an oriented manifold, `simplify` and `refine` adjust the edge lengths to the target;
-//! `terrain` is the 2.5D variant for nadir flights, `ply` reads and writes meshes.
+//! `delaunay` tetrahedralises the points, `carve` casts rays from cameras to points through the
+//! cells, `cut` separates inside from outside, `clean` keeps the visible part as an oriented
+//! manifold, `simplify` and `refine` adjust the edge lengths to the target; `terrain` is the 2.5D
+//! variant for nadir flights, `ply` reads and writes meshes.
 
 pub mod carve;
 pub mod clean;
@@ -49,7 +50,8 @@ pub use wanted::WantedGsd;
 const MIN_CARVED_POINTS: usize = 100;
 /// Ratio of the spreads of the points in two directions below which the smaller one counts as zero.
 const NO_SPREAD: f64 = 1e-6;
-/// Margin of a tile, as a multiple of the longest edge: points farther away hardly change the surface inside.
+/// Margin of a tile, as a multiple of the longest edge: points farther away hardly change the
+/// surface inside.
 const MARGIN_EDGES: f64 = 10.0;
 /// Steps per tile of [`build`] for progress.
 const STEPS: u64 = 6;
@@ -64,7 +66,8 @@ pub enum SurfaceKind {
     Mesh,
 }
 
-/// An oriented triangle mesh with borders; each edge has at most two triangles, normals point outwards.
+/// An oriented triangle mesh with borders; each edge has at most two triangles, normals point
+/// outwards.
 #[derive(Clone, Debug)]
 pub struct Surface {
     pub kind: SurfaceKind,
@@ -95,11 +98,20 @@ impl Surface {
         0.5 * self.area_normal(triangle).norm()
     }
 
-    /// Returns the surface of the triangles to keep, in their order. Unused vertices are removed, and a vertex whose fans were connected only by
-    /// dropped triangles is split, so that the result is again a manifold.
+    /// Returns the surface of the triangles to keep, in their order. Unused vertices are removed,
+    /// and a vertex whose fans were connected only by dropped triangles is split, so that the
+    /// result is again a manifold.
     pub fn keep(&self, keep: &[bool]) -> Surface {
-        let kept = self.triangles.iter().zip(keep).filter_map(|(&t, &k)| k.then_some(t));
-        corners::split_fans(Surface { kind: self.kind, vertices: self.vertices.clone(), triangles: kept.collect() })
+        let kept = self
+            .triangles
+            .iter()
+            .zip(keep)
+            .filter_map(|(&t, &k)| k.then_some(t));
+        corners::split_fans(Surface {
+            kind: self.kind,
+            vertices: self.vertices.clone(),
+            triangles: kept.collect(),
+        })
     }
 }
 
@@ -108,7 +120,12 @@ impl Surface {
     fn append(&mut self, other: Surface) {
         let offset = self.vertices.len() as u32;
         self.vertices.extend(other.vertices);
-        self.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + offset)));
+        self.triangles.extend(
+            other
+                .triangles
+                .iter()
+                .map(|corners| corners.map(|v| v + offset)),
+        );
     }
 }
 
@@ -128,7 +145,8 @@ pub struct SurfaceStats {
     pub tiles: usize,
     /// Sparse points used.
     pub points: usize,
-    /// Sparse points rejected: fewer than two views, behind a camera, or a large reprojection error.
+    /// Sparse points rejected: fewer than two views, behind a camera, or a large reprojection
+    /// error.
     pub points_dropped: usize,
     /// Distinct vertices of the tetrahedralisation.
     pub vertices: usize,
@@ -163,9 +181,15 @@ pub enum SurfaceError {
     #[error("cannot use the surface: no view sees any part of it")]
     Empty,
     #[error("{}: {source}", path.display())]
-    MeshFile { path: PathBuf, source: std::io::Error },
+    MeshFile {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("{}: {source}", path.display())]
-    Mesh { path: PathBuf, source: ply::PlyError },
+    Mesh {
+        path: PathBuf,
+        source: ply::PlyError,
+    },
     #[error(transparent)]
     Delaunay(DelaunayError),
     #[error(transparent)]
@@ -209,8 +233,9 @@ impl From<refine::RefineError> for SurfaceError {
     }
 }
 
-/// Builds the surface of the scene, or reads the mesh, and adjusts its edges to `wanted` and the settings; at most about `most` triangles. It still has
-/// triangles that no view sees: see [`Surface::keep`].
+/// Builds the surface of the scene, or reads the mesh, and adjusts its edges to `wanted` and the
+/// settings; at most about `most` triangles. It still has triangles that no view sees: see
+/// [`Surface::keep`].
 ///
 /// # Errors
 /// Too few points, a mesh that cannot be read, a target far too fine, cancellation.
@@ -226,20 +251,36 @@ pub fn build(
     if !(gsd.is_finite() && gsd > 0.0) {
         return Err(SurfaceError::Gsd(gsd));
     }
-    let mut stats = SurfaceStats { tiles: 1, ..SurfaceStats::default() };
-    let whole = Steps { before: 0, all: STEPS, most, watcher };
+    let mut stats = SurfaceStats {
+        tiles: 1,
+        ..SurfaceStats::default()
+    };
+    let whole = Steps {
+        before: 0,
+        all: STEPS,
+        most,
+        watcher,
+    };
     whole.reached(0);
     let surface = match mesh {
         Some(file) => {
             let surface = clean::make_manifold(read_mesh(file)?);
             stats.cleaned_triangles = surface.triangles.len();
-            if file.as_is { surface } else { with_edges(surface, wanted, settings, &mut stats, &whole)? }
+            if file.as_is {
+                surface
+            } else {
+                with_edges(surface, wanted, settings, &mut stats, &whole)?
+            }
         }
         None => from_points(scene, wanted, settings, &mut stats, &whole)?,
     };
     stats.triangles = surface.triangles.len();
     watcher.progress(Stage::Surface, 1, 1);
-    if surface.triangles.is_empty() { Err(SurfaceError::Empty) } else { Ok((surface, stats)) }
+    if surface.triangles.is_empty() {
+        Err(SurfaceError::Empty)
+    } else {
+        Ok((surface, stats))
+    }
 }
 
 /// Progress of one tile among all.
@@ -253,7 +294,8 @@ struct Steps<'a> {
 
 impl Steps<'_> {
     fn reached(&self, step: u64) {
-        self.watcher.progress(Stage::Surface, self.before + step, self.all);
+        self.watcher
+            .progress(Stage::Surface, self.before + step, self.all);
     }
 }
 
@@ -275,13 +317,24 @@ fn with_edges(
 }
 
 fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
-    let bytes = input::read(&file.path, FileKind::Mesh)
-        .map_err(|source| SurfaceError::MeshFile { path: file.path.clone(), source })?;
-    let mesh = ply::read(&bytes).map_err(|source| SurfaceError::Mesh { path: file.path.clone(), source })?;
-    Ok(Surface { kind: SurfaceKind::Mesh, vertices: mesh.vertices, triangles: mesh.triangles })
+    let bytes =
+        input::read(&file.path, FileKind::Mesh).map_err(|source| SurfaceError::MeshFile {
+            path: file.path.clone(),
+            source,
+        })?;
+    let mesh = ply::read(&bytes).map_err(|source| SurfaceError::Mesh {
+        path: file.path.clone(),
+        source,
+    })?;
+    Ok(Surface {
+        kind: SurfaceKind::Mesh,
+        vertices: mesh.vertices,
+        triangles: mesh.triangles,
+    })
 }
 
-/// Builds the surface of the sparse points: whole, or tile by tile, each from the points in and around it, cropped to the tile.
+/// Builds the surface of the sparse points: whole, or tile by tile, each from the points in and
+/// around it, cropped to the tile.
 fn from_points(
     scene: &Scene,
     wanted: &WantedGsd,
@@ -293,7 +346,12 @@ fn from_points(
     stats.points = points.len();
     stats.points_dropped = scene.points.len() - points.len();
     let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.index()]).collect();
-    let all = Part { scene, wanted, settings, everywhere: &positions };
+    let all = Part {
+        scene,
+        wanted,
+        settings,
+        everywhere: &positions,
+    };
     let tiles = match settings.tile_points {
         Some(most) if points.len() > most as usize => tiles::split(&positions, most as usize),
         _ => return all.surface(&points, &positions, stats, whole),
@@ -303,18 +361,28 @@ fn from_points(
     let mut merged: Option<Surface> = None;
     for (i, tile) in tiles.iter().enumerate() {
         whole.watcher.check()?;
-        let before = merged.as_ref().map_or(0, |merged: &Surface| merged.triangles.len() as u64);
+        let before = merged
+            .as_ref()
+            .map_or(0, |merged: &Surface| merged.triangles.len() as u64);
         let most = whole.most.saturating_sub(before);
-        let steps = Steps { before: i as u64 * STEPS, all: tiles.len() as u64 * STEPS, most, ..*whole };
+        let steps = Steps {
+            before: i as u64 * STEPS,
+            all: tiles.len() as u64 * STEPS,
+            most,
+            ..*whole
+        };
         let near = |(_, position): &(&PointIndex, &Point3<f64>)| tile.is_near(position, margin);
-        let (points, near): (Vec<PointIndex>, Vec<Point3<f64>>) = points.iter().zip(&positions).filter(near).unzip();
+        let (points, near): (Vec<PointIndex>, Vec<Point3<f64>>) =
+            points.iter().zip(&positions).filter(near).unzip();
         let surface = match all.surface(&points, &near, stats, &steps) {
             // The points of a tile may coincide or be collinear.
             Err(SurfaceError::TooFewPoints { .. } | SurfaceError::Linear) => continue,
             surface => surface?,
         };
         let triangles = 0..surface.triangles.len() as u32;
-        let own: Vec<bool> = triangles.map(|t| tile.contains(&surface.centroid(t))).collect();
+        let own: Vec<bool> = triangles
+            .map(|t| tile.contains(&surface.centroid(t)))
+            .collect();
         let own = surface.keep(&own);
         match &mut merged {
             None => merged = Some(own),
@@ -342,11 +410,19 @@ impl Part<'_> {
         stats: &mut SurfaceStats,
         steps: &Steps,
     ) -> Result<Surface, SurfaceError> {
-        let Self { scene, wanted, settings, everywhere } = *self;
+        let Self {
+            scene,
+            wanted,
+            settings,
+            everywhere,
+        } = *self;
         let gsd = wanted.everywhere();
         let distinct = distinct_up_to_four(positions);
         if distinct < 4 {
-            return Err(SurfaceError::TooFewPoints { distinct, dropped: stats.points_dropped });
+            return Err(SurfaceError::TooFewPoints {
+                distinct,
+                dropped: stats.points_dropped,
+            });
         }
         let [thickness, width, length] = georeference::spread(positions);
         if width <= NO_SPREAD * length {
@@ -391,7 +467,11 @@ fn carved(
     let rays = carve::Rays::choose(scene, &delaunay, points, settings.rays_per_point as usize);
     // Mean over the tiles, weighted by vertices.
     let (before, here) = (stats.vertices as f64, delaunay.vertex_count() as f64);
-    stats.sigma = if before == 0.0 { rays.sigma } else { (before * stats.sigma + here * rays.sigma) / (before + here) };
+    stats.sigma = if before == 0.0 {
+        rays.sigma
+    } else {
+        (before * stats.sigma + here * rays.sigma) / (before + here)
+    };
     stats.vertices += delaunay.vertex_count();
     stats.cells += delaunay.cells.len();
     stats.rays += rays.count();

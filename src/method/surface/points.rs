@@ -5,31 +5,47 @@ use rayon::prelude::*;
 
 use crate::model::scene::{PointIndex, Scene, ViewIndex};
 
-/// Mean reprojection error, pixels, above which a point is rejected, unless the model's median is large.
+/// Mean reprojection error, pixels, above which a point is rejected, unless the model's median is
+/// large.
 const MAX_ERROR_PX: f64 = 4.0;
 /// Multiple of the model's median error that is accepted in any case.
 const MAX_ERROR_MEDIANS: f64 = 3.0;
-/// Multiple of the median distance from the centre of the points beyond which a point is an outlier: a false match near the
-/// horizon is consistent with its rays at any distance, and one such point would coarsen the grid of all others.
+/// Multiple of the median distance from the centre of the points beyond which a point is an
+/// outlier: a false match near the horizon is consistent with its rays at any distance, and one
+/// such point would coarsen the grid of all others.
 const MAX_DISTANCE_MEDIANS: f64 = 1000.0;
-/// Standard deviation of an observation of a sparse point, px: of a feature, not of a dense match (`fulfilment.sigma_px`).
+/// Standard deviation of an observation of a sparse point, px: of a feature, not of a dense match
+/// (`fulfilment.sigma_px`).
 const SIGMA_PX: f64 = 0.5;
 
-/// Returns the sparse points that at least two views observe, in front of all of them, whose mean reprojection error is below the
-/// larger of 4 px and 3 times the median, and that are not outliers in distance; ascending.
+/// Returns the sparse points that at least two views observe, in front of all of them, whose mean
+/// reprojection error is below the larger of 4 px and 3 times the median, and that are not outliers
+/// in distance; ascending.
 pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
-    let errors: Vec<Option<f64>> =
-        (0..scene.points.len() as u32).into_par_iter().map(|p| mean_error_px(scene, PointIndex(p))).collect();
-    let Some(median) = upper_median(errors.iter().flatten().copied()) else { return Vec::new() };
+    let errors: Vec<Option<f64>> = (0..scene.points.len() as u32)
+        .into_par_iter()
+        .map(|p| mean_error_px(scene, PointIndex(p)))
+        .collect();
+    let Some(median) = upper_median(errors.iter().flatten().copied()) else {
+        return Vec::new();
+    };
     let limit = MAX_ERROR_PX.max(MAX_ERROR_MEDIANS * median);
     let is_usable = |p: &PointIndex| errors[p.index()].is_some_and(|e| e <= limit);
-    near(scene, (0..scene.points.len() as u32).map(PointIndex).filter(is_usable).collect())
+    near(
+        scene,
+        (0..scene.points.len() as u32)
+            .map(PointIndex)
+            .filter(is_usable)
+            .collect(),
+    )
 }
 
 /// Removes the points farther away than [`MAX_DISTANCE_MEDIANS`].
 pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex> {
     let along = |axis: usize| upper_median(points.iter().map(|p| scene.points[p.index()][axis]));
-    let [Some(x), Some(y), Some(z)] = [0, 1, 2].map(along) else { return points };
+    let [Some(x), Some(y), Some(z)] = [0, 1, 2].map(along) else {
+        return points;
+    };
     let distance = |p: &PointIndex| (scene.points[p.index()] - Point3::new(x, y, z)).norm();
     let limit = MAX_DISTANCE_MEDIANS * upper_median(points.iter().map(distance)).unwrap_or(0.0);
     // If most points coincide, the median distance is 0 and no limit applies.
@@ -44,8 +60,8 @@ pub fn upper_median(values: impl Iterator<Item = f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Returns the mean reprojection error of a point over its observations with a known pixel; `None` with fewer than two views, or if a camera
-/// does not project it.
+/// Returns the mean reprojection error of a point over its observations with a known pixel; `None`
+/// with fewer than two views, or if a camera does not project it.
 fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     let track = scene.track(point);
     let views = &scene.track_views[track.clone()];
@@ -54,11 +70,16 @@ fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     }
     let (mut sum, mut count) = (0.0, 0u32);
     for (view, pixel) in views.iter().zip(&scene.track_pixels[track]) {
-        let x_cam = scene.view(*view).cam_from_world.camera_from_world(&scene.points[point.index()]);
+        let x_cam = scene
+            .view(*view)
+            .cam_from_world
+            .camera_from_world(&scene.points[point.index()]);
         let camera = scene.camera_of(*view);
         camera.project(&x_cam)?;
         // Equirectangular images: the angle counts, also across the seam.
-        let error = camera.reprojection_error(&x_cam, &Point2::from(*pixel)).unwrap_or(f64::NAN);
+        let error = camera
+            .reprojection_error(&x_cam, &Point2::from(*pixel))
+            .unwrap_or(f64::NAN);
         if error.is_finite() {
             sum += error;
             count += 1;
@@ -67,9 +88,13 @@ fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     Some(sum / f64::from(count.max(1)))
 }
 
-/// Returns the standard deviation of a point along the mean ray to the centres of the views that see it, scene units: method 3.3 with
-/// J = f / r perpendicular to the ray. `None` if the rays are parallel.
-pub fn depth_sigma(point: &Point3<f64>, centres_and_focals: impl Iterator<Item = (Point3<f64>, f64)>) -> Option<f64> {
+/// Returns the standard deviation of a point along the mean ray to the centres of the views that
+/// see it, scene units: method 3.3 with J = f / r perpendicular to the ray. `None` if the rays are
+/// parallel.
+pub fn depth_sigma(
+    point: &Point3<f64>,
+    centres_and_focals: impl Iterator<Item = (Point3<f64>, f64)>,
+) -> Option<f64> {
     let mut information = Matrix3::zeros();
     let mut mean = Vector3::zeros();
     for (centre, focal) in centres_and_focals {
@@ -88,13 +113,16 @@ pub fn depth_sigma(point: &Point3<f64>, centres_and_focals: impl Iterator<Item =
 /// Returns the views of several points, ascending, without duplicates.
 pub fn views_of(scene: &Scene, points: &[PointIndex], views: &mut Vec<ViewIndex>) {
     views.clear();
-    points.iter().for_each(|&p| views.extend(scene.track_views(p)));
+    points
+        .iter()
+        .for_each(|&p| views.extend(scene.track_views(p)));
     views.sort_unstable();
     views.dedup();
 }
 
-/// Keeps at most `most` of the directions: the one farthest from their mean, then repeatedly the one farthest from those kept.
-/// Returns their indices in `directions` (unit vectors), in that order.
+/// Keeps at most `most` of the directions: the one farthest from their mean, then repeatedly the
+/// one farthest from those kept. Returns their indices in `directions` (unit vectors), in that
+/// order.
 pub fn extremes(directions: &[Vector3<f64>], most: usize) -> Vec<usize> {
     if directions.len() <= most {
         return (0..directions.len()).collect();
@@ -104,7 +132,9 @@ pub fn extremes(directions: &[Vector3<f64>], most: usize) -> Vec<usize> {
     // Cosine to the nearest direction that is kept.
     let mut nearness: Vec<f64> = directions.iter().map(|d| d.dot(&mean)).collect();
     while kept.len() < most {
-        let farthest = (0..directions.len()).min_by(|&a, &b| nearness[a].total_cmp(&nearness[b])).unwrap_or(0);
+        let farthest = (0..directions.len())
+            .min_by(|&a, &b| nearness[a].total_cmp(&nearness[b]))
+            .unwrap_or(0);
         if kept.is_empty() {
             nearness.fill(f64::NEG_INFINITY);
         }

@@ -1,4 +1,5 @@
-//! Quadric error metrics (Garland, Heckbert 1997): weighted sums of squared distances to planes and points.
+//! Quadric error metrics (Garland, Heckbert 1997): weighted sums of squared distances to planes and
+//! points.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -26,7 +27,15 @@ impl Quadric {
         let (n, d) = (normal, -normal.dot(&through));
         let w = weight;
         Self {
-            a: [n.x * n.x, n.x * n.y, n.x * n.z, n.y * n.y, n.y * n.z, n.z * n.z].map(|v| w * v),
+            a: [
+                n.x * n.x,
+                n.x * n.y,
+                n.x * n.z,
+                n.y * n.y,
+                n.y * n.z,
+                n.z * n.z,
+            ]
+            .map(|v| w * v),
             b: [w * d * n.x, w * d * n.y, w * d * n.z],
             c: w * d * d,
         }
@@ -34,7 +43,11 @@ impl Quadric {
 
     /// w |x - p|².
     fn pull(p: Vector3<f64>, w: f64) -> Self {
-        Self { a: [w, 0.0, 0.0, w, 0.0, w], b: [-w * p.x, -w * p.y, -w * p.z], c: w * p.norm_squared() }
+        Self {
+            a: [w, 0.0, 0.0, w, 0.0, w],
+            b: [-w * p.x, -w * p.y, -w * p.z],
+            c: w * p.norm_squared(),
+        }
     }
 
     pub fn add(&mut self, other: &Quadric) {
@@ -60,25 +73,33 @@ impl Quadric {
     }
 }
 
-/// Returns the quadric of each vertex: the planes of its triangles weighted by a third of their areas, planes perpendicular to its border edges
-/// weighted by the squared length of the edge, and the pull to the vertex's position.
+/// Returns the quadric of each vertex: the planes of its triangles weighted by a third of their
+/// areas, planes perpendicular to its border edges weighted by the squared length of the edge, and
+/// the pull to the vertex's position.
 pub fn vertex_quadrics(surface: &Surface, opposite: &[u32]) -> Vec<Quadric> {
     let mut quadrics = vec![Quadric::default(); surface.vertices.len()];
     for (t, corners) in surface.triangles.iter().enumerate() {
         let normal = surface.area_normal(t as u32);
-        let Some(unit) = normal.try_normalize(0.0) else { continue };
+        let Some(unit) = normal.try_normalize(0.0) else {
+            continue;
+        };
         let weight = normal.norm() / 6.0;
         let plane = Quadric::plane(unit, surface.vertices[corners[0] as usize].coords, weight);
         for &v in corners {
             quadrics[v as usize].add(&plane);
-            quadrics[v as usize].add(&Quadric::pull(surface.vertices[v as usize].coords, PULL_WEIGHT * weight));
+            quadrics[v as usize].add(&Quadric::pull(
+                surface.vertices[v as usize].coords,
+                PULL_WEIGHT * weight,
+            ));
         }
     }
     for c in (0..opposite.len() as u32).filter(|&c| opposite[c as usize] == BORDER) {
         let ends = [next(c), prev(c)].map(|c| vertex(&surface.triangles, c) as usize);
         let from = surface.vertices[ends[0]].coords;
         let edge = surface.vertices[ends[1]].coords - from;
-        let Some(upright) = edge.cross(&surface.area_normal(c / 3)).try_normalize(0.0) else { continue };
+        let Some(upright) = edge.cross(&surface.area_normal(c / 3)).try_normalize(0.0) else {
+            continue;
+        };
         let plane = Quadric::plane(upright, from, BORDER_WEIGHT * edge.norm_squared());
         ends.iter().for_each(|&v| quadrics[v].add(&plane));
     }

@@ -1,5 +1,6 @@
-//! Refines the surface (method 1.6): repeatedly splits the edge that exceeds its limit most at its midpoint, with both adjacent triangles,
-//! until every edge is short enough; no vertex is ever on another triangle's edge.
+//! Refines the surface (method 1.6): repeatedly splits the edge that exceeds its limit most at its
+//! midpoint, with both adjacent triangles, until every edge is short enough; no vertex is ever on
+//! another triangle's edge.
 
 use std::collections::BinaryHeap;
 
@@ -13,7 +14,8 @@ use crate::base::progress::{Cancelled, Watcher};
 
 /// Largest number of triangles, whatever the memory.
 pub const MAX_TRIANGLES: u64 = 30_000_000;
-/// Memory per triangle while edges are split, bytes: corners, vertices and the queue, with room to grow.
+/// Memory per triangle while edges are split, bytes: corners, vertices and the queue, with room to
+/// grow.
 pub const TRIANGLE_BYTES: u64 = 120;
 /// Splits between two checks for cancellation; well under 50 ms.
 const CHECK_INTERVAL: usize = 4096;
@@ -24,18 +26,33 @@ pub enum RefineError {
     #[error(
         "edges of at most {limit:.3e} scene units would make about {triangles:.1e} triangles; there is room for {:.1e}", *most as f64
     )]
-    TooFine { limit: f64, triangles: f64, most: u64 },
+    TooFine {
+        limit: f64,
+        triangles: f64,
+        most: u64,
+    },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
-/// Splits edges until each is shorter than the mean limit of its ends, those that exceed it most first; into at most about `most` triangles.
-/// `limits`: by vertex, scene units, above 0.
-pub fn refine(surface: Surface, limits: Vec<f64>, most: u64, watcher: &dyn Watcher) -> Result<Surface, RefineError> {
-    let triangles: f64 = (0..surface.triangles.len() as u32).map(|t| expected_pieces(&surface, &limits, t)).sum();
+/// Splits edges until each is shorter than the mean limit of its ends, those that exceed it most
+/// first; into at most about `most` triangles. `limits`: by vertex, scene units, above 0.
+pub fn refine(
+    surface: Surface,
+    limits: Vec<f64>,
+    most: u64,
+    watcher: &dyn Watcher,
+) -> Result<Surface, RefineError> {
+    let triangles: f64 = (0..surface.triangles.len() as u32)
+        .map(|t| expected_pieces(&surface, &limits, t))
+        .sum();
     if triangles.is_nan() || triangles > most as f64 {
         let limit = limits.iter().copied().fold(f64::INFINITY, f64::min);
-        return Err(RefineError::TooFine { limit, triangles, most });
+        return Err(RefineError::TooFine {
+            limit,
+            triangles,
+            most,
+        });
     }
     let mut mesh = Splitting::new(surface, limits);
     let mut splits = 0usize;
@@ -48,18 +65,25 @@ pub fn refine(surface: Surface, limits: Vec<f64>, most: u64, watcher: &dyn Watch
     Ok(mesh.surface)
 }
 
-/// Estimates the number of triangles with short enough edges that the triangle is split into; never much too low.
+/// Estimates the number of triangles with short enough edges that the triangle is split into; never
+/// much too low.
 fn expected_pieces(surface: &Surface, limits: &[f64], triangle: u32) -> f64 {
     let [a, b, c] = surface.corners(triangle);
     let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
     let corners = surface.triangles[triangle as usize].map(|v| limits[v as usize]);
     let middle = corners.iter().sum::<f64>() / 3.0;
-    // Limits change linearly over the triangle: the rule that is exact for cubic functions, from the corners and the centroid.
-    let per_area = 0.75 / (middle * middle) + corners.iter().map(|limit| 1.0 / (12.0 * limit * limit)).sum::<f64>();
+    // Limits change linearly over the triangle: the rule that is exact for cubic functions, from
+    // the corners and the centroid.
+    let per_area = 0.75 / (middle * middle)
+        + corners
+            .iter()
+            .map(|limit| 1.0 / (12.0 * limit * limit))
+            .sum::<f64>();
     1.0 + longest / middle + 8.0 * surface.area(triangle) * per_area
 }
 
-/// An edge that is too long; sorted by its length relative to its limit, then by the corner that faces it.
+/// An edge that is too long; sorted by its length relative to its limit, then by the corner that
+/// faces it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct LongEdge {
     /// Bits of length over limit, ordered like that.
@@ -78,9 +102,18 @@ struct Splitting {
 impl Splitting {
     fn new(surface: Surface, limits: Vec<f64>) -> Self {
         let opposite = opposites(&surface);
-        let mut mesh = Self { surface, opposite, queue: BinaryHeap::new(), limits };
+        let mut mesh = Self {
+            surface,
+            opposite,
+            queue: BinaryHeap::new(),
+            limits,
+        };
         let corners = 0..mesh.opposite.len() as u32;
-        corners.filter(|&c| c < mesh.opposite[c as usize]).collect::<Vec<_>>().into_iter().for_each(|c| mesh.push(c));
+        corners
+            .filter(|&c| c < mesh.opposite[c as usize])
+            .collect::<Vec<_>>()
+            .into_iter()
+            .for_each(|c| mesh.push(c));
         mesh
     }
 
@@ -101,10 +134,14 @@ impl Splitting {
 
     fn long_edge(&self, corner: u32) -> LongEdge {
         let [a, b] = self.ends(corner);
-        LongEdge { excess: ((b - a).norm() / self.limit(corner)).to_bits(), corner }
+        LongEdge {
+            excess: ((b - a).norm() / self.limit(corner)).to_bits(),
+            corner,
+        }
     }
 
-    /// Queues the edge that the corner faces if it is too long and there is a representable point between its ends.
+    /// Queues the edge that the corner faces if it is too long and there is a representable point
+    /// between its ends.
     fn push(&mut self, corner: u32) {
         let edge = self.long_edge(corner);
         if f64::from_bits(edge.excess) < 1.0 {
@@ -148,8 +185,9 @@ impl Splitting {
         }
     }
 
-    /// Cuts the corner's triangle from the corner to `middle`: it keeps the half at its `next` vertex. Returns the corner of the new
-    /// half at the same vertex. The edges towards `middle` on the cut edge are left for the caller to pair.
+    /// Cuts the corner's triangle from the corner to `middle`: it keeps the half at its `next`
+    /// vertex. Returns the corner of the new half at the same vertex. The edges towards `middle` on
+    /// the cut edge are left for the caller to pair.
     fn halve(&mut self, corner: u32, middle: u32) -> u32 {
         let (t, new) = (corner as usize / 3, self.surface.triangles.len() as u32);
         let [apex, end] = [corner, prev(corner)].map(|c| vertex(&self.surface.triangles, c));
@@ -158,7 +196,8 @@ impl Splitting {
         self.surface.triangles.push([apex, middle, end]);
         let far = 3 * new;
         self.opposite.extend([BORDER; 3]);
-        // The side from `end` to the apex now belongs to the new half; the cut from `middle` to the apex joins the halves.
+        // The side from `end` to the apex now belongs to the new half; the cut from `middle` to the
+        // apex joins the halves.
         self.pair(next(far), self.opposite[next(corner) as usize]);
         self.push(next(far));
         self.pair(next(corner), prev(far));
@@ -190,15 +229,26 @@ mod tests {
         refine(surface, limits, most, &NoWatcher)
     }
 
-    /// Area, volume and topology are unchanged, every edge is short, and new vertices are on the old surface.
+    /// Area, volume and topology are unchanged, every edge is short, and new vertices are on the
+    /// old surface.
     #[test]
     fn splits_until_short_and_changes_no_shape() {
-        for surface in [shapes::sphere(1), shapes::torus(5), shapes::terrain(2, |x, y| x * y)] {
-            let (before, area, volume) =
-                (check_manifold(&surface), shapes::total_area(&surface), shapes::volume(&surface));
+        for surface in [
+            shapes::sphere(1),
+            shapes::torus(5),
+            shapes::terrain(2, |x, y| x * y),
+        ] {
+            let (before, area, volume) = (
+                check_manifold(&surface),
+                shapes::total_area(&surface),
+                shapes::volume(&surface),
+            );
             let refined = refine_evenly(surface, 0.11, MAX_TRIANGLES).unwrap();
             let after = check_manifold(&refined);
-            assert_eq!(after.map(|t| (t.euler, t.components)), before.map(|t| (t.euler, t.components)));
+            assert_eq!(
+                after.map(|t| (t.euler, t.components)),
+                before.map(|t| (t.euler, t.components))
+            );
             assert!(shapes::sides(&refined).all(|s| s < 0.11));
             assert!((shapes::total_area(&refined) - area).abs() < 1e-12 * area);
             assert!((shapes::volume(&refined) - volume).abs() < 1e-12);
@@ -215,7 +265,10 @@ mod tests {
     fn refuses_what_would_not_fit_into_memory() {
         for (limit, most) in [(1e-9, MAX_TRIANGLES), (0.1, 1000)] {
             let refused = refine_evenly(shapes::sphere(0), limit, most);
-            assert!(matches!(refused, Err(RefineError::TooFine { .. })), "{refused:?}");
+            assert!(
+                matches!(refused, Err(RefineError::TooFine { .. })),
+                "{refused:?}"
+            );
         }
     }
 
@@ -229,13 +282,24 @@ mod tests {
         let refined = refine(surface.clone(), limits, MAX_TRIANGLES, &NoWatcher).unwrap();
         for t in 0..refined.triangles.len() as u32 {
             let [a, b, c] = refined.corners(t);
-            assert!([(a, b), (b, c), (c, a)].iter().all(|(a, b)| (a - b).norm() < limit((a.x + b.x) / 2.0) + 1e-12));
+            assert!(
+                [(a, b), (b, c), (c, a)]
+                    .iter()
+                    .all(|(a, b)| (a - b).norm() < limit((a.x + b.x) / 2.0) + 1e-12)
+            );
             let [x, area] = [refined.centroid(t).x, refined.area(t)];
             assert!(area > 0.005 * limit(x).powi(2), "{area} at {x}");
         }
         let evenly = refine_evenly(surface, limit(0.0), MAX_TRIANGLES).unwrap();
         let count = refined.triangles.len();
-        assert!(count < evenly.triangles.len() / 5, "{count} of {}", evenly.triangles.len());
-        assert!(expected > count as f64 && expected < 8.0 * count as f64, "{expected} for {count}");
+        assert!(
+            count < evenly.triangles.len() / 5,
+            "{count} of {}",
+            evenly.triangles.len()
+        );
+        assert!(
+            expected > count as f64 && expected < 8.0 * count as f64,
+            "{expected} for {count}"
+        );
     }
 }

@@ -6,25 +6,49 @@ use nalgebra::{Point3, Vector3};
 
 use super::{Surface, SurfaceKind};
 
-/// A square from (0, 0) to (1, 1) of n x n cells at the heights of a function of (x, y), normals up.
+/// A square from (0, 0) to (1, 1) of n x n cells at the heights of a function of (x, y), normals
+/// up.
 pub fn terrain(n: u32, height: impl Fn(f64, f64) -> f64) -> Surface {
     let at = |i: u32| f64::from(i) / f64::from(n);
     let ids = (0..=n).flat_map(|y| (0..=n).map(move |x| (x, y)));
-    let vertices = ids.map(|(x, y)| Point3::new(at(x), at(y), height(at(x), at(y)))).collect();
+    let vertices = ids
+        .map(|(x, y)| Point3::new(at(x), at(y), height(at(x), at(y))))
+        .collect();
     let cell = |x: u32, y: u32| {
         let a = y * (n + 1) + x;
         [[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]
     };
-    let triangles = (0..n).flat_map(|y| (0..n).flat_map(move |x| cell(x, y))).collect();
-    Surface { kind: SurfaceKind::Mesh, vertices, triangles }
+    let triangles = (0..n)
+        .flat_map(|y| (0..n).flat_map(move |x| cell(x, y)))
+        .collect();
+    Surface {
+        kind: SurfaceKind::Mesh,
+        vertices,
+        triangles,
+    }
 }
 
 /// The unit sphere about the origin: an octahedron with each triangle quartered `rounds` times.
 pub fn sphere(rounds: u32) -> Surface {
-    let axes = [Vector3::x(), Vector3::y(), Vector3::z(), -Vector3::x(), -Vector3::y(), -Vector3::z()];
+    let axes = [
+        Vector3::x(),
+        Vector3::y(),
+        Vector3::z(),
+        -Vector3::x(),
+        -Vector3::y(),
+        -Vector3::z(),
+    ];
     let mut vertices: Vec<Point3<f64>> = axes.map(Point3::from).to_vec();
-    let mut triangles: Vec<[u32; 3]> =
-        vec![[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]];
+    let mut triangles: Vec<[u32; 3]> = vec![
+        [0, 1, 2],
+        [1, 3, 2],
+        [3, 4, 2],
+        [4, 0, 2],
+        [1, 0, 5],
+        [3, 1, 5],
+        [4, 3, 5],
+        [0, 4, 5],
+    ];
     for _ in 0..rounds {
         let mut middles = HashMap::new();
         let mut middle = |a: u32, b: u32| {
@@ -40,7 +64,11 @@ pub fn sphere(rounds: u32) -> Surface {
         };
         triangles = triangles.into_iter().flat_map(quarter).collect();
     }
-    Surface { kind: SurfaceKind::Mesh, vertices, triangles }
+    Surface {
+        kind: SurfaceKind::Mesh,
+        vertices,
+        triangles,
+    }
 }
 
 /// A torus about the z axis with radii 1 and 0.4 of n x n cells.
@@ -57,8 +85,14 @@ pub fn torus(n: u32) -> Surface {
         let [a, b, c, d] = [id(i, j), id(i + 1, j), id(i + 1, j + 1), id(i, j + 1)];
         [[a, b, c], [a, c, d]]
     };
-    let triangles = (0..n).flat_map(|i| (0..n).flat_map(move |j| cell(i, j))).collect();
-    Surface { kind: SurfaceKind::Mesh, vertices, triangles }
+    let triangles = (0..n)
+        .flat_map(|i| (0..n).flat_map(move |j| cell(i, j)))
+        .collect();
+    Surface {
+        kind: SurfaceKind::Mesh,
+        vertices,
+        triangles,
+    }
 }
 
 /// Volume inside a closed surface, negative where normals point inwards.
@@ -80,5 +114,7 @@ pub fn sides(surface: &Surface) -> impl Iterator<Item = f64> + '_ {
 
 /// Sum of the triangles' areas.
 pub fn total_area(surface: &Surface) -> f64 {
-    (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum()
+    (0..surface.triangles.len() as u32)
+        .map(|t| surface.area(t))
+        .sum()
 }

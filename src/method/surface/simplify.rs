@@ -1,8 +1,10 @@
-//! Quadric edge collapse (method 1.5; Garland, Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997).
+//! Quadric edge collapse (method 1.5; Garland, Heckbert, "Surface Simplification Using Quadric
+//! Error Metrics", 1997).
 //!
-//! The quadric of a vertex has the planes of its triangles, planes perpendicular to its border edges, and a small pull to its position, which keeps the
-//! minimum unique on planes and the triangles well shaped. The edge of least cost that is shorter than the limit and whose collapse preserves manifold,
-//! border and orientation is collapsed first, until enough edges are long.
+//! The quadric of a vertex has the planes of its triangles, planes perpendicular to its border
+//! edges, and a small pull to its position, which keeps the minimum unique on planes and the
+//! triangles well shaped. The edge of least cost that is shorter than the limit and whose collapse
+//! preserves manifold, border and orientation is collapsed first, until enough edges are long.
 
 use std::cmp::Reverse;
 
@@ -26,18 +28,25 @@ const MIN_TURN_COSINE: f64 = 0.173_648_177_666_930_33;
 /// Collapses between two checks for cancellation; well under 50 ms.
 const CHECK_INTERVAL: usize = 4096;
 
-/// Collapses edges until 95 % of them are at least as long as the mean target of their ends, or no edge can be collapsed. `targets`: by vertex, scene
-/// units. The surface must be an oriented manifold with borders and remains one.
-pub fn simplify(surface: Surface, targets: Vec<f64>, watcher: &dyn Watcher) -> Result<Surface, Cancelled> {
+/// Collapses edges until 95 % of them are at least as long as the mean target of their ends, or no
+/// edge can be collapsed. `targets`: by vertex, scene units. The surface must be an oriented
+/// manifold with borders and remains one.
+pub fn simplify(
+    surface: Surface,
+    targets: Vec<f64>,
+    watcher: &dyn Watcher,
+) -> Result<Surface, Cancelled> {
     let mut mesh = EdgeCollapse::new(surface, targets);
     // A rejected collapse may become valid after its neighbourhood has changed, hence rounds.
     while !mesh.is_done() && mesh.collapse_round(watcher)? > 0 {}
     Ok(mesh.finish())
 }
 
-/// Candidate edge, ordered by cost, then vertices; stale if the stamps of its vertices have changed.
+/// Candidate edge, ordered by cost, then vertices; stale if the stamps of its vertices have
+/// changed.
 ///
-/// Packs the bits of the non-negative cost, which are ordered like the cost, the two vertices and their stamps: one comparison.
+/// Packs the bits of the non-negative cost, which are ordered like the cost, the two vertices and
+/// their stamps: one comparison.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Candidate(u128);
 
@@ -77,7 +86,10 @@ struct EdgeCollapse {
 impl EdgeCollapse {
     fn new(mut surface: Surface, targets: Vec<f64>) -> Self {
         let opposite = opposites(&surface);
-        let shift = surface.vertices.first().map_or(Vector3::zeros(), |v| v.coords);
+        let shift = surface
+            .vertices
+            .first()
+            .map_or(Vector3::zeros(), |v| v.coords);
         surface.vertices.iter_mut().for_each(|v| *v -= shift);
         let vertices = surface.vertices.len();
         let mut corner_of = vec![BORDER; vertices];
@@ -122,7 +134,10 @@ impl EdgeCollapse {
     }
 
     fn ends(&self, corner: u32) -> (u32, u32) {
-        (vertex(&self.surface.triangles, next(corner)), vertex(&self.surface.triangles, prev(corner)))
+        (
+            vertex(&self.surface.triangles, next(corner)),
+            vertex(&self.surface.triangles, prev(corner)),
+        )
     }
 
     fn position(&self, vertex: u32) -> Point3<f64> {
@@ -142,7 +157,8 @@ impl EdgeCollapse {
         }
     }
 
-    /// Tries every candidate, cheapest first, until enough edges are long. Returns the number of collapses.
+    /// Tries every candidate, cheapest first, until enough edges are long. Returns the number of
+    /// collapses.
     fn collapse_round(&mut self, watcher: &dyn Watcher) -> Result<usize, Cancelled> {
         let edges: Vec<u32> = self.edge_corners().collect();
         let candidate = |&corner: &u32| self.candidate(self.ends(corner)).map(Reverse);
@@ -176,7 +192,8 @@ impl EdgeCollapse {
         self.stamps[a as usize].wrapping_add(self.stamps[b as usize])
     }
 
-    /// Returns the position of the merged vertex and the quadric error there. A border vertex keeps its position if an inner one is merged into it.
+    /// Returns the position of the merged vertex and the quadric error there. A border vertex keeps
+    /// its position if an inner one is merged into it.
     fn placement(&self, a: u32, b: u32) -> (Point3<f64>, f64) {
         let mut quadric = self.quadrics[a as usize];
         quadric.add(&self.quadrics[b as usize]);
@@ -186,7 +203,10 @@ impl EdgeCollapse {
             (true, false) => p,
             (false, true) => q,
             // An ill-conditioned minimum may be far away.
-            _ => quadric.minimum().filter(|x| (x - middle).norm() <= (p - q).norm()).unwrap_or(middle),
+            _ => quadric
+                .minimum()
+                .filter(|x| (x - middle).norm() <= (p - q).norm())
+                .unwrap_or(middle),
         };
         (Point3::from(best), quadric.evaluate(&best))
     }
@@ -198,7 +218,9 @@ impl EdgeCollapse {
             return false;
         }
         let rings = [self.ring(from), self.ring(to)];
-        let Some(corner) = self.corner_facing(&rings[0], to) else { return false };
+        let Some(corner) = self.corner_facing(&rings[0], to) else {
+            return false;
+        };
         let (place, _) = self.placement(from, to);
         if !self.keeps_manifold(corner, &rings) || !self.keeps_orientation(corner, &rings, place) {
             return false;
@@ -230,15 +252,17 @@ impl EdgeCollapse {
     /// Returns a corner that faces the edge from the ring's vertex to the other.
     fn corner_facing(&self, ring: &[u32], other: u32) -> Option<u32> {
         let at = |c| vertex(&self.surface.triangles, c);
-        ring.iter().find_map(
-            |&c| {
-                if at(next(c)) == other { Some(prev(c)) } else { (at(prev(c)) == other).then(|| next(c)) }
-            },
-        )
+        ring.iter().find_map(|&c| {
+            if at(next(c)) == other {
+                Some(prev(c))
+            } else {
+                (at(prev(c)) == other).then(|| next(c))
+            }
+        })
     }
 
-    /// Returns whether the link condition holds: the two ends share only the apexes of the triangles at the edge; the border counts as a vertex that all
-    /// border vertices share.
+    /// Returns whether the link condition holds: the two ends share only the apexes of the
+    /// triangles at the edge; the border counts as a vertex that all border vertices share.
     fn keeps_manifold(&mut self, corner: u32, rings: &[Vec<u32>; 2]) -> bool {
         let (a, b) = self.ends(corner);
         let across = self.opposite[corner as usize];
@@ -261,25 +285,39 @@ impl EdgeCollapse {
             let corners = ring.iter().flat_map(|&c| [next(c), prev(c)]);
             corners.map(|c| vertex(triangles, c)).collect::<Vec<_>>()
         };
-        self.marks.common(&neighbours(&rings[0]), &neighbours(&rings[1])) == sides
+        self.marks
+            .common(&neighbours(&rings[0]), &neighbours(&rings[1]))
+            == sides
     }
 
     /// Returns whether no normal rotates by more than 80 degrees and no triangle degenerates.
     fn keeps_orientation(&self, corner: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) -> bool {
         let removed = [corner / 3, self.opposite[corner as usize] / 3];
-        let mut left = rings.iter().flatten().filter(|&&c| !removed.contains(&(c / 3)));
+        let mut left = rings
+            .iter()
+            .flatten()
+            .filter(|&&c| !removed.contains(&(c / 3)));
         left.all(|&c| {
             let at = |c| self.position(vertex(&self.surface.triangles, c));
             let (p, q) = (at(next(c)), at(prev(c)));
             let before = (p - at(c)).cross(&(q - at(c)));
             let after = (p - place).cross(&(q - place));
             let size = before.norm() * after.norm();
-            after.norm_squared() > 0.0 && (before.dot(&after) >= MIN_TURN_COSINE * size || before.norm_squared() == 0.0)
+            after.norm_squared() > 0.0
+                && (before.dot(&after) >= MIN_TURN_COSINE * size || before.norm_squared() == 0.0)
         })
     }
 
-    /// Merges `to` into `from` at the position and removes the triangles at the edge that the corner faces.
-    fn collapse(&mut self, corner: u32, from: u32, to: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) {
+    /// Merges `to` into `from` at the position and removes the triangles at the edge that the
+    /// corner faces.
+    fn collapse(
+        &mut self,
+        corner: u32,
+        from: u32,
+        to: u32,
+        rings: &[Vec<u32>; 2],
+        place: Point3<f64>,
+    ) {
         self.count_ring_edges(&rings[0], from, None, -1);
         self.count_ring_edges(&rings[1], to, Some(from), -1);
         let across = self.opposite[corner as usize];
@@ -291,15 +329,19 @@ impl EdgeCollapse {
             self.surface.triangles[c as usize / 3][c as usize % 3] = from;
         }
         let is_left = |c: &&u32| self.is_kept[**c as usize / 3];
-        self.corner_of[from as usize] =
-            *rings.iter().flatten().find(is_left).expect("the link condition leaves a triangle");
+        self.corner_of[from as usize] = *rings
+            .iter()
+            .flatten()
+            .find(is_left)
+            .expect("the link condition leaves a triangle");
         self.corner_of[to as usize] = BORDER;
         self.is_border[from as usize] |= self.is_border[to as usize];
         let absorbed = self.quadrics[to as usize];
         self.quadrics[from as usize].add(&absorbed);
         self.stamps[from as usize] = self.stamps_of(from, to).wrapping_add(1);
         self.surface.vertices[from as usize] = place;
-        self.targets[from as usize] = (self.targets[from as usize] + self.targets[to as usize]) / 2.0;
+        self.targets[from as usize] =
+            (self.targets[from as usize] + self.targets[to as usize]) / 2.0;
         let ring = self.ring(from);
         self.count_ring_edges(&ring, from, None, 1);
         self.for_ring_neighbours(&ring, |mesh, v| {
@@ -327,7 +369,8 @@ impl EdgeCollapse {
         });
     }
 
-    /// Removes the triangle of a corner whose facing edge collapses: its two other sides become one.
+    /// Removes the triangle of a corner whose facing edge collapses: its two other sides become
+    /// one.
     fn take_out(&mut self, corner: u32) {
         let apex = vertex(&self.surface.triangles, corner) as usize;
         let [left, right] = [next(corner), prev(corner)].map(|c| self.opposite[c as usize]);
@@ -343,7 +386,10 @@ impl EdgeCollapse {
     }
 
     fn finish(mut self) -> Surface {
-        self.surface.vertices.iter_mut().for_each(|v| *v += self.shift);
+        self.surface
+            .vertices
+            .iter_mut()
+            .for_each(|v| *v += self.shift);
         self.surface.keep(&self.is_kept)
     }
 }
@@ -356,7 +402,10 @@ struct Marks {
 
 impl Marks {
     fn new(vertices: usize) -> Self {
-        Self { marks: vec![0; vertices], latest: 0 }
+        Self {
+            marks: vec![0; vertices],
+            latest: 0,
+        }
     }
 
     /// Returns the number of distinct vertices in both lists.
@@ -393,7 +442,8 @@ mod tests {
     }
 
     fn long_share(surface: &Surface, target: f64) -> f64 {
-        let (long, all) = shapes::sides(surface).fold((0, 0), |(l, n), s| (l + u32::from(s >= target), n + 1));
+        let (long, all) =
+            shapes::sides(surface).fold((0, 0), |(l, n), s| (l + u32::from(s >= target), n + 1));
         f64::from(long) / f64::from(all)
     }
 
@@ -402,26 +452,44 @@ mod tests {
         let surface = shapes::sphere(5);
         let volume = shapes::volume(&surface);
         let simple = evenly(surface, 0.2);
-        assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.border_edges)), Ok((2, 0)));
+        assert_eq!(
+            check_manifold(&simple).map(|t| (t.euler, t.border_edges)),
+            Ok((2, 0))
+        );
         assert!(long_share(&simple, 0.2) >= 0.95);
         // Triangles of side s with corners on the sphere lose 3/8 s² of its volume.
         let loss = 1.0 - shapes::volume(&simple) / volume;
         assert!(loss.abs() < 0.375 * 0.2 * 0.2, "{loss}");
-        assert!(simple.vertices.iter().all(|v| (v.coords.norm() - 1.0).abs() < 0.02));
+        assert!(
+            simple
+                .vertices
+                .iter()
+                .all(|v| (v.coords.norm() - 1.0).abs() < 0.02)
+        );
     }
 
     #[test]
     fn a_torus_stays_a_torus() {
         let simple = evenly(shapes::torus(60), 0.15);
-        assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.border_edges, t.components)), Ok((0, 0, 1)));
+        assert_eq!(
+            check_manifold(&simple).map(|t| (t.euler, t.border_edges, t.components)),
+            Ok((0, 0, 1))
+        );
     }
 
     #[test]
     fn a_plane_stays_plane_and_keeps_its_outline() {
         let simple = evenly(shapes::terrain(40, |_, _| 0.0), 0.12);
-        assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.components)), Ok((1, 1)));
+        assert_eq!(
+            check_manifold(&simple).map(|t| (t.euler, t.components)),
+            Ok((1, 1))
+        );
         assert!(simple.vertices.iter().all(|v| v.z.abs() < 1e-12));
-        assert!((shapes::total_area(&simple) - 1.0).abs() < 0.02, "{}", shapes::total_area(&simple));
+        assert!(
+            (shapes::total_area(&simple) - 1.0).abs() < 0.02,
+            "{}",
+            shapes::total_area(&simple)
+        );
         assert!((0..simple.triangles.len() as u32).all(|t| simple.area_normal(t).z > 0.0));
     }
 
@@ -442,7 +510,11 @@ mod tests {
     #[test]
     fn a_roof_ridge_is_kept_while_its_sides_are_thinned() {
         let simple = evenly(shapes::terrain(40, |x, _| (x - 0.5).abs()), 0.15);
-        let height_error = simple.vertices.iter().map(|v| (v.z - (v.x - 0.5).abs()).abs()).fold(0.0, f64::max);
+        let height_error = simple
+            .vertices
+            .iter()
+            .map(|v| (v.z - (v.x - 0.5).abs()).abs())
+            .fold(0.0, f64::max);
         assert!(height_error < 0.01, "{height_error}");
     }
 

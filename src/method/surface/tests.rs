@@ -14,7 +14,8 @@ use crate::{
     },
 };
 
-/// Points on a known surface, each with its outward normal, seen by pinhole cameras that look at the origin.
+/// Points on a known surface, each with its outward normal, seen by pinhole cameras that look at
+/// the origin.
 struct Shape {
     points: Vec<(Point3<f64>, Vector3<f64>)>,
     centres: Vec<Point3<f64>>,
@@ -25,24 +26,44 @@ struct Shape {
 impl Shape {
     /// Each view observes the points that face it by less than 75 degrees.
     fn scene(&self) -> Scene {
-        let camera = Camera::new(1, CameraModel::Pinhole, 2000, 2000, vec![1000.0, 1000.0, 1000.0, 1000.0]).unwrap();
-        let mut scene = Scene { cameras: vec![camera], track_offsets: vec![0], ..Scene::default() };
+        let camera = Camera::new(
+            1,
+            CameraModel::Pinhole,
+            2000,
+            2000,
+            vec![1000.0, 1000.0, 1000.0, 1000.0],
+        )
+        .unwrap();
+        let mut scene = Scene {
+            cameras: vec![camera],
+            track_offsets: vec![0],
+            ..Scene::default()
+        };
         for (i, centre) in self.centres.iter().enumerate() {
-            let up = if centre.x.hypot(centre.y) < 1e-9 { Vector3::y() } else { Vector3::z() };
+            let up = if centre.x.hypot(centre.y) < 1e-9 {
+                Vector3::y()
+            } else {
+                Vector3::z()
+            };
             let rotation = Rotation3::face_towards(&-centre.coords, &-up).inverse();
             scene.views.push(View {
                 name: format!("{i:03}.jpg"),
                 image_id: i as u32,
                 file_position: i as u32,
                 camera: CameraIndex(0),
-                cam_from_world: Pose { rotation, translation: -(rotation * (centre.coords + self.offset)) },
+                cam_from_world: Pose {
+                    rotation,
+                    translation: -(rotation * (centre.coords + self.offset)),
+                },
             });
         }
         for (i, (point, normal)) in self.points.iter().enumerate() {
             let world = point + self.offset;
             for v in 0..scene.views.len() as u32 {
                 let towards = (self.centres[v as usize] - point).normalize();
-                let x_cam = scene.views[v as usize].cam_from_world.camera_from_world(&world);
+                let x_cam = scene.views[v as usize]
+                    .cam_from_world
+                    .camera_from_world(&world);
                 if normal.dot(&towards) > 0.26
                     && let Some(pixel) = scene.cameras[0].project(&x_cam)
                 {
@@ -61,7 +82,10 @@ impl Shape {
 
 /// The two-dimensional R2 sequence: even and never regular.
 fn even(i: usize) -> Vector2<f64> {
-    Vector2::new((0.754_877_666 * i as f64).fract(), (0.569_840_291 * i as f64).fract())
+    Vector2::new(
+        (0.754_877_666 * i as f64).fract(),
+        (0.569_840_291 * i as f64).fract(),
+    )
 }
 
 fn on_sphere(i: usize) -> Vector3<f64> {
@@ -72,9 +96,15 @@ fn on_sphere(i: usize) -> Vector3<f64> {
 }
 
 fn ball(count: usize) -> Shape {
-    let points = (0..count).map(|i| (Point3::from(on_sphere(i)), on_sphere(i))).collect();
+    let points = (0..count)
+        .map(|i| (Point3::from(on_sphere(i)), on_sphere(i)))
+        .collect();
     let centres = (0..40).map(|i| Point3::from(on_sphere(i) * 4.0)).collect();
-    Shape { points, centres, offset: Vector3::zeros() }
+    Shape {
+        points,
+        centres,
+        offset: Vector3::zeros(),
+    }
 }
 
 /// A field of 6 x 6 with a block of 2 x 2 x 1 on it, flown over at height 5.
@@ -87,31 +117,75 @@ fn block() -> Shape {
     }
     for i in 0..1600 {
         let (e, side) = (even(i), i % 4);
-        let wall = Rotation3::from_axis_angle(&Vector3::z_axis(), side as f64 * std::f64::consts::FRAC_PI_2);
-        points.push((wall * Point3::new(1.0, 2.0 * e.x - 1.0, e.y), wall * Vector3::x()));
+        let wall = Rotation3::from_axis_angle(
+            &Vector3::z_axis(),
+            side as f64 * std::f64::consts::FRAC_PI_2,
+        );
+        points.push((
+            wall * Point3::new(1.0, 2.0 * e.x - 1.0, e.y),
+            wall * Vector3::x(),
+        ));
     }
-    let centres =
-        (0..49).map(|i| Point3::new(f64::from(i % 7) * 2.0 - 6.0, f64::from(i / 7) * 2.0 - 6.0, 5.0)).collect();
-    Shape { points, centres, offset: Vector3::zeros() }
+    let centres = (0..49)
+        .map(|i| {
+            Point3::new(
+                f64::from(i % 7) * 2.0 - 6.0,
+                f64::from(i / 7) * 2.0 - 6.0,
+                5.0,
+            )
+        })
+        .collect();
+    Shape {
+        points,
+        centres,
+        offset: Vector3::zeros(),
+    }
 }
 
 fn settings(kind: SurfaceChoice) -> SurfaceSettings {
-    SurfaceSettings { kind, ..SurfaceSettings::default() }
+    SurfaceSettings {
+        kind,
+        ..SurfaceSettings::default()
+    }
 }
 
 fn built(shape: &Shape, gsd: f64, kind: SurfaceChoice) -> (Surface, SurfaceStats) {
-    build(&shape.scene(), &WantedGsd::uniform(gsd), &settings(kind), None, refine::MAX_TRIANGLES, &NoWatcher).unwrap()
+    build(
+        &shape.scene(),
+        &WantedGsd::uniform(gsd),
+        &settings(kind),
+        None,
+        refine::MAX_TRIANGLES,
+        &NoWatcher,
+    )
+    .unwrap()
 }
 
 #[test]
 fn a_ball_seen_from_all_sides_is_closed() {
-    for offset in [Vector3::zeros(), Vector3::new(400_000.0, 5_800_000.0, 300.0)] {
-        let (surface, stats) = built(&Shape { offset, ..ball(3000) }, 0.004, SurfaceChoice::Auto);
+    for offset in [
+        Vector3::zeros(),
+        Vector3::new(400_000.0, 5_800_000.0, 300.0),
+    ] {
+        let (surface, stats) = built(
+            &Shape {
+                offset,
+                ..ball(3000)
+            },
+            0.004,
+            SurfaceChoice::Auto,
+        );
         assert_eq!(surface.kind, SurfaceKind::Carved);
         assert_eq!(stats.points, 3000);
         let topology = check_manifold(&surface).unwrap();
-        assert_eq!((topology.euler, topology.border_edges, topology.components), (2, 0, 1));
-        let centred = Surface { vertices: surface.vertices.iter().map(|v| v - offset).collect(), ..surface };
+        assert_eq!(
+            (topology.euler, topology.border_edges, topology.components),
+            (2, 0, 1)
+        );
+        let centred = Surface {
+            vertices: surface.vertices.iter().map(|v| v - offset).collect(),
+            ..surface
+        };
         let share = shapes::volume(&centred) / (4.0 / 3.0 * std::f64::consts::PI);
         assert!((0.97..1.01).contains(&share), "{share}");
     }
@@ -134,7 +208,10 @@ fn a_block_on_a_field_stands_upright() {
             &mut down
         }) += surface.area(t);
     }
-    assert!((33.0..37.0).contains(&up) && (6.0..10.0).contains(&side) && down < 0.3, "{up} {side} {down}");
+    assert!(
+        (33.0..37.0).contains(&up) && (6.0..10.0).contains(&side) && down < 0.3,
+        "{up} {side} {down}"
+    );
 }
 
 #[test]
@@ -151,20 +228,37 @@ fn the_terrain_of_the_block_has_no_overhang() {
     }
 }
 
-/// Tops of images that look down say nothing of what is up, and neither does the thinnest axis of a narrow scene with relief.
+/// Tops of images that look down say nothing of what is up, and neither does the thinnest axis of a
+/// narrow scene with relief.
 #[test]
 fn up_is_against_the_views_of_a_nadir_flight() {
-    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![400.0, 400.0, 200.0, 150.0]).unwrap();
-    let mut scene = Town { tilt: None, ..Town::new(camera) }.scene();
-    let corridor = |i: usize| Point3::new(100.0 * even(i).x, 12.0 * even(i).y, 14.0 * even(i * i).x);
+    let camera = Camera::new(
+        1,
+        CameraModel::Pinhole,
+        400,
+        300,
+        vec![400.0, 400.0, 200.0, 150.0],
+    )
+    .unwrap();
+    let mut scene = Town {
+        tilt: None,
+        ..Town::new(camera)
+    }
+    .scene();
+    let corridor =
+        |i: usize| Point3::new(100.0 * even(i).x, 12.0 * even(i).y, 14.0 * even(i * i).x);
     scene.points = (0..500).map(corridor).collect();
     let up = |scene: &Scene| UprightFrame::new(&scene.points, scene, None).up();
     assert!(up(&scene).z > 0.999, "{}", up(&scene));
-    // Views along the corridor, as from a car, or upon it from the side, see its top at the top of their images.
+    // Views along the corridor, as from a car, or upon it from the side, see its top at the top of
+    // their images.
     for [right, ahead] in [[-Vector3::y(), Vector3::x()], [Vector3::x(), Vector3::y()]] {
         let rows = [right, -Vector3::z(), ahead].map(|axis| axis.transpose());
         let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
-        scene.views.iter_mut().for_each(|view| view.cam_from_world.rotation = rotation);
+        scene
+            .views
+            .iter_mut()
+            .for_each(|view| view.cam_from_world.rotation = rotation);
         assert!(up(&scene).z > 0.999, "{}", up(&scene));
     }
 }
@@ -173,7 +267,10 @@ fn up_is_against_the_views_of_a_nadir_flight() {
 fn one_thread_and_several_make_the_same_surface() {
     let shape = block();
     let with_threads = |n| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(n)
+            .build()
+            .unwrap();
         pool.install(|| built(&shape, 0.005, SurfaceChoice::Carved))
     };
     let ((a, _), (b, _)) = (with_threads(1), with_threads(5));
@@ -193,8 +290,17 @@ fn a_plane_stays_a_plane() {
         let (surface, _) = built(&shape, 0.01, kind);
         assert_eq!(surface.kind, SurfaceKind::Terrain);
         check_manifold(&surface).unwrap();
-        assert!(surface.vertices.iter().all(|v| (tilt.inverse() * v).z.abs() < 1e-9));
-        assert!((10.0..=16.0).contains(&shapes::total_area(&surface)), "{}", shapes::total_area(&surface));
+        assert!(
+            surface
+                .vertices
+                .iter()
+                .all(|v| (tilt.inverse() * v).z.abs() < 1e-9)
+        );
+        assert!(
+            (10.0..=16.0).contains(&shapes::total_area(&surface)),
+            "{}",
+            shapes::total_area(&surface)
+        );
     }
 }
 
@@ -214,11 +320,21 @@ fn few_points_and_lines_are_refused_with_a_cure() {
         .unwrap_err()
         .to_string()
     };
-    assert!(message(&few).starts_with("only 3 different sparse points"), "{}", message(&few));
+    assert!(
+        message(&few).starts_with("only 3 different sparse points"),
+        "{}",
+        message(&few)
+    );
     assert!(message(&ball(0)).starts_with("only 0 different"));
     let mut line = ball(0);
-    line.points =
-        (0..200).map(|i| (Point3::from(Vector3::new(0.3, 0.1, 0.7) * f64::from(i) / 200.0), Vector3::x())).collect();
+    line.points = (0..200)
+        .map(|i| {
+            (
+                Point3::from(Vector3::new(0.3, 0.1, 0.7) * f64::from(i) / 200.0),
+                Vector3::x(),
+            )
+        })
+        .collect();
     assert!(message(&line).contains("on one line"), "{}", message(&line));
 }
 
@@ -235,7 +351,9 @@ fn nine_of_ten_points_may_be_repeated() {
 fn points_that_do_not_fit_their_views_are_left_out() {
     let mut scene = ball(500).scene();
     let track = scene.track(PointIndex(7));
-    scene.track_pixels[track].iter_mut().for_each(|p| p[0] += 30.0);
+    scene.track_pixels[track]
+        .iter_mut()
+        .for_each(|p| p[0] += 30.0);
     let track = scene.track(PointIndex(9));
     let first = scene.track_views[track.start];
     scene.track_views[track].fill(first);
@@ -269,13 +387,19 @@ fn a_mesh_from_a_file_is_simplified_refined_or_left() {
             &scene,
             &WantedGsd::uniform(0.01),
             &SurfaceSettings::default(),
-            Some(&MeshFile { path: path.clone(), as_is }),
+            Some(&MeshFile {
+                path: path.clone(),
+                as_is,
+            }),
             refine::MAX_TRIANGLES,
             &NoWatcher,
         )
     };
     let (whole, _) = from(true).unwrap();
-    assert_eq!((whole.kind, whole.triangles), (SurfaceKind::Mesh, shapes::sphere(5).triangles));
+    assert_eq!(
+        (whole.kind, whole.triangles),
+        (SurfaceKind::Mesh, shapes::sphere(5).triangles)
+    );
     let (simple, stats) = from(false).unwrap();
     assert!(simple.triangles.len() < 1000 && stats.raw_triangles == 0);
     assert_eq!(check_manifold(&simple).map(|t| t.euler), Ok(2));
@@ -287,7 +411,8 @@ fn a_mesh_from_a_file_is_simplified_refined_or_left() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(500))]
 
-    /// Points on a coarse lattice: repeated, collinear, coplanar, cospherical. A manifold or a clear error, never a panic.
+    /// Points on a coarse lattice: repeated, collinear, coplanar, cospherical. A manifold or a
+    /// clear error, never a panic.
     #[test]
     fn degenerate_points_end_in_a_manifold_or_an_error(
         lattice in prop::collection::vec((0u8..4, 0u8..4, 0u8..3), 0..200), scale in -3i32..6, carved: bool,

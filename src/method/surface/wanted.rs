@@ -9,12 +9,15 @@ use crate::{
     model::scene::{PointIndex, Scene},
 };
 
-/// Approximate maximum number of sparse points that sample the wanted resolution, which changes slowly over a surface.
+/// Approximate maximum number of sparse points that sample the wanted resolution, which changes
+/// slowly over a surface.
 const MOST_POINTS: usize = 50_000;
-/// Largest factor between a local wanted resolution and that of the scene: a single outlier close to a camera could demand any resolution.
+/// Largest factor between a local wanted resolution and that of the scene: a single outlier close
+/// to a camera could demand any resolution.
 const MOST_OFF: f64 = 32.0;
 
-/// Wanted ground sampling distance as a function of position, scene units per pixel of the matched image. Edge lengths are multiples of it.
+/// Wanted ground sampling distance as a function of position, scene units per pixel of the matched
+/// image. Edge lengths are multiples of it.
 pub struct WantedGsd {
     everywhere: f64,
     points: Option<KnownGsd>,
@@ -29,26 +32,44 @@ struct KnownGsd {
 impl WantedGsd {
     /// The same everywhere.
     pub fn uniform(gsd: f64) -> Self {
-        Self { everywhere: gsd, points: None }
+        Self {
+            everywhere: gsd,
+            points: None,
+        }
     }
 
-    /// Takes the GSD of the nearest sparse point: `margin` times the finest of the views that observe it. `gsd`: that of the scene.
+    /// Takes the GSD of the nearest sparse point: `margin` times the finest of the views that
+    /// observe it. `gsd`: that of the scene.
     pub fn finest(scene: &Scene, gsd: f64, margin: f64) -> Self {
         let points = usable_points(scene);
         let finest = |&point: &PointIndex| {
             let place = scene.points[point.index()];
             let of_view = |&view| {
                 let camera = scene.camera_of(view);
-                camera.depth(&scene.view(view).cam_from_world.camera_from_world(&place)) / camera.mean_focal_length()
+                camera.depth(&scene.view(view).cam_from_world.camera_from_world(&place))
+                    / camera.mean_focal_length()
             };
-            let finest = scene.track_views(point).iter().map(of_view).fold(f64::INFINITY, f64::min);
+            let finest = scene
+                .track_views(point)
+                .iter()
+                .map(of_view)
+                .fold(f64::INFINITY, f64::min);
             let wanted = (margin * finest).clamp(gsd / MOST_OFF, gsd * MOST_OFF);
             (!wanted.is_nan()).then_some((place, wanted))
         };
-        let sample: Vec<_> = points.iter().step_by(points.len().div_ceil(MOST_POINTS).max(1)).collect();
+        let sample: Vec<_> = points
+            .iter()
+            .step_by(points.len().div_ceil(MOST_POINTS).max(1))
+            .collect();
         let (places, known): (Vec<_>, Vec<_>) = sample.into_par_iter().filter_map(finest).unzip();
-        let points = (!known.is_empty()).then(|| KnownGsd { points: KdTree::new(&places), gsd: known });
-        Self { everywhere: gsd, points }
+        let points = (!known.is_empty()).then(|| KnownGsd {
+            points: KdTree::new(&places),
+            gsd: known,
+        });
+        Self {
+            everywhere: gsd,
+            points,
+        }
     }
 
     /// Returns the GSD of the scene.
@@ -58,11 +79,16 @@ impl WantedGsd {
 
     /// Returns the GSD at each position, times `factor`.
     pub fn lengths(&self, places: &[Point3<f64>], factor: f64) -> Vec<f64> {
-        let Some(known) = &self.points else { return vec![factor * self.everywhere; places.len()] };
+        let Some(known) = &self.points else {
+            return vec![factor * self.everywhere; places.len()];
+        };
         let wanted = |place: &Point3<f64>| {
             let [nearest] = known.points.nearest(place);
             known.gsd[nearest as usize]
         };
-        places.par_iter().map(|place| factor * wanted(place)).collect()
+        places
+            .par_iter()
+            .map(|place| factor * wanted(place))
+            .collect()
     }
 }

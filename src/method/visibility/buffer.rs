@@ -1,4 +1,5 @@
-//! Software depth buffer of pinhole faces: the frontmost triangle and its inverse depth in each pixel.
+//! Software depth buffer of pinhole faces: the frontmost triangle and its inverse depth in each
+//! pixel.
 
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
@@ -11,7 +12,8 @@ use crate::{
 const MARGIN: f64 = 8.0;
 /// Angle from the axis beyond which the faces of a cube replace a single plane.
 const WIDE: f64 = 60.0;
-/// Largest number of pixels along a side, as a multiple of the requested number, whatever the camera's parameters.
+/// Largest number of pixels along a side, as a multiple of the requested number, whatever the
+/// camera's parameters.
 const MOST_SIDES: f64 = 4.0;
 /// Rays per side of the grid that measures a camera's field of view.
 const FIELD_SAMPLES: u32 = 33;
@@ -31,19 +33,26 @@ pub struct Face {
 }
 
 impl Face {
-    /// Returns one face with the camera's pinhole part, its long side about `long_side` pixels; faces of a cube for a wide field of view;
-    /// no face if no pixel has a ray.
+    /// Returns one face with the camera's pinhole part, its long side about `long_side` pixels;
+    /// faces of a cube for a wide field of view; no face if no pixel has a ray.
     pub fn covering(camera: &Camera, long_side: u32) -> Vec<Self> {
-        let focal = camera.mean_focal_length() * f64::from(long_side) / f64::from(camera.width.max(camera.height));
+        let focal = camera.mean_focal_length() * f64::from(long_side)
+            / f64::from(camera.width.max(camera.height));
         // Extent in x/z or y/z.
         let within = |field: f64| focal.min(MOST_SIDES * f64::from(long_side) / field);
         if camera.model() == CameraModel::Equirectangular {
-            return CUBE.iter().map(|&[r, d, f]| Self::cube(within(2.0), r, d, f)).collect();
+            return CUBE
+                .iter()
+                .map(|&[r, d, f]| Self::cube(within(2.0), r, d, f))
+                .collect();
         }
         let (rays, missing) = field(camera);
         let wide = rays.iter().any(|r| r.z < WIDE.to_radians().cos());
         if wide {
-            return CUBE[..5].iter().map(|&[r, d, f]| Self::cube(within(2.0), r, d, f)).collect();
+            return CUBE[..5]
+                .iter()
+                .map(|&[r, d, f]| Self::cube(within(2.0), r, d, f))
+                .collect();
         }
         let tangents = rays.iter().map(|r| Vector2::new(r.x / r.z, r.y / r.z));
         let Some((low, high)) = tangents.fold(None, |b, t| match b {
@@ -53,32 +62,69 @@ impl Face {
             return Vec::new();
         };
         // The border of the field is between a ray that exists and a neighbour that does not.
-        let spare = if missing { (high - low) * (1.5 / f64::from(FIELD_SAMPLES - 1)) } else { Vector2::zeros() };
+        let spare = if missing {
+            (high - low) * (1.5 / f64::from(FIELD_SAMPLES - 1))
+        } else {
+            Vector2::zeros()
+        };
         let (low, high) = (low - spare, high + spare);
-        vec![Self::window(within((high - low).max()), Matrix3::identity(), low, high)]
+        vec![Self::window(
+            within((high - low).max()),
+            Matrix3::identity(),
+            low,
+            high,
+        )]
     }
 
-    /// Returns a face with exactly the pixels of a pinhole camera's image, resized to `width` x `height`.
+    /// Returns a face with exactly the pixels of a pinhole camera's image, resized to `width` x
+    /// `height`.
     pub fn pinhole(camera: &Camera, width: u32, height: u32) -> Self {
-        let scale =
-            Vector2::new(f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
+        let scale = Vector2::new(
+            f64::from(width) / f64::from(camera.width),
+            f64::from(height) / f64::from(camera.height),
+        );
         let (focal, axis) = camera.pinhole_part();
-        let (focal, axis) = (focal.component_mul(&scale), axis.coords.component_mul(&scale));
-        Self::new(Matrix3::identity(), focal, axis, width as usize, height as usize)
+        let (focal, axis) = (
+            focal.component_mul(&scale),
+            axis.coords.component_mul(&scale),
+        );
+        Self::new(
+            Matrix3::identity(),
+            focal,
+            axis,
+            width as usize,
+            height as usize,
+        )
     }
 
     fn cube(focal: f64, right: [i8; 3], down: [i8; 3], forward: [i8; 3]) -> Self {
         let row = |r: [i8; 3]| Vector3::from(r.map(f64::from)).transpose();
         let one = Vector2::new(1.0, 1.0);
-        Self::window(focal, Matrix3::from_rows(&[row(right), row(down), row(forward)]), -one, one)
+        Self::window(
+            focal,
+            Matrix3::from_rows(&[row(right), row(down), row(forward)]),
+            -one,
+            one,
+        )
     }
 
     /// `low` and `high`: bounds of the field, in x/z and y/z.
-    fn window(focal: f64, face_from_camera: Matrix3<f64>, low: Vector2<f64>, high: Vector2<f64>) -> Self {
+    fn window(
+        focal: f64,
+        face_from_camera: Matrix3<f64>,
+        low: Vector2<f64>,
+        high: Vector2<f64>,
+    ) -> Self {
         let axis = Vector2::from_element(MARGIN) - low * focal;
         let size = (high - low) * focal + Vector2::from_element(2.0 * MARGIN);
         let (width, height) = (size.x.ceil() as usize, size.y.ceil() as usize);
-        Self::new(face_from_camera, Vector2::from_element(focal), axis, width, height)
+        Self::new(
+            face_from_camera,
+            Vector2::from_element(focal),
+            axis,
+            width,
+            height,
+        )
     }
 
     fn new(
@@ -96,7 +142,14 @@ impl Face {
             Vector3::new(0.0, 1.0, -low.y),
             Vector3::new(0.0, -1.0, high.y),
         ];
-        Self { face_from_camera, focal, axis, width, height, sides: sides.map(|n| n.normalize()) }
+        Self {
+            face_from_camera,
+            focal,
+            axis,
+            width,
+            height,
+            sides: sides.map(|n| n.normalize()),
+        }
     }
 
     pub fn pixels(&self) -> u64 {
@@ -120,7 +173,10 @@ impl Face {
     }
 
     fn projected(&self, place: Vector3<f64>) -> FacePoint {
-        FacePoint { place, screen: self.pixel(&place).coords.push(place.z.recip()) }
+        FacePoint {
+            place,
+            screen: self.pixel(&place).coords.push(place.z.recip()),
+        }
     }
 }
 
@@ -133,7 +189,8 @@ pub struct FacePoint {
     screen: Vector3<f64>,
 }
 
-/// Right, down and forward axes of the faces of a cube, in camera coordinates; the backward face is last.
+/// Right, down and forward axes of the faces of a cube, in camera coordinates; the backward face is
+/// last.
 #[rustfmt::skip]
 const CUBE: [[[i8; 3]; 3]; 6] = [
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -148,9 +205,16 @@ const CUBE: [[[i8; 3]; 3]; 6] = [
 fn field(camera: &Camera) -> (Vec<Vector3<f64>>, bool) {
     let last = f64::from(FIELD_SAMPLES - 1);
     let at = |i: u32, size: u32| f64::from(i) / last * f64::from(size);
-    let pixels = (0..FIELD_SAMPLES * FIELD_SAMPLES)
-        .map(|i| Point2::new(at(i % FIELD_SAMPLES, camera.width), at(i / FIELD_SAMPLES, camera.height)));
-    let rays: Vec<_> = pixels.filter_map(|p| camera.ray(&p)).map(|r| r.into_inner()).collect();
+    let pixels = (0..FIELD_SAMPLES * FIELD_SAMPLES).map(|i| {
+        Point2::new(
+            at(i % FIELD_SAMPLES, camera.width),
+            at(i / FIELD_SAMPLES, camera.height),
+        )
+    });
+    let rays: Vec<_> = pixels
+        .filter_map(|p| camera.ray(&p))
+        .map(|r| r.into_inner())
+        .collect();
     let missing = rays.len() < (FIELD_SAMPLES * FIELD_SAMPLES) as usize;
     (rays, missing)
 }
@@ -165,7 +229,8 @@ pub struct Tolerance {
 }
 
 impl Tolerance {
-    /// Returns whether `front` is in front of `own` by more than the tolerance; both are inverse depths.
+    /// Returns whether `front` is in front of `own` by more than the tolerance; both are inverse
+    /// depths.
     pub fn hides(&self, front: f64, own: f64) -> bool {
         front - own > front * (self.length * own).max(self.depth_share)
     }
@@ -177,8 +242,8 @@ const MOST_SPANS: usize = 2048;
 /// The frontmost triangle in each pixel of a face.
 #[derive(Default)]
 pub struct Buffer {
-    /// Inverse depth (f32) in the upper half, triangle in the lower half: the larger number is in front, and equal depths are decided by the
-    /// triangle, whatever the drawing order. 0: empty.
+    /// Inverse depth (f32) in the upper half, triangle in the lower half: the larger number is in
+    /// front, and equal depths are decided by the triangle, whatever the drawing order. 0: empty.
     pixels: Vec<u64>,
     /// Spans that are not yet in `pixels`: at most [`MOST_SPANS`] and those of a triangle.
     spans: Vec<Span>,
@@ -190,7 +255,8 @@ impl Buffer {
         self.pixels.resize(face.width * face.height, 0);
     }
 
-    /// Draws triangles, given by their numbers and corners, clipped at depth `near`; adds to `covered` the number of pixels that each covers.
+    /// Draws triangles, given by their numbers and corners, clipped at depth `near`; adds to
+    /// `covered` the number of pixels that each covers.
     pub fn draw<'p>(
         &mut self,
         face: &Face,
@@ -198,7 +264,8 @@ impl Buffer {
         triangles: impl Iterator<Item = (u32, [&'p FacePoint; 3])>,
         covered: &mut [u32],
     ) {
-        // In two passes: a span's length is then ready before the inner loop branches on it, and mispredictions cost little.
+        // In two passes: a span's length is then ready before the inner loop branches on it, and
+        // mispredictions cost little.
         for ((triangle, corners), covered) in triangles.zip(covered) {
             for_each_span(face, triangle, corners, near, |span| {
                 *covered += span.pixels();
@@ -212,42 +279,63 @@ impl Buffer {
     }
 
     fn put_spans(&mut self) {
-        vectorised(Frontmost { spans: &self.spans, pixels: &mut self.pixels });
+        vectorised(Frontmost {
+            spans: &self.spans,
+            pixels: &mut self.pixels,
+        });
         self.spans.clear();
     }
 
     /// Returns the frontmost triangle in each pixel, row by row; `nothing` for empty pixels.
     #[inline(always)]
     pub fn triangles(&self, nothing: u32) -> impl Iterator<Item = u32> {
-        self.pixels.iter().map(move |&code| if code == 0 { nothing } else { code as u32 })
+        self.pixels
+            .iter()
+            .map(move |&code| if code == 0 { nothing } else { code as u32 })
     }
 
-    /// Counts the pixels covered by the triangle (camera coordinates) in which nothing is in front of it by more than the tolerance.
-    pub fn free(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> u32 {
+    /// Counts the pixels covered by the triangle (camera coordinates) in which nothing is in front
+    /// of it by more than the tolerance.
+    pub fn free(
+        &self,
+        face: &Face,
+        corners: &[Point3<f64>; 3],
+        near: f64,
+        tolerance: Tolerance,
+    ) -> u32 {
         let [a, b, c] = corners.each_ref().map(|corner| face.project(corner));
         let mut free = 0;
         for_each_span(face, 0, [&a, &b, &c], near, |span| {
             for column in span.first..span.end {
                 let front = inverse_depth(self.pixels[span.row + column as usize]);
-                free += u32::from(!tolerance.hides(front.into(), span.inverse_depth(column).into()));
+                free +=
+                    u32::from(!tolerance.hides(front.into(), span.inverse_depth(column).into()));
             }
         });
         free
     }
 
-    /// Returns triangle and inverse depth in the pixel of a point in camera coordinates, and the point's own inverse depth; `None` outside
-    /// the face and for empty pixels.
+    /// Returns triangle and inverse depth in the pixel of a point in camera coordinates, and the
+    /// point's own inverse depth; `None` outside the face and for empty pixels.
     pub fn sample(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<(u32, f64, f64)> {
         let p = face.face_from_camera * point.coords;
         let pixel = (p.z > near).then(|| face.pixel(&p))?;
-        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < face.width as f64 && pixel.y < face.height as f64;
+        let inside = pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x < face.width as f64
+            && pixel.y < face.height as f64;
         let code = inside.then(|| self.pixels[pixel.y as usize * face.width + pixel.x as usize])?;
         (code != 0).then(|| (code as u32, inverse_depth(code).into(), p.z.recip()))
     }
 
-    /// Returns triangle and inverse depth (0: empty) of the four pixels around a point in camera coordinates, and the point's own
-    /// inverse depth; `None` if the point is not on the face.
-    pub fn around(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<([(u32, f64); 4], f64)> {
+    /// Returns triangle and inverse depth (0: empty) of the four pixels around a point in camera
+    /// coordinates, and the point's own inverse depth; `None` if the point is not on the face.
+    pub fn around(
+        &self,
+        face: &Face,
+        point: &Point3<f64>,
+        near: f64,
+    ) -> Option<([(u32, f64); 4], f64)> {
         let p = face.face_from_camera * point.coords;
         let corner = (p.z > near).then(|| face.pixel(&p) - Vector2::from_element(0.5))?;
         let inside = corner.x >= 0.0
@@ -255,8 +343,12 @@ impl Buffer {
             && corner.x < (face.width - 1) as f64
             && corner.y < (face.height - 1) as f64;
         let first = inside.then(|| corner.y as usize * face.width + corner.x as usize)?;
-        let codes = [first, first + 1, first + face.width, first + face.width + 1].map(|i| self.pixels[i]);
-        Some((codes.map(|code| (code as u32, inverse_depth(code).into())), p.z.recip()))
+        let codes =
+            [first, first + 1, first + face.width, first + face.width + 1].map(|i| self.pixels[i]);
+        Some((
+            codes.map(|code| (code as u32, inverse_depth(code).into())),
+            p.z.recip(),
+        ))
     }
 }
 
@@ -274,7 +366,10 @@ impl Kernel for Frontmost<'_> {
         for span in self.spans {
             for column in span.first..span.end {
                 let pixel = &mut self.pixels[span.row + column as usize];
-                *pixel = (*pixel).max(u64::from(span.inverse_depth(column).to_bits()) << 32 | u64::from(span.triangle));
+                *pixel = (*pixel).max(
+                    u64::from(span.inverse_depth(column).to_bits()) << 32
+                        | u64::from(span.triangle),
+                );
             }
         }
     }
@@ -284,8 +379,8 @@ fn inverse_depth(code: u64) -> f32 {
     f32::from_bits((code >> 32) as u32)
 }
 
-/// Pixels of a row whose centres a triangle covers. Columns are 32-bit numbers with a sign: conversions from and to others take several instructions
-/// each.
+/// Pixels of a row whose centres a triangle covers. Columns are 32-bit numbers with a sign:
+/// conversions from and to others take several instructions each.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     /// Index of the first pixel of the row.
@@ -311,13 +406,26 @@ impl Span {
     /// Slivers extrapolate badly, so it is clamped to the range of the corners.
     #[inline(always)]
     fn inverse_depth(&self, column: i32) -> f32 {
-        least(most((self.start + self.by_x * f64::from(column)) as f32, self.least), self.most)
+        least(
+            most(
+                (self.start + self.by_x * f64::from(column)) as f32,
+                self.least,
+            ),
+            self.most,
+        )
     }
 }
 
-/// Calls `visit` with the pixels of each row that a triangle, given by its number and corners, covers.
+/// Calls `visit` with the pixels of each row that a triangle, given by its number and corners,
+/// covers.
 #[inline(always)]
-fn for_each_span(face: &Face, triangle: u32, [a, b, c]: [&FacePoint; 3], near: f64, mut visit: impl FnMut(Span)) {
+fn for_each_span(
+    face: &Face,
+    triangle: u32,
+    [a, b, c]: [&FacePoint; 3],
+    near: f64,
+    mut visit: impl FnMut(Span),
+) {
     match [a, b, c].iter().filter(|p| p.place.z > near).count() {
         3 => fill(face, triangle, [a.screen, b.screen, c.screen], &mut visit),
         0 => {}
@@ -325,7 +433,12 @@ fn for_each_span(face: &Face, triangle: u32, [a, b, c]: [&FacePoint; 3], near: f
             let (polygon, n) = clip([a.place, b.place, c.place], near);
             let screen = polygon.map(|p| face.projected(p).screen);
             for i in 2..n {
-                fill(face, triangle, [screen[0], screen[i - 1], screen[i]], &mut visit);
+                fill(
+                    face,
+                    triangle,
+                    [screen[0], screen[i - 1], screen[i]],
+                    &mut visit,
+                );
             }
         }
     }
@@ -402,14 +515,23 @@ impl Side {
         let rise = to.y - from.y;
         Self {
             y: from.y,
-            slope: if rise == 0.0 { 0.0 } else { (to.x - from.x) / rise },
-            left: if rise < 0.0 { from.x } else { f64::NEG_INFINITY },
+            slope: if rise == 0.0 {
+                0.0
+            } else {
+                (to.x - from.x) / rise
+            },
+            left: if rise < 0.0 {
+                from.x
+            } else {
+                f64::NEG_INFINITY
+            },
             right: if rise > 0.0 { from.x } else { f64::INFINITY },
         }
     }
 }
 
-/// Returns the smaller number, `b` if either is not a number: a single instruction, which [`f64::min`] is not.
+/// Returns the smaller number, `b` if either is not a number: a single instruction, which
+/// [`f64::min`] is not.
 #[inline(always)]
 fn least<T: PartialOrd>(a: T, b: T) -> T {
     if a < b { a } else { b }

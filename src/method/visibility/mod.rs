@@ -1,9 +1,11 @@
 //! Visibility (method 2): the triangles that each view sees.
 //!
-//! A triangle is visible in a view if its corners and centroid are in front of the camera, its centroid projects into the image,
-//! it faces the camera, and at least half of its samples have nothing in front of them by more than a tolerance. Samples are
-//! pixels of a rendered buffer of inverse depth and triangle ([`buffer`]). A triangle that covers fewer than four pixels is sampled at its
-//! centroid and corners by rays instead, against the triangles in the surrounding pixels.
+//! A triangle is visible in a view if its corners and centroid are in front of the camera, its
+//! centroid projects into the image, it faces the camera, and at least half of its samples have
+//! nothing in front of them by more than a tolerance. Samples are pixels of a rendered buffer of
+//! inverse depth and triangle ([`buffer`]). A triangle that covers fewer than four pixels is
+//! sampled at its centroid and corners by rays instead, against the triangles in the surrounding
+//! pixels.
 
 mod buffer;
 mod patches;
@@ -49,15 +51,17 @@ pub struct Visibility {
     pub offsets: Offsets,
     /// Triangles, ascending within a view.
     pub triangles: Column<u32>,
-    /// Number of observations that contradict the table: the surface hides the sparse point in this view, although the point is on the
-    /// surface in another view of its track.
+    /// Number of observations that contradict the table: the surface hides the sparse point in this
+    /// view, although the point is on the surface in another view of its track.
     pub contradictions: u64,
 }
 
 impl Visibility {
     /// Returns all views; each is a row of [`Self::triangles_seen_by`].
     pub fn views(&self) -> Vec<ViewIndex> {
-        (0..self.offsets.rows()).map(|row| ViewIndex(row as u32)).collect()
+        (0..self.offsets.rows())
+            .map(|row| ViewIndex(row as u32))
+            .collect()
     }
 
     /// Returns the triangles that the view sees, ascending.
@@ -65,7 +69,8 @@ impl Visibility {
         &self.triangles[self.rows(view)]
     }
 
-    /// Returns the range of the view's rows. Tables parallel to this one (such as unary confidence) are indexed by row.
+    /// Returns the range of the view's rows. Tables parallel to this one (such as unary confidence)
+    /// are indexed by row.
     pub fn rows(&self, view: ViewIndex) -> std::ops::Range<usize> {
         self.offsets.row(view.index())
     }
@@ -79,11 +84,14 @@ impl Visibility {
     /// Returns for each triangle whether any view sees it.
     pub fn seen_triangles(&self, triangles: usize) -> Vec<bool> {
         let mut seen = vec![false; triangles];
-        self.triangles.by_parts().for_each(|&t| seen[t as usize] = true);
+        self.triangles
+            .by_parts()
+            .for_each(|&t| seen[t as usize] = true);
         seen
     }
 
-    /// Returns the table for the surface without the triangles where `keep` is false, renumbered as by [`Surface::keep`].
+    /// Returns the table for the surface without the triangles where `keep` is false, renumbered as
+    /// by [`Surface::keep`].
     pub fn keep(&self, keep: &[bool]) -> Result<Self, DiskError> {
         let mut next = 0;
         let number = |&k: &bool| {
@@ -92,21 +100,31 @@ impl Visibility {
             kept
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(self.triangles.storage())?);
+        let (mut offsets, mut triangles) = (
+            Offsets::default(),
+            ColumnBuilder::new(self.triangles.storage())?,
+        );
         for view in 0..self.offsets.rows() {
             if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
             }
             let view = self.triangles[self.offsets.row(view)].iter();
-            let view: Vec<u32> = view.map(|&t| numbers[t as usize]).filter(|&t| t != u32::MAX).collect();
+            let view: Vec<u32> = view
+                .map(|&t| numbers[t as usize])
+                .filter(|&t| t != u32::MAX)
+                .collect();
             triangles.extend(&view)?;
             offsets.push(view.len());
         }
-        Ok(Self { offsets, triangles: triangles.finish()?, contradictions: self.contradictions })
+        Ok(Self {
+            offsets,
+            triangles: triangles.finish()?,
+            contradictions: self.contradictions,
+        })
     }
 
-    /// Builds a column parallel to the table, with its storage, from batches of views. `of_view` returns a value for each row of a view; `start` makes the
-    /// state of a thread.
+    /// Builds a column parallel to the table, with its storage, from batches of views. `of_view`
+    /// returns a value for each row of a view; `start` makes the state of a thread.
     pub fn column<T: Pod + Send, S: Send>(
         &self,
         views_at_once: usize,
@@ -128,7 +146,8 @@ impl Visibility {
     }
 }
 
-/// Computes which view sees which triangle. `edge_length`: r g_d, the edge length of the simplified surface, scene units; `keep`: storage of the table.
+/// Computes which view sees which triangle. `edge_length`: r g_d, the edge length of the simplified
+/// surface, scene units; `keep`: storage of the table.
 pub fn estimate(
     scene: &Scene,
     points: &ViewPoints,
@@ -148,23 +167,42 @@ pub fn estimate(
         stage.draw(view, picture);
         let seen = stage.visible(view, picture);
         stage.observe(view, points.observed_by(view), picture, &observations);
-        watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
+        watcher.progress(
+            Stage::Visibility,
+            1 + done.fetch_add(1, Ordering::Relaxed),
+            views.len() as u64,
+        );
         Ok(seen)
     };
     let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(keep)?);
-    column::in_order(&views, column::READ_AT_ONCE, RenderedView::default, look, |_, rows| {
-        for row in rows {
-            triangles.extend(&row)?;
-            offsets.push(row.len());
-        }
-        Ok(())
-    })?;
-    Ok(Visibility { offsets, triangles: triangles.finish()?, contradictions: observations.contradictions() })
+    column::in_order(
+        &views,
+        column::READ_AT_ONCE,
+        RenderedView::default,
+        look,
+        |_, rows| {
+            for row in rows {
+                triangles.extend(&row)?;
+                offsets.push(row.len());
+            }
+            Ok(())
+        },
+    )?;
+    Ok(Visibility {
+        offsets,
+        triangles: triangles.finish()?,
+        contradictions: observations.contradictions(),
+    })
 }
 
 /// Returns the largest number of pixels rendered for a view, over all faces of its camera.
 pub fn picture_pixels(scene: &Scene, settings: &VisibilitySettings) -> u64 {
-    let pixels = |camera| Face::covering(camera, settings.buffer_px).iter().map(Face::pixels).sum();
+    let pixels = |camera| {
+        Face::covering(camera, settings.buffer_px)
+            .iter()
+            .map(Face::pixels)
+            .sum()
+    };
     scene.cameras.iter().map(pixels).max().unwrap_or(0)
 }
 
@@ -173,13 +211,27 @@ pub const NOTHING: u32 = u32::MAX;
 /// Near plane of [`front`], as a share of the surface's distance from the camera.
 const NEAR_SHARE: f64 = 1e-4;
 
-/// Returns the frontmost triangle in each pixel of a pinhole view's image, resized to `width` x `height`, row by row; [`NOTHING`] for empty
-/// pixels. Sampled at pixel centres.
-pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, height: u32) -> Vec<u32> {
+/// Returns the frontmost triangle in each pixel of a pinhole view's image, resized to `width` x
+/// `height`, row by row; [`NOTHING`] for empty pixels. Sampled at pixel centres.
+pub fn front(
+    scene: &Scene,
+    surface: &Surface,
+    view: ViewIndex,
+    width: u32,
+    height: u32,
+) -> Vec<u32> {
     let face = Face::pinhole(scene.camera_of(view), width, height);
     let pose = &scene.view(view).cam_from_world;
-    let vertices: Vec<Point3<f64>> = surface.vertices.iter().map(|v| pose.camera_from_world(v)).collect();
-    let near = NEAR_SHARE * vertices.iter().map(|v| v.z.abs()).fold(f64::MIN_POSITIVE, f64::max);
+    let vertices: Vec<Point3<f64>> = surface
+        .vertices
+        .iter()
+        .map(|v| pose.camera_from_world(v))
+        .collect();
+    let near = NEAR_SHARE
+        * vertices
+            .iter()
+            .map(|v| v.z.abs())
+            .fold(f64::MIN_POSITIVE, f64::max);
     let vertices: Vec<FacePoint> = vertices.iter().map(|v| face.project(v)).collect();
     let mut buffer = Buffer::default();
     buffer.clear(&face);
@@ -225,13 +277,26 @@ struct RenderedView {
 impl RenderedView {
     /// Counts, for each candidate, the pixels in which it is frontmost.
     fn count_in_front(&mut self, patches: &Patches) {
-        let Self { buffers, drawn, candidates, in_front, .. } = self;
+        let Self {
+            buffers,
+            drawn,
+            candidates,
+            in_front,
+            ..
+        } = self;
         in_front.resize(patches.triangle_count(), 0);
-        let shown = buffers.iter().flat_map(|buffer| buffer.triangles(NOTHING)).filter(|&t| t != NOTHING);
+        let shown = buffers
+            .iter()
+            .flat_map(|buffer| buffer.triangles(NOTHING))
+            .filter(|&t| t != NOTHING);
         shown.for_each(|t| in_front[t as usize] += 1);
-        candidates.iter_mut().for_each(|candidate| candidate.in_front = in_front[candidate.triangle as usize]);
+        candidates
+            .iter_mut()
+            .for_each(|candidate| candidate.in_front = in_front[candidate.triangle as usize]);
         // Usually far fewer than pixels.
-        let drawn = drawn.iter().flat_map(|&patch| patches.triangle_indices(&patches.patches[patch]));
+        let drawn = drawn
+            .iter()
+            .flat_map(|&patch| patches.triangle_indices(&patches.patches[patch]));
         drawn.for_each(|&t| in_front[t as usize] = 0);
     }
 }
@@ -240,8 +305,9 @@ fn is_share(min_share: f64, free: u32, samples: u32) -> bool {
     f64::from(free) >= min_share * f64::from(samples)
 }
 
-/// Returns whether at least this share (0 to 1) of the points that are sampled is free. `points`: whether each is free, `None` for one that is not sampled.
-/// Stops at the first after which the others cannot change it.
+/// Returns whether at least this share (0 to 1) of the points that are sampled is free. `points`:
+/// whether each is free, `None` for one that is not sampled. Stops at the first after which the
+/// others cannot change it.
 fn is_share_free(min_share: f64, points: impl ExactSizeIterator<Item = Option<bool>>) -> bool {
     let (mut samples, mut free) = (0, 0);
     for (left, point) in (0..points.len() as u32).rev().zip(points) {
@@ -269,14 +335,26 @@ struct Candidate {
 }
 
 impl<'a> Estimator<'a> {
-    fn new(scene: &'a Scene, surface: &'a Surface, settings: &VisibilitySettings, edge_length: f64) -> Self {
+    fn new(
+        scene: &'a Scene,
+        surface: &'a Surface,
+        settings: &VisibilitySettings,
+        edge_length: f64,
+    ) -> Self {
         let length = settings.tolerance_edges * edge_length;
         Self {
             scene,
             surface,
             patches: Patches::new(surface),
-            faces: scene.cameras.iter().map(|c| Face::covering(c, settings.buffer_px)).collect(),
-            tolerance: Tolerance { length, depth_share: settings.tolerance_depth },
+            faces: scene
+                .cameras
+                .iter()
+                .map(|c| Face::covering(c, settings.buffer_px))
+                .collect(),
+            tolerance: Tolerance {
+                length,
+                depth_share: settings.tolerance_depth,
+            },
             near: NEAR_EDGES * edge_length,
             cos2: settings.max_incidence_deg.to_radians().cos().powi(2),
             min_free_share: settings.min_free_share,
@@ -290,7 +368,11 @@ impl<'a> Estimator<'a> {
         picture.candidates.clear();
         picture.drawn.clear();
         picture.buffers.resize_with(faces.len(), Buffer::default);
-        picture.buffers.iter_mut().zip(faces).for_each(|(buffer, face)| buffer.clear(face));
+        picture
+            .buffers
+            .iter_mut()
+            .zip(faces)
+            .for_each(|(buffer, face)| buffer.clear(face));
         for (index, patch) in self.patches.patches.iter().enumerate() {
             let centre = pose.camera_from_world(&patch.centre);
             if !faces.iter().any(|face| face.meets(&centre, patch.radius)) {
@@ -298,27 +380,49 @@ impl<'a> Estimator<'a> {
             }
             picture.drawn.push(index);
             picture.vertices.clear();
-            picture.vertices.extend(self.patches.vertices(patch).iter().map(|v| pose.camera_from_world(v)));
+            picture.vertices.extend(
+                self.patches
+                    .vertices(patch)
+                    .iter()
+                    .map(|v| pose.camera_from_world(v)),
+            );
             self.draw_patch(patch, faces, picture);
-            for ((triangle, corners), &covered) in self.patches.triangles(patch).zip(&picture.covered) {
+            for ((triangle, corners), &covered) in
+                self.patches.triangles(patch).zip(&picture.covered)
+            {
                 let corners = corners.map(|c| picture.vertices[c]);
                 if self.may_be_visible(camera, &corners) {
-                    picture.candidates.push(Candidate { triangle, corners, covered, in_front: 0 });
+                    picture.candidates.push(Candidate {
+                        triangle,
+                        corners,
+                        covered,
+                        in_front: 0,
+                    });
                 }
             }
         }
         picture.count_in_front(&self.patches);
     }
 
-    /// Renders the triangles of a patch, whose vertices are already in `picture`, and counts the pixels of each.
+    /// Renders the triangles of a patch, whose vertices are already in `picture`, and counts the
+    /// pixels of each.
     fn draw_patch(&self, patch: &Patch, faces: &[Face], picture: &mut RenderedView) {
-        let RenderedView { buffers, vertices, projected, covered, .. } = picture;
+        let RenderedView {
+            buffers,
+            vertices,
+            projected,
+            covered,
+            ..
+        } = picture;
         covered.clear();
         covered.resize(patch.len(), 0);
         for (face, buffer) in faces.iter().zip(buffers) {
             projected.clear();
             projected.extend(vertices.iter().map(|v| face.project(v)));
-            let triangles = self.patches.triangles(patch).map(|(t, corners)| (t, corners.map(|c| &projected[c])));
+            let triangles = self
+                .patches
+                .triangles(patch)
+                .map(|(t, corners)| (t, corners.map(|c| &projected[c])));
             buffer.draw(face, self.near, triangles, covered);
         }
     }
@@ -329,11 +433,13 @@ impl<'a> Estimator<'a> {
         let centroid = (a.coords + b.coords + c.coords) / 3.0;
         let normal = (b - a).cross(&(c - a));
         let towards = -normal.dot(&centroid);
-        let faces_camera =
-            towards > 0.0 && towards * towards > self.cos2 * normal.norm_squared() * centroid.norm_squared();
+        let faces_camera = towards > 0.0
+            && towards * towards > self.cos2 * normal.norm_squared() * centroid.norm_squared();
         faces_camera
             && (everywhere || a.z.min(b.z).min(c.z) > 0.0)
-            && camera.project(&centroid.into()).is_some_and(|pixel| camera.contains(&pixel))
+            && camera
+                .project(&centroid.into())
+                .is_some_and(|pixel| camera.contains(&pixel))
     }
 
     /// Returns the candidates that are not occluded (condition 3), ascending.
@@ -360,29 +466,41 @@ impl<'a> Estimator<'a> {
         is_share(self.min_free_share, free, samples)
     }
 
-    /// Returns the number of the candidate's pixels that are free. Counts exactly only if needed: most triangles are frontmost in enough of their
-    /// pixels and need no second pass.
+    /// Returns the number of the candidate's pixels that are free. Counts exactly only if needed:
+    /// most triangles are frontmost in enough of their pixels and need no second pass.
     fn free_pixels(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> u32 {
         if self.are_enough(candidate.in_front, candidate.covered) {
             return candidate.in_front;
         }
         let faces = self.camera(view).1.iter().zip(&picture.buffers);
-        faces.map(|(face, buffer)| buffer.free(face, &candidate.corners, self.near, self.tolerance)).sum()
+        faces
+            .map(|(face, buffer)| buffer.free(face, &candidate.corners, self.near, self.tolerance))
+            .sum()
     }
 
     /// Returns whether enough of the centroid and the corners are free, among those in the field.
-    fn is_free_at_points(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> bool {
+    fn is_free_at_points(
+        &self,
+        view: ViewIndex,
+        picture: &RenderedView,
+        candidate: &Candidate,
+    ) -> bool {
         let [a, b, c] = candidate.corners;
         let centroid = Point3::from((a.coords + b.coords + c.coords) / 3.0);
         let is_free = |point: Point3<f64>| {
             let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
-            let (pixels, own) = faces.find_map(|(face, buffer)| buffer.around(face, &point, self.near))?;
+            let (pixels, own) =
+                faces.find_map(|(face, buffer)| buffer.around(face, &point, self.near))?;
             Some(!self.ray_is_blocked(view, &point, candidate.triangle, &pixels, own))
         };
-        is_share_free(self.min_free_share, [centroid, a, b, c].into_iter().map(is_free))
+        is_share_free(
+            self.min_free_share,
+            [centroid, a, b, c].into_iter().map(is_free),
+        )
     }
 
-    /// Returns whether a triangle in the pixels around a point is in front of it by more than the tolerance.
+    /// Returns whether a triangle in the pixels around a point is in front of it by more than the
+    /// tolerance.
     fn ray_is_blocked(
         &self,
         view: ViewIndex,
@@ -403,7 +521,9 @@ impl<'a> Estimator<'a> {
     }
 
     fn corners(&self, pose: &Pose, triangle: u32) -> [Point3<f64>; 3] {
-        self.surface.corners(triangle).map(|v| pose.camera_from_world(&v))
+        self.surface
+            .corners(triangle)
+            .map(|v| pose.camera_from_world(&v))
     }
 
     fn camera(&self, view: ViewIndex) -> (&Camera, &[Face]) {
@@ -412,12 +532,20 @@ impl<'a> Estimator<'a> {
     }
 
     /// Records which observed points of the view are on the surface and which are behind it.
-    fn observe(&self, view: ViewIndex, points: &[PointIndex], picture: &RenderedView, observations: &Observations) {
+    fn observe(
+        &self,
+        view: ViewIndex,
+        points: &[PointIndex],
+        picture: &RenderedView,
+        observations: &Observations,
+    ) {
         let pose = &self.scene.view(view).cam_from_world;
         for &p in points {
             let point = pose.camera_from_world(&self.scene.points[p.index()]);
             let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
-            let Some((_, front, own)) = faces.find_map(|(face, buffer)| buffer.sample(face, &point, self.near)) else {
+            let Some((_, front, own)) =
+                faces.find_map(|(face, buffer)| buffer.sample(face, &point, self.near))
+            else {
                 continue;
             };
             if self.tolerance.hides(front, own) {
@@ -429,7 +557,8 @@ impl<'a> Estimator<'a> {
     }
 }
 
-/// Intersects a ray from the origin with a triangle. Returns the position along `ray` as a share of its length, `None` if they don't meet.
+/// Intersects a ray from the origin with a triangle. Returns the position along `ray` as a share of
+/// its length, `None` if they don't meet.
 fn hit([a, b, c]: &[Point3<f64>; 3], ray: &Vector3<f64>) -> Option<f64> {
     let normal = (b - a).cross(&(c - a));
     let share = normal.dot(&a.coords) / normal.dot(ray);
@@ -438,7 +567,8 @@ fn hit([a, b, c]: &[Point3<f64>; 3], ray: &Vector3<f64>) -> Option<f64> {
     (inside && share > 0.0).then_some(share)
 }
 
-/// By sparse point: whether it is on the surface in any view, and the number of its views in which it is hidden.
+/// By sparse point: whether it is on the surface in any view, and the number of its views in which
+/// it is hidden.
 struct Observations {
     on_surface: Vec<AtomicBool>,
     hidden: Vec<AtomicU32>,
@@ -454,7 +584,8 @@ impl Observations {
 
     fn contradictions(self) -> u64 {
         let both = self.on_surface.into_iter().zip(self.hidden);
-        both.filter_map(|(on, hidden)| on.into_inner().then_some(u64::from(hidden.into_inner()))).sum()
+        both.filter_map(|(on, hidden)| on.into_inner().then_some(u64::from(hidden.into_inner())))
+            .sum()
     }
 }
 

@@ -1,4 +1,5 @@
-//! The surface divided into small patches of neighbouring triangles, so that each view processes only those in its field.
+//! The surface divided into small patches of neighbouring triangles, so that each view processes
+//! only those in its field.
 
 use std::ops::Range;
 
@@ -64,7 +65,9 @@ impl Patches {
     /// Returns each triangle of the patch: its index in the surface, and its corners.
     pub fn triangles(&self, patch: &Patch) -> impl Iterator<Item = (u32, [usize; 3])> {
         let rows = patch.triangles.clone();
-        let corners = self.corners[rows.clone()].iter().map(|c| c.map(usize::from));
+        let corners = self.corners[rows.clone()]
+            .iter()
+            .map(|c| c.map(usize::from));
         self.triangles[rows].iter().copied().zip(corners)
     }
 
@@ -74,19 +77,32 @@ impl Patches {
     }
 
     fn add(&mut self, surface: &Surface, chunk: &[u32]) {
-        let mut used: Vec<u32> = chunk.iter().flat_map(|&t| surface.triangles[t as usize]).collect();
+        let mut used: Vec<u32> = chunk
+            .iter()
+            .flat_map(|&t| surface.triangles[t as usize])
+            .collect();
         used.sort_unstable();
         used.dedup();
         let local = |v: u32| used.partition_point(|&u| u < v) as u16;
         let vertices = self.vertices.len()..self.vertices.len() + used.len();
         let triangles = self.corners.len()..self.corners.len() + chunk.len();
-        self.corners.extend(chunk.iter().map(|&t| surface.triangles[t as usize].map(local)));
-        self.vertices.extend(used.iter().map(|&v| surface.vertices[v as usize]));
+        self.corners.extend(
+            chunk
+                .iter()
+                .map(|&t| surface.triangles[t as usize].map(local)),
+        );
+        self.vertices
+            .extend(used.iter().map(|&v| surface.vertices[v as usize]));
         let own = &self.vertices[vertices.clone()];
         let (low, high) = bounds(own.iter());
         let centre = nalgebra::center(&low, &high);
         let radius = own.iter().map(|v| (v - centre).norm()).fold(0.0, f64::max);
-        self.patches.push(Patch { centre, radius, vertices, triangles });
+        self.patches.push(Patch {
+            centre,
+            radius,
+            vertices,
+            triangles,
+        });
     }
 }
 
@@ -94,12 +110,18 @@ impl Patches {
 fn spatial_order(surface: &Surface) -> Vec<u32> {
     let (low, high) = bounds(surface.vertices.iter());
     let longest = (high - low).max().max(f64::MIN_POSITIVE);
-    let cell = |v: &Point3<f64>| (v - low).map(|d| (d / longest * f64::from((1u32 << 21) - 1)) as u64);
+    let cell =
+        |v: &Point3<f64>| (v - low).map(|d| (d / longest * f64::from((1u32 << 21) - 1)) as u64);
     let code = |t: &[u32; 3]| {
         let cell = cell(&surface.vertices[t[0] as usize]);
         spread(cell.x) | spread(cell.y) << 1 | spread(cell.z) << 2
     };
-    let mut keyed: Vec<(u64, u32)> = surface.triangles.iter().zip(0..).map(|(t, i)| (code(t), i)).collect();
+    let mut keyed: Vec<(u64, u32)> = surface
+        .triangles
+        .iter()
+        .zip(0..)
+        .map(|(t, i)| (code(t), i))
+        .collect();
     keyed.sort_unstable();
     keyed.into_iter().map(|(_, t)| t).collect()
 }
@@ -114,7 +136,10 @@ fn spread(x: u64) -> u64 {
 }
 
 fn bounds<'a>(points: impl Iterator<Item = &'a Point3<f64>>) -> (Point3<f64>, Point3<f64>) {
-    let none = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
+    let none = (
+        Point3::from([f64::INFINITY; 3]),
+        Point3::from([f64::NEG_INFINITY; 3]),
+    );
     points.fold(none, |(low, high), p| (low.inf(p), high.sup(p)))
 }
 
@@ -126,16 +151,28 @@ mod tests {
     #[test]
     fn patches_hold_every_triangle_once() {
         let n = 40;
-        let vertices = (0..n * n).map(|i| Point3::new((i % n) as f64, (i / n) as f64, ((i * 7) % 5) as f64)).collect();
+        let vertices = (0..n * n)
+            .map(|i| Point3::new((i % n) as f64, (i / n) as f64, ((i * 7) % 5) as f64))
+            .collect();
         let quad = |i: usize| (i / (n - 1) * n + i % (n - 1)) as u32;
-        let triangles: Vec<[u32; 3]> =
-            (0..(n - 1) * (n - 1)).map(quad).flat_map(|a| [[a, a + 1, a + 41], [a, a + 41, a + 40]]).collect();
-        let surface = Surface { kind: SurfaceKind::Mesh, vertices, triangles };
+        let triangles: Vec<[u32; 3]> = (0..(n - 1) * (n - 1))
+            .map(quad)
+            .flat_map(|a| [[a, a + 1, a + 41], [a, a + 41, a + 40]])
+            .collect();
+        let surface = Surface {
+            kind: SurfaceKind::Mesh,
+            vertices,
+            triangles,
+        };
         let patches = Patches::new(&surface);
         let mut seen = vec![0; surface.triangles.len()];
         for patch in &patches.patches {
             let vertices = patches.vertices(patch);
-            assert!(vertices.iter().all(|v| (v - patch.centre).norm() <= patch.radius));
+            assert!(
+                vertices
+                    .iter()
+                    .all(|v| (v - patch.centre).norm() <= patch.radius)
+            );
             for (t, corners) in patches.triangles(patch) {
                 assert_eq!(corners.map(|c| vertices[c]), surface.corners(t));
                 seen[t as usize] += 1;

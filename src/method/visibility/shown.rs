@@ -14,7 +14,8 @@ use crate::{
     },
 };
 
-/// Pixels are added as integer multiples of 1 / `PARTS`: the sum does not depend on the order in which threads add them.
+/// Pixels are added as integer multiples of 1 / `PARTS`: the sum does not depend on the order in
+/// which threads add them.
 const PARTS: f64 = 65_536.0;
 
 /// By triangle, over the views that see it; pixels are those of the model's images.
@@ -24,8 +25,9 @@ pub struct Shown {
     pub views: Vec<u32>,
     /// Pixels of all of them together.
     pub pixels: Vec<f64>,
-    /// Finest GSD, scene units per pixel; infinite without a view. Views with a GSD that is not positive don't count: the centroid of a large
-    /// triangle may be behind a camera that sees a corner of it.
+    /// Finest GSD, scene units per pixel; infinite without a view. Views with a GSD that is not
+    /// positive don't count: the centroid of a large triangle may be behind a camera that sees a
+    /// corner of it.
     pub finest_gsd: Vec<f32>,
 }
 
@@ -37,17 +39,28 @@ impl Shown {
         let triangles = surface.triangles.len();
         let views: Vec<AtomicU32> = (0..triangles).map(|_| AtomicU32::new(0)).collect();
         let pixels: Vec<AtomicU64> = (0..triangles).map(|_| AtomicU64::new(0)).collect();
-        let finest: Vec<AtomicU32> = (0..triangles).map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
+        let finest: Vec<AtomicU32> = (0..triangles)
+            .map(|_| AtomicU32::new(f32::INFINITY.to_bits()))
+            .collect();
         let look = |&view: &ViewIndex| {
             let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
             for &t in visibility.triangles_seen_by(view) {
-                let area = projected_area(camera, &surface.corners(t).map(|corner| pose.camera_from_world(&corner)));
+                let area = projected_area(
+                    camera,
+                    &surface
+                        .corners(t)
+                        .map(|corner| pose.camera_from_world(&corner)),
+                );
                 let gsd = gsd_at(scene, surface, view, t) as f32;
                 let t = t as usize;
                 views[t].fetch_add(1, Ordering::Relaxed);
-                pixels[t].fetch_add((area.min(Self::MOST_PIXELS) * PARTS) as u64, Ordering::Relaxed);
+                pixels[t].fetch_add(
+                    (area.min(Self::MOST_PIXELS) * PARTS) as u64,
+                    Ordering::Relaxed,
+                );
                 if gsd > 0.0 {
-                    // Bits of positive floats are ordered like the floats, and a minimum does not depend on the order of threads.
+                    // Bits of positive floats are ordered like the floats, and a minimum does not
+                    // depend on the order of threads.
                     finest[t].fetch_min(gsd.to_bits(), Ordering::Relaxed);
                 }
             }
@@ -55,8 +68,14 @@ impl Shown {
         column::read_by_parts(&visibility.views(), look, || visibility.triangles.release());
         Self {
             views: views.into_iter().map(AtomicU32::into_inner).collect(),
-            pixels: pixels.into_iter().map(|sum| sum.into_inner() as f64 / PARTS).collect(),
-            finest_gsd: finest.into_iter().map(|bits| f32::from_bits(bits.into_inner())).collect(),
+            pixels: pixels
+                .into_iter()
+                .map(|sum| sum.into_inner() as f64 / PARTS)
+                .collect(),
+            finest_gsd: finest
+                .into_iter()
+                .map(|bits| f32::from_bits(bits.into_inner()))
+                .collect(),
         }
     }
 
@@ -68,22 +87,29 @@ impl Shown {
     }
 }
 
-/// Returns scene units per pixel of the model's image at a triangle's centroid, across the viewing direction: its depth over the mean focal length.
+/// Returns scene units per pixel of the model's image at a triangle's centroid, across the viewing
+/// direction: its depth over the mean focal length.
 pub(crate) fn gsd_at(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> f64 {
     let camera = scene.camera_of(view);
-    let centroid = scene.view(view).cam_from_world.camera_from_world(&surface.centroid(triangle));
+    let centroid = scene
+        .view(view)
+        .cam_from_world
+        .camera_from_world(&surface.centroid(triangle));
     camera.depth(&centroid) / camera.mean_focal_length()
 }
 
-/// Returns the area of the projected triangle, square pixels of the model's image; corners in camera coordinates. If one does not
-/// project, the projection is linearised at the centroid.
+/// Returns the area of the projected triangle, square pixels of the model's image; corners in
+/// camera coordinates. If one does not project, the projection is linearised at the centroid.
 pub(crate) fn projected_area(camera: &Camera, corners: &[Point3<f64>; 3]) -> f64 {
     let pixels = corners.each_ref().map(|p| camera.project(p));
     let edges = match pixels {
         [Some(a), Some(b), Some(c)] => [b - a, c - a].map(|edge| unwrapped(camera, edge)),
         _ => {
             let [a, b, c] = corners.each_ref().map(|p| p.coords);
-            let Some((_, jacobian)) = camera.project_with_jacobian(&((a + b + c) / 3.0).into()) else { return 0.0 };
+            let Some((_, jacobian)) = camera.project_with_jacobian(&((a + b + c) / 3.0).into())
+            else {
+                return 0.0;
+            };
             [jacobian * (b - a), jacobian * (c - a)]
         }
     };
@@ -106,13 +132,27 @@ mod tests {
     /// 80 px around, an edge of 4 px over the seam.
     #[test]
     fn a_triangle_on_the_seam_of_a_panorama_has_the_pixels_of_one_elsewhere() {
-        let camera = Camera::new(1, CameraModel::Equirectangular, 80, 40, vec![80.0, 40.0]).unwrap();
+        let camera =
+            Camera::new(1, CameraModel::Equirectangular, 80, 40, vec![80.0, 40.0]).unwrap();
         let at = |degrees: f64, y: f64| {
             let angle = degrees.to_radians();
             Point3::new(10.0 * angle.sin(), y, 10.0 * angle.cos())
         };
-        let across =
-            |middle: f64| projected_area(&camera, &[at(middle - 9.0, 0.0), at(middle + 9.0, 0.0), at(middle, 1.0)]);
-        assert!(across(0.0) > 1.0 && (across(180.0) - across(0.0)).abs() < 1e-9, "{} {}", across(180.0), across(0.0));
+        let across = |middle: f64| {
+            projected_area(
+                &camera,
+                &[
+                    at(middle - 9.0, 0.0),
+                    at(middle + 9.0, 0.0),
+                    at(middle, 1.0),
+                ],
+            )
+        };
+        assert!(
+            across(0.0) > 1.0 && (across(180.0) - across(0.0)).abs() < 1e-9,
+            "{} {}",
+            across(180.0),
+            across(0.0)
+        );
     }
 }

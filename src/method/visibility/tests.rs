@@ -1,4 +1,5 @@
-//! The table against brute force: a ray from the camera to the centroid of each triangle, past all the others.
+//! The table against brute force: a ray from the camera to the centroid of each triangle, past all
+//! the others.
 
 use super::*;
 use crate::{base::progress::NoWatcher, method::synthetic::Town, model::camera::CameraModel};
@@ -12,25 +13,41 @@ fn pinhole() -> Camera {
 }
 
 /// By the definition, with one sample: the centroid.
-fn sees_centroid(scene: &Scene, surface: &Surface, view: ViewIndex, t: u32, max_incidence_deg: f64) -> bool {
+fn sees_centroid(
+    scene: &Scene,
+    surface: &Surface,
+    view: ViewIndex,
+    t: u32,
+    max_incidence_deg: f64,
+) -> bool {
     let (pose, camera) = (&scene.view(view).cam_from_world, scene.camera_of(view));
     let (centre, centroid) = (pose.centre(), surface.centroid(t));
     let towards = (centre - centroid).normalize();
     let pixel = camera.project(&pose.camera_from_world(&centroid));
     surface.area_normal(t).normalize().dot(&towards) > max_incidence_deg.to_radians().cos()
         && pixel.is_some_and(|p| camera.contains(&p))
-        && !(0..surface.triangles.len() as u32).filter(|&o| o != t).any(|o| {
-            let corners = surface.corners(o).map(|v| Point3::from(v - centre));
-            hit(&corners, &(centroid - centre)).is_some_and(|share| share < 1.0 - 1e-9)
-        })
+        && !(0..surface.triangles.len() as u32)
+            .filter(|&o| o != t)
+            .any(|o| {
+                let corners = surface.corners(o).map(|v| Point3::from(v - centre));
+                hit(&corners, &(centroid - centre)).is_some_and(|share| share < 1.0 - 1e-9)
+            })
 }
 
 /// Precision and recall of the table against the centroids' rays.
 fn agreement(town: &Town, edge_length: f64) -> (f64, f64) {
     let (scene, surface) = (town.scene(), town.surface());
     let settings = VisibilitySettings::default();
-    let table =
-        estimate(&scene, &scene.view_points(), &surface, &settings, edge_length, Storage::Memory, &NoWatcher).unwrap();
+    let table = estimate(
+        &scene,
+        &scene.view_points(),
+        &surface,
+        &settings,
+        edge_length,
+        Storage::Memory,
+        &NoWatcher,
+    )
+    .unwrap();
     let (mut both, mut said, mut true_ones) = (0.0, 0.0, 0.0);
     for view in scene.view_indices().step_by(17) {
         for t in 0..surface.triangles.len() as u32 {
@@ -49,16 +66,38 @@ fn agreement(town: &Town, edge_length: f64) -> (f64, f64) {
 fn agrees_with_rays_for_all_kinds_of_cameras() {
     let cameras = [
         pinhole(),
-        camera(CameraModel::OpenCv, &[800.0, 820.0, 510.0, 370.0, -0.2, 0.05, 0.001, -0.002]),
+        camera(
+            CameraModel::OpenCv,
+            &[800.0, 820.0, 510.0, 370.0, -0.2, 0.05, 0.001, -0.002],
+        ),
         camera(CameraModel::SimpleRadial, &[850.0, 500.0, 375.0, 0.15]),
-        camera(CameraModel::OpenCvFisheye, &[500.0, 500.0, 500.0, 375.0, 0.01, -0.005, 0.0, 0.0]),
+        camera(
+            CameraModel::OpenCvFisheye,
+            &[500.0, 500.0, 500.0, 375.0, 0.01, -0.005, 0.0, 0.0],
+        ),
         camera(CameraModel::SimpleFisheye, &[330.0, 500.0, 375.0]),
-        Camera::new(1, CameraModel::Equirectangular, 1000, 500, vec![1000.0, 500.0]).unwrap(),
+        Camera::new(
+            1,
+            CameraModel::Equirectangular,
+            1000,
+            500,
+            vec![1000.0, 500.0],
+        )
+        .unwrap(),
     ];
     for camera in cameras {
         let model = camera.model();
-        let (precision, recall) = agreement(&Town { points: 200, ..Town::new(camera) }, 2.0);
-        assert!(precision >= 0.97 && recall >= 0.97, "{model:?}: {precision} {recall}");
+        let (precision, recall) = agreement(
+            &Town {
+                points: 200,
+                ..Town::new(camera)
+            },
+            2.0,
+        );
+        assert!(
+            precision >= 0.97 && recall >= 0.97,
+            "{model:?}: {precision} {recall}"
+        );
     }
 }
 
@@ -67,11 +106,16 @@ fn agrees_with_rays_for_all_kinds_of_cameras() {
 fn a_share_is_free_whatever_is_not_looked_at() {
     for share in [0.0, 0.25, 1.0 / 3.0, 0.5, 0.75, 0.9, 1.0] {
         for case in 0..81u32 {
-            let points = [1, 3, 9, 27].map(|digit| [None, Some(false), Some(true)][(case / digit % 3) as usize]);
+            let points = [1, 3, 9, 27]
+                .map(|digit| [None, Some(false), Some(true)][(case / digit % 3) as usize]);
             let samples = points.iter().flatten().count() as u32;
             let free = points.iter().filter(|&&point| point == Some(true)).count() as u32;
             let expected = samples > 0 && f64::from(free) >= share * f64::from(samples);
-            assert_eq!(is_share_free(share, points.into_iter()), expected, "{share} of {points:?}");
+            assert_eq!(
+                is_share_free(share, points.into_iter()),
+                expected,
+                "{share} of {points:?}"
+            );
         }
     }
 }

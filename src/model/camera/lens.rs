@@ -1,6 +1,7 @@
 //! The mathematics of the camera models, each composed of three steps:
 //!
-//! 1. [`Base`]: from camera coordinates to a plane (perspective division, equidistant fisheye, ...),
+//! 1. [`Base`]: from camera coordinates to a plane (perspective division, equidistant fisheye,
+//!    ...),
 //! 2. [`Warp`]: distortion within that plane,
 //! 3. focal lengths and principal point.
 //!
@@ -73,8 +74,17 @@ impl Lens {
     pub fn new(model: CameraModel, params: &[f64]) -> Self {
         if model == CameraModel::Equirectangular {
             let (w, h) = (params[0], params[1]);
-            let (focal, centre) = (Vector2::new(w / (2.0 * PI), h / PI), Vector2::new(w / 2.0, h / 2.0));
-            return Self { base: Base::Spherical, warp: Warp::None, focal, centre, limit: f64::INFINITY };
+            let (focal, centre) = (
+                Vector2::new(w / (2.0 * PI), h / PI),
+                Vector2::new(w / 2.0, h / 2.0),
+            );
+            return Self {
+                base: Base::Spherical,
+                warp: Warp::None,
+                focal,
+                centre,
+                limit: f64::INFINITY,
+            };
         }
         let n = model.focal_length_count();
         let focal = Vector2::new(params[0], params[n - 1]);
@@ -85,7 +95,13 @@ impl Lens {
             Base::Equidistant => warp.radial_limit().min(FRAC_PI_2 * FRAC_PI_2),
             _ => warp.radial_limit(),
         };
-        Self { base, warp, focal, centre, limit }
+        Self {
+            base,
+            warp,
+            focal,
+            centre,
+            limit,
+        }
     }
 
     pub fn project(&self, x: &Point3<f64>) -> Option<Vector2<f64>> {
@@ -94,7 +110,8 @@ impl Lens {
             Warp::None => return Some(self.pixel(&plane)),
             warp => warp.apply_with_jacobian(&plane),
         };
-        self.in_field(&plane, &jacobian).then(|| self.pixel(&warped))
+        self.in_field(&plane, &jacobian)
+            .then(|| self.pixel(&warped))
     }
 
     pub fn project_with_jacobian(&self, x: &Point3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
@@ -102,7 +119,8 @@ impl Lens {
         let by_point = self.base.jacobian(x)?;
         let (warped, by_plane) = self.warp.apply_with_jacobian(&plane);
         let jacobian = Matrix2::from_diagonal(&self.focal) * by_plane * by_point;
-        self.in_field(&plane, &by_plane).then(|| (self.pixel(&warped), jacobian))
+        self.in_field(&plane, &by_plane)
+            .then(|| (self.pixel(&warped), jacobian))
     }
 
     pub fn project_beyond_field(&self, x: &Point3<f64>) -> Option<Vector2<f64>> {
@@ -125,7 +143,8 @@ impl Lens {
         plane.norm_squared() < self.limit && jacobian.determinant() > 0.0
     }
 
-    /// Inverts the warp within the field: bracketing for the radial part, then Newton's method for the whole.
+    /// Inverts the warp within the field: bracketing for the radial part, then Newton's method for
+    /// the whole.
     fn unwarp(&self, warped: &Vector2<f64>) -> Option<Vector2<f64>> {
         if self.warp == Warp::None {
             return warped.iter().all(|c| c.is_finite()).then_some(*warped);
@@ -134,7 +153,11 @@ impl Lens {
         if !radius.is_finite() {
             return None;
         }
-        let scale = if radius > 0.0 { self.unwarp_radius(radius)? / radius } else { 1.0 };
+        let scale = if radius > 0.0 {
+            self.unwarp_radius(radius)? / radius
+        } else {
+            1.0
+        };
         let mut plane = warped * scale;
         for _ in 0..50 {
             let (there, jacobian) = self.warp.apply_with_jacobian(&plane);
@@ -172,7 +195,11 @@ impl Lens {
             if middle <= low || middle >= high {
                 break;
             }
-            if self.warp.radius(middle) < warped { low = middle } else { high = middle }
+            if self.warp.radius(middle) < warped {
+                low = middle
+            } else {
+                high = middle
+            }
         }
         Some(low)
     }
@@ -188,29 +215,65 @@ fn base_and_warp(model: CameraModel, extra: &[f64]) -> (Base, Warp) {
     match model {
         SimplePinhole | Pinhole | Equirectangular => (Base::Perspective, Warp::None),
         SimpleRadial | Radial => (Base::Perspective, Warp::Brown(brown(extra))),
-        OpenCv => (Base::Perspective, Warp::Brown(Brown { tangential: [extra[2], extra[3]], ..brown(&extra[..2]) })),
+        OpenCv => (
+            Base::Perspective,
+            Warp::Brown(Brown {
+                tangential: [extra[2], extra[3]],
+                ..brown(&extra[..2])
+            }),
+        ),
         FullOpenCv => {
             let radial = [extra[0], extra[1], extra[4]];
             let denominator = [extra[5], extra[6], extra[7]];
             let tangential = [extra[2], extra[3]];
-            (Base::Perspective, Warp::Brown(Brown { denominator, tangential, ..brown(&radial) }))
+            (
+                Base::Perspective,
+                Warp::Brown(Brown {
+                    denominator,
+                    tangential,
+                    ..brown(&radial)
+                }),
+            )
         }
         Fov => (Base::Perspective, Warp::Fov { omega: extra[0] }),
         SimpleFisheye | Fisheye => (Base::Equidistant, Warp::None),
-        SimpleRadialFisheye | RadialFisheye | OpenCvFisheye => (Base::Equidistant, Warp::Brown(brown(extra))),
+        SimpleRadialFisheye | RadialFisheye | OpenCvFisheye => {
+            (Base::Equidistant, Warp::Brown(brown(extra)))
+        }
         ThinPrismFisheye => {
             let radial = [extra[0], extra[1], extra[4], extra[5]];
             let (tangential, prism) = ([extra[2], extra[3]], [extra[6], 0.0, extra[7], 0.0]);
-            (Base::Equidistant, Warp::Brown(Brown { tangential, prism, ..brown(&radial) }))
+            (
+                Base::Equidistant,
+                Warp::Brown(Brown {
+                    tangential,
+                    prism,
+                    ..brown(&radial)
+                }),
+            )
         }
         RadTanThinPrismFisheye => {
             // p0 and p1 are OpenCV's p2 and p1.
-            let (tangential, prism) = ([extra[7], extra[6]], [extra[8], extra[9], extra[10], extra[11]]);
-            let warp = Brown { tangential, prism, after_radial: true, ..brown(&extra[..6]) };
+            let (tangential, prism) = (
+                [extra[7], extra[6]],
+                [extra[8], extra[9], extra[10], extra[11]],
+            );
+            let warp = Brown {
+                tangential,
+                prism,
+                after_radial: true,
+                ..brown(&extra[..6])
+            };
             (Base::Equidistant, Warp::Brown(warp))
         }
         SimpleDivision | Division => (Base::Division { k: extra[0] }, Warp::None),
-        Eucm => (Base::Eucm { alpha: extra[0], beta: extra[1] }, Warp::None),
+        Eucm => (
+            Base::Eucm {
+                alpha: extra[0],
+                beta: extra[1],
+            },
+            Warp::None,
+        ),
     }
 }
 
@@ -223,12 +286,17 @@ impl Base {
             Base::Equidistant => (x.z >= MIN_DEPTH).then(|| {
                 let axis = x.x.hypot(x.y);
                 let t = axis / x.z;
-                if t > f64::EPSILON { xy * (t.atan() / axis) } else { xy / x.z }
+                if t > f64::EPSILON {
+                    xy * (t.atan() / axis)
+                } else {
+                    xy / x.z
+                }
             }),
             Base::Division { k } => {
                 let axis = x.x.hypot(x.y);
                 let root = (x.z * x.z - 4.0 * k * axis * axis).sqrt();
-                // NaN (no real solution) fails the comparison, too; 0 and below is the other branch of the solution.
+                // NaN (no real solution) fails the comparison, too; 0 and below is the other branch
+                // of the solution.
                 (x.z + root > 0.0).then(|| xy * (2.0 / (x.z + root)))
             }
             Base::Eucm { .. } => {
@@ -243,9 +311,12 @@ impl Base {
         }
     }
 
-    /// Denominator of the enhanced unified model, and true where the plane radius grows with the angle of the ray to the axis.
+    /// Denominator of the enhanced unified model, and true where the plane radius grows with the
+    /// angle of the ray to the axis.
     fn eucm_denominator(self, x: &Point3<f64>) -> Option<(f64, bool)> {
-        let Base::Eucm { alpha, beta } = self else { return None };
+        let Base::Eucm { alpha, beta } = self else {
+            return None;
+        };
         let rho = (beta * (x.x * x.x + x.y * x.y) + x.z * x.z).sqrt();
         let denominator = alpha * rho + (1.0 - alpha) * x.z;
         let in_front = x.z >= MIN_DEPTH && denominator >= MIN_DEPTH;
@@ -256,7 +327,8 @@ impl Base {
     fn jacobian(self, x: &Point3<f64>) -> Option<Matrix2x3<f64>> {
         let xy = Vector2::new(x.x, x.y);
         let axis_squared = xy.norm_squared();
-        // The first four are `xy * q` with q a function of ρ² and z: the Jacobian is q·I plus xy times the gradient of q.
+        // The first four are `xy * q` with q a function of ρ² and z: the Jacobian is q·I plus xy
+        // times the gradient of q.
         let (q, by_axis, by_z) = match self {
             Base::Perspective => (1.0 / x.z, 0.0, -1.0 / (x.z * x.z)),
             Base::Equidistant => equidistant_factor(axis_squared.sqrt(), x.z),
@@ -268,7 +340,11 @@ impl Base {
             Base::Eucm { alpha, beta } => {
                 let rho = (beta * axis_squared + x.z * x.z).sqrt();
                 let q = 1.0 / (alpha * rho + (1.0 - alpha) * x.z);
-                (q, -q * q * alpha * beta / rho, -q * q * (alpha * x.z / rho + 1.0 - alpha))
+                (
+                    q,
+                    -q * q * alpha * beta / rho,
+                    -q * q * (alpha * x.z / rho + 1.0 - alpha),
+                )
             }
             Base::Spherical => return spherical_jacobian(x),
         };
@@ -286,7 +362,11 @@ impl Base {
             Base::Perspective => Some(plane.push(1.0)),
             Base::Equidistant => {
                 let theta = r2.sqrt();
-                let sinc = if theta > 1e-8 { theta.sin() / theta } else { 1.0 };
+                let sinc = if theta > 1e-8 {
+                    theta.sin() / theta
+                } else {
+                    1.0
+                };
                 (theta < FRAC_PI_2).then(|| (plane * sinc).push(theta.cos()))
             }
             Base::Division { k } => Some(plane.push(1.0 + k * r2)),
@@ -298,7 +378,11 @@ impl Base {
             Base::Spherical => {
                 let (azimuth, down) = (plane.x, plane.y);
                 let inside = azimuth.abs() <= PI && down.abs() <= FRAC_PI_2;
-                let ray = Vector3::new(down.cos() * azimuth.sin(), down.sin(), down.cos() * azimuth.cos());
+                let ray = Vector3::new(
+                    down.cos() * azimuth.sin(),
+                    down.sin(),
+                    down.cos() * azimuth.cos(),
+                );
                 inside.then_some(ray)
             }
         }
@@ -314,7 +398,11 @@ fn equidistant_factor(axis: f64, z: f64) -> (f64, f64, f64) {
         return (series / z, (-2.0 / 3.0 + 0.8 * t * t) / (z * z * z), by_z);
     }
     let theta = t.atan();
-    (theta / axis, (t / (1.0 + t * t) - theta) / (axis * axis * axis), by_z)
+    (
+        theta / axis,
+        (t / (1.0 + t * t) - theta) / (axis * axis * axis),
+        by_z,
+    )
 }
 
 fn spherical_jacobian(x: &Point3<f64>) -> Option<Matrix2x3<f64>> {
@@ -345,7 +433,10 @@ impl Warp {
             Warp::Brown(brown) => brown.apply_with_jacobian(p),
             Warp::Fov { omega } => {
                 let (factor, by_s) = fov_factor(*omega, p.norm_squared());
-                (p * factor, Matrix2::from_diagonal_element(factor) + p * p.transpose() * (2.0 * by_s))
+                (
+                    p * factor,
+                    Matrix2::from_diagonal_element(factor) + p * p.transpose() * (2.0 * by_s),
+                )
             }
         }
     }
@@ -386,9 +477,15 @@ impl Brown {
         let radial = p * factor;
         let by_p = Matrix2::from_diagonal_element(factor) + p * p.transpose() * (2.0 * by_s);
         if self.after_radial {
-            (radial + self.decentring(&radial), (Matrix2::identity() + self.decentring_jacobian(&radial)) * by_p)
+            (
+                radial + self.decentring(&radial),
+                (Matrix2::identity() + self.decentring_jacobian(&radial)) * by_p,
+            )
         } else {
-            (radial + self.decentring(p), by_p + self.decentring_jacobian(p))
+            (
+                radial + self.decentring(p),
+                by_p + self.decentring_jacobian(p),
+            )
         }
     }
 
@@ -424,7 +521,8 @@ impl Brown {
         )
     }
 
-    /// The smaller of the first positive roots, in s, of d(r R)/dr, whose numerator is `N D + 2 s (N' D - N D')`, and of D.
+    /// The smaller of the first positive roots, in s, of d(r R)/dr, whose numerator is `N D + 2 s
+    /// (N' D - N D')`, and of D.
     fn radial_limit(&self) -> f64 {
         let n = [&[1.0], &self.radial[..]].concat();
         let d = [&[1.0], &self.denominator[..]].concat();
@@ -434,7 +532,12 @@ impl Brown {
                 numerator[i + j] += a * b * (1.0 + 2.0 * (i as f64 - j as f64));
             }
         }
-        let first = |polynomial: &[f64]| positive_roots(polynomial).first().copied().unwrap_or(f64::INFINITY);
+        let first = |polynomial: &[f64]| {
+            positive_roots(polynomial)
+                .first()
+                .copied()
+                .unwrap_or(f64::INFINITY)
+        };
         first(&numerator).min(first(&d))
     }
 }
@@ -449,8 +552,9 @@ fn one_plus_series(c: &[f64], s: f64) -> (f64, f64) {
     (1.0 + value * s, derivative * s + value)
 }
 
-/// Factor of the FOV model at squared radius s, and its derivative by s. COLMAP's power series for small omega has the sign of the inverse;
-/// its models were optimised with that sign, so it is kept here.
+/// Factor of the FOV model at squared radius s, and its derivative by s. COLMAP's power series for
+/// small omega has the sign of the inverse; its models were optimised with that sign, so it is kept
+/// here.
 fn fov_factor(omega: f64, s: f64) -> (f64, f64) {
     let omega2 = omega * omega;
     if omega2 < FOV_SERIES {
@@ -458,7 +562,10 @@ fn fov_factor(omega: f64, s: f64) -> (f64, f64) {
     }
     let t = (0.5 * omega).tan();
     if s < FOV_SERIES {
-        return (2.0 * t * (3.0 - 4.0 * s * t * t) / (3.0 * omega), -8.0 * t * t * t / (3.0 * omega));
+        return (
+            2.0 * t * (3.0 - 4.0 * s * t * t) / (3.0 * omega),
+            -8.0 * t * t * t / (3.0 * omega),
+        );
     }
     let r = s.sqrt();
     let angle = (2.0 * r * t).atan();
@@ -466,16 +573,31 @@ fn fov_factor(omega: f64, s: f64) -> (f64, f64) {
     (angle / (r * omega), (by_r - angle / r) / (2.0 * s * omega))
 }
 
-/// Positive roots of `Σ c_i s^i` where it changes sign, ascending. Between two neighbouring roots of the derivative there is at most one.
+/// Positive roots of `Σ c_i s^i` where it changes sign, ascending. Between two neighbouring roots
+/// of the derivative there is at most one.
 fn positive_roots(c: &[f64]) -> Vec<f64> {
-    let Some(last) = c.iter().rposition(|&c| c != 0.0).filter(|&last| last > 0) else { return Vec::new() };
+    let Some(last) = c.iter().rposition(|&c| c != 0.0).filter(|&last| last > 0) else {
+        return Vec::new();
+    };
     let c = &c[..=last];
     let value = |s: f64| c.iter().rev().fold(0.0, |sum, c| sum * s + c);
-    let derivative: Vec<f64> = c.iter().enumerate().skip(1).map(|(i, c)| i as f64 * c).collect();
+    let derivative: Vec<f64> = c
+        .iter()
+        .enumerate()
+        .skip(1)
+        .map(|(i, c)| i as f64 * c)
+        .collect();
     // Cauchy's bound on the roots.
-    let bound = 1.0 + c[..last].iter().fold(0.0f64, |max, a| max.max((a / c[last]).abs()));
+    let bound = 1.0
+        + c[..last]
+            .iter()
+            .fold(0.0f64, |max, a| max.max((a / c[last]).abs()));
     let mut stops = vec![0.0];
-    stops.extend(positive_roots(&derivative).into_iter().filter(|&s| s < bound));
+    stops.extend(
+        positive_roots(&derivative)
+            .into_iter()
+            .filter(|&s| s < bound),
+    );
     stops.push(bound.min(f64::MAX));
     let crossing = |ends: &[f64]| {
         let (mut low, mut high) = (ends[0], ends[1]);
@@ -488,7 +610,11 @@ fn positive_roots(c: &[f64]) -> Vec<f64> {
             if middle <= low || middle >= high {
                 break;
             }
-            if (value(middle) > 0.0) == rising { high = middle } else { low = middle }
+            if (value(middle) > 0.0) == rising {
+                high = middle
+            } else {
+                low = middle
+            }
         }
         Some(low)
     };

@@ -1,5 +1,5 @@
-//! Camera models: projection, its Jacobian, undistortion. Models and parameter order are COLMAP's (`sensor/models.h`); [`lens`] has the
-//! mathematics.
+//! Camera models: projection, its Jacobian, undistortion. Models and parameter order are COLMAP's
+//! (`sensor/models.h`); [`lens`] has the mathematics.
 
 mod lens;
 
@@ -42,10 +42,20 @@ const MODELS: [(CameraModel, &str, usize, usize); 18] = [
     (CameraModel::OpenCvFisheye, "OPENCV_FISHEYE", 2, 4),
     (CameraModel::FullOpenCv, "FULL_OPENCV", 2, 8),
     (CameraModel::Fov, "FOV", 2, 1),
-    (CameraModel::SimpleRadialFisheye, "SIMPLE_RADIAL_FISHEYE", 1, 1),
+    (
+        CameraModel::SimpleRadialFisheye,
+        "SIMPLE_RADIAL_FISHEYE",
+        1,
+        1,
+    ),
     (CameraModel::RadialFisheye, "RADIAL_FISHEYE", 1, 2),
     (CameraModel::ThinPrismFisheye, "THIN_PRISM_FISHEYE", 2, 8),
-    (CameraModel::RadTanThinPrismFisheye, "RAD_TAN_THIN_PRISM_FISHEYE", 2, 12),
+    (
+        CameraModel::RadTanThinPrismFisheye,
+        "RAD_TAN_THIN_PRISM_FISHEYE",
+        2,
+        12,
+    ),
     (CameraModel::SimpleDivision, "SIMPLE_DIVISION", 1, 1),
     (CameraModel::Division, "DIVISION", 2, 1),
     (CameraModel::SimpleFisheye, "SIMPLE_FISHEYE", 1, 0),
@@ -95,7 +105,11 @@ impl CameraModel {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
     #[error("{model} takes {expected} parameters, found {found}")]
-    ParameterCount { model: &'static str, expected: usize, found: usize },
+    ParameterCount {
+        model: &'static str,
+        expected: usize,
+        found: usize,
+    },
     #[error("parameter {index} is {value}, not a finite number")]
     NotFinite { index: usize, value: f64 },
     #[error("focal length {0} is not positive")]
@@ -104,7 +118,8 @@ pub enum CameraError {
     ImageSize { width: u64, height: u64 },
 }
 
-/// Intrinsics of an image of `width` x `height` pixels; the centre of the first pixel is at (0.5, 0.5).
+/// Intrinsics of an image of `width` x `height` pixels; the centre of the first pixel is at (0.5,
+/// 0.5).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     /// Camera id in the source file.
@@ -117,10 +132,12 @@ pub struct Camera {
     lens: Lens,
 }
 
-/// Largest difference of aspect ratios that is taken for rounding; almost any image of a few pixels could be explained by it otherwise.
+/// Largest difference of aspect ratios that is taken for rounding; almost any image of a few pixels
+/// could be explained by it otherwise.
 const LARGEST_ROUNDING: f64 = 0.02;
 
-/// Pixels up to which an image may have more than its camera: models are made from scaled copies, too.
+/// Pixels up to which an image may have more than its camera: models are made from scaled copies,
+/// too.
 const COPY_PIXELS: u64 = 1 << 25;
 
 impl Camera {
@@ -128,16 +145,34 @@ impl Camera {
     ///
     /// # Errors
     /// If the number of parameters, one of their values or the image size is invalid.
-    pub fn new(id: u32, model: CameraModel, width: u64, height: u64, params: Vec<f64>) -> Result<Self, CameraError> {
+    pub fn new(
+        id: u32,
+        model: CameraModel,
+        width: u64,
+        height: u64,
+        params: Vec<f64>,
+    ) -> Result<Self, CameraError> {
         let expected = model.parameter_count();
         if params.len() != expected {
-            return Err(CameraError::ParameterCount { model: model.name(), expected, found: params.len() });
+            return Err(CameraError::ParameterCount {
+                model: model.name(),
+                expected,
+                found: params.len(),
+            });
         }
         if let Some(index) = params.iter().position(|p| !p.is_finite()) {
-            return Err(CameraError::NotFinite { index, value: params[index] });
+            return Err(CameraError::NotFinite {
+                index,
+                value: params[index],
+            });
         }
         // For an equirectangular image the two "focal lengths" are its width and height.
-        let positive = model.focal_length_count() + if model == CameraModel::Equirectangular { 2 } else { 0 };
+        let positive = model.focal_length_count()
+            + if model == CameraModel::Equirectangular {
+                2
+            } else {
+                0
+            };
         if let Some(&bad) = params[..positive].iter().find(|&&f| f <= 0.0) {
             return Err(CameraError::FocalLength(bad));
         }
@@ -146,7 +181,14 @@ impl Camera {
             return Err(CameraError::ImageSize { width, height });
         };
         let lens = Lens::new(model, &params);
-        Ok(Self { id, width: w, height: h, model, params, lens })
+        Ok(Self {
+            id,
+            width: w,
+            height: h,
+            model,
+            params,
+            lens,
+        })
     }
 
     pub fn model(&self) -> CameraModel {
@@ -158,27 +200,33 @@ impl Camera {
         &self.params
     }
 
-    /// Projects a point in camera coordinates to a pixel; `None` if it is behind the camera or outside the field in which the projection is one
-    /// to one.
+    /// Projects a point in camera coordinates to a pixel; `None` if it is behind the camera or
+    /// outside the field in which the projection is one to one.
     pub fn project(&self, x_cam: &Point3<f64>) -> Option<Point2<f64>> {
         self.lens.project(x_cam).map(Point2::from)
     }
 
-    /// Projects a point and returns the Jacobian of the pixel with respect to the point in camera coordinates, pixels per scene unit; `None` as
-    /// for [`Camera::project`].
-    pub fn project_with_jacobian(&self, x_cam: &Point3<f64>) -> Option<(Point2<f64>, Matrix2x3<f64>)> {
-        self.lens.project_with_jacobian(x_cam).map(|(p, j)| (Point2::from(p), j))
+    /// Projects a point and returns the Jacobian of the pixel with respect to the point in camera
+    /// coordinates, pixels per scene unit; `None` as for [`Camera::project`].
+    pub fn project_with_jacobian(
+        &self,
+        x_cam: &Point3<f64>,
+    ) -> Option<(Point2<f64>, Matrix2x3<f64>)> {
+        self.lens
+            .project_with_jacobian(x_cam)
+            .map(|(p, j)| (Point2::from(p), j))
     }
 
-    /// Projects a point even outside the field in which the model is one to one, like COLMAP's `img_from_cam`. For reprojection errors of
-    /// measured observations, not for visibility tests.
+    /// Projects a point even outside the field in which the model is one to one, like COLMAP's
+    /// `img_from_cam`. For reprojection errors of measured observations, not for visibility tests.
     pub fn project_beyond_field(&self, x_cam: &Point3<f64>) -> Option<Point2<f64>> {
         self.lens.project_beyond_field(x_cam).map(Point2::from)
     }
 
-    /// Distance in pixels between a measured pixel and the projection of a point ([`Camera::project_beyond_field`]); `None` without a projection.
-    /// Pixels of equirectangular images have no common scale: there the error is the angle between the rays times the pixels per radian at the
-    /// equator, as in COLMAP.
+    /// Distance in pixels between a measured pixel and the projection of a point
+    /// ([`Camera::project_beyond_field`]); `None` without a projection. Pixels of equirectangular
+    /// images have no common scale: there the error is the angle between the rays times the pixels
+    /// per radian at the equator, as in COLMAP.
     pub fn reprojection_error(&self, x_cam: &Point3<f64>, measured: &Point2<f64>) -> Option<f64> {
         if self.model == CameraModel::Equirectangular {
             let angle = self.ray(measured)?.angle(&x_cam.coords);
@@ -187,21 +235,29 @@ impl Camera {
         Some((self.project_beyond_field(x_cam)? - measured).norm())
     }
 
-    /// Unit direction, in camera coordinates, of the ray through a pixel: the inverse of [`Camera::project`]. `None` if no point of the field
-    /// projects to the pixel.
+    /// Unit direction, in camera coordinates, of the ray through a pixel: the inverse of
+    /// [`Camera::project`]. `None` if no point of the field projects to the pixel.
     pub fn ray(&self, pixel: &Point2<f64>) -> Option<Unit<Vector3<f64>>> {
         self.lens.ray(pixel.coords)
     }
 
-    /// Depth of a point, scene units; divided by the focal length it gives the size of a pixel there. It is z, and the distance from the centre for
-    /// equirectangular images, where no point is behind the camera.
+    /// Depth of a point, scene units; divided by the focal length it gives the size of a pixel
+    /// there. It is z, and the distance from the centre for equirectangular images, where no point
+    /// is behind the camera.
     pub fn depth(&self, x_cam: &Point3<f64>) -> f64 {
-        if self.model == CameraModel::Equirectangular { x_cam.coords.norm() } else { x_cam.z }
+        if self.model == CameraModel::Equirectangular {
+            x_cam.coords.norm()
+        } else {
+            x_cam.z
+        }
     }
 
     /// Returns whether the pixel is inside the image.
     pub fn contains(&self, pixel: &Point2<f64>) -> bool {
-        pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(self.width) && pixel.y < f64::from(self.height)
+        pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x < f64::from(self.width)
+            && pixel.y < f64::from(self.height)
     }
 
     /// Mean of the two focal lengths, pixels (equirectangular: pixels per radian).
@@ -210,7 +266,8 @@ impl Camera {
         0.5 * (focal.x + focal.y)
     }
 
-    /// Focal lengths and principal point, pixels: the camera without its distortion (equirectangular: pixels per radian and the image centre).
+    /// Focal lengths and principal point, pixels: the camera without its distortion
+    /// (equirectangular: pixels per radian and the image centre).
     pub fn pinhole_part(&self) -> (Vector2<f64>, Point2<f64>) {
         (self.lens.focal, Point2::from(self.lens.centre))
     }
@@ -220,21 +277,27 @@ impl Camera {
         PixelBound::new((u64::from(self.width) + 1).saturating_mul(u64::from(self.height) + 1))
     }
 
-    /// Pixels that an image or a mask of this camera may have: as many as the camera, or as a picture of [`COPY_PIXELS`].
+    /// Pixels that an image or a mask of this camera may have: as many as the camera, or as a
+    /// picture of [`COPY_PIXELS`].
     pub fn most_picture_pixels(&self) -> PixelBound {
         PixelBound::new((u64::from(self.width) * u64::from(self.height)).max(COPY_PIXELS))
     }
 
-    /// Returns whether an image of this width and height has the aspect ratio of the camera's, up to the rounding of their sides.
+    /// Returns whether an image of this width and height has the aspect ratio of the camera's, up
+    /// to the rounding of their sides.
     pub fn has_aspect_ratio_of(&self, [width, height]: [u32; 2]) -> bool {
-        let [width, height, own_width, own_height] = [width, height, self.width, self.height].map(f64::from);
+        let [width, height, own_width, own_height] =
+            [width, height, self.width, self.height].map(f64::from);
         let rounding = 1.0 / width + 1.0 / height + 1.0 / own_width + 1.0 / own_height;
         (width * own_height / (height * own_width) - 1.0).abs() <= rounding.min(LARGEST_ROUNDING)
     }
 
     /// Returns whether the model is PINHOLE or SIMPLE_PINHOLE, without distortion.
     pub fn is_pinhole(&self) -> bool {
-        matches!(self.model, CameraModel::SimplePinhole | CameraModel::Pinhole)
+        matches!(
+            self.model,
+            CameraModel::SimplePinhole | CameraModel::Pinhole
+        )
     }
 }
 

@@ -14,8 +14,13 @@ fn cameras() -> Vec<Camera> {
         &[0.6],
         &[0.01],
         &[0.01, -0.004],
-        &[0.02, -0.005, 0.0003, -0.0004, 0.001, -0.0005, 0.0006, -0.0007],
-        &[0.02, -0.005, 0.002, -0.0008, 0.0002, -0.0001, 0.0003, -0.0004, 0.0005, -0.0006, 0.0002, -0.0003],
+        &[
+            0.02, -0.005, 0.0003, -0.0004, 0.001, -0.0005, 0.0006, -0.0007,
+        ],
+        &[
+            0.02, -0.005, 0.002, -0.0008, 0.0002, -0.0001, 0.0003, -0.0004, 0.0005, -0.0006,
+            0.0002, -0.0003,
+        ],
         &[-0.05],
         &[0.05],
         &[],
@@ -49,25 +54,51 @@ fn models_have_colmaps_numbers_and_names() {
 
 #[test]
 fn projections_agree_with_pycolmap() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/formats/camera_models/projections.json");
+    let path = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/fixtures/formats/camera_models/projections.json"
+    );
     let text = std::fs::read_to_string(path).unwrap();
     let all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).unwrap();
     assert_eq!(all.len(), 18);
     for (key, entry) in &all {
-        let name = key.split_once("models/").unwrap().1.split_once('_').unwrap().1;
+        let name = key
+            .split_once("models/")
+            .unwrap()
+            .1
+            .split_once('_')
+            .unwrap()
+            .1;
         let model = CameraModel::from_name(name).unwrap();
         let number = |v: &serde_json::Value| v.as_f64().unwrap();
         let camera = &entry["camera"];
-        let params = camera["params"].as_array().unwrap().iter().map(number).collect();
+        let params = camera["params"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(number)
+            .collect();
         let size = |key: &str| camera[key].as_u64().unwrap();
         let camera = Camera::new(1, model, size("width"), size("height"), params).unwrap();
         for pair in entry["project"].as_array().unwrap() {
-            let x = Point3::from_slice(&pair[0].as_array().unwrap().iter().map(number).collect::<Vec<_>>());
-            let expected = pair[1].as_array().map(|p| Point2::new(number(&p[0]), number(&p[1])));
+            let x = Point3::from_slice(
+                &pair[0]
+                    .as_array()
+                    .unwrap()
+                    .iter()
+                    .map(number)
+                    .collect::<Vec<_>>(),
+            );
+            let expected = pair[1]
+                .as_array()
+                .map(|p| Point2::new(number(&p[0]), number(&p[1])));
             match (camera.project(&x), expected) {
                 (Some(found), Some(expected)) => {
                     let tolerance = if camera.is_pinhole() { 1e-10 } else { 1e-9 };
-                    assert!((found - expected).norm() < tolerance, "{name} {x}: {found} instead of {expected}");
+                    assert!(
+                        (found - expected).norm() < tolerance,
+                        "{name} {x}: {found} instead of {expected}"
+                    );
                     assert_eq!(camera.project_beyond_field(&x), Some(found));
                 }
                 (found, expected) => assert_eq!(found, expected, "{name} {x}"),
@@ -121,7 +152,8 @@ proptest! {
         prop_assert!((pixel - Point2::new(x, y)).norm() < 1e-8, "{}", camera.model().name());
     }
 
-    /// For any parameters: no panic, the ray projects to the pixel, and with purely radial distortion it passes through the point.
+    /// For any parameters: no panic, the ray projects to the pixel, and with purely radial
+    /// distortion it passes through the point.
     #[test]
     fn any_parameters_are_safe(
         m in 0u32..18,
@@ -160,36 +192,94 @@ fn jacobian_on_the_axis() {
 fn strong_distortion_limits_the_field() {
     // r (1 - 0.3 r²) turns back at r = 1/√0.9.
     let turn = (1.0f64 / 0.9).sqrt();
-    let camera = Camera::new(1, CameraModel::SimpleRadial, 1000, 1000, vec![500.0, 500.0, 500.0, -0.3]).unwrap();
-    assert!(camera.project(&Point3::new(turn - 1e-6, 0.0, 1.0)).is_some());
-    assert!(camera.project(&Point3::new(turn + 1e-6, 0.0, 1.0)).is_none());
-    assert!(camera.project_with_jacobian(&Point3::new(turn + 1e-6, 0.0, 1.0)).is_none());
-    assert!(camera.project_beyond_field(&Point3::new(turn + 1e-6, 0.0, 1.0)).is_some());
+    let camera = Camera::new(
+        1,
+        CameraModel::SimpleRadial,
+        1000,
+        1000,
+        vec![500.0, 500.0, 500.0, -0.3],
+    )
+    .unwrap();
+    assert!(
+        camera
+            .project(&Point3::new(turn - 1e-6, 0.0, 1.0))
+            .is_some()
+    );
+    assert!(
+        camera
+            .project(&Point3::new(turn + 1e-6, 0.0, 1.0))
+            .is_none()
+    );
+    assert!(
+        camera
+            .project_with_jacobian(&Point3::new(turn + 1e-6, 0.0, 1.0))
+            .is_none()
+    );
+    assert!(
+        camera
+            .project_beyond_field(&Point3::new(turn + 1e-6, 0.0, 1.0))
+            .is_some()
+    );
     let farthest = 500.0 * turn * (1.0 - 0.3 * turn * turn);
-    assert!(camera.ray(&Point2::new(500.0 + farthest - 1e-6, 500.0)).is_some());
-    assert!(camera.ray(&Point2::new(500.0 + farthest + 1e-6, 500.0)).is_none());
+    assert!(
+        camera
+            .ray(&Point2::new(500.0 + farthest - 1e-6, 500.0))
+            .is_some()
+    );
+    assert!(
+        camera
+            .ray(&Point2::new(500.0 + farthest + 1e-6, 500.0))
+            .is_none()
+    );
 }
 
 #[test]
 fn points_behind_the_camera_have_no_projection() {
     for camera in cameras() {
         let projected = camera.project(&Point3::new(0.1, 0.2, -1.0));
-        let sees_behind = matches!(camera.model(), CameraModel::Equirectangular | CameraModel::SimpleDivision);
-        assert_eq!(projected.is_some(), sees_behind, "{}", camera.model().name());
+        let sees_behind = matches!(
+            camera.model(),
+            CameraModel::Equirectangular | CameraModel::SimpleDivision
+        );
+        assert_eq!(
+            projected.is_some(),
+            sees_behind,
+            "{}",
+            camera.model().name()
+        );
         assert_eq!(camera.project(&Point3::origin()), None);
-        assert_eq!(camera.project(&Point3::new(f64::NAN, 0.0, 1.0)).filter(|p| p.x.is_finite()), None);
+        assert_eq!(
+            camera
+                .project(&Point3::new(f64::NAN, 0.0, 1.0))
+                .filter(|p| p.x.is_finite()),
+            None
+        );
     }
 }
 
 #[test]
 fn equirectangular_projects_every_direction() {
-    let camera = Camera::new(1, CameraModel::Equirectangular, 1000, 500, vec![1000.0, 500.0]).unwrap();
-    for x in [Point3::new(-0.3, 0.1, -2.0), Point3::new(1.0, 0.0, 0.0), Point3::new(0.1, -5.0, 0.1)] {
+    let camera = Camera::new(
+        1,
+        CameraModel::Equirectangular,
+        1000,
+        500,
+        vec![1000.0, 500.0],
+    )
+    .unwrap();
+    for x in [
+        Point3::new(-0.3, 0.1, -2.0),
+        Point3::new(1.0, 0.0, 0.0),
+        Point3::new(0.1, -5.0, 0.1),
+    ] {
         let pixel = camera.project(&x).unwrap();
         let ray = camera.ray(&pixel).unwrap();
         assert!((ray.into_inner() - x.coords.normalize()).norm() < 1e-12);
     }
-    assert_eq!(camera.project(&Point3::new(1.0, 0.0, 0.0)), Some(Point2::new(750.0, 250.0)));
+    assert_eq!(
+        camera.project(&Point3::new(1.0, 0.0, 0.0)),
+        Some(Point2::new(750.0, 250.0))
+    );
 }
 
 #[test]
@@ -197,14 +287,36 @@ fn bad_parameters_are_refused() {
     let camera = |model, params: &[f64]| Camera::new(1, model, 10, 10, params.to_vec());
     assert!(matches!(
         camera(CameraModel::Pinhole, &[1.0]),
-        Err(CameraError::ParameterCount { expected: 4, found: 1, .. })
+        Err(CameraError::ParameterCount {
+            expected: 4,
+            found: 1,
+            ..
+        })
     ));
     assert!(matches!(
         camera(CameraModel::SimplePinhole, &[1.0, f64::NAN, 1.0]),
         Err(CameraError::NotFinite { index: 1, .. })
     ));
-    assert_eq!(camera(CameraModel::SimplePinhole, &[0.0, 1.0, 1.0]), Err(CameraError::FocalLength(0.0)));
-    assert_eq!(camera(CameraModel::Equirectangular, &[4.0, -1.0]), Err(CameraError::FocalLength(-1.0)));
-    let empty = Camera::new(1, CameraModel::SimplePinhole, 0, 1 << 40, vec![1.0, 1.0, 1.0]);
-    assert_eq!(empty, Err(CameraError::ImageSize { width: 0, height: 1 << 40 }));
+    assert_eq!(
+        camera(CameraModel::SimplePinhole, &[0.0, 1.0, 1.0]),
+        Err(CameraError::FocalLength(0.0))
+    );
+    assert_eq!(
+        camera(CameraModel::Equirectangular, &[4.0, -1.0]),
+        Err(CameraError::FocalLength(-1.0))
+    );
+    let empty = Camera::new(
+        1,
+        CameraModel::SimplePinhole,
+        0,
+        1 << 40,
+        vec![1.0, 1.0, 1.0],
+    );
+    assert_eq!(
+        empty,
+        Err(CameraError::ImageSize {
+            width: 0,
+            height: 1 << 40
+        })
+    );
 }

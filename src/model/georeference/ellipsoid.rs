@@ -1,4 +1,5 @@
-//! The WGS 84 ellipsoid: geodetic, earth-centred and UTM coordinates. Angles in degrees, lengths in metres.
+//! The WGS 84 ellipsoid: geodetic, earth-centred and UTM coordinates. Angles in degrees, lengths in
+//! metres.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -26,11 +27,15 @@ impl Geodetic {
         let (sin_lon, cos_lon) = self.longitude.to_radians().sin_cos();
         let n = A / (1.0 - E2 * sin_lat * sin_lat).sqrt();
         let r = (n + self.height) * cos_lat;
-        Vector3::new(r * cos_lon, r * sin_lon, (n * (1.0 - E2) + self.height) * sin_lat)
+        Vector3::new(
+            r * cos_lon,
+            r * sin_lon,
+            (n * (1.0 - E2) + self.height) * sin_lat,
+        )
     }
 
-    /// Converts from ECEF coordinates, metres, by four iterations of Bowring's formula (1976): accurate to a micrometre from the deep sea to
-    /// satellite orbits.
+    /// Converts from ECEF coordinates, metres, by four iterations of Bowring's formula (1976):
+    /// accurate to a micrometre from the deep sea to satellite orbits.
     pub fn from_ecef(x: &Vector3<f64>) -> Self {
         let p = x.x.hypot(x.y);
         let b = A * (1.0 - F);
@@ -46,7 +51,11 @@ impl Geodetic {
         let (sin, cos) = latitude.sin_cos();
         let n = A / (1.0 - E2 * sin * sin).sqrt();
         let height = p * cos + x.z * sin - A * A / n;
-        Self { longitude: x.y.atan2(x.x).to_degrees(), latitude: latitude.to_degrees(), height }
+        Self {
+            longitude: x.y.atan2(x.x).to_degrees(),
+            latitude: latitude.to_degrees(),
+            height,
+        }
     }
 
     /// Axes of the local frame here: columns east, north and up, unit vectors in ECEF coordinates.
@@ -60,8 +69,8 @@ impl Geodetic {
         ])
     }
 
-    /// Converts from UTM coordinates, metres, by the series of Krüger (1912) to the fourth power of the third flattening: accurate to 0.1 mm
-    /// within the zone and its neighbours.
+    /// Converts from UTM coordinates, metres, by the series of Krüger (1912) to the fourth power of
+    /// the third flattening: accurate to 0.1 mm within the zone and its neighbours.
     pub fn from_utm(zone: Zone, easting: f64, northing: f64, height: f64) -> Self {
         let n = F / (2.0 - F);
         let [n2, n3, n4] = [n * n, n.powi(3), n.powi(4)];
@@ -88,12 +97,20 @@ impl Geodetic {
             eta0 -= beta * (m * xi).cos() * (m * eta).sinh();
         }
         let chi = (xi0.sin() / eta0.cosh()).asin();
-        let latitude: f64 =
-            chi + conformal.iter().zip(1..).map(|(d, j)| d * (2.0 * f64::from(j) * chi).sin()).sum::<f64>();
+        let latitude: f64 = chi
+            + conformal
+                .iter()
+                .zip(1..)
+                .map(|(d, j)| d * (2.0 * f64::from(j) * chi).sin())
+                .sum::<f64>();
         let longitude = zone.meridian() + eta0.sinh().atan2(xi0.cos()).to_degrees();
         // Zones 1 and 60 extend across the 180th meridian.
         let longitude = longitude - 360.0 * (longitude / 360.0).round();
-        Self { longitude, latitude: latitude.to_degrees(), height }
+        Self {
+            longitude,
+            latitude: latitude.to_degrees(),
+            height,
+        }
     }
 }
 
@@ -133,28 +150,62 @@ mod tests {
     fn ecef_coordinates_round_trip() {
         for latitude in [-89.9, -45.0, -0.1, 0.0, 30.0, 57.3, 90.0] {
             for (longitude, height) in [(-179.5, -4000.0), (0.0, 0.0), (98.0, 12_000.0)] {
-                let place = Geodetic { longitude, latitude, height };
+                let place = Geodetic {
+                    longitude,
+                    latitude,
+                    height,
+                };
                 let back = Geodetic::from_ecef(&place.to_ecef());
-                assert!((back.to_ecef() - place.to_ecef()).norm() < 1e-6, "{place:?} {back:?}");
+                assert!(
+                    (back.to_ecef() - place.to_ecef()).norm() < 1e-6,
+                    "{place:?} {back:?}"
+                );
             }
         }
         // On the equator and at the pole the distance is that semi-axis.
-        assert!((Geodetic { longitude: 90.0, latitude: 0.0, height: 7.0 }.to_ecef().y - A - 7.0).abs() < 1e-6);
         assert!(
-            (Geodetic { longitude: 0.0, latitude: 90.0, height: 0.0 }.to_ecef().z - 6_356_752.314_245).abs() < 1e-5
+            (Geodetic {
+                longitude: 90.0,
+                latitude: 0.0,
+                height: 7.0
+            }
+            .to_ecef()
+            .y - A
+                - 7.0)
+                .abs()
+                < 1e-6
+        );
+        assert!(
+            (Geodetic {
+                longitude: 0.0,
+                latitude: 90.0,
+                height: 0.0
+            }
+            .to_ecef()
+            .z - 6_356_752.314_245)
+                .abs()
+                < 1e-5
         );
     }
 
-    /// On the central meridian a metre along an axis of UTM is 1 m / 0.9996 on the ground; the axes are perpendicular everywhere.
+    /// On the central meridian a metre along an axis of UTM is 1 m / 0.9996 on the ground; the axes
+    /// are perpendicular everywhere.
     #[test]
     fn utm_is_conformal_with_the_documented_scale() {
         let zone = Zone::parse("33N").unwrap();
         let at = |east: f64, north: f64| Geodetic::from_utm(zone, east, north, 0.0).to_ecef();
-        for (east, north) in [(500_000.0, 5_400_000.0), (690_000.0, 5_400_000.0), (500_000.0, 100_000.0)] {
+        for (east, north) in [
+            (500_000.0, 5_400_000.0),
+            (690_000.0, 5_400_000.0),
+            (500_000.0, 100_000.0),
+        ] {
             let right = at(east + 1.0, north) - at(east - 1.0, north);
             let ahead = at(east, north + 1.0) - at(east, north - 1.0);
             let scale = K0 * (1.0 + ((east - 500_000.0) / 6_378_000.0f64).powi(2) / 2.0);
-            assert!((2.0 / right.norm() - scale).abs() < 1e-5 && (2.0 / ahead.norm() - scale).abs() < 1e-5);
+            assert!(
+                (2.0 / right.norm() - scale).abs() < 1e-5
+                    && (2.0 / ahead.norm() - scale).abs() < 1e-5
+            );
             assert!(right.normalize().dot(&ahead.normalize()).abs() < 1e-7);
         }
         let middle = Geodetic::from_utm(zone, 500_000.0, 0.0, 3.0);
@@ -168,18 +219,27 @@ mod tests {
 
     #[test]
     fn longitudes_are_wrapped_at_180_degrees() {
-        let at = |zone: &str, easting: f64| Geodetic::from_utm(Zone::parse(zone).unwrap(), easting, 8_000_000.0, 0.0);
+        let at = |zone: &str, easting: f64| {
+            Geodetic::from_utm(Zone::parse(zone).unwrap(), easting, 8_000_000.0, 0.0)
+        };
         for (zone, neighbour, easting) in [("60S", "1S", 850_000.0), ("1S", "60S", 150_000.0)] {
             let place = at(zone, easting);
             assert!((-180.0..=180.0).contains(&place.longitude), "{place:?}");
             let mirrored = at(neighbour, 1_000_000.0 - easting);
-            assert!((place.longitude + mirrored.longitude).abs() < 1e-9, "{place:?} {mirrored:?}");
+            assert!(
+                (place.longitude + mirrored.longitude).abs() < 1e-9,
+                "{place:?} {mirrored:?}"
+            );
         }
     }
 
     #[test]
     fn zones_are_numbers_with_a_hemisphere() {
         assert_eq!(Zone::parse("33N").unwrap().meridian(), 15.0);
-        assert!(["", "N", "0N", "61S", "33", "33X", "-1N"].iter().all(|text| Zone::parse(text).is_none()));
+        assert!(
+            ["", "N", "0N", "61S", "33", "33X", "-1N"]
+                .iter()
+                .all(|text| Zone::parse(text).is_none())
+        );
     }
 }

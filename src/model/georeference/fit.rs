@@ -1,17 +1,20 @@
-//! Places a model on earth by positions of its cameras, most of which are right: the similarity with the least median of squared distances over
-//! random triples (Rousseeuw 1984), then least squares over the inliers (Umeyama 1991).
+//! Places a model on earth by positions of its cameras, most of which are right: the similarity
+//! with the least median of squared distances over random triples (Rousseeuw 1984), then least
+//! squares over the inliers (Umeyama 1991).
 
 use nalgebra::{Matrix3, SVD, Vector3};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// Number of random triples; 200 contain one of three right positions with 0.99999 where 40 % are wrong.
+/// Number of random triples; 200 contain one of three right positions with 0.99999 where 40 % are
+/// wrong.
 const TRIPLES: usize = 200;
 /// Fewest positions that are fitted, and that must fit.
 const LEAST: usize = 4;
 /// Inliers: distance over the robust standard deviation.
 const INLIER: f64 = 2.5;
-/// Largest residual over the second largest extent of the positions: a larger one leaves the turn around the line of flight open.
+/// Largest residual over the second largest extent of the positions: a larger one leaves the turn
+/// around the line of flight open.
 const LOOSE: f64 = 0.25;
 
 /// Scale, rotation and translation from the model to metres.
@@ -38,8 +41,8 @@ pub struct Fit {
     pub median: f64,
 }
 
-/// Fits camera centres of the model (`from`) to their positions in a metric frame (`to`), in the same order; `None` if fewer than four or half of
-/// them agree, or if they leave the rotation open.
+/// Fits camera centres of the model (`from`) to their positions in a metric frame (`to`), in the
+/// same order; `None` if fewer than four or half of them agree, or if they leave the rotation open.
 pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Fit> {
     let n = from.len();
     if n < LEAST {
@@ -47,7 +50,9 @@ pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Fit> {
     }
     let mut random = Pcg64Mcg::seed_from_u64(0);
     let mut draw = || (random.next_u64() % n as u64) as usize;
-    let triples = (0..TRIPLES).map(|_| [draw(), draw(), draw()]).filter(|[a, b, c]| a != b && b != c && a != c);
+    let triples = (0..TRIPLES)
+        .map(|_| [draw(), draw(), draw()])
+        .filter(|[a, b, c]| a != b && b != c && a != c);
     let candidates = triples.filter_map(|triple| least_squares(from, to, &triple));
     let rated = candidates.map(|similarity| (median(distances(&similarity, from, to)), similarity));
     let (mut spread, mut best) = rated.min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -64,16 +69,27 @@ pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Fit> {
     let fitting = median(inliers.iter().map(|&i| distances[i]).collect());
     let second = extents(inliers.iter().map(|&i| to[i]))[1];
     let is_sure = inliers.len() >= LEAST && 2 * inliers.len() >= n && fitting <= LOOSE * second;
-    is_sure.then_some(Fit { similarity: best, inliers: inliers.len(), median: fitting })
+    is_sure.then_some(Fit {
+        similarity: best,
+        inliers: inliers.len(),
+        median: fitting,
+    })
 }
 
 fn distances(similarity: &Similarity, from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Vec<f64> {
-    from.iter().zip(to).map(|(from, to)| (similarity.apply(from) - to).norm()).collect()
+    from.iter()
+        .zip(to)
+        .map(|(from, to)| (similarity.apply(from) - to).norm())
+        .collect()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
-    if values.is_empty() { f64::INFINITY } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    if values.is_empty() {
+        f64::INFINITY
+    } else {
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    }
 }
 
 fn mean(points: impl Iterator<Item = Vector3<f64>> + Clone) -> Vector3<f64> {
@@ -83,19 +99,39 @@ fn mean(points: impl Iterator<Item = Vector3<f64>> + Clone) -> Vector3<f64> {
 /// Standard deviations of the points along their principal axes, descending.
 fn extents(points: impl Iterator<Item = Vector3<f64>> + Clone) -> [f64; 3] {
     let (centre, count) = (mean(points.clone()), points.clone().count().max(1) as f64);
-    let covariance: Matrix3<f64> = points.map(|p| (p - centre) * (p - centre).transpose()).sum();
-    let mut values = (covariance / count).symmetric_eigenvalues().map(|value| value.max(0.0).sqrt());
+    let covariance: Matrix3<f64> = points
+        .map(|p| (p - centre) * (p - centre).transpose())
+        .sum();
+    let mut values = (covariance / count)
+        .symmetric_eigenvalues()
+        .map(|value| value.max(0.0).sqrt());
     values.as_mut_slice().sort_by(|a, b| b.total_cmp(a));
     values.into()
 }
 
-/// The similarity of least squared distances between the chosen points; `None` if they are at one place or on one line.
-fn least_squares(from: &[Vector3<f64>], to: &[Vector3<f64>], chosen: &[usize]) -> Option<Similarity> {
-    let (a, b) = (chosen.iter().map(|&i| from[i]), chosen.iter().map(|&i| to[i]));
+/// The similarity of least squared distances between the chosen points; `None` if they are at one
+/// place or on one line.
+fn least_squares(
+    from: &[Vector3<f64>],
+    to: &[Vector3<f64>],
+    chosen: &[usize],
+) -> Option<Similarity> {
+    let (a, b) = (
+        chosen.iter().map(|&i| from[i]),
+        chosen.iter().map(|&i| to[i]),
+    );
     let (centre_a, centre_b) = (mean(a.clone()), mean(b.clone()));
-    let covariance: Matrix3<f64> = a.clone().zip(b).map(|(a, b)| (b - centre_b) * (a - centre_a).transpose()).sum();
+    let covariance: Matrix3<f64> = a
+        .clone()
+        .zip(b)
+        .map(|(a, b)| (b - centre_b) * (a - centre_a).transpose())
+        .sum();
     let variance: f64 = a.map(|a| (a - centre_a).norm_squared()).sum();
-    let SVD { u, v_t, singular_values } = covariance.svd(true, true);
+    let SVD {
+        u,
+        v_t,
+        singular_values,
+    } = covariance.svd(true, true);
     let (u, v_t) = (u?, v_t?);
     if singular_values[1] <= 1e-9 * singular_values[0] || variance <= 0.0 {
         return None;
@@ -106,7 +142,10 @@ fn least_squares(from: &[Vector3<f64>], to: &[Vector3<f64>], chosen: &[usize]) -
     let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
     let scale = singular_values.dot(&signs) / variance;
     let linear = rotation * scale;
-    (scale > 0.0 && scale.is_finite()).then(|| Similarity { linear, translation: centre_b - linear * centre_a })
+    (scale > 0.0 && scale.is_finite()).then(|| Similarity {
+        linear,
+        translation: centre_b - linear * centre_a,
+    })
 }
 
 #[cfg(test)]
@@ -115,21 +154,31 @@ mod tests {
 
     use super::*;
 
-    /// Cameras of a survey, and where they are on earth: turned, scaled by 12.5, and with errors up to `noise` metres.
+    /// Cameras of a survey, and where they are on earth: turned, scaled by 12.5, and with errors up
+    /// to `noise` metres.
     fn survey(noise: f64) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>, Matrix3<f64>) {
-        let from: Vec<_> =
-            (0..40).map(|i| Vector3::new(f64::from(i % 8), f64::from(i / 8), f64::from(i % 3) * 0.1)).collect();
+        let from: Vec<_> = (0..40)
+            .map(|i| Vector3::new(f64::from(i % 8), f64::from(i / 8), f64::from(i % 3) * 0.1))
+            .collect();
         let linear = Rotation3::from_euler_angles(0.3, -1.2, 2.0).into_inner() * 12.5;
-        let error =
-            |i: usize| Vector3::new(((i * 7) % 5) as f64 - 2.0, ((i * 3) % 5) as f64 - 2.0, 0.0) * (noise / 2.0);
-        let to = from.iter().enumerate().map(|(i, x)| linear * x + Vector3::new(5.0, -7.0, 100.0) + error(i)).collect();
+        let error = |i: usize| {
+            Vector3::new(((i * 7) % 5) as f64 - 2.0, ((i * 3) % 5) as f64 - 2.0, 0.0)
+                * (noise / 2.0)
+        };
+        let to = from
+            .iter()
+            .enumerate()
+            .map(|(i, x)| linear * x + Vector3::new(5.0, -7.0, 100.0) + error(i))
+            .collect();
         (from, to, linear)
     }
 
     #[test]
     fn a_third_of_wrong_positions_changes_nothing() {
         let (from, mut to, linear) = survey(0.0);
-        to.iter_mut().step_by(3).for_each(|position| position.x += 400.0);
+        to.iter_mut()
+            .step_by(3)
+            .for_each(|position| position.x += 400.0);
         let fit = fit(&from, &to).unwrap();
         assert_eq!(fit.inliers, 26);
         assert!((fit.similarity.linear - linear).norm() < 1e-6 && fit.median < 1e-6);
@@ -139,7 +188,10 @@ mod tests {
     fn errors_of_positions_are_measured() {
         let (from, to, linear) = survey(1.0);
         let fit = fit(&from, &to).unwrap();
-        assert!(fit.inliers >= 36 && (0.3..1.5).contains(&fit.median), "{fit:?}");
+        assert!(
+            fit.inliers >= 36 && (0.3..1.5).contains(&fit.median),
+            "{fit:?}"
+        );
         assert!((fit.similarity.linear - linear).norm() < 0.3);
     }
 
@@ -149,7 +201,13 @@ mod tests {
         let line: Vec<_> = from.iter().map(|x| Vector3::new(x.x, 0.0, 0.0)).collect();
         assert_eq!(fit(&line, &line), None);
         let random: Vec<_> = (0..40)
-            .map(|i| Vector3::new(f64::from(i * i % 17), f64::from(i * 7 % 13), f64::from(i * 5 % 11)))
+            .map(|i| {
+                Vector3::new(
+                    f64::from(i * i % 17),
+                    f64::from(i * 7 % 13),
+                    f64::from(i * 5 % 11),
+                )
+            })
             .collect();
         assert_eq!(fit(&from, &random), None);
         assert_eq!(fit(&from[..3], &to[..3]), None);

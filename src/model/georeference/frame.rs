@@ -7,22 +7,27 @@ use crate::{
     model::scene::Scene,
 };
 
-/// Largest ratio of the two smaller standard deviations at which the points are flat, so their plane's normal is up.
+/// Largest ratio of the two smaller standard deviations at which the points are flat, so their
+/// plane's normal is up.
 const FLAT_RATIO: f64 = 0.3;
 /// Least length of the mean viewing direction at which all views count as looking the same way.
 const ONE_DIRECTION: f64 = 0.8;
-/// Cosine of the angle to the longest axis of the points, from which on the views look along the scene rather than at it.
+/// Cosine of the angle to the longest axis of the points, from which on the views look along the
+/// scene rather than at it.
 const ALONG: f64 = 0.7;
-/// Cosine of the angle between the mean image top and the world's third axis, above which that axis is up in the images.
+/// Cosine of the angle between the mean image top and the world's third axis, above which that axis
+/// is up in the images.
 const UPRIGHT: f64 = 0.9;
 
-/// Directions in which the extreme point of a hull is taken; also the largest number of its corners.
+/// Directions in which the extreme point of a hull is taken; also the largest number of its
+/// corners.
 const HULL_DIRECTIONS: u32 = 32;
 /// Directions of the inner polygon, which excludes most points before the hull is computed.
 const FEW_DIRECTIONS: u32 = 8;
 /// Step through the points from which the inner polygon is made.
 const SAMPLE_STEP: usize = 8;
-/// Twice the area between a point and a side of that polygon, over the square of its largest coordinate, that counts as inside.
+/// Twice the area between a point and a side of that polygon, over the square of its largest
+/// coordinate, that counts as inside.
 const INSIDE: f64 = 1e-9;
 /// Points that are compared with the sides at once.
 const LANES: usize = 64;
@@ -40,16 +45,20 @@ impl UprightFrame {
     ///
     /// 1. flat points: the normal of their plane, towards the cameras;
     /// 2. images whose mean top is near the world's third axis: that mean;
-    /// 3. all views looking at the scene in one direction, such as a nadir flight of one heading, whose image tops are not up: the opposite
-    ///    direction;
+    /// 3. all views looking at the scene in one direction, such as a nadir flight of one heading,
+    ///    whose image tops are not up: the opposite direction;
     /// 4. the mean top of the images;
     /// 5. as for flat points.
     pub fn new(points: &[Point3<f64>], scene: &Scene, up: Option<[f64; 3]>) -> Self {
         let (origin, spread) = plane_fit(points);
-        let up =
-            up.and_then(|u| Vector3::from(u).try_normalize(0.0)).unwrap_or_else(|| fitted_up(scene, origin, &spread));
+        let up = up
+            .and_then(|u| Vector3::from(u).try_normalize(0.0))
+            .unwrap_or_else(|| fitted_up(scene, origin, &spread));
         let first = up.cross(&Vector3::ith(up.iamin(), 1.0)).normalize();
-        Self { origin, axes: [first, up.cross(&first), up] }
+        Self {
+            origin,
+            axes: [first, up.cross(&first), up],
+        }
     }
 
     /// Up, a unit vector in world coordinates.
@@ -73,17 +82,30 @@ impl UprightFrame {
     }
 }
 
-/// Standard deviation along each principal direction of points about their mean, with the direction; ascending.
+/// Standard deviation along each principal direction of points about their mean, with the
+/// direction; ascending.
 type Spread = [(f64, Vector3<f64>); 3];
 
 fn plane_fit(points: &[Point3<f64>]) -> (Point3<f64>, Spread) {
     let n = points.len().max(1) as f64;
     let anchor = points.first().map_or(Vector3::zeros(), |p| p.coords);
-    let mean = anchor + points.iter().map(|p| p.coords - anchor).sum::<Vector3<f64>>() / n;
-    let covariance: Matrix3<f64> = points.iter().map(|p| (p.coords - mean) * (p.coords - mean).transpose()).sum();
+    let mean = anchor
+        + points
+            .iter()
+            .map(|p| p.coords - anchor)
+            .sum::<Vector3<f64>>()
+            / n;
+    let covariance: Matrix3<f64> = points
+        .iter()
+        .map(|p| (p.coords - mean) * (p.coords - mean).transpose())
+        .sum();
     let eigen = (covariance / n).symmetric_eigen();
-    let mut spread: Spread =
-        std::array::from_fn(|i| (eigen.eigenvalues[i].max(0.0).sqrt(), eigen.eigenvectors.column(i).into_owned()));
+    let mut spread: Spread = std::array::from_fn(|i| {
+        (
+            eigen.eigenvalues[i].max(0.0).sqrt(),
+            eigen.eigenvectors.column(i).into_owned(),
+        )
+    });
     spread.sort_by(|a, b| a.0.total_cmp(&b.0));
     (Point3::from(mean), spread)
 }
@@ -95,42 +117,69 @@ pub fn spread(points: &[Point3<f64>]) -> [f64; 3] {
 
 fn fitted_up(scene: &Scene, origin: Point3<f64>, spread: &Spread) -> Vector3<f64> {
     let [(thickness, normal), (width, _), (_, longest)] = *spread;
-    let towards: Vector3<f64> = scene.views.iter().map(|v| v.cam_from_world.centre() - origin).sum();
+    let towards: Vector3<f64> = scene
+        .views
+        .iter()
+        .map(|v| v.cam_from_world.centre() - origin)
+        .sum();
     if thickness > FLAT_RATIO * width {
         let count = scene.views.len() as f64;
         // Camera axes: 1 points down in the image, 2 forward.
         let mean_axis = |axis: usize| -> Vector3<f64> {
-            scene.views.iter().map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose()).sum()
+            scene
+                .views
+                .iter()
+                .map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose())
+                .sum()
         };
         let below_images = mean_axis(1).try_normalize(0.5 * count);
         let ahead = mean_axis(2).try_normalize(ONE_DIRECTION * count);
         let upon = ahead.filter(|ahead| ahead.dot(&longest).abs() < ALONG);
-        // A façade photographed from one side, in a model whose third axis is up: its views agree on a direction, too.
+        // A façade photographed from one side, in a model whose third axis is up: its views agree
+        // on a direction, too.
         let upright = below_images.filter(|down| -down.z > UPRIGHT);
         if let Some(down) = upright.or(upon).or(below_images) {
             return -down;
         }
     }
-    if normal.dot(&towards) < 0.0 { -normal } else { normal }
+    if normal.dot(&towards) < 0.0 {
+        -normal
+    } else {
+        normal
+    }
 }
 
-/// A right-handed frame for maps seen from above, with the model's second axis pointing up the sheet.
+/// A right-handed frame for maps seen from above, with the model's second axis pointing up the
+/// sheet.
 #[derive(Clone, Copy, Debug)]
 pub struct MapFrame {
     /// Mean of the points, world coordinates.
     pub origin: Point3<f64>,
-    /// Unit vectors in world coordinates: right, up the sheet, towards the reader (up in the model).
+    /// Unit vectors in world coordinates: right, up the sheet, towards the reader (up in the
+    /// model).
     pub axes: [Vector3<f64>; 3],
 }
 
 impl MapFrame {
-    /// Makes a frame whose up is that of a terrain surface (method 1.7), or the model's third axis if that is within 11° of it.
+    /// Makes a frame whose up is that of a terrain surface (method 1.7), or the model's third axis
+    /// if that is within 11° of it.
     pub fn new(scene: &Scene, up: Option<[f64; 3]>) -> Self {
         let frame = UprightFrame::new(&scene.points, scene, up);
-        let up = if frame.up().z > NEARLY_UP { Vector3::z() } else { frame.up() };
-        let forward = if up.y.abs() > NEARLY_UP { Vector3::z() } else { Vector3::y() };
+        let up = if frame.up().z > NEARLY_UP {
+            Vector3::z()
+        } else {
+            frame.up()
+        };
+        let forward = if up.y.abs() > NEARLY_UP {
+            Vector3::z()
+        } else {
+            Vector3::y()
+        };
         let right = forward.cross(&up).normalize();
-        Self { origin: frame.origin(), axes: [right, up.cross(&right), up] }
+        Self {
+            origin: frame.origin(),
+            axes: [right, up.cross(&right), up],
+        }
     }
 
     /// Converts a point from world to frame coordinates, scene units.
@@ -138,15 +187,25 @@ impl MapFrame {
         self.direction(&(point - self.origin))
     }
 
-    /// Convex hull of points seen from above, in at most as many corners as there are [`HULL_DIRECTIONS`]: world coordinates, counter-clockwise, not
-    /// closed.
+    /// Convex hull of points seen from above, in at most as many corners as there are
+    /// [`HULL_DIRECTIONS`]: world coordinates, counter-clockwise, not closed.
     pub fn hull(&self, points: &[Point3<f64>]) -> Vec<Point3<f64>> {
-        let flat: Vec<[f64; 2]> = points.iter().map(|point| self.local(point)).map(|[x, y, _]| [x, y]).collect();
+        let flat: Vec<[f64; 2]> = points
+            .iter()
+            .map(|point| self.local(point))
+            .map(|[x, y, _]| [x, y])
+            .collect();
         // Most points are well inside the polygon of a sample.
         let sample: Vec<usize> = (0..flat.len()).step_by(SAMPLE_STEP).collect();
         let few = extremes(&flat, &sample, FEW_DIRECTIONS);
-        let outer = vectorised(Outer { flat: &flat, sides: &sides(&flat, &few) });
-        extremes(&flat, &outer, HULL_DIRECTIONS).into_iter().map(|v| points[v]).collect()
+        let outer = vectorised(Outer {
+            flat: &flat,
+            sides: &sides(&flat, &few),
+        });
+        extremes(&flat, &outer, HULL_DIRECTIONS)
+            .into_iter()
+            .map(|v| points[v])
+            .collect()
     }
 
     /// Converts a direction from world to frame coordinates.
@@ -160,8 +219,12 @@ fn extremes(flat: &[[f64; 2]], candidates: &[usize], directions: u32) -> Vec<usi
     let farthest = |i: u32| {
         let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(directions)).sin_cos();
         let along = |v: usize| flat[v][0] * cos + flat[v][1] * sin;
-        let most = candidates.iter().map(|&v| along(v)).fold(f64::NEG_INFINITY, f64::max);
-        // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between two others.
+        let most = candidates
+            .iter()
+            .map(|&v| along(v))
+            .fold(f64::NEG_INFINITY, f64::max);
+        // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge
+        // between two others.
         let ahead = |v: usize| flat[v][1] * cos - flat[v][0] * sin;
         let ties = candidates.iter().copied().filter(|&v| along(v) == most);
         ties.max_by(|&a, &b| ahead(a).total_cmp(&ahead(b)))
@@ -174,13 +237,17 @@ fn extremes(flat: &[[f64; 2]], candidates: &[usize], directions: u32) -> Vec<usi
     corners
 }
 
-/// Returns the sides of a convex polygon as (a, b, c): where `a x + b y > c`, a point is inside by more than rounding, and no corner of the hull. Empty for
-/// fewer than three corners.
+/// Returns the sides of a convex polygon as (a, b, c): where `a x + b y > c`, a point is inside by
+/// more than rounding, and no corner of the hull. Empty for fewer than three corners.
 fn sides(flat: &[[f64; 2]], polygon: &[usize]) -> Vec<[f64; 3]> {
     if polygon.len() < 3 {
         return Vec::new();
     }
-    let largest = polygon.iter().flat_map(|&v| flat[v]).map(f64::abs).fold(0.0, f64::max);
+    let largest = polygon
+        .iter()
+        .flat_map(|&v| flat[v])
+        .map(f64::abs)
+        .fold(0.0, f64::max);
     let next = polygon.iter().cycle().skip(1);
     let side = |(&a, &b): (&usize, &usize)| {
         let ([ax, ay], [bx, by]) = (flat[a], flat[b]);
@@ -205,9 +272,16 @@ impl Kernel for Outer<'_> {
         for (part, first) in self.flat.chunks(LANES).zip((0..).step_by(LANES)) {
             inside.fill(!self.sides.is_empty());
             for [a, b, c] in self.sides {
-                inside.iter_mut().zip(part).for_each(|(inside, [x, y])| *inside &= a * x + b * y > *c);
+                inside
+                    .iter_mut()
+                    .zip(part)
+                    .for_each(|(inside, [x, y])| *inside &= a * x + b * y > *c);
             }
-            outer.extend((0..part.len()).filter(|&lane| !inside[lane]).map(|lane| first + lane));
+            outer.extend(
+                (0..part.len())
+                    .filter(|&lane| !inside[lane])
+                    .map(|lane| first + lane),
+            );
         }
         outer
     }

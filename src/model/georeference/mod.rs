@@ -12,7 +12,8 @@ pub use frame::{MapFrame, UprightFrame, spread};
 
 use super::scene::Scene;
 
-/// Coordinate system of a model relative to the WGS 84 ellipsoid; lengths in metres except in `Local`.
+/// Coordinate system of a model relative to the WGS 84 ellipsoid; lengths in metres except in
+/// `Local`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Georeference {
     /// Unknown: the model has local coordinates.
@@ -20,9 +21,17 @@ pub enum Georeference {
     /// Earth-centred, earth-fixed.
     Ecef,
     /// East, north, up of an origin; `origin` and the columns of `axes` are in ECEF coordinates.
-    EastNorthUp { origin: Vector3<f64>, axes: Matrix3<f64> },
-    /// Fitted to GPS positions of images: a point x of the model is `origin` + `axes` x in ECEF coordinates; `axes` has the scale.
-    Fitted { origin: Vector3<f64>, axes: Matrix3<f64>, support: Support },
+    EastNorthUp {
+        origin: Vector3<f64>,
+        axes: Matrix3<f64>,
+    },
+    /// Fitted to GPS positions of images: a point x of the model is `origin` + `axes` x in ECEF
+    /// coordinates; `axes` has the scale.
+    Fitted {
+        origin: Vector3<f64>,
+        axes: Matrix3<f64>,
+        support: Support,
+    },
     /// UTM: x + `offset[0]` is the easting, y + `offset[1]` the northing.
     Utm { zone: Zone, offset: [f64; 2] },
 }
@@ -46,22 +55,45 @@ pub const UPRIGHT: f64 = 0.7;
 impl Georeference {
     /// Returns `Ecef` if the camera positions are plausible ECEF coordinates, otherwise `Local`.
     pub fn from_coordinates(scene: &Scene) -> Self {
-        if is_ecef(scene) { Self::Ecef } else { Self::Local }
+        if is_ecef(scene) {
+            Self::Ecef
+        } else {
+            Self::Local
+        }
     }
 
     /// Local east, north, up coordinates with their origin at `origin`.
     pub fn east_north_up(origin: Geodetic) -> Self {
-        Self::EastNorthUp { origin: origin.to_ecef(), axes: origin.east_north_up() }
+        Self::EastNorthUp {
+            origin: origin.to_ecef(),
+            axes: origin.east_north_up(),
+        }
     }
 
-    /// Places a model by positions of its cameras, given in the same order as `centres`; `None` if they do not agree.
+    /// Places a model by positions of its cameras, given in the same order as `centres`; `None` if
+    /// they do not agree.
     pub fn fitted(centres: &[Vector3<f64>], positions: &[Geodetic]) -> Option<Self> {
         let middle = positions.get(positions.len() / 2)?;
         let (centre, axes) = (middle.to_ecef(), middle.east_north_up());
-        let local: Vec<Vector3<f64>> = positions.iter().map(|p| axes.transpose() * (p.to_ecef() - centre)).collect();
-        let Fit { similarity, inliers, median } = fit(centres, &local)?;
-        let support = Support { fitting: inliers, positions: positions.len(), median };
-        Some(Self::Fitted { origin: centre + axes * similarity.translation, axes: axes * similarity.linear, support })
+        let local: Vec<Vector3<f64>> = positions
+            .iter()
+            .map(|p| axes.transpose() * (p.to_ecef() - centre))
+            .collect();
+        let Fit {
+            similarity,
+            inliers,
+            median,
+        } = fit(centres, &local)?;
+        let support = Support {
+            fitting: inliers,
+            positions: positions.len(),
+            median,
+        };
+        Some(Self::Fitted {
+            origin: centre + axes * similarity.translation,
+            axes: axes * similarity.linear,
+            support,
+        })
     }
 
     /// Converts a point of the model to geodetic coordinates; `None` for `Local`.
@@ -72,9 +104,12 @@ impl Georeference {
             Self::EastNorthUp { origin, axes } | Self::Fitted { origin, axes, .. } => {
                 Some(Geodetic::from_ecef(&(origin + axes * point.coords)))
             }
-            Self::Utm { zone, offset } => {
-                Some(Geodetic::from_utm(zone, point.x + offset[0], point.y + offset[1], point.z))
-            }
+            Self::Utm { zone, offset } => Some(Geodetic::from_utm(
+                zone,
+                point.x + offset[0],
+                point.y + offset[1],
+                point.z,
+            )),
         }
     }
 
@@ -86,15 +121,18 @@ impl Georeference {
                  (set frame.origin or frame.utm)"
             }
             Self::Ecef => "earth-centred coordinates",
-            Self::Fitted { .. } => "a local frame, placed on earth by the GPS positions of the images",
+            Self::Fitted { .. } => {
+                "a local frame, placed on earth by the GPS positions of the images"
+            }
             Self::EastNorthUp { .. } => "metres east, north and up of an origin",
             Self::Utm { .. } => "UTM coordinates",
         }
     }
 }
 
-/// Returns whether every camera is near the ellipsoid and up points away from the earth's centre. The second condition excludes UTM
-/// coordinates whose northing happens to be near the earth's radius.
+/// Returns whether every camera is near the ellipsoid and up points away from the earth's centre.
+/// The second condition excludes UTM coordinates whose northing happens to be near the earth's
+/// radius.
 fn is_ecef(scene: &Scene) -> bool {
     let near = scene.views.iter().all(|view| {
         let centre = view.cam_from_world.centre().coords;
@@ -116,13 +154,20 @@ mod tests {
     use crate::method::synthetic::Town;
 
     fn town() -> Scene {
-        Town { points: 300, ..Town::default() }.scene()
+        Town {
+            points: 300,
+            ..Town::default()
+        }
+        .scene()
     }
 
     /// Rotates and translates a scene.
     fn transformed(mut scene: Scene, rotation: Matrix3<f64>, translation: Vector3<f64>) -> Scene {
         let rotation = Rotation3::from_matrix_unchecked(rotation);
-        scene.points.iter_mut().for_each(|p| *p = rotation * *p + translation);
+        scene
+            .points
+            .iter_mut()
+            .for_each(|p| *p = rotation * *p + translation);
         for view in &mut scene.views {
             let pose = &mut view.cam_from_world;
             pose.rotation *= rotation.inverse();
@@ -133,19 +178,40 @@ mod tests {
 
     #[test]
     fn ecef_models_are_recognised_by_their_coordinates() {
-        let place = Geodetic { longitude: -81.89, latitude: 41.4, height: 300.0 };
+        let place = Geodetic {
+            longitude: -81.89,
+            latitude: 41.4,
+            height: 300.0,
+        };
         assert!(!is_ecef(&town()));
-        assert!(is_ecef(&transformed(town(), place.east_north_up(), place.to_ecef())));
-        let utm = transformed(town(), Matrix3::identity(), Vector3::new(500_000.0, 6_355_000.0, 100.0));
+        assert!(is_ecef(&transformed(
+            town(),
+            place.east_north_up(),
+            place.to_ecef()
+        )));
+        let utm = transformed(
+            town(),
+            Matrix3::identity(),
+            Vector3::new(500_000.0, 6_355_000.0, 100.0),
+        );
         assert!(!is_ecef(&utm), "a northing near the earth's radius");
     }
 
     #[test]
     fn a_point_100_m_east_has_a_greater_longitude() {
-        let frame = Georeference::east_north_up(Geodetic { latitude: 30.171208, longitude: -98.089669, height: 394.0 });
+        let frame = Georeference::east_north_up(Geodetic {
+            latitude: 30.171208,
+            longitude: -98.089669,
+            height: 394.0,
+        });
         let origin = frame.geodetic(&Point3::origin()).unwrap();
-        assert!((origin.latitude - 30.171208).abs() < 1e-12 && (origin.height - 394.0).abs() < 1e-6);
+        assert!(
+            (origin.latitude - 30.171208).abs() < 1e-12 && (origin.height - 394.0).abs() < 1e-6
+        );
         let east = frame.geodetic(&Point3::new(100.0, 0.0, 0.0)).unwrap();
-        assert!(east.longitude > origin.longitude + 0.001 && (east.latitude - origin.latitude).abs() < 1e-6);
+        assert!(
+            east.longitude > origin.longitude + 0.001
+                && (east.latitude - origin.latitude).abs() < 1e-6
+        );
     }
 }

@@ -12,14 +12,38 @@ use crate::{
 pub(super) fn pack(candidates: &Candidates) -> Packed {
     let mut packer = Packer::default();
     pack_rows(&mut packer, &candidates.offsets, candidates.views.iter());
-    packer.list(&candidates.beyond.iter().map(|&beyond| beyond as u32).collect::<Vec<_>>());
-    pack_rows(&mut packer, &candidates.refusal_offsets, candidates.refusals.iter().map(|refusal| &refusal.partner));
-    packer.list(&candidates.refusals.iter().map(|refusal| Reason::number(Some(refusal.reason))).collect::<Vec<_>>());
+    packer.list(
+        &candidates
+            .beyond
+            .iter()
+            .map(|&beyond| beyond as u32)
+            .collect::<Vec<_>>(),
+    );
+    pack_rows(
+        &mut packer,
+        &candidates.refusal_offsets,
+        candidates.refusals.iter().map(|refusal| &refusal.partner),
+    );
+    packer.list(
+        &candidates
+            .refusals
+            .iter()
+            .map(|refusal| Reason::number(Some(refusal.reason)))
+            .collect::<Vec<_>>(),
+    );
     packer.finish()
 }
 
-fn pack_rows<'a>(packer: &mut Packer, offsets: &Offsets, views: impl Iterator<Item = &'a ViewIndex>) {
-    packer.list(&(0..offsets.rows()).map(|row| offsets.row(row).len() as u32).collect::<Vec<_>>());
+fn pack_rows<'a>(
+    packer: &mut Packer,
+    offsets: &Offsets,
+    views: impl Iterator<Item = &'a ViewIndex>,
+) {
+    packer.list(
+        &(0..offsets.rows())
+            .map(|row| offsets.row(row).len() as u32)
+            .collect::<Vec<_>>(),
+    );
     packer.list(&views.map(|view| view.0).collect::<Vec<_>>());
 }
 
@@ -27,7 +51,11 @@ fn pack_rows<'a>(packer: &mut Packer, offsets: &Offsets, views: impl Iterator<It
 pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
     let mut lists = Unpacker::new(bytes);
     let (offsets, views) = unpack_rows(&mut lists, count)?;
-    let beyond: Vec<usize> = lists.list::<u32>()?.into_iter().map(|beyond| beyond as usize).collect();
+    let beyond: Vec<usize> = lists
+        .list::<u32>()?
+        .into_iter()
+        .map(|beyond| beyond as usize)
+        .collect();
     let (refusal_offsets, refused) = unpack_rows(&mut lists, count)?;
     let numbers = lists.bytes()?;
     let fits = beyond.len() == count
@@ -38,8 +66,18 @@ pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
         reason @ (Reason::RotationOnly | Reason::NotMatchable) => Some(Refusal { partner, reason }),
         _ => None,
     };
-    let refusals = refused.into_iter().zip(numbers).map(refusal).collect::<Option<_>>()?;
-    fits.then_some(Candidates { offsets, views, beyond, refusal_offsets, refusals })
+    let refusals = refused
+        .into_iter()
+        .zip(numbers)
+        .map(refusal)
+        .collect::<Option<_>>()?;
+    fits.then_some(Candidates {
+        offsets,
+        views,
+        beyond,
+        refusal_offsets,
+        refusals,
+    })
 }
 
 fn unpack_rows(lists: &mut Unpacker, count: usize) -> Option<(Offsets, Vec<ViewIndex>)> {

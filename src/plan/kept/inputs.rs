@@ -1,6 +1,7 @@
 //! Fingerprints of what each stage depends on.
 //!
-//! A stage's fingerprint has the settings sections that the stage is given, whole: a setting added to one of them counts without being named here.
+//! A stage's fingerprint has the settings sections that the stage is given, whole: a setting added
+//! to one of them counts without being named here.
 
 use std::{env::consts, path::Path};
 
@@ -25,7 +26,12 @@ use crate::{
 };
 
 /// Changes with every change of the program, also one that should not change a result.
-const PROGRAM: [&str; 4] = [env!("CARGO_PKG_VERSION"), env!("VIEWRANK_SOURCES"), consts::OS, consts::ARCH];
+const PROGRAM: [&str; 4] = [
+    env!("CARGO_PKG_VERSION"),
+    env!("VIEWRANK_SOURCES"),
+    consts::OS,
+    consts::ARCH,
+];
 /// Numbers hashed at once.
 const BLOCK: usize = 1 << 12;
 
@@ -38,15 +44,30 @@ pub struct Inputs<'a> {
 impl<'a> Inputs<'a> {
     /// Hashes the scene.
     pub fn new(project: &'a Project, scene: &Scene) -> Self {
-        Self { home: &project.home, scene: hash_of(scene) }
+        Self {
+            home: &project.home,
+            scene: hash_of(scene),
+        }
     }
 
     /// The surface and its visibility. `memory`: decides, with a limit, which tables are in memory.
     pub fn surface(&self, settings: &Settings, memory: &Memory) -> CacheFile {
         let mut hasher = self.of_scene();
         let target = (&settings.target, settings.image_scale());
-        add(&mut hasher, &(&settings.surface, &settings.visibility, target, memory.inputs()));
-        let mesh = settings.surface.mesh.as_deref().map(|mesh| input::read(mesh, FileKind::Mesh));
+        add(
+            &mut hasher,
+            &(
+                &settings.surface,
+                &settings.visibility,
+                target,
+                memory.inputs(),
+            ),
+        );
+        let mesh = settings
+            .surface
+            .mesh
+            .as_deref()
+            .map(|mesh| input::read(mesh, FileKind::Mesh));
         let hasher = match mesh {
             None => Some(hasher),
             Some(Ok(bytes)) => Some(add_parts(hasher, &[&bytes])),
@@ -65,12 +86,28 @@ impl<'a> Inputs<'a> {
     ) -> CacheFile {
         let mut hasher = self.of_scene();
         let PartnerSettings { k, candidates, .. } = settings.partners;
-        add(&mut hasher, &(k, candidates, gate, program, settings.image_scale(), without_image));
+        add(
+            &mut hasher,
+            &(
+                k,
+                candidates,
+                gate,
+                program,
+                settings.image_scale(),
+                without_image,
+            ),
+        );
         CacheFile::new(self.home, "viewrank/cache/candidates.table", Some(hasher))
     }
 
     /// The confidence of views by themselves.
-    pub fn unary(&self, scene: &Scene, surface: &CacheFile, confidence: Confidence, pictures: &Pictures) -> CacheFile {
+    pub fn unary(
+        &self,
+        scene: &Scene,
+        surface: &CacheFile,
+        confidence: Confidence,
+        pictures: &Pictures,
+    ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[surface.inputs()?]);
             let form = match confidence {
@@ -79,7 +116,11 @@ impl<'a> Inputs<'a> {
                 Confidence::Photometric { .. } => 2,
             };
             // Warnings name the folders.
-            let folders: Vec<_> = pictures.mask_folders().iter().map(|folder| folder.to_string_lossy()).collect();
+            let folders: Vec<_> = pictures
+                .mask_folders()
+                .iter()
+                .map(|folder| folder.to_string_lossy())
+                .collect();
             add(&mut hasher, &(form, pictures.have_images(), folders));
             if pictures.have_masks() {
                 for view in scene.view_indices() {
@@ -112,16 +153,34 @@ impl<'a> Inputs<'a> {
                 true => Some(""),
                 false => agreement.inputs(),
             };
-            let mut hasher = self.of_results(&[surface.inputs()?, candidates.inputs()?, unary.inputs()?, compared?]);
-            let half = settings.ranking.has_half().then_some(settings.ranking.half_worth);
+            let mut hasher = self.of_results(&[
+                surface.inputs()?,
+                candidates.inputs()?,
+                unary.inputs()?,
+                compared?,
+            ]);
+            let half = settings
+                .ranking
+                .has_half()
+                .then_some(settings.ranking.half_worth);
             // Numbers are written such that different ones differ.
-            add(&mut hasher, &(&settings.partners, settings.seed, half, format!("{rule:?}"), target.accuracy_over_gsd));
+            add(
+                &mut hasher,
+                &(
+                    &settings.partners,
+                    settings.seed,
+                    half,
+                    format!("{rule:?}"),
+                    target.accuracy_over_gsd,
+                ),
+            );
             Some(add_parts(hasher, &[bytemuck::cast_slice(&target.gsd)]))
         };
         CacheFile::new(self.home, "viewrank/cache/clusters.table", inputs())
     }
 
-    /// The ranking without finished depth maps, with what follows from it. `region`: factors on the weights of the triangles.
+    /// The ranking without finished depth maps, with what follows from it. `region`: factors on the
+    /// weights of the triangles.
     pub fn ranking(
         &self,
         settings: &Settings,
@@ -133,10 +192,20 @@ impl<'a> Inputs<'a> {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
             // The cut decides on sizes.
-            let limits = settings.ranking.has_half().then_some((&settings.cut, &settings.forecast));
+            let limits = settings
+                .ranking
+                .has_half()
+                .then_some((&settings.cut, &settings.forecast));
             add(&mut hasher, &(objective.support, limits, region.is_some()));
             let region = bytemuck::cast_slice(region.unwrap_or_default());
-            Some(add_parts(hasher, &[bytemuck::cast_slice(&objective.weights), region, bytemuck::cast_slice(work)]))
+            Some(add_parts(
+                hasher,
+                &[
+                    bytemuck::cast_slice(&objective.weights),
+                    region,
+                    bytemuck::cast_slice(work),
+                ],
+            ))
         };
         CacheFile::new(self.home, "viewrank/cache/ranking.table", inputs())
     }
@@ -155,7 +224,10 @@ impl<'a> Inputs<'a> {
 }
 
 fn add(hasher: &mut Hasher, value: &impl Serialize) {
-    add_part(hasher, &serde_json::to_vec(value).expect("numbers and texts are JSON"));
+    add_part(
+        hasher,
+        &serde_json::to_vec(value).expect("numbers and texts are JSON"),
+    );
 }
 
 /// Adds bytes with their length, so that no two lists of parts are the same.
@@ -175,16 +247,33 @@ fn hash_of(scene: &Scene) -> Hash {
     let (pixels, mut hasher) = rayon::join(pixels, || {
         let mut hasher = Hasher::new();
         for camera in &scene.cameras {
-            add(&mut hasher, &(camera.model().name(), camera.width, camera.height, camera.params()));
+            add(
+                &mut hasher,
+                &(
+                    camera.model().name(),
+                    camera.width,
+                    camera.height,
+                    camera.params(),
+                ),
+            );
         }
         for view in &scene.views {
-            let (rotation, translation) = (view.cam_from_world.rotation, view.cam_from_world.translation);
+            let (rotation, translation) = (
+                view.cam_from_world.rotation,
+                view.cam_from_world.translation,
+            );
             add(&mut hasher, &(&view.name, view.camera.0));
-            add_part(&mut hasher, bytemuck::cast_slice(rotation.matrix().as_slice()));
+            add_part(
+                &mut hasher,
+                bytemuck::cast_slice(rotation.matrix().as_slice()),
+            );
             add_part(&mut hasher, bytemuck::cast_slice(translation.as_slice()));
         }
         for part in scene.points.chunks(BLOCK) {
-            let coordinates: Vec<f64> = part.iter().flat_map(|point| point.coords.iter().copied()).collect();
+            let coordinates: Vec<f64> = part
+                .iter()
+                .flat_map(|point| point.coords.iter().copied())
+                .collect();
             add_part(&mut hasher, bytemuck::cast_slice(&coordinates));
         }
         add_part(&mut hasher, bytemuck::cast_slice(&scene.track_views));

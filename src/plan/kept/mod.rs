@@ -1,8 +1,10 @@
-//! Results of the stages, kept in the project for its next plan: one that changes only the cut or the budget computes at most what a longer cut asks of
-//! further clusters; one for another region, or around finished depth maps, ranks again.
+//! Results of the stages, kept in the project for its next plan: one that changes only the cut or
+//! the budget computes at most what a longer cut asks of further clusters; one for another region,
+//! or around finished depth maps, ranks again.
 //!
-//! Each stage has a file in `viewrank/cache` ([`crate::io::cache`]) with the fingerprint of all that the stage reads: the sparse model by content, settings,
-//! the results of earlier stages, and the program itself. Tables that were too large for memory are not kept.
+//! Each stage has a file in `viewrank/cache` ([`crate::io::cache`]) with the fingerprint of all
+//! that the stage reads: the sparse model by content, settings, the results of earlier stages, and
+//! the program itself. Tables that were too large for memory are not kept.
 
 pub(super) mod candidates;
 pub(super) mod clusters;
@@ -51,9 +53,17 @@ impl Slot {
         if self.is_kept {
             return None;
         }
-        let length = |packed: &Packed| packed.iter().map(|part| part.as_bytes().len() as u64).sum::<u64>();
-        let packed =
-            self.file.inputs().and_then(|_| pack()).filter(|(_, packed)| length(packed) <= FileKind::State.limit());
+        let length = |packed: &Packed| {
+            packed
+                .iter()
+                .map(|part| part.as_bytes().len() as u64)
+                .sum::<u64>()
+        };
+        let packed = self
+            .file
+            .inputs()
+            .and_then(|_| pack())
+            .filter(|(_, packed)| length(packed) <= FileKind::State.limit());
         Some(match packed {
             Some((facts, packed)) => self.file.file(&facts, packed),
             None => self.file.no_file(),
@@ -67,7 +77,13 @@ pub(super) fn read<F: Serialize + DeserializeOwned, T>(
     unpack: impl FnOnce(F, &[u8]) -> Option<T>,
 ) -> Slotted<Option<T>> {
     let found = file.read().and_then(|(facts, bytes)| unpack(facts, &bytes));
-    (Slot { file, is_kept: found.is_some() }, found)
+    (
+        Slot {
+            file,
+            is_kept: found.is_some(),
+        },
+        found,
+    )
 }
 
 /// Reads what the file holds as [`read`] does, or else makes it.
@@ -83,7 +99,8 @@ pub(super) fn read_or<F: Serialize + DeserializeOwned, T, E>(
 }
 
 impl Plan {
-    /// Makes the files of [`Self::unwritten`] now: what finished depth maps show replaces predictions, but the next plan begins with these.
+    /// Makes the files of [`Self::unwritten`] now: what finished depth maps show replaces
+    /// predictions, but the next plan begins with these.
     pub fn keep_predictions(&mut self) {
         self.stages.kept.made = Some(self.unwritten());
     }
@@ -95,13 +112,19 @@ impl Plan {
             return made.clone();
         }
         // What a longer cut has asked for is kept as well.
-        let known = stages.known_ranking.as_ref().map_or(0, |known| known.pixels.len());
-        let ranking =
-            Slot { is_kept: kept.ranking.is_kept && self.decision.pixels.len() <= known, ..kept.ranking.clone() };
+        let known = stages
+            .known_ranking
+            .as_ref()
+            .map_or(0, |known| known.pixels.len());
+        let ranking = Slot {
+            is_kept: kept.ranking.is_kept && self.decision.pixels.len() <= known,
+            ..kept.ranking.clone()
+        };
         [
             kept.surface.set(|| surface::pack(stages)),
             kept.shown.set(|| Some(((), shown::pack(&stages.shown)))),
-            kept.candidates.set(|| Some(((), candidates::pack(&stages.candidates)))),
+            kept.candidates
+                .set(|| Some(((), candidates::pack(&stages.candidates)))),
             kept.unary.set(|| unary::pack(stages)),
             kept.clusters.set(|| Some(((), clusters::pack(stages)?))),
             ranking.set(|| Some(((), ranking::pack(&self.decision)))),

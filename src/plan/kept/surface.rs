@@ -33,11 +33,19 @@ pub struct KeptSurface {
 }
 
 pub(super) fn pack(stages: &Stages) -> Option<(Facts, Packed)> {
-    let Stages { surface, visibility, .. } = stages;
+    let Stages {
+        surface,
+        visibility,
+        ..
+    } = stages;
     if visibility.triangles.storage() == Storage::Disk {
         return None;
     }
-    let coordinates: Vec<f64> = surface.vertices.iter().flat_map(|vertex| vertex.coords.iter().copied()).collect();
+    let coordinates: Vec<f64> = surface
+        .vertices
+        .iter()
+        .flat_map(|vertex| vertex.coords.iter().copied())
+        .collect();
     let gaps = |view| {
         let mut bytes = Vec::new();
         push_gaps(visibility.triangles_seen_by(view), &mut bytes);
@@ -50,7 +58,11 @@ pub(super) fn pack(stages: &Stages) -> Option<(Facts, Packed)> {
     packer.list(&rows.iter().map(|row| row.len() as u32).collect::<Vec<_>>());
     packer.list(&rows.concat());
     let contradictions = visibility.contradictions;
-    let facts = Facts { kind: surface.kind, stats: stages.surface_stats.clone(), contradictions };
+    let facts = Facts {
+        kind: surface.kind,
+        stats: stages.surface_stats.clone(),
+        contradictions,
+    };
     Some((facts, packer.finish()))
 }
 
@@ -62,11 +74,15 @@ impl KeptSurface {
         let (lengths, gaps) = (lists.list::<u32>()?, lists.bytes()?);
         let (vertices, rest) = coordinates.as_chunks::<3>();
         let (triangles, others) = corners.as_chunks::<3>();
-        let fits = lists.is_at_end() && rest.is_empty() && others.is_empty() && lengths.len() == views;
+        let fits =
+            lists.is_at_end() && rest.is_empty() && others.is_empty() && lengths.len() == views;
         if !fits || triangles.is_empty() || !coordinates.iter().all(|x| x.is_finite()) {
             return None;
         }
-        corners.iter().all(|&corner| (corner as usize) < vertices.len()).then_some(())?;
+        corners
+            .iter()
+            .all(|&corner| (corner as usize) < vertices.len())
+            .then_some(())?;
         let (offsets, seen) = rows(&lengths, gaps, triangles.len() as u32)?;
         Some(Self {
             surface: Surface {
@@ -75,7 +91,11 @@ impl KeptSurface {
                 triangles: triangles.to_vec(),
             },
             stats: facts.stats,
-            visibility: Visibility { offsets, triangles: seen, contradictions: facts.contradictions },
+            visibility: Visibility {
+                offsets,
+                triangles: seen,
+                contradictions: facts.contradictions,
+            },
         })
     }
 }
@@ -91,9 +111,15 @@ fn rows(lengths: &[u32], mut gaps: &[u8], triangles: u32) -> Option<(Offsets, Co
     if !gaps.is_empty() {
         return None;
     }
-    let offsets = Offsets::from_lengths(packed.par_iter().map(|row| count_gaps(row)).collect::<Vec<_>>());
+    let offsets = Offsets::from_lengths(
+        packed
+            .par_iter()
+            .map(|row| count_gaps(row))
+            .collect::<Vec<_>>(),
+    );
     let mut all = vec![0; offsets.entries()];
     let rows = packed.into_par_iter().zip(offsets.split_mut(&mut all));
-    rows.map(|(row, seen)| read_gaps(row, triangles, seen)).collect::<Option<()>>()?;
+    rows.map(|(row, seen)| read_gaps(row, triangles, seen))
+        .collect::<Option<()>>()?;
     Some((offsets, all.into()))
 }

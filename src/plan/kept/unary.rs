@@ -29,11 +29,17 @@ pub(super) fn pack(stages: &Stages) -> Option<(Vec<String>, Packed)> {
 /// Unpacks the columns. `rows`: number of rows of the visibility table.
 pub fn unpack(bytes: &[u8], rows: usize) -> Option<Unary> {
     let mut lists = Unpacker::new(bytes);
-    let (around, observed, allowed) = (lists.list::<u8>()?, lists.list::<u8>()?, lists.list::<f32>()?);
+    let (around, observed, allowed) = (
+        lists.list::<u8>()?,
+        lists.list::<u8>()?,
+        lists.list::<f32>()?,
+    );
     let &[around] = &around[..] else { return None };
     let fits = |length: usize| length == 0 || length == rows;
-    let are_numbers = (1..=AROUND).contains(&around.into()) && observed.par_iter().all(|&number| number <= around);
+    let are_numbers = (1..=AROUND).contains(&around.into())
+        && observed.par_iter().all(|&number| number <= around);
     let are_shares = allowed.par_iter().all(|share| (0.0..=1.0).contains(share));
     let is_whole = lists.is_at_end() && fits(observed.len()) && fits(allowed.len());
-    (is_whole && are_numbers && are_shares).then(|| Unary::of_points(observed.into(), around).within(allowed.into()))
+    (is_whole && are_numbers && are_shares)
+        .then(|| Unary::of_points(observed.into(), around).within(allowed.into()))
 }

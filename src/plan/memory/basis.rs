@@ -11,11 +11,13 @@ use crate::{
     model::scene::Scene,
 };
 
-/// Bytes per row of the visibility table; of that and the confidence of views by themselves; of these and fulfilment.
+/// Bytes per row of the visibility table; of that and the confidence of views by themselves; of
+/// these and fulfilment.
 pub const VISIBILITY_ROW: u64 = 4;
 pub const UNARY_ROW: u64 = 9;
 const TABLES_ROW: u64 = 17;
-/// Bytes more per row where maps may have half the size: f of the half size, before and after it is blended.
+/// Bytes more per row where maps may have half the size: f of the half size, before and after it is
+/// blended.
 const HALF_ROW: u64 = 16;
 /// Bytes per row of f of the clusters that are evaluated at once.
 pub const VALUES_ROW: u64 = 4;
@@ -23,16 +25,19 @@ pub const VALUES_ROW: u64 = 4;
 pub const BY_TRIANGLE_ROW: u64 = 8;
 /// Bytes per row of visibility while pictures are compared; the result has one byte per candidate.
 pub const SAMPLES_ROW: u64 = 196;
-/// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is as fast while memory is free.
+/// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is
+/// as fast while memory is free.
 pub const MOST_SAMPLES: u64 = 1 << 30;
-/// Bytes per pixel of a picture while it is decoded, its file included: a progressive JPEG or a PNG with 16 bits a channel.
+/// Bytes per pixel of a picture while it is decoded, its file included: a progressive JPEG or a PNG
+/// with 16 bits a channel.
 const PICTURE_PIXEL: u64 = 8;
 
 /// Limits, and what the forecast is made from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Basis {
     pub limit: Option<Bytes>,
-    /// Bytes beyond which planning fails ([`most_memory`](crate::base::progress::Watcher::most_memory)).
+    /// Bytes beyond which planning fails
+    /// ([`most_memory`](crate::base::progress::Watcher::most_memory)).
     pub most: Option<u64>,
     /// Bytes of tables for each row of visibility.
     pub row: u64,
@@ -52,7 +57,10 @@ impl Basis {
     /// `pixels`: of the largest picture; `most`: see the field.
     pub fn new(scene: &Scene, settings: &Settings, pixels: u64, most: Option<u64>) -> Self {
         let compared = settings.confidence.source == ConfidenceSource::Photometric;
-        let (views, threads) = (scene.views.len() as u64, rayon::current_num_threads() as u64);
+        let (views, threads) = (
+            scene.views.len() as u64,
+            rayon::current_num_threads() as u64,
+        );
         let where_true = |is_true, bytes| if is_true { bytes } else { 0 };
         let has_half = settings.ranking.has_half();
         let candidates = u64::from(settings.partners.candidates).min(views.saturating_sub(1));
@@ -65,7 +73,10 @@ impl Basis {
             candidates,
             choosers: threads.min(views).min(BATCH as u64),
             picture: where_true(compared, PICTURE_PIXEL * PixelBound::new(pixels).pixels()),
-            ranked: where_true(has_half, threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support),
+            ranked: where_true(
+                has_half,
+                threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support,
+            ),
         }
     }
 
@@ -76,10 +87,12 @@ impl Basis {
 
     /// Bytes of samples of pictures that memory may hold; more are kept on disk.
     pub fn most_samples(&self) -> u64 {
-        self.limit.map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
+        self.limit
+            .map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
     }
 
-    /// Returns the memory of tables at the peak: while pictures are compared, partners are chosen, or clusters are ranked.
+    /// Returns the memory of tables at the peak: while pictures are compared, partners are chosen,
+    /// or clusters are ranked.
     pub fn in_memory(&self, rows: Rows, triangles: u64) -> u64 {
         let samples = self.most_samples().min(self.samples_row * rows.all);
         let ranking = BY_TRIANGLE_ROW * rows.all + self.ranked * triangles;
@@ -89,7 +102,9 @@ impl Basis {
     /// Returns the same for tables on disk, of which only new rows are in memory.
     pub fn batches(&self, rows: Rows, triangles: u64) -> u64 {
         let at_once = rows.at_once();
-        (self.row * at_once).max(self.blocks(rows) + VALUES_ROW * at_once).max(self.ranked * triangles)
+        (self.row * at_once)
+            .max(self.blocks(rows) + VALUES_ROW * at_once)
+            .max(self.ranked * triangles)
     }
 
     /// Returns the memory of all threads while partners are chosen.

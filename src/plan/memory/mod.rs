@@ -1,9 +1,11 @@
 //! Forecasts the memory of each stage before it runs, and keeps it within a limit.
 //!
-//! A surface with more points than the limit permits is built in tiles, one after the other; tables of visibility, confidence and fulfilment that
-//! don't fit are kept on disk ([`Storage`]), without effect on the result. The rest, the scene and the data of each triangle, must fit in memory:
-//! otherwise planning fails before they are built. The figures per point were measured with `viewrank plan` on `boruszyn` and
-//! `caliterra` (800 and 760 bytes), the others are sizes of tables and of the threads' buffers.
+//! A surface with more points than the limit permits is built in tiles, one after the other; tables
+//! of visibility, confidence and fulfilment that don't fit are kept on disk ([`Storage`]), without
+//! effect on the result. The rest, the scene and the data of each triangle, must fit in memory:
+//! otherwise planning fails before they are built. The figures per point were measured with
+//! `viewrank plan` on `boruszyn` and `caliterra` (800 and 760 bytes), the others are sizes of
+//! tables and of the threads' buffers.
 
 mod basis;
 mod rows;
@@ -13,7 +15,9 @@ mod tests;
 use serde::Serialize;
 
 use self::{
-    basis::{BY_TRIANGLE_ROW, Basis, MOST_SAMPLES, SAMPLES_ROW, UNARY_ROW, VALUES_ROW, VISIBILITY_ROW},
+    basis::{
+        BY_TRIANGLE_ROW, Basis, MOST_SAMPLES, SAMPLES_ROW, UNARY_ROW, VALUES_ROW, VISIBILITY_ROW,
+    },
     rows::Rows,
 };
 use super::PlanError;
@@ -53,24 +57,29 @@ const SURFACE_PER_POINT: u64 = 1000;
 const MESH_PER_POINT: u64 = 48;
 /// Ratio of a tile's points including its margin to its own points, for a tile of the least size.
 const OVERLAP: u64 = 2;
-/// Least number of points per tile: smaller tiles are mostly margin, with almost four times the points for a tile of 10,000 (survey of 300 views).
+/// Least number of points per tile: smaller tiles are mostly margin, with almost four times the
+/// points for a tile of 10,000 (survey of 300 views).
 const LEAST_TILE: u64 = 60_000;
 /// Bytes of the scene per point and per observation, including the table of each view's points.
 const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
 /// Views per thread that are sampled per batch, so that threads rarely wait for the last of them.
 const VIEWS_PER_THREAD: u64 = 16;
-/// Bytes per triangle for confidence and reasons: what is shown of it, its nearest points, its factors and its f so far.
+/// Bytes per triangle for confidence and reasons: what is shown of it, its nearest points, its
+/// factors and its f so far.
 const PER_TRIANGLE: u64 = 116;
 /// Bytes per triangle and thread: its row in the current view.
 const ROW_INDEX: u64 = 4;
-/// Bytes per sparse point while contradictions and nearest points are computed; and per point and thread, whether it is observed.
+/// Bytes per sparse point while contradictions and nearest points are computed; and per point and
+/// thread, whether it is observed.
 const PER_POINT: u64 = 5;
 const OBSERVED: u64 = 1;
-/// Bytes per row of fulfilment for its belief, updated by failures of other maps, and for the new f at both sizes.
+/// Bytes per row of fulfilment for its belief, updated by failures of other maps, and for the new f
+/// at both sizes.
 const BELIEF_ROW: u64 = 40;
 
-/// Forecast bytes at the peak of each stage, including everything already in memory; 0 where a stage has not begun.
+/// Forecast bytes at the peak of each stage, including everything already in memory; 0 where a
+/// stage has not begun.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Memory {
     pub read: u64,
@@ -90,7 +99,8 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Forecasts the surface; sets a tile size in the settings if it is too large. `pixels`: of the largest picture that can be read.
+    /// Forecasts the surface; sets a tile size in the settings if it is too large. `pixels`: of the
+    /// largest picture that can be read.
     pub(super) fn before_surface(
         scene: &Scene,
         settings: &mut Settings,
@@ -98,15 +108,24 @@ impl Memory {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let points = scene.points.len() as u64;
-        let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
+        let held =
+            BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
         let basis = Basis::new(scene, settings, pixels, watcher.most_memory());
-        let mut memory = Self { read: held, basis, ..Self::default() };
+        let mut memory = Self {
+            read: held,
+            basis,
+            ..Self::default()
+        };
         let finished = held + MESH_PER_POINT * points;
-        if let (None, None, Some(limit)) = (&settings.surface.mesh, settings.surface.tile_points, basis.limit)
-            && held + SURFACE_PER_POINT * points > limit.0
+        if let (None, None, Some(limit)) = (
+            &settings.surface.mesh,
+            settings.surface.tile_points,
+            basis.limit,
+        ) && held + SURFACE_PER_POINT * points > limit.0
         {
             let tile = limit.0.saturating_sub(finished) / SURFACE_PER_POINT / OVERLAP;
-            settings.surface.tile_points = Some(u32::try_from(tile.max(LEAST_TILE)).unwrap_or(u32::MAX));
+            settings.surface.tile_points =
+                Some(u32::try_from(tile.max(LEAST_TILE)).unwrap_or(u32::MAX));
         }
         let at_once = match (&settings.surface.mesh, settings.surface.tile_points) {
             (Some(_), _) => 0,
@@ -121,7 +140,11 @@ impl Memory {
     /// Maximum number of triangles while the surface is refined.
     pub(super) fn most_triangles(&self) -> u64 {
         let Basis { limit, most, .. } = self.basis;
-        let least = limit.map(|Bytes(limit)| limit).into_iter().chain(most).min();
+        let least = limit
+            .map(|Bytes(limit)| limit)
+            .into_iter()
+            .chain(most)
+            .min();
         least.map_or(MAX_TRIANGLES, |limit| self.triangles_within(limit))
     }
 
@@ -129,22 +152,45 @@ impl Memory {
         MAX_TRIANGLES.min(limit.saturating_sub(self.read) / TRIANGLE_BYTES)
     }
 
-    /// Returns the error of a surface that was not refined for want of memory: how much it needs, if more could be allowed.
+    /// Returns the error of a surface that was not refined for want of memory: how much it needs,
+    /// if more could be allowed.
     pub(super) fn too_fine(&self, error: SurfaceError) -> PlanError {
         match error {
-            SurfaceError::Refine(RefineError::TooFine { triangles, .. }) if triangles <= MAX_TRIANGLES as f64 => {
+            SurfaceError::Refine(RefineError::TooFine { triangles, .. })
+                if triangles <= MAX_TRIANGLES as f64 =>
+            {
                 let need = self.read + triangles.ceil() as u64 * TRIANGLE_BYTES;
-                self.check_limit(SURFACE, need).err().unwrap_or(error.into())
+                self.check_limit(SURFACE, need)
+                    .err()
+                    .unwrap_or(error.into())
             }
             error => error.into(),
         }
     }
 
-    /// Returns what decides, under a limit, whether the surface can be built and where its tables are kept.
+    /// Returns what decides, under a limit, whether the surface can be built and where its tables
+    /// are kept.
     pub(super) fn inputs(&self) -> impl Serialize {
-        let Basis { limit, row, samples_row, candidates, ranked, .. } = self.basis;
+        let Basis {
+            limit,
+            row,
+            samples_row,
+            candidates,
+            ranked,
+            ..
+        } = self.basis;
         let threads = rayon::current_num_threads();
-        limit.map(|limit| (limit, self.triangles_within(limit.0), row, samples_row, candidates, ranked, threads))
+        limit.map(|limit| {
+            (
+                limit,
+                self.triangles_within(limit.0),
+                row,
+                samples_row,
+                candidates,
+                ranked,
+                threads,
+            )
+        })
     }
 
     pub(super) fn before_visibility(
@@ -153,15 +199,21 @@ impl Memory {
         surface: &Surface,
         settings: &VisibilitySettings,
     ) -> Result<Storage, PlanError> {
-        let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
+        let (threads, points) = (
+            rayon::current_num_threads() as u64,
+            scene.points.len() as u64,
+        );
         let threads = threads.min(scene.views.len() as u64);
         let triangles = surface.triangles.len() as u64;
-        let buffer = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
+        let buffer =
+            visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
         let rows = Rows::expected(scene, surface);
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * buffer;
         let held = self.outside_tables(scene, surface);
         let basis = &self.basis;
-        if basis.fits(drawing + VISIBILITY_ROW * rows.all) && basis.fits(held + basis.in_memory(rows, triangles)) {
+        if basis.fits(drawing + VISIBILITY_ROW * rows.all)
+            && basis.fits(held + basis.in_memory(rows, triangles))
+        {
             self.visibility = drawing + VISIBILITY_ROW * rows.all;
             // The rest is forecast from the real rows, which occlusion makes fewer.
             self.check_limit(MODEL, self.visibility)?;
@@ -176,7 +228,8 @@ impl Memory {
 
     /// Takes visibility that an earlier plan has kept: nothing is drawn.
     pub(super) fn with_visibility(&mut self, surface: &Surface, visibility: &Visibility) {
-        self.visibility = self.read + bytes(surface) + VISIBILITY_ROW * visibility.triangles.len() as u64;
+        self.visibility =
+            self.read + bytes(surface) + VISIBILITY_ROW * visibility.triangles.len() as u64;
     }
 
     /// Forecasts partners and fulfilment from the real number of rows.
@@ -189,51 +242,96 @@ impl Memory {
         let (rows, triangles) = (Rows::of(scene, visibility), surface.triangles.len() as u64);
         let (held, basis) = (self.outside_tables(scene, surface), &self.basis);
         (self.tables, self.partners) = match visibility.triangles.storage() {
-            Storage::Memory => (held + basis.row * rows.all, held + basis.in_memory(rows, triangles)),
+            Storage::Memory => (
+                held + basis.row * rows.all,
+                held + basis.in_memory(rows, triangles),
+            ),
             Storage::Disk => (held, held + basis.batches(rows, triangles)),
         };
         self.check_limit("fulfilment table", self.partners)
     }
 
-    /// Forecasts the reading of masks; returns the number of views per batch, at least 1. `of_mask`: bytes for the largest one.
-    pub(super) fn before_masks(&mut self, geometry: &Geometry, of_mask: u64) -> Result<usize, PlanError> {
+    /// Forecasts the reading of masks; returns the number of views per batch, at least 1.
+    /// `of_mask`: bytes for the largest one.
+    pub(super) fn before_masks(
+        &mut self,
+        geometry: &Geometry,
+        of_mask: u64,
+    ) -> Result<usize, PlanError> {
         let rows = Rows::of(geometry.scene, geometry.visibility);
         let threads = (rayon::current_num_threads() as u64).min(rows.views);
         let held = self.held_by_unary(geometry) + VALUES_ROW * rows.at_once();
         let need = |views: u64| held + views * of_mask;
-        let views_at_once = (1..=threads).rev().find(|&views| self.basis.fits(need(views))).unwrap_or(1);
+        let views_at_once = (1..=threads)
+            .rev()
+            .find(|&views| self.basis.fits(need(views)))
+            .unwrap_or(1);
         self.confidence = self.confidence.max(need(views_at_once));
         self.check_limit(MASKS, need(views_at_once))?;
-        Ok(if views_at_once == threads { column::READ_AT_ONCE } else { views_at_once as usize })
+        Ok(if views_at_once == threads {
+            column::READ_AT_ONCE
+        } else {
+            views_at_once as usize
+        })
     }
 
-    /// Forecasts the sampling of pictures, of fewer views at once if need be. `of_mask`: bytes for the largest mask; 0 without one.
-    pub(super) fn before_pictures(&mut self, geometry: &Geometry, of_mask: u64) -> Result<SampleRoom, PlanError> {
-        let Geometry { scene, visibility, .. } = *geometry;
-        let (threads, rows) = (rayon::current_num_threads() as u64, visibility.triangles.len() as u64);
+    /// Forecasts the sampling of pictures, of fewer views at once if need be. `of_mask`: bytes for
+    /// the largest mask; 0 without one.
+    pub(super) fn before_pictures(
+        &mut self,
+        geometry: &Geometry,
+        of_mask: u64,
+    ) -> Result<SampleRoom, PlanError> {
+        let Geometry {
+            scene, visibility, ..
+        } = *geometry;
+        let (threads, rows) = (
+            rayon::current_num_threads() as u64,
+            visibility.triangles.len() as u64,
+        );
         let of_view = (UNARY_ROW + SAMPLES_ROW) * Rows::of(scene, visibility).most;
         let (tables_keep, samples) = (visibility.triangles.storage(), SAMPLES_ROW * rows);
-        let keep = if samples <= self.basis.most_samples() { tables_keep } else { Storage::Disk };
+        let keep = if samples <= self.basis.most_samples() {
+            tables_keep
+        } else {
+            Storage::Disk
+        };
         let held = self.held_by_unary(geometry) + if keep == Storage::Memory { samples } else { 0 };
         // The picture is small when its mask is read.
         let picture = self.basis.picture.max(of_mask);
         // Each thread's allocator also holds back about what its last view took.
-        let need = |views: u64| held + (views + views.min(threads)) * of_view + views.min(threads) * picture;
+        let need = |views: u64| {
+            held + (views + views.min(threads)) * of_view + views.min(threads) * picture
+        };
         let most = (MOST_SAMPLES / of_view.max(1)).clamp(threads, VIEWS_PER_THREAD * threads);
-        let most = most.min(column::READ_AT_ONCE as u64).min(scene.views.len() as u64);
-        let views_at_once = (1..=most).rev().find(|&views| self.basis.fits(need(views))).unwrap_or(1);
+        let most = most
+            .min(column::READ_AT_ONCE as u64)
+            .min(scene.views.len() as u64);
+        let views_at_once = (1..=most)
+            .rev()
+            .find(|&views| self.basis.fits(need(views)))
+            .unwrap_or(1);
         let sampling = need(views_at_once);
         self.confidence = self.confidence.max(sampling);
         self.check_limit(PICTURES, sampling)?;
         if (tables_keep, keep) == (Storage::Memory, Storage::Disk) {
             self.disk = samples;
         }
-        Ok(SampleRoom { keep, views_at_once: views_at_once as usize })
+        Ok(SampleRoom {
+            keep,
+            views_at_once: views_at_once as usize,
+        })
     }
 
-    /// Returns the memory of model, surface, and tables up to the confidence of views by themselves.
+    /// Returns the memory of model, surface, and tables up to the confidence of views by
+    /// themselves.
     fn held_by_unary(&self, geometry: &Geometry) -> u64 {
-        let Geometry { scene, surface, visibility, .. } = *geometry;
+        let Geometry {
+            scene,
+            surface,
+            visibility,
+            ..
+        } = *geometry;
         let tables = match visibility.triangles.storage() {
             Storage::Memory => UNARY_ROW * visibility.triangles.len() as u64,
             Storage::Disk => 0,
@@ -241,7 +339,8 @@ impl Memory {
         self.outside_tables(scene, surface) + tables
     }
 
-    /// Returns the memory of model, surface, and their points and triangles while partners are chosen.
+    /// Returns the memory of model, surface, and their points and triangles while partners are
+    /// chosen.
     fn outside_tables(&self, scene: &Scene, surface: &Surface) -> u64 {
         let threads = rayon::current_num_threads() as u64;
         let of_points = (PER_POINT + threads * OBSERVED) * scene.points.len() as u64;
@@ -249,19 +348,38 @@ impl Memory {
         self.read + bytes(surface) + of_points + of_triangles
     }
 
-    /// Checks the belief about each row of fulfilment, which a plan around finished depth maps keeps in memory.
+    /// Checks the belief about each row of fulfilment, which a plan around finished depth maps
+    /// keeps in memory.
     pub(crate) fn before_beliefs(&self, fulfilment: &FulfilmentTable) -> Result<(), PlanError> {
-        self.check_limit("table of failures", self.tables + BELIEF_ROW * fulfilment.triangles.len() as u64)
+        self.check_limit(
+            "table of failures",
+            self.tables + BELIEF_ROW * fulfilment.triangles.len() as u64,
+        )
     }
 
-    /// Returns an error if `need` exceeds a limit. The size of the largest picture is known before any stage, so the limit that the error advises allows
-    /// for it.
+    /// Returns an error if `need` exceeds a limit. The size of the largest picture is known before
+    /// any stage, so the limit that the error advises allows for it.
     fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
-        let Basis { limit, most, picture, .. } = self.basis;
+        let Basis {
+            limit,
+            most,
+            picture,
+            ..
+        } = self.basis;
         let with_picture = need.max(self.read + picture);
         match (limit, most) {
-            (Some(Bytes(limit)), _) if need > limit => Err(PlanError::Memory { stage, need, limit, with_picture }),
-            (_, Some(most)) if need > most => Err(PlanError::Refused { stage, need, most, with_picture }),
+            (Some(Bytes(limit)), _) if need > limit => Err(PlanError::Memory {
+                stage,
+                need,
+                limit,
+                with_picture,
+            }),
+            (_, Some(most)) if need > most => Err(PlanError::Refused {
+                stage,
+                need,
+                most,
+                with_picture,
+            }),
             _ => Ok(()),
         }
     }
@@ -273,7 +391,11 @@ impl Memory {
 
     /// Peak over all stages, bytes.
     pub fn peak(&self) -> u64 {
-        self.read.max(self.surface).max(self.visibility).max(self.confidence).max(self.partners)
+        self.read
+            .max(self.surface)
+            .max(self.visibility)
+            .max(self.confidence)
+            .max(self.partners)
     }
 }
 
@@ -291,7 +413,8 @@ pub(super) fn enough(need: u64) -> String {
     }
 }
 
-/// Formats bytes as "1.5G", "20M" or "300 bytes", rounded up: a need above a limit must not read the same.
+/// Formats bytes as "1.5G", "20M" or "300 bytes", rounded up: a need above a limit must not read
+/// the same.
 pub(super) fn readable(bytes: u64) -> String {
     in_units(bytes, f64::ceil)
 }

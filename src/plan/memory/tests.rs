@@ -9,14 +9,21 @@ use crate::{
 
 /// Views at once, and the forecast, for pictures of a megapixel.
 fn pictures(town: &SeenTown, limit: Option<u64>) -> Result<(SampleRoom, Memory), PlanError> {
-    let mut settings = Settings { max_memory: limit.map(Bytes), ..Settings::default() };
+    let mut settings = Settings {
+        max_memory: limit.map(Bytes),
+        ..Settings::default()
+    };
     let mut memory = Memory::before_surface(&town.scene, &mut settings, 1_000_000, &NoWatcher)?;
     let room = memory.before_pictures(&town.geometry(1.0), 0)?;
     Ok((room, memory))
 }
 
 fn town(keep: Storage) -> SeenTown {
-    Town { edge: 1.0, ..Town::default() }.seen(&TargetSettings::default(), 0.05, keep)
+    Town {
+        edge: 1.0,
+        ..Town::default()
+    }
+    .seen(&TargetSettings::default(), 0.05, keep)
 }
 
 #[test]
@@ -26,17 +33,28 @@ fn a_limit_lets_fewer_pictures_be_sampled_at_once_but_not_none() {
     let (room, memory) = pictures(&town, None).unwrap();
     let (most, need) = (room.views_at_once as u64, memory.confidence);
     let wanted = VIEWS_PER_THREAD * rayon::current_num_threads() as u64;
-    assert_eq!(most, wanted.min(column::READ_AT_ONCE as u64).min(town.scene.views.len() as u64));
+    assert_eq!(
+        most,
+        wanted
+            .min(column::READ_AT_ONCE as u64)
+            .min(town.scene.views.len() as u64)
+    );
     let samples = SAMPLES_ROW * town.visibility.triangles.len() as u64;
     // By bisection: the least limit that is enough for a single picture.
     let (mut too_little, mut enough) = (0, need + 8 * samples);
     while enough - too_little > 1 {
         let middle = (too_little + enough) / 2;
-        if at_once(middle).is_ok() { enough = middle } else { too_little = middle }
+        if at_once(middle).is_ok() {
+            enough = middle
+        } else {
+            too_little = middle
+        }
     }
     assert_eq!(at_once(enough).unwrap(), 1);
     assert!(matches!(at_once(too_little), Err(PlanError::Memory { .. })));
-    let more: Vec<u64> = (0..20).map(|step| at_once(enough + step * samples).unwrap()).collect();
+    let more: Vec<u64> = (0..20)
+        .map(|step| at_once(enough + step * samples).unwrap())
+        .collect();
     assert!(more.is_sorted() && more[19] == most, "{more:?}");
 }
 
@@ -45,22 +63,39 @@ fn a_limit_lets_fewer_masks_be_read_at_once_but_not_none() {
     const OF_MASK: u64 = 5_000_000;
     let town = town(Storage::Memory);
     let masks = |limit: Option<u64>| {
-        let mut settings = Settings { max_memory: limit.map(Bytes), ..Settings::default() };
+        let mut settings = Settings {
+            max_memory: limit.map(Bytes),
+            ..Settings::default()
+        };
         let mut memory = Memory::before_surface(&town.scene, &mut settings, 0, &NoWatcher)?;
         let views_at_once = memory.before_masks(&town.geometry(1.0), OF_MASK)?;
         Ok::<_, PlanError>((views_at_once, memory.confidence))
     };
-    let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let pool = |threads| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap()
+    };
     let (views_at_once, for_one) = pool(1).install(|| masks(None)).unwrap();
     assert_eq!(views_at_once, column::READ_AT_ONCE, "one thread");
     pool(4).install(|| {
         let (views_at_once, for_four) = masks(None).unwrap();
         assert_eq!(views_at_once, column::READ_AT_ONCE);
         assert!(for_four - for_one >= 3 * OF_MASK);
-        assert_eq!(masks(Some(for_four)).unwrap(), (column::READ_AT_ONCE, for_four));
+        assert_eq!(
+            masks(Some(for_four)).unwrap(),
+            (column::READ_AT_ONCE, for_four)
+        );
         assert_eq!(masks(Some(for_four - 1)).unwrap(), (3, for_four - OF_MASK));
-        assert_eq!(masks(Some(for_four - 3 * OF_MASK)).unwrap(), (1, for_four - 3 * OF_MASK));
-        assert!(matches!(masks(Some(for_four - 3 * OF_MASK - 1)), Err(PlanError::Memory { stage: MASKS, .. })));
+        assert_eq!(
+            masks(Some(for_four - 3 * OF_MASK)).unwrap(),
+            (1, for_four - 3 * OF_MASK)
+        );
+        assert!(matches!(
+            masks(Some(for_four - 3 * OF_MASK - 1)),
+            Err(PlanError::Memory { stage: MASKS, .. })
+        ));
     });
 }
 
@@ -85,23 +120,36 @@ fn samples_take_memory_only_where_they_are_kept() {
 fn a_limit_that_is_too_small_for_the_surface_is_answered_with_one_for_the_largest_picture() {
     let town = town(Storage::Memory);
     let refused = |pixels, source| {
-        let mut settings = Settings { max_memory: Some(Bytes(1)), ..Settings::default() };
+        let mut settings = Settings {
+            max_memory: Some(Bytes(1)),
+            ..Settings::default()
+        };
         settings.confidence.source = source;
         match Memory::before_surface(&town.scene, &mut settings, pixels, &NoWatcher) {
-            Err(PlanError::Memory { stage: SURFACE, need, with_picture, .. }) => [need, with_picture],
+            Err(PlanError::Memory {
+                stage: SURFACE,
+                need,
+                with_picture,
+                ..
+            }) => [need, with_picture],
             other => panic!("{other:?}"),
         }
     };
     let small = refused(1000, ConfidenceSource::Photometric);
     assert_eq!(small[0], small[1]);
     let large = refused(100_000_000, ConfidenceSource::Photometric);
-    assert!(large[0] == small[0] && large[1] > small[1] + 700_000_000, "{large:?}");
+    assert!(
+        large[0] == small[0] && large[1] > small[1] + 700_000_000,
+        "{large:?}"
+    );
     assert_eq!(refused(100_000_000, ConfidenceSource::Geometric), small);
 }
 
 #[test]
 fn an_overview_counts_in_the_rows_of_the_view_that_sees_most() {
-    let SeenTown { mut scene, surface, .. } = town(Storage::Memory);
+    let SeenTown {
+        mut scene, surface, ..
+    } = town(Storage::Memory);
     let before = Rows::expected(&scene, &surface);
     let few = scene.views.len();
     scene.views = scene.views.iter().cloned().cycle().take(8 * few).collect();
@@ -110,7 +158,10 @@ fn an_overview_counts_in_the_rows_of_the_view_that_sees_most() {
     let high_above = pose.centre().coords + Vector3::z() * 300.0;
     pose.translation = -(pose.rotation * high_above);
     let after = Rows::expected(&scene, &surface);
-    assert!(after.most > before.most && after.most as usize > surface.triangles.len() / 3, "{after:?} {before:?}");
+    assert!(
+        after.most > before.most && after.most as usize > surface.triangles.len() / 3,
+        "{after:?} {before:?}"
+    );
 }
 
 /// Permits a number of bytes.
@@ -126,11 +177,19 @@ impl Watcher for Permits {
 
 #[test]
 fn what_a_run_may_take_refuses_but_changes_nothing() {
-    let SeenTown { scene, surface, visibility, .. } = town(Storage::Memory);
+    let SeenTown {
+        scene,
+        surface,
+        visibility,
+        ..
+    } = town(Storage::Memory);
     // Partners take most with a small buffer, visibility with a large one.
     let peaks = [16, 4096].map(|buffer_px| {
         let original = Settings {
-            visibility: VisibilitySettings { buffer_px, ..VisibilitySettings::default() },
+            visibility: VisibilitySettings {
+                buffer_px,
+                ..VisibilitySettings::default()
+            },
             ..Settings::default()
         };
         let after_all = |most| {
@@ -143,15 +202,34 @@ fn what_a_run_may_take_refuses_but_changes_nothing() {
         };
         let peak = after_all(u64::MAX).unwrap().peak();
         let refused = after_all(peak - 1);
-        assert!(matches!(refused, Err(PlanError::Refused { .. })), "{refused:?}");
+        assert!(
+            matches!(refused, Err(PlanError::Refused { .. })),
+            "{refused:?}"
+        );
         after_all(peak).unwrap()
     });
-    assert!(peaks[0].peak() > peaks[0].visibility && peaks[1].peak() == peaks[1].visibility, "{peaks:?}");
+    assert!(
+        peaks[0].peak() > peaks[0].visibility && peaks[1].peak() == peaks[1].visibility,
+        "{peaks:?}"
+    );
 }
 
 #[test]
 fn a_limit_that_is_enough_is_easily_read() {
-    let cases = [(100, "110M"), (112, "120M"), (195, "210M"), (970, "1.1G"), (2048, "2.2G"), (40_000, "41.1G")];
-    cases.into_iter().for_each(|(need, limit)| assert_eq!(enough(need << 20), limit));
-    assert!((1..5000u64).all(|mebibytes| enough(mebibytes << 20).parse::<Bytes>().unwrap().0 >= mebibytes << 20));
+    let cases = [
+        (100, "110M"),
+        (112, "120M"),
+        (195, "210M"),
+        (970, "1.1G"),
+        (2048, "2.2G"),
+        (40_000, "41.1G"),
+    ];
+    cases
+        .into_iter()
+        .for_each(|(need, limit)| assert_eq!(enough(need << 20), limit));
+    assert!(
+        (1..5000u64).all(
+            |mebibytes| enough(mebibytes << 20).parse::<Bytes>().unwrap().0 >= mebibytes << 20
+        )
+    );
 }

@@ -1,4 +1,5 @@
-//! Consistency checks of a manifest: people and other programs edit it, and contradictions would reach a backend unnoticed.
+//! Consistency checks of a manifest: people and other programs edit it, and contradictions would
+//! reach a backend unnoticed.
 
 use std::collections::BTreeSet;
 
@@ -11,33 +12,60 @@ const ROUNDING: f64 = 1e-6;
 /// Returns the first contradiction, with the field that has it.
 pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
     let known = |backend: &str| {
-        let hint = |e: &crate::config::UnknownBackend| e.hint().map_or(String::new(), |hint| format!(" ({hint})"));
-        backends::by_name(backend).map(drop).map_err(|error| format!("{error}{}", hint(&error)))
+        let hint = |e: &crate::config::UnknownBackend| {
+            e.hint().map_or(String::new(), |hint| format!(" ({hint})"))
+        };
+        backends::by_name(backend)
+            .map(drop)
+            .map_err(|error| format!("{error}{}", hint(&error)))
     };
     known(&manifest.backend).map_err(|what| format!("backend: {what}"))?;
     for (i, export) in manifest.exports.iter().enumerate() {
         known(&export.backend).map_err(|what| format!("exports[{i}].backend: {what}"))?;
     }
-    manifest.settings.check().map_err(|what| format!("settings.{what}"))?;
+    manifest
+        .settings
+        .check()
+        .map_err(|what| format!("settings.{what}"))?;
     let mut names = BTreeSet::new();
     for (i, view) in manifest.views.iter().enumerate() {
         if !names.insert(view.name.as_str()) {
-            return Err(format!("views[{i}].name: an earlier view is {}, too", view.name));
+            return Err(format!(
+                "views[{i}].name: an earlier view is {}, too",
+                view.name
+            ));
         }
     }
     check_cut(manifest)?;
     let mut keys = BTreeSet::new();
-    let mut previous = Previous { fulfilment: 0.0, share: 0.0, finished: true };
+    let mut previous = Previous {
+        fulfilment: 0.0,
+        share: 0.0,
+        finished: true,
+    };
     for (i, cluster) in manifest.clusters.iter().enumerate() {
         let fault = |what: String| format!("clusters[{i}].{what}");
         if cluster.rank != i as i64 + 1 {
-            return Err(fault(format!("rank: {} instead of {}", cluster.rank, i + 1)));
+            return Err(fault(format!(
+                "rank: {} instead of {}",
+                cluster.rank,
+                i + 1
+            )));
         }
         if !keys.insert(cluster.key.as_str()) {
-            return Err(fault(format!("key: an earlier cluster has the key view {}, too", cluster.key)));
+            return Err(fault(format!(
+                "key: an earlier cluster has the key view {}, too",
+                cluster.key
+            )));
         }
-        check_views(cluster, &names).and_then(|()| previous.check(cluster)).map_err(fault)?;
-        previous = Previous { fulfilment: cluster.fulfilment, share: cluster.share, finished: cluster.finished };
+        check_views(cluster, &names)
+            .and_then(|()| previous.check(cluster))
+            .map_err(fault)?;
+        previous = Previous {
+            fulfilment: cluster.fulfilment,
+            share: cluster.share,
+            finished: cluster.finished,
+        };
     }
     Ok(())
 }
@@ -45,11 +73,20 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
 fn check_cut(manifest: &RecordedPlan) -> Result<(), String> {
     let (cut, all) = (&manifest.cut, manifest.clusters.len());
     if cut.clusters > all {
-        return Err(format!("cut.clusters: {}, but the ranking has {all}", cut.clusters));
+        return Err(format!(
+            "cut.clusters: {}, but the ranking has {all}",
+            cut.clusters
+        ));
     }
-    let pairs: usize = manifest.clusters[..cut.clusters].iter().map(|cluster| cluster.partners.len()).sum();
+    let pairs: usize = manifest.clusters[..cut.clusters]
+        .iter()
+        .map(|cluster| cluster.partners.len())
+        .sum();
     if cut.pairs != pairs {
-        return Err(format!("cut.pairs: {}, but its clusters have {pairs}", cut.pairs));
+        return Err(format!(
+            "cut.pairs: {}, but its clusters have {pairs}",
+            cut.pairs
+        ));
     }
     let shares = [
         ("share", cut.share),
@@ -58,7 +95,9 @@ fn check_cut(manifest: &RecordedPlan) -> Result<(), String> {
         ("fulfilment", cut.fulfilment),
         ("fulfilment_bound", cut.fulfilment_bound),
     ];
-    shares.into_iter().try_for_each(|(name, value)| check_share(value).map_err(|what| format!("cut.{name}: {what}")))
+    shares.into_iter().try_for_each(|(name, value)| {
+        check_share(value).map_err(|what| format!("cut.{name}: {what}"))
+    })
 }
 
 /// Checks that key and partners are views of the model, each at most once.
@@ -72,7 +111,9 @@ fn check_views(cluster: &ClusterEntry, names: &BTreeSet<&str>) -> Result<(), Str
             return Err(format!("partners: no view is {partner}"));
         }
         if *partner == cluster.key {
-            return Err(format!("partners: the key view {partner} is its own partner"));
+            return Err(format!(
+                "partners: the key view {partner} is its own partner"
+            ));
         }
         if !seen.insert(partner) {
             return Err(format!("partners: {partner} is in the list twice"));
@@ -90,7 +131,13 @@ struct Previous {
 
 impl Previous {
     fn check(&self, cluster: &ClusterEntry) -> Result<(), String> {
-        let ClusterEntry { gain, fulfilment, share, finished, .. } = cluster;
+        let ClusterEntry {
+            gain,
+            fulfilment,
+            share,
+            finished,
+            ..
+        } = cluster;
         for (name, value) in [("gain", gain), ("fulfilment", fulfilment), ("share", share)] {
             check_share(*value).map_err(|what| format!("{name}: {what}"))?;
         }
@@ -102,7 +149,10 @@ impl Previous {
             ));
         }
         if *share < self.share - ROUNDING {
-            return Err(format!("share: {share} is less than {} of the cluster before", self.share));
+            return Err(format!(
+                "share: {share} is less than {} of the cluster before",
+                self.share
+            ));
         }
         if *finished && !self.finished {
             return Err("finished: true, but the cluster before is not finished".into());
@@ -113,5 +163,9 @@ impl Previous {
 
 fn check_share(value: f64) -> Result<(), String> {
     let is_share = (-ROUNDING..=1.0 + ROUNDING).contains(&value);
-    if is_share { Ok(()) } else { Err(format!("{value} is not within 0 to 1")) }
+    if is_share {
+        Ok(())
+    } else {
+        Err(format!("{value} is not within 0 to 1"))
+    }
 }

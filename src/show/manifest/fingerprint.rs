@@ -16,8 +16,9 @@ use crate::{
     model::scene::{Scene, View},
 };
 
-/// Bytes at either end of a picture that the fingerprint covers: headers and, in a compressed picture, what any change to it shifts. Reading
-/// all of ten thousand images would take minutes before each export.
+/// Bytes at either end of a picture that the fingerprint covers: headers and, in a compressed
+/// picture, what any change to it shifts. Reading all of ten thousand images would take minutes
+/// before each export.
 const END: u64 = 1 << 16;
 
 /// The input cannot be read to compute its fingerprint.
@@ -34,16 +35,30 @@ impl Hint for FingerprintError {
     }
 }
 
-/// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh and the region that the settings name, the name and size of each
-/// registered image and, where the confidence source in force reads them, the first and last 64 KiB of images and masks.
-pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Result<String, FingerprintError> {
+/// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh and the region that the
+/// settings name, the name and size of each registered image and, where the confidence source in
+/// force reads them, the first and last 64 KiB of images and masks.
+pub fn fingerprint(
+    project: &Project,
+    scene: &Scene,
+    settings: &Settings,
+) -> Result<String, FingerprintError> {
     let mut hasher = blake3::Hasher::new();
-    for path in project.model_files().into_iter().chain(settings.files_of_plan()) {
-        let failed = |source| FingerprintError { path: path.clone(), source };
+    for path in project
+        .model_files()
+        .into_iter()
+        .chain(settings.files_of_plan())
+    {
+        let failed = |source| FingerprintError {
+            path: path.clone(),
+            source,
+        };
         // Length prefixes keep different lists of files from giving the same bytes.
         let length = fs::metadata(&path).map_err(failed)?.len();
         hasher.update(&length.to_le_bytes());
-        hasher.update_reader(input::open(&path).map_err(failed)?).map_err(failed)?;
+        hasher
+            .update_reader(input::open(&path).map_err(failed)?)
+            .map_err(failed)?;
     }
     let pictures = Pictures::new(project);
     let (reads_images, reads_masks) = match settings.confidence.source {
@@ -60,7 +75,9 @@ pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Res
     };
     let of_views: Vec<_> = scene.views.par_iter().map(of_view).collect();
     for (view, (size, pictures)) in scene.views.iter().zip(of_views) {
-        hasher.update(&(view.name.len() as u64).to_le_bytes()).update(view.name.as_bytes());
+        hasher
+            .update(&(view.name.len() as u64).to_le_bytes())
+            .update(view.name.as_bytes());
         hasher.update(&size.unwrap_or(u64::MAX).to_le_bytes());
         for picture in pictures {
             hasher.update(&picture.map_or([0; blake3::OUT_LEN], |hash| *hash.as_bytes()));

@@ -1,7 +1,8 @@
 //! `manifest.json`: the ranking and its context (method 6), for other programs.
 //!
-//! The structs define the format; the JSON Schema under `schema/` is generated from them and their comments. Same input, same bytes:
-//! nothing depends on the clock, the machine or the number of threads.
+//! The structs define the format; the JSON Schema under `schema/` is generated from them and their
+//! comments. Same input, same bytes: nothing depends on the clock, the machine or the number of
+//! threads.
 
 mod check;
 mod fingerprint;
@@ -30,11 +31,13 @@ use crate::{
     show::cell::cell,
 };
 
-/// Version of the format; readers accept only manifests with this number, and check it before anything else. Raised when an older reader would
-/// misunderstand a manifest or refuse it for another reason.
+/// Version of the format; readers accept only manifests with this number, and check it before
+/// anything else. Raised when an older reader would misunderstand a manifest or refuse it for
+/// another reason.
 pub(crate) const VERSION: u32 = 2;
 
-/// A ranking of view clusters: which key views get depth maps, with which matching partners, in which order.
+/// A ranking of view clusters: which key views get depth maps, with which matching partners, in
+/// which order.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Manifest {
     /// Version of this format.
@@ -45,9 +48,11 @@ pub struct Manifest {
     pub input: Input,
     /// "metric": a scene unit is a metre. "relative": its length is unknown.
     pub units: Units,
-    /// Backend that the plan is for. Pairs that it cannot match are not candidates; the values of its confidence and support are in `settings`.
+    /// Backend that the plan is for. Pairs that it cannot match are not candidates; the values of
+    /// its confidence and support are in `settings`.
     pub backend: String,
-    /// All settings in force, nested as in viewrank.toml, with the values that the data or the backend decided.
+    /// All settings in force, nested as in viewrank.toml, with the values that the data or the
+    /// backend decided.
     pub settings: Settings,
     /// True if `settings.image_scale` was not set: it is the backend's default.
     pub own_size: bool,
@@ -62,7 +67,8 @@ pub struct Manifest {
     pub views: Vec<ViewEntry>,
     /// Images without a pose, by name.
     pub unregistered: Vec<String>,
-    /// Finished depth maps that no longer fit the model, by key view; they are ignored and must be recomputed.
+    /// Finished depth maps that no longer fit the model, by key view; they are ignored and must be
+    /// recomputed.
     pub outdated: Vec<OutdatedMap>,
     pub forecast: Forecast,
     /// Files written for each backend, and parts of the plan that it does not honour.
@@ -71,12 +77,25 @@ pub struct Manifest {
     pub warnings: Vec<String>,
 }
 
-/// Joins the warnings of a plan, `further` ones, and those of its exports, without what they say of image files: the plan says it of all views. Parts of the plan that a backend does not honour are no warnings, since users cannot change them: they are in
-/// `viewrank backends` and the records of the exports.
-pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
+/// Joins the warnings of a plan, `further` ones, and those of its exports, without what they say of
+/// image files: the plan says it of all views. Parts of the plan that a backend does not honour are
+/// no warnings, since users cannot change them: they are in `viewrank backends` and the records of
+/// the exports.
+pub fn warnings_with(
+    of_plan: &[String],
+    exports: &[ExportRecord],
+    further: &[String],
+) -> Vec<String> {
     let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
-    for ExportRecord { backend, warnings: own, .. } in exports {
-        let own = own.iter().filter(|warning| !of_plan.contains(warning) && !ImageFaults::is_warning(warning));
+    for ExportRecord {
+        backend,
+        warnings: own,
+        ..
+    } in exports
+    {
+        let own = own
+            .iter()
+            .filter(|warning| !of_plan.contains(warning) && !ImageFaults::is_warning(warning));
         warnings.extend(own.map(|warning| format!("{backend}: {warning}")));
     }
     warnings
@@ -89,8 +108,9 @@ pub struct Input {
     pub format: String,
     /// Folder of the model, relative to the project folder; "." is the folder itself.
     pub model: String,
-    /// BLAKE3 hash of the model's files, the mesh and the region, the names and sizes of the registered images and, where the confidence reads them,
-    /// both ends of images and masks; equal for equal input.
+    /// BLAKE3 hash of the model's files, the mesh and the region, the names and sizes of the
+    /// registered images and, where the confidence reads them, both ends of images and masks; equal
+    /// for equal input.
     pub fingerprint: String,
     /// Registered images.
     pub views: usize,
@@ -111,7 +131,8 @@ pub struct SurfaceSummary {
     pub triangles: usize,
     /// Square scene units.
     pub area: f64,
-    /// Triangles that no single cluster fulfils to a tenth (best f below 0.1); with a region, those inside.
+    /// Triangles that no single cluster fulfils to a tenth (best f below 0.1); with a region, those
+    /// inside.
     pub unfulfilled: usize,
     /// Statistics of its reconstruction.
     pub made: SurfaceStats,
@@ -126,7 +147,8 @@ pub struct ClusterEntry {
     pub key: String,
     /// Names of the views that the key view is matched against, best first.
     pub partners: Vec<String>,
-    /// Those of them that are beyond the gate (`settings.partners.gate`), chosen because there are no better ones; matching them may fail.
+    /// Those of them that are beyond the gate (`settings.partners.gate`), chosen because there are
+    /// no better ones; matching them may fail.
     pub beyond_gate: Vec<String>,
     /// Size at which the key view is matched, over `settings.image_scale`: 1 or 0.5.
     pub scale: MapScale,
@@ -141,7 +163,8 @@ pub struct ClusterEntry {
     /// The same by area: what the fused cloud of these clusters covers of the fused cloud of all.
     #[serde(default)]
     pub area: f64,
-    /// True if its depth map is finished; gain and fulfilment are then measured. Finished clusters come first.
+    /// True if its depth map is finished; gain and fulfilment are then measured. Finished clusters
+    /// come first.
     pub finished: bool,
 }
 
@@ -158,7 +181,11 @@ pub struct ViewEntry {
 
 impl Manifest {
     /// `exports`: records of the exports written together with the plan.
-    pub fn new(plan: &Plan, project: &Project, exports: Vec<ExportRecord>) -> Result<Self, FingerprintError> {
+    pub fn new(
+        plan: &Plan,
+        project: &Project,
+        exports: Vec<ExportRecord>,
+    ) -> Result<Self, FingerprintError> {
         Ok(Self {
             version: VERSION,
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")).into(),
@@ -171,7 +198,12 @@ impl Manifest {
             region: RegionSummary::from_plan(plan),
             clusters: clusters(plan),
             cut: plan.decision.cut,
-            views: plan.stages.scene.view_indices().map(|view| ViewEntry::new(plan, view)).collect(),
+            views: plan
+                .stages
+                .scene
+                .view_indices()
+                .map(|view| ViewEntry::new(plan, view))
+                .collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
             outdated: plan.decision.finished.outdated.clone(),
             forecast: plan.decision.forecast,
@@ -182,27 +214,66 @@ impl Manifest {
 
     /// Returns the contents of `manifest.json`.
     pub fn to_json(&self) -> String {
-        serde_json::to_string_pretty(self).expect("a manifest has string keys and finite numbers") + "\n"
+        serde_json::to_string_pretty(self).expect("a manifest has string keys and finite numbers")
+            + "\n"
     }
 
-    /// Returns the contents of `manifest.csv`: a line per cluster, for spreadsheets, with names as [cells](cell).
+    /// Returns the contents of `manifest.csv`: a line per cluster, for spreadsheets, with names as
+    /// [cells](cell).
     pub fn to_csv(&self) -> String {
-        let most = self.clusters.iter().map(|cluster| cluster.partners.len()).max().unwrap_or(0);
+        let most = self
+            .clusters
+            .iter()
+            .map(|cluster| cluster.partners.len())
+            .max()
+            .unwrap_or(0);
         let partners = (1..=most).map(|n| format!("partner_{n}"));
-        let fixed = ["rank", "chosen", "key", "scale", "work", "gain", "fulfilment", "share"].map(String::from);
+        let fixed = [
+            "rank",
+            "chosen",
+            "key",
+            "scale",
+            "work",
+            "gain",
+            "fulfilment",
+            "share",
+        ]
+        .map(String::from);
         let mut lines = csv::WriterBuilder::new().from_writer(Vec::new());
-        let mut write = |line: Vec<String>| lines.write_record(line).expect("lines of equal length, to memory");
+        let mut write = |line: Vec<String>| {
+            lines
+                .write_record(line)
+                .expect("lines of equal length, to memory")
+        };
         write(fixed.into_iter().chain(partners).collect());
         for cluster in &self.clusters {
-            let chosen = if cluster.rank <= self.cut.clusters { "yes" } else { "no" };
+            let chosen = if cluster.rank <= self.cut.clusters {
+                "yes"
+            } else {
+                "no"
+            };
             let scale = cluster.scale.factor();
-            let numbers =
-                [scale, cluster.work, cluster.gain, cluster.fulfilment, cluster.share].map(|number| number.to_string());
-            let start = [cluster.rank.to_string(), chosen.into(), cell(&cluster.key)].into_iter().chain(numbers);
+            let numbers = [
+                scale,
+                cluster.work,
+                cluster.gain,
+                cluster.fulfilment,
+                cluster.share,
+            ]
+            .map(|number| number.to_string());
+            let start = [cluster.rank.to_string(), chosen.into(), cell(&cluster.key)]
+                .into_iter()
+                .chain(numbers);
             let empty = std::iter::repeat_n(String::new(), most - cluster.partners.len());
-            write(start.chain(cluster.partners.iter().map(|partner| cell(partner))).chain(empty).collect());
+            write(
+                start
+                    .chain(cluster.partners.iter().map(|partner| cell(partner)))
+                    .chain(empty)
+                    .collect(),
+            );
         }
-        String::from_utf8(lines.into_inner().expect("written to memory")).expect("written from texts")
+        String::from_utf8(lines.into_inner().expect("written to memory"))
+            .expect("written from texts")
     }
 
     /// Returns the JSON Schema of the format.
@@ -213,8 +284,16 @@ impl Manifest {
 
 impl Input {
     fn new(plan: &Plan, project: &Project) -> Result<Self, FingerprintError> {
-        let model = project.model.path.strip_prefix(&project.root).unwrap_or(&project.model.path);
-        let model = if model.as_os_str().is_empty() { ".".into() } else { model.to_string_lossy().replace('\\', "/") };
+        let model = project
+            .model
+            .path
+            .strip_prefix(&project.root)
+            .unwrap_or(&project.model.path);
+        let model = if model.as_os_str().is_empty() {
+            ".".into()
+        } else {
+            model.to_string_lossy().replace('\\', "/")
+        };
         Ok(Self {
             format: project.model.format.name().into(),
             model,
@@ -233,7 +312,9 @@ impl SurfaceSummary {
             kind: surface.kind,
             vertices: surface.vertices.len(),
             triangles: surface.triangles.len(),
-            area: (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum(),
+            area: (0..surface.triangles.len() as u32)
+                .map(|t| surface.area(t))
+                .sum(),
             unfulfilled: plan.unfulfilled().count(),
             made: plan.stages.surface_stats.clone(),
         }
@@ -243,7 +324,11 @@ impl SurfaceSummary {
 impl ViewEntry {
     fn new(plan: &Plan, view: ViewIndex) -> Self {
         let (status, reason) = plan.decision.views[view.index()];
-        Self { name: plan.stages.scene.name(view).into(), status, reason }
+        Self {
+            name: plan.stages.scene.name(view).into(),
+            status,
+            reason,
+        }
     }
 }
 
@@ -252,11 +337,18 @@ fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
     let ranked = plan.ranked().enumerate();
     let beyond = |of: &RankedCluster| -> Vec<String> {
         let beyond = plan.stages.candidates.beyond_gate(of.key);
-        of.partners.iter().filter(|partner| beyond.contains(partner)).map(|&partner| name(partner)).collect()
+        of.partners
+            .iter()
+            .filter(|partner| beyond.contains(partner))
+            .map(|&partner| name(partner))
+            .collect()
     };
     let mut work = 0.0;
     let mut work_to = |i: usize| {
-        work += plan.stages.share_of_work(plan.decision.ranking.order[i], plan.decision.ranking.scales[i]);
+        work += plan.stages.share_of_work(
+            plan.decision.ranking.order[i],
+            plan.decision.ranking.scales[i],
+        );
         work
     };
     let entry = |(i, cluster): (usize, RankedCluster)| ClusterEntry {

@@ -5,13 +5,15 @@ use serde::Serialize;
 
 use crate::{config::TriangleWeight, method::region::RegionKind, plan::Plan};
 
-/// Part of the scene that the plan is for (method 5.7); shares, fulfilment and cut are those inside.
+/// Part of the scene that the plan is for (method 5.7); shares, fulfilment and cut are those
+/// inside.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct RegionSummary {
-    /// "polygons", "box", "mesh", or "auto": the box around the places with the most pixels per area.
+    /// "polygons", "box", "mesh", or "auto": the box around the places with the most pixels per
+    /// area.
     pub kind: RegionKind,
-    /// The box; of polygons and meshes that around the triangles inside. Corners x0, y0, z0, x1, y1, z1 in the frame of the model, as `--region`
-    /// takes them.
+    /// The box; of polygons and meshes that around the triangles inside. Corners x0, y0, z0, x1,
+    /// y1, z1 in the frame of the model, as `--region` takes them.
     pub bounds: [f64; 6],
     /// Triangles that are at least partly inside.
     pub triangles: usize,
@@ -28,7 +30,9 @@ impl RegionSummary {
     pub fn from_plan(plan: &Plan) -> Option<Self> {
         let (region, surface) = (plan.stages.region.as_ref()?, &plan.stages.surface);
         let all = || 0..surface.triangles.len() as u32;
-        let area: f64 = all().map(|t| surface.area(t) * f64::from(region.covered[t as usize])).sum();
+        let area: f64 = all()
+            .map(|t| surface.area(t) * f64::from(region.covered[t as usize]))
+            .sum();
         let whole: f64 = all().map(|t| surface.area(t)).sum();
         Some(Self {
             kind: region.kind,
@@ -40,7 +44,8 @@ impl RegionSummary {
         })
     }
 
-    /// Returns a description of one or two lines; for `auto` and a box it includes the corners as `--region` takes them.
+    /// Returns a description of one or two lines; for `auto` and a box it includes the corners as
+    /// `--region` takes them.
     pub fn words(&self, weight: TriangleWeight) -> String {
         let corners = self.bounds.map(|x| short(x, &self.bounds)).join(",");
         let what = match self.kind {
@@ -52,7 +57,9 @@ impl RegionSummary {
         let [area, weighed] = [self.share_of_area, self.share_of_weight].map(|share| 100.0 * share);
         match weight {
             TriangleWeight::Pixels => {
-                format!("Region: {what}.\nIt has {weighed:.1} % of the pixels and {area:.1} % of the surface.")
+                format!(
+                    "Region: {what}.\nIt has {weighed:.1} % of the pixels and {area:.1} % of the surface."
+                )
             }
             _ => format!("Region: {what}.\nIt has {area:.1} % of the surface."),
         }
@@ -61,7 +68,9 @@ impl RegionSummary {
 
 /// Formats a coordinate to a thousandth of the shortest side.
 fn short(x: f64, bounds: &[f64; 6]) -> String {
-    let shortest = (0..3).map(|axis| bounds[axis + 3] - bounds[axis]).fold(f64::INFINITY, f64::min);
+    let shortest = (0..3)
+        .map(|axis| bounds[axis + 3] - bounds[axis])
+        .fold(f64::INFINITY, f64::min);
     let places = (3.0 - shortest.log10().ceil()).clamp(0.0, 9.0);
     format!("{x:.0$}", if places.is_nan() { 3 } else { places as usize })
 }
@@ -83,12 +92,17 @@ mod tests {
             };
             summary.words(TriangleWeight::Pixels)
         };
-        assert!(words([-2.40123, -1.0, 0.9, -1.8, -0.8, 1.61]).contains("auto, the box -2.401,-1.000,0.900,"));
         assert!(
-            words([-350.2, -180.0, -98.0, 109.0, 171.0, -34.0]).contains("box -350.2,-180.0,-98.0,109.0,171.0,-34.0.")
+            words([-2.40123, -1.0, 0.9, -1.8, -0.8, 1.61])
+                .contains("auto, the box -2.401,-1.000,0.900,")
         );
         assert!(
-            words([5e5, 5e6, 0.0, 5e5 + 4e3, 5e6 + 4e3, 4e3]).contains("box 500000,5000000,0,504000,5004000,4000.")
+            words([-350.2, -180.0, -98.0, 109.0, 171.0, -34.0])
+                .contains("box -350.2,-180.0,-98.0,109.0,171.0,-34.0.")
+        );
+        assert!(
+            words([5e5, 5e6, 0.0, 5e5 + 4e3, 5e6 + 4e3, 4e3])
+                .contains("box 500000,5000000,0,504000,5004000,4000.")
         );
     }
 }

@@ -1,4 +1,5 @@
-//! Reads a written plan instead of planning again: the ranking from `manifest.json`, the scene from the model.
+//! Reads a written plan instead of planning again: the ranking from `manifest.json`, the scene from
+//! the model.
 
 use std::{
     io,
@@ -39,7 +40,8 @@ pub struct WrittenPlan {
     pub work: Vec<f64>,
     /// Clusters up to the plan's own cut.
     pub cut: usize,
-    /// Number of clusters at the start that had a finished depth map when the plan was made, even if their views have moved since.
+    /// Number of clusters at the start that had a finished depth map when the plan was made, even
+    /// if their views have moved since.
     pub finished: usize,
     /// Target share of the plan's cut, or else the share at the cut.
     pub target: Share,
@@ -107,8 +109,9 @@ pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, Written
     })
 }
 
-/// Checks the contents of the manifest at `path`, as every reader does first: ranks, names, partners, shares, settings and cut must not
-/// contradict each other. Does not check that the model is still the planned one.
+/// Checks the contents of the manifest at `path`, as every reader does first: ranks, names,
+/// partners, shares, settings and cut must not contradict each other. Does not check that the model
+/// is still the planned one.
 ///
 /// # Errors
 /// [`WrittenPlanError::Manifest`] with the first field that does, [`WrittenPlanError::Version`].
@@ -118,7 +121,9 @@ pub fn validate(bytes: &[u8], path: &Path) -> Result<(), WrittenPlanError> {
 
 /// Returns the name of the backend that the project's plan is for; `None` without a plan.
 pub fn planned_backend(project: &Project) -> Option<String> {
-    RecordedPlan::read(project).ok().map(|recorded| recorded.backend)
+    RecordedPlan::read(project)
+        .ok()
+        .map(|recorded| recorded.backend)
 }
 
 /// Returns the name of the sub-model that the project's plan is for; `None` without a plan.
@@ -137,8 +142,13 @@ impl WrittenPlan {
         recorded.check_input(&project, &scene)?;
         let clusters = recorded.ranked(&scene)?;
         let cut = recorded.cut.clusters.min(clusters.len());
-        let work = recorded.clusters.iter().map(|cluster| cluster.work).collect();
-        let (finished, settings, own_size) = (recorded.finished(), recorded.settings, recorded.own_size);
+        let work = recorded
+            .clusters
+            .iter()
+            .map(|cluster| cluster.work)
+            .collect();
+        let (finished, settings, own_size) =
+            (recorded.finished(), recorded.settings, recorded.own_size);
         let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
         Ok(Self {
             project,
@@ -155,8 +165,8 @@ impl WrittenPlan {
         })
     }
 
-    /// Returns the number of clusters up to another cut: the shorter of the budget and the shortest prefix that reaches the share; without
-    /// either, the plan's own cut.
+    /// Returns the number of clusters up to another cut: the shorter of the budget and the shortest
+    /// prefix that reaches the share; without either, the plan's own cut.
     pub fn cut_at(&self, budget: Option<Budget>, target: Option<Share>) -> usize {
         let all = self.clusters.len();
         let by_budget = match budget {
@@ -166,8 +176,14 @@ impl WrittenPlan {
             Some(budget) => budget.clusters(self.scene.views.len()),
             None => all,
         };
-        let by_target = target.map_or(all, |target| self.clusters.partition_point(|c| c.share < target.0) + 1);
-        if budget.is_none() && target.is_none() { self.cut } else { all.min(by_budget).min(by_target) }
+        let by_target = target.map_or(all, |target| {
+            self.clusters.partition_point(|c| c.share < target.0) + 1
+        });
+        if budget.is_none() && target.is_none() {
+            self.cut
+        } else {
+            all.min(by_budget).min(by_target)
+        }
     }
 }
 
@@ -177,7 +193,9 @@ impl RecordedPlan {
         let any_model = Project::open_or_planned(root, None)?;
         let recorded = Self::read(&any_model)?;
         let project = match recorded.model_name() {
-            Some(name) if any_model.model.name() != name => Project::open_or_planned(root, Some(&name))?,
+            Some(name) if any_model.model.name() != name => {
+                Project::open_or_planned(root, Some(&name))?
+            }
             _ => any_model,
         };
         let project = project.with_images(recorded.settings.images.as_deref());
@@ -190,13 +208,18 @@ impl RecordedPlan {
     }
 
     fn parse(bytes: &[u8], path: PathBuf) -> Result<Self, WrittenPlanError> {
-        let refused = |what: String| WrittenPlanError::Manifest { path: path.clone(), what };
+        let refused = |what: String| WrittenPlanError::Manifest {
+            path: path.clone(),
+            what,
+        };
         // First, since fields of another version need not be those of this one.
-        let Versioned { version } = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+        let Versioned { version } =
+            serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
         if version != VERSION {
             return Err(WrittenPlanError::Version { path, version });
         }
-        let recorded: Self = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+        let recorded: Self =
+            serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
         check(&recorded).map_err(refused)?;
         Ok(Self { path, ..recorded })
     }
@@ -204,33 +227,52 @@ impl RecordedPlan {
     /// Returns an error if the model or the images have changed since the plan was made.
     pub fn check_input(&self, project: &Project, scene: &Scene) -> Result<(), WrittenPlanError> {
         let same = fingerprint(project, scene, &self.settings)? == self.input.fingerprint;
-        if same { Ok(()) } else { Err(WrittenPlanError::OtherInput(self.path.clone())) }
+        if same {
+            Ok(())
+        } else {
+            Err(WrittenPlanError::OtherInput(self.path.clone()))
+        }
     }
 }
 
 impl RecordedPlan {
     /// Name of the planned sub-model.
     fn model_name(&self) -> Option<String> {
-        Path::new(&self.input.model).file_name().map(|name| name.to_string_lossy().into_owned())
+        Path::new(&self.input.model)
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned())
     }
 
     /// Returns the whole ranking, best first, with indices of views.
     pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
-        let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()));
+        let view = |name: &String| {
+            scene
+                .find(name)
+                .ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()))
+        };
         let cluster = |c: &ClusterEntry| {
             let partners: Result<Vec<ViewIndex>, _> = c.partners.iter().map(view).collect();
-            Ok(RankedCluster { key: view(&c.key)?, partners: partners?, scale: c.scale, share: c.share })
+            Ok(RankedCluster {
+                key: view(&c.key)?,
+                partners: partners?,
+                scale: c.scale,
+                share: c.share,
+            })
         };
         self.clusters.iter().map(cluster).collect()
     }
 
     /// Returns the number of finished clusters; they are first in the ranking.
     pub fn finished(&self) -> usize {
-        self.clusters.iter().take_while(|cluster| cluster.finished).count()
+        self.clusters
+            .iter()
+            .take_while(|cluster| cluster.finished)
+            .count()
     }
 
-    /// Returns an error if the ranking is not the plan's. With finished depth maps, their partners are those of an earlier plan and they change the
-    /// order, so only the partners of the other clusters are compared.
+    /// Returns an error if the ranking is not the plan's. With finished depth maps, their partners
+    /// are those of an earlier plan and they change the order, so only the partners of the other
+    /// clusters are compared.
     pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
         let ranked = self.ranked(&plan.stages.scene)?;
         let same = match self.finished() {
@@ -239,12 +281,23 @@ impl RecordedPlan {
                 .map(|c| (c.key, c.partners, c.scale))
                 .eq(ranked.into_iter().map(|c| (c.key, c.partners, c.scale))),
             finished => {
-                let place = |key| plan.stages.clusters.binary_search_by_key(&key, |cluster| cluster.key).ok();
+                let place = |key| {
+                    plan.stages
+                        .clusters
+                        .binary_search_by_key(&key, |cluster| cluster.key)
+                        .ok()
+                };
                 let partners = |key| place(key).map(|c| &plan.stages.clusters[c].partners);
-                ranked[finished..].iter().all(|c| partners(c.key) == Some(&c.partners))
+                ranked[finished..]
+                    .iter()
+                    .all(|c| partners(c.key) == Some(&c.partners))
             }
         };
-        if same { Ok(()) } else { Err(WrittenPlanError::OtherPlan(self.path.clone())) }
+        if same {
+            Ok(())
+        } else {
+            Err(WrittenPlanError::OtherPlan(self.path.clone()))
+        }
     }
 }
 
@@ -271,7 +324,10 @@ pub enum WrittenPlanError {
 
 /// The command that writes the manifest at `path`.
 fn plan_command(path: &Path) -> String {
-    let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
+    let root = path
+        .parent()
+        .and_then(Path::parent)
+        .unwrap_or(Path::new("."));
     format!("viewrank plan {}", command_path(root))
 }
 
@@ -279,7 +335,9 @@ impl Hint for WrittenPlanError {
     fn hint(&self) -> Option<String> {
         match self {
             Self::Io { path, source } => Some(match source.kind() {
-                io::ErrorKind::PermissionDenied => "make it readable for yourself, or plan elsewhere: --out DIR".into(),
+                io::ErrorKind::PermissionDenied => {
+                    "make it readable for yourself, or plan elsewhere: --out DIR".into()
+                }
                 _ => format!("make the plan first: {}", plan_command(path)),
             }),
             Self::Manifest { path, .. }

@@ -28,7 +28,9 @@ impl FulfilmentCurve {
             Some(*sum)
         });
         Self {
-            share: (1..=plan.decision.ranking.order.len()).map(|n| plan.decision.ranking.share(n)).collect(),
+            share: (1..=plan.decision.ranking.order.len())
+                .map(|n| plan.decision.ranking.share(n))
+                .collect(),
             pairs: pairs.collect(),
             cut: plan.decision.cut,
             views: plan.stages.scene.views.len(),
@@ -49,7 +51,11 @@ impl FulfilmentCurve {
                 self.cut.clusters,
                 self.views,
                 share * 100.0,
-                if self.of_region { " inside the region" } else { "" }
+                if self.of_region {
+                    " inside the region"
+                } else {
+                    ""
+                }
             ),
             None => "No view cluster fulfils anything".into(),
         }
@@ -57,7 +63,12 @@ impl FulfilmentCurve {
 
     /// Share of all clusters, and the bound of method 5.2; empty without a cut.
     fn subtitle(&self) -> String {
-        let Cut { clusters, reachable, fulfilment, .. } = self.cut;
+        let Cut {
+            clusters,
+            reachable,
+            fulfilment,
+            ..
+        } = self.cut;
         if fulfilment <= 0.0 {
             return String::new();
         }
@@ -82,12 +93,28 @@ pub fn curve_svg(curve: &FulfilmentCurve) -> String {
     );
     let key_views = (1..=curve.share.len()).collect::<Vec<_>>();
     let mut height = 0.0;
-    for (i, (over, x)) in [("key views", &key_views), ("matching pairs", &curve.pairs)].into_iter().enumerate() {
+    for (i, (over, x)) in [("key views", &key_views), ("matching pairs", &curve.pairs)]
+        .into_iter()
+        .enumerate()
+    {
         let points = x.iter().map(|&n| n as f64).zip(curve.share.iter().copied());
         let points: Vec<(f64, f64)> = std::iter::once((0.0, 0.0)).chain(points).collect();
-        let cut = points.get(curve.cut.clusters).copied().filter(|_| curve.cut.clusters > 0);
-        let lines = [Line { label: "predicted", colour: COLOURS[0], dash: "", points }];
-        let plot = Plot { over, share_of: SHARE_LABEL, lines: &lines, cut };
+        let cut = points
+            .get(curve.cut.clusters)
+            .copied()
+            .filter(|_| curve.cut.clusters > 0);
+        let lines = [Line {
+            label: "predicted",
+            colour: COLOURS[0],
+            dash: "",
+            points,
+        }];
+        let plot = Plot {
+            over,
+            share_of: SHARE_LABEL,
+            lines: &lines,
+            cut,
+        };
         plot.draw(&mut content, MARGIN + i as f64 * plot::WIDTH, HEADER);
         height = HEADER + plot.height();
     }
@@ -100,9 +127,16 @@ mod tests {
 
     #[test]
     fn the_drawing_is_xml_and_says_what_the_cut_gives() {
-        let share = (1..=1000).map(|n| 1.0 - (-f64::from(n) / 80.0).exp()).collect();
-        let cut =
-            Cut { clusters: 184, reachable: 0.873, fulfilment: 0.5, fulfilment_bound: 0.52, ..Default::default() };
+        let share = (1..=1000)
+            .map(|n| 1.0 - (-f64::from(n) / 80.0).exp())
+            .collect();
+        let cut = Cut {
+            clusters: 184,
+            reachable: 0.873,
+            fulfilment: 0.5,
+            fulfilment_bound: 0.52,
+            ..Default::default()
+        };
         let svg = curve_svg(&FulfilmentCurve {
             share,
             pairs: (1..=1000).map(|n| 5 * n).collect(),
@@ -111,10 +145,15 @@ mod tests {
             of_region: false,
         });
         assert!(svg.contains("184 of 1236 views as key views, 920 pairs: 90.0 %"));
-        assert!(svg.contains("give 87 % of what is wanted") && svg.contains("more than 4 % higher"));
+        assert!(
+            svg.contains("give 87 % of what is wanted") && svg.contains("more than 4 % higher")
+        );
         assert!(svg.contains(">cut at 184<") && svg.contains(">cut at 920<"));
         let mut reader = quick_xml::Reader::from_str(&svg);
-        while !matches!(reader.read_event().expect("well-formed XML"), quick_xml::events::Event::Eof) {}
+        while !matches!(
+            reader.read_event().expect("well-formed XML"),
+            quick_xml::events::Event::Eof
+        ) {}
         assert!(svg.len() < 40_000, "{} bytes", svg.len());
     }
 

@@ -1,5 +1,5 @@
-//! Pictures of a plan: the curve, the surface with the state of each triangle, the views on a map, and confidence next to the image
-//! that it was predicted from.
+//! Pictures of a plan: the curve, the surface with the state of each triangle, the views on a map,
+//! and confidence next to the image that it was predicted from.
 
 mod confidence;
 mod curve;

@@ -20,8 +20,9 @@ const CELLS: f64 = 64.0;
 const CHOSEN: &str = "#d55e00";
 const OTHER: &str = "#8a8a8a";
 
-/// SVG map of the plan, north or the model's second axis up: the surface in the colours of `surface.ply` (red nothing, blue all that can be
-/// reached at the cut), the chosen key views as discs with their rank on hovering, the other views as rings.
+/// SVG map of the plan, north or the model's second axis up: the surface in the colours of
+/// `surface.ply` (red nothing, blue all that can be reached at the cut), the chosen key views as
+/// discs with their rank on hovering, the other views as rings.
 pub fn map_svg(plan: &Plan) -> String {
     let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
     let surface = &plan.stages.surface;
@@ -31,20 +32,35 @@ pub fn map_svg(plan: &Plan) -> String {
         [middle, corners[0], corners[1], corners[2]].map(|place| frame.local(&place))
     };
     let triangles: Vec<[[f64; 3]; 4]> = (0..surface.triangles.len() as u32).map(places).collect();
-    let views: Vec<Point3<f64>> =
-        plan.stages.scene.views.iter().map(|view| frame.local(&view.cam_from_world.centre()).into()).collect();
-    let Some(sheet) =
-        Sheet::around(triangles.iter().flatten().copied().chain(views.iter().map(|view| [view.x, view.y, view.z])))
-    else {
+    let views: Vec<Point3<f64>> = plan
+        .stages
+        .scene
+        .views
+        .iter()
+        .map(|view| frame.local(&view.cam_from_world.centre()).into())
+        .collect();
+    let Some(sheet) = Sheet::around(
+        triangles
+            .iter()
+            .flatten()
+            .copied()
+            .chain(views.iter().map(|view| [view.x, view.y, view.z])),
+    ) else {
         return plot::document(WIDTH, HEADER, "No views", "");
     };
     let mut svg = String::new();
     let chosen = plan.decision.cut.clusters;
     let title = format!("{chosen} of {} views as key views", views.len());
-    let _ = writeln!(svg, "<text x=\"{MARGIN}\" y=\"22\" font-weight=\"600\">{title}</text>");
+    let _ = writeln!(
+        svg,
+        "<text x=\"{MARGIN}\" y=\"22\" font-weight=\"600\">{title}</text>"
+    );
     draw_surface(&mut svg, &sheet, &triangles, &triangle_states(plan, chosen));
     let mut rank = vec![None; views.len()];
-    plan.ranked().take(chosen).enumerate().for_each(|(i, cluster)| rank[cluster.key.index()] = Some(i + 1));
+    plan.ranked()
+        .take(chosen)
+        .enumerate()
+        .for_each(|(i, cluster)| rank[cluster.key.index()] = Some(i + 1));
     // Draws the best ones last, on top.
     let mut order: Vec<usize> = (0..views.len()).collect();
     order.sort_by_key(|&v| std::cmp::Reverse(rank[v].unwrap_or(usize::MAX)));
@@ -52,22 +68,39 @@ pub fn map_svg(plan: &Plan) -> String {
         let (x, y) = sheet.at([views[v].x, views[v].y]);
         let name = quick_xml::escape::escape(&plan.stages.scene.views[v].name);
         let (style, label) = match rank[v] {
-            Some(rank) => (format!("r=\"5\" fill=\"{CHOSEN}\" stroke=\"#fff\""), format!("{rank}: {name}")),
-            None => (format!("r=\"3\" fill=\"#fff\" stroke=\"{OTHER}\""), name.into_owned()),
+            Some(rank) => (
+                format!("r=\"5\" fill=\"{CHOSEN}\" stroke=\"#fff\""),
+                format!("{rank}: {name}"),
+            ),
+            None => (
+                format!("r=\"3\" fill=\"#fff\" stroke=\"{OTHER}\""),
+                name.into_owned(),
+            ),
         };
-        let _ = writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" {style}><title>{label}</title></circle>");
+        let _ = writeln!(
+            svg,
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" {style}><title>{label}</title></circle>"
+        );
     }
     plot::document(WIDTH, sheet.height, &title, &svg)
 }
 
-/// Draws the state of each cell, summed over the triangles in it; cells without triangles stay white.
-fn draw_surface(svg: &mut String, sheet: &Sheet, triangles: &[[[f64; 3]; 4]], states: &[TriangleState]) {
+/// Draws the state of each cell, summed over the triangles in it; cells without triangles stay
+/// white.
+fn draw_surface(
+    svg: &mut String,
+    sheet: &Sheet,
+    triangles: &[[[f64; 3]; 4]],
+    states: &[TriangleState],
+) {
     let size = (WIDTH - 2.0 * MARGIN) / (triangles.len() as f64).sqrt().clamp(8.0, CELLS);
     let mut cells = BTreeMap::<(i64, i64), TriangleState>::new();
     for (places, state) in triangles.iter().zip(states) {
         for place in places {
             let (x, y) = sheet.at([place[0], place[1]]);
-            let sum = cells.entry(((y / size) as i64, (x / size) as i64)).or_default();
+            let sum = cells
+                .entry(((y / size) as i64, (x / size) as i64))
+                .or_default();
             sum.fulfilment += state.fulfilment;
             sum.reachable += state.reachable;
         }
@@ -105,11 +138,19 @@ impl Sheet {
         let longest = sides[0].max(sides[1]);
         (longest >= 0.0).then(|| {
             let scale = (WIDTH - 2.0 * MARGIN) / longest.max(f64::MIN_POSITIVE);
-            Self { low, high: high[1], scale, height: HEADER + MARGIN + sides[1] * scale }
+            Self {
+                low,
+                high: high[1],
+                scale,
+                height: HEADER + MARGIN + sides[1] * scale,
+            }
         })
     }
 
     fn at(&self, [x, y]: [f64; 2]) -> (f64, f64) {
-        (MARGIN + (x - self.low[0]) * self.scale, HEADER + (self.high - y) * self.scale)
+        (
+            MARGIN + (x - self.low[0]) * self.scale,
+            HEADER + (self.high - y) * self.scale,
+        )
     }
 }

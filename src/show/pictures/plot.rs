@@ -20,8 +20,11 @@ const MOST_POINTS: usize = 600;
 /// The cut, not among the [`COLOURS`].
 const CUT: &str = "#d55e00";
 
-/// Colours of lines that the colour-blind can tell apart on white (Okabe and Ito, without the yellow and the orange of the cut).
-pub const COLOURS: [&str; 6] = ["#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
+/// Colours of lines that the colour-blind can tell apart on white (Okabe and Ito, without the
+/// yellow and the orange of the cut).
+pub const COLOURS: [&str; 6] = [
+    "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000",
+];
 
 /// A line of a plot.
 #[derive(Clone, Debug)]
@@ -50,7 +53,11 @@ pub struct Plot<'a> {
 impl Plot<'_> {
     /// Returns the height with the legend, pixels.
     pub fn height(&self) -> f64 {
-        let labels = if self.lines.len() > 1 { self.lines.len() } else { 0 };
+        let labels = if self.lines.len() > 1 {
+            self.lines.len()
+        } else {
+            0
+        };
         BARE_HEIGHT + LEGEND_ROW * labels.div_ceil(LEGEND_COLUMNS) as f64
     }
 
@@ -82,7 +89,10 @@ impl Plot<'_> {
                 y + 4.5
             );
         }
-        for tick in (0..).map(|i| f64::from(i) * scale.step).take_while(|&tick| tick <= scale.most) {
+        for tick in (0..)
+            .map(|i| f64::from(i) * scale.step)
+            .take_while(|&tick| tick <= scale.most)
+        {
             let (x, _) = scale.at((tick, 0.0));
             let _ = writeln!(
                 svg,
@@ -120,8 +130,15 @@ impl Plot<'_> {
 
 impl Line {
     fn stroke(&self) -> String {
-        let dash = if self.dash.is_empty() { String::new() } else { format!(" stroke-dasharray=\"{}\"", self.dash) };
-        format!("stroke=\"{}\" stroke-width=\"2\" stroke-linejoin=\"round\"{dash}", self.colour)
+        let dash = if self.dash.is_empty() {
+            String::new()
+        } else {
+            format!(" stroke-dasharray=\"{}\"", self.dash)
+        };
+        format!(
+            "stroke=\"{}\" stroke-width=\"2\" stroke-linejoin=\"round\"{dash}",
+            self.colour
+        )
     }
 }
 
@@ -134,13 +151,23 @@ struct Scale {
 
 impl Scale {
     fn new(lines: &[Line]) -> Self {
-        let most = lines.iter().flat_map(|line| &line.points).map(|point| point.0).fold(1.0, f64::max);
+        let most = lines
+            .iter()
+            .flat_map(|line| &line.points)
+            .map(|point| point.0)
+            .fold(1.0, f64::max);
         let step = tick_step(most);
-        Self { most: (most / step).ceil() * step, step }
+        Self {
+            most: (most / step).ceil() * step,
+            step,
+        }
     }
 
     fn at(&self, (x, share): (f64, f64)) -> (f64, f64) {
-        (LEFT + (RIGHT - LEFT) * x / self.most, BOTTOM - (BOTTOM - TOP) * share)
+        (
+            LEFT + (RIGHT - LEFT) * x / self.most,
+            BOTTOM - (BOTTOM - TOP) * share,
+        )
     }
 
     fn draw(&self, svg: &mut String, line: &Line) {
@@ -149,14 +176,24 @@ impl Scale {
             format!("{x:.1},{y:.1}")
         };
         let points: Vec<String> = thinned(line.points.len()).map(point).collect();
-        let _ = writeln!(svg, "<polyline points=\"{}\" fill=\"none\" {}/>", points.join(" "), line.stroke());
+        let _ = writeln!(
+            svg,
+            "<polyline points=\"{}\" fill=\"none\" {}/>",
+            points.join(" "),
+            line.stroke()
+        );
     }
 }
 
-/// Draws the cut, with its label at the foot of the vertical line, clear of the curves, on the side with more room.
+/// Draws the cut, with its label at the foot of the vertical line, clear of the curves, on the side
+/// with more room.
 fn draw_cut(svg: &mut String, cut: (f64, f64), scale: &Scale) {
     let (x, y) = scale.at(cut);
-    let (label_x, anchor) = if x > (LEFT + RIGHT) / 2.0 { (x - 8.0, "end") } else { (x + 8.0, "start") };
+    let (label_x, anchor) = if x > (LEFT + RIGHT) / 2.0 {
+        (x - 8.0, "end")
+    } else {
+        (x + 8.0, "start")
+    };
     let _ = writeln!(
         svg,
         "<path d=\"M{x:.1} {BOTTOM}V{y:.1}H{LEFT}\" fill=\"none\" stroke=\"{CUT}\" stroke-dasharray=\"4 3\"/>\n\
@@ -167,7 +204,8 @@ fn draw_cut(svg: &mut String, cut: (f64, f64), scale: &Scale) {
     );
 }
 
-/// Returns an SVG file or element with a white background. `content`: its elements; `label`: a description for screen readers.
+/// Returns an SVG file or element with a white background. `content`: its elements; `label`: a
+/// description for screen readers.
 pub fn document(width: f64, height: f64, label: &str, content: &str) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
@@ -187,7 +225,11 @@ fn thinned(count: usize) -> impl Iterator<Item = usize> {
 fn tick_step(most: f64) -> f64 {
     let rough = (most / 6.0).max(1.0);
     let power = 10f64.powf(rough.log10().floor());
-    [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= rough).unwrap_or(10.0 * power)
+    [1.0, 2.0, 5.0, 10.0]
+        .map(|m| m * power)
+        .into_iter()
+        .find(|s| *s >= rough)
+        .unwrap_or(10.0 * power)
 }
 
 /// Formats a round number with at most four digits, such as 2000, 20k or 1.2M.
@@ -206,7 +248,10 @@ mod tests {
     #[test]
     fn ticks_are_round_numbers() {
         assert_eq!([7.0, 62.0, 1236.0].map(tick_step), [2.0, 20.0, 500.0]);
-        assert_eq!([500.0, 6000.0, 20_000.0, 1_200_000.0].map(short), ["500", "6000", "20k", "1.2M"]);
+        assert_eq!(
+            [500.0, 6000.0, 20_000.0, 1_200_000.0].map(short),
+            ["500", "6000", "20k", "1.2M"]
+        );
     }
 
     #[test]
@@ -218,9 +263,22 @@ mod tests {
 
     #[test]
     fn only_several_lines_make_a_legend() {
-        let line = |label| Line { label, colour: COLOURS[0], dash: "", points: vec![(0.0, 0.0), (3.0, 1.0)] };
+        let line = |label| Line {
+            label,
+            colour: COLOURS[0],
+            dash: "",
+            points: vec![(0.0, 0.0), (3.0, 1.0)],
+        };
         let drawn = |lines: &[Line]| {
-            let (mut svg, plot) = (String::new(), Plot { over: "key views", share_of: "share", lines, cut: None });
+            let (mut svg, plot) = (
+                String::new(),
+                Plot {
+                    over: "key views",
+                    share_of: "share",
+                    lines,
+                    cut: None,
+                },
+            );
             plot.draw(&mut svg, 0.0, 0.0);
             (svg, plot.height())
         };

@@ -10,7 +10,9 @@ const RANDOM_AMONG: usize = 22;
 pub(super) fn closest(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     let own = hood.centre(hood.key);
     let others = hood.scene.view_indices().filter(|&v| v != hood.key);
-    let mut others: Vec<(f64, ViewIndex)> = others.map(|v| ((hood.centre(v) - own).norm_squared(), v)).collect();
+    let mut others: Vec<(f64, ViewIndex)> = others
+        .map(|v| ((hood.centre(v) - own).norm_squared(), v))
+        .collect();
     others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     others.into_iter().map(|(_, view)| view).take(k).collect()
 }

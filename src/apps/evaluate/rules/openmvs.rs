@@ -1,9 +1,12 @@
-//! OpenMVS 2.3 (`Scene::SelectNeighborViews`, `FilterNeighborViews` with the defaults of DensifyPointCloud).
+//! OpenMVS 2.3 (`Scene::SelectNeighborViews`, `FilterNeighborViews` with the defaults of
+//! DensifyPointCloud).
 //!
-//! Score = the larger of the covered area and 0.01, times the sum over shared points of `max(w_angle, 0.1) w_scale`; w_angle is a Gaussian
-//! around 12 degrees of standard deviation 0.38 x 12 degrees below and 0.7 x 12 above; w_scale by r, the view's scale at the point over the other's:
-//! (1.6/r)^2 above 1.6, 1 from 1 to 1.6, r^2 below 1. Views with an area below 0.05, a mean r outside 0.2 to 3.2 or a mean angle outside 3 to 65
-//! degrees are removed, the worst score first, as long as more than 9 are left.
+//! Score = the larger of the covered area and 0.01, times the sum over shared points of
+//! `max(w_angle, 0.1) w_scale`; w_angle is a Gaussian around 12 degrees of standard deviation 0.38
+//! x 12 degrees below and 0.7 x 12 above; w_scale by r, the view's scale at the point over the
+//! other's: (1.6/r)^2 above 1.6, 1 from 1 to 1.6, r^2 below 1. Views with an area below 0.05, a
+//! mean r outside 0.2 to 3.2 or a mean angle outside 3 to 65 degrees are removed, the worst score
+//! first, as long as more than 9 are left.
 
 use super::Neighbourhood;
 use crate::model::scene::{PointIndex, ViewIndex};
@@ -30,17 +33,26 @@ pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     let mut neighbours = neighbours(hood);
     for i in (0..neighbours.len()).rev() {
         let n = &neighbours[i];
-        let good = n.area >= 0.05 && (0.2..3.2).contains(&n.scale) && (3.0..65.0).contains(&n.angle);
+        let good =
+            n.area >= 0.05 && (0.2..3.2).contains(&n.scale) && (3.0..65.0).contains(&n.angle);
         if !good && neighbours.len() > FILTER_DOWN_TO {
             neighbours.remove(i);
         }
     }
-    neighbours.into_iter().take(k.min(MAX_VIEWS)).map(|n| n.view).collect()
+    neighbours
+        .into_iter()
+        .take(k.min(MAX_VIEWS))
+        .map(|n| n.view)
+        .collect()
 }
 
 /// Returns the neighbours before the filter, best first.
 pub(super) fn neighbours(hood: &Neighbourhood) -> Vec<Neighbour> {
-    let mut neighbours: Vec<Neighbour> = hood.others.iter().filter_map(|(v, points)| score(hood, *v, points)).collect();
+    let mut neighbours: Vec<Neighbour> = hood
+        .others
+        .iter()
+        .filter_map(|(v, points)| score(hood, *v, points))
+        .collect();
     neighbours.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.view.cmp(&b.view)));
     neighbours
 }
@@ -57,7 +69,13 @@ fn score(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> Option
         count += times;
     }
     let area = covered_area(hood, view, points).filter(|_| count >= MIN_SHARED)?;
-    Some(Neighbour { view, score: sum * area.max(0.01), area, scale: scales / count, angle: angles / count })
+    Some(Neighbour {
+        view,
+        score: sum * area.max(0.01),
+        area,
+        scale: scales / count,
+        angle: angles / count,
+    })
 }
 
 fn angle_weight(degrees: f64) -> f64 {
@@ -66,10 +84,15 @@ fn angle_weight(degrees: f64) -> f64 {
 }
 
 fn scale_weight(ratio: f64) -> f64 {
-    if ratio > 1.6 { (1.6 / ratio).powi(2) } else { ratio.min(1.0).powi(2) }
+    if ratio > 1.6 {
+        (1.6 / ratio).powi(2)
+    } else {
+        ratio.min(1.0).powi(2)
+    }
 }
 
-/// Returns the share of the cells of the key view's image that hold a shared point projecting into both images; `None` without such a point.
+/// Returns the share of the cells of the key view's image that hold a shared point projecting into
+/// both images; `None` without such a point.
 fn covered_area(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> Option<f64> {
     let camera = hood.scene.camera_of(hood.key);
     let mut cells = [false; (CELLS * CELLS) as usize];
@@ -83,11 +106,19 @@ fn covered_area(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) ->
     (covered > 0).then(|| covered as f64 / (CELLS * CELLS))
 }
 
-/// Returns the point's position in the image in OpenMVS's pixels (the centre of the first is 0, 0); `None` outside.
+/// Returns the point's position in the image in OpenMVS's pixels (the centre of the first is 0, 0);
+/// `None` outside.
 fn project(hood: &Neighbourhood, view: ViewIndex, point: PointIndex) -> Option<[f64; 2]> {
     let camera = hood.scene.camera_of(view);
-    let pixel = camera.project(&hood.scene.view(view).cam_from_world.camera_from_world(&hood.point(point)))?;
+    let pixel = camera.project(
+        &hood
+            .scene
+            .view(view)
+            .cam_from_world
+            .camera_from_world(&hood.point(point)),
+    )?;
     let [x, y] = [pixel.x - 0.5, pixel.y - 0.5];
-    let inside = x >= 0.0 && y >= 0.0 && x < f64::from(camera.width) && y < f64::from(camera.height);
+    let inside =
+        x >= 0.0 && y >= 0.0 && x < f64::from(camera.width) && y < f64::from(camera.height);
     inside.then_some([x, y])
 }

@@ -25,9 +25,11 @@ pub struct Candidate {
     pub hole: usize,
 }
 
-/// Angle between the rays of neighbouring candidates, degrees: wide enough for depth, narrow enough to match.
+/// Angle between the rays of neighbouring candidates, degrees: wide enough for depth, narrow enough
+/// to match.
 pub const STEP_DEG: f64 = 14.0;
-/// Least distance from the surface, as a share of the distance from which the wanted resolution is reached.
+/// Least distance from the surface, as a share of the distance from which the wanted resolution is
+/// reached.
 const CLEARANCE: f64 = 0.6;
 /// Largest number of places per hole that poses look at.
 const PLACES: usize = 40;
@@ -36,10 +38,13 @@ const SAME: f64 = 0.4;
 /// Smallest sine of the elevation of a pose above its target; lower poses could be below ground.
 const LOWEST: f64 = -0.2;
 
-/// Returns poses on a grid in front of each hole, facing it, with four more around each: at the distance that gives the wanted resolution with the
-/// camera that took the most images, and clear of the surface.
+/// Returns poses on a grid in front of each hole, facing it, with four more around each: at the
+/// distance that gives the wanted resolution with the camera that took the most images, and clear
+/// of the surface.
 pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
-    let Some(camera) = usual_camera(plan) else { return Vec::new() };
+    let Some(camera) = usual_camera(plan) else {
+        return Vec::new();
+    };
     let focal = plan.stages.scene.cameras[camera.index()].mean_focal_length();
     let mut all: Vec<Candidate> = Vec::new();
     for (number, hole) in holes.iter().enumerate() {
@@ -50,18 +55,30 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
             for direction in directions(&normal, &frame.axes[2]) {
                 let centre = place + direction * distance;
                 let is_new = |other: &Candidate| {
-                    (other.centre - centre).norm() > SAME * step || other.direction.dot(&-direction) < 0.97
+                    (other.centre - centre).norm() > SAME * step
+                        || other.direction.dot(&-direction) < 0.97
                 };
                 if direction.dot(&frame.axes[2]) >= LOWEST && all.iter().all(is_new) {
                     let pose = looking(&centre, &-direction, &frame.axes[2], &frame.axes[1]);
-                    all.push(Candidate { centre, direction: -direction, pose, camera, target: place, hole: number });
+                    all.push(Candidate {
+                        centre,
+                        direction: -direction,
+                        pose,
+                        camera,
+                        target: place,
+                        hole: number,
+                    });
                 }
             }
         }
     }
     let clear = |c: &Candidate| {
         let room = CLEARANCE * (c.centre - c.target).norm();
-        plan.stages.surface.vertices.iter().all(|vertex| (vertex - c.centre).norm() >= room)
+        plan.stages
+            .surface
+            .vertices
+            .iter()
+            .all(|vertex| (vertex - c.centre).norm() >= room)
     };
     let is_clear: Vec<bool> = all.par_iter().map(clear).collect();
     let mut is_clear = is_clear.into_iter();
@@ -69,17 +86,25 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
     all
 }
 
-/// Returns the camera with the most views, the first one in a tie; `None` if it has no valid focal length.
+/// Returns the camera with the most views, the first one in a tie; `None` if it has no valid focal
+/// length.
 fn usual_camera(plan: &Plan) -> Option<CameraIndex> {
     let mut views = vec![0usize; plan.stages.scene.cameras.len()];
-    plan.stages.scene.views.iter().for_each(|view| views[view.camera.index()] += 1);
+    plan.stages
+        .scene
+        .views
+        .iter()
+        .for_each(|view| views[view.camera.index()] += 1);
     let most = views.iter().copied().max()?;
-    let has_focal = |camera: &Camera| camera.mean_focal_length().is_finite() && camera.mean_focal_length() > 0.0;
+    let has_focal = |camera: &Camera| {
+        camera.mean_focal_length().is_finite() && camera.mean_focal_length() > 0.0
+    };
     let found = views.iter().position(|&n| n == most)?;
     has_focal(&plan.stages.scene.cameras[found]).then_some(CameraIndex(found as u32))
 }
 
-/// Returns places on the hole, the deepest first, at least `step` apart, each with the mean normal around it.
+/// Returns places on the hole, the deepest first, at least `step` apart, each with the mean normal
+/// around it.
 fn places(surface: &Surface, hole: &Hole, step: f64) -> Vec<(Point3<f64>, Vector3<f64>)> {
     let mut order = vec![hole.deepest];
     order.extend(hole.members.iter().copied().filter(|&t| t != hole.deepest));
@@ -91,14 +116,18 @@ fn places(surface: &Surface, hole: &Hole, step: f64) -> Vec<(Point3<f64>, Vector
         }
     }
     let normal = |place: &Point3<f64>| {
-        let near = hole.members.iter().filter(|&&t| (surface.centroid(t) - place).norm() <= step);
+        let near = hole
+            .members
+            .iter()
+            .filter(|&&t| (surface.centroid(t) - place).norm() <= step);
         let sum: Vector3<f64> = near.map(|&t| surface.area_normal(t)).sum();
         Some((*place, sum.try_normalize(0.0)?))
     };
     found.iter().filter_map(normal).collect()
 }
 
-/// Returns the directions from a place to its candidates: along its normal, and tilted by [`STEP_DEG`] to each of four sides.
+/// Returns the directions from a place to its candidates: along its normal, and tilted by
+/// [`STEP_DEG`] to each of four sides.
 fn directions(normal: &Vector3<f64>, up: &Vector3<f64>) -> [Vector3<f64>; 5] {
     let side = normal
         .cross(up)
@@ -109,14 +138,25 @@ fn directions(normal: &Vector3<f64>, up: &Vector3<f64>) -> [Vector3<f64>; 5] {
     [Vector3::zeros(), side, -side, other, -other].map(|aside| (normal + aside * tilt).normalize())
 }
 
-/// Returns the pose at `centre` that looks along `direction` with its image upright, or, if it looks straight down, with the top towards `ahead`.
-fn looking(centre: &Point3<f64>, direction: &Vector3<f64>, up: &Vector3<f64>, ahead: &Vector3<f64>) -> Pose {
+/// Returns the pose at `centre` that looks along `direction` with its image upright, or, if it
+/// looks straight down, with the top towards `ahead`.
+fn looking(
+    centre: &Point3<f64>,
+    direction: &Vector3<f64>,
+    up: &Vector3<f64>,
+    ahead: &Vector3<f64>,
+) -> Pose {
     let right = direction.cross(up);
-    let right = right.try_normalize(0.3).unwrap_or_else(|| direction.cross(ahead).normalize());
+    let right = right
+        .try_normalize(0.3)
+        .unwrap_or_else(|| direction.cross(ahead).normalize());
     let down = direction.cross(&right);
     let rows = Matrix3::from_rows(&[right.transpose(), down.transpose(), direction.transpose()]);
     let rotation = Rotation3::from_matrix_unchecked(rows);
-    Pose { rotation, translation: -(rotation * centre.coords) }
+    Pose {
+        rotation,
+        translation: -(rotation * centre.coords),
+    }
 }
 
 #[cfg(test)]
@@ -126,24 +166,35 @@ mod tests {
     #[test]
     fn a_pose_is_where_it_should_be_and_looks_there() {
         let (centre, up, ahead) = (Point3::new(3.0, -2.0, 7.0), Vector3::z(), Vector3::y());
-        for direction in
-            [-Vector3::z(), Vector3::new(1.0, 0.0, -0.2).normalize(), Vector3::new(0.1, -0.9, 0.3).normalize()]
-        {
+        for direction in [
+            -Vector3::z(),
+            Vector3::new(1.0, 0.0, -0.2).normalize(),
+            Vector3::new(0.1, -0.9, 0.3).normalize(),
+        ] {
             let pose = looking(&centre, &direction, &up, &ahead);
             assert!((pose.centre() - centre).norm() < 1e-12);
             assert!((pose.viewing_direction() - direction).norm() < 1e-12);
             assert!((pose.rotation.matrix().determinant() - 1.0).abs() < 1e-12);
-            let above = pose.camera_from_world(&(centre + direction * 5.0 + ahead * 0.1 + up * 0.5));
+            let above =
+                pose.camera_from_world(&(centre + direction * 5.0 + ahead * 0.1 + up * 0.5));
             assert!(above.y < 0.0, "what is above is at the top of the image");
         }
     }
 
     #[test]
     fn candidates_of_a_place_are_a_step_apart() {
-        for normal in [Vector3::z(), Vector3::x(), Vector3::new(0.3, 0.4, 0.6).normalize()] {
+        for normal in [
+            Vector3::z(),
+            Vector3::x(),
+            Vector3::new(0.3, 0.4, 0.6).normalize(),
+        ] {
             let [straight, aside @ ..] = directions(&normal, &Vector3::z());
             assert!((straight - normal).norm() < 1e-12);
-            assert!(aside.iter().all(|d| (d.angle(&normal).to_degrees() - STEP_DEG).abs() < 1e-6));
+            assert!(
+                aside
+                    .iter()
+                    .all(|d| (d.angle(&normal).to_degrees() - STEP_DEG).abs() < 1e-6)
+            );
         }
     }
 }

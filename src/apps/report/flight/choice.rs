@@ -1,4 +1,5 @@
-//! Chooses among the candidate poses: next comes the view cluster that fills the most per image still to be taken.
+//! Chooses among the candidate poses: next comes the view cluster that fills the most per image
+//! still to be taken.
 
 use rayon::prelude::*;
 
@@ -28,14 +29,16 @@ use crate::{
 
 /// The choice ends when a further image fills less than this share of what can be filled.
 const LEAST: f64 = 0.01;
-/// The choice ends once this share of what can be filled has been filled: further images fill little each (docs/benchmarks.md, "A second flight").
+/// The choice ends once this share of what can be filled has been filled: further images fill
+/// little each (docs/benchmarks.md, "A second flight").
 const ENOUGH: f64 = 0.8;
 /// Largest number of partners of a candidate among the other candidates.
 const NEAREST: usize = 4;
 /// Largest number of partners of a candidate among the existing images.
 const TAKEN: usize = 3;
 
-/// The existing views with an image that see a hole, then the candidates, as a scene without points.
+/// The existing views with an image that see a hole, then the candidates, as a scene without
+/// points.
 struct Extended {
     scene: Scene,
     /// Number of existing views in it.
@@ -44,11 +47,25 @@ struct Extended {
 }
 
 impl Extended {
-    fn new(plan: &Plan, holes: &[Hole], candidates: &[Candidate], watcher: &dyn Watcher) -> Result<Self, TableError> {
+    fn new(
+        plan: &Plan,
+        holes: &[Hole],
+        candidates: &[Candidate],
+        watcher: &dyn Watcher,
+    ) -> Result<Self, TableError> {
         let stages = &plan.stages;
         let has_image = |v: &ViewIndex| stages.without_image.binary_search(v).is_err();
-        let sees = |v: &ViewIndex| holes.iter().any(|hole| stages.visibility.row(*v, hole.deepest).is_some());
-        let taken = stages.scene.view_indices().filter(has_image).filter(sees).map(|v| stages.scene.view(v).clone());
+        let sees = |v: &ViewIndex| {
+            holes
+                .iter()
+                .any(|hole| stages.visibility.row(*v, hole.deepest).is_some())
+        };
+        let taken = stages
+            .scene
+            .view_indices()
+            .filter(has_image)
+            .filter(sees)
+            .map(|v| stages.scene.view(v).clone());
         let mut views: Vec<View> = taken.collect();
         let taken = views.len();
         views.extend(candidates.iter().enumerate().map(|(i, candidate)| View {
@@ -58,7 +75,12 @@ impl Extended {
             camera: candidate.camera,
             cam_from_world: candidate.pose,
         }));
-        let scene = Scene { cameras: stages.scene.cameras.clone(), views, track_offsets: vec![0], ..Scene::default() };
+        let scene = Scene {
+            cameras: stages.scene.cameras.clone(),
+            views,
+            track_offsets: vec![0],
+            ..Scene::default()
+        };
         let gsd = stages.settings.target.gsd.unwrap_or(1.0);
         let visibility = visibility::estimate(
             &scene,
@@ -69,7 +91,11 @@ impl Extended {
             Storage::Memory,
             watcher,
         )?;
-        Ok(Self { scene, taken, visibility })
+        Ok(Self {
+            scene,
+            taken,
+            visibility,
+        })
     }
 
     fn is_candidate(&self, view: ViewIndex) -> bool {
@@ -118,7 +144,11 @@ pub fn choose(
     let of_hole = |hole: &Hole| {
         let weight = |t: &&u32| objective.weights[**t as usize];
         let all: f64 = hole.members.iter().map(|t| weight(&t)).sum();
-        let kept: f64 = hole.members.iter().map(|t| weight(&t) * f64::from(reached.agreed(*t))).sum();
+        let kept: f64 = hole
+            .members
+            .iter()
+            .map(|t| weight(&t) * f64::from(reached.agreed(*t)))
+            .sum();
         if all > 0.0 { kept / all } else { 0.0 }
     };
     Ok(Flight {
@@ -129,7 +159,8 @@ pub fn choose(
     })
 }
 
-/// Returns the clusters of each candidate with other candidates, with existing images, and with both; and of existing images with candidates.
+/// Returns the clusters of each candidate with other candidates, with existing images, and with
+/// both; and of existing images with candidates.
 fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<ViewCluster> {
     let of_candidate = |i: usize| {
         let own = &candidates[i];
@@ -140,31 +171,49 @@ fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<View
         let fits = |&view: &usize| {
             let distance = (extended.scene.views[view].cam_from_world.centre() - own.target).norm();
             let ratio = distance / (own.centre - own.target).norm();
-            view != extended.taken + i && (4.0..=3.0 * STEP_DEG).contains(&angle(view)) && (0.6..1.7).contains(&ratio)
+            view != extended.taken + i
+                && (4.0..=3.0 * STEP_DEG).contains(&angle(view))
+                && (0.6..1.7).contains(&ratio)
         };
         let best = |views: std::ops::Range<usize>, most: usize| {
             let mut views: Vec<usize> = views.filter(fits).collect();
             let off = |view: &usize| (angle(*view) - STEP_DEG).abs();
             views.sort_by(|a, b| off(a).total_cmp(&off(b)).then(a.cmp(b)));
             views.truncate(most);
-            views.into_iter().map(|v| ViewIndex(v as u32)).collect::<Vec<_>>()
+            views
+                .into_iter()
+                .map(|v| ViewIndex(v as u32))
+                .collect::<Vec<_>>()
         };
-        let new = best(extended.taken..extended.scene.views.len(), NEAREST.min(k.max(2)));
+        let new = best(
+            extended.taken..extended.scene.views.len(),
+            NEAREST.min(k.max(2)),
+        );
         let taken = best(0..extended.taken, TAKEN.min(k.max(2)));
         let key = ViewIndex((extended.taken + i) as u32);
         let mixed: Vec<ViewIndex> = taken.iter().chain(&new).copied().take(k.max(2)).collect();
         let few: Vec<ViewIndex> = new.iter().copied().take(2).collect();
-        let mut found: Vec<ViewCluster> =
-            [new.clone(), taken.clone(), mixed, few].map(|partners| ViewCluster { key, partners }).to_vec();
+        let mut found: Vec<ViewCluster> = [new.clone(), taken.clone(), mixed, few]
+            .map(|partners| ViewCluster { key, partners })
+            .to_vec();
         // The new images may give an existing one a depth map.
         found.extend(taken.iter().map(|&old| {
-            let partners = std::iter::once(key).chain(new.iter().copied()).take(k.max(2)).collect();
+            let partners = std::iter::once(key)
+                .chain(new.iter().copied())
+                .take(k.max(2))
+                .collect();
             ViewCluster { key: old, partners }
         }));
         found
     };
-    let all: Vec<Vec<ViewCluster>> = (0..candidates.len()).into_par_iter().map(of_candidate).collect();
-    all.into_iter().flatten().filter(|cluster| cluster.partners.len() >= 2).collect()
+    let all: Vec<Vec<ViewCluster>> = (0..candidates.len())
+        .into_par_iter()
+        .map(of_candidate)
+        .collect();
+    all.into_iter()
+        .flatten()
+        .filter(|cluster| cluster.partners.len() >= 2)
+        .collect()
 }
 
 struct Flown {
@@ -176,7 +225,8 @@ struct Flown {
     used: Vec<bool>,
 }
 
-/// Takes the cluster with the largest gain per new image until little is left to gain; clusters that need no new image cost almost nothing.
+/// Takes the cluster with the largest gain per new image until little is left to gain; clusters
+/// that need no new image cost almost nothing.
 fn greedy(
     extended: &Extended,
     clusters: &[ViewCluster],
@@ -186,18 +236,30 @@ fn greedy(
     let mut whole = reached.clone();
     (0..clusters.len()).for_each(|c| whole.take(table.row(c)));
     let (start, possible) = (reached.fulfilment(), whole.fulfilment());
-    let mut flown = Flown { taken: Vec::new(), images: Vec::new(), used: vec![false; extended.scene.views.len()] };
+    let mut flown = Flown {
+        taken: Vec::new(),
+        images: Vec::new(),
+        used: vec![false; extended.scene.views.len()],
+    };
     while reached.fulfilment() - start < ENOUGH * (possible - start) {
         let cost = |cluster: &ViewCluster| {
             let members = std::iter::once(&cluster.key).chain(&cluster.partners);
-            members.filter(|v| extended.is_candidate(**v) && !flown.used[v.index()]).count()
+            members
+                .filter(|v| extended.is_candidate(**v) && !flown.used[v.index()])
+                .count()
         };
         let value = |(c, cluster): (usize, &ViewCluster)| {
             let (gain, images) = (reached.gain(table.row(c)), cost(cluster));
             (gain / (images as f64).max(0.01), gain, images, c)
         };
-        let best = clusters.par_iter().enumerate().map(value).max_by(|a, b| a.0.total_cmp(&b.0).then(b.3.cmp(&a.3)));
-        let Some((_, gain, images, cluster)) = best else { break };
+        let best = clusters
+            .par_iter()
+            .enumerate()
+            .map(value)
+            .max_by(|a, b| a.0.total_cmp(&b.0).then(b.3.cmp(&a.3)));
+        let Some((_, gain, images, cluster)) = best else {
+            break;
+        };
         if gain < LEAST * (possible - start) * (images as f64).max(0.01) {
             break;
         }
@@ -214,15 +276,31 @@ fn greedy(
     flown
 }
 
-/// Returns the largest share of the area seen by the view that a single other view, planned or existing, sees too.
+/// Returns the largest share of the area seen by the view that a single other view, planned or
+/// existing, sees too.
 fn overlap(plan: &Plan, extended: &Extended, view: usize, used: &[bool]) -> f64 {
-    let area = |triangles: &mut dyn Iterator<Item = u32>| triangles.map(|t| plan.stages.surface.area(t)).sum::<f64>();
-    let own = extended.visibility.triangles_seen_by(ViewIndex(view as u32));
+    let area = |triangles: &mut dyn Iterator<Item = u32>| {
+        triangles.map(|t| plan.stages.surface.area(t)).sum::<f64>()
+    };
+    let own = extended
+        .visibility
+        .triangles_seen_by(ViewIndex(view as u32));
     let all = area(&mut own.iter().copied());
     let with = |other: usize| {
-        let other = extended.visibility.triangles_seen_by(ViewIndex(other as u32));
-        area(&mut own.iter().copied().filter(|t| other.binary_search(t).is_ok()))
+        let other = extended
+            .visibility
+            .triangles_seen_by(ViewIndex(other as u32));
+        area(
+            &mut own
+                .iter()
+                .copied()
+                .filter(|t| other.binary_search(t).is_ok()),
+        )
     };
     let others = (0..used.len()).filter(|&v| v != view && (v < extended.taken || used[v]));
-    if all > 0.0 { others.map(with).fold(0.0, f64::max) / all } else { 0.0 }
+    if all > 0.0 {
+        others.map(with).fold(0.0, f64::max) / all
+    } else {
+        0.0
+    }
 }

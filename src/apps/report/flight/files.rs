@@ -1,4 +1,5 @@
-//! The images to take as files: GeoJSON, KML and CSV where the model has a place on earth, else PLY and local JSON.
+//! The images to take as files: GeoJSON, KML and CSV where the model has a place on earth, else PLY
+//! and local JSON.
 
 use std::fmt::Write;
 
@@ -10,7 +11,8 @@ use crate::{
     show::pictures::views_file,
 };
 
-/// File names below the plan's folder, with their text; none without waypoints. `needed`: cameras that must see a place.
+/// File names below the plan's folder, with their text; none without waypoints. `needed`: cameras
+/// that must see a place.
 pub fn files(
     flight: &Flight,
     holes: &[Hole],
@@ -22,9 +24,16 @@ pub fn files(
         return Vec::new();
     }
     let is_local = views_file(place) != "views.geojson";
-    let all: Vec<Described> = flight.waypoints.iter().map(|w| Described::new(w, holes, frame, place, needed)).collect();
+    let all: Vec<Described> = flight
+        .waypoints
+        .iter()
+        .map(|w| Described::new(w, holes, frame, place, needed))
+        .collect();
     match is_local {
-        true => vec![("flight/waypoints_local.json", geojson(&all, true)), ("flight/waypoints.ply", ply(flight))],
+        true => vec![
+            ("flight/waypoints_local.json", geojson(&all, true)),
+            ("flight/waypoints.ply", ply(flight)),
+        ],
         false => vec![
             ("flight/waypoints.geojson", geojson(&all, false)),
             ("flight/waypoints.kml", kml(&all)),
@@ -36,7 +45,8 @@ pub fn files(
 /// A waypoint in the coordinates of its file.
 struct Described<'a> {
     waypoint: &'a Waypoint,
-    /// Longitude, latitude and height above the ellipsoid; or x to the right, y up the map and z up, scene units.
+    /// Longitude, latitude and height above the ellipsoid; or x to the right, y up the map and z
+    /// up, scene units.
     position: [f64; 3],
     /// Clockwise from north, or from the map's up, degrees.
     heading: f64,
@@ -46,15 +56,34 @@ struct Described<'a> {
 }
 
 impl<'a> Described<'a> {
-    fn new(waypoint: &'a Waypoint, holes: &[Hole], frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
+    fn new(
+        waypoint: &'a Waypoint,
+        holes: &[Hole],
+        frame: &MapFrame,
+        place: &Georeference,
+        needed: u32,
+    ) -> Self {
         let ahead = waypoint.centre + waypoint.direction * waypoint.distance;
         let missing = holes[waypoint.hole].missing(needed);
-        let (position, [east, north, up]) = match (place.geodetic(&waypoint.centre), place.geodetic(&ahead)) {
-            (Some(from), Some(to)) => ([from.longitude, from.latitude, from.height], metres(from, to)),
-            _ => (frame.direction(&waypoint.centre.coords), frame.direction(&waypoint.direction)),
-        };
+        let (position, [east, north, up]) =
+            match (place.geodetic(&waypoint.centre), place.geodetic(&ahead)) {
+                (Some(from), Some(to)) => (
+                    [from.longitude, from.latitude, from.height],
+                    metres(from, to),
+                ),
+                _ => (
+                    frame.direction(&waypoint.centre.coords),
+                    frame.direction(&waypoint.direction),
+                ),
+            };
         let heading = east.atan2(north).to_degrees().rem_euclid(360.0);
-        Self { waypoint, position, heading, pitch: up.atan2(east.hypot(north)).to_degrees(), missing }
+        Self {
+            waypoint,
+            position,
+            heading,
+            pitch: up.atan2(east.hypot(north)).to_degrees(),
+            missing,
+        }
     }
 
     fn properties(&self, number: usize) -> Value {

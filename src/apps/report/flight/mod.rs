@@ -1,4 +1,5 @@
-//! Plans further images that fill the holes: poses, chosen greedily by the objective of the plan from candidates around each hole.
+//! Plans further images that fill the holes: poses, chosen greedily by the objective of the plan
+//! from candidates around each hole.
 //!
 //! There are no pictures of planned images yet: success is predicted from geometry alone.
 
@@ -32,7 +33,8 @@ pub struct Waypoint {
     pub height: f64,
     /// Distance from the place that it looks at, scene units.
     pub distance: f64,
-    /// Largest share of what it sees, by area, that one other image sees too, planned or taken; 0 to 1.
+    /// Largest share of what it sees, by area, that one other image sees too, planned or taken; 0
+    /// to 1.
     pub overlap: f64,
 }
 
@@ -65,8 +67,11 @@ fn in_flying_order(mut left: Vec<Waypoint>) -> Vec<Waypoint> {
     let mut ordered: Vec<Waypoint> = Vec::with_capacity(left.len());
     while !left.is_empty() {
         let from = ordered.last().map(|last| last.centre);
-        let distance = |waypoint: &Waypoint| from.map_or(0.0, |from| (waypoint.centre - from).norm());
-        let next = (0..left.len()).min_by(|&a, &b| distance(&left[a]).total_cmp(&distance(&left[b]))).unwrap_or(0);
+        let distance =
+            |waypoint: &Waypoint| from.map_or(0.0, |from| (waypoint.centre - from).norm());
+        let next = (0..left.len())
+            .min_by(|&a, &b| distance(&left[a]).total_cmp(&distance(&left[b])))
+            .unwrap_or(0);
         ordered.push(left.remove(next));
     }
     ordered

@@ -1,7 +1,9 @@
 //! A COLMAP model as stored in its files, binary or text, and its conversion to a [`Scene`].
 //!
-//! The conversion checks cross-references by COLMAP's rules (`reconstruction.cc`), with two differences: quaternions are normalised, and if a
-//! track and the image's list of 2D points disagree, the list wins, because OpenMVG and AliceVision write *feature* numbers into the tracks.
+//! The conversion checks cross-references by COLMAP's rules (`reconstruction.cc`), with two
+//! differences: quaternions are normalised, and if a track and the image's list of 2D points
+//! disagree, the list wins, because OpenMVG and AliceVision write *feature* numbers into the
+//! tracks.
 
 mod reduce;
 mod rigs;
@@ -19,7 +21,8 @@ use crate::model::{
     scene::{CameraIndex, ModelWarning, Pose, Scene, View},
 };
 
-/// The complete contents of the files of a model, in file order. Lists of 2D points and tracks may borrow from the files' bytes.
+/// The complete contents of the files of a model, in file order. Lists of 2D points and tracks may
+/// borrow from the files' bytes.
 #[derive(Clone, Debug, Default)]
 pub struct ColmapModel<'a> {
     pub cameras: Vec<Camera>,
@@ -56,7 +59,8 @@ pub struct ColmapPoint<'a> {
     pub at: Place,
 }
 
-/// A rigid transform as stored: a quaternion w x y z, not necessarily of unit length, and a translation.
+/// A rigid transform as stored: a quaternion w x y z, not necessarily of unit length, and a
+/// translation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StoredPose {
     pub quaternion: [f64; 4],
@@ -64,28 +68,47 @@ pub struct StoredPose {
 }
 
 impl StoredPose {
-    pub const IDENTITY: Self = Self { quaternion: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
+    pub const IDENTITY: Self = Self {
+        quaternion: [1.0, 0.0, 0.0, 0.0],
+        translation: [0.0; 3],
+    };
 
     /// Normalises the quaternion.
     pub fn pose(&self) -> Result<Pose, Problem> {
-        if !self.translation.iter().chain(&self.quaternion).all(|v| v.is_finite()) {
+        if !self
+            .translation
+            .iter()
+            .chain(&self.quaternion)
+            .all(|v| v.is_finite())
+        {
             return Err(Problem::NotFinite("the pose"));
         }
-        // Divided by the largest component first: squares of tiny or huge components would underflow or overflow.
-        let scale = self.quaternion.iter().fold(0.0f64, |max, q| max.max(q.abs()));
+        // Divided by the largest component first: squares of tiny or huge components would
+        // underflow or overflow.
+        let scale = self
+            .quaternion
+            .iter()
+            .fold(0.0f64, |max, q| max.max(q.abs()));
         if scale == 0.0 {
             return Err(Problem::ZeroQuaternion);
         }
         let [w, x, y, z] = self.quaternion.map(|q| q / scale);
-        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
-        Ok(Pose { rotation, translation: Vector3::from(self.translation) })
+        let rotation =
+            UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
+        Ok(Pose {
+            rotation,
+            translation: Vector3::from(self.translation),
+        })
     }
 }
 
 impl From<&Pose> for StoredPose {
     fn from(pose: &Pose) -> Self {
         let q = UnitQuaternion::from_rotation_matrix(&pose.rotation);
-        Self { quaternion: [q.w, q.i, q.j, q.k], translation: pose.translation.into() }
+        Self {
+            quaternion: [q.w, q.i, q.j, q.k],
+            translation: pose.translation.into(),
+        }
     }
 }
 
@@ -104,7 +127,11 @@ impl Point2d {
 
     pub fn new(pixel: [f64; 2], point: Option<u64>) -> Self {
         let point = point.unwrap_or(Self::NO_POINT).to_le_bytes();
-        Self { x: pixel[0].to_le_bytes(), y: pixel[1].to_le_bytes(), point }
+        Self {
+            x: pixel[0].to_le_bytes(),
+            y: pixel[1].to_le_bytes(),
+            point,
+        }
     }
 
     pub fn pixel(&self) -> [f64; 2] {
@@ -117,7 +144,8 @@ impl Point2d {
     }
 }
 
-/// An entry of a track: an image id and an index into that image's list of 2D points; laid out as in the binary file (8 bytes).
+/// An entry of a track: an image id and an index into that image's list of 2D points; laid out as
+/// in the binary file (8 bytes).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct TrackElement {
@@ -127,7 +155,10 @@ pub struct TrackElement {
 
 impl TrackElement {
     pub fn new(image: u32, index: u32) -> Self {
-        Self { image: image.to_le_bytes(), index: index.to_le_bytes() }
+        Self {
+            image: image.to_le_bytes(),
+            index: index.to_le_bytes(),
+        }
     }
 
     pub fn image(&self) -> u32 {
@@ -195,7 +226,11 @@ impl ColmapModel<'_> {
         Ok(Scene {
             cameras: self.cameras.clone(),
             views,
-            points: self.points.par_iter().map(|p| Point3::from(p.xyz)).collect(),
+            points: self
+                .points
+                .par_iter()
+                .map(|p| Point3::from(p.xyz))
+                .collect(),
             point_ids: self.points.par_iter().map(|p| p.id).collect(),
             colours: self.points.par_iter().map(|p| p.colour).collect(),
             track_offsets: tracks.offsets,
@@ -210,14 +245,18 @@ impl ColmapModel<'_> {
         let mut by_id = HashMap::with_capacity(self.cameras.len());
         for (index, camera) in self.cameras.iter().enumerate() {
             if by_id.insert(camera.id, CameraIndex(index as u32)).is_some() {
-                let problem = Problem::Duplicate { what: "camera", id: camera.id.to_string() };
+                let problem = Problem::Duplicate {
+                    what: "camera",
+                    id: camera.id.to_string(),
+                };
                 return Err(Fault::new("cameras", Place::File, problem));
             }
         }
         Ok(by_id)
     }
 
-    /// The views sorted by name, and for each image id the index of the image in the file and its view.
+    /// The views sorted by name, and for each image id the index of the image in the file and its
+    /// view.
     fn views(&self, cameras: &HashMap<u32, CameraIndex>) -> Result<(Vec<View>, ImageIds), Fault> {
         let mut views = Vec::with_capacity(self.images.len());
         for (position, image) in self.images.iter().enumerate() {
@@ -226,39 +265,60 @@ impl ColmapModel<'_> {
         }
         views.sort_by(|a, b| a.name.cmp(&b.name));
         if let Some(same) = views.windows(2).find(|pair| pair[0].name == pair[1].name) {
-            let problem = Problem::Duplicate { what: "image name", id: same[1].name.clone() };
+            let problem = Problem::Duplicate {
+                what: "image name",
+                id: same[1].name.clone(),
+            };
             return Err(self.images[same[1].file_position as usize].fault(problem));
         }
         let ids = ImageIds::new(&views).map_err(|index| {
             let view = &views[index as usize];
-            let problem = Problem::Duplicate { what: "image", id: view.image_id.to_string() };
+            let problem = Problem::Duplicate {
+                what: "image",
+                id: view.image_id.to_string(),
+            };
             self.images[view.file_position as usize].fault(problem)
         })?;
         Ok((views, ids))
     }
 
     fn check_point_ids(&self) -> Result<(), Fault> {
-        if self.points.par_windows(2).all(|pair| pair[0].id < pair[1].id) {
+        if self
+            .points
+            .par_windows(2)
+            .all(|pair| pair[0].id < pair[1].id)
+        {
             return Ok(());
         }
         let mut order: Vec<usize> = (0..self.points.len()).collect();
         order.par_sort_unstable_by_key(|&p| (self.points[p].id, p));
-        let twice = order.windows(2).filter(|w| self.points[w[0]].id == self.points[w[1]].id).map(|w| w[1]).min();
+        let twice = order
+            .windows(2)
+            .filter(|w| self.points[w[0]].id == self.points[w[1]].id)
+            .map(|w| w[1])
+            .min();
         twice.map_or(Ok(()), |p| {
             let point = &self.points[p];
-            Err(point.fault(Problem::Duplicate { what: "point", id: point.id.to_string() }))
+            Err(point.fault(Problem::Duplicate {
+                what: "point",
+                id: point.id.to_string(),
+            }))
         })
     }
 }
 
 impl ColmapImage<'_> {
     fn fault(&self, problem: Problem) -> Fault {
-        Fault::new("images", self.at, problem).in_record(|| format!("image {}, {:?}", self.id, self.name))
+        Fault::new("images", self.at, problem)
+            .in_record(|| format!("image {}, {:?}", self.id, self.name))
     }
 
     fn view(&self, position: u32, cameras: &HashMap<u32, CameraIndex>) -> Result<View, Problem> {
         check_name(&self.name)?;
-        let absent = Problem::Absent { what: "camera", id: self.camera_id.into() };
+        let absent = Problem::Absent {
+            what: "camera",
+            id: self.camera_id.into(),
+        };
         Ok(View {
             name: self.name.clone().into_owned(),
             image_id: self.id,

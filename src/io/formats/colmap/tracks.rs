@@ -41,9 +41,15 @@ impl ImageIds {
     /// # Errors
     /// The index of the first view with a duplicate image id.
     pub(super) fn new(views: &[View]) -> Result<Self, u32> {
-        let mut ids = Self { dense: vec![None; 1024 + 4 * views.len()], sparse: HashMap::new() };
+        let mut ids = Self {
+            dense: vec![None; 1024 + 4 * views.len()],
+            sparse: HashMap::new(),
+        };
         for (index, view) in views.iter().enumerate() {
-            let image_view = ImageView { position: view.file_position, view: ViewIndex(index as u32) };
+            let image_view = ImageView {
+                position: view.file_position,
+                view: ViewIndex(index as u32),
+            };
             let before = match ids.dense.get_mut(view.image_id as usize) {
                 Some(slot) => slot.replace(image_view),
                 None => ids.sparse.insert(view.image_id, image_view),
@@ -75,7 +81,8 @@ pub(super) struct ImageLists<'m> {
     view_of_image: &'m ImageIds,
     /// In file order.
     pub links: Vec<Links<'m>>,
-    /// Those of `links` alone, small enough to stay in the processor's cache while tracks are followed.
+    /// Those of `links` alone, small enough to stay in the processor's cache while tracks are
+    /// followed.
     points2d: Vec<&'m [Point2d]>,
     /// Number of track elements that disagreed with the lists.
     followed: AtomicUsize,
@@ -83,18 +90,34 @@ pub(super) struct ImageLists<'m> {
 
 impl<'m> ImageLists<'m> {
     pub(super) fn new(images: &'m [ColmapImage<'m>], view_of_image: &'m ImageIds) -> Self {
-        let links = images.iter().map(|image| Links { image, by_point: OnceLock::new() }).collect();
+        let links = images
+            .iter()
+            .map(|image| Links {
+                image,
+                by_point: OnceLock::new(),
+            })
+            .collect();
         let points2d = images.iter().map(|image| &*image.points2d).collect();
-        Self { view_of_image, links, points2d, followed: AtomicUsize::new(0) }
+        Self {
+            view_of_image,
+            links,
+            points2d,
+            followed: AtomicUsize::new(0),
+        }
     }
 
-    /// Prefetches the 2D points of some points, which are scattered over the file: in a loop without other work the processor overlaps the cache
-    /// misses. That saves more than half of the reading time.
+    /// Prefetches the 2D points of some points, which are scattered over the file: in a loop
+    /// without other work the processor overlaps the cache misses. That saves more than half of the
+    /// reading time.
     fn warm(&self, points: &[ColmapPoint]) {
         let mut seen = 0;
         for element in points.iter().flat_map(|point| point.track.iter()) {
-            let Some(image_view) = self.view_of_image.get(element.image()) else { continue };
-            if let Some(point2d) = self.points2d[image_view.position as usize].get(element.index() as usize) {
+            let Some(image_view) = self.view_of_image.get(element.image()) else {
+                continue;
+            };
+            if let Some(point2d) =
+                self.points2d[image_view.position as usize].get(element.index() as usize)
+            {
                 seen ^= point2d.x[0] ^ point2d.point[7];
             }
         }
@@ -114,9 +137,17 @@ impl<'m> ImageLists<'m> {
 }
 
 impl ImageLists<'_> {
-    /// Number of 2D points that refer to a sparse point whose track lacks them; COLMAP counts them, but they have no effect.
+    /// Number of 2D points that refer to a sparse point whose track lacks them; COLMAP counts them,
+    /// but they have no effect.
     pub(super) fn unanswered(&self, elements: usize) -> Option<ModelWarning> {
-        let linked = |links: &Links| links.image.points2d.iter().filter(|p| p.point().is_some()).count();
+        let linked = |links: &Links| {
+            links
+                .image
+                .points2d
+                .iter()
+                .filter(|p| p.point().is_some())
+                .count()
+        };
         let linked: usize = self.links.par_iter().map(linked).sum();
         linked.checked_sub(elements).filter(|unanswered| *unanswered > 0).map(|unanswered| {
             let text = format!(
@@ -139,7 +170,9 @@ impl<'m> Links<'m> {
     fn nth(&self, point: u64, n: usize) -> Option<(u32, &'m Point2d)> {
         let by_point = self.by_point.get_or_init(|| {
             let linked = self.image.points2d.iter().enumerate();
-            let mut linked: Vec<_> = linked.filter_map(|(i, p)| p.point().map(|id| (id, i as u32))).collect();
+            let mut linked: Vec<_> = linked
+                .filter_map(|(i, p)| p.point().map(|id| (id, i as u32)))
+                .collect();
             linked.sort_unstable();
             linked
         });
@@ -150,12 +183,19 @@ impl<'m> Links<'m> {
 }
 
 impl ColmapModel<'_> {
-    /// Computes the views and pixels of all observations; parts of the arrays are filled in parallel.
+    /// Computes the views and pixels of all observations; parts of the arrays are filled in
+    /// parallel.
     pub(super) fn tracks(&self, lists: &ImageLists) -> Result<Tracks, Fault> {
-        let lengths: Vec<usize> = self.points.par_iter().map(|point| point.track.len()).collect();
+        let lengths: Vec<usize> = self
+            .points
+            .par_iter()
+            .map(|point| point.track.len())
+            .collect();
         let mut offsets = Vec::with_capacity(self.points.len() + 1);
         offsets.push(0);
-        lengths.iter().for_each(|length| offsets.push(offsets[offsets.len() - 1] + length));
+        lengths
+            .iter()
+            .for_each(|length| offsets.push(offsets[offsets.len() - 1] + length));
         let total = offsets[self.points.len()];
         let (mut views, mut pixels) = (large_pages::zeroed(total), large_pages::zeroed(total));
         let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
@@ -171,7 +211,11 @@ impl ColmapModel<'_> {
         let results: Vec<Result<(), Fault>> = pieces.into_par_iter().map(fill).collect();
         // The first fault in file order, independent of the threads.
         results.into_iter().collect::<Result<(), Fault>>()?;
-        Ok(Tracks { offsets, views, pixels })
+        Ok(Tracks {
+            offsets,
+            views,
+            pixels,
+        })
     }
 }
 
@@ -204,23 +248,35 @@ impl ColmapPoint<'_> {
         lists: &ImageLists<'m>,
         mut each: impl FnMut(ImageView, u32, &'m Point2d) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
-        // Number of elements per image among the first `counted` of this track; counting continues only when an index must be found.
+        // Number of elements per image among the first `counted` of this track; counting continues
+        // only when an index must be found.
         let (mut counts, mut counted) = (HashMap::<u32, usize>::new(), 0);
         for (n, element) in self.track.iter().enumerate() {
-            let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
-            let image_view = lists.view_of_image.get(element.image()).ok_or_else(absent)?;
+            let absent = || {
+                self.fault(Problem::Absent {
+                    what: "image",
+                    id: element.image().into(),
+                })
+            };
+            let image_view = lists
+                .view_of_image
+                .get(element.image())
+                .ok_or_else(absent)?;
             let named = lists.points2d[image_view.position as usize].get(element.index() as usize);
             match named {
                 Some(point2d) if point2d.point().is_none_or(|id| id == self.id) => {
                     each(image_view, element.index(), point2d)?;
                 }
                 _ => {
-                    self.track[counted..n].iter().for_each(|e| *counts.entry(e.image()).or_default() += 1);
+                    self.track[counted..n]
+                        .iter()
+                        .for_each(|e| *counts.entry(e.image()).or_default() += 1);
                     counted = n;
                     let before = counts.get(&element.image()).copied().unwrap_or(0);
                     let links = &lists.links[image_view.position as usize];
-                    let (index, point2d) =
-                        links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?;
+                    let (index, point2d) = links
+                        .nth(self.id, before)
+                        .ok_or_else(|| self.wrong_index(element, named))?;
                     lists.followed.fetch_add(1, Ordering::Relaxed);
                     each(image_view, index, point2d)?;
                 }
@@ -230,7 +286,11 @@ impl ColmapPoint<'_> {
     }
 
     /// Computes view and pixel of each element of the track, sorted by view.
-    fn observations(&self, lists: &ImageLists, observations: &mut Vec<(ViewIndex, [f64; 2])>) -> Result<(), Fault> {
+    fn observations(
+        &self,
+        lists: &ImageLists,
+        observations: &mut Vec<(ViewIndex, [f64; 2])>,
+    ) -> Result<(), Fault> {
         observations.clear();
         if !self.xyz.iter().all(|v| v.is_finite()) {
             return Err(self.fault(Problem::NotFinite("the position")));
@@ -253,6 +313,10 @@ impl ColmapPoint<'_> {
             Some(other) => format!("which observes point {other}"),
             None => "which has no such 2D point".into(),
         };
-        self.fault(Problem::TrackIndex { image: element.image(), index: element.index(), why })
+        self.fault(Problem::TrackIndex {
+            image: element.image(),
+            index: element.index(),
+            why,
+        })
     }
 }

@@ -1,5 +1,6 @@
-//! COLMAP's text model files (`cameras.txt`, `images.txt`, `points3D.txt`; since 4.0 `rigs.txt`, `frames.txt`): one line
-//! per record, two lines per image, fields separated by blanks; lines that begin with `#` are comments.
+//! COLMAP's text model files (`cameras.txt`, `images.txt`, `points3D.txt`; since 4.0 `rigs.txt`,
+//! `frames.txt`): one line per record, two lines per image, fields separated by blanks; lines that
+//! begin with `#` are comments.
 //!
 //! An image name is the rest of its line, including blanks; COLMAP itself stops at the first blank.
 
@@ -12,13 +13,17 @@ pub use write::write;
 use std::{borrow::Cow, collections::BTreeSet, str::FromStr};
 
 use nom::{
-    IResult, Parser, bytes::complete::take_till1, character::complete::space0, combinator::map_res, sequence::preceded,
+    IResult, Parser, bytes::complete::take_till1, character::complete::space0, combinator::map_res,
+    sequence::preceded,
 };
 use rayon::prelude::*;
 
 use super::{
     Bytes, Fault, Place, Problem,
-    colmap::{ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose, TrackElement},
+    colmap::{
+        ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose,
+        TrackElement,
+    },
 };
 use crate::model::{
     camera::{Camera, CameraModel},
@@ -33,7 +38,10 @@ pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
         images: images(bytes.images, &mut warnings)?,
         points: records("points3D", bytes.points3d, point)?,
         rigs: bytes.rigs.map(|b| records("rigs", b, rig)).transpose()?,
-        frames: bytes.frames.map(|b| records("frames", b, frame)).transpose()?,
+        frames: bytes
+            .frames
+            .map(|b| records("frames", b, frame))
+            .transpose()?,
         warnings,
     })
 }
@@ -51,7 +59,11 @@ fn lines<'a>(file: &'static str, bytes: &'a [u8]) -> impl Iterator<Item = Line<'
     // An empty rest after the last line end is not a line.
     let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);
     let lines = bytes.split(|&b| b == b'\n').zip(1..);
-    lines.map(move |(line, number)| Line { file, number, rest: line.trim_ascii() })
+    lines.map(move |(line, number)| Line {
+        file,
+        number,
+        rest: line.trim_ascii(),
+    })
 }
 
 impl<'a> Line<'a> {
@@ -107,7 +119,11 @@ impl<'a> Line<'a> {
 
     /// Checks that the line ends here.
     fn end<T>(&self, value: T) -> Result<T, Fault> {
-        if self.at_end() { Ok(value) } else { Err(self.unexpected("the end of the line")) }
+        if self.at_end() {
+            Ok(value)
+        } else {
+            Err(self.unexpected("the end of the line"))
+        }
     }
 }
 
@@ -116,8 +132,12 @@ fn token(input: &[u8]) -> IResult<&[u8], &[u8]> {
 }
 
 fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
-    map_res(token, |token| std::str::from_utf8(token).map_err(drop).and_then(|text| text.parse().map_err(drop)))
-        .parse(input)
+    map_res(token, |token| {
+        std::str::from_utf8(token)
+            .map_err(drop)
+            .and_then(|text| text.parse().map_err(drop))
+    })
+    .parse(input)
 }
 
 /// Lines parsed at once: a file may be nothing but short lines that are no records.
@@ -154,7 +174,8 @@ fn camera(mut line: Line) -> Result<Camera, Fault> {
     let id = line.number("a camera id")?;
     let name = line.parse("a camera model", token)?;
     let name = String::from_utf8_lossy(name);
-    let model = CameraModel::from_name(&name).ok_or_else(|| line.fault(Problem::CameraModel(name.into_owned())))?;
+    let model = CameraModel::from_name(&name)
+        .ok_or_else(|| line.fault(Problem::CameraModel(name.into_owned())))?;
     let width = line.number("the width of the image")?;
     let height = line.number("the height of the image")?;
     let mut params = Vec::new();
@@ -164,7 +185,8 @@ fn camera(mut line: Line) -> Result<Camera, Fault> {
     Camera::new(id, model, width, height, params).map_err(|error| line.fault(error.into()))
 }
 
-/// Pairs the two lines of each image. The second may be empty, so blank lines and comments are not skipped before it.
+/// Pairs the two lines of each image. The second may be empty, so blank lines and comments are not
+/// skipped before it.
 fn image_lines(bytes: &[u8]) -> impl Iterator<Item = (Line<'_>, Option<Line<'_>>)> {
     let mut lines = lines("images", bytes);
     std::iter::from_fn(move || {
@@ -180,13 +202,21 @@ pub fn count_images(bytes: &[u8]) -> u64 {
 
 /// Reads the names of the images in `images.txt`.
 pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
-    image_lines(images).map(|(head, _)| Ok(image(head, None)?.name.into_owned())).collect()
+    image_lines(images)
+        .map(|(head, _)| Ok(image(head, None)?.name.into_owned()))
+        .collect()
 }
 
-fn images<'a>(bytes: &'a [u8], warnings: &mut Vec<ModelWarning>) -> Result<Vec<ColmapImage<'a>>, Fault> {
+fn images<'a>(
+    bytes: &'a [u8],
+    warnings: &mut Vec<ModelWarning>,
+) -> Result<Vec<ColmapImage<'a>>, Fault> {
     let images = in_batches(image_lines(bytes), |(head, points)| image(head, points))?;
     if let Some((head, None)) = image_lines(bytes).last() {
-        let text = format!("images.txt, line {}: the last image has no line of 2D points", head.number);
+        let text = format!(
+            "images.txt, line {}: the last image has no line of 2D points",
+            head.number
+        );
         warnings.push(ModelWarning::new(WarningKind::Damaged, text));
     }
     Ok(images)
@@ -200,11 +230,22 @@ fn image<'a>(mut line: Line<'a>, points: Option<Line<'a>>) -> Result<ColmapImage
     let name = line.rest.trim_ascii_start();
     let name = std::str::from_utf8(name).map_err(|_| {
         let name = String::from_utf8_lossy(name).into_owned();
-        line.fault(Problem::Name { name, why: "is not UTF-8" })
+        line.fault(Problem::Name {
+            name,
+            why: "is not UTF-8",
+        })
     })?;
-    let points2d =
-        points.map_or(Ok(Vec::new()), points2d).map_err(|f| f.in_record(|| format!("image {id}, {name:?}")))?;
-    Ok(ColmapImage { id, cam_from_world, camera_id, name: Cow::Borrowed(name), points2d: Cow::Owned(points2d), at })
+    let points2d = points
+        .map_or(Ok(Vec::new()), points2d)
+        .map_err(|f| f.in_record(|| format!("image {id}, {name:?}")))?;
+    Ok(ColmapImage {
+        id,
+        cam_from_world,
+        camera_id,
+        name: Cow::Borrowed(name),
+        points2d: Cow::Owned(points2d),
+        at,
+    })
 }
 
 fn points2d(mut line: Line) -> Result<Vec<Point2d>, Fault> {
@@ -228,7 +269,10 @@ fn points2d(mut line: Line) -> Result<Vec<Point2d>, Fault> {
 fn pose(line: &mut Line) -> Result<StoredPose, Fault> {
     let quaternion = line.numbers("a quaternion")?;
     let translation = line.numbers("a translation")?;
-    Ok(StoredPose { quaternion, translation })
+    Ok(StoredPose {
+        quaternion,
+        translation,
+    })
 }
 
 fn point(mut line: Line) -> Result<ColmapPoint<'static>, Fault> {
@@ -247,7 +291,14 @@ fn point(mut line: Line) -> Result<ColmapPoint<'static>, Fault> {
         track.push(TrackElement::new(image, index));
     }
     track.shrink_to_fit();
-    Ok(ColmapPoint { id, xyz, colour, error, track: Cow::Owned(track), at })
+    Ok(ColmapPoint {
+        id,
+        xyz,
+        colour,
+        error,
+        track: Cow::Owned(track),
+        at,
+    })
 }
 
 fn sensor(line: &mut Line) -> Result<Sensor, Fault> {
@@ -257,7 +308,10 @@ fn sensor(line: &mut Line) -> Result<Sensor, Fault> {
         b"IMU" => Sensor::IMU,
         _ => return Err(before.unexpected("CAMERA or IMU")),
     };
-    Ok(Sensor { kind, id: line.number("a sensor id")? })
+    Ok(Sensor {
+        kind,
+        id: line.number("a sensor id")?,
+    })
 }
 
 fn rig(mut line: Line) -> Result<Rig, Fault> {
@@ -285,7 +339,16 @@ fn frame(mut line: Line) -> Result<Frame, Fault> {
     let count: u64 = line.number("the number of data ids")?;
     let mut data = Vec::new();
     for _ in 0..count {
-        data.push(FrameData { sensor: sensor(&mut line)?, id: line.number("a data id")? });
+        data.push(FrameData {
+            sensor: sensor(&mut line)?,
+            id: line.number("a data id")?,
+        });
     }
-    line.end(Frame { id, rig_id, rig_from_world, data, at })
+    line.end(Frame {
+        id,
+        rig_id,
+        rig_from_world,
+        data,
+        at,
+    })
 }

@@ -10,12 +10,26 @@ use crate::{
 
 /// Text files of a model. Image names with blanks are refused, since COLMAP cannot read them.
 pub fn write(model: &ColmapModel) -> Result<Vec<(&'static str, Vec<u8>)>, Problem> {
-    if let Some(image) = model.images.iter().find(|image| image.name.contains(char::is_whitespace)) {
+    if let Some(image) = model
+        .images
+        .iter()
+        .find(|image| image.name.contains(char::is_whitespace))
+    {
         let why = "contains a blank, which COLMAP's text models don't support";
-        return Err(Problem::Name { name: image.name.clone().into_owned(), why });
+        return Err(Problem::Name {
+            name: image.name.clone().into_owned(),
+            why,
+        });
     }
     let mut files = vec![
-        ("cameras.txt", file("CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", &model.cameras, write_camera)),
+        (
+            "cameras.txt",
+            file(
+                "CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
+                &model.cameras,
+                write_camera,
+            ),
+        ),
         (
             "images.txt",
             file(
@@ -26,7 +40,11 @@ pub fn write(model: &ColmapModel) -> Result<Vec<(&'static str, Vec<u8>)>, Proble
         ),
         (
             "points3D.txt",
-            file("POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)", &model.points, write_point),
+            file(
+                "POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)",
+                &model.points,
+                write_point,
+            ),
         ),
     ];
     if let Some(rigs) = &model.rigs {
@@ -38,7 +56,11 @@ pub fn write(model: &ColmapModel) -> Result<Vec<(&'static str, Vec<u8>)>, Proble
     Ok(files)
 }
 
-fn file<T>(columns: &str, records: &[T], write: impl Fn(&mut String, &T) -> std::fmt::Result) -> Vec<u8> {
+fn file<T>(
+    columns: &str,
+    records: &[T],
+    write: impl Fn(&mut String, &T) -> std::fmt::Result,
+) -> Vec<u8> {
     let mut text = format!("# {columns}\n");
     for record in records {
         // Writing to a string cannot fail.
@@ -49,7 +71,9 @@ fn file<T>(columns: &str, records: &[T], write: impl Fn(&mut String, &T) -> std:
 }
 
 fn write_numbers(text: &mut String, numbers: &[f64]) -> std::fmt::Result {
-    numbers.iter().try_for_each(|number| write!(text, " {number}"))
+    numbers
+        .iter()
+        .try_for_each(|number| write!(text, " {number}"))
 }
 
 fn write_pose(text: &mut String, pose: &StoredPose) -> std::fmt::Result {
@@ -58,7 +82,14 @@ fn write_pose(text: &mut String, pose: &StoredPose) -> std::fmt::Result {
 }
 
 fn write_camera(text: &mut String, camera: &Camera) -> std::fmt::Result {
-    write!(text, "{} {} {} {}", camera.id, camera.model().name(), camera.width, camera.height)?;
+    write!(
+        text,
+        "{} {} {} {}",
+        camera.id,
+        camera.model().name(),
+        camera.width,
+        camera.height
+    )?;
     write_numbers(text, camera.params())
 }
 
@@ -81,11 +112,18 @@ fn write_point(text: &mut String, point: &ColmapPoint) -> std::fmt::Result {
     let [x, y, z] = point.xyz;
     let [r, g, b] = point.colour;
     write!(text, "{} {x} {y} {z} {r} {g} {b} {}", point.id, point.error)?;
-    point.track.iter().try_for_each(|e| write!(text, " {} {}", e.image(), e.index()))
+    point
+        .track
+        .iter()
+        .try_for_each(|e| write!(text, " {} {}", e.image(), e.index()))
 }
 
 fn write_sensor(text: &mut String, sensor: &Sensor) -> std::fmt::Result {
-    let kind = if sensor.kind == Sensor::CAMERA { "CAMERA" } else { "IMU" };
+    let kind = if sensor.kind == Sensor::CAMERA {
+        "CAMERA"
+    } else {
+        "IMU"
+    };
     write!(text, " {kind} {}", sensor.id)
 }
 

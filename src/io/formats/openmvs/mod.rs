@@ -1,6 +1,8 @@
-//! OpenMVS's `scene.mvs` in its interface form ("MVSI", versions 1 to 7), defined in libs/MVS/Interface.h.
+//! OpenMVS's `scene.mvs` in its interface form ("MVSI", versions 1 to 7), defined in
+//! libs/MVS/Interface.h.
 //!
-//! Little-endian, no padding; `str` = u64 length and bytes, `arr(T)` = u64 count and elements, matrices f64 row-major:
+//! Little-endian, no padding; `str` = u64 length and bytes, `arr(T)` = u64 count and elements,
+//! matrices f64 row-major:
 //!
 //! ```text
 //! header    "MVSI"  u32 version  u32 0
@@ -16,8 +18,8 @@
 //! line      f32[3] f32[3] arr(view)     normal := f32[3]     colour := u8[3] blue green red
 //! ```
 //!
-//! Pixel centres are integers: cx is COLMAP's minus 0.5. World to camera: `x = R (X - C)`; a camera's R and C are relative to its
-//! platform's pose. The file has no measured pixels.
+//! Pixel centres are integers: cx is COLMAP's minus 0.5. World to camera: `x = R (X - C)`; a
+//! camera's R and C are relative to its platform's pose. The file has no measured pixels.
 
 mod read;
 mod scene;
@@ -85,7 +87,8 @@ pub struct Image {
     pub camera: u32,
     /// [`NO_POSE`] if uncalibrated.
     pub pose: u32,
-    /// Number in the name of the depth map; the index of the image if the file has none (before version 3, or [`NO_ID`]).
+    /// Number in the name of the depth map; the index of the image if the file has none (before
+    /// version 3, or [`NO_ID`]).
     pub id: u32,
     /// Minimum, mean and maximum depth.
     pub depths: [f32; 3],
@@ -151,8 +154,22 @@ impl Default for Mvs {
 impl Mvs {
     /// Returns a copy with cameras and images only.
     pub fn without_points(self) -> Self {
-        let Self { version, platforms, images, transform, region, .. } = self;
-        Self { version, platforms, images, transform, region, ..Self::default() }
+        let Self {
+            version,
+            platforms,
+            images,
+            transform,
+            region,
+            ..
+        } = self;
+        Self {
+            version,
+            platforms,
+            images,
+            transform,
+            region,
+            ..Self::default()
+        }
     }
 }
 
@@ -165,9 +182,27 @@ mod tests {
 
     /// One camera, and three images that all observe four points.
     fn small(version: u32) -> Mvs {
-        let camera = Camera { name: b"c".into(), width: 4, height: 3, k: [1.0; 9], ..Camera::default() };
-        let poses = (0..3).map(|i| Pose { r: [f64::from(i); 9], c: [0.5; 3] }).collect();
-        let score = |index| ViewScore { index, points: 9, scale: 1.0, angle: 0.2, area: 0.5, score: 3.0 };
+        let camera = Camera {
+            name: b"c".into(),
+            width: 4,
+            height: 3,
+            k: [1.0; 9],
+            ..Camera::default()
+        };
+        let poses = (0..3)
+            .map(|i| Pose {
+                r: [f64::from(i); 9],
+                c: [0.5; 3],
+            })
+            .collect();
+        let score = |index| ViewScore {
+            index,
+            points: 9,
+            scale: 1.0,
+            angle: 0.2,
+            area: 0.5,
+            score: 3.0,
+        };
         let image = |i: u32| Image {
             name: format!("images/{i}.jpg").into_bytes(),
             mask: Vec::new(),
@@ -175,15 +210,37 @@ mod tests {
             camera: 0,
             pose: i,
             id: if version > 2 { 40 + i } else { i },
-            depths: if version > 6 { [1.0, 2.0, 3.0] } else { [0.0; 3] },
-            view_scores: if version > 6 { vec![score((i + 1) % 3), score((i + 2) % 3)] } else { Vec::new() },
+            depths: if version > 6 {
+                [1.0, 2.0, 3.0]
+            } else {
+                [0.0; 3]
+            },
+            view_scores: if version > 6 {
+                vec![score((i + 1) % 3), score((i + 2) % 3)]
+            } else {
+                Vec::new()
+            },
         };
-        let views = (0..3).map(|image| VertexView { image, confidence: 1.0 }).collect::<Vec<_>>();
+        let views = (0..3)
+            .map(|image| VertexView {
+                image,
+                confidence: 1.0,
+            })
+            .collect::<Vec<_>>();
         Mvs {
             version,
-            platforms: vec![Platform { name: Vec::new(), cameras: vec![camera], poses }],
+            platforms: vec![Platform {
+                name: Vec::new(),
+                cameras: vec![camera],
+                poses,
+            }],
             images: (0..3).map(image).collect(),
-            vertices: (0..4).map(|i| Vertex { x: [i as f32; 3], views: views.clone() }).collect(),
+            vertices: (0..4)
+                .map(|i| Vertex {
+                    x: [i as f32; 3],
+                    views: views.clone(),
+                })
+                .collect(),
             colours: vec![[1, 2, 3]; 4],
             ..Mvs::default()
         }
@@ -205,8 +262,17 @@ mod tests {
         for version in 1..=NEWEST {
             let mut scene = small(version);
             (scene.images[0].id, scene.images[2].id) = (NO_ID, NO_ID);
-            let ids: Vec<u32> = Mvs::read(&scene.write()).unwrap().images.iter().map(|image| image.id).collect();
-            assert_eq!(ids, [0, if version > 2 { 41 } else { 1 }, 2], "version {version}");
+            let ids: Vec<u32> = Mvs::read(&scene.write())
+                .unwrap()
+                .images
+                .iter()
+                .map(|image| image.id)
+                .collect();
+            assert_eq!(
+                ids,
+                [0, if version > 2 { 41 } else { 1 }, 2],
+                "version {version}"
+            );
         }
     }
 
@@ -224,7 +290,10 @@ mod tests {
         for length in 0..bytes.len() {
             assert!(Mvs::read(&bytes[..length]).is_err(), "{length} bytes");
         }
-        assert!(Mvs::read(&[&bytes[..], &[0]].concat()).is_err_and(|e| e.to_string().contains("1 bytes follow")));
+        assert!(
+            Mvs::read(&[&bytes[..], &[0]].concat())
+                .is_err_and(|e| e.to_string().contains("1 bytes follow"))
+        );
     }
 
     #[test]
@@ -238,8 +307,15 @@ mod tests {
     fn a_huge_count_allocates_nothing() {
         let mut bytes = b"MVSI\x07\0\0\0\0\0\0\0".to_vec();
         bytes.extend_from_slice(&(1u64 << 60).to_le_bytes());
-        let problem = Problem::Count { what: "platforms", count: 1 << 60, room: 0 };
-        assert_eq!(Mvs::read(&bytes), Err(Fault::new("", Place::Byte(20), problem)));
+        let problem = Problem::Count {
+            what: "platforms",
+            count: 1 << 60,
+            room: 0,
+        };
+        assert_eq!(
+            Mvs::read(&bytes),
+            Err(Fault::new("", Place::Byte(20), problem))
+        );
     }
 
     #[test]

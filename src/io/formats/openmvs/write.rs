@@ -5,7 +5,10 @@ use super::{Camera, Image, Mvs, Platform, VertexView};
 impl Mvs {
     /// Serialises the scene in the form of `version`.
     pub fn write(&self) -> Vec<u8> {
-        let mut w = Writer { bytes: b"MVSI".to_vec(), version: self.version };
+        let mut w = Writer {
+            bytes: b"MVSI".to_vec(),
+            version: self.version,
+        };
         w.u32(self.version);
         w.u32(0);
         w.list(&self.platforms, Writer::platform);
@@ -43,20 +46,26 @@ impl Writer {
     }
 
     fn f32s(&mut self, values: &[f32]) {
-        values.iter().for_each(|v| self.bytes.extend_from_slice(&v.to_le_bytes()));
+        values
+            .iter()
+            .for_each(|v| self.bytes.extend_from_slice(&v.to_le_bytes()));
     }
 
     fn f64s(&mut self, values: &[f64]) {
-        values.iter().for_each(|v| self.bytes.extend_from_slice(&v.to_le_bytes()));
+        values
+            .iter()
+            .for_each(|v| self.bytes.extend_from_slice(&v.to_le_bytes()));
     }
 
     fn text(&mut self, text: &[u8]) {
-        self.bytes.extend_from_slice(&(text.len() as u64).to_le_bytes());
+        self.bytes
+            .extend_from_slice(&(text.len() as u64).to_le_bytes());
         self.bytes.extend_from_slice(text);
     }
 
     fn list<T>(&mut self, list: &[T], element: impl Fn(&mut Self, &T)) {
-        self.bytes.extend_from_slice(&(list.len() as u64).to_le_bytes());
+        self.bytes
+            .extend_from_slice(&(list.len() as u64).to_le_bytes());
         list.iter().for_each(|e| element(self, e));
     }
 

@@ -1,4 +1,5 @@
-//! Cache of the agreement table: a plan reads no picture that an earlier plan compared on the same surface, with the same cameras and candidates.
+//! Cache of the agreement table: a plan reads no picture that an earlier plan compared on the same
+//! surface, with the same cameras and candidates.
 //!
 //! The file's facts are the views without a picture, and its contents the values, 1 byte each.
 
@@ -15,8 +16,9 @@ use crate::{
 /// Path of the cache in its project.
 const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 
-/// Raised when the same input gives another table: by other samples, another comparison, or another rule of a program's reach. Not the version of the
-/// program: comparing takes longer than all the rest.
+/// Raised when the same input gives another table: by other samples, another comparison, or another
+/// rule of a program's reach. Not the version of the program: comparing takes longer than all the
+/// rest.
 const VERSION: &str = "agreement 7";
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
@@ -66,7 +68,9 @@ fn inputs<'p>(
     for view in geometry.scene.view_indices() {
         let partners = partners_of(view);
         hasher.update(&partners.len().to_le_bytes());
-        partners.iter().for_each(|partner| _ = hasher.update(&partner.0.to_le_bytes()));
+        partners
+            .iter()
+            .for_each(|partner| _ = hasher.update(&partner.0.to_le_bytes()));
         let files = pictures.stamps(geometry.scene.name(view))?;
         hasher.update(&serde_json::to_vec(&files).ok()?);
     }
@@ -79,10 +83,14 @@ pub(super) fn read<'p>(
     geometry: &Geometry,
     partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
 ) -> Result<Option<Cached>, DiskError> {
-    let Some(mut open) = file.open::<Facts>() else { return Ok(None) };
+    let Some(mut open) = file.open::<Facts>() else {
+        return Ok(None);
+    };
     let mut without = vec![false; geometry.scene.views.len()];
     for &view in &open.facts.without {
-        let Some(without) = without.get_mut(view as usize) else { return Ok(None) };
+        let Some(without) = without.get_mut(view as usize) else {
+            return Ok(None);
+        };
         *without = true;
     }
     let mut left = Agreement::laid_out(geometry, partners_of, &without).len();
@@ -96,32 +104,69 @@ pub(super) fn read<'p>(
         values.extend(block)?;
         left -= block.len();
     }
-    let Some(Facts { rejected, warnings, .. }) = open.checked() else { return Ok(None) };
+    let Some(Facts {
+        rejected, warnings, ..
+    }) = open.checked()
+    else {
+        return Ok(None);
+    };
     let is_without = |view: &ViewIndex| without.get(view.index()).is_some_and(|&without| without);
     if !rejected.is_sorted_by(|a, b| a < b) || !rejected.iter().all(is_without) {
         return Ok(None);
     }
-    Ok(Some(Cached { without, rejected, warnings, values: values.finish()? }))
+    Ok(Some(Cached {
+        without,
+        rejected,
+        warnings,
+        values: values.finish()?,
+    }))
 }
 
 /// The sparse points and who observes them, which the reach of a program follows from.
 fn hash_points(hasher: &mut blake3::Hasher, scene: &Scene) {
-    scene.points.iter().flat_map(|point| point.coords.as_slice()).for_each(|x| _ = hasher.update(&x.to_le_bytes()));
-    scene.track_offsets.iter().for_each(|offset| _ = hasher.update(&(*offset as u64).to_le_bytes()));
-    scene.track_views.iter().for_each(|view| _ = hasher.update(&view.0.to_le_bytes()));
+    scene
+        .points
+        .iter()
+        .flat_map(|point| point.coords.as_slice())
+        .for_each(|x| _ = hasher.update(&x.to_le_bytes()));
+    scene
+        .track_offsets
+        .iter()
+        .for_each(|offset| _ = hasher.update(&(*offset as u64).to_le_bytes()));
+    scene
+        .track_views
+        .iter()
+        .for_each(|view| _ = hasher.update(&view.0.to_le_bytes()));
 }
 
 /// Surface, visibility, cameras, poses and the size of samples.
 fn hash_geometry(hasher: &mut blake3::Hasher, geometry: &Geometry) {
-    let Geometry { scene, surface, visibility, image_scale, .. } = *geometry;
-    let mut add = |numbers: &[f64]| numbers.iter().for_each(|x| _ = hasher.update(&x.to_le_bytes()));
+    let Geometry {
+        scene,
+        surface,
+        visibility,
+        image_scale,
+        ..
+    } = *geometry;
+    let mut add = |numbers: &[f64]| {
+        numbers
+            .iter()
+            .for_each(|x| _ = hasher.update(&x.to_le_bytes()))
+    };
     add(&[SPACING, image_scale, surface.vertices.len() as f64]);
-    surface.vertices.iter().for_each(|vertex| add(vertex.coords.as_slice()));
+    surface
+        .vertices
+        .iter()
+        .for_each(|vertex| add(vertex.coords.as_slice()));
     for view in scene.view_indices() {
         let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
         add(pose.rotation.matrix().as_slice());
         add(pose.translation.as_slice());
-        add(&[f64::from(camera.width), f64::from(camera.height), camera.params().len() as f64]);
+        add(&[
+            f64::from(camera.width),
+            f64::from(camera.height),
+            camera.params().len() as f64,
+        ]);
         add(camera.params());
         add(&[visibility.triangles_seen_by(view).len() as f64]);
     }
@@ -146,7 +191,8 @@ mod tests {
         let (mut town, pictures) = (town(), Pictures::of(folder.path(), None));
         let fingerprint = |town: &SeenTown, partner: u32| {
             let partners = [ViewIndex(partner)];
-            inputs(&town.geometry(1.0), &pictures, |_| &partners, None).map(|hasher| hasher.finalize())
+            inputs(&town.geometry(1.0), &pictures, |_| &partners, None)
+                .map(|hasher| hasher.finalize())
         };
         let first = fingerprint(&town, 7);
         assert!(first.is_some());

@@ -20,7 +20,11 @@ const LEAST_SIDE: usize = 16;
 impl Grey {
     /// Builds the pyramid of `pixels`: width x height grey levels, row by row.
     pub fn new(width: usize, height: usize, pixels: Vec<u8>) -> Self {
-        let mut levels = vec![Level { width, height, pixels }];
+        let mut levels = vec![Level {
+            width,
+            height,
+            pixels,
+        }];
         while let Some(half) = levels.last().and_then(Level::halved) {
             levels.push(half);
         }
@@ -36,8 +40,9 @@ impl Grey {
         self.levels.len()
     }
 
-    /// Samples a level bilinearly on a grid of `N x N` around `centre`, with the steps `right` and `down`; all in pixels of the largest level, whose first
-    /// pixel has its centre at (0.5, 0.5). `None` if the grid leaves the picture.
+    /// Samples a level bilinearly on a grid of `N x N` around `centre`, with the steps `right` and
+    /// `down`; all in pixels of the largest level, whose first pixel has its centre at (0.5, 0.5).
+    /// `None` if the grid leaves the picture.
     pub fn sample<const N: usize>(
         &self,
         level: usize,
@@ -45,7 +50,11 @@ impl Grey {
         right: [f32; 2],
         down: [f32; 2],
     ) -> Option<[[f32; N]; N]> {
-        let Level { width, height, ref pixels } = self.levels[level];
+        let Level {
+            width,
+            height,
+            ref pixels,
+        } = self.levels[level];
         let scale = 1.0 / (1u32 << level) as f32;
         let middle = (N - 1) as f32 / 2.0;
         let [centre, right, down] = [centre, right, down].map(|v| v.map(|x| x * scale));
@@ -68,7 +77,9 @@ impl Grey {
                 let (fx, fy) = (x - column as f32, y - row as f32);
                 let upper = &pixels[row * width + column..][..2];
                 let lower = &pixels[(row + 1) * width + column..][..2];
-                let across = |pair: &[u8]| f32::from(pair[0]) + fx * (f32::from(pair[1]) - f32::from(pair[0]));
+                let across = |pair: &[u8]| {
+                    f32::from(pair[0]) + fx * (f32::from(pair[1]) - f32::from(pair[0]))
+                };
                 let (upper, lower) = (across(upper), across(lower));
                 *sample = upper + fy * (lower - upper);
             }
@@ -86,14 +97,20 @@ impl Level {
         }
         let mut pixels = Vec::with_capacity(width * height);
         for row in 0..height {
-            let [upper, lower] = [2 * row, 2 * row + 1].map(|row| &self.pixels[row * self.width..][..2 * width]);
+            let [upper, lower] =
+                [2 * row, 2 * row + 1].map(|row| &self.pixels[row * self.width..][..2 * width]);
             let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
             let mean = |(a, b): (&[u8], &[u8])| {
-                ((u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) / 4) as u8
+                ((u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) / 4)
+                    as u8
             };
             pixels.extend(pairs.map(mean));
         }
-        Some(Self { width, height, pixels })
+        Some(Self {
+            width,
+            height,
+            pixels,
+        })
     }
 }
 
@@ -104,17 +121,24 @@ mod tests {
     #[test]
     fn samples_of_a_ramp_lie_on_it_at_every_level() {
         // The centre of pixel (x, y) is at (x + 0.5, y + 0.5), where the ramp is x + 2 y.
-        let pixels = (0..64).flat_map(|y| (0..64).map(move |x| x + 2 * y)).collect();
+        let pixels = (0..64)
+            .flat_map(|y| (0..64).map(move |x| x + 2 * y))
+            .collect();
         let grey = Grey::new(64, 64, pixels);
         assert_eq!((grey.levels(), grey.size()), (3, [64, 64]));
         for level in 0..3 {
-            let samples = grey.sample::<3>(level, [32.0, 30.0], [2.0, 0.5], [-1.0, 3.0]).unwrap();
+            let samples = grey
+                .sample::<3>(level, [32.0, 30.0], [2.0, 0.5], [-1.0, 3.0])
+                .unwrap();
             for (i, line) in samples.iter().enumerate() {
                 for (j, sample) in line.iter().enumerate() {
                     let (a, b) = (j as f32 - 1.0, i as f32 - 1.0);
                     let (x, y) = (32.0 + 2.0 * a - b, 30.0 + 0.5 * a + 3.0 * b);
                     // A mean of four pixels is rounded to a whole number.
-                    assert!((sample - (x - 0.5 + 2.0 * (y - 0.5))).abs() < 0.01 + level as f32, "{level} {i} {j}");
+                    assert!(
+                        (sample - (x - 0.5 + 2.0 * (y - 0.5))).abs() < 0.01 + level as f32,
+                        "{level} {i} {j}"
+                    );
                 }
             }
         }
@@ -123,19 +147,49 @@ mod tests {
     #[test]
     fn a_grid_that_leaves_the_picture_has_no_samples() {
         let grey = Grey::new(20, 20, vec![7; 400]);
-        assert!(grey.sample::<7>(0, [3.6, 10.0], [1.0, 0.0], [0.0, 1.0]).is_some());
-        assert!(grey.sample::<7>(0, [3.4, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
-        assert!(grey.sample::<7>(0, [16.4, 16.4], [1.0, 0.0], [0.0, 1.0]).is_some());
-        assert!(grey.sample::<7>(0, [16.6, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
-        assert!(grey.sample::<7>(0, [10.0, 3.4], [1.0, 0.0], [0.0, 1.0]).is_none());
-        assert!(grey.sample::<7>(0, [10.0, 16.6], [1.0, 0.0], [0.0, 1.0]).is_none());
-        assert!(grey.sample::<7>(0, [f32::NAN, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
+        assert!(
+            grey.sample::<7>(0, [3.6, 10.0], [1.0, 0.0], [0.0, 1.0])
+                .is_some()
+        );
+        assert!(
+            grey.sample::<7>(0, [3.4, 10.0], [1.0, 0.0], [0.0, 1.0])
+                .is_none()
+        );
+        assert!(
+            grey.sample::<7>(0, [16.4, 16.4], [1.0, 0.0], [0.0, 1.0])
+                .is_some()
+        );
+        assert!(
+            grey.sample::<7>(0, [16.6, 10.0], [1.0, 0.0], [0.0, 1.0])
+                .is_none()
+        );
+        assert!(
+            grey.sample::<7>(0, [10.0, 3.4], [1.0, 0.0], [0.0, 1.0])
+                .is_none()
+        );
+        assert!(
+            grey.sample::<7>(0, [10.0, 16.6], [1.0, 0.0], [0.0, 1.0])
+                .is_none()
+        );
+        assert!(
+            grey.sample::<7>(0, [f32::NAN, 10.0], [1.0, 0.0], [0.0, 1.0])
+                .is_none()
+        );
     }
 
     #[test]
     fn means_are_rounded_to_the_nearest() {
         // Three of four pixels are 1.
-        let grey = Grey::new(32, 32, (0..32 * 32).map(|i| u8::from(i % 2 == 0 || i / 32 % 2 == 0)).collect());
-        assert_eq!(grey.sample::<3>(1, [16.0, 16.0], [2.0, 0.0], [0.0, 2.0]), Some([[1.0; 3]; 3]));
+        let grey = Grey::new(
+            32,
+            32,
+            (0..32 * 32)
+                .map(|i| u8::from(i % 2 == 0 || i / 32 % 2 == 0))
+                .collect(),
+        );
+        assert_eq!(
+            grey.sample::<3>(1, [16.0, 16.0], [2.0, 0.0], [0.0, 2.0]),
+            Some([[1.0; 3]; 3])
+        );
     }
 }

@@ -1,7 +1,9 @@
-//! Photometric confidence (method 7.4): agreement of the pictures on the surface, computed before anything is matched and without training.
+//! Photometric confidence (method 7.4): agreement of the pictures on the surface, computed before
+//! anything is matched and without training.
 //!
-//! Each view samples its picture at fixed positions of every triangle that it sees. Where the samples of two views correlate, a backend finds the match
-//! too; where they don't (no texture, leaves, gloss, a wrong surface), it does not.
+//! Each view samples its picture at fixed positions of every triangle that it sees. Where the
+//! samples of two views correlate, a backend finds the match too; where they don't (no texture,
+//! leaves, gloss, a wrong surface), it does not.
 
 mod cache;
 mod compare;
@@ -36,7 +38,8 @@ use crate::{
 pub struct Photometric {
     /// Where the pictures agree, 0 to 1.
     pub agree: f64,
-    /// Where they don't: matchers also search elsewhere along the ray, and smooth over, 0 to `agree`.
+    /// Where they don't: matchers also search elsewhere along the ray, and smooth over, 0 to
+    /// `agree`.
     pub differ: f64,
     /// Correlation from which the pictures count as in full agreement, above 0, at most 1.
     pub full_agreement: f64,
@@ -53,12 +56,14 @@ impl Photometric {
         }
     }
 
-    /// p_i of a pair at a triangle, 0 to 1: `differ + (agree - differ) min(correlation / full_agreement, 1)`; 0 if the program does not search there, or
-    /// the two pictures show no common patch.
+    /// p_i of a pair at a triangle, 0 to 1: `differ + (agree - differ) min(correlation /
+    /// full_agreement, 1)`; 0 if the program does not search there, or the two pictures show no
+    /// common patch.
     pub fn chance(&self, agreement: u8) -> f64 {
         match correlated(agreement) {
             Some(correlation) => {
-                self.differ + (self.agree - self.differ) * (correlation / self.full_agreement).min(1.0)
+                self.differ
+                    + (self.agree - self.differ) * (correlation / self.full_agreement).min(1.0)
             }
             None => 0.0,
         }
@@ -70,11 +75,15 @@ const STEPS: f32 = 254.0;
 
 /// 0: not visible in both; else 1 + the correlation in [`STEPS`], clamped at 0.
 fn packed(correlation: Option<f32>) -> u8 {
-    correlation.map_or(0, |correlation| 1 + (correlation.clamp(0.0, 1.0) * STEPS).round() as u8)
+    correlation.map_or(0, |correlation| {
+        1 + (correlation.clamp(0.0, 1.0) * STEPS).round() as u8
+    })
 }
 
 fn correlated(agreement: u8) -> Option<f64> {
-    agreement.checked_sub(1).map(|steps| f64::from(steps) / f64::from(STEPS))
+    agreement
+        .checked_sub(1)
+        .map(|steps| f64::from(steps) / f64::from(STEPS))
 }
 
 /// Agreement of pairs of pictures on each triangle that the key view sees.
@@ -87,9 +96,11 @@ pub struct Agreement {
     pub partners: Vec<ViewIndex>,
     /// By view: true if its picture was compared.
     compared: Vec<bool>,
-    /// By key view, then partner, then row of the key view: 0 if the pictures share no patch, else 1 + 254 times the correlation.
+    /// By key view, then partner, then row of the key view: 0 if the pictures share no patch, else
+    /// 1 + 254 times the correlation.
     pub values: Arc<Column<u8>>,
-    /// Views whose picture is damaged or has the wrong aspect ratio, ascending: neither key views nor partners. Empty if no pair was compared.
+    /// Views whose picture is damaged or has the wrong aspect ratio, ascending: neither key views
+    /// nor partners. Empty if no pair was compared.
     pub rejected: Vec<ViewIndex>,
     /// Warnings of unusable pictures.
     pub warnings: Vec<String>,
@@ -103,7 +114,8 @@ pub struct Agreement {
 pub enum PairAgreement<'a> {
     /// One value for each row of the key view.
     Compared(&'a [u8]),
-    /// Not compared, because the backend is not expected to match the pair; occurs only in clusters of other origin.
+    /// Not compared, because the backend is not expected to match the pair; occurs only in clusters
+    /// of other origin.
     NoCandidate,
     /// One of the two views has no usable picture.
     NoPicture,
@@ -111,7 +123,8 @@ pub enum PairAgreement<'a> {
 
 /// Returns the table of a plan that compares no pictures.
 #[cfg(test)]
-pub static NO_AGREEMENT: std::sync::LazyLock<Agreement> = std::sync::LazyLock::new(Agreement::default);
+pub static NO_AGREEMENT: std::sync::LazyLock<Agreement> =
+    std::sync::LazyLock::new(Agreement::default);
 
 /// What the program can match of each pair, by its own rule.
 pub struct ProgramReach<'a, 'r> {
@@ -126,13 +139,16 @@ pub type ReachOfPartner<'a> = Box<dyn Fn(ViewIndex) -> Reach + 'a>;
 
 impl ProgramReach<'_, '_> {
     /// Programs that match whatever two pictures show.
-    pub const EVERYTHING: ProgramReach<'static, 'static> =
-        ProgramReach { program: None, of_key_view: &|_| Box::new(|_| Reach::Everything) };
+    pub const EVERYTHING: ProgramReach<'static, 'static> = ProgramReach {
+        program: None,
+        of_key_view: &|_| Box::new(|_| Reach::Everything),
+    };
 }
 
 impl Agreement {
-    /// Compares the picture of each view with those of its partners, or reads the result of an earlier plan for the same pictures and surface.
-    /// Views without a usable picture have no values. `room` is called if pictures have to be read.
+    /// Compares the picture of each view with those of its partners, or reads the result of an
+    /// earlier plan for the same pictures and surface. Views without a usable picture have no
+    /// values. `room` is called if pictures have to be read.
     pub fn new<'p, E: From<TableError>>(
         geometry: &Geometry,
         pictures: &Pictures,
@@ -142,37 +158,68 @@ impl Agreement {
         watcher: &dyn Watcher,
     ) -> Result<Self, E> {
         let cache = cache::file(geometry, pictures, &partners_of, reach.program);
-        if let Some(Cached { without, rejected, warnings, values }) =
-            cache::read(&cache, geometry, &partners_of).map_err(TableError::from)?
+        if let Some(Cached {
+            without,
+            rejected,
+            warnings,
+            values,
+        }) = cache::read(&cache, geometry, &partners_of).map_err(TableError::from)?
         {
             let layout = Self::laid_out(geometry, &partners_of, &without);
             let values = Arc::new(values);
-            return Ok(Self { values, rejected, warnings, cache: Some(cache), is_kept: true, ..layout });
+            return Ok(Self {
+                values,
+                rejected,
+                warnings,
+                cache: Some(cache),
+                is_kept: true,
+                ..layout
+            });
         }
         let (samples, faults) = samples(geometry, pictures, room()?, watcher)?;
         let mut without = vec![!pictures.have_images(); geometry.scene.views.len()];
-        faults.iter().for_each(|(view, _)| without[view.index()] = true);
+        faults
+            .iter()
+            .for_each(|(view, _)| without[view.index()] = true);
         let mut table = Self::laid_out(geometry, &partners_of, &without);
         let compare = |places: &mut Vec<u32>, key: ViewIndex| {
             watcher.check()?;
             places.resize(geometry.surface.triangles.len(), u32::MAX);
-            Ok(compared(geometry, &samples, key, table.partners_of(key), reach, places))
+            Ok(compared(
+                geometry,
+                &samples,
+                key,
+                table.partners_of(key),
+                reach,
+                places,
+            ))
         };
-        table.values = Arc::new(geometry.visibility.column(READ_AT_ONCE, Vec::new, compare)?);
+        table.values = Arc::new(
+            geometry
+                .visibility
+                .column(READ_AT_ONCE, Vec::new, compare)?,
+        );
         // Without a compared pair, no view has evidence against it that the others lack.
         let is_rejected = |fault: &ImageError| !table.is_empty() && fault.is_unusable();
-        let (rejected, others): (Vec<_>, Vec<_>) = faults.into_iter().partition(|(_, fault)| is_rejected(fault));
+        let (rejected, others): (Vec<_>, Vec<_>) = faults
+            .into_iter()
+            .partition(|(_, fault)| is_rejected(fault));
         table.warnings = picture_warnings(geometry.scene, &rejected, NOT_PLANNED);
-        table.warnings.extend(picture_warnings(geometry.scene, &others, NOT_COMPARED));
+        table
+            .warnings
+            .extend(picture_warnings(geometry.scene, &others, NOT_COMPARED));
         if !pictures.have_images() {
-            table.warnings.push("the project has no image folder: no pictures were compared".into());
+            table
+                .warnings
+                .push("the project has no image folder: no pictures were compared".into());
         }
         table.rejected = rejected.into_iter().map(|(view, _)| view).collect();
         table.cache = Some(cache);
         Ok(table)
     }
 
-    /// Returns the fingerprint of everything that the table depends on; `None` if a picture has no modification time.
+    /// Returns the fingerprint of everything that the table depends on; `None` if a picture has no
+    /// modification time.
     pub fn inputs(&self) -> Option<&str> {
         self.cache.as_ref()?.inputs()
     }
@@ -180,23 +227,41 @@ impl Agreement {
     /// Returns the cache of the table for the next plan, unless it is there already.
     pub fn unwritten(&self) -> Option<FileSet> {
         let file = self.cache.as_ref().filter(|_| !self.is_kept)?;
-        let without = (0..).zip(&self.compared).filter(|(_, compared)| !**compared).map(|(view, _)| view).collect();
-        let facts = Facts { without, rejected: self.rejected.clone(), warnings: self.warnings.clone() };
+        let without = (0..)
+            .zip(&self.compared)
+            .filter(|(_, compared)| !**compared)
+            .map(|(view, _)| view)
+            .collect();
+        let facts = Facts {
+            without,
+            rejected: self.rejected.clone(),
+            warnings: self.warnings.clone(),
+        };
         Some(file.file(&facts, vec![self.values.clone()]))
     }
 
     /// Builds a table without values; `without`: by view, true if it has no usable picture.
-    fn laid_out<'p>(geometry: &Geometry, partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex], without: &[bool]) -> Self {
+    fn laid_out<'p>(
+        geometry: &Geometry,
+        partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
+        without: &[bool],
+    ) -> Self {
         let has_picture = |view: &ViewIndex| !without[view.index()];
         let compared = without.iter().map(|without| !without).collect();
-        let mut table = Self { offsets: vec![0], compared, ..Self::default() };
+        let mut table = Self {
+            offsets: vec![0],
+            compared,
+            ..Self::default()
+        };
         let mut start = 0;
         for key in geometry.scene.view_indices() {
             let rows = geometry.visibility.triangles_seen_by(key).len();
             table.keys.push((start, rows));
             if has_picture(&key) {
                 let before = table.partners.len();
-                table.partners.extend(partners_of(key).iter().copied().filter(has_picture));
+                table
+                    .partners
+                    .extend(partners_of(key).iter().copied().filter(has_picture));
                 start += rows * (table.partners.len() - before);
             }
             table.offsets.push(table.partners.len());
@@ -206,8 +271,14 @@ impl Agreement {
 
     /// Number of values.
     fn len(&self) -> usize {
-        let last = self.keys.len().checked_sub(1).map(|last| ViewIndex(last as u32));
-        last.map_or(0, |last| self.keys[last.index()].0 + self.keys[last.index()].1 * self.partners_of(last).len())
+        let last = self
+            .keys
+            .len()
+            .checked_sub(1)
+            .map(|last| ViewIndex(last as u32));
+        last.map_or(0, |last| {
+            self.keys[last.index()].0 + self.keys[last.index()].1 * self.partners_of(last).len()
+        })
     }
 
     fn partners_of(&self, key: ViewIndex) -> &[ViewIndex] {
@@ -217,9 +288,14 @@ impl Agreement {
         }
     }
 
-    /// Returns the agreement of a pair on each triangle that the key view sees, in the order of its rows.
+    /// Returns the agreement of a pair on each triangle that the key view sees, in the order of its
+    /// rows.
     pub fn of_pair(&self, key: ViewIndex, partner: ViewIndex) -> PairAgreement<'_> {
-        let is_compared = |view: ViewIndex| self.compared.get(view.index()).is_some_and(|&compared| compared);
+        let is_compared = |view: ViewIndex| {
+            self.compared
+                .get(view.index())
+                .is_some_and(|&compared| compared)
+        };
         if !is_compared(key) || !is_compared(partner) {
             return PairAgreement::NoPicture;
         }
@@ -242,12 +318,25 @@ impl Agreement {
     ) -> Self {
         let table = Self::laid_out(geometry, partners_of, without);
         let of_pair = |key: ViewIndex, partner| {
-            geometry.visibility.triangles_seen_by(key).iter().map(move |&t| (key, partner, t))
+            geometry
+                .visibility
+                .triangles_seen_by(key)
+                .iter()
+                .map(move |&t| (key, partner, t))
         };
-        let pairs = geometry.scene.view_indices().flat_map(|key| table.partners_of(key).iter().map(move |&p| (key, p)));
-        let values: Vec<u8> = pairs.flat_map(|(key, p)| of_pair(key, p)).map(|(key, p, t)| value(key, p, t)).collect();
+        let pairs = geometry
+            .scene
+            .view_indices()
+            .flat_map(|key| table.partners_of(key).iter().map(move |&p| (key, p)));
+        let values: Vec<u8> = pairs
+            .flat_map(|(key, p)| of_pair(key, p))
+            .map(|(key, p, t)| value(key, p, t))
+            .collect();
         assert_eq!(values.len(), table.len());
-        Self { values: Arc::new(values.into()), ..table }
+        Self {
+            values: Arc::new(values.into()),
+            ..table
+        }
     }
 
     pub fn is_empty(&self) -> bool {
@@ -275,14 +364,28 @@ mod tests {
     };
 
     pub fn town() -> SeenTown {
-        Town { edge: 4.0, points: 50, ..Town::default() }.seen(&TargetSettings::default(), 0.05, Storage::Memory)
+        Town {
+            edge: 4.0,
+            points: 50,
+            ..Town::default()
+        }
+        .seen(&TargetSettings::default(), 0.05, Storage::Memory)
     }
 
     /// The view with most triangles in common.
     pub fn view_that_overlaps(geometry: &Geometry, key: ViewIndex) -> ViewIndex {
         let seen = geometry.visibility.triangles_seen_by(key);
-        let common = |view: &ViewIndex| seen.iter().filter(|&&t| geometry.visibility.row(*view, t).is_some()).count();
-        geometry.scene.view_indices().filter(|view| *view != key).max_by_key(common).unwrap()
+        let common = |view: &ViewIndex| {
+            seen.iter()
+                .filter(|&&t| geometry.visibility.row(*view, t).is_some())
+                .count()
+        };
+        geometry
+            .scene
+            .view_indices()
+            .filter(|view| *view != key)
+            .max_by_key(common)
+            .unwrap()
     }
 
     #[test]
@@ -305,28 +408,68 @@ mod tests {
         std::fs::write(&path, png).unwrap();
         let compared = |pictures: Pictures| {
             // A plan never pairs a view without an image.
-            let partners_of = |view: ViewIndex| if view == missing { &[][..] } else { &views[1..4] };
-            let room = || Ok(SampleRoom { keep: Storage::Memory, views_at_once: 4 });
+            let partners_of = |view: ViewIndex| {
+                if view == missing {
+                    &[][..]
+                } else {
+                    &views[1..4]
+                }
+            };
+            let room = || {
+                Ok(SampleRoom {
+                    keep: Storage::Memory,
+                    views_at_once: 4,
+                })
+            };
             let everything = &ProgramReach::EVERYTHING;
-            Agreement::new::<TableError>(&geometry, &pictures, partners_of, everything, room, &NoWatcher).unwrap()
+            Agreement::new::<TableError>(
+                &geometry,
+                &pictures,
+                partners_of,
+                everything,
+                room,
+                &NoWatcher,
+            )
+            .unwrap()
         };
         let pictures = Pictures::of(folder.path(), Some(folder.path().into()));
         let table = compared(pictures.clone().without(&[missing]));
         let is_without_picture = |a, b| matches!(table.of_pair(a, b), PairAgreement::NoPicture);
         assert!(is_without_picture(missing, views[2]) && is_without_picture(views[2], missing));
         assert!(is_without_picture(damaged, views[2]) && !is_without_picture(views[3], views[2]));
-        assert_eq!((&table.rejected[..], table.warnings.len()), (&[damaged][..], 1));
-        let all_but_damaged: Vec<ViewIndex> = views.iter().copied().filter(|view| *view != damaged).collect();
-        assert_eq!(compared(pictures.without(&all_but_damaged)).rejected, [], "no pair is left");
+        assert_eq!(
+            (&table.rejected[..], table.warnings.len()),
+            (&[damaged][..], 1)
+        );
+        let all_but_damaged: Vec<ViewIndex> = views
+            .iter()
+            .copied()
+            .filter(|view| *view != damaged)
+            .collect();
+        assert_eq!(
+            compared(pictures.without(&all_but_damaged)).rejected,
+            [],
+            "no pair is left"
+        );
     }
 
-    const NUMBERS: Photometric = Photometric { agree: 0.9, differ: 0.2, full_agreement: 0.8 };
+    const NUMBERS: Photometric = Photometric {
+        agree: 0.9,
+        differ: 0.2,
+        full_agreement: 0.8,
+    };
 
     #[test]
     fn chances_rise_with_the_correlation_up_to_full_agreement() {
         let chance = |correlation: f32| NUMBERS.chance(packed(Some(correlation)));
-        for (correlation, expected) in [(-1.0, 0.2), (0.0, 0.2), (0.4, 0.55), (0.8, 0.9), (1.0, 0.9)] {
-            assert!((chance(correlation) - expected).abs() < 0.002, "{correlation}: {}", chance(correlation));
+        for (correlation, expected) in
+            [(-1.0, 0.2), (0.0, 0.2), (0.4, 0.55), (0.8, 0.9), (1.0, 0.9)]
+        {
+            assert!(
+                (chance(correlation) - expected).abs() < 0.002,
+                "{correlation}: {}",
+                chance(correlation)
+            );
         }
         assert_eq!(NUMBERS.chance(packed(None)), 0.0);
     }
@@ -340,8 +483,15 @@ mod tests {
             ..ConfidenceSettings::default()
         };
         assert_eq!(NUMBERS.with(&settings(None, None, None)), NUMBERS);
-        let all = Photometric { agree: 0.7, differ: 0.1, full_agreement: 0.5 };
-        assert_eq!(NUMBERS.with(&settings(Some(0.7), Some(0.1), Some(0.5))), all);
+        let all = Photometric {
+            agree: 0.7,
+            differ: 0.1,
+            full_agreement: 0.5,
+        };
+        assert_eq!(
+            NUMBERS.with(&settings(Some(0.7), Some(0.1), Some(0.5))),
+            all
+        );
         assert_eq!(
             NUMBERS.with(&settings(Some(0.15), None, None)).differ,
             0.15,

@@ -1,4 +1,5 @@
-//! Normalised samples of triangles in a picture: the dot product of two views' samples is their correlation.
+//! Normalised samples of triangles in a picture: the dot product of two views' samples is their
+//! correlation.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
@@ -14,7 +15,8 @@ use crate::{
 /// Samples along a side of a patch.
 const SIDE: usize = 7;
 const PATCH: usize = SIDE * SIDE;
-/// Barycentric coordinates of the centres of a triangle's patches. One patch of 11 x 11 samples predicts worse, sixteen of 7 x 7 hardly better.
+/// Barycentric coordinates of the centres of a triangle's patches. One patch of 11 x 11 samples
+/// predicts worse, sixteen of 7 x 7 hardly better.
 const CENTRES: [[f64; 3]; 4] = [
     [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
     [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0],
@@ -29,18 +31,30 @@ pub const NOT_SEEN: i8 = i8::MIN;
 const ONE: f32 = 127.0;
 /// Distance between samples, wanted pixels: predicts as well as 1, from a picture of half the side.
 pub const SPACING: f64 = 2.0;
-/// Standard deviation of image noise, grey levels: patches with less contrast have little correlation.
+/// Standard deviation of image noise, grey levels: patches with less contrast have little
+/// correlation.
 const NOISE: f32 = 2.0;
 
-/// Distance between samples on each triangle, scene units: [`SPACING`] pixels of the matched images in the (geometric) mean of the views that see it.
+/// Distance between samples on each triangle, scene units: [`SPACING`] pixels of the matched images
+/// in the (geometric) mean of the views that see it.
 pub(super) struct Spacing(Vec<f32>);
 
 impl Spacing {
     pub(super) fn new(geometry: &Geometry) -> Self {
-        let Geometry { scene, surface, visibility, image_scale, .. } = *geometry;
+        let Geometry {
+            scene,
+            surface,
+            visibility,
+            image_scale,
+            ..
+        } = *geometry;
         // Fixed-point logarithms: their sum does not depend on the order in which threads add them.
         const PARTS: f64 = (1u64 << 32) as f64;
-        let sums: Vec<(AtomicI64, AtomicU32)> = surface.triangles.iter().map(|_| Default::default()).collect();
+        let sums: Vec<(AtomicI64, AtomicU32)> = surface
+            .triangles
+            .iter()
+            .map(|_| Default::default())
+            .collect();
         let add = |&view: &ViewIndex| {
             for &t in visibility.triangles_seen_by(view) {
                 let gsd = gsd_at(scene, surface, view, t).max(f64::MIN_POSITIVE);
@@ -85,10 +99,24 @@ struct Sampler<'a> {
 }
 
 impl<'a> Sampler<'a> {
-    fn new(geometry: &'a Geometry<'a>, view: ViewIndex, grey: &'a Grey, mask: Option<&'a Mask>) -> Self {
+    fn new(
+        geometry: &'a Geometry<'a>,
+        view: ViewIndex,
+        grey: &'a Grey,
+        mask: Option<&'a Mask>,
+    ) -> Self {
         let (camera, [width, height]) = (geometry.scene.camera_of(view), grey.size());
-        let reduced = [width as f64 / f64::from(camera.width), height as f64 / f64::from(camera.height)];
-        Self { geometry, view, grey, mask, reduced }
+        let reduced = [
+            width as f64 / f64::from(camera.width),
+            height as f64 / f64::from(camera.height),
+        ];
+        Self {
+            geometry,
+            view,
+            grey,
+            mask,
+            reduced,
+        }
     }
 
     fn sample(&self, triangle: u32, spacing: f64, stack: &mut [i8]) {
@@ -97,7 +125,11 @@ impl<'a> Sampler<'a> {
         let edge = (corners[1] - corners[0]).normalize();
         let across = surface.area_normal(triangle).normalize().cross(&edge);
         for (shares, patch) in CENTRES.iter().zip(stack.chunks_exact_mut(PATCH)) {
-            let centre = corners.iter().zip(shares).map(|(corner, share)| corner.coords * *share).sum::<Vector3<f64>>();
+            let centre = corners
+                .iter()
+                .zip(shares)
+                .map(|(corner, share)| corner.coords * *share)
+                .sum::<Vector3<f64>>();
             let samples = self.patch(&centre.into(), edge * spacing, across * spacing);
             if let Some(samples) = samples {
                 normalise(&samples, patch);
@@ -105,24 +137,37 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Samples a patch with these steps. The projection is linearised at the centre, which is accurate over a dozen pixels.
-    fn patch(&self, centre: &Point3<f64>, right: Vector3<f64>, down: Vector3<f64>) -> Option<[[f32; SIDE]; SIDE]> {
+    /// Samples a patch with these steps. The projection is linearised at the centre, which is
+    /// accurate over a dozen pixels.
+    fn patch(
+        &self,
+        centre: &Point3<f64>,
+        right: Vector3<f64>,
+        down: Vector3<f64>,
+    ) -> Option<[[f32; SIDE]; SIDE]> {
         let scene = self.geometry.scene;
-        let (camera, pose) = (scene.camera_of(self.view), &scene.view(self.view).cam_from_world);
+        let (camera, pose) = (
+            scene.camera_of(self.view),
+            &scene.view(self.view).cam_from_world,
+        );
         let there = pose.camera_from_world(centre);
         let (pixel, jacobian) = camera.project_with_jacobian(&there)?;
-        if self
-            .mask
-            .is_some_and(|mask| !mask.allows(pixel.x / f64::from(camera.width), pixel.y / f64::from(camera.height)))
-        {
+        if self.mask.is_some_and(|mask| {
+            !mask.allows(
+                pixel.x / f64::from(camera.width),
+                pixel.y / f64::from(camera.height),
+            )
+        }) {
             return None;
         }
         let step = |v: Vector3<f64>| {
             let pixels = jacobian * (pose.rotation.matrix() * v);
             [pixels.x * self.reduced[0], pixels.y * self.reduced[1]].map(|x| x as f32)
         };
-        // Distance between samples at perpendicular incidence, pixels of the picture; a finer picture is reduced first.
-        let apart = right.norm() * camera.mean_focal_length() * self.reduced[0] / camera.depth(&there);
+        // Distance between samples at perpendicular incidence, pixels of the picture; a finer
+        // picture is reduced first.
+        let apart =
+            right.norm() * camera.mean_focal_length() * self.reduced[0] / camera.depth(&there);
         let level = (apart.log2().round().max(0.0) as usize).min(self.grey.levels() - 1);
         let centre = [pixel.x * self.reduced[0], pixel.y * self.reduced[1]].map(|x| x as f32);
         self.grey.sample(level, centre, step(right), step(down))
@@ -133,19 +178,25 @@ impl<'a> Sampler<'a> {
 fn normalise(samples: &[[f32; SIDE]; SIDE], patch: &mut [i8]) {
     let samples = samples.as_flattened();
     let mean = samples.iter().sum::<f32>() / PATCH as f32;
-    let norm = samples.iter().map(|s| (s - mean).powi(2)).sum::<f32>() + NOISE * NOISE * PATCH as f32;
+    let norm =
+        samples.iter().map(|s| (s - mean).powi(2)).sum::<f32>() + NOISE * NOISE * PATCH as f32;
     let factor = ONE / norm.sqrt();
     for (sample, number) in samples.iter().zip(patch) {
         *number = ((sample - mean) * factor).round() as i8;
     }
 }
 
-/// Returns the mean correlation of the patches that both pictures show, -1 to 1; `None` without such a patch.
+/// Returns the mean correlation of the patches that both pictures show, -1 to 1; `None` without
+/// such a patch.
 pub(super) fn correlation(a: &[i8], b: &[i8]) -> Option<f32> {
     let (mut sum, mut patches) = (0i32, 0);
     for (a, b) in a.chunks_exact(PATCH).zip(b.chunks_exact(PATCH)) {
         if a[0] != NOT_SEEN && b[0] != NOT_SEEN {
-            sum += a.iter().zip(b).map(|(&a, &b)| i32::from(i16::from(a) * i16::from(b))).sum::<i32>();
+            sum += a
+                .iter()
+                .zip(b)
+                .map(|(&a, &b)| i32::from(i16::from(a) * i16::from(b)))
+                .sum::<i32>();
             patches += 1;
         }
     }
@@ -165,8 +216,15 @@ mod tests {
         // Forty metres up, 850 px of focal length.
         let expected = SPACING * 40.0 / 850.0;
         let found = f64::from(full[triangle as usize]);
-        assert!((0.7..1.5).contains(&(found / expected)), "{found} {expected}");
-        assert!(full.iter().zip(&half).all(|(full, half)| (half / full - 2.0).abs() < 1e-6));
+        assert!(
+            (0.7..1.5).contains(&(found / expected)),
+            "{found} {expected}"
+        );
+        assert!(
+            full.iter()
+                .zip(&half)
+                .all(|(full, half)| (half / full - 2.0).abs() < 1e-6)
+        );
     }
 
     /// A chessboard of single pixels is grey where samples are several pixels apart.
@@ -174,14 +232,21 @@ mod tests {
     fn a_picture_that_is_finer_than_the_samples_is_reduced_first() {
         let town = town();
         let geometry = town.geometry(1.0);
-        let board = (0..750).flat_map(|y| (0..1000).map(move |x| if (x + y) % 2 == 0 { 0 } else { 255 })).collect();
+        let board = (0..750)
+            .flat_map(|y| (0..1000).map(move |x| if (x + y) % 2 == 0 { 0 } else { 255 }))
+            .collect();
         let (grey, view) = (Grey::new(1000, 750, board), ViewIndex(12));
         let contrast = |pixels: f32| {
             let spacing = Spacing(vec![pixels * 40.0 / 850.0; town.surface.triangles.len()]);
             let stacks = stacks(&geometry, &spacing, view, &grey, None);
             let shown = stacks.iter().filter(|&&sample| sample != NOT_SEEN);
-            f64::from(shown.clone().map(|sample| sample.unsigned_abs()).map(u32::from).sum::<u32>())
-                / shown.count() as f64
+            f64::from(
+                shown
+                    .clone()
+                    .map(|sample| sample.unsigned_abs())
+                    .map(u32::from)
+                    .sum::<u32>(),
+            ) / shown.count() as f64
         };
         let [fine, coarse] = [1.0, 4.0].map(contrast);
         assert!(fine > 10.0 && coarse < 1.0, "{fine} {coarse}");
@@ -216,9 +281,16 @@ mod tests {
     fn patches_that_one_picture_does_not_show_are_left_out() {
         let (seen, hidden) = (stack(texture), vec![NOT_SEEN; PATCH]);
         assert_eq!(correlation(&seen, &hidden), None);
-        let (both, one) = ([seen.clone(), seen.clone()].concat(), [seen.clone(), hidden].concat());
+        let (both, one) = (
+            [seen.clone(), seen.clone()].concat(),
+            [seen.clone(), hidden].concat(),
+        );
         assert_eq!(correlation(&both, &one), correlation(&seen, &seen));
         assert_eq!(correlation(&one, &both), correlation(&seen, &seen));
-        assert_eq!(correlation(&both, &both), correlation(&seen, &seen), "the mean of the patches");
+        assert_eq!(
+            correlation(&both, &both),
+            correlation(&seen, &seen),
+            "the mean of the patches"
+        );
     }
 }

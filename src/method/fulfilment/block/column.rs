@@ -1,4 +1,5 @@
-//! A partner's column of a block: the information that its pixels add about each triangle, and its pair confidence.
+//! A partner's column of a block: the information that its pixels add about each triangle, and its
+//! pair confidence.
 
 use nalgebra::{Matrix2x3, Matrix3, Vector3};
 
@@ -29,13 +30,22 @@ impl<'a> PartnerView<'a> {
     pub(super) fn new(model: &Model<'a>, key: ViewIndex, partner: ViewIndex) -> Self {
         let [key, pose] = [key, partner].map(|v| model.scene.view(v).cam_from_world);
         let baseline = pose.centre() - key.centre();
-        Self { camera: model.scene.camera_of(partner), rotation: *pose.rotation.matrix(), baseline: baseline.into() }
+        Self {
+            camera: model.scene.camera_of(partner),
+            rotation: *pose.rotation.matrix(),
+            baseline: baseline.into(),
+        }
     }
 
-    /// Returns the two rows of the Jacobian in the world frame, pixels of the model's image per scene unit. `rays`: from the partner's centre.
+    /// Returns the two rows of the Jacobian in the world frame, pixels of the model's image per
+    /// scene unit. `rays`: from the partner's centre.
     #[inline(always)]
     fn jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool; LANES]) -> [[[f64; LANES]; 3]; 2] {
-        if self.camera.is_pinhole() { self.pinhole_jacobians(rays) } else { self.any_jacobians(rays, sees) }
+        if self.camera.is_pinhole() {
+            self.pinhole_jacobians(rays)
+        } else {
+            self.any_jacobians(rays, sees)
+        }
     }
 
     #[inline(always)]
@@ -45,7 +55,8 @@ impl<'a> PartnerView<'a> {
         let mut rows = [[[0.0; LANES]; 3]; 2];
         for i in 0..LANES {
             let ray = [rays[0][i], rays[1][i], rays[2][i]];
-            let along = |axis: usize| r[(axis, 0)] * ray[0] + r[(axis, 1)] * ray[1] + r[(axis, 2)] * ray[2];
+            let along =
+                |axis: usize| r[(axis, 0)] * ray[0] + r[(axis, 1)] * ray[1] + r[(axis, 2)] * ray[2];
             let inverse = 1.0 / along(2);
             let (x, y) = (along(0) * inverse, along(1) * inverse);
             for c in 0..3 {
@@ -56,7 +67,11 @@ impl<'a> PartnerView<'a> {
         rows
     }
 
-    fn any_jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool; LANES]) -> [[[f64; LANES]; 3]; 2] {
+    fn any_jacobians(
+        &self,
+        rays: &[[f64; LANES]; 3],
+        sees: &[bool; LANES],
+    ) -> [[[f64; LANES]; 3]; 2] {
         let mut rows = [[[0.0; LANES]; 3]; 2];
         for i in (0..LANES).filter(|&i| sees[i]) {
             let ray = self.rotation * Vector3::new(rays[0][i], rays[1][i], rays[2][i]);
@@ -84,23 +99,38 @@ impl Kernel for ColumnKernel<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
-        let (sees, unary) = (&self.block.sees[self.partner], &self.block.unary[self.partner]);
+        let (sees, unary) = (
+            &self.block.sees[self.partner],
+            &self.block.unary[self.partner],
+        );
         for group in self.column.len()..self.groups {
-            // Arrays of known length: without bounds checks, the loops over lanes become vector instructions.
-            let sees: &[bool; LANES] = sees[group * LANES..].first_chunk().expect("padded to whole lanes");
+            // Arrays of known length: without bounds checks, the loops over lanes become vector
+            // instructions.
+            let sees: &[bool; LANES] = sees[group * LANES..]
+                .first_chunk()
+                .expect("padded to whole lanes");
             if !sees.contains(&true) {
                 self.column.push(PartnerLanes::EMPTY);
                 continue;
             }
-            let unary = unary.get(group * LANES..).and_then(|rest| rest.first_chunk()).unwrap_or(&[1.0; LANES]);
-            self.column.push(self.group(&self.block.triangles[group], sees, unary));
+            let unary = unary
+                .get(group * LANES..)
+                .and_then(|rest| rest.first_chunk())
+                .unwrap_or(&[1.0; LANES]);
+            self.column
+                .push(self.group(&self.block.triangles[group], sees, unary));
         }
     }
 }
 
 impl ColumnKernel<'_, '_> {
     #[inline(always)]
-    fn group(&self, triangles: &TriangleLanes, sees: &[bool; LANES], unary: &Lanes) -> PartnerLanes {
+    fn group(
+        &self,
+        triangles: &TriangleLanes,
+        sees: &[bool; LANES],
+        unary: &Lanes,
+    ) -> PartnerLanes {
         let mut rays = triangles.ray;
         for (axis, shift) in rays.iter_mut().zip(self.view.baseline) {
             axis.iter_mut().for_each(|x| *x -= shift);
@@ -108,15 +138,34 @@ impl ColumnKernel<'_, '_> {
         let jacobians = self.view.jacobians(&rays, sees);
         let mut out = PartnerLanes::EMPTY;
         for i in 0..LANES {
-            let axes = frame([triangles.ray[0][i], triangles.ray[1][i], triangles.ray[2][i]]);
+            let axes = frame([
+                triangles.ray[0][i],
+                triangles.ray[1][i],
+                triangles.ray[2][i],
+            ]);
             let scale = triangles.scale[i];
             let along = |row: &[[f64; LANES]; 3], axis: &[f64; 3]| {
                 (row[0][i] * axis[0] + row[1][i] * axis[1] + row[2][i] * axis[2]) * scale
             };
-            let u = [along(&jacobians[0], &axes[0]), along(&jacobians[0], &axes[1]), along(&jacobians[0], &axes[2])];
-            let v = [along(&jacobians[1], &axes[0]), along(&jacobians[1], &axes[1]), along(&jacobians[1], &axes[2])];
+            let u = [
+                along(&jacobians[0], &axes[0]),
+                along(&jacobians[0], &axes[1]),
+                along(&jacobians[0], &axes[2]),
+            ];
+            let v = [
+                along(&jacobians[1], &axes[0]),
+                along(&jacobians[1], &axes[1]),
+                along(&jacobians[1], &axes[2]),
+            ];
             let product = |a: usize, b: usize| (u[a] * u[b] + v[a] * v[b]) as f32;
-            let values = [product(0, 0), product(0, 1), product(1, 1), product(0, 2), product(1, 2), product(2, 2)];
+            let values = [
+                product(0, 0),
+                product(0, 1),
+                product(1, 1),
+                product(0, 2),
+                product(1, 2),
+                product(2, 2),
+            ];
             for (component, value) in out.information.iter_mut().zip(values) {
                 component[i] = if sees[i] { value } else { 0.0 };
             }
@@ -124,9 +173,10 @@ impl ColumnKernel<'_, '_> {
         let chances = match &self.block.model.rule.confidence {
             Confidence::None => [1.0; LANES],
             Confidence::Photometric { .. } if self.block.agreed[self.partner] => [1.0; LANES],
-            Confidence::Pair(numbers) | Confidence::Photometric { otherwise: numbers, .. } => {
-                geometric(numbers, triangles, &rays)
-            }
+            Confidence::Pair(numbers)
+            | Confidence::Photometric {
+                otherwise: numbers, ..
+            } => geometric(numbers, triangles, &rays),
         };
         // Separate loops: merged, they would compile to a branch per triangle.
         out.sees = sees.map(|sees| f32::from(u8::from(sees)));
@@ -134,7 +184,11 @@ impl ColumnKernel<'_, '_> {
             out.confidence[i] = chances[i] * unary[i];
         }
         for i in 0..LANES {
-            out.confidence[i] = if out.sees[i] > 0.0 { out.confidence[i] } else { 0.0 };
+            out.confidence[i] = if out.sees[i] > 0.0 {
+                out.confidence[i]
+            } else {
+                0.0
+            };
         }
         out
     }

@@ -1,5 +1,5 @@
-//! Dense arrays (partners x triangles) of a key view's triangles with the contribution of each candidate partner: any set of partners is evaluated by
-//! one pass over contiguous memory.
+//! Dense arrays (partners x triangles) of a key view's triangles with the contribution of each
+//! candidate partner: any set of partners is evaluated by one pass over contiguous memory.
 
 mod column;
 mod pair_confidence;
@@ -25,7 +25,8 @@ use crate::{
 /// Marks a triangle that is not in the block.
 const EMPTY: u32 = u32::MAX;
 
-/// Scratch memory: the slot in the current block of each triangle of the surface. One per thread, reused for every block.
+/// Scratch memory: the slot in the current block of each triangle of the surface. One per thread,
+/// reused for every block.
 pub struct BlockSlots(Vec<u32>);
 
 impl BlockSlots {
@@ -34,14 +35,15 @@ impl BlockSlots {
     }
 }
 
-/// Triangles that the key view sees, the judging ones first, both parts padded to whole [`LANES`], with the contribution of each partner. The index of a
-/// triangle in these arrays is its slot.
+/// Triangles that the key view sees, the judging ones first, both parts padded to whole [`LANES`],
+/// with the contribution of each partner. The index of a triangle in these arrays is its slot.
 pub struct Block<'a> {
     model: Model<'a>,
     key: ViewIndex,
     partners: &'a [ViewIndex],
     weights: Weights,
-    /// Slot of each triangle that the key view sees, in the order of its rows of the visibility table.
+    /// Slot of each triangle that the key view sees, in the order of its rows of the visibility
+    /// table.
     slots: Vec<u32>,
     /// Number of groups of lanes that hold the judging triangles.
     first: usize,
@@ -49,9 +51,11 @@ pub struct Block<'a> {
     keys: Vec<KeyLanes>,
     /// Visibility, by partner, then slot.
     sees: Vec<Vec<bool>>,
-    /// By partner, then slot: factor of the key view's and the partner's unary confidence, 0 to 1. Empty: 1 everywhere.
+    /// By partner, then slot: factor of the key view's and the partner's unary confidence, 0 to 1.
+    /// Empty: 1 everywhere.
     unary: Vec<Vec<f32>>,
-    /// By partner: true if `unary` holds the probability of a match itself, from comparing pictures (method 7.4).
+    /// By partner: true if `unary` holds the probability of a match itself, from comparing pictures
+    /// (method 7.4).
     agreed: Vec<bool>,
     /// By partner: the groups of lanes computed so far; the search rarely needs all of them.
     columns: Vec<Vec<PartnerLanes>>,
@@ -71,12 +75,17 @@ struct TriangleLanes {
 }
 
 impl TriangleLanes {
-    const EMPTY: Self =
-        Self { ray: [[1.0; LANES]; 3], normal: [[0.0; LANES]; 3], cosine: [0.0; LANES], scale: [0.0; LANES] };
+    const EMPTY: Self = Self {
+        ray: [[1.0; LANES]; 3],
+        normal: [[0.0; LANES]; 3],
+        cosine: [0.0; LANES],
+        scale: [0.0; LANES],
+    };
 }
 
 impl<'a> Block<'a> {
-    /// Bytes of the block of a key view that sees `triangles`, with all columns of its partners computed.
+    /// Bytes of the block of a key view that sees `triangles`, with all columns of its partners
+    /// computed.
     pub fn bytes(triangles: u64, partners: u64) -> u64 {
         let groups = triangles.div_ceil(LANES as u64) + 1;
         let of_partner = size_of::<PartnerLanes>() + LANES * (size_of::<bool>() + size_of::<f32>());
@@ -84,7 +93,8 @@ impl<'a> Block<'a> {
         groups * (own as u64 + partners * of_partner as u64)
     }
 
-    /// Gathers the triangles that `key` sees. `is_judge` selects those that choices are judged by; they come first.
+    /// Gathers the triangles that `key` sees. `is_judge` selects those that choices are judged by;
+    /// they come first.
     pub fn new(
         model: &Model<'a>,
         key: ViewIndex,
@@ -95,7 +105,10 @@ impl<'a> Block<'a> {
         let rule = &model.rule;
         let seen = model.visibility.triangles_seen_by(key);
         let count = seen.iter().filter(|&&t| is_judge(t)).count();
-        let (first, all) = (count.div_ceil(LANES), count.div_ceil(LANES) + (seen.len() - count).div_ceil(LANES));
+        let (first, all) = (
+            count.div_ceil(LANES),
+            count.div_ceil(LANES) + (seen.len() - count).div_ceil(LANES),
+        );
         let mut next = [0, (first * LANES) as u32];
         let slot = |&t: &u32| {
             let next = &mut next[usize::from(!is_judge(t))];
@@ -135,21 +148,33 @@ impl<'a> Block<'a> {
         self.keys.len()
     }
 
-    /// Computes what depends on the key view alone. Triangles that project to no finite scale keep their empty lanes, so that f is 0.
+    /// Computes what depends on the key view alone. Triangles that project to no finite scale keep
+    /// their empty lanes, so that f is 0.
     fn gather_triangles(&mut self) {
         let model = &self.model;
-        let (camera, pose) = (model.scene.camera_of(self.key), &model.scene.view(self.key).cam_from_world);
+        let (camera, pose) = (
+            model.scene.camera_of(self.key),
+            &model.scene.view(self.key).cam_from_world,
+        );
         let centre = pose.centre();
-        for (&t, &slot) in model.visibility.triangles_seen_by(self.key).iter().zip(&self.slots) {
+        for (&t, &slot) in model
+            .visibility
+            .triangles_seen_by(self.key)
+            .iter()
+            .zip(&self.slots)
+        {
             let (group, lane) = (slot as usize / LANES, slot as usize % LANES);
             let centroid = model.surface.centroid(t);
             let ray = centroid - centre;
             let normal = model.surface.area_normal(t).normalize();
-            let jacobian = camera.project_with_jacobian(&pose.camera_from_world(&centroid)).map(|p| p.1);
+            let jacobian = camera
+                .project_with_jacobian(&pose.camera_from_world(&centroid))
+                .map(|p| p.1);
             let jacobian = jacobian.unwrap_or_else(Matrix2x3::zeros) * pose.rotation.matrix();
             let length = jacobian.norm();
             let cosine = -normal.dot(&ray) / ray.norm();
-            let usable = length > 0.0 && (length + length.recip()).is_finite() && cosine.is_finite();
+            let usable =
+                length > 0.0 && (length + length.recip()).is_finite() && cosine.is_finite();
             if !usable {
                 continue;
             }
@@ -163,13 +188,18 @@ impl<'a> Block<'a> {
             let [first, second, _] = frame([ray.x, ray.y, ray.z]);
             let rows = jacobian / length;
             let (x, y) = (rows * Vector3::from(first), rows * Vector3::from(second));
-            for (component, value) in key.information.iter_mut().zip([x.dot(&x), x.dot(&y), y.dot(&y)]) {
+            for (component, value) in
+                key.information
+                    .iter_mut()
+                    .zip([x.dot(&x), x.dot(&y), y.dot(&y)])
+            {
                 component[lane] = value as f32;
             }
             let per_px = model.rule.image_scale / model.rule.sigma_px;
             key.unit[lane] = (model.target.accuracy(t) * length * per_px) as f32;
             let gsd = f64::from(model.target.gsd[t as usize]);
-            key.resolution[lane] = (model.rule.alpha * (density(model, self.key, t) * gsd * gsd).min(1.0)) as f32;
+            key.resolution[lane] =
+                (model.rule.alpha * (density(model, self.key, t) * gsd * gsd).min(1.0)) as f32;
         }
     }
 
@@ -177,12 +207,23 @@ impl<'a> Block<'a> {
     fn gather_partners(&mut self, slot_of: &mut [u32]) {
         let model = &self.model;
         let seen = model.visibility.triangles_seen_by(self.key);
-        seen.iter().zip(&self.slots).for_each(|(&t, &slot)| slot_of[t as usize] = slot);
-        let own: Vec<AtTriangle> = if model.unary.is_certain() { Vec::new() } else { self.own_unary() };
+        seen.iter()
+            .zip(&self.slots)
+            .for_each(|(&t, &slot)| slot_of[t as usize] = slot);
+        let own: Vec<AtTriangle> = if model.unary.is_certain() {
+            Vec::new()
+        } else {
+            self.own_unary()
+        };
         for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
             let mut factors = vec![0.0; own.len()];
             let unary = model.unary.of_rows(model.visibility.rows(partner));
-            for (row, &t) in model.visibility.triangles_seen_by(partner).iter().enumerate() {
+            for (row, &t) in model
+                .visibility
+                .triangles_seen_by(partner)
+                .iter()
+                .enumerate()
+            {
                 let slot = slot_of[t as usize];
                 if slot != EMPTY {
                     sees[slot as usize] = true;
@@ -205,9 +246,15 @@ impl<'a> Block<'a> {
 
     /// Returns the probability of a match by slot if the pictures of the pair were compared.
     fn agreed_chances(&self, partner: usize) -> Option<Vec<f32>> {
-        let Confidence::Photometric { agreement, .. } = self.model.rule.confidence else { return None };
+        let Confidence::Photometric { agreement, .. } = self.model.rule.confidence else {
+            return None;
+        };
         let mut chances = vec![0.0; self.len() * LANES];
-        match self.model.agreement.of_pair(self.key, self.partners[partner]) {
+        match self
+            .model
+            .agreement
+            .of_pair(self.key, self.partners[partner])
+        {
             PairAgreement::NoPicture => return None,
             PairAgreement::NoCandidate => {}
             PairAgreement::Compared(values) => {
@@ -220,8 +267,17 @@ impl<'a> Block<'a> {
     }
 
     fn own_unary(&self) -> Vec<AtTriangle> {
-        let mut own = vec![AtTriangle { observed: 0.0, allowed: 0.0 }; self.len() * LANES];
-        let unary = self.model.unary.of_rows(self.model.visibility.rows(self.key));
+        let mut own = vec![
+            AtTriangle {
+                observed: 0.0,
+                allowed: 0.0
+            };
+            self.len() * LANES
+        ];
+        let unary = self
+            .model
+            .unary
+            .of_rows(self.model.visibility.rows(self.key));
         for (row, &slot) in self.slots.iter().enumerate() {
             own[slot as usize] = unary.at(row);
         }
@@ -234,25 +290,46 @@ impl<'a> Block<'a> {
         if column.len() < groups {
             let view = PartnerView::new(&self.model, self.key, self.partners[partner]);
             column.reserve_exact(self.len() - column.len());
-            vectorised(ColumnKernel { block: self, view, partner, groups, column: &mut column });
+            vectorised(ColumnKernel {
+                block: self,
+                view,
+                partner,
+                groups,
+                column: &mut column,
+            });
         }
         self.columns[partner] = column;
     }
 
-    /// Returns, for each set of partners, the sum of f over the judging triangles. f is computed in f32: precise enough to choose by, not to
-    /// report.
+    /// Returns, for each set of partners, the sum of f over the judging triangles. f is computed in
+    /// f32: precise enough to choose by, not to report.
     pub fn sums(&mut self, sets: &[Vec<usize>], judges: Judges) -> Vec<f64> {
-        sets.iter().flatten().for_each(|&p| self.extend(p, judges.groups));
-        vectorised(Sums { block: self, sets, judges })
+        sets.iter()
+            .flatten()
+            .for_each(|&p| self.extend(p, judges.groups));
+        vectorised(Sums {
+            block: self,
+            sets,
+            judges,
+        })
     }
 
-    /// Returns the sum of f over the judging triangles for `base` plus each one of `added`; f in f32.
+    /// Returns the sum of f over the judging triangles for `base` plus each one of `added`; f in
+    /// f32.
     pub fn sums_with(&mut self, base: &[usize], added: &[usize], judges: Judges) -> Vec<f64> {
-        base.iter().chain(added).for_each(|&p| self.extend(p, judges.groups));
-        vectorised(SumsWith { block: self, base, added, judges })
+        base.iter()
+            .chain(added)
+            .for_each(|&p| self.extend(p, judges.groups));
+        vectorised(SumsWith {
+            block: self,
+            base,
+            added,
+            judges,
+        })
     }
 
-    /// Returns f of each triangle that the key view sees, in the order of its rows, with the precision of the plan (f64 inside).
+    /// Returns f of each triangle that the key view sees, in the order of its rows, with the
+    /// precision of the plan (f64 inside).
     pub fn values(&mut self, set: &[usize]) -> Vec<f32> {
         set.iter().for_each(|&p| self.extend(p, self.len()));
         self.by_row(&vectorised(Values { block: self, set }))
@@ -267,22 +344,30 @@ impl<'a> Block<'a> {
 
     #[cfg(test)]
     pub fn held(&self) -> usize {
-        let of_partners =
-            self.columns.iter().map(|column| size_of::<PartnerLanes>() * column.capacity()).sum::<usize>();
+        let of_partners = self
+            .columns
+            .iter()
+            .map(|column| size_of::<PartnerLanes>() * column.capacity())
+            .sum::<usize>();
         let rows = self.sees.iter().map(Vec::capacity).sum::<usize>()
             + size_of::<f32>() * self.unary.iter().map(Vec::capacity).sum::<usize>();
-        let own = size_of_val(&self.slots[..]) + size_of_val(&self.triangles[..]) + size_of_val(&self.keys[..]);
+        let own = size_of_val(&self.slots[..])
+            + size_of_val(&self.triangles[..])
+            + size_of_val(&self.keys[..]);
         own + rows + of_partners
     }
 
     fn by_row(&self, lanes: &[Lanes]) -> Vec<f32> {
-        self.slots.iter().map(|&slot| lanes[slot as usize / LANES][slot as usize % LANES]).collect()
+        self.slots
+            .iter()
+            .map(|&slot| lanes[slot as usize / LANES][slot as usize % LANES])
+            .collect()
     }
 
     #[inline(always)]
     fn together(&self, set: &[usize], group: usize) -> ClusterLanes {
-        // A loop rather than an iterator adaptor, here and below: the adaptor's closure could be compiled separately, without the vector
-        // instructions.
+        // A loop rather than an iterator adaptor, here and below: the adaptor's closure could be
+        // compiled separately, without the vector instructions.
         let mut together = ClusterLanes::new(&self.keys[group]);
         for &partner in set {
             together = together.with(&self.columns[partner][group]);
@@ -306,7 +391,8 @@ impl Judges {
     }
 }
 
-/// Returns an orthonormal frame: two unit vectors perpendicular to the ray, then the unit vector opposite to it.
+/// Returns an orthonormal frame: two unit vectors perpendicular to the ray, then the unit vector
+/// opposite to it.
 ///
 /// Duff et al., "Building an Orthonormal Basis, Revisited" (JCGT 2017).
 #[inline(always)]
@@ -316,7 +402,11 @@ fn frame(ray: [f64; 3]) -> [[f64; 3]; 3] {
     let sign = if d[2] >= 0.0 { 1.0 } else { -1.0 };
     let a = -1.0 / (sign + d[2]);
     let b = d[0] * d[1] * a;
-    [[1.0 + sign * d[0] * d[0] * a, sign * b, -sign * d[0]], [b, sign + d[1] * d[1] * a, -d[1]], d]
+    [
+        [1.0 + sign * d[0] * d[0] * a, sign * b, -sign * d[0]],
+        [b, sign + d[1] * d[1] * a, -d[1]],
+        d,
+    ]
 }
 
 #[cfg(test)]
@@ -325,11 +415,20 @@ mod tests {
 
     #[test]
     fn frames_are_orthonormal_whatever_the_ray() {
-        for ray in [[0.0, 0.0, 3.0], [0.0, 0.0, -3.0], [1.0, -2.0, 0.5], [0.1, 0.2, -4.0], [5.0, 0.0, 0.0]] {
+        for ray in [
+            [0.0, 0.0, 3.0],
+            [0.0, 0.0, -3.0],
+            [1.0, -2.0, 0.5],
+            [0.1, 0.2, -4.0],
+            [5.0, 0.0, 0.0],
+        ] {
             let axes = frame(ray).map(Vector3::from);
             for (i, a) in axes.iter().enumerate() {
                 for (j, b) in axes.iter().enumerate() {
-                    assert!((a.dot(b) - f64::from(u8::from(i == j))).abs() < 1e-12, "{ray:?} {i} {j}");
+                    assert!(
+                        (a.dot(b) - f64::from(u8::from(i == j))).abs() < 1e-12,
+                        "{ray:?} {i} {j}"
+                    );
                 }
             }
             assert!((axes[2] + Vector3::from(ray).normalize()).norm() < 1e-12);

@@ -6,11 +6,17 @@ use super::{
 };
 use crate::method::confidence::PairConfidence;
 
-/// Returns [`PairConfidence::confidence`], relative error below 1e-6. `rays`: from the partner's centre to the centroids.
+/// Returns [`PairConfidence::confidence`], relative error below 1e-6. `rays`: from the partner's
+/// centre to the centroids.
 #[inline(always)]
-pub(super) fn geometric(numbers: &PairConfidence, triangles: &TriangleLanes, rays: &[[f64; LANES]; 3]) -> Lanes {
+pub(super) fn geometric(
+    numbers: &PairConfidence,
+    triangles: &TriangleLanes,
+    rays: &[[f64; LANES]; 3],
+) -> Lanes {
     let mut chance = [numbers.p0 as f32; LANES];
-    let squared = |v: &[[f64; LANES]; 3], i: usize| v[0][i] * v[0][i] + v[1][i] * v[1][i] + v[2][i] * v[2][i];
+    let squared =
+        |v: &[[f64; LANES]; 3], i: usize| v[0][i] * v[0][i] + v[1][i] * v[1][i] + v[2][i] * v[2][i];
     let (mut cosines, mut ratios, mut chords) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
     for i in 0..LANES {
         let (key, own) = (squared(&triangles.ray, i), squared(rays, i));
@@ -22,7 +28,11 @@ pub(super) fn geometric(numbers: &PairConfidence, triangles: &TriangleLanes, ray
             chord += apart * apart;
         }
         let cosine = (dot * to_own) as f32;
-        cosines[i] = if cosine < triangles.cosine[i] { cosine } else { triangles.cosine[i] };
+        cosines[i] = if cosine < triangles.cosine[i] {
+            cosine
+        } else {
+            triangles.cosine[i]
+        };
         ratios[i] = (own / key) as f32;
         chords[i] = chord as f32;
     }
@@ -30,10 +40,15 @@ pub(super) fn geometric(numbers: &PairConfidence, triangles: &TriangleLanes, ray
     for i in 0..LANES {
         // Visible triangles face the camera; the results of the others are discarded.
         let cosine = if cosines[i] > 1e-6 { cosines[i] } else { 1e-6 };
-        chance[i] *= if power == 1.0 { cosine } else { exp2(power * log2(cosine)) };
+        chance[i] *= if power == 1.0 {
+            cosine
+        } else {
+            exp2(power * log2(cosine))
+        };
     }
     if let Some(octaves) = numbers.scale_octaves {
-        // exp(-x^2 / 2) as a power of 2, where x is half the log2 of the squared ratio, divided by `octaves`.
+        // exp(-x^2 / 2) as a power of 2, where x is half the log2 of the squared ratio, divided by
+        // `octaves`.
         let factor = (-0.125 * std::f64::consts::LOG2_E / (octaves * octaves)) as f32;
         for i in 0..LANES {
             let twice = log2(if ratios[i] > 1e-30 { ratios[i] } else { 1e-30 });
@@ -47,5 +62,11 @@ pub(super) fn geometric(numbers: &PairConfidence, triangles: &TriangleLanes, ray
             chance[i] *= if share < 1.0 { share } else { 1.0 };
         }
     }
-    chance.map(|c| if c > 0.0 { if c < 1.0 { c } else { 1.0 } } else { 0.0 })
+    chance.map(|c| {
+        if c > 0.0 {
+            if c < 1.0 { c } else { 1.0 }
+        } else {
+            0.0
+        }
+    })
 }

@@ -1,4 +1,5 @@
-//! Loops over a block: f summed over the judging triangles for many sets of partners (f32), and f of every triangle (f64).
+//! Loops over a block: f summed over the judging triangles for many sets of partners (f32), and f
+//! of every triangle (f64).
 
 use super::{super::lanes::LANES, Block, Judges};
 use crate::base::vector::Kernel;
@@ -18,7 +19,12 @@ impl Kernel for Sums<'_, '_> {
         for group in self.judges.iter() {
             let key = &self.block.keys[group];
             for (set, sum) in self.sets.iter().zip(&mut sums) {
-                add(sum, self.block.together(set, group).value::<f32>(key, &self.block.weights));
+                add(
+                    sum,
+                    self.block
+                        .together(set, group)
+                        .value::<f32>(key, &self.block.weights),
+                );
             }
         }
         sums.iter().map(|lanes| lanes.iter().sum()).collect()
@@ -70,7 +76,11 @@ impl Kernel for Values<'_, '_> {
         let mut values = Vec::with_capacity(self.block.len());
         for group in 0..self.block.len() {
             let together = self.block.together(self.set, group);
-            values.push(together.value::<f64>(&self.block.keys[group], &self.block.weights).map(|f| f as f32));
+            values.push(
+                together
+                    .value::<f64>(&self.block.keys[group], &self.block.weights)
+                    .map(|f| f as f32),
+            );
         }
         values
     }

@@ -1,11 +1,14 @@
 //! Minimum cut between outside and inside on the graph of cells (method 1.3).
 //!
-//! Incremental breadth-first search (Goldberg, Hed, Kaplan, Tarjan, Werneck: Maximum Flows by Incremental Breadth-First Search,
-//! 2011): two trees of shortest residual paths grow level by level, from the source and towards the sink. Where they meet, flow is pushed; orphaned nodes
-//! are adopted by another parent at their level, or move to the lowest level with a parent, or become free. Every cell has four outgoing and four
-//! incoming arcs, so that a node with its arcs is one cache line; neither children nor current arcs are stored.
+//! Incremental breadth-first search (Goldberg, Hed, Kaplan, Tarjan, Werneck: Maximum Flows by
+//! Incremental Breadth-First Search, 2011): two trees of shortest residual paths grow level by
+//! level, from the source and towards the sink. Where they meet, flow is pushed; orphaned nodes are
+//! adopted by another parent at their level, or move to the lowest level with a parent, or become
+//! free. Every cell has four outgoing and four incoming arcs, so that a node with its arcs is one
+//! cache line; neither children nor current arcs are stored.
 //!
-//! Capacities are integers, so that the result is exact and deterministic. Worst case: n² m; in practice a few scans per cell.
+//! Capacities are integers, so that the result is exact and deterministic. Worst case: n² m; in
+//! practice a few scans per cell.
 
 #[cfg(test)]
 mod tests;
@@ -42,18 +45,30 @@ pub struct Capacities {
     pub sink: u32,
 }
 
-/// Finds the minimum cut; `capacities[i]` belongs to `cells[i]`. They are freed while the nodes of the search are made.
+/// Finds the minimum cut; `capacities[i]` belongs to `cells[i]`. They are freed while the nodes of
+/// the search are made.
 ///
 /// # Errors
 /// Cancellation.
 ///
 /// # Panics
 /// If the two slices differ in length.
-pub fn minimum_cut(cells: &[Cell], capacities: Vec<Capacities>, watcher: &dyn Watcher) -> Result<MinCut, Cancelled> {
-    assert_eq!(cells.len(), capacities.len(), "one set of capacities per cell");
+pub fn minimum_cut(
+    cells: &[Cell],
+    capacities: Vec<Capacities>,
+    watcher: &dyn Watcher,
+) -> Result<MinCut, Cancelled> {
+    assert_eq!(
+        cells.len(),
+        capacities.len(),
+        "one set of capacities per cell"
+    );
     let mut search = Search::new(cells, capacities, watcher)?;
     search.run()?;
-    Ok(MinCut { flow: search.flow, outside: search.reachable()? })
+    Ok(MinCut {
+        flow: search.flow,
+        outside: search.reachable()?,
+    })
 }
 
 /// The two trees; also an index of the residuals along which the tree grows.
@@ -102,7 +117,14 @@ impl Node {
             _ => SearchTree::None,
         };
         let residual = [own.facets.map(|c| c.min(MAX_CAPACITY)), [0; 4]];
-        Self { residual, neighbours: cell.neighbours, excess, level: 1, tree, parent: ROOT }
+        Self {
+            residual,
+            neighbours: cell.neighbours,
+            excess,
+            level: 1,
+            tree,
+            parent: ROOT,
+        }
     }
 }
 
@@ -125,15 +147,30 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(cells: &[Cell], mut capacities: Vec<Capacities>, watcher: &'a dyn Watcher) -> Result<Self, Cancelled> {
-        let flow = capacities.iter().map(|own| u64::from(own.source.min(own.sink))).sum();
+    fn new(
+        cells: &[Cell],
+        mut capacities: Vec<Capacities>,
+        watcher: &'a dyn Watcher,
+    ) -> Result<Self, Cancelled> {
+        let flow = capacities
+            .iter()
+            .map(|own| u64::from(own.source.min(own.sink)))
+            .sum();
         let mut nodes: Vec<Node> = bytemuck::zeroed_vec(cells.len());
-        let blocks = || (0..cells.len()).step_by(BLOCK).map(|start| start..(start + BLOCK).min(cells.len()));
-        // Backwards, so that the capacities of finished nodes can be freed: peak memory stays near that of the search itself.
+        let blocks = || {
+            (0..cells.len())
+                .step_by(BLOCK)
+                .map(|start| start..(start + BLOCK).min(cells.len()))
+        };
+        // Backwards, so that the capacities of finished nodes can be freed: peak memory stays near
+        // that of the search itself.
         for block in blocks().rev() {
             watcher.check()?;
             let inputs = cells[block.clone()].iter().zip(&capacities[block.clone()]);
-            nodes[block.clone()].iter_mut().zip(inputs).for_each(|(node, (cell, own))| *node = Node::new(cell, own));
+            nodes[block.clone()]
+                .iter_mut()
+                .zip(inputs)
+                .for_each(|(node, (cell, own))| *node = Node::new(cell, own));
             capacities.truncate(block.start);
             capacities.shrink_to_fit();
         }
@@ -177,7 +214,11 @@ impl<'a> Search<'a> {
     /// Grows the tree with the shorter frontier until one cannot grow.
     fn run(&mut self) -> Result<(), Cancelled> {
         while !self.frontier[0].is_empty() && !self.frontier[1].is_empty() {
-            let tree = if self.frontier[0].len() <= self.frontier[1].len() { Source } else { Sink };
+            let tree = if self.frontier[0].len() <= self.frontier[1].len() {
+                Source
+            } else {
+                Sink
+            };
             self.growing = tree;
             let frontier = std::mem::take(&mut self.frontier[tree as usize]);
             self.level[tree as usize] += 1;
@@ -191,7 +232,8 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    /// Adds the free neighbours of a frontier node to its tree and pushes flow over arcs to the other tree.
+    /// Adds the free neighbours of a frontier node to its tree and pushes flow over arcs to the
+    /// other tree.
     fn scan(&mut self, index: u32, tree: SearchTree) -> Result<(), Cancelled> {
         let level = self.level[tree as usize];
         let mut slot = 0;
@@ -261,13 +303,18 @@ impl<'a> Search<'a> {
         other.residual[there][beyond.index()] += amount;
     }
 
-    /// Pushes flow over the tree's arcs between a node and the terminal; disconnected nodes become orphans.
+    /// Pushes flow over the tree's arcs between a node and the terminal; disconnected nodes become
+    /// orphans.
     fn push_to_root(&mut self, mut index: u32, tree: SearchTree, amount: u32) {
         loop {
             self.steps += 1;
             let node = &mut self.nodes[index as usize];
             if node.parent == ROOT {
-                node.excess -= if tree == Source { i64::from(amount) } else { -i64::from(amount) };
+                node.excess -= if tree == Source {
+                    i64::from(amount)
+                } else {
+                    -i64::from(amount)
+                };
                 if node.excess == 0 {
                     self.make_orphan(index);
                 }
@@ -335,7 +382,11 @@ impl<'a> Search<'a> {
         } else if below + 1 > node.level {
             node.level = below + 1;
             if node.level == self.level[tree as usize] {
-                let unscanned = if tree == self.growing { &mut self.next } else { &mut self.frontier[tree as usize] };
+                let unscanned = if tree == self.growing {
+                    &mut self.next
+                } else {
+                    &mut self.frontier[tree as usize]
+                };
                 unscanned.push(index);
             }
         }
@@ -353,7 +404,9 @@ impl<'a> Search<'a> {
     /// Returns the cells that are reachable from the source in the residual graph.
     fn reachable(&mut self) -> Result<Vec<bool>, Cancelled> {
         let mut outside: Vec<bool> = self.nodes.iter().map(|node| node.excess > 0).collect();
-        let mut open: Vec<u32> = (0..self.nodes.len() as u32).filter(|&i| outside[i as usize]).collect();
+        let mut open: Vec<u32> = (0..self.nodes.len() as u32)
+            .filter(|&i| outside[i as usize])
+            .collect();
         while let Some(index) = open.pop() {
             self.step()?;
             let node = &self.nodes[index as usize];

@@ -8,19 +8,31 @@ use rand_pcg::Pcg64Mcg;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Cells of random points with random capacities: `density` of a hundred cells have evidence of either kind, facets up to
-/// `widest`.
+/// Cells of random points with random capacities: `density` of a hundred cells have evidence of
+/// either kind, facets up to `widest`.
 fn instance(points: usize, density: u64, widest: u64, seed: u64) -> (Vec<Cell>, Vec<Capacities>) {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut below = |bound: u64| random.next_u64() % bound;
-    let points: Vec<_> = (0..points).map(|_| Point3::from([(); 3].map(|()| below(1 << 20) as f64))).collect();
-    let cells = Delaunay::triangulate(&points, &NoWatcher).expect("random points").cells;
+    let points: Vec<_> = (0..points)
+        .map(|_| Point3::from([(); 3].map(|()| below(1 << 20) as f64)))
+        .collect();
+    let cells = Delaunay::triangulate(&points, &NoWatcher)
+        .expect("random points")
+        .cells;
     let capacities = cells
         .iter()
         .map(|_| Capacities {
             facets: [(); 4].map(|()| below(widest + 1) as u32),
-            source: if below(100) < density { below(1000) as u32 } else { 0 },
-            sink: if below(100) < density { below(1000) as u32 } else { 0 },
+            source: if below(100) < density {
+                below(1000) as u32
+            } else {
+                0
+            },
+            sink: if below(100) < density {
+                below(1000) as u32
+            } else {
+                0
+            },
         })
         .collect();
     (cells, capacities)
@@ -39,7 +51,10 @@ struct Dinic {
 
 impl Dinic {
     fn new(cells: &[Cell], capacities: &[Capacities]) -> Self {
-        let mut graph = Dinic { arcs: Vec::new(), out: vec![Vec::new(); cells.len() + 2] };
+        let mut graph = Dinic {
+            arcs: Vec::new(),
+            out: vec![Vec::new(); cells.len() + 2],
+        };
         let (source, sink) = (cells.len(), cells.len() + 1);
         for (index, (cell, own)) in cells.iter().zip(capacities).enumerate() {
             graph.join(source, index, own.source);
@@ -74,7 +89,14 @@ impl Dinic {
         levels
     }
 
-    fn push(&mut self, node: usize, sink: usize, amount: u64, levels: &[usize], next: &mut [usize]) -> u64 {
+    fn push(
+        &mut self,
+        node: usize,
+        sink: usize,
+        amount: u64,
+        levels: &[usize],
+        next: &mut [usize],
+    ) -> u64 {
         if node == sink {
             return amount;
         }
@@ -100,7 +122,13 @@ impl Dinic {
         loop {
             let levels = self.levels(source);
             if levels[sink] == usize::MAX {
-                return MinCut { flow, outside: levels[..source].iter().map(|&level| level != usize::MAX).collect() };
+                return MinCut {
+                    flow,
+                    outside: levels[..source]
+                        .iter()
+                        .map(|&level| level != usize::MAX)
+                        .collect(),
+                };
             }
             let mut next = vec![0; self.out.len()];
             while let pushed @ 1.. = self.push(source, sink, u64::MAX, &levels, &mut next) {
@@ -130,11 +158,17 @@ fn cost(cells: &[Cell], capacities: &[Capacities], outside: &[bool]) -> u64 {
 
 #[test]
 fn agrees_with_dinic() {
-    for (seed, (density, widest)) in [(100, 50), (30, 300), (5, 1000), (1, 20), (50, 0), (2, 5)].into_iter().enumerate()
+    for (seed, (density, widest)) in [(100, 50), (30, 300), (5, 1000), (1, 20), (50, 0), (2, 5)]
+        .into_iter()
+        .enumerate()
     {
         let (cells, capacities) = instance(600, density, widest, seed as u64);
         let cut = found(&cells, &capacities);
-        assert_eq!(cut, Dinic::new(&cells, &capacities).cut(), "density {density}, widest {widest}");
+        assert_eq!(
+            cut,
+            Dinic::new(&cells, &capacities).cut(),
+            "density {density}, widest {widest}"
+        );
         assert_eq!(cost(&cells, &capacities, &cut.outside), cut.flow);
     }
 }
@@ -147,10 +181,15 @@ fn flow_is_conserved() {
     search.run().expect("not cancelled");
     let mut terminals = 0;
     for (node, own) in search.nodes.iter().zip(&capacities) {
-        let sent: i64 = (0..4).map(|i| i64::from(own.facets[i]) - i64::from(node.residual[0][i])).sum();
+        let sent: i64 = (0..4)
+            .map(|i| i64::from(own.facets[i]) - i64::from(node.residual[0][i]))
+            .sum();
         let given = i64::from(own.source) - i64::from(own.sink) - node.excess;
         assert_eq!(sent, given);
-        assert!(given == 0 || (own.source > own.sink) == (given > 0), "flow out of a sink or into a source");
+        assert!(
+            given == 0 || (own.source > own.sink) == (given > 0),
+            "flow out of a sink or into a source"
+        );
         terminals += given.max(0) as u64 + u64::from(own.source.min(own.sink));
         for (slot, beyond) in node.neighbours.into_iter().enumerate() {
             let other = &search.nodes[beyond.cell() as usize];
@@ -165,11 +204,23 @@ fn flow_is_conserved() {
 #[test]
 fn no_evidence_leaves_everything_inside() {
     let (cells, mut capacities) = instance(50, 0, 10, 1);
-    assert_eq!(found(&cells, &capacities), MinCut { flow: 0, outside: vec![false; cells.len()] });
+    assert_eq!(
+        found(&cells, &capacities),
+        MinCut {
+            flow: 0,
+            outside: vec![false; cells.len()]
+        }
+    );
     capacities[3].source = 5;
     let cut = found(&cells, &capacities);
     assert_eq!((cut.flow, cut.outside[3]), (0, true));
-    assert_eq!(found(&[], &[]), MinCut { flow: 0, outside: vec![] });
+    assert_eq!(
+        found(&[], &[]),
+        MinCut {
+            flow: 0,
+            outside: vec![]
+        }
+    );
 }
 
 /// The largest capacities neither overflow nor lose anything.
@@ -178,11 +229,20 @@ fn largest_capacities() {
     let (cells, mut capacities) = instance(30, 0, 0, 2);
     for (index, own) in capacities.iter_mut().enumerate() {
         own.facets = [u32::MAX; 4];
-        *(if index % 2 == 0 { &mut own.source } else { &mut own.sink }) = u32::MAX;
+        *(if index % 2 == 0 {
+            &mut own.source
+        } else {
+            &mut own.sink
+        }) = u32::MAX;
     }
     let mut clamped = capacities.clone();
-    clamped.iter_mut().for_each(|own| own.facets = [MAX_CAPACITY; 4]);
-    assert_eq!(found(&cells, &capacities), Dinic::new(&cells, &clamped).cut());
+    clamped
+        .iter_mut()
+        .for_each(|own| own.facets = [MAX_CAPACITY; 4]);
+    assert_eq!(
+        found(&cells, &capacities),
+        Dinic::new(&cells, &clamped).cut()
+    );
 }
 
 struct CancelAfter(AtomicU32);
@@ -199,7 +259,14 @@ impl Watcher for CancelAfter {
 fn can_be_cancelled() {
     let (cells, capacities) = instance(8000, 30, 300, 3);
     for questions in [1, 2, 3] {
-        assert_eq!(minimum_cut(&cells, capacities.clone(), &CancelAfter(AtomicU32::new(questions))), Err(Cancelled));
+        assert_eq!(
+            minimum_cut(
+                &cells,
+                capacities.clone(),
+                &CancelAfter(AtomicU32::new(questions))
+            ),
+            Err(Cancelled)
+        );
     }
 }
 

@@ -1,8 +1,9 @@
-//! Incremental construction (Bowyer 1981, Watson 1981): each vertex removes the cells whose circumspheres contain it and is connected to the boundary of
-//! the cavity.
+//! Incremental construction (Bowyer 1981, Watson 1981): each vertex removes the cells whose
+//! circumspheres contain it and is connected to the boundary of the cavity.
 //!
-//! A walk from the newest cell finds the cell that contains the vertex; the cavity is searched breadth first from there. New cells reuse the memory of
-//! removed ones. Within this file the vertex at infinity is the last site, which saves special cases.
+//! A walk from the newest cell finds the cell that contains the vertex; the cavity is searched
+//! breadth first from there. New cells reuse the memory of removed ones. Within this file the
+//! vertex at infinity is the last site, which saves special cases.
 
 use super::grid::Site;
 use super::order::{round_from_last, rounds};
@@ -10,7 +11,8 @@ use super::predicates::{collinear, in_sphere, orient};
 use super::{Cell, DelaunayError, Dimension, FACET_VERTICES, Facet};
 use crate::base::progress::{Cancelled, Watcher};
 
-/// Number of boundary facets up to which the cavity's edges are matched in a table: a closed surface of 2n − 4 triangles has n vertices.
+/// Number of boundary facets up to which the cavity's edges are matched in a table: a closed
+/// surface of 2n − 4 triangles has n vertices.
 const TABLE_FACETS: usize = 2 * TABLE_VERTICES - 4;
 const TABLE_VERTICES: usize = 64;
 
@@ -20,7 +22,8 @@ const CELLS_PER_CHECK: usize = 1 << 12;
 /// Facet codes have 30 bits for the cell.
 const MAX_CELLS: usize = 1 << 30;
 
-/// Cells per point allowed: points of a surface or a volume have six to seven, those on pairs of skew curves up to half the number of points.
+/// Cells per point allowed: points of a surface or a volume have six to seven, those on pairs of
+/// skew curves up to half the number of points.
 const MAX_CELLS_PER_VERTEX: usize = 64;
 /// Number of cells that is always allowed.
 const FREE_CELLS: usize = 1 << 20;
@@ -34,7 +37,8 @@ enum Mark {
     Kept,
 }
 
-/// A triangle of the cavity's boundary, counter-clockwise seen from outside the cavity, and the facet on its other side.
+/// A triangle of the cavity's boundary, counter-clockwise seen from outside the cavity, and the
+/// facet on its other side.
 #[derive(Clone, Copy)]
 struct BoundaryFacet {
     vertices: [u32; 3],
@@ -58,7 +62,8 @@ pub(super) struct Construction<'a> {
     edge_facets: Box<[[Facet; TABLE_VERTICES]; TABLE_VERTICES]>,
 }
 
-/// Triangulates distinct sites; the last one represents the vertex at infinity. No cells (`None`) below three dimensions.
+/// Triangulates distinct sites; the last one represents the vertex at infinity. No cells (`None`)
+/// below three dimensions.
 pub(super) fn triangulate(
     sites: &mut [Site],
     watcher: &dyn Watcher,
@@ -83,7 +88,11 @@ fn first_simplex(sites: &[Site]) -> Result<[u32; 4], Dimension> {
     let third = find(&|s| !collinear(a, b, s)).ok_or(Dimension::One)?;
     let c = &sites[third];
     let fourth = find(&|s| orient(a, b, c, s) != 0).ok_or(Dimension::Two)?;
-    let (third, fourth) = if orient(a, b, c, &sites[fourth]) > 0 { (third, fourth) } else { (fourth, third) };
+    let (third, fourth) = if orient(a, b, c, &sites[fourth]) > 0 {
+        (third, fourth)
+    } else {
+        (fourth, third)
+    };
     Ok([0, 1, third as u32, fourth as u32])
 }
 
@@ -119,19 +128,32 @@ impl<'a> Construction<'a> {
             let neighbours = [0, 1, 2, 3].map(|index| {
                 let mut shared = *cell;
                 shared[index] = u32::MAX;
-                let faces =
-                    |other: &[u32; 4]| other != cell && shared.iter().filter(|v| other.contains(v)).count() == 3;
-                let beyond = vertices.iter().position(faces).expect("each two of the five cells share a triangle");
-                let opposite =
-                    vertices[beyond].iter().position(|v| !shared.contains(v)).expect("two cells differ in one vertex");
+                let faces = |other: &[u32; 4]| {
+                    other != cell && shared.iter().filter(|v| other.contains(v)).count() == 3
+                };
+                let beyond = vertices
+                    .iter()
+                    .position(faces)
+                    .expect("each two of the five cells share a triangle");
+                let opposite = vertices[beyond]
+                    .iter()
+                    .position(|v| !shared.contains(v))
+                    .expect("two cells differ in one vertex");
                 Facet::new(beyond as u32, opposite)
             });
-            self.cells.push(Cell { vertices: *cell, neighbours });
+            self.cells.push(Cell {
+                vertices: *cell,
+                neighbours,
+            });
             self.marks.push(Mark::Unseen);
         }
     }
 
-    fn insert_all(&mut self, simplex: [u32; 4], watcher: &dyn Watcher) -> Result<(), DelaunayError> {
+    fn insert_all(
+        &mut self,
+        simplex: [u32; 4],
+        watcher: &dyn Watcher,
+    ) -> Result<(), DelaunayError> {
         let vertices = self.infinite;
         let mut unchecked = 0;
         for round in (0..rounds(vertices as usize)).rev() {
@@ -164,7 +186,8 @@ impl<'a> Construction<'a> {
         Ok(())
     }
 
-    /// Visibility walk to the cell that contains the site, or to an infinite cell whose facet has it strictly outside.
+    /// Visibility walk to the cell that contains the site, or to an infinite cell whose facet has
+    /// it strictly outside.
     fn locate(&self, site: &Site) -> u32 {
         let mut cell = self.last;
         if self.cells[cell as usize].vertices[3] == self.infinite {
@@ -172,12 +195,16 @@ impl<'a> Construction<'a> {
         }
         let mut entered = 4;
         loop {
-            let Cell { vertices, neighbours } = self.cells[cell as usize];
+            let Cell {
+                vertices,
+                neighbours,
+            } = self.cells[cell as usize];
             if vertices[3] == self.infinite {
                 return cell;
             }
             let corners = vertices.map(|v| &self.sites[v as usize]);
-            // The first facet varies from cell to cell; in a Delaunay triangulation, the walk ends with any choice (Edelsbrunner 1990).
+            // The first facet varies from cell to cell; in a Delaunay triangulation, the walk ends
+            // with any choice (Edelsbrunner 1990).
             let beyond = (0..4).map(|i| (i + cell as usize) & 3).find(|&i| {
                 let [u, v, w] = FACET_VERTICES[i].map(|k| corners[k]);
                 i != entered && orient(u, v, w, site) > 0
@@ -188,14 +215,22 @@ impl<'a> Construction<'a> {
         }
     }
 
-    fn find_cavity(&mut self, start: u32, site: &Site, watcher: &dyn Watcher) -> Result<(), Cancelled> {
+    fn find_cavity(
+        &mut self,
+        start: u32,
+        site: &Site,
+        watcher: &dyn Watcher,
+    ) -> Result<(), Cancelled> {
         self.removed.clear();
         self.boundary.clear();
         self.removed.push(start);
         self.marks[start as usize] = Mark::Removed;
         let mut next = 0;
         while next < self.removed.len() {
-            let Cell { vertices, neighbours } = self.cells[self.removed[next] as usize];
+            let Cell {
+                vertices,
+                neighbours,
+            } = self.cells[self.removed[next] as usize];
             next += 1;
             if next % CELLS_PER_CHECK == 0 {
                 watcher.check()?;
@@ -213,20 +248,27 @@ impl<'a> Construction<'a> {
                     continue;
                 }
                 self.marks[beyond as usize] = Mark::Kept;
-                self.boundary.push(BoundaryFacet { vertices: FACET_VERTICES[index].map(|i| vertices[i]), outer });
+                self.boundary.push(BoundaryFacet {
+                    vertices: FACET_VERTICES[index].map(|i| vertices[i]),
+                    outer,
+                });
             }
         }
         Ok(())
     }
 
     fn in_conflict(&self, cell: u32, site: &Site) -> bool {
-        let Cell { vertices, neighbours } = &self.cells[cell as usize];
+        let Cell {
+            vertices,
+            neighbours,
+        } = &self.cells[cell as usize];
         let corners = vertices.map(|v| &self.sites[v as usize]);
         if vertices[3] != self.infinite {
             return in_sphere(corners, site);
         }
         match orient(corners[0], corners[1], corners[2], site) {
-            // In the facet's plane its circumcircle decides, in which the sphere of the finite neighbour intersects the plane.
+            // In the facet's plane its circumcircle decides, in which the sphere of the finite
+            // neighbour intersects the plane.
             0 => self.in_conflict(neighbours[3].cell(), site),
             side => side > 0,
         }
@@ -236,11 +278,17 @@ impl<'a> Construction<'a> {
     fn reserve(&mut self) -> Result<(), DelaunayError> {
         let limit = MAX_CELLS.min(FREE_CELLS.max(MAX_CELLS_PER_VERTEX * self.sites.len()));
         if self.cells.len() + self.boundary.len() > limit {
-            return Err(DelaunayError::TooManyCells { vertices: self.sites.len() - 1, limit });
+            return Err(DelaunayError::TooManyCells {
+                vertices: self.sites.len() - 1,
+                limit,
+            });
         }
         while self.removed.len() < self.boundary.len() {
             let cell = self.free.pop().unwrap_or_else(|| {
-                self.cells.push(Cell { vertices: [0; 4], neighbours: [Facet(0); 4] });
+                self.cells.push(Cell {
+                    vertices: [0; 4],
+                    neighbours: [Facet(0); 4],
+                });
                 self.marks.push(Mark::Unseen);
                 self.cells.len() as u32 - 1
             });
@@ -249,10 +297,15 @@ impl<'a> Construction<'a> {
         Ok(())
     }
 
-    /// Makes one cell per boundary facet: the new vertex first, the vertex at infinity, if any, last.
+    /// Makes one cell per boundary facet: the new vertex first, the vertex at infinity, if any,
+    /// last.
     fn fill_cavity(&mut self, vertex: u32) {
         let spare = self.removed.split_off(self.boundary.len());
-        self.free.extend(spare.iter().inspect(|&&cell| self.marks[cell as usize] = Mark::Unseen));
+        self.free.extend(
+            spare
+                .iter()
+                .inspect(|&&cell| self.marks[cell as usize] = Mark::Unseen),
+        );
         for (facet, &cell) in self.boundary.iter_mut().zip(&self.removed) {
             let [u, v, w] = facet.vertices;
             if u == self.infinite {
@@ -262,7 +315,10 @@ impl<'a> Construction<'a> {
             }
             let [u, v, w] = facet.vertices;
             let outer = facet.outer;
-            self.cells[cell as usize] = Cell { vertices: [vertex, u, v, w], neighbours: [outer; 4] };
+            self.cells[cell as usize] = Cell {
+                vertices: [vertex, u, v, w],
+                neighbours: [outer; 4],
+            };
             self.cells[outer.cell() as usize].neighbours[outer.index()] = Facet::new(cell, 0);
             self.marks[outer.cell() as usize] = Mark::Unseen;
             self.marks[cell as usize] = Mark::Unseen;
@@ -270,14 +326,16 @@ impl<'a> Construction<'a> {
         self.last = self.removed[self.removed.len() - 1];
     }
 
-    /// Connects the new cells: the edge from u to v of one boundary facet is the edge from v to u of the next.
+    /// Connects the new cells: the edge from u to v of one boundary facet is the edge from v to u
+    /// of the next.
     fn match_edges_by_table(&mut self) {
         let mut count = 0;
         for facet in 0..self.boundary.len() {
             let labels = self.boundary[facet].vertices.map(|v| {
                 let site = &mut self.sites[v as usize];
                 let old = site.label as usize;
-                // Labels of earlier insertions are recognised by the entry that they point to, so that none has to be cleared.
+                // Labels of earlier insertions are recognised by the entry that they point to, so
+                // that none has to be cleared.
                 let fresh = old >= count || self.labelled[old & (TABLE_VERTICES - 1)] != v;
                 let label = if fresh { count } else { old } & (TABLE_VERTICES - 1);
                 site.label = label as u32;
@@ -293,7 +351,9 @@ impl<'a> Construction<'a> {
             self.edge_facets[u][v] = Facet::new(cell, 3);
         }
         for (facet, &cell) in self.boundary.iter().zip(&self.removed) {
-            let [u, v, w] = facet.vertices.map(|label| label as usize & (TABLE_VERTICES - 1));
+            let [u, v, w] = facet
+                .vertices
+                .map(|label| label as usize & (TABLE_VERTICES - 1));
             let neighbours = &mut self.cells[cell as usize].neighbours;
             neighbours[1] = self.edge_facets[w][v];
             neighbours[2] = self.edge_facets[u][w];

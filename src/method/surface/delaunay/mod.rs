@@ -1,11 +1,13 @@
-//! 3D Delaunay triangulation (method 1.1), exact on a grid of 30 bits per axis, and rays through it (method 1.2).
+//! 3D Delaunay triangulation (method 1.1), exact on a grid of 30 bits per axis, and rays through it
+//! (method 1.2).
 //!
-//! `grid` snaps the points, `order` sorts them, `predicates` computes signs exactly, `insertion` builds the cells, `ray` walks through them, `validate`
-//! checks the result.
+//! `grid` snaps the points, `order` sorts them, `predicates` computes signs exactly, `insertion`
+//! builds the cells, `ray` walks through them, `validate` checks the result.
 //!
-//! The result depends only on the set of points, not on their order: ties of cospherical points are broken by symbolic perturbation. Expected time is
-//! n log n with a small constant for points on surfaces and in volumes. On pairs of skew curves the number of cells is quadratic, which is an error.
-//! Flat input is not an error: see [`Dimension`].
+//! The result depends only on the set of points, not on their order: ties of cospherical points are
+//! broken by symbolic perturbation. Expected time is n log n with a small constant for points on
+//! surfaces and in volumes. On pairs of skew curves the number of cells is quadratic, which is an
+//! error. Flat input is not an error: see [`Dimension`].
 
 mod grid;
 mod insertion;
@@ -25,7 +27,8 @@ use nalgebra::Point3;
 /// The vertex at infinity. Each triangle of the convex hull forms an infinite cell with it.
 pub const INFINITE: u32 = u32::MAX;
 
-/// Corners of the facet opposite to each corner of a cell, counter-clockwise seen from outside the cell.
+/// Corners of the facet opposite to each corner of a cell, counter-clockwise seen from outside the
+/// cell.
 pub const FACET_VERTICES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// One side of a triangle: a cell and the index of the corner opposite to the triangle.
@@ -84,7 +87,8 @@ pub enum DelaunayError {
     Cancelled(#[from] Cancelled),
 }
 
-/// A Delaunay triangulation. Vertices are the distinct grid points in the order of a space-filling curve.
+/// A Delaunay triangulation. Vertices are the distinct grid points in the order of a space-filling
+/// curve.
 #[derive(Clone, Debug)]
 pub struct Delaunay {
     pub dimension: Dimension,
@@ -102,12 +106,17 @@ impl Delaunay {
     ///
     /// # Errors
     /// Points that are not finite or too many, a triangulation of quadratic size, cancellation.
-    pub fn triangulate(points: &[Point3<f64>], watcher: &dyn Watcher) -> Result<Self, DelaunayError> {
+    pub fn triangulate(
+        points: &[Point3<f64>],
+        watcher: &dyn Watcher,
+    ) -> Result<Self, DelaunayError> {
         if let Some(point) = points.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
             return Err(DelaunayError::NotFinite { point });
         }
         if points.len() >= INFINITE as usize {
-            return Err(DelaunayError::TooManyPoints { points: points.len() });
+            return Err(DelaunayError::TooManyPoints {
+                points: points.len(),
+            });
         }
         let grid = Grid::around(points);
         let (mut sites, vertex_of_point) = order::sorted_sites(points, &grid, watcher)?;
@@ -117,14 +126,22 @@ impl Delaunay {
         let cells = compact(&cells, &free, sites.len() as u32);
         watcher.check()?;
         let cell_of_vertex = cells_of_vertices(&cells, sites.len());
-        Ok(Delaunay { dimension, cells, vertex_of_point, sites, grid, cell_of_vertex })
+        Ok(Delaunay {
+            dimension,
+            cells,
+            vertex_of_point,
+            sites,
+            grid,
+            cell_of_vertex,
+        })
     }
 
     pub fn vertex_count(&self) -> usize {
         self.sites.len()
     }
 
-    /// Returns the world position of a vertex: that of its points within half a [`Delaunay::step`] per axis.
+    /// Returns the world position of a vertex: that of its points within half a [`Delaunay::step`]
+    /// per axis.
     pub fn position(&self, vertex: u32) -> Point3<f64> {
         self.grid.position(&self.sites[vertex as usize])
     }
@@ -150,41 +167,65 @@ impl Delaunay {
         self.cells[facet.cell() as usize].neighbours[facet.index()]
     }
 
-    /// Returns the corners, counter-clockwise seen from outside the facet's cell; one may be [`INFINITE`] in infinite cells.
+    /// Returns the corners, counter-clockwise seen from outside the facet's cell; one may be
+    /// [`INFINITE`] in infinite cells.
     pub fn facet_vertices(&self, facet: Facet) -> [u32; 3] {
         FACET_VERTICES[facet.index()].map(|i| self.cells[facet.cell() as usize].vertices[i])
     }
 }
 
-/// Renumbers the used cells by their first vertex along the space-filling curve, so that cells near in space are near in memory for rays and the cut.
-/// Replaces the site at infinity by [`INFINITE`].
+/// Renumbers the used cells by their first vertex along the space-filling curve, so that cells near
+/// in space are near in memory for rays and the cut. Replaces the site at infinity by [`INFINITE`].
 fn compact(cells: &[Cell], free: &[u32], infinite: u32) -> Vec<Cell> {
     const UNUSED: u32 = u32::MAX;
-    let first = |cell: &Cell| cell.vertices.into_iter().min().expect("a cell has four vertices") as usize;
+    let first = |cell: &Cell| {
+        cell.vertices
+            .into_iter()
+            .min()
+            .expect("a cell has four vertices") as usize
+    };
     let mut place = vec![0; cells.len()];
     free.iter().for_each(|&gap| place[gap as usize] = UNUSED);
     let mut next = vec![0; infinite as usize + 2];
-    for (cell, _) in cells.iter().zip(&place).filter(|&(_, &place)| place != UNUSED) {
+    for (cell, _) in cells
+        .iter()
+        .zip(&place)
+        .filter(|&(_, &place)| place != UNUSED)
+    {
         next[first(cell) + 1] += 1;
     }
     for vertex in 1..next.len() {
         next[vertex] += next[vertex - 1];
     }
-    for (cell, place) in cells.iter().zip(&mut place).filter(|(_, place)| **place != UNUSED) {
+    for (cell, place) in cells
+        .iter()
+        .zip(&mut place)
+        .filter(|(_, place)| **place != UNUSED)
+    {
         let next = &mut next[first(cell)];
         *place = *next;
         *next += 1;
     }
     let mut order = vec![0; cells.len() - free.len()];
-    for (from, &to) in place.iter().enumerate().filter(|&(_, &place)| place != UNUSED) {
+    for (from, &to) in place
+        .iter()
+        .enumerate()
+        .filter(|&(_, &place)| place != UNUSED)
+    {
         order[to as usize] = from;
     }
     let placed = |from: usize| {
-        let Cell { mut vertices, neighbours } = cells[from];
+        let Cell {
+            mut vertices,
+            neighbours,
+        } = cells[from];
         if vertices[3] == infinite {
             vertices[3] = INFINITE;
         }
-        Cell { vertices, neighbours: neighbours.map(|f| Facet::new(place[f.cell() as usize], f.index())) }
+        Cell {
+            vertices,
+            neighbours: neighbours.map(|f| Facet::new(place[f.cell() as usize], f.index())),
+        }
     };
     order.into_iter().map(placed).collect()
 }

@@ -1,7 +1,9 @@
-//! The order of insertion: along a Hilbert curve in rounds of growing size (BRIO: Amenta, Choi, Rote 2003).
+//! The order of insertion: along a Hilbert curve in rounds of growing size (BRIO: Amenta, Choi,
+//! Rote 2003).
 //!
-//! Vertices are numbered along the curve, so that neighbours in space are neighbours in memory; the rounds are drawn by a hash
-//! of that number, so that neither numbers nor rounds depend on the order of the input.
+//! Vertices are numbered along the curve, so that neighbours in space are neighbours in memory; the
+//! rounds are drawn by a hash of that number, so that neither numbers nor rounds depend on the
+//! order of the input.
 
 use super::grid::{Grid, HALF_RANGE, Site};
 use crate::base::progress::{Cancelled, Watcher};
@@ -17,7 +19,8 @@ const INDEX_BITS: u32 = 32;
 const KEY_BITS: u32 = 3 * LEVELS;
 /// Bits per digit of the radix sort.
 const DIGIT_BITS: u32 = 9;
-/// Number of entries sorted by comparison, and between two checks for cancellation: well under 10 ms.
+/// Number of entries sorted by comparison, and between two checks for cancellation: well under 10
+/// ms.
 const CHUNK: usize = 1 << 15;
 
 /// Distinct grid points along the curve, with the index of each input point among them.
@@ -51,8 +54,14 @@ pub(super) fn sorted_sites(
     Ok((sites, vertex_of_point))
 }
 
-/// Radix sort of entries whose keys differ in the lowest `bits` only; small parts are sorted by comparison.
-fn sort(places: &mut [Place], buffer: &mut [Place], bits: u32, watcher: &dyn Watcher) -> Result<(), Cancelled> {
+/// Radix sort of entries whose keys differ in the lowest `bits` only; small parts are sorted by
+/// comparison.
+fn sort(
+    places: &mut [Place],
+    buffer: &mut [Place],
+    bits: u32,
+    watcher: &dyn Watcher,
+) -> Result<(), Cancelled> {
     watcher.check()?;
     if bits == 0 {
         return Ok(());
@@ -82,20 +91,29 @@ fn sort(places: &mut [Place], buffer: &mut [Place], bits: u32, watcher: &dyn Wat
     places.copy_from_slice(buffer);
     let mut start = 0;
     for end in ends {
-        sort(&mut places[start..end], &mut buffer[start..end], bits, watcher)?;
+        sort(
+            &mut places[start..end],
+            &mut buffer[start..end],
+            bits,
+            watcher,
+        )?;
         start = end;
     }
     Ok(())
 }
 
-/// Returns the round of a vertex, counted from the last; each round has about eight times the vertices of the one before.
+/// Returns the round of a vertex, counted from the last; each round has about eight times the
+/// vertices of the one before.
 pub(super) fn round_from_last(vertex: u32) -> u32 {
     mix(vertex).trailing_zeros() / 3
 }
 
 /// Returns the number of rounds for `vertices` vertices.
 pub(super) fn rounds(vertices: usize) -> u32 {
-    (0..vertices as u32).map(round_from_last).max().map_or(0, |last| last + 1)
+    (0..vertices as u32)
+        .map(round_from_last)
+        .max()
+        .map_or(0, |last| last + 1)
 }
 
 /// A bijective hash of 32 bits (finaliser of MurmurHash3).
@@ -107,7 +125,8 @@ fn mix(mut v: u32) -> u32 {
     v ^ (v >> 16)
 }
 
-/// Returns the digits of the Hilbert curve through the cube of 2^30 steps, coarsest first; equal only for equal sites.
+/// Returns the digits of the Hilbert curve through the cube of 2^30 steps, coarsest first; equal
+/// only for equal sites.
 fn hilbert_key(site: &Site) -> Place {
     let [x, y, z] = site.coordinates().map(|v| (v + HALF_RANGE) as u32);
     let mut state = 0;
@@ -164,7 +183,11 @@ const fn gray_inverse(v: usize) -> usize {
 
 /// Returns the corner through which the curve enters the sub-cube of a digit.
 const fn entry_of(digit: usize) -> usize {
-    if digit == 0 { 0 } else { gray(2 * ((digit - 1) / 2)) }
+    if digit == 0 {
+        0
+    } else {
+        gray(2 * ((digit - 1) / 2))
+    }
 }
 
 /// Returns the axis along which the curve crosses the sub-cube of a digit.

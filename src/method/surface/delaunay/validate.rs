@@ -7,7 +7,9 @@ use std::collections::HashSet;
 /// Defect of a triangulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Flaw {
-    #[error("cell {cell} repeats a corner, refers to a missing vertex, or has the infinite vertex not last")]
+    #[error(
+        "cell {cell} repeats a corner, refers to a missing vertex, or has the infinite vertex not last"
+    )]
     Corners { cell: u32 },
     #[error("cell {cell} is not positively oriented")]
     Orientation { cell: u32 },
@@ -24,14 +26,18 @@ pub enum Flaw {
 }
 
 impl Delaunay {
-    /// Neighbours, orientation, empty spheres across each facet (which makes all spheres empty, by Delaunay's lemma) and the
-    /// Euler sum. Linear in the number of cells.
+    /// Neighbours, orientation, empty spheres across each facet (which makes all spheres empty, by
+    /// Delaunay's lemma) and the Euler sum. Linear in the number of cells.
     ///
     /// # Errors
     /// The first flaw found.
     pub fn validate(&self) -> Result<(), Flaw> {
         if self.dimension != Dimension::Three {
-            return if self.cells.is_empty() { Ok(()) } else { Err(Flaw::Dimension) };
+            return if self.cells.is_empty() {
+                Ok(())
+            } else {
+                Err(Flaw::Dimension)
+            };
         }
         for cell in 0..self.cells.len() as u32 {
             self.validate_corners(cell)?;
@@ -53,7 +59,11 @@ impl Delaunay {
     fn validate_corners(&self, cell: u32) -> Result<(), Flaw> {
         let vertices = self.cells[cell as usize].vertices;
         let distinct: HashSet<u32> = vertices.into_iter().collect();
-        let finite = if self.is_infinite(cell) { &vertices[..3] } else { &vertices[..] };
+        let finite = if self.is_infinite(cell) {
+            &vertices[..3]
+        } else {
+            &vertices[..]
+        };
         if distinct.len() != 4 || finite.iter().any(|&v| v as usize >= self.sites.len()) {
             return Err(Flaw::Corners { cell });
         }
@@ -75,7 +85,11 @@ impl Delaunay {
         // Seen from the other side, the same triangle has the opposite orientation.
         let [a, b, c] = self.facet_vertices(facet);
         let seen = self.facet_vertices(other);
-        if [[a, c, b], [c, b, a], [b, a, c]].contains(&seen) { Ok(()) } else { Err(Flaw::Neighbour(facet)) }
+        if [[a, c, b], [c, b, a], [b, a, c]].contains(&seen) {
+            Ok(())
+        } else {
+            Err(Flaw::Neighbour(facet))
+        }
     }
 
     fn beyond(&self, facet: Facet) -> u32 {
@@ -100,8 +114,13 @@ impl Delaunay {
 
     fn validate_vertices(&self) -> Result<(), Flaw> {
         for vertex in 0..self.sites.len() as u32 {
-            let cell = self.cell_of_vertex.get(vertex as usize).map(|&cell| &self.cells[cell as usize]);
-            if !cell.is_some_and(|cell| cell.vertices.contains(&vertex) && cell.vertices[3] != INFINITE) {
+            let cell = self
+                .cell_of_vertex
+                .get(vertex as usize)
+                .map(|&cell| &self.cells[cell as usize]);
+            if !cell
+                .is_some_and(|cell| cell.vertices.contains(&vertex) && cell.vertices[3] != INFINITE)
+            {
                 return Err(Flaw::Vertex { vertex });
             }
         }
