@@ -26,14 +26,16 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Failure, Format, print, print_json, progress::Progress, terminal::json, use_threads, warn,
+    Exit, Failure, Format, print, print_json, progress::Progress, terminal::json, use_threads, warn,
 };
 
 /// Measure finished depth maps: quality reached, what is missing and why.
 ///
 /// Needs a plan of PROJECT (viewrank plan). The depth maps are those of COLMAP (stereo/depth_maps),
 /// OpenMVS, MVSNet, ACMM, Gipuma, MVE, AliceVision, MicMac or integrations/sgm. Writes
-/// PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
+/// PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply, and cells.tsv,
+/// which says which maps take part in which cells of their fused cloud. Without --depth-maps, the
+/// plan's order is judged by that table.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -41,7 +43,7 @@ pub struct Arguments {
     project: PathBuf,
 
     /// Folder of the finished depth maps
-    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), required_unless_present_any = ["write_baselines", "compare"])]
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     depth_maps: Option<PathBuf>,
     /// Folder of reference depth maps, such as those with all partners [default: every depth counts
     /// as right]
@@ -57,6 +59,10 @@ pub struct Arguments {
     /// File of the view clusters that the maps were made for, in order [default: the plan's]
     #[arg(long, value_name = "FILE", requires = "depth_maps")]
     clusters: Option<PathBuf>,
+    /// Table of an earlier evaluation, to judge the plan's order by [default:
+    /// PROJECT/viewrank/evaluation/cells.tsv]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["depth_maps", "write_baselines", "compare"])]
+    cells: Option<PathBuf>,
     /// Folder of depth maps of the same clusters, matched at half the size, to compare with
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
     half_size: Option<PathBuf>,
@@ -93,6 +99,9 @@ pub struct Arguments {
     format: Format,
 }
 
+/// Name of the table of cells.
+const CELLS: &str = "cells.tsv";
+
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
@@ -105,8 +114,27 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
         (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
         (_, _, Some(folder)) => measure(arguments, &project, &plan, folder, &progress),
-        (None, None, None) => unreachable!("clap asks for one of the three"),
+        (None, None, None) => judge(arguments, &project, &plan, &progress),
     }
+}
+
+/// Judges the order of the plan by a table of an earlier evaluation.
+fn judge(
+    arguments: &Arguments,
+    project: &Project,
+    plan: &Plan,
+    progress: &Progress,
+) -> Result<(), Failure> {
+    let kept = || project.output_folder().join("evaluation").join(CELLS);
+    let path = arguments.cells.clone().unwrap_or_else(kept);
+    if arguments.cells.is_none() && !path.is_file() {
+        let hint = "name the folder of the finished depth maps with --depth-maps";
+        let message = format!("nothing to evaluate: there is no {}", path.display());
+        return Err(Failure::new(Exit::Usage, message, Some(hint.into())));
+    }
+    let judged = evaluate::cells::judge_plan(plan, &path, progress)?;
+    progress.finish();
+    output(arguments, &judged, || judged.lines())
 }
 
 fn measure(
@@ -153,8 +181,12 @@ fn measure(
         MeasuredClusters::at_half_size(&plan.stages, &clusters, folder, reference, progress)
     };
     let half = arguments.half_size.as_ref().map(half).transpose()?;
+    let cloud = arguments.cloud.as_deref();
+    let cells = evaluate::cells::incidence(&plan.stages, &run, folder, cloud, progress)?;
+    let table = cells.0.text();
     let how = EvaluationOptions {
         objective: &plan.stages.objective,
+        cells,
         baselines: arguments.baselines,
         so_far,
         clouds,
@@ -168,6 +200,7 @@ fn measure(
         .to_string_lossy();
     let mut files = FileSet::new(&out, "evaluation");
     files.add_text("evaluation.json", json(&evaluation));
+    files.add_text(CELLS, table);
     files.add_text("evaluation.html", evaluate::page(&evaluation, &title));
     files.add("evaluation.ply", Contents::Bytes(reached.ply(&model)));
     files.write(&project.disk())?;
@@ -369,21 +402,26 @@ fn text(e: &Evaluation, out: &Path) -> Vec<String> {
     if e.inside < 1.0 {
         lines.extend(["Fulfilment and shares are those inside the region.", ""].map(String::from));
     }
-    lines.push("shares of what these depth maps give together".into());
-    lines.push("predicted share   key views   pairs   real share".into());
+    lines.extend(e.cells.lines());
+    lines.push(String::new());
+    lines
+        .push("share predicted, by fulfilment, and real, of the cells that these maps give".into());
+    lines.push("predicted share   key views   pairs   real share   three maps agree".into());
     for gap in e
         .gap
         .chunk_by(|one, next| one.clusters == next.clusters)
         .filter_map(<[_]>::last)
     {
-        let (share, real) = (100.0 * gap.share, 100.0 * gap.real);
+        let [share, real, agreeing] = [gap.share, gap.real, gap.agreeing].map(|of| 100.0 * of);
         lines.push(format!(
-            "{share:13.0} % {:11} {:7} {real:10.1} %",
+            "{share:13.0} % {:11} {:7} {real:10.1} % {agreeing:16.1} %",
             gap.clusters, gap.pairs
         ));
     }
     if !e.orders.is_empty() {
-        lines.extend(["", "key views for"].map(String::from));
+        let heading =
+            "key views for a share of the fulfilment of each triangle, the paper's measure";
+        lines.extend(["", heading].map(String::from));
         lines.push(
             e.orders[0]
                 .needed

@@ -124,6 +124,59 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
     }
 }
 
+/// Most items of a list of a vertex: more views than anybody fuses.
+const MOST_ITEMS: usize = 1 << 20;
+
+/// Reads the vertices of a cloud, each with the items of its list `property` (none if the element
+/// has no such list); calls `take` for each, in the order of the file.
+pub fn read_with_lists(
+    bytes: &[u8],
+    property: &str,
+    mut take: impl FnMut(Point3<f64>, &[u32]),
+) -> Result<(), PlyError> {
+    let header = read_header(bytes)?;
+    let mut body = Body {
+        bytes,
+        at: header.body,
+        encoding: header.encoding,
+    };
+    let Some(element) = header.elements.iter().find(|of| of.name == "vertex") else {
+        return Ok(());
+    };
+    for before in header.elements.iter().take_while(|of| of.name != "vertex") {
+        body.check_room(before)?;
+        if !before.properties.is_empty() {
+            (0..before.count)
+                .try_for_each(|_| before.properties.iter().try_for_each(|p| body.skip(p)))?;
+        }
+    }
+    body.check_room(element)?;
+    let axes = ["x", "y", "z"];
+    let mut items = Vec::new();
+    for _ in 0..element.count {
+        let mut point = [f64::NAN; 3];
+        items.clear();
+        for of in &element.properties {
+            let axis = axes.iter().position(|axis| *axis == of.name);
+            match (of.count, axis) {
+                (None, Some(axis)) => point[axis] = body.number(of.value)?,
+                (Some(count), _) if of.name == property => {
+                    let length = body.list_length(count)?;
+                    if length > MOST_ITEMS {
+                        return Err(body.error(format!("a list of {length} {property}")));
+                    }
+                    for _ in 0..length {
+                        items.push(body.number(of.value)? as u32);
+                    }
+                }
+                _ => body.skip(of)?,
+            }
+        }
+        take(point.into(), &items);
+    }
+    Ok(())
+}
+
 fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
     let mut at = 0;
     let mut line = 0;

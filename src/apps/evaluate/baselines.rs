@@ -40,38 +40,58 @@ pub struct Order {
     pub pairs: Vec<f64>,
 }
 
-/// Compares the orders of the clusters: ours (greedy on the prediction) comes first, the optimum
-/// last.
+/// Returns the orders that are compared, each with its name: ours first. `all`: also those that
+/// look at finished maps while others are computed.
+pub fn named(
+    run: &MeasuredClusters,
+    model: &Model,
+    objective: &Objective,
+    all: bool,
+    watcher: &dyn Watcher,
+) -> Result<Vec<(&'static str, Vec<u32>)>, TableError> {
+    let mut named = vec![
+        ("ours", run.order.clone()),
+        ("nocp", orders::greedy(&run.nocp, objective, watcher)?),
+    ];
+    if all {
+        let beliefs = Beliefs::new(model.scene, model.surface, &run.clusters, &run.predicted);
+        let updated = orders::real_update(&run.predicted, &run.real, objective);
+        named.push(("realupdate", updated));
+        named.push(("replan", orders::replan(beliefs, run, objective)));
+    }
+    named.push(("maxpts", orders::max_points(model.scene, &run.clusters)));
+    let farthest = orders::farthest_view(model.scene, &run.clusters);
+    named.push(("farthest view", farthest));
+    Ok(named)
+}
+
+/// Compares orders of the clusters by the fulfilment of each triangle, as the paper does; the
+/// optimum comes last.
 pub fn compare(
     run: &MeasuredClusters,
     model: &Model,
     objective: &Objective,
     watcher: &dyn Watcher,
 ) -> Result<Vec<Order>, TableError> {
-    let beliefs = Beliefs::new(model.scene, model.surface, &run.clusters, &run.predicted);
     let clusters = run.clusters.len();
     let total = run.real_curve(objective, &run.order).total_kept();
-    let one = |name, order: Vec<u32>| Order::new(name, &[run.real_curve(objective, &order)], total);
+    let one = |name, order: &[u32]| Order::new(name, &[run.real_curve(objective, order)], total);
     let random: Vec<ReachCurve> = (0..orders::RANDOM_SEEDS)
         .map(|seed| run.real_curve(objective, &orders::random(clusters, seed)))
         .collect();
-    Ok(vec![
-        one("ours", orders::greedy(&run.predicted, objective, watcher)?),
-        one("nocp", orders::greedy(&run.nocp, objective, watcher)?),
-        one(
-            "realupdate",
-            orders::real_update(&run.predicted, &run.real, objective),
-        ),
-        one("replan", orders::replan(beliefs, run, objective)),
-        one("maxpts", orders::max_points(model.scene, &run.clusters)),
-        Order::new("every n-th", &[every_nth(run, objective)], total),
-        one(
-            "farthest view",
-            orders::farthest_view(model.scene, &run.clusters),
-        ),
-        Order::new("random", &random, total),
-        one("optimum", orders::greedy(&run.real, objective, watcher)?),
-    ])
+    let named = named(run, model, objective, true, watcher)?;
+    let mut compared: Vec<Order> = named.iter().map(|(name, order)| one(name, order)).collect();
+    let ours = orders::greedy(&run.predicted, objective, watcher)?;
+    compared[0] = one("ours", &ours);
+    compared.push(Order::new(
+        "every n-th",
+        &[every_nth(run, objective)],
+        total,
+    ));
+    compared.push(Order::new("random", &random, total));
+    let optimum = orders::greedy(&run.real, objective, watcher)?;
+    compared.push(one("optimum", &optimum));
+    Ok(compared)
 }
 
 /// Returns the key views or pairs needed as text, with the names of the orders that need as many;

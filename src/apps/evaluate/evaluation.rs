@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::{
     baselines::{self, Order},
+    cells::{CellSource, CellsEvaluation, Counted, Incidence},
     clouds::CloudComparison,
     curve::{ReachCurve, SHARES},
     half_size::HalfSize,
@@ -43,8 +44,11 @@ pub struct Evaluation {
     /// Share that these maps reach of the result expected from all clusters of the plan, as in
     /// `status` and `report`.
     pub reached: MeasuredProgress,
-    /// Weight that fusion keeps of all clusters with a map, 0 to 1; the shares below refer to it.
+    /// Weight that fusion keeps of all clusters with a map, 0 to 1, by the fulfilment of each
+    /// triangle (method 5.2).
     pub kept: KeptWeight,
+    /// Orders judged by the cells of the cloud that all these maps give.
+    pub cells: CellsEvaluation,
     /// Curves along the order of the clusters; entry i is the result after i clusters.
     pub curve: EvaluationCurves,
     /// Points of the curve at predicted shares of 10, 20, ... 90 %.
@@ -64,7 +68,7 @@ pub struct Evaluation {
     pub clouds: Option<CloudComparison>,
     /// The same clusters at half the size, if such depth maps are given.
     pub half_size: Option<HalfSize>,
-    /// The same clusters in other orders; empty unless asked for.
+    /// Orders compared by the fulfilment of each triangle, as in the paper; empty unless asked for.
     pub orders: Vec<Order>,
 }
 
@@ -111,10 +115,13 @@ pub struct KeptWeight {
 
 #[derive(Clone, Debug, Serialize)]
 pub struct EvaluationCurves {
-    /// Weight that fusion keeps, as a share of that of all clusters together.
+    /// Weight that fusion is expected to keep, as a share of that of all clusters together.
     pub predicted: Vec<f64>,
+    /// Share of the cells of the cloud of all these maps.
     pub real: Vec<f64>,
-    /// Real f_o.
+    /// The same of the cells where three maps agree.
+    pub agreeing: Vec<f64>,
+    /// Real f_o, as the paper has it.
     pub fulfilment: Vec<f64>,
     pub pairs: Vec<usize>,
 }
@@ -126,7 +133,10 @@ pub struct Gap {
     pub clusters: usize,
     pub pairs: usize,
     pub predicted: f64,
+    /// Share of the cells of the cloud of all these maps.
     pub real: f64,
+    /// The same of the cells where three maps agree.
+    pub agreeing: f64,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -146,6 +156,8 @@ pub struct KeyView {
 /// Inputs of an evaluation besides the measured clusters.
 pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
+    /// Which maps take part in which cells of their cloud.
+    pub cells: (Incidence, CellSource),
     pub so_far: MeasuredProgress,
     pub clouds: Option<CloudComparison>,
     /// Depth maps of the same clusters at half the size.
@@ -175,7 +187,7 @@ impl Evaluation {
                 .real
                 .iter()
                 .position(|&real| real >= share - 1e-9)
-                .filter(|_| self.kept.real > 0.0)
+                .filter(|_| self.cells.all.cells > 0.0)
         };
         let enough = [0.95, 0.9].map(enough);
         let give = if enough[1] == Some(1) {
@@ -185,15 +197,15 @@ impl Evaluation {
         };
         match enough {
             [Some(most), Some(nearly)] if most < maps => format!(
-                "You could have stopped after {most} of these {maps} depth maps, which give 95 % of what all of them give; {nearly} {give} 90 %."
+                "You could have stopped after {most} of these {maps} depth maps, which give 95 % of the cloud of all of them; {nearly} {give} 90 %."
             ),
             [Some(_), Some(nearly)] if nearly < maps => {
                 format!(
-                    "All {maps} depth maps were needed for 95 % of what they give; {nearly} {give} 90 %."
+                    "All {maps} depth maps were needed for 95 % of their cloud; {nearly} {give} 90 %."
                 )
             }
             [Some(_), _] => format!("All {maps} depth maps were needed."),
-            _ => "These depth maps give nothing that fusion keeps.".into(),
+            _ => "These depth maps give no point on which two of them agree.".into(),
         }
     }
 
@@ -205,13 +217,13 @@ impl Evaluation {
             .count()
     }
 
-    /// Returns the share reached, in words that say what it refers to.
+    /// Returns the share reached, in words that say what it refers to and how it is known.
     pub fn reached_in_words(&self) -> String {
         let share = self
             .reached
             .share
             .map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
-        format!("{share} of what all depth maps of the plan are expected to give")
+        format!("{share} of what all depth maps of the plan would give, estimated")
     }
 
     pub fn new(
@@ -228,6 +240,17 @@ impl Evaluation {
             half,
             ..
         } = *measure;
+        let (table, source) = &measure.cells;
+        let named = baselines::named(run, model, objective, baselines, watcher)?;
+        let clusters_of = |(name, order): (&'static str, Vec<u32>)| {
+            let clusters = order.iter().map(|&c| &run.clusters[c as usize]);
+            (name, clusters.collect::<Vec<_>>())
+        };
+        let named: Vec<_> = named.into_iter().map(clusters_of).collect();
+        let cells = CellsEvaluation::new(table, source.clone(), model.scene, &named);
+        // The maps of the table are in the run's order.
+        let order: Vec<u32> = (0..run.order.len() as u32).collect();
+        let [all, agreeing] = Counted::BOTH.map(|counted| table.curve(&order, counted));
         let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| {
@@ -259,10 +282,12 @@ impl Evaluation {
                 real: real.total_kept(),
             },
             half_size: half.map(|half| HalfSize::new(half, &real, objective)),
-            gap: gaps(&predicted, &real),
+            gap: gaps(&predicted, &all, &agreeing),
+            cells,
             curve: EvaluationCurves {
                 predicted: shares(&predicted),
-                real: shares(&real),
+                real: all,
+                agreeing,
                 fulfilment: real.fulfilment,
                 pairs: real.pairs,
             },
@@ -287,7 +312,7 @@ fn shares(curve: &ReachCurve) -> Vec<f64> {
         .collect()
 }
 
-fn gaps(predicted: &ReachCurve, real: &ReachCurve) -> Vec<Gap> {
+fn gaps(predicted: &ReachCurve, real: &[f64], agreeing: &[f64]) -> Vec<Gap> {
     let gap = |share: f64| {
         let clusters = predicted.clusters_for(share * predicted.total_kept())?;
         Some(Gap {
@@ -295,7 +320,8 @@ fn gaps(predicted: &ReachCurve, real: &ReachCurve) -> Vec<Gap> {
             clusters,
             pairs: predicted.pairs[clusters],
             predicted: predicted.share(clusters, predicted.total_kept()),
-            real: real.share(clusters, real.total_kept()),
+            real: real[clusters],
+            agreeing: agreeing[clusters],
         })
     };
     SHARES.iter().filter_map(|&share| gap(share)).collect()

@@ -6,6 +6,7 @@
 //! the choices of other authors.
 
 pub mod baselines;
+pub mod cells;
 mod clouds;
 pub mod clusters;
 mod compare;

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::{
-    Evaluation, EvaluationOptions, MeasuredClusters, MeasuredProgress, MeasuredSurface, orders,
+    Evaluation, EvaluationOptions, MeasuredClusters, MeasuredProgress, MeasuredSurface, cells,
+    orders,
     run::{EvaluateError, EvaluationInput},
 };
 use crate::{base::progress::Watcher, plan::Plan};
@@ -32,8 +33,10 @@ impl Evaluation {
         )?;
         let surface = MeasuredSurface::new(&model, &measured);
         let so_far = MeasuredProgress::new(stages, &measured);
+        let cells = cells::incidence(stages, &measured, depth_maps, None, watcher)?;
         let options = EvaluationOptions {
             objective: &stages.objective,
+            cells,
             so_far,
             clouds: None,
             half: None,

@@ -4,13 +4,11 @@ use std::fmt::Write;
 
 use super::{
     baselines,
+    cells::{NEEDED, TENTHS},
     evaluation::{Evaluation, KeyView},
     half_size::HalfSize,
 };
-use crate::show::pictures::{
-    SHARE_LABEL,
-    plot::{self, COLOURS, Line, Plot},
-};
+use crate::show::pictures::plot::{self, COLOURS, Line, Plot};
 
 /// Escapes text for HTML.
 fn escape(text: &str) -> String {
@@ -28,14 +26,12 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
         escape(title)
     );
     html += &summary(evaluation);
-    html +=
-        "<section><h2>Share of what these depth maps give together</h2>\n<div class=\"plots\">\n";
+    html += "<section><h2>Share of the cloud that these depth maps give together</h2>\n<div class=\"plots\">\n";
     html += &plots(evaluation);
     html += "</div></section>\n";
     html += &gap_table(evaluation);
-    if !evaluation.orders.is_empty() {
-        html += &order_tables(evaluation);
-    }
+    html += &cell_tables(evaluation);
+    html += &triangle_tables(evaluation);
     html += &clouds(evaluation);
     html += &half_size(evaluation);
     html += &missing_table(evaluation);
@@ -82,7 +78,7 @@ fn summary(e: &Evaluation) -> String {
         (
             "Reached",
             e.reached.share.map_or("–".into(), percent),
-            "of what all depth maps of the plan are expected to give",
+            "of what all depth maps of the plan would give, estimated",
         ),
         (
             "Completeness",
@@ -135,80 +131,40 @@ fn summary(e: &Evaluation) -> String {
     html + "</section>\n"
 }
 
-/// Units of curves and tables: key views (false), and pairs (true) unless all key views have as
-/// many.
-fn ways(e: &Evaluation) -> &'static [bool] {
-    let is_even = e
-        .key_views
-        .windows(2)
-        .all(|two| two[0].partners.len() == two[1].partners.len());
-    if is_even { &[false] } else { &[false, true] }
-}
-
 fn plots(e: &Evaluation) -> String {
-    let mut html = String::new();
-    for &over_pairs in ways(e) {
-        let x: Vec<f64> = match over_pairs {
-            true => e.curve.pairs.iter().map(|&p| p as f64).collect(),
-            false => (0..e.curve.real.len()).map(|i| i as f64).collect(),
-        };
-        let mut lines = vec![
-            line("predicted", COLOURS[0], DASHED, &x, &e.curve.predicted),
-            line("real", COLOURS[0], "", &x, &e.curve.real),
-        ];
-        for (i, order) in e.orders.iter().enumerate().skip(1) {
-            let x = if over_pairs {
-                order.pairs.clone()
-            } else {
-                (0..order.pairs.len()).map(|i| i as f64).collect()
-            };
-            let y: Vec<f64> = order
-                .kept
-                .iter()
-                .map(|kept| {
-                    if e.kept.real > 0.0 {
-                        kept / e.kept.real
-                    } else {
-                        0.0
-                    }
-                })
-                .collect();
-            // Colours are reused with dotted lines, except the first, which is the plan's.
-            let (round, colour) = (
-                (i - 1) / (COLOURS.len() - 1),
-                1 + (i - 1) % (COLOURS.len() - 1),
-            );
-            lines.push(line(
-                order.name,
-                COLOURS[colour],
-                if round == 0 { "" } else { DOTTED },
-                &x,
-                &y,
-            ));
-        }
-        let over = if over_pairs {
-            "matching pairs"
-        } else {
-            "key views"
-        };
-        let plot = Plot {
-            over,
-            share_of: SHARE_LABEL,
-            lines: &lines,
-            cut: None,
-        };
-        let mut svg = String::new();
-        plot.draw(&mut svg, 0.0, 0.0);
-        html += &plot::document(
-            plot::WIDTH,
-            plot.height(),
-            &format!("{SHARE_LABEL} over {over}"),
-            &svg,
+    let maps = |curve: &[f64]| -> Vec<(f64, f64)> {
+        curve
+            .iter()
+            .enumerate()
+            .map(|(i, &share)| (i as f64, share))
+            .collect()
+    };
+    let predicted = line("predicted", COLOURS[0], DASHED, maps(&e.curve.predicted));
+    let real = line("real", COLOURS[0], "", maps(&e.curve.real));
+    let mut lines = vec![predicted, real];
+    for (i, order) in e.cells.all.orders.iter().enumerate().skip(1) {
+        // Colours are reused with dotted lines, except the first, which is the plan's.
+        let (round, colour) = (
+            (i - 1) / (COLOURS.len() - 1),
+            1 + (i - 1) % (COLOURS.len() - 1),
         );
+        let dash = if round == 0 { "" } else { DOTTED };
+        lines.push(line(order.name, COLOURS[colour], dash, maps(&order.curve)));
     }
-    html
+    let plot = Plot {
+        over: "key views",
+        share_of: SHARE_OF_CELLS,
+        lines: &lines,
+        cut: None,
+    };
+    let mut svg = String::new();
+    plot.draw(&mut svg, 0.0, 0.0);
+    let title = format!("{SHARE_OF_CELLS} over key views");
+    plot::document(plot::WIDTH, plot.height(), &title, &svg)
 }
 
+/// Vertical axis of the curves.
+const SHARE_OF_CELLS: &str = "share of the cells of their cloud";
 const DASHED: &str = "6 4";
 const DOTTED: &str = "2 3";
 
@@ -216,20 +172,19 @@ fn line(
     label: &'static str,
     colour: &'static str,
     dash: &'static str,
-    x: &[f64],
-    y: &[f64],
+    points: Vec<(f64, f64)>,
 ) -> Line {
     Line {
         label,
         colour,
         dash,
-        points: x.iter().copied().zip(y.iter().copied()).collect(),
+        points,
     }
 }
 
 fn gap_table(e: &Evaluation) -> String {
     let mut html = String::from(
-        "<section><h2>Prediction</h2>\n<p>Shares of what these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>gap, points</th></tr>\n",
+        "<section><h2>Prediction</h2>\n<p>Predicted: by fulfilment; real: share of the cells of the cloud that these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>three agree</th><th>gap, points</th></tr>\n",
     );
     // Shares that the same depth maps reach are one row.
     for same in e.gap.chunk_by(|one, next| one.clusters == next.clusters) {
@@ -241,24 +196,75 @@ fn gap_table(e: &Evaluation) -> String {
         };
         let _ = writeln!(
             html,
-            "<tr><td>{:.0}{up_to} %</td><td>{}</td><td>{}</td><td>{:.1} %</td><td>{:+.1}</td></tr>",
+            "<tr><td>{:.0}{up_to} %</td><td>{}</td><td>{}</td><td>{:.1} %</td><td>{:.1} %</td><td>{:+.1}</td></tr>",
             100.0 * gap.share,
             gap.clusters,
             gap.pairs,
             100.0 * gap.real,
+            100.0 * gap.agreeing,
             100.0 * (gap.predicted - gap.real)
         );
     }
     html + "</table></section>\n"
 }
 
-fn order_tables(e: &Evaluation) -> String {
-    let mut html = String::from("<section tabindex=\"0\" aria-label=\"Orders\"><h2>Orders</h2>\n");
-    for &pairs in ways(e) {
+/// Orders judged by cells, for both kinds of cells.
+fn cell_tables(e: &Evaluation) -> String {
+    let mut html = format!(
+        "<section tabindex=\"0\" aria-label=\"Orders\"><h2>Orders, by the cells of the cloud</h2>\n<p>{}. Way: 0 is every n-th, 1 the oracle, known only afterwards.</p>\n",
+        escape(&e.cells.source.words())
+    );
+    for (name, kind) in e.cells.kinds() {
+        let _ = write!(html, "<table><tr><th>{:.0} {name}</th>", kind.cells);
+        TENTHS
+            .iter()
+            .for_each(|tenth| html += &format!("<th>{:.0} % of the maps</th>", 100.0 * tenth));
+        NEEDED
+            .iter()
+            .for_each(|share| html += &format!("<th>maps for {:.0} %</th>", 100.0 * share));
+        html += "</tr>\n";
+        let ours = kind.ours();
+        for order in &kind.orders {
+            let _ = write!(html, "<tr><td>{}</td>", order.name);
+            order
+                .covered
+                .iter()
+                .for_each(|share| html += &format!("<td>{:.1} %</td>", 100.0 * share));
+            order
+                .needed
+                .iter()
+                .for_each(|maps| html += &format!("<td>{maps}</td>"));
+            html += "</tr>\n";
+        }
+        html += "<tr><td>way of ours</td>";
+        for way in ours.way {
+            let way = way.map_or("–".into(), |way| format!("{way:.2}"));
+            let _ = write!(html, "<td>{way}</td>");
+        }
+        html += "</tr></table>\n";
+    }
+    html + "</section>\n"
+}
+
+/// Orders compared by the fulfilment of each triangle, by key views and, unless all have as many
+/// partners, by pairs; empty unless asked for.
+fn triangle_tables(e: &Evaluation) -> String {
+    if e.orders.is_empty() {
+        return String::new();
+    }
+    let is_even = e
+        .key_views
+        .windows(2)
+        .all(|two| two[0].partners.len() == two[1].partners.len());
+    let mut html = String::from(
+        "<section tabindex=\"0\" aria-label=\"Orders by triangle\"><h2>Orders, by the fulfilment of each triangle</h2>\n",
+    );
+    let ways: &[bool] = if is_even { &[false] } else { &[false, true] };
+    for &pairs in ways {
         let what = if pairs { "Pairs" } else { "Key views" };
         let _ = write!(
             html,
-            "<p>{what} needed for a share of what all depth maps give (measured):</p>\n<table><tr><th>order</th>"
+            "<p>{what} needed for a share of the fulfilment that all maps give (the paper's measure):</p>\n<table><tr><th>order</th>"
         );
         e.orders[0]
             .needed

@@ -9,6 +9,7 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
+    cells::{FusedCloudError, IncidenceError},
     curve::ReachCurve,
     matched::{self, MatcherReportError, Report},
     measure::{MapMeasurement, Quality, measure},
@@ -427,6 +428,10 @@ pub enum EvaluateError {
     #[error("none of the view clusters has a depth map in {}", .0.display())]
     NoClusters(PathBuf),
     #[error(transparent)]
+    Fused(#[from] FusedCloudError),
+    #[error(transparent)]
+    Incidence(#[from] IncidenceError),
+    #[error(transparent)]
     Cancelled(#[from] Cancelled),
     #[error(transparent)]
     Table(#[from] TableError),
@@ -442,6 +447,8 @@ impl Hint for EvaluateError {
             }
             Self::NotHalf { .. } => "match the same clusters again at half the image size, into another folder".into(),
             Self::CloudFile { .. } | Self::Cloud { .. } => "give the fused cloud as a PLY file".into(),
+            Self::Fused(error) => return error.hint(),
+            Self::Incidence(error) => return error.hint(),
             Self::Cancelled(_) => return None,
             Self::Table(error) => return error.hint(),
         })
@@ -455,6 +462,8 @@ impl Hint for EvaluateError {
             | Self::NotHalf { path, .. }
             | Self::CloudFile { path, .. }
             | Self::Cloud { path, .. } => Some(path),
+            Self::Fused(error) => error.path(),
+            Self::Incidence(error) => error.path(),
             Self::Cancelled(_) => None,
             Self::Table(error) => error.path(),
         }

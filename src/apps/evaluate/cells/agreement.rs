@@ -1,0 +1,199 @@
+//! A model of the fusion of depth maps: a point for each place on which maps agree.
+//!
+//! As OpenMVS fuses: maps in their order, each pixel that no earlier point has used; maps whose
+//! depth at its place differs by at most one per cent join it, and their pixels are used. Unlike
+//! there, normals and the program's list of neighbours are not asked.
+
+use nalgebra::{Point2, Point3, Vector3};
+use rayon::prelude::*;
+
+use super::{CloudPart, FusedPoints};
+use crate::{
+    apps::evaluate::EvaluateError,
+    base::progress::{Stage, Watcher},
+    io::depthmaps::{self, DepthMap, DepthMapSet},
+    model::{
+        camera::Camera,
+        scene::{Pose, Scene, ViewIndex},
+    },
+};
+
+/// Relative difference of two depths that agree: the default of OpenMVS, COLMAP and PatchmatchNet.
+const AGREE_WITHIN: f64 = 0.01;
+/// Maps of a point.
+const LEAST_MAPS: usize = 2;
+/// Depths that are held at once; of more, every second, third, ... row and column counts.
+const MOST_DEPTHS: u64 = 1 << 28;
+/// Places of a map at which it is looked whether another shows the same, along each axis.
+const PROBES: u32 = 12;
+
+/// Depth maps, thinned to a bound of memory.
+pub struct Agreement<'a> {
+    maps: Vec<Thinned<'a>>,
+    /// For each map, those that show some of its places.
+    others: Vec<Vec<u32>>,
+}
+
+/// Every n-th row and column of a depth map.
+struct Thinned<'a> {
+    camera: &'a Camera,
+    pose: &'a Pose,
+    map: DepthMap,
+}
+
+impl<'a> Agreement<'a> {
+    /// Reads the maps of these views.
+    pub fn new(
+        scene: &'a Scene,
+        views: &[ViewIndex],
+        maps: &DepthMapSet,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, EvaluateError> {
+        let file = |view: &ViewIndex| maps.maps.iter().find(|map| map.view == *view);
+        let files: Vec<_> = views.iter().filter_map(file).collect();
+        let most = MOST_DEPTHS / files.len().max(1) as u64;
+        watcher.progress(Stage::Evaluate, 0, files.len() as u64);
+        let read = files.par_iter().map(|file| {
+            watcher.check()?;
+            let map = depthmaps::read_of_view(file, scene)?;
+            Ok(Thinned {
+                camera: scene.camera_of(file.view),
+                pose: &scene.view(file.view).cam_from_world,
+                map: thinned(map, most),
+            })
+        });
+        let maps: Vec<Thinned> = read.collect::<Result<_, EvaluateError>>()?;
+        let others = (0..maps.len()).into_par_iter().map(|one| {
+            let shows = |&other: &u32| {
+                other as usize != one && maps[other as usize].shows_some_of(&maps[one])
+            };
+            (0..maps.len() as u32).filter(shows).collect()
+        });
+        Ok(Self {
+            others: others.collect(),
+            maps,
+        })
+    }
+
+    /// Returns the point of a pixel, with the maps and pixels that join it.
+    fn point(
+        &self,
+        own: usize,
+        pixel: usize,
+        used: &[Vec<bool>],
+    ) -> Option<(Point3<f64>, Vec<(u32, usize)>)> {
+        let map = &self.maps[own];
+        if used[own][pixel] {
+            return None;
+        }
+        let first = map.place(pixel)?;
+        let mut sum = first.coords;
+        let mut joined = vec![(own as u32, pixel)];
+        for &other in &self.others[own] {
+            if let Some((pixel, place)) = self.maps[other as usize].agrees(&first)
+                && !used[other as usize][pixel]
+            {
+                sum += place;
+                joined.push((other, pixel));
+            }
+        }
+        (joined.len() >= LEAST_MAPS).then(|| (Point3::from(sum / joined.len() as f64), joined))
+    }
+}
+
+impl Thinned<'_> {
+    fn position(&self, pixel: usize) -> Point2<f64> {
+        let (column, row) = (pixel as u32 % self.map.width, pixel as u32 / self.map.width);
+        self.map.image_position(self.camera, column, row)
+    }
+
+    /// Returns the place that a pixel measured.
+    fn place(&self, pixel: usize) -> Option<Point3<f64>> {
+        let z = f64::from(self.map.depth[pixel]);
+        let ray = (z > 0.0)
+            .then(|| self.camera.ray(&self.position(pixel)))
+            .flatten()?;
+        (ray.z > 0.0).then(|| self.world(ray.into_inner() * (z / ray.z)))
+    }
+
+    fn world(&self, x: Vector3<f64>) -> Point3<f64> {
+        Point3::from(self.pose.rotation.inverse() * (x - self.pose.translation))
+    }
+
+    /// Returns the pixel that shows the place if its depth agrees, and the place that it measured
+    /// along the ray of the place.
+    fn agrees(&self, place: &Point3<f64>) -> Option<(usize, Vector3<f64>)> {
+        let x = self.pose.camera_from_world(place);
+        let at = (x.z > 0.0).then(|| self.camera.project(&x)).flatten()?;
+        let (column, row) = self.map.pixel_at(self.camera, &at)?;
+        let z = self.map.depth_at(column, row)?;
+        let agrees = (z - x.z).abs() <= AGREE_WITHIN * x.z;
+        let pixel = row as usize * self.map.width as usize + column as usize;
+        agrees.then(|| (pixel, self.world(x.coords * (z / x.z)).coords))
+    }
+
+    fn shows_some_of(&self, other: &Thinned) -> bool {
+        let (width, height) = (other.map.width, other.map.height);
+        let probe = |i: u32, length: u32| (2 * i + 1) * length / (2 * PROBES);
+        let mut probes = (0..PROBES * PROBES)
+            .map(|i| (probe(i % PROBES, width), probe(i / PROBES, height)))
+            .filter_map(|(column, row)| other.place((row * width + column) as usize));
+        probes.any(|place| {
+            let x = self.pose.camera_from_world(&place);
+            let at = (x.z > 0.0).then(|| self.camera.project(&x)).flatten();
+            at.is_some_and(|at| self.camera.contains(&at))
+        })
+    }
+}
+
+/// Keeps every n-th row and column, so that at most about `most` depths are left.
+fn thinned(map: DepthMap, most: u64) -> DepthMap {
+    let step = (1u32..).find(|step| {
+        u64::from(map.width.div_ceil(*step)) * u64::from(map.height.div_ceil(*step)) <= most.max(1)
+    });
+    let step = step.unwrap_or(u32::MAX);
+    if step == 1 {
+        return map;
+    }
+    let rows = (step / 2..map.height).step_by(step as usize);
+    let columns = |row: u32| {
+        (step / 2..map.width)
+            .step_by(step as usize)
+            .map(move |column| (row, column))
+    };
+    let depth_at =
+        |(row, column): (u32, u32)| map.depth[row as usize * map.width as usize + column as usize];
+    let depth: Vec<f32> = rows.clone().flat_map(columns).map(depth_at).collect();
+    let height = rows.len() as u32;
+    DepthMap {
+        width: depth.len() as u32 / height.max(1),
+        height,
+        depth,
+        ..map
+    }
+}
+
+impl FusedPoints for Agreement<'_> {
+    fn for_each_part(&self, take: &mut dyn FnMut(&CloudPart)) -> Result<(), EvaluateError> {
+        let mut used: Vec<Vec<bool>> = self
+            .maps
+            .iter()
+            .map(|map| vec![false; map.map.depth.len()])
+            .collect();
+        for own in 0..self.maps.len() {
+            let pixels = (0..self.maps[own].map.depth.len()).into_par_iter();
+            let points: Vec<_> = pixels
+                .filter_map(|pixel| self.point(own, pixel, &used))
+                .collect();
+            let mut part = CloudPart::default();
+            for (point, joined) in points {
+                joined
+                    .iter()
+                    .for_each(|&(map, pixel)| used[map as usize][pixel] = true);
+                part.push(point, joined.into_iter().map(|(map, _)| map));
+            }
+            take(&part);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,238 @@
+//! Fused clouds whose files name the maps of each point: OpenMVS's PLY with `view_indices`, whose
+//! images are those of the `.mvs` beside it, and COLMAP's PLY with the `.vis` beside it, whose
+//! images are those of the workspace by ascending id.
+
+use std::{
+    collections::HashMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use nalgebra::Point3;
+
+use super::{CloudPart, FusedPoints};
+use crate::{
+    apps::evaluate::EvaluateError,
+    base::{
+        error::Hint,
+        input::{self, FileKind},
+    },
+    io::{
+        depthmaps::DepthMapSet,
+        formats::openmvs::Mvs,
+        ply::{self, PlyError},
+    },
+    model::scene::{Scene, ViewIndex},
+};
+
+/// Points that are handed on together.
+const AT_ONCE: usize = 1 << 16;
+
+/// Error in a fused cloud.
+#[derive(Debug, thiserror::Error)]
+pub enum FusedCloudError {
+    #[error("cannot read cloud {}: {source}", path.display())]
+    Io {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("cannot read cloud {}: {source}", path.display())]
+    Ply { path: PathBuf, source: PlyError },
+    #[error("cannot read {}: {what}", path.display())]
+    Views { path: PathBuf, what: String },
+}
+
+impl Hint for FusedCloudError {
+    fn hint(&self) -> Option<String> {
+        Some(
+            "give the PLY that the program fused, with its .mvs (OpenMVS) or .vis (COLMAP) beside it"
+                .into(),
+        )
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. } | Self::Ply { path, .. } | Self::Views { path, .. } => Some(path),
+        }
+    }
+}
+
+/// A cloud with the maps of its points.
+pub struct FusedCloud {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    views: PointViews,
+    /// Map of each image of the program; `None` for one that is not evaluated.
+    map_of: Vec<Option<u32>>,
+}
+
+enum PointViews {
+    /// In the cloud itself.
+    Listed,
+    /// Bytes of COLMAP's `.vis`.
+    Beside(Vec<u8>),
+}
+
+/// Returns the cloud that names its maps: `asked`, or one at the program's own place that is newer
+/// than all maps. `None` if there is none; one that was asked for but does not name its maps is an
+/// error.
+pub fn find(
+    scene: &Scene,
+    keys: &[ViewIndex],
+    maps: &DepthMapSet,
+    asked: Option<&Path>,
+) -> Result<Option<(PathBuf, FusedCloud)>, EvaluateError> {
+    if let Some(path) = asked {
+        let cloud = FusedCloud::read(path, scene, keys)?;
+        return Ok(cloud.map(|cloud| (path.to_path_buf(), cloud)));
+    }
+    for path in usual_places(maps) {
+        if is_newer(&path, maps)
+            && let Ok(Some(cloud)) = FusedCloud::read(&path, scene, keys)
+        {
+            return Ok(Some((path, cloud)));
+        }
+    }
+    Ok(None)
+}
+
+/// `fused.ply` in the folder of the maps (OpenMVS), in that of our COLMAP export, and in COLMAP's
+/// workspace.
+fn usual_places(maps: &DepthMapSet) -> Vec<PathBuf> {
+    let Some(folder) = maps.maps.first().and_then(|map| map.path.parent()) else {
+        return Vec::new();
+    };
+    let workspace = folder.parent().and_then(Path::parent);
+    let mut places = vec![folder.join("fused.ply"), folder.join("scene_dense.ply")];
+    if let Some(workspace) = workspace {
+        let export = ["viewrank/colmap/fused.ply", "fused.ply"];
+        places.extend(export.map(|name| workspace.join(name)));
+    }
+    places
+}
+
+fn is_newer(cloud: &Path, maps: &DepthMapSet) -> bool {
+    let changed = |path: &Path| fs::metadata(path).and_then(|file| file.modified()).ok();
+    let Some(made) = changed(cloud) else {
+        return false;
+    };
+    maps.maps
+        .iter()
+        .all(|map| changed(&map.path).is_some_and(|changed| changed <= made))
+}
+
+impl FusedCloud {
+    /// Reads a cloud; `None` if nothing says which maps its points are of.
+    fn read(
+        path: &Path,
+        scene: &Scene,
+        keys: &[ViewIndex],
+    ) -> Result<Option<Self>, FusedCloudError> {
+        let read = |path: &Path| {
+            input::read(path, FileKind::Mesh).map_err(|source| FusedCloudError::Io {
+                path: path.into(),
+                source,
+            })
+        };
+        let of_view: HashMap<ViewIndex, u32> = keys.iter().copied().zip(0..).collect();
+        let map = |view: Option<ViewIndex>| view.and_then(|view| of_view.get(&view).copied());
+        let mut beside = path.as_os_str().to_owned();
+        beside.push(".vis");
+        let (mvs, vis) = (path.with_extension("mvs"), PathBuf::from(beside));
+        let (views, map_of) = if vis.is_file() {
+            let mut by_id: Vec<ViewIndex> = scene.view_indices().collect();
+            by_id.sort_by_key(|&view| scene.view(view).image_id);
+            let map_of = by_id.iter().map(|&view| map(Some(view))).collect();
+            (PointViews::Beside(read(&vis)?), map_of)
+        } else if mvs.is_file() {
+            let views = |what: String| FusedCloudError::Views {
+                path: mvs.clone(),
+                what,
+            };
+            let images = Mvs::read(&read(&mvs)?)
+                .map_err(|fault| views(fault.to_string()))?
+                .images;
+            let by_id: HashMap<u32, ViewIndex> = scene
+                .view_indices()
+                .map(|view| (scene.view(view).image_id, view))
+                .collect();
+            let map_of = images
+                .iter()
+                .map(|image| map(by_id.get(&image.id).copied()))
+                .collect();
+            (PointViews::Listed, map_of)
+        } else {
+            return Ok(None);
+        };
+        let cloud = Self {
+            path: path.into(),
+            bytes: read(path)?,
+            views,
+            map_of,
+        };
+        Ok(Some(cloud))
+    }
+
+    /// Returns the maps of a point, each once.
+    fn maps<'a>(&'a self, images: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
+        images
+            .iter()
+            .filter_map(|&image| self.map_of.get(image as usize).copied().flatten())
+    }
+}
+
+impl FusedPoints for FusedCloud {
+    fn for_each_part(&self, take: &mut dyn FnMut(&CloudPart)) -> Result<(), EvaluateError> {
+        let mut part = CloudPart::default();
+        let mut push = |point: Point3<f64>, images: &[u32]| {
+            if point.coords.iter().all(|x| x.is_finite()) {
+                part.push(point, self.maps(images));
+            }
+            if part.points.len() == AT_ONCE {
+                take(&part);
+                part.clear();
+            }
+        };
+        let ply = |source| FusedCloudError::Ply {
+            path: self.path.clone(),
+            source,
+        };
+        match &self.views {
+            PointViews::Listed => {
+                ply::read_with_lists(&self.bytes, "view_indices", &mut push).map_err(ply)?;
+            }
+            PointViews::Beside(bytes) => {
+                let mut lists = Lists { bytes, at: 8 };
+                let mut images = Vec::new();
+                ply::read_with_lists(&self.bytes, "", |point, _| {
+                    lists.next(&mut images);
+                    push(point, &images);
+                })
+                .map_err(ply)?;
+            }
+        }
+        take(&part);
+        Ok(())
+    }
+}
+
+/// The lists of a `.vis`: u64 number of points, and for each u32 number of images and u32 indices.
+struct Lists<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Lists<'_> {
+    fn number(&mut self) -> Option<u32> {
+        let word = self.bytes.get(self.at..self.at + 4)?;
+        self.at += 4;
+        Some(u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
+    }
+
+    /// Reads the next list; empty at the end of a file that is too short.
+    fn next(&mut self, images: &mut Vec<u32>) {
+        images.clear();
+        let count = self.number().unwrap_or(0);
+        images.extend((0..count).map_while(|_| self.number()));
+    }
+}

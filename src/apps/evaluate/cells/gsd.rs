@@ -1,0 +1,60 @@
+//! The wanted GSD of a place, on the surface or off it.
+
+use nalgebra::Point3;
+
+use crate::{
+    config::TargetMode,
+    method::target::GSD_MARGIN,
+    model::scene::{Scene, ViewIndex},
+    plan::Stages,
+};
+
+/// `g_d` at any place (method 3.6): that of the settings, or [`GSD_MARGIN`] times the finest GSD of
+/// the views in whose image the place is. A cloud has points where the surface has no triangle.
+pub struct PlaceGsd<'a> {
+    scene: &'a Scene,
+    views: Vec<ViewIndex>,
+    /// For the whole scene; `None` if it depends on the place.
+    fixed: Option<f64>,
+    /// Wanted GSD over that of the model's image.
+    margin: f64,
+}
+
+impl<'a> PlaceGsd<'a> {
+    pub fn new(stages: &'a Stages) -> Self {
+        let fixed = stages
+            .settings
+            .target
+            .gsd
+            .filter(|_| stages.target.mode == TargetMode::Absolute);
+        Self {
+            scene: &stages.scene,
+            views: stages.scene.view_indices().collect(),
+            fixed,
+            margin: GSD_MARGIN / stages.settings.image_scale(),
+        }
+    }
+
+    /// Returns the power of two nearest to `g_d`, as its exponent; `None` for a place in no image.
+    ///
+    /// Cells of few sizes: their edges must fit together where `g_d` changes.
+    pub fn octave(&self, place: &Point3<f64>) -> Option<i16> {
+        let gsd = self.fixed.or_else(|| self.finest(place))?;
+        Some(gsd.log2().round() as i16).filter(|_| gsd > 0.0 && gsd.is_finite())
+    }
+
+    fn finest(&self, place: &Point3<f64>) -> Option<f64> {
+        let of_view = |&view: &ViewIndex| {
+            let camera = self.scene.camera_of(view);
+            let x = self
+                .scene
+                .view(view)
+                .cam_from_world
+                .camera_from_world(place);
+            let gsd = camera.depth(&x) / camera.mean_focal_length();
+            let pixel = (gsd > 0.0).then(|| camera.project(&x)).flatten()?;
+            camera.contains(&pixel).then_some(self.margin * gsd)
+        };
+        self.views.iter().filter_map(of_view).min_by(f64::total_cmp)
+    }
+}

@@ -1,0 +1,298 @@
+//! The table of which maps take part in which cells of a fused cloud.
+
+use std::path::{Path, PathBuf};
+
+use crate::base::{
+    error::Hint,
+    input::{self, FileKind},
+};
+
+/// Maps that must take part in a cell: the fusion keeps no point of fewer.
+pub const LEAST_MAPS: u32 = 2;
+
+/// Which maps take part in which cells.
+///
+/// As a file: the names of the maps, separated by tabs; then for each row the number of cells, the
+/// number of those that are sure, and the maps as a hexadecimal number, whose lowest bit is the
+/// first map.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Incidence {
+    /// Names of the key views of the maps.
+    names: Vec<String>,
+    rows: Vec<Row>,
+    /// For each map, the rows in which it takes part, ascending.
+    rows_of: Vec<Vec<u32>>,
+}
+
+/// Cells in which the same maps take part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Indices of the maps, ascending.
+    pub maps: Vec<u32>,
+    /// Number of cells.
+    pub cells: u32,
+    /// Number of cells with a point on which three maps agree.
+    pub agreeing: u32,
+}
+
+/// Which cells count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Counted {
+    /// All cells of the cloud that a user sees.
+    All,
+    /// Those where three maps agree.
+    Agreeing,
+}
+
+impl Counted {
+    pub const BOTH: [Self; 2] = [Self::All, Self::Agreeing];
+
+    pub fn of(self, row: &Row) -> f64 {
+        f64::from(match self {
+            Self::All => row.cells,
+            Self::Agreeing => row.agreeing,
+        })
+    }
+}
+
+/// Error in a table of cells.
+#[derive(Debug, thiserror::Error)]
+pub enum IncidenceError {
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("{}: line {line}: {what}", path.display())]
+    Line {
+        path: PathBuf,
+        line: usize,
+        what: &'static str,
+    },
+    #[error("{}: none of its maps is of a key view of the plan", .0.display())]
+    Foreign(PathBuf),
+}
+
+impl Hint for IncidenceError {
+    fn hint(&self) -> Option<String> {
+        Some("give the cells.tsv that an evaluation of this project wrote".into())
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. } | Self::Line { path, .. } | Self::Foreign(path) => Some(path),
+        }
+    }
+}
+
+impl Incidence {
+    pub fn new(names: Vec<String>, rows: Vec<Row>) -> Self {
+        let mut rows_of = vec![Vec::new(); names.len()];
+        for (number, row) in (0..).zip(&rows) {
+            row.maps
+                .iter()
+                .for_each(|&map| rows_of[map as usize].push(number));
+        }
+        Self {
+            names,
+            rows,
+            rows_of,
+        }
+    }
+
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    pub(super) fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    /// Returns the rows in which a map takes part.
+    pub(super) fn rows_of(&self, map: u32) -> &[u32] {
+        &self.rows_of[map as usize]
+    }
+
+    /// Number of cells that count.
+    pub fn total(&self, counted: Counted) -> f64 {
+        self.rows.iter().map(|row| counted.of(row)).sum()
+    }
+
+    /// Returns the maps that take part anywhere; a program may have rejected all of a map.
+    pub fn usable(&self) -> Vec<u32> {
+        (0..self.names.len() as u32)
+            .filter(|&map| !self.rows_of(map).is_empty())
+            .collect()
+    }
+
+    /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...
+    pub fn curve(&self, order: &[u32], counted: Counted) -> Vec<f64> {
+        let total = self.total(counted).max(1.0);
+        let (mut covered, mut taken) = (0.0, vec![0u32; self.rows.len()]);
+        let mut curve = vec![0.0];
+        for &map in order {
+            for &row in self.rows_of(map) {
+                taken[row as usize] += 1;
+                if taken[row as usize] == LEAST_MAPS {
+                    covered += counted.of(&self.rows[row as usize]);
+                }
+            }
+            curve.push(covered / total);
+        }
+        curve
+    }
+
+    /// Returns the share of the cells that these maps cover.
+    pub fn covered(&self, maps: &[u32], counted: Counted) -> f64 {
+        self.curve(maps, counted).last().copied().unwrap_or(0.0)
+    }
+
+    /// Reads a table.
+    pub fn read(path: &Path) -> Result<Self, IncidenceError> {
+        let text =
+            input::read_text(path, FileKind::State).map_err(|source| IncidenceError::Io {
+                path: path.into(),
+                source,
+            })?;
+        Self::parse(&text).map_err(|(line, what)| IncidenceError::Line {
+            path: path.into(),
+            line,
+            what,
+        })
+    }
+
+    fn parse(text: &str) -> Result<Self, (usize, &'static str)> {
+        let mut lines = text.lines();
+        let head = lines
+            .next()
+            .ok_or((1, "the names of the maps are missing"))?;
+        let names: Vec<String> = head.split('\t').map(unescaped).collect();
+        let row = |(line, text): (usize, &str)| row(text, names.len()).map_err(|what| (line, what));
+        let rows = (2..).zip(lines).map(row).collect::<Result<_, _>>()?;
+        Ok(Self::new(names, rows))
+    }
+
+    /// Returns the table as text.
+    pub fn text(&self) -> String {
+        let names: Vec<String> = self.names.iter().map(|name| escaped(name)).collect();
+        let mut text = names.join("\t") + "\n";
+        for row in &self.rows {
+            let mut digits = vec![0u8; self.names.len().div_ceil(4).max(1)];
+            for &map in &row.maps {
+                digits[map as usize / 4] |= 1 << (map % 4);
+            }
+            let digits = digits.iter().rev().skip_while(|digit| **digit == 0);
+            let hex: String = digits.map(|digit| format!("{digit:x}")).collect();
+            let hex = if hex.is_empty() { "0" } else { &hex };
+            text += &format!("{}\t{}\t{hex}\n", row.cells, row.agreeing);
+        }
+        text
+    }
+}
+
+fn row(text: &str, maps: usize) -> Result<Row, &'static str> {
+    let mut words = text.split('\t');
+    let mut count = || words.next().and_then(|word| word.parse().ok());
+    let (Some(cells), Some(agreeing)) = (count(), count()) else {
+        return Err("two numbers of cells are expected");
+    };
+    let mut of_row = Vec::new();
+    let hex = words.next().ok_or("the maps are missing")?;
+    for (place, digit) in hex.chars().rev().enumerate() {
+        let digit = digit
+            .to_digit(16)
+            .ok_or("the maps are not a hexadecimal number")?;
+        of_row.extend(
+            (0..4)
+                .filter(|bit| digit >> bit & 1 == 1)
+                .map(|bit| 4 * place + bit),
+        );
+    }
+    match of_row.last() {
+        Some(&last) if last >= maps => Err("more maps than names"),
+        _ if agreeing > cells => Err("more sure cells than cells"),
+        _ => Ok(Row {
+            maps: of_row.into_iter().map(|map| map as u32).collect(),
+            cells,
+            agreeing,
+        }),
+    }
+}
+
+/// Names may hold what separates them.
+const ESCAPES: [(&str, &str); 4] = [("\\", "\\\\"), ("\t", "\\t"), ("\n", "\\n"), ("\r", "\\r")];
+
+fn escaped(name: &str) -> String {
+    ESCAPES
+        .iter()
+        .fold(name.to_owned(), |name, (plain, escape)| {
+            name.replace(plain, escape)
+        })
+}
+
+fn unescaped(name: &str) -> String {
+    let mut plain = String::new();
+    let mut rest = name;
+    while let Some(at) = rest.find('\\') {
+        plain += &rest[..at];
+        rest = &rest[at..];
+        let found = ESCAPES.iter().find(|(_, escape)| rest.starts_with(escape));
+        let (text, length) = found.map_or(("\\", 1), |(text, escape)| (*text, escape.len()));
+        plain += text;
+        rest = &rest[length..];
+    }
+    plain + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table() -> Incidence {
+        let row = |maps: &[u32], cells, agreeing| Row {
+            maps: maps.to_vec(),
+            cells,
+            agreeing,
+        };
+        let rows = vec![
+            row(&[0, 1], 4, 0),
+            row(&[0, 1, 2], 5, 5),
+            row(&[3, 5], 1, 0),
+        ];
+        Incidence::new(
+            ["a", "b\t\\t", "c", "d", "e", "f"].map(String::from).into(),
+            rows,
+        )
+    }
+
+    #[test]
+    fn a_table_is_read_as_it_was_written() {
+        let text = table().text();
+        assert_eq!(text.lines().nth(3), Some("1\t0\t28"));
+        assert_eq!(Incidence::parse(&text), Ok(table()));
+        for (damaged, line) in [
+            ("", 1),
+            ("a\n1\t0", 2),
+            ("a\n1\t0\tg", 2),
+            ("a\n1\t0\t2", 2),
+            ("a\n1\t2\t1", 2),
+        ] {
+            assert_eq!(
+                Incidence::parse(damaged).unwrap_err().0,
+                line,
+                "{damaged:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_cell_is_covered_by_two_of_its_maps() {
+        let table = table();
+        assert_eq!(
+            table.curve(&[2, 1, 0, 3], Counted::All),
+            [0.0, 0.0, 0.5, 0.9, 0.9]
+        );
+        assert_eq!(table.covered(&[0, 2], Counted::Agreeing), 1.0);
+        assert_eq!(table.usable(), [0, 1, 2, 3, 5]);
+    }
+}

@@ -1,0 +1,169 @@
+//! The measure of a result (method 8): the share of the fused cloud of all depth maps that the
+//! chosen ones give, counted in cells of twice the wanted GSD of the place.
+//!
+//! [`Incidence`] says which maps take part in which cells; it is made once from a fused cloud
+//! ([`fused`]) or, where the cloud does not say which maps made its points, from the maps
+//! themselves ([`agreement`]). From then on it judges any order within seconds ([`judge`]).
+
+mod agreement;
+mod fused;
+mod gsd;
+mod incidence;
+mod judge;
+mod oracle;
+mod places;
+mod words;
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+pub use fused::FusedCloudError;
+pub use incidence::{Counted, Incidence, IncidenceError};
+pub use judge::{CellOrders, CellsEvaluation, JudgedOrder, NEEDED, TENTHS};
+
+use self::{gsd::PlaceGsd, places::Places};
+use super::{
+    orders,
+    run::{EvaluateError, MeasuredClusters},
+};
+use crate::{
+    base::progress::Watcher,
+    io::depthmaps,
+    method::{confidence::Confidence, fulfilment},
+    model::scene::ViewIndex,
+    plan::{Plan, Stages},
+};
+
+/// Points of a fused cloud in a fixed order, some at a time: positions, and for each the maps that
+/// agree on it, as indices into the list of maps that the source was made for.
+trait FusedPoints {
+    fn for_each_part(&self, take: &mut dyn FnMut(&CloudPart)) -> Result<(), EvaluateError>;
+}
+
+/// Some points of a fused cloud.
+#[derive(Clone, Debug, Default)]
+struct CloudPart {
+    points: Vec<nalgebra::Point3<f64>>,
+    /// End of each point's entries in `maps`.
+    ends: Vec<usize>,
+    maps: Vec<u32>,
+}
+
+impl CloudPart {
+    fn push(&mut self, point: nalgebra::Point3<f64>, maps: impl IntoIterator<Item = u32>) {
+        self.points.push(point);
+        self.maps.extend(maps);
+        self.ends.push(self.maps.len());
+    }
+
+    /// Returns the points, each with its maps.
+    fn iter(&self) -> impl Iterator<Item = (&nalgebra::Point3<f64>, &[u32])> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        let maps = starts
+            .zip(&self.ends)
+            .map(|(start, &end)| &self.maps[start..end]);
+        self.points.iter().zip(maps)
+    }
+
+    fn clear(&mut self) {
+        self.points.clear();
+        self.ends.clear();
+        self.maps.clear();
+    }
+}
+
+/// Where the cells come from.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CellSource {
+    /// The fused cloud in this file, with the maps that made each point.
+    Cloud(PathBuf),
+    /// A model of the fusion: depths of two maps agree within one per cent.
+    Maps,
+    /// An earlier table.
+    Table(PathBuf),
+}
+
+impl CellSource {
+    /// Returns the source in words.
+    pub fn words(&self) -> String {
+        match self {
+            Self::Cloud(path) => format!("the fused cloud {}", path.display()),
+            Self::Maps => "the points on which these maps agree within 1 %".into(),
+            Self::Table(path) => format!("the table {}", path.display()),
+        }
+    }
+}
+
+/// Makes the table of finished depth maps: from `cloud` if it is given, else from a fused cloud
+/// beside the maps that is newer than all of them and names the maps of its points, else from
+/// the maps.
+pub fn incidence(
+    stages: &Stages,
+    run: &MeasuredClusters,
+    depth_maps: &Path,
+    cloud: Option<&Path>,
+    watcher: &dyn Watcher,
+) -> Result<(Incidence, CellSource), EvaluateError> {
+    let views: Vec<ViewIndex> = run
+        .order
+        .iter()
+        .map(|&c| run.clusters[c as usize].key)
+        .collect();
+    let maps = depthmaps::find(depth_maps, &stages.scene)?;
+    let gsd = PlaceGsd::new(stages);
+    let names = || views.iter().map(|&view| stages.scene.name(view).to_owned());
+    if let Some((path, points)) = fused::find(&stages.scene, &views, &maps, cloud)? {
+        let places = Places::of(&points, &gsd, stages, watcher)?;
+        let table = places.incidence(&points, names().collect())?;
+        return Ok((table, CellSource::Cloud(path)));
+    }
+    let points = agreement::Agreement::new(&stages.scene, &views, &maps, watcher)?;
+    let places = Places::of(&points, &gsd, stages, watcher)?;
+    let table = places.incidence(&points, names().collect())?;
+    Ok((table, CellSource::Maps))
+}
+
+/// Judges the order of a plan by a table of an earlier evaluation.
+pub fn judge_plan(
+    plan: &Plan,
+    table: &Path,
+    watcher: &dyn Watcher,
+) -> Result<CellsEvaluation, EvaluateError> {
+    let stages = &plan.stages;
+    let incidence = Incidence::read(table)?;
+    let mut certain = stages.model();
+    certain.rule.confidence = Confidence::None;
+    let nocp = fulfilment::table(&certain, &stages.clusters, watcher)?;
+    let named = [
+        (
+            "ours",
+            orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len()),
+        ),
+        ("nocp", orders::greedy(&nocp, &stages.objective, watcher)?),
+        (
+            "maxpts",
+            orders::max_points(&stages.scene, &stages.clusters),
+        ),
+        (
+            "farthest view",
+            orders::farthest_view(&stages.scene, &stages.clusters),
+        ),
+    ];
+    let clusters = named.map(|(name, order)| {
+        let clusters = order.iter().map(|&c| &stages.clusters[c as usize]);
+        (name, clusters.collect::<Vec<_>>())
+    });
+    let is_known = |name: &String| stages.scene.find(name).is_some();
+    if !incidence.names().iter().any(is_known) {
+        return Err(IncidenceError::Foreign(table.into()).into());
+    }
+    let source = CellSource::Table(table.into());
+    Ok(CellsEvaluation::new(
+        &incidence,
+        source,
+        &stages.scene,
+        &clusters,
+    ))
+}

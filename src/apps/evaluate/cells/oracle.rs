@@ -1,0 +1,130 @@
+//! The best choice of maps, known only afterwards.
+
+use super::incidence::{Counted, Incidence, LEAST_MAPS};
+
+/// Credits for a cell with one of the two maps that it needs: no single one is best everywhere.
+const CREDITS: [f64; 2] = [0.2, 1.0 / 3.0];
+
+/// Returns greedy orders by the real cells, one for each credit.
+pub fn orders(table: &Incidence, counted: Counted) -> Vec<Vec<u32>> {
+    CREDITS
+        .iter()
+        .map(|&credit| greedy(table, counted, credit))
+        .collect()
+}
+
+/// The map next that adds most cells; ties by index.
+fn greedy(table: &Incidence, counted: Counted, credit: f64) -> Vec<u32> {
+    let value = |taken: u32| match taken {
+        0 => credit,
+        1 => 1.0 - credit,
+        _ => 0.0,
+    };
+    let mut taken = vec![0; table.rows().len()];
+    let gain = |map: u32, taken: &[u32]| -> f64 {
+        let rows = table.rows_of(map).iter();
+        rows.map(|&row| value(taken[row as usize]) * counted.of(&table.rows()[row as usize]))
+            .sum()
+    };
+    let (mut left, mut order) = (table.usable(), Vec::new());
+    while !left.is_empty() {
+        let gains = left.iter().map(|&map| gain(map, &taken));
+        let best = first_largest(gains);
+        let map = left.remove(best);
+        let rows = table.rows_of(map).iter();
+        rows.for_each(|&row| taken[row as usize] += 1);
+        order.push(map);
+    }
+    order
+}
+
+/// Returns the share that so many maps cover at best, found by exchanging single maps of the best
+/// greedy choice until no exchange helps.
+pub fn best_of(table: &Incidence, counted: Counted, orders: &[Vec<u32>], number: usize) -> f64 {
+    let choices = orders.iter().map(|order| &order[..number.min(order.len())]);
+    let covered = choices.map(|choice| exchanged(table, counted, choice.to_vec()));
+    covered.fold(0.0, f64::max)
+}
+
+fn exchanged(table: &Incidence, counted: Counted, mut chosen: Vec<u32>) -> f64 {
+    let weight = |row: u32| counted.of(&table.rows()[row as usize]);
+    let mut taken = vec![0u32; table.rows().len()];
+    for &map in &chosen {
+        table
+            .rows_of(map)
+            .iter()
+            .for_each(|&row| taken[row as usize] += 1);
+    }
+    let usable = table.usable();
+    let mut place = 0;
+    let mut unchanged = 0;
+    while unchanged < chosen.len() {
+        let out = chosen[place];
+        let rows = table.rows_of(out);
+        rows.iter().for_each(|&row| taken[row as usize] -= 1);
+        // What each map adds to the choice without this one.
+        let gain = |map: u32| -> f64 {
+            let rows = table.rows_of(map).iter();
+            rows.filter(|&&row| taken[row as usize] == LEAST_MAPS - 1)
+                .map(|&row| weight(row))
+                .sum()
+        };
+        let own = gain(out);
+        let others: Vec<u32> = usable
+            .iter()
+            .copied()
+            .filter(|map| *map == out || !chosen.contains(map))
+            .collect();
+        let best = others[first_largest(others.iter().map(|&map| gain(map)))];
+        let (enters, is_better) = if gain(best) > own {
+            (best, true)
+        } else {
+            (out, false)
+        };
+        chosen[place] = enters;
+        table
+            .rows_of(enters)
+            .iter()
+            .for_each(|&row| taken[row as usize] += 1);
+        unchanged = if is_better { 0 } else { unchanged + 1 };
+        place = (place + 1) % chosen.len();
+    }
+    table.covered(&chosen, counted)
+}
+
+fn first_largest(values: impl Iterator<Item = f64>) -> usize {
+    values
+        .enumerate()
+        .fold(
+            (0, f64::NEG_INFINITY),
+            |best, v| if v.1 > best.1 { v } else { best },
+        )
+        .0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::apps::evaluate::cells::incidence::Row;
+
+    #[test]
+    fn an_exchange_finds_what_greedy_misses() {
+        // The pair 0, 1 gives most at once; 2, 3 and 4 give more together.
+        let rows = [
+            (vec![0, 1], 5),
+            (vec![2, 3], 4),
+            (vec![3, 4], 4),
+            (vec![2, 4], 4),
+        ];
+        let row = |(maps, cells): (Vec<u32>, u32)| Row {
+            maps,
+            cells,
+            agreeing: cells,
+        };
+        let names = (0..5).map(|name| name.to_string()).collect();
+        let table = Incidence::new(names, rows.map(row).into());
+        let orders = orders(&table, Counted::All);
+        assert_eq!(best_of(&table, Counted::All, &orders, 3), 12.0 / 17.0);
+        assert_eq!(best_of(&table, Counted::All, &orders, 0), 0.0);
+    }
+}
