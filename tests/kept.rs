@@ -9,18 +9,23 @@ use std::{
 };
 
 use tempfile::TempDir;
-use viewrank::internals::{
-    backends,
-    camera::{Camera, CameraModel},
-    config::{self, Settings},
+use viewrank::{
+    Plan, Settings, backends,
+    config::{self},
     files::files,
+};
+use viewrank_core::{
+    base::progress::NoWatcher,
+    method::synthetic::Town,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::Scene,
+    },
+};
+use viewrank_io::{
     output::{self, Contents, Disk, Operation},
-    plan::Plan,
     ply,
-    progress::NoWatcher,
     project::Project,
-    scene::Scene,
-    synthetic::Town,
 };
 
 /// All stages, in the order of the plan.

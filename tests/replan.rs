@@ -7,27 +7,33 @@ use std::{
 
 use nalgebra::{Point2, Vector3};
 use npyz::WriterBuilder;
-use viewrank::internals::{
-    backends,
-    camera::{Camera, CameraModel},
-    cluster::MapScale,
-    config::Settings,
+use viewrank::{
+    Plan, Settings, backends,
     daemon::follow::{self, Progress},
     evaluate::{EvaluationInput, MeasuredClusters, MeasuredProgress},
     files::files,
-    formats::{colmap::ColmapModel, colmap_bin},
-    fulfilment::FulfilmentTable,
     manifest::{WrittenPlan, WrittenPlanError},
-    output::Disk,
-    plan::Plan,
-    progress::NoWatcher,
-    project::Project,
-    ranking::{Maps, Ranker},
     replan::{self, EarlierPlan, MapFolder, as_written, replan},
     report::{Contents, DepthMapFolders},
-    scene::{Scene, ViewIndex},
-    synthetic::Town,
-    visibility,
+};
+use viewrank_core::{
+    base::progress::NoWatcher,
+    method::{
+        fulfilment::FulfilmentTable,
+        ranking::{Maps, Ranker},
+        synthetic::Town,
+        visibility,
+    },
+    model::{
+        camera::{Camera, CameraModel},
+        cluster::MapScale,
+        scene::{Scene, ViewIndex},
+    },
+};
+use viewrank_io::{
+    formats::{colmap::ColmapModel, colmap_bin},
+    output::Disk,
+    project::Project,
 };
 
 const FOCAL: f64 = 320.0;

@@ -3,18 +3,17 @@
 
 use std::{fs, path::Path};
 
-use viewrank::internals::{
-    backends::plan,
-    camera::{Camera, CameraModel},
-    column::Storage,
-    config::{Bytes, Settings},
-    evaluate::curve::ReachCurve,
+use viewrank::{
+    Plan, PlanError, Settings, backends::plan, config::Bytes, evaluate::curve::ReachCurve,
+};
+use viewrank_core::{
+    base::{column::Storage, progress::NoWatcher},
+    method::{fulfilment, synthetic::Town},
+    model::camera::{Camera, CameraModel},
+};
+use viewrank_io::{
     formats::{colmap::ColmapModel, colmap_bin},
-    fulfilment,
-    plan::{Plan, PlanError},
-    progress::NoWatcher,
     project::Project,
-    synthetic::Town,
 };
 
 fn fixture() -> Project {
@@ -212,7 +211,7 @@ fn a_survey_in_tiles() {
 
 #[test]
 fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
-    use viewrank::internals::error::Hint;
+    use viewrank_core::base::error::Hint;
     let settings = Settings {
         max_memory: Some(Bytes(60 << 20)),
         ..Settings::default()

@@ -9,16 +9,15 @@ use std::{
 
 use serde_json::Value;
 use tempfile::TempDir;
-use viewrank::internals::{
-    backends,
-    confidence::PairAgreement,
-    config::Settings,
-    plan::Plan,
-    progress::NoWatcher,
-    project::Project,
-    tables,
-    visibility::{NOTHING, front},
+use viewrank::{Plan, Settings, backends, tables};
+use viewrank_core::{
+    base::progress::NoWatcher,
+    method::{
+        confidence::PairAgreement,
+        visibility::{NOTHING, front},
+    },
 };
+use viewrank_io::project::Project;
 
 /// Size of the depth maps.
 const WIDTH: u32 = 200;

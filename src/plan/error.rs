@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::memory;
+use super::{MeshError, RegionFileError, memory};
 use crate::{
     base::{
         column::{DiskError, TableError},
@@ -32,6 +32,10 @@ pub enum PlanError {
     NoScale,
     #[error(transparent)]
     Surface(#[from] SurfaceError),
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    #[error(transparent)]
+    RegionFile(#[from] RegionFileError),
     #[error(transparent)]
     Region(RegionError),
     #[error(transparent)]
@@ -94,6 +98,8 @@ impl Hint for PlanError {
             }
             Self::NoScale => "set --gsd, or give a model with points".into(),
             Self::Surface(error) => return error.hint(),
+            Self::Mesh(error) => return error.hint(),
+            Self::RegionFile(error) => return error.hint(),
             Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
             Self::NoTimes => {

@@ -5,22 +5,24 @@ use std::cell::LazyCell;
 use super::{
     Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, cut,
     georeference,
-    kept::{self, Inputs, Kept, Slotted, clusters::KeptClusters},
+    kept::{self, Inputs, Kept, Slot, Slotted, clusters::KeptClusters},
+    region,
     visible_surface::VisibleSurface,
 };
 use crate::{
     base::{
-        platform,
+        large_pages,
         progress::{Cancelled, Stage, Watcher},
     },
     config::{ConfidenceSource, Settings, Share},
     io::{
         cache::CacheFile,
+        pictures::Pictures,
         project::{ImageFaults, Project},
     },
     method::{
         confidence::{
-            self, Agreement, Confidence, Pictures, ProgramReach, ReachOfPartner, SampleRoom, Unary,
+            self, Agreement, Confidence, ProgramReach, ReachOfPartner, SampleRoom, Unary,
         },
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
@@ -160,7 +162,7 @@ impl Stages {
             None => target,
         };
         seen.visibility.triangles.release();
-        platform::return_freed_memory();
+        large_pages::return_freed_memory();
         let confidence = Confidence::new(
             source,
             &settings.confidence,
@@ -194,10 +196,10 @@ impl Stages {
                     unary_file, &geometry, &points, confidence, &pictures, batch, watcher,
                 )
             })?;
-        let agreement = timings.time(Stage::Confidence, || match confidence {
+        let compared = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
                 let room = || memory.before_pictures(&geometry, *of_mask);
-                agreement(
+                let compared = agreement(
                     &pictures,
                     &geometry,
                     &points,
@@ -205,21 +207,30 @@ impl Stages {
                     matcher,
                     room,
                     watcher,
-                )
+                );
+                compared.map(Some)
             }
-            _ => Ok(Agreement::default()),
+            _ => Ok(None),
         })?;
+        let (agreement_slot, agreement) = compared.unzip();
+        let agreement = agreement.unwrap_or_default();
         picture_warnings.extend(agreement.warnings.iter().cloned());
         without_image.extend(&agreement.rejected);
         without_image.sort_unstable();
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let from = [&surface_slot.file, &candidates_slot.file, &unary_slot.file];
-        let clusters_file = inputs.clusters(&settings, from, &agreement, &target, &model.rule);
+        let compared = match agreement.is_empty() {
+            true => Some(""),
+            false => agreement_slot
+                .as_ref()
+                .and_then(|slot: &Slot| slot.file.inputs()),
+        };
+        let clusters_file = inputs.clusters(&settings, from, compared, &target, &model.rule);
         let (clusters_slot, (clusters, fulfilment, half)) = timings
             .time(Stage::Partners, || {
                 clusters(clusters_file, &model, &candidates, &settings, watcher)
             })?;
-        platform::return_freed_memory();
+        large_pages::return_freed_memory();
         let per_map = numbers.work;
         let work: Vec<_> = clusters
             .iter()
@@ -238,6 +249,7 @@ impl Stages {
             shown: shown_slot,
             candidates: candidates_slot,
             unary: unary_slot,
+            agreement: agreement_slot,
             clusters: clusters_slot,
             ranking,
             made: None,
@@ -479,7 +491,7 @@ fn agreement(
     matcher: &Matcher,
     room: impl FnOnce() -> Result<SampleRoom, PlanError>,
     watcher: &dyn Watcher,
-) -> Result<Agreement, PlanError> {
+) -> Result<Slotted<Agreement>, PlanError> {
     let of_key_view = |key| -> ReachOfPartner {
         let Some(rule) = matcher.numbers.reach else {
             return Box::new(|_| Reach::Everything);
@@ -495,7 +507,14 @@ fn agreement(
         of_key_view: &of_key_view,
     };
     let partners = |view| candidates.candidates_of(view);
-    Agreement::new(geometry, pictures, partners, &reach, room, watcher)
+    let file = kept::agreement::file(geometry, pictures, partners, reach.program);
+    Ok(match kept::agreement::read(file, geometry, partners)? {
+        (slot, Some(agreement)) => (slot, agreement),
+        (slot, None) => {
+            let agreement = Agreement::new(geometry, pictures, partners, &reach, room()?, watcher)?;
+            (slot, agreement)
+        }
+    })
 }
 
 /// Returns the surface, and the candidate partners of each view within the gate, among pairs that
@@ -573,7 +592,7 @@ fn shape(
         return Ok(None);
     };
     let place = georeference(project, scene, &settings.frame);
-    Ok(Some(RegionShape::read(
+    Ok(Some(region::read(
         choice,
         &place,
         &MapFrame::new(scene, settings.surface.up),

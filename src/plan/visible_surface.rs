@@ -3,15 +3,16 @@
 use super::{
     Memory, PlanError, Timings,
     kept::{self, Inputs, KeptSurface, Slotted},
+    mesh,
 };
 use crate::{
     base::{
-        platform,
+        large_pages,
         progress::{Stage, Watcher},
     },
     config::{Settings, TargetMode},
     method::{
-        surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
+        surface::{self, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::GSD_MARGIN,
         visibility::{self, Visibility},
     },
@@ -76,10 +77,6 @@ impl VisibleSurface {
         timings: &mut Timings,
         memory: &mut Memory,
     ) -> Result<Self, PlanError> {
-        let mesh = settings.surface.mesh.clone().map(|path| MeshFile {
-            path,
-            as_is: settings.surface.mesh_as_is,
-        });
         let most = memory.most_triangles();
         let (surface, stats) = timings.time(Stage::Surface, || {
             let wanted = match settings.target.mode {
@@ -88,17 +85,16 @@ impl VisibleSurface {
                 }
                 _ => WantedGsd::uniform(gsd),
             };
-            surface::build(
-                scene,
-                &wanted,
-                &settings.surface,
-                mesh.as_ref(),
-                most,
-                watcher,
-            )
-            .map_err(|error| memory.too_fine(error))
+            let mesh = settings
+                .surface
+                .mesh
+                .as_deref()
+                .map(mesh::read)
+                .transpose()?;
+            surface::build(scene, &wanted, &settings.surface, mesh, most, watcher)
+                .map_err(|error| memory.too_fine(error))
         })?;
-        platform::return_freed_memory();
+        large_pages::return_freed_memory();
         let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
         let edge_length = settings.surface.edge_factor * gsd;
         timings.time(Stage::Visibility, || {

@@ -11,12 +11,9 @@ use serde::Serialize;
 use crate::{
     base::input::{self, FileKind},
     config::{PartnerSettings, Settings},
-    io::{cache::CacheFile, project::Project},
+    io::{cache::CacheFile, pictures::Pictures, project::Project},
     method::{
-        confidence::{Agreement, Confidence, Pictures},
-        fulfilment::FulfilmentRule,
-        ranking::Objective,
-        target::Target,
+        confidence::Confidence, fulfilment::FulfilmentRule, ranking::Objective, target::Target,
     },
     model::{
         cluster::Gate,
@@ -138,21 +135,18 @@ impl<'a> Inputs<'a> {
         CacheFile::new(self.home, "viewrank/cache/shown.table", inputs())
     }
 
-    /// The clusters and their fulfilment, made from the results in `from`.
+    /// The clusters and their fulfilment, made from the results in `from` and the pictures that were
+    /// compared (empty: none).
     pub fn clusters(
         &self,
         settings: &Settings,
         from: [&CacheFile; 3],
-        agreement: &Agreement,
+        compared: Option<&str>,
         target: &Target,
         rule: &FulfilmentRule,
     ) -> CacheFile {
         let inputs = || {
             let [surface, candidates, unary] = from;
-            let compared = match agreement.is_empty() {
-                true => Some(""),
-                false => agreement.inputs(),
-            };
             let mut hasher = self.of_results(&[
                 surface.inputs()?,
                 candidates.inputs()?,

@@ -6,6 +6,7 @@
 //! that the stage reads: the sparse model by content, settings, the results of earlier stages, and
 //! the program itself. Tables that were too large for memory are not kept.
 
+pub(super) mod agreement;
 pub(super) mod candidates;
 pub(super) mod clusters;
 mod inputs;
@@ -30,6 +31,8 @@ pub struct Kept {
     pub(super) shown: Slot,
     pub(super) candidates: Slot,
     pub(super) unary: Slot,
+    /// `None` if no pictures were compared.
+    pub(super) agreement: Option<Slot>,
     pub(super) clusters: Slot,
     pub(super) ranking: Slot,
     /// The files of [`Plan::unwritten`], if made before the predictions were replaced.
@@ -131,7 +134,11 @@ impl Plan {
         ]
         .into_iter()
         .flatten()
-        .chain(stages.agreement.unwritten())
+        .chain(
+            kept.agreement
+                .as_ref()
+                .and_then(|slot| agreement::set(slot, &stages.agreement)),
+        )
         .collect()
     }
 }
