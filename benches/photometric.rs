@@ -50,7 +50,7 @@ fn main() -> Fallible<()> {
     )?
     .settings;
     settings.confidence.source = ConfidenceSource::Geometric;
-    let plan = backends::plan(&project, &settings, &NoWatcher)?;
+    let plan = viewrank::plan(&project, &settings, &NoWatcher)?;
     let stages = &plan.stages;
     let images = project.images.clone().ok_or("the project has no images")?;
     let paths: Vec<_> = stages

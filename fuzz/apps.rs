@@ -51,7 +51,7 @@ impl Finished {
             backends: vec!["sgm".into()],
             ..Settings::default()
         };
-        let plan = backends::plan(&project, &settings, &NoWatcher).expect("a plan");
+        let plan = viewrank::plan(&project, &settings, &NoWatcher).expect("a plan");
         let clusters = plan.stages.clusters.clone();
         let finished = Self {
             folder,

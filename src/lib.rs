@@ -51,11 +51,11 @@ pub mod daemon;
 mod plan;
 mod show;
 
-use viewrank_core::{method, model};
+use viewrank_core::{decision, method, model};
 use viewrank_io as io;
 
+pub use apps::planning::{plan, plan_scene};
 pub use apps::{doctor, evaluate, learn, replan, report};
-pub use backends::plan;
 pub use base::{
     error::Hint,
     progress::{Cancelled, NoWatcher, Stage, Watcher},

@@ -9,7 +9,7 @@ use std::{
 
 use serde_json::Value;
 use tempfile::TempDir;
-use viewrank::{Plan, Settings, backends, tables};
+use viewrank::{Plan, Settings, tables};
 use viewrank_core::{
     base::progress::NoWatcher,
     method::{
@@ -74,7 +74,7 @@ fn project() -> TempDir {
         backends: vec!["sgm".into()],
         ..Settings::default()
     };
-    let plan = backends::plan(&project, &settings, &NoWatcher).unwrap();
+    let plan = viewrank::plan(&project, &settings, &NoWatcher).unwrap();
     fs::create_dir(folder.path().join("sgm")).unwrap();
     for cluster in 0..plan.stages.clusters.len() {
         let depths = matched(&plan, cluster);

@@ -5,9 +5,8 @@
 //! the manifest's `settings` and the JSON Schema all come from them. `None` means "chosen from the
 //! data or by the backend"; the manifest says what was chosen. `catalogue.rs` reads the definition
 //! as a list of keys, `layers.rs` puts the files and the command line over the defaults,
-//! `amounts.rs` has the values that people write as "5%" or "2h".
+//! `base/amounts.rs` of the core has the values that people write as "5%" or "2h".
 
-mod amounts;
 mod catalogue;
 mod dispatch;
 mod layers;
@@ -18,7 +17,10 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use amounts::{Amount, AmountError, Budget, Bytes, Count, Share, TimeSpan};
+pub use crate::{
+    base::amounts::{Amount, AmountError, Budget, Bytes, Count, Share, TimeSpan},
+    decision::{CutSettings, ForecastSettings},
+};
 pub use catalogue::{Key, keys};
 pub use dispatch::DispatchSettings;
 pub use layers::{
@@ -105,57 +107,6 @@ impl Settings {
     /// backend has chosen it.
     pub fn image_scale(&self) -> f64 {
         self.image_scale.unwrap_or(1.0)
-    }
-}
-
-/// Method 5.3; the first limit reached ends the plan. All unset: a target of 90 %.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct CutSettings {
-    /// Clusters ("40"), or a share of the registered views ("5%").
-    pub budget: Option<Budget>,
-    /// Share of what all clusters together reach ("80%").
-    pub target: Option<Share>,
-    /// Forecast time of matching ("2h", "90min", "1d6h").
-    pub time: Option<TimeSpan>,
-    /// Forecast points of all depth maps ("50M").
-    pub points: Option<Count>,
-}
-
-impl CutSettings {
-    /// Number of limits that are set.
-    pub fn limits(&self) -> usize {
-        [
-            self.budget.is_some(),
-            self.target.is_some(),
-            self.time.is_some(),
-            self.points.is_some(),
-        ]
-        .into_iter()
-        .filter(|is_set| *is_set)
-        .count()
-    }
-}
-
-/// Inputs to the forecast of time and points; unset where unknown.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct ForecastSettings {
-    /// Seconds of matching per (key view, partner) pair.
-    #[schemars(range(min = 0), extend("unit" = "s"))]
-    pub seconds_per_pair: Option<f64>,
-    /// Seconds of matching per depth map, in addition to its pairs.
-    #[schemars(range(min = 0), extend("unit" = "s"))]
-    pub seconds_per_map: Option<f64>,
-    /// Points of a depth map before fusion. Unset: the predicted number of measured pixels.
-    #[schemars(extend("unit" = "points", "exclusiveMinimum" = 0))]
-    pub points_per_map: Option<f64>,
-}
-
-impl ForecastSettings {
-    /// Returns whether matching times can be forecast.
-    pub fn knows_times(&self) -> bool {
-        self.seconds_per_map.is_some() || self.seconds_per_pair.is_some()
     }
 }
 

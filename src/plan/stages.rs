@@ -3,8 +3,7 @@
 use std::cell::LazyCell;
 
 use super::{
-    Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, cut,
-    georeference,
+    Matcher, Memory, PlanError, PlanningNumbers, Timings, UncutRanking, WorkPerMap, georeference,
     kept::{self, Inputs, Kept, Slot, Slotted, clusters::KeptClusters},
     region,
     visible_surface::VisibleSurface,
@@ -15,6 +14,7 @@ use crate::{
         progress::{Cancelled, Stage, Watcher},
     },
     config::{ConfidenceSource, Settings, Share},
+    decision::{DEFAULT_TARGET, Tables},
     io::{
         cache::CacheFile,
         pictures::Pictures,
@@ -24,14 +24,14 @@ use crate::{
         confidence::{
             self, Agreement, Confidence, ProgramReach, ReachOfPartner, SampleRoom, Unary,
         },
-        fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
+        fulfilment::{self, FulfilmentRule, Model},
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
-        ranking::{Maps, Objective},
-        region::{Region, RegionShape},
-        surface::{Surface, SurfaceStats},
+        ranking::Objective,
+        region::RegionShape,
+        surface::SurfaceStats,
         target::{GSD_MARGIN, Target},
-        visibility::{Shown, Visibility},
+        visibility::Shown,
     },
     model::{
         cluster::{MapScale, Reach, ViewCluster},
@@ -53,42 +53,14 @@ pub struct Stages {
     pub refused_half: bool,
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
-    pub scene: Scene,
     /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
     /// points.
     pub image_gsd: Option<f64>,
-    pub surface: Surface,
     pub surface_stats: SurfaceStats,
-    pub visibility: Visibility,
-    pub shown: Shown,
-    /// Unary confidence of each row of `visibility`.
-    pub unary: Unary,
-    /// Agreement of the pictures of candidate pairs, if confidence is photometric.
-    pub agreement: Agreement,
     /// A sentence for each picture or mask that cannot be used.
     pub picture_warnings: Vec<String>,
-    /// How p_i is predicted (method 3.4).
-    pub confidence: Confidence,
-    /// g_d and a_d of each triangle (method 3.6).
-    pub target: Target,
-    /// Region of interest (method 5.7); `None`: the whole surface.
-    pub region: Option<Region>,
-    /// Objective of the plan (method 5.1).
-    pub objective: Objective,
-    pub candidates: Candidates,
     pub image_faults: ImageFaults,
-    /// Views whose image is missing, unreadable or rejected ([`Agreement::rejected`]), ascending:
-    /// neither key views nor partners.
-    pub without_image: Vec<ViewIndex>,
-    /// One per view that can be a key view, in the order of the views.
-    pub clusters: Vec<ViewCluster>,
-    /// f of each cluster: predicted, or measured where the cluster is finished.
-    pub fulfilment: FulfilmentTable,
-    /// The same at half the size; `None` where all maps have full size.
-    pub half: Option<FulfilmentTable>,
-    /// Work of each cluster's map at full and at half size, in Mpx matched with one partner (method
-    /// 5.8).
-    pub work: Vec<[f64; 2]>,
+    pub tables: Tables,
     /// Numbers of the backend that `work` is made from.
     pub per_map: WorkPerMap,
     /// The ranking that an earlier plan has found, with what follows from it; `None`: to be made.
@@ -254,55 +226,40 @@ impl Stages {
             ranking,
             made: None,
         };
+        let rule = model.rule;
         Ok(Self {
-            known_ranking,
-            kept,
-            half,
-            work,
-            per_map,
+            settings,
+            own_size,
             mixes_sizes: matcher.mixes_sizes,
             refused_half,
             backend: matcher.name,
-            own_size,
-            surface: seen.surface,
-            surface_stats: seen.stats,
-            visibility: seen.visibility,
-            shown,
-            memory,
-            settings,
-            scene,
             image_gsd,
-            unary,
-            agreement,
+            surface_stats: seen.stats,
             picture_warnings,
-            confidence,
-            target,
-            region,
-            objective,
-            candidates,
             image_faults,
-            without_image,
-            clusters,
-            fulfilment,
+            tables: Tables {
+                scene,
+                surface: seen.surface,
+                visibility: seen.visibility,
+                shown,
+                region,
+                target,
+                without_image,
+                candidates,
+                unary,
+                agreement,
+                rule,
+                objective,
+                clusters,
+                fulfilment,
+                half,
+                work,
+            },
+            per_map,
+            known_ranking,
+            kept,
+            memory,
         })
-    }
-
-    /// Approximate memory of the tables, surface and scene, bytes.
-    pub fn bytes(&self) -> u64 {
-        let fulfilment = self.fulfilment.triangles.bytes() + self.fulfilment.values.bytes();
-        let tables = self.visibility.triangles.bytes() + self.unary.bytes() + fulfilment;
-        // Corners and what is shown of each triangle.
-        let surface = 24 * self.surface.vertices.len() + (12 + 16) * self.surface.triangles.len();
-        let scene = 64 * self.scene.points.len() + 24 * self.scene.observations();
-        (tables + surface + scene) as u64
-    }
-
-    /// Returns the depth maps to choose from.
-    pub fn maps(&self) -> Maps<'_> {
-        match &self.half {
-            None => Maps::full_size(&self.fulfilment),
-            Some(half) => Maps::two_sizes(&self.fulfilment, half, &self.work),
-        }
     }
 
     /// Returns the work of each cluster's map at full and at half size.
@@ -313,24 +270,13 @@ impl Stages {
             .map(|cluster| work(&self.scene, scale, self.per_map, cluster))
             .collect()
     }
+}
 
-    /// Returns the work of a cluster's map over that of all clusters at full size.
-    pub fn share_of_work(&self, cluster: u32, scale: MapScale) -> f64 {
-        let all: f64 = self.work.iter().map(|[full, _]| full).sum();
-        self.work[cluster as usize][usize::from(scale == MapScale::Half)] / all
-    }
+impl std::ops::Deref for Stages {
+    type Target = Tables;
 
-    /// Returns the inputs of f, with which any view cluster can be evaluated.
-    pub fn model(&self) -> Model<'_> {
-        Model {
-            scene: &self.scene,
-            surface: &self.surface,
-            visibility: &self.visibility,
-            target: &self.target,
-            unary: &self.unary,
-            agreement: &self.agreement,
-            rule: rule(&self.settings, self.confidence),
-        }
+    fn deref(&self) -> &Tables {
+        &self.tables
     }
 }
 
@@ -387,7 +333,7 @@ fn in_force(
     }
     let cut = &mut all.cut;
     if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
-        cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));
+        cut.target.get_or_insert(Share(DEFAULT_TARGET));
     }
     if !matcher.mixes_sizes {
         all.ranking.scales = vec![MapScale::Full];

@@ -7,5 +7,6 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod base;
+pub mod decision;
 pub mod method;
 pub mod model;

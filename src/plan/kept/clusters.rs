@@ -8,22 +8,22 @@ use crate::{
         packed::{Packed, Packer, Unpacker},
         rows::Offsets,
     },
+    decision::Tables,
     method::{fulfilment::FulfilmentTable, visibility::Visibility},
     model::{cluster::ViewCluster, scene::ViewIndex},
-    plan::Stages,
 };
 
 /// Clusters, their fulfilment, and that at half the size.
 pub type KeptClusters = (Vec<ViewCluster>, FulfilmentTable, Option<FulfilmentTable>);
 
-pub(super) fn pack(stages: &Stages) -> Option<Packed> {
-    let Stages {
+pub(super) fn pack(tables: &Tables) -> Option<Packed> {
+    let Tables {
         clusters,
         fulfilment,
         half,
         visibility,
         ..
-    } = stages;
+    } = tables;
     if visibility.triangles.storage() == Storage::Disk {
         return None;
     }

@@ -119,17 +119,22 @@ impl Plan {
             .known_ranking
             .as_ref()
             .map_or(0, |known| known.pixels.len());
+        // Those of the compared pictures come last and are kept with them.
+        let own = stages.picture_warnings.len() - stages.agreement.warnings.len();
+        let mask_warnings = &stages.picture_warnings[..own];
         let ranking = Slot {
             is_kept: kept.ranking.is_kept && self.decision.pixels.len() <= known,
             ..kept.ranking.clone()
         };
         [
-            kept.surface.set(|| surface::pack(stages)),
+            kept.surface
+                .set(|| surface::pack(&stages.surface, &stages.surface_stats, &stages.visibility)),
             kept.shown.set(|| Some(((), shown::pack(&stages.shown)))),
             kept.candidates
                 .set(|| Some(((), candidates::pack(&stages.candidates)))),
-            kept.unary.set(|| unary::pack(stages)),
-            kept.clusters.set(|| Some(((), clusters::pack(stages)?))),
+            kept.unary.set(|| unary::pack(&stages.unary, mask_warnings)),
+            kept.clusters
+                .set(|| Some(((), clusters::pack(&stages.tables)?))),
             ranking.set(|| Some(((), ranking::pack(&self.decision)))),
         ]
         .into_iter()

@@ -14,7 +14,6 @@ use crate::{
         surface::{Surface, SurfaceKind, SurfaceStats},
         visibility::Visibility,
     },
-    plan::Stages,
 };
 
 /// The small results.
@@ -32,12 +31,11 @@ pub struct KeptSurface {
     pub visibility: Visibility,
 }
 
-pub(super) fn pack(stages: &Stages) -> Option<(Facts, Packed)> {
-    let Stages {
-        surface,
-        visibility,
-        ..
-    } = stages;
+pub(super) fn pack(
+    surface: &Surface,
+    stats: &SurfaceStats,
+    visibility: &Visibility,
+) -> Option<(Facts, Packed)> {
     if visibility.triangles.storage() == Storage::Disk {
         return None;
     }
@@ -60,7 +58,7 @@ pub(super) fn pack(stages: &Stages) -> Option<(Facts, Packed)> {
     let contradictions = visibility.contradictions;
     let facts = Facts {
         kind: surface.kind,
-        stats: stages.surface_stats.clone(),
+        stats: stats.clone(),
         contradictions,
     };
     Some((facts, packer.finish()))

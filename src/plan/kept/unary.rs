@@ -8,12 +8,11 @@ use crate::{
         packed::{Packed, Packer, Unpacker},
     },
     method::confidence::{AROUND, Unary},
-    plan::Stages,
 };
 
 /// Packs the columns, and the warnings as facts.
-pub(super) fn pack(stages: &Stages) -> Option<(Vec<String>, Packed)> {
-    let (observed, around, allowed) = stages.unary.columns();
+pub(super) fn pack(unary: &Unary, warnings: &[String]) -> Option<(Vec<String>, Packed)> {
+    let (observed, around, allowed) = unary.columns();
     if [observed.storage(), allowed.storage()].contains(&Storage::Disk) {
         return None;
     }
@@ -21,9 +20,7 @@ pub(super) fn pack(stages: &Stages) -> Option<(Vec<String>, Packed)> {
     packer.list(&[around]);
     packer.column(observed);
     packer.column(allowed);
-    // Those of the compared pictures come last and are kept with them.
-    let own = stages.picture_warnings.len() - stages.agreement.warnings.len();
-    Some((stages.picture_warnings[..own].to_vec(), packer.finish()))
+    Some((warnings.to_vec(), packer.finish()))
 }
 
 /// Unpacks the columns. `rows`: number of rows of the visibility table.

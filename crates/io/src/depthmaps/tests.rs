@@ -28,7 +28,7 @@ const ALL: [DepthMapFormat; 10] = [
 ];
 
 fn fixture(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
         .join("fixtures/depthmaps")
         .join(name)
 }

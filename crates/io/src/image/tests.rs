@@ -82,7 +82,7 @@ fn the_orientation_of_exif_is_not_applied() {
 /// Made by another program (fixtures/pictures).
 #[test]
 fn kinds_of_files_that_readers_trip_over_show_the_same_picture() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pictures");
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("fixtures/pictures");
     let whole = |full| full;
     let grey = |name: &str| {
         Image::decode_grey(
@@ -290,7 +290,8 @@ fn pictures_and_masks_of_more_pixels_than_the_bound_are_refused() {
 #[test]
 fn a_jpeg_of_many_scans_is_refused() {
     let bytes = std::fs::read(
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pictures/progressive.jpg"),
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+            .join("fixtures/pictures/progressive.jpg"),
     )
     .unwrap();
     // From the last mark of a scan to that of the image's end.

@@ -56,7 +56,7 @@ fn models_have_colmaps_numbers_and_names() {
 fn projections_agree_with_pycolmap() {
     let path = concat!(
         env!("CARGO_MANIFEST_DIR"),
-        "/fixtures/formats/camera_models/projections.json"
+        "/../../fixtures/formats/camera_models/projections.json"
     );
     let text = std::fs::read_to_string(path).unwrap();
     let all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).unwrap();

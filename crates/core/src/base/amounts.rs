@@ -2,7 +2,6 @@
 
 use std::{fmt, str::FromStr};
 
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// Length of a plan: a number of view clusters, or a share of the registered views.
@@ -308,13 +307,14 @@ macro_rules! written_as_text {
             }
         }
 
-        impl JsonSchema for $amount {
+        #[cfg(feature = "schema")]
+        impl schemars::JsonSchema for $amount {
             fn schema_name() -> std::borrow::Cow<'static, str> {
                 stringify!($amount).into()
             }
 
-            fn json_schema(_: &mut SchemaGenerator) -> Schema {
-                json_schema!({ "type": "string", "pattern": Self::PATTERN })
+            fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+                schemars::json_schema!({ "type": "string", "pattern": Self::PATTERN })
             }
         }
     )*};

@@ -4,13 +4,11 @@
 use std::borrow::Cow;
 
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Stages;
+use super::Tables;
 use crate::{
     base::column::{self, DiskError},
-    config::PartnerSettings,
     method::{
         fulfilment::{self, ByTriangle, Fulfilment, FulfilmentTable, Model},
         partners::Candidates,
@@ -20,7 +18,8 @@ use crate::{
 };
 
 /// Role of a registered view in the plan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum ViewStatus {
     /// Gets a depth map.
@@ -39,7 +38,7 @@ const CLUSTERS_AT_ONCE: usize = 64;
 const DUPLICATE: f64 = 0.9;
 
 /// Inputs of the reasons.
-pub(super) struct Reasons<'a> {
+pub struct Reasons<'a> {
     model: &'a Model<'a>,
     /// Number of views that see each triangle.
     viewers: &'a [u32],
@@ -51,16 +50,16 @@ pub(super) struct Reasons<'a> {
 }
 
 impl<'a> Reasons<'a> {
-    /// `model`: of the same stages.
-    pub fn of(stages: &'a Stages, model: &'a Model<'a>) -> Self {
+    /// `model`: of the same tables.
+    pub fn of(tables: &'a Tables, model: &'a Model<'a>) -> Self {
         Self {
             model,
-            viewers: &stages.shown.views,
-            candidates: &stages.candidates,
-            without_image: &stages.without_image,
-            clusters: &stages.clusters,
-            fulfilment: &stages.fulfilment,
-            region: stages.region.as_ref(),
+            viewers: &tables.shown.views,
+            candidates: &tables.candidates,
+            without_image: &tables.without_image,
+            clusters: &tables.clusters,
+            fulfilment: &tables.fulfilment,
+            region: tables.region.as_ref(),
         }
     }
 
@@ -68,7 +67,7 @@ impl<'a> Reasons<'a> {
     pub fn views(
         &self,
         chosen: &[u32],
-        settings: &PartnerSettings,
+        k: u32,
     ) -> Result<Vec<(ViewStatus, Option<Reason>)>, DiskError> {
         let views = self.model.scene.views.len();
         let mut status = vec![ViewStatus::Unused; views];
@@ -82,7 +81,7 @@ impl<'a> Reasons<'a> {
         let by_triangle =
             ByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len())?;
         let reason = |view: ViewIndex| match (status[view.index()], cluster_of[view.index()]) {
-            (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, settings),
+            (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, k),
             (_, Some(cluster)) => Some(self.not_taken(cluster, &by_triangle)),
             (_, None) => Some(self.no_cluster(view)),
         };
@@ -96,9 +95,9 @@ impl<'a> Reasons<'a> {
         Ok(status.into_iter().zip(reasons).collect())
     }
 
-    fn few_partners(&self, cluster: usize, settings: &PartnerSettings) -> Option<Reason> {
+    fn few_partners(&self, cluster: usize, k: u32) -> Option<Reason> {
         let ViewCluster { key, partners } = &self.clusters[cluster];
-        let possible = (settings.k as usize).min(self.model.scene.views.len() - 1);
+        let possible = (k as usize).min(self.model.scene.views.len() - 1);
         (partners.len() < possible).then(|| self.main_refusal(*key))
     }
 
@@ -264,7 +263,7 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
 
 /// For each cluster, the clusters ranked before it that give more of its own fulfilment than all
 /// before them, by rank: the last one within a cut is the best substitute there.
-pub(super) fn best_substitutes(
+pub fn best_substitutes(
     table: &FulfilmentTable,
     order: &[u32],
     triangles: usize,

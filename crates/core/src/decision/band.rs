@@ -2,10 +2,9 @@
 
 use std::fmt;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Stages;
+use super::Tables;
 use crate::method::ranking::{Ranking, Reached};
 
 /// Half width of the band of the reachable weight, over the sum of `w f (1 - f)`, which is 0 if
@@ -21,7 +20,8 @@ const UNSEEN_SHARE: f64 = 0.35;
 const UNSEEN: (f64, f64) = (0.55, 0.05);
 
 /// Range in which the measured value is expected, 0 to 1.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Band {
     /// Lower end.
     pub low: f64,
@@ -59,30 +59,25 @@ impl Band {
     }
 
     /// Returns the band of the weight that fusion keeps of all clusters.
-    pub(super) fn of_reachable(stages: &Stages, ranking: &Ranking) -> Self {
-        if stages.agreement.is_empty() {
+    pub fn of_reachable(tables: &Tables, ranking: &Ranking) -> Self {
+        if tables.agreement.is_empty() {
             return Self::around(ranking.reachable, UNSEEN.0, UNSEEN.1);
         }
-        let maps = stages.maps();
-        let reached = Reached::by_all(&maps, &stages.objective);
+        let maps = tables.maps();
+        let reached = Reached::by_all(&maps, &tables.objective);
         maps.release();
         let doubt = |(t, weight): (u32, &f64)| {
             let f = f64::from(reached.agreed(t));
             weight * f * (1.0 - f)
         };
-        let spread = SPREAD * (0..).zip(&stages.objective.weights).map(doubt).sum::<f64>();
+        let spread = SPREAD * (0..).zip(&tables.objective.weights).map(doubt).sum::<f64>();
         Self::around(ranking.reachable, spread, spread)
     }
 
     /// Returns the band of the share at the cut, which widens with the uncertainty of what all
     /// clusters give.
-    pub(super) fn of_share(
-        stages: &Stages,
-        share: f64,
-        reachable: f64,
-        of_reachable: &Self,
-    ) -> Self {
-        let half = if stages.agreement.is_empty() {
+    pub fn of_share(tables: &Tables, share: f64, reachable: f64, of_reachable: &Self) -> Self {
+        let half = if tables.agreement.is_empty() {
             UNSEEN_SHARE
         } else if reachable > 0.0 {
             (0.25 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)

@@ -1,14 +1,14 @@
 //! Method 5.3: location of the surface that a cut gives up.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Stages, UncutRanking};
+use super::{Tables, UncutRanking};
 use crate::method::ranking::Reached;
 
 /// Weight, over that of the whole surface, that fusion is expected to keep of all clusters, less
 /// that of the clusters up to the cut, 0 to 1.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GivenUp {
     /// At the border: within a tenth of the site's width from its outline, and seen by few views.
     pub border: f64,
@@ -19,14 +19,14 @@ pub struct GivenUp {
 }
 
 impl GivenUp {
-    pub(super) fn new(
-        stages: &Stages,
+    pub fn new(
+        tables: &Tables,
         UncutRanking {
             ranking, border, ..
         }: &UncutRanking,
         clusters: usize,
     ) -> Self {
-        let (objective, maps) = (&stages.objective, stages.maps());
+        let (objective, maps) = (&tables.objective, tables.maps());
         let triangles = 0..objective.weights.len() as u32;
         let mut reached = Reached::new(objective);
         ranking

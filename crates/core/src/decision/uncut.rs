@@ -1,7 +1,7 @@
 //! The ranking, with what follows from it wherever it is cut: kept for the next plan, which may
 //! differ in its cut alone.
 
-use super::{Stages, border::border, reasons::Reasons};
+use super::{Tables, border::border, reasons::Reasons};
 use crate::{
     method::ranking::{self, Objective, Ranking},
     model::reason::Reason,
@@ -23,24 +23,24 @@ pub struct UncutRanking {
 
 impl UncutRanking {
     /// Computes all but the pixels, which only the clusters up to the cut need.
-    pub fn new(stages: &Stages, ranking: Ranking) -> Self {
+    pub fn new(tables: &Tables, ranking: Ranking) -> Self {
         let by_area = Objective::by_area(
-            &stages.surface,
-            stages.region.as_ref(),
-            stages.objective.support,
+            &tables.surface,
+            tables.region.as_ref(),
+            tables.objective.support,
         );
         // The shares take the clusters in their order, on one thread.
         let (area_shares, (triangle_reasons, border)) = rayon::join(
-            || ranking::shares_by(&by_area, &ranking, &stages.maps()),
+            || ranking::shares_by(&by_area, &ranking, &tables.maps()),
             || {
                 let border = || {
                     border(
-                        &stages.surface,
-                        &stages.shown.views,
-                        &stages.objective.weights,
+                        &tables.surface,
+                        &tables.shown.views,
+                        &tables.objective.weights,
                     )
                 };
-                rayon::join(|| Reasons::of(stages, &stages.model()).triangles(), border)
+                rayon::join(|| Reasons::of(tables, &tables.model()).triangles(), border)
             },
         );
         Self {

@@ -1,6 +1,6 @@
 //! The ranking as a curve: share and cost of each prefix.
 
-use super::{Decision, Plan, decision, forecast};
+use super::{Decision, Options, Tables, cost, forecast};
 
 /// The first `clusters` clusters of the ranking together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,17 +22,19 @@ pub struct CurvePoint {
     pub seconds: Option<f64>,
 }
 
-impl Plan {
+impl Decision {
     /// Returns the curve of the whole ranking, a point per cluster.
-    pub fn curve(&self) -> Vec<CurvePoint> {
-        let Decision {
+    pub fn curve(&self, tables: &Tables, options: &Options) -> Vec<CurvePoint> {
+        let (ranking, model) = (&self.ranking, tables.model());
+        let points = self.points_by_rank(tables, options);
+        let cost = cost(
+            tables,
+            &model,
+            options,
             ranking,
-            pixels,
-            finished,
-            ..
-        } = &self.decision;
-        let (model, points) = (self.stages.model(), self.points_by_rank());
-        let cost = decision::cost(&self.stages, &model, ranking, pixels, finished);
+            &self.pixels,
+            self.finished,
+        );
         let start = CurvePoint {
             clusters: 0,
             pairs: 0,
@@ -40,15 +42,12 @@ impl Plan {
             kept: 0.0,
             fulfilment: 0.0,
             points: 0.0,
-            seconds: self.stages.settings.forecast.knows_times().then_some(0.0),
+            seconds: options.forecast.knows_times().then_some(0.0),
         };
         let next = |sum: &mut CurvePoint, rank: usize| {
             *sum = CurvePoint {
                 clusters: rank + 1,
-                pairs: sum.pairs
-                    + self.stages.clusters[ranking.order[rank] as usize]
-                        .partners
-                        .len(),
+                pairs: sum.pairs + tables.clusters[ranking.order[rank] as usize].partners.len(),
                 share: ranking.share(rank + 1),
                 kept: ranking.kept[rank],
                 fulfilment: ranking.fulfilment[rank],

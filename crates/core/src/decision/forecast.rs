@@ -3,13 +3,11 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::Stages;
+use super::{ForecastSettings, Options, Tables};
 use crate::{
     base::column,
-    config::ForecastSettings,
     method::{
         fulfilment::{
             Model,
@@ -22,7 +20,8 @@ use crate::{
 };
 
 /// The backend's work for the plan, with its duration where the times per map or pair are set.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Forecast {
     /// Depth maps of the chosen clusters.
     pub maps: usize,
@@ -66,8 +65,8 @@ impl Forecast {
 }
 
 /// Computes the cost of a cluster by its rank (from 0).
-pub(super) struct Cost<'a> {
-    pub stages: &'a Stages,
+pub struct Cost<'a> {
+    pub tables: &'a Tables,
     pub model: &'a Model<'a>,
     pub ranking: &'a Ranking,
     /// Pixels that the maps of the first clusters will measure at full size, as far as they are
@@ -75,12 +74,12 @@ pub(super) struct Cost<'a> {
     pub pixels: &'a [f64],
     /// Number of clusters at the start of the ranking that are done and take no more time.
     pub finished: usize,
-    pub settings: &'a ForecastSettings,
+    pub options: &'a Options<'a>,
 }
 
 impl Cost<'_> {
     fn cluster(&self, rank: usize) -> &ViewCluster {
-        &self.stages.clusters[self.ranking.order[rank] as usize]
+        &self.tables.clusters[self.ranking.order[rank] as usize]
     }
 
     /// Number of pairs of the first `clusters` clusters.
@@ -93,7 +92,7 @@ impl Cost<'_> {
     /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
         let (cluster, scale) = (self.ranking.order[rank] as usize, self.ranking.scales[rank]);
-        let [full, half] = self.stages.work[cluster];
+        let [full, half] = self.tables.work[cluster];
         let size = if scale == MapScale::Half {
             half / full
         } else {
@@ -114,22 +113,23 @@ impl Cost<'_> {
             seconds_per_map,
             seconds_per_pair,
             ..
-        } = *self.settings;
+        } = *self.options.forecast;
         let seconds = seconds_per_map.unwrap_or(0.0) * maps as f64
             + seconds_per_pair.unwrap_or(0.0) * pairs as f64;
-        self.settings.knows_times().then_some(seconds)
+        self.options.forecast.knows_times().then_some(seconds)
     }
 
     /// Work of a map over that of all clusters at full size, finished or not.
     pub fn work(&self, rank: usize) -> f64 {
-        self.stages
+        self.tables
             .share_of_work(self.ranking.order[rank], self.ranking.scales[rank])
     }
 
     /// Pixels that the depth map will measure.
     pub fn points(&self, rank: usize, slots: &mut BlockSlots) -> f64 {
         let known = self
-            .settings
+            .options
+            .forecast
             .points_per_map
             .or(self.pixels.get(rank).copied());
         self.of_size(
@@ -143,9 +143,9 @@ impl Cost<'_> {
     }
 }
 
-pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
+pub fn forecast(cost: &Cost, clusters: usize) -> Forecast {
     let pairs = cost.pairs(clusters);
-    let clusters_of_all = &cost.stages.clusters;
+    let clusters_of_all = &cost.tables.clusters;
     let all_pairs = clusters_of_all
         .iter()
         .map(|cluster| cluster.partners.len())
@@ -172,8 +172,8 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
 }
 
 /// Pixels that the depth map of each of the first `clusters` clusters will measure.
-pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
-    let at_full_size = match cost.settings.points_per_map {
+pub fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
+    let at_full_size = match cost.options.forecast.points_per_map {
         Some(points) => vec![points; clusters],
         None => {
             let known = &cost.pixels[..clusters.min(cost.pixels.len())];
@@ -188,7 +188,7 @@ pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
 }
 
 /// Pixels that the depth maps of these ranks are expected to measure at full size.
-pub(super) fn full_size_pixels(cost: &Cost, ranks: Range<usize>) -> Vec<f64> {
+pub fn full_size_pixels(cost: &Cost, ranks: Range<usize>) -> Vec<f64> {
     let slots = || BlockSlots::new(cost.model);
     let mut pixels = Vec::with_capacity(ranks.len());
     for batch in Vec::from_iter(ranks).chunks(column::READ_AT_ONCE) {

@@ -1,19 +1,16 @@
 //! Method 5.3: cuts the ranking.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Band, GivenUp, PlanError, forecast::Cost};
-use crate::{
-    config::{Budget, CutSettings},
-    method::fulfilment::block::BlockSlots,
-};
+use super::{Band, CutSettings, DecisionError, GivenUp, forecast::Cost};
+use crate::{base::amounts::Budget, method::fulfilment::block::BlockSlots};
 
 /// Default target: a share of what all clusters together reach.
-pub(super) const DEFAULT_TARGET: f64 = 0.9;
+pub const DEFAULT_TARGET: f64 = 0.9;
 
 /// A limit of the settings (`[cut]`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum CutLimit {
     Budget,
@@ -23,7 +20,8 @@ pub enum CutLimit {
 }
 
 /// Part of the ranking to compute.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Cut {
     /// Number of clusters to compute, from the start of the ranking.
     pub clusters: usize,
@@ -76,7 +74,7 @@ impl Cut {
 
 /// Cuts at the shortest prefix that the settings allow, but not before the end of the finished
 /// clusters.
-pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
+pub fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, DecisionError> {
     let ranking = cost.ranking;
     let mut end = (ranking.order.len(), None);
     let sooner = |end: (usize, Option<CutLimit>), length, by| {
@@ -94,7 +92,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
     if let Some(budget) = settings.budget {
         let length = match budget {
             // If maps differ in work, a share of the views is a share of the work.
-            Budget::Views(share) if cost.stages.settings.ranking.has_half() => {
+            Budget::Views(share) if cost.options.has_half => {
                 longest_within(end.0, share.0, |rank| Ok(cost.work(rank)))?
             }
             budget => budget.clusters(cost.model.scene.views.len()),
@@ -102,7 +100,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
         end = sooner(end, length, CutLimit::Budget);
     }
     if let Some(time) = settings.time {
-        let seconds = |rank| cost.seconds(rank).ok_or(PlanError::NoTimes);
+        let seconds = |rank| cost.seconds(rank).ok_or(DecisionError::NoTimes);
         end = sooner(end, longest_within(end.0, time.0, seconds)?, CutLimit::Time);
     }
     if let Some(points) = settings.points {
@@ -136,8 +134,8 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
 fn longest_within(
     most: usize,
     limit: f64,
-    mut cost: impl FnMut(usize) -> Result<f64, PlanError>,
-) -> Result<usize, PlanError> {
+    mut cost: impl FnMut(usize) -> Result<f64, DecisionError>,
+) -> Result<usize, DecisionError> {
     let mut sum = 0.0;
     for rank in 0..most {
         sum += cost(rank)?;

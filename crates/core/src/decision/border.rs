@@ -19,7 +19,7 @@ const SAMPLES: usize = 200;
 
 /// True for triangles that are within a tenth of the site's width of its outline, along the
 /// principal plane, and that few views see. `views`: number that sees each triangle.
-pub(super) fn border(surface: &Surface, views: &[u32], weights: &[f64]) -> Vec<bool> {
+pub fn border(surface: &Surface, views: &[u32], weights: &[f64]) -> Vec<bool> {
     let triangles = surface.triangles.len() as u32;
     let mut counts: Vec<_> = views
         .iter()
