@@ -5,16 +5,19 @@
 //! ranks them, cuts the ranking, forecasts its cost, and gives a reason for everything left out. A
 //! [`Plan`] holds both results. This module writes no files.
 
+mod cached;
 mod decision;
 mod empty;
 mod error;
 mod finished;
 mod georeference;
-mod kept;
+mod inputs;
 mod memory;
 mod mesh;
 mod region;
 mod stages;
+mod step;
+mod steps;
 mod timings;
 mod visible_surface;
 mod warnings;

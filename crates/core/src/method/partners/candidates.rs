@@ -161,7 +161,6 @@ impl<'a, 'limits> CandidateSearch<'a, 'limits> {
 }
 
 /// Finds the candidates of each view.
-#[cfg(test)]
 pub fn candidates(
     scene: &Scene,
     points: &ViewPoints,

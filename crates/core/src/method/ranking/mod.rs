@@ -3,6 +3,30 @@
 //! Greedy: the next cluster is the one that adds most to the [`Objective`]. The objective is
 //! monotone, but submodular only if a single map is enough: a map gains worth when another one can
 //! confirm it. Gains are therefore kept up to date instead of evaluated lazily.
+//!
+//! ```
+//! use viewrank_core::{
+//!     base::progress::NoWatcher,
+//!     method::{
+//!         fulfilment::FulfilmentTable,
+//!         ranking::{self, Objective},
+//!     },
+//! };
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // f of three clusters on four triangles: (triangle, f), triangles ascending.
+//! let fulfilment = FulfilmentTable::new([
+//!     vec![(0, 0.9), (1, 0.8)],
+//!     vec![(1, 0.7), (2, 0.9), (3, 0.9)],
+//!     vec![(0, 0.5)],
+//! ]);
+//! let objective = Objective::weighing(vec![1.0; 4], 1);
+//! let ranking = ranking::rank(&fulfilment, &objective, &NoWatcher)?;
+//! assert_eq!(ranking.order, [1, 0]);
+//! assert!((ranking.fulfilment[0] - 2.5 / 4.0).abs() < 1e-6);
+//! # Ok(())
+//! # }
+//! ```
 
 mod belief;
 mod bound;

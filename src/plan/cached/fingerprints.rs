@@ -33,12 +33,12 @@ const PROGRAM: [&str; 4] = [
 const BLOCK: usize = 1 << 12;
 
 /// The inputs of a plan that all stages share, as the files of the stages depend on them.
-pub struct Inputs<'a> {
+pub struct Fingerprints<'a> {
     home: &'a Path,
     scene: Hash,
 }
 
-impl<'a> Inputs<'a> {
+impl<'a> Fingerprints<'a> {
     /// Hashes the scene.
     pub fn new(project: &'a Project, scene: &Scene) -> Self {
         Self {

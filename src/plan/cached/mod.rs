@@ -4,12 +4,12 @@
 //!
 //! Each stage has a file in `viewrank/cache` ([`crate::io::cache`]) with the fingerprint of all
 //! that the stage reads: the sparse model by content, settings, the results of earlier stages, and
-//! the program itself. Tables that were too large for memory are not kept.
+//! the program itself. Tables that were too large for memory are not cached.
 
 pub(super) mod agreement;
 pub(super) mod candidates;
 pub(super) mod clusters;
-mod inputs;
+mod fingerprints;
 pub(super) mod ranking;
 pub(super) mod shown;
 mod surface;
@@ -17,7 +17,7 @@ pub(super) mod unary;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-pub(super) use self::{inputs::Inputs, surface::KeptSurface};
+pub(super) use self::{fingerprints::Fingerprints, surface::CachedSurface};
 use super::Plan;
 use crate::{
     base::{input::FileKind, packed::Packed},
@@ -26,31 +26,31 @@ use crate::{
 
 /// The files of the stages.
 #[derive(Clone, Debug)]
-pub struct Kept {
-    pub(super) surface: Slot,
-    pub(super) shown: Slot,
-    pub(super) candidates: Slot,
-    pub(super) unary: Slot,
+pub struct Cached {
+    pub(super) surface: ResultFile,
+    pub(super) shown: ResultFile,
+    pub(super) candidates: ResultFile,
+    pub(super) unary: ResultFile,
     /// `None` if no pictures were compared.
-    pub(super) agreement: Option<Slot>,
-    pub(super) clusters: Slot,
-    pub(super) ranking: Slot,
+    pub(super) agreement: Option<ResultFile>,
+    pub(super) clusters: ResultFile,
+    pub(super) ranking: ResultFile,
     /// The files of [`Plan::unwritten`], if made before the predictions were replaced.
     pub(super) made: Option<Vec<FileSet>>,
 }
 
 /// The file of a stage.
 #[derive(Clone, Debug)]
-pub(super) struct Slot {
+pub(super) struct ResultFile {
     pub file: CacheFile,
     /// True if the file holds the result of this plan.
     pub is_kept: bool,
 }
 
-/// A result, with the place where it is kept.
-pub(super) type Slotted<T> = (Slot, T);
+/// A result, with the place where it is cached.
+pub(super) type Filed<T> = (ResultFile, T);
 
-impl Slot {
+impl ResultFile {
     /// Returns the file's set, unless it is there already.
     fn set<F: Serialize>(&self, pack: impl FnOnce() -> Option<(F, Packed)>) -> Option<FileSet> {
         if self.is_kept {
@@ -78,10 +78,10 @@ impl Slot {
 pub(super) fn read<F: Serialize + DeserializeOwned, T>(
     file: CacheFile,
     unpack: impl FnOnce(F, &[u8]) -> Option<T>,
-) -> Slotted<Option<T>> {
+) -> Filed<Option<T>> {
     let found = file.read().and_then(|(facts, bytes)| unpack(facts, &bytes));
     (
-        Slot {
+        ResultFile {
             file,
             is_kept: found.is_some(),
         },
@@ -89,29 +89,17 @@ pub(super) fn read<F: Serialize + DeserializeOwned, T>(
     )
 }
 
-/// Reads what the file holds as [`read`] does, or else makes it.
-pub(super) fn read_or<F: Serialize + DeserializeOwned, T, E>(
-    file: CacheFile,
-    unpack: impl FnOnce(F, &[u8]) -> Option<T>,
-    make: impl FnOnce() -> Result<T, E>,
-) -> Result<Slotted<T>, E> {
-    match read(file, unpack) {
-        (slot, Some(found)) => Ok((slot, found)),
-        (slot, None) => Ok((slot, make()?)),
-    }
-}
-
 impl Plan {
     /// Makes the files of [`Self::unwritten`] now: what finished depth maps show replaces
     /// predictions, but the next plan begins with these.
     pub fn keep_predictions(&mut self) {
-        self.stages.kept.made = Some(self.unwritten());
+        self.stages.cached.made = Some(self.unwritten());
     }
 
     /// Returns the results of stages that the project does not keep yet.
     pub fn unwritten(&self) -> Vec<FileSet> {
-        let (stages, kept) = (&self.stages, &self.stages.kept);
-        if let Some(made) = &kept.made {
+        let (stages, cached) = (&self.stages, &self.stages.cached);
+        if let Some(made) = &cached.made {
             return made.clone();
         }
         // What a longer cut has asked for is kept as well.
@@ -122,27 +110,33 @@ impl Plan {
         // Those of the compared pictures come last and are kept with them.
         let own = stages.picture_warnings.len() - stages.agreement.warnings.len();
         let mask_warnings = &stages.picture_warnings[..own];
-        let ranking = Slot {
-            is_kept: kept.ranking.is_kept && self.decision.pixels.len() <= known,
-            ..kept.ranking.clone()
+        let ranking = ResultFile {
+            is_kept: cached.ranking.is_kept && self.decision.pixels.len() <= known,
+            ..cached.ranking.clone()
         };
         [
-            kept.surface
+            cached
+                .surface
                 .set(|| surface::pack(&stages.surface, &stages.surface_stats, &stages.visibility)),
-            kept.shown.set(|| Some(((), shown::pack(&stages.shown)))),
-            kept.candidates
+            cached.shown.set(|| Some(((), shown::pack(&stages.shown)))),
+            cached
+                .candidates
                 .set(|| Some(((), candidates::pack(&stages.candidates)))),
-            kept.unary.set(|| unary::pack(&stages.unary, mask_warnings)),
-            kept.clusters
+            cached
+                .unary
+                .set(|| unary::pack(&stages.unary, mask_warnings)),
+            cached
+                .clusters
                 .set(|| Some(((), clusters::pack(&stages.tables)?))),
             ranking.set(|| Some(((), ranking::pack(&self.decision)))),
         ]
         .into_iter()
         .flatten()
         .chain(
-            kept.agreement
+            cached
+                .agreement
                 .as_ref()
-                .and_then(|slot| agreement::set(slot, &stages.agreement)),
+                .and_then(|file| agreement::set(file, &stages.agreement)),
         )
         .collect()
     }

@@ -25,7 +25,7 @@ pub struct Facts {
 }
 
 /// The triangles that views see, and what was found on the way.
-pub struct KeptSurface {
+pub struct CachedSurface {
     pub surface: Surface,
     pub stats: SurfaceStats,
     pub visibility: Visibility,
@@ -64,7 +64,7 @@ pub(super) fn pack(
     Some((facts, packer.finish()))
 }
 
-impl KeptSurface {
+impl CachedSurface {
     /// Unpacks surface and visibility. `views`: number of views of the scene.
     pub fn unpack(facts: Facts, bytes: &[u8], views: usize) -> Option<Self> {
         let mut lists = Unpacker::new(bytes);

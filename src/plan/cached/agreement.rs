@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Slot, Slotted};
+use super::{Filed, ResultFile};
 use crate::{
     base::column::{ColumnBuilder, DiskError},
     io::{cache::CacheFile, output::FileSet, pictures::Pictures},
@@ -74,8 +74,8 @@ fn inputs<'p>(
 }
 
 /// Returns the cache of the table for the next plan, unless it is there already.
-pub(super) fn set(slot: &Slot, agreement: &Agreement) -> Option<FileSet> {
-    if slot.is_kept {
+pub(super) fn set(file: &ResultFile, agreement: &Agreement) -> Option<FileSet> {
+    if file.is_kept {
         return None;
     }
     let facts = Facts {
@@ -83,7 +83,7 @@ pub(super) fn set(slot: &Slot, agreement: &Agreement) -> Option<FileSet> {
         rejected: agreement.rejected.clone(),
         warnings: agreement.warnings.clone(),
     };
-    Some(slot.file.file(&facts, vec![agreement.values.clone()]))
+    Some(file.file.file(&facts, vec![agreement.values.clone()]))
 }
 
 /// Reads the cached table; `None` if it is of other inputs or damaged.
@@ -91,10 +91,10 @@ pub(in crate::plan) fn read<'p>(
     file: CacheFile,
     geometry: &Geometry,
     partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
-) -> Result<Slotted<Option<Agreement>>, DiskError> {
+) -> Result<Filed<Option<Agreement>>, DiskError> {
     let found = table(&file, geometry, partners_of)?;
     let is_kept = found.is_some();
-    Ok((Slot { file, is_kept }, found))
+    Ok((ResultFile { file, is_kept }, found))
 }
 
 fn table<'p>(

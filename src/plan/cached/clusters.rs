@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Clusters, their fulfilment, and that at half the size.
-pub type KeptClusters = (Vec<ViewCluster>, FulfilmentTable, Option<FulfilmentTable>);
+pub type CachedClusters = (Vec<ViewCluster>, FulfilmentTable, Option<FulfilmentTable>);
 
 pub(super) fn pack(tables: &Tables) -> Option<Packed> {
     let Tables {
@@ -74,7 +74,7 @@ fn pack_table(
 }
 
 /// Unpacks clusters with this visibility; `has_half`: with fulfilment at half the size.
-pub fn unpack(bytes: &[u8], visibility: &Visibility, has_half: bool) -> Option<KeptClusters> {
+pub fn unpack(bytes: &[u8], visibility: &Visibility, has_half: bool) -> Option<CachedClusters> {
     let mut lists = Unpacker::new(bytes);
     let (keys, lengths, partners) = (
         lists.list::<u32>()?,
