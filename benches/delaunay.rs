@@ -4,10 +4,10 @@
 //! finite cells, all cells, seconds; writes the finite cells as little-endian u32 quadruples of
 //! indices of points.
 
-use nalgebra::Point3;
 use std::time::Instant;
-use viewrank::internals::progress::NoWatcher;
-use viewrank::internals::surface::delaunay::Delaunay;
+
+use nalgebra::Point3;
+use viewrank_core::{base::progress::NoWatcher, method::surface::delaunay::Delaunay};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // `cargo bench` adds options of its own.

@@ -8,15 +8,18 @@
 
 use std::{path::Path, time::Instant};
 
-use viewrank::internals::{
+use viewrank::{
     backends,
-    column::{Storage, TableError},
-    confidence::{Agreement, Pictures, ProgramReach, SampleRoom},
     config::{CommandLineSettings, ConfidenceSource, Configuration, Files},
-    geometry::Geometry,
-    progress::NoWatcher,
-    project::Project,
 };
+use viewrank_core::{
+    base::{column::Storage, progress::NoWatcher},
+    method::{
+        confidence::{Agreement, ProgramReach, SampleRoom},
+        geometry::Geometry,
+    },
+};
+use viewrank_io::{pictures::Pictures, project::Project};
 use zune_jpeg::{
     JpegDecoder,
     zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
@@ -47,7 +50,7 @@ fn main() -> Fallible<()> {
     )?
     .settings;
     settings.confidence.source = ConfidenceSource::Geometric;
-    let plan = backends::plan(&project, &settings, &NoWatcher)?;
+    let plan = viewrank::plan(&project, &settings, &NoWatcher)?;
     let stages = &plan.stages;
     let images = project.images.clone().ok_or("the project has no images")?;
     let paths: Vec<_> = stages
@@ -67,16 +70,9 @@ fn main() -> Fallible<()> {
     let per_image = |seconds: f64| 1e3 * seconds / paths.len() as f64;
     let [colour, grey] = [ColorSpace::RGB, ColorSpace::Luma].map(|space| decode(&paths, space));
     let ([colour, megapixels], [grey, _]) = (colour?, grey?);
-    if project.home.join("viewrank/cache/agreement.table").exists() {
-        return Err(
-            "the agreement would be read from the cache: remove viewrank/cache first".into(),
-        );
-    }
-    let room = || {
-        Ok::<_, TableError>(SampleRoom {
-            keep: Storage::Memory,
-            views_at_once: 16,
-        })
+    let room = SampleRoom {
+        keep: Storage::Memory,
+        views_at_once: 16,
     };
     let start = Instant::now();
     let partners = |view| stages.candidates.candidates_of(view);

@@ -12,15 +12,17 @@ use std::{
     time::Instant,
 };
 
-use viewrank::internals::{
-    config::SurfaceSettings,
-    progress::NoWatcher,
-    project::Project,
-    surface::{
-        WantedGsd, carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify,
+use viewrank::config::SurfaceSettings;
+use viewrank_core::{
+    base::progress::NoWatcher,
+    method::{
+        surface::{
+            WantedGsd, carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify,
+        },
+        target::GSD_MARGIN,
     },
-    target::GSD_MARGIN,
 };
+use viewrank_io::project::Project;
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
 

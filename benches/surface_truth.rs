@@ -18,17 +18,17 @@ use std::{path::Path, time::Instant};
 
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
-use viewrank::internals::{
-    column::Storage,
-    config::Settings,
-    ply,
-    progress::NoWatcher,
-    project::Project,
-    scene::{Scene, ViewIndex},
-    surface::{self, Surface, SurfaceKind, WantedGsd, refine::MAX_TRIANGLES},
-    target::GSD_MARGIN,
-    visibility::{self, Visibility},
+use viewrank::Settings;
+use viewrank_core::{
+    base::{column::Storage, progress::NoWatcher},
+    method::{
+        surface::{self, Surface, SurfaceKind, WantedGsd, refine::MAX_TRIANGLES},
+        target::GSD_MARGIN,
+        visibility::{self, Visibility},
+    },
+    model::scene::{Scene, ViewIndex},
 };
+use viewrank_io::{ply, project::Project};
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
 

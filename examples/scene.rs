@@ -9,10 +9,8 @@
 use std::{env, error::Error, fs, fs::File, path::Path, time::Instant};
 
 use npyz::{AutoSerialize, WriterBuilder};
-use viewrank::internals::{
-    project::Project,
-    scene::{PointIndex, Scene},
-};
+use viewrank_core::model::scene::{PointIndex, Scene};
+use viewrank_io::project::Project;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = env::args().skip(1).collect();
@@ -36,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn write(scene: &Scene, folder: &Path) -> Result<(), Box<dyn Error>> {
     let names: Vec<&str> = scene.views.iter().map(|view| view.name.as_str()).collect();
     fs::write(folder.join("views.json"), serde_json::to_string(&names)?)?;
-    let pose = |view: &viewrank::internals::scene::View| {
+    let pose = |view: &viewrank_core::model::scene::View| {
         let pose = view.cam_from_world;
         let rotation = pose.rotation.matrix().transpose();
         rotation

@@ -8,19 +8,19 @@ use std::{
 };
 
 use viewrank::{
-    Hint, NoWatcher, Plan, Project, Settings, ViewCluster,
-    internals::{
-        backends, depthmaps,
-        evaluate::{
-            self, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
-            MeasuredProgress, MeasuredSurface,
-        },
-        learn::{self, Lesson, Numbers},
-        scene::ViewIndex,
-        tables,
-        visibility::{NOTHING, front},
+    Hint, NoWatcher, Plan, Project, Settings, ViewCluster, backends,
+    evaluate::{
+        self, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredProgress,
+        MeasuredSurface,
     },
+    learn::{self, Lesson, Numbers},
+    tables,
 };
+use viewrank_core::{
+    method::visibility::{NOTHING, front},
+    model::scene::ViewIndex,
+};
+use viewrank_io::depthmaps;
 
 /// Targets: the command, and the file that is replaced.
 pub const APPS: [&str; 6] = [
@@ -51,7 +51,7 @@ impl Finished {
             backends: vec!["sgm".into()],
             ..Settings::default()
         };
-        let plan = backends::plan(&project, &settings, &NoWatcher).expect("a plan");
+        let plan = viewrank::plan(&project, &settings, &NoWatcher).expect("a plan");
         let clusters = plan.stages.clusters.clone();
         let finished = Self {
             folder,

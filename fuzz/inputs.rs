@@ -5,14 +5,14 @@ use std::path::Path;
 
 use viewrank::{
     Hint,
-    internals::{
-        backends::canonical_name,
-        confidence::{Image, image::Mask},
-        config::{CommandLineSettings, Configuration, Files},
-        depthmaps::{DepthMapFormat, parse},
-        pixels::PixelBound,
-    },
+    backends::canonical_name,
+    config::{CommandLineSettings, Configuration, Files},
     manifest,
+};
+use viewrank_core::base::pixels::PixelBound;
+use viewrank_io::{
+    depthmaps::{DepthMapFormat, parse},
+    image::{self, Image},
 };
 
 /// Targets with valid contents.
@@ -142,7 +142,7 @@ fn read_map(target: &str, data: &[u8]) -> bool {
 
 fn read_picture(data: &[u8]) -> bool {
     let half = |[width, height]: [u32; 2]| [width.div_ceil(2), height.div_ceil(2)];
-    if let Ok(mask) = Mask::decode(data, PixelBound::LARGEST) {
+    if let Ok(mask) = image::mask(data, PixelBound::LARGEST) {
         assert!((0.0..=1.0).contains(&mask.share([3, 2], 2, 1)));
     }
     let grey = Image::decode_grey(data, PixelBound::LARGEST, half);

@@ -2,7 +2,8 @@
 //! valid model by the fuzzer's bytes, and checks that a model that can be read is consistent and
 //! round-trips.
 
-use viewrank::internals::{
+use viewrank_core::model::scene::Scene;
+use viewrank_io::{
     formats::{
         Bytes, Fault, alicevision, blocks, bundler,
         colmap::ColmapModel,
@@ -12,7 +13,6 @@ use viewrank::internals::{
         micmac, mve, nvm, openmvg, openmvs, opensfm, sure, transforms,
     },
     region_file::{self, RegionFile},
-    scene::Scene,
 };
 
 /// The files of a model: names and contents.

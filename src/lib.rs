@@ -47,15 +47,15 @@ mod base;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod config;
-mod daemon;
-mod io;
-mod method;
-mod model;
+pub mod daemon;
 mod plan;
 mod show;
 
-pub use apps::{doctor, evaluate, replan, report};
-pub use backends::plan;
+use viewrank_core::{decision, method, model};
+use viewrank_io as io;
+
+pub use apps::planning::{plan, plan_scene};
+pub use apps::{doctor, evaluate, learn, replan, report};
 pub use base::{
     error::Hint,
     progress::{Cancelled, NoWatcher, Stage, Watcher},
@@ -84,20 +84,4 @@ pub use plan::{
     CurvePoint, Cut, Decision, FinishedMaps, Forecast, Matcher, Plan, PlanError, PlanningNumbers,
     Stages, Timings, ViewStatus, WorkPerMap,
 };
-pub use show::{files, manifest, pictures};
-
-/// The modules of all layers, for the tests, benchmarks and fuzz targets of this repository; not
-/// part of the public interface.
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod internals {
-    pub use crate::{apps::*, backends, base::*, config, io::*, method::*, model::*, show::*};
-
-    pub mod daemon {
-        pub use crate::daemon::*;
-    }
-
-    pub mod plan {
-        pub use crate::plan::*;
-    }
-}
+pub use show::{files, manifest, pictures, tables};

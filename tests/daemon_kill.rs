@@ -15,11 +15,11 @@ use std::{
 use npyz::WriterBuilder;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
-use viewrank::internals::{
-    camera::{Camera, CameraModel},
-    formats::{colmap::ColmapModel, colmap_bin},
-    synthetic::Town,
+use viewrank_core::{
+    method::synthetic::Town,
+    model::camera::{Camera, CameraModel},
 };
+use viewrank_io::formats::{colmap::ColmapModel, colmap_bin};
 
 const PROJECTS: [&str; 3] = ["a", "deep/b", "with blank/c"];
 /// A project with a constant model whose depth maps come and go.

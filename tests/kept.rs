@@ -9,18 +9,23 @@ use std::{
 };
 
 use tempfile::TempDir;
-use viewrank::internals::{
-    backends,
-    camera::{Camera, CameraModel},
-    config::{self, Settings},
+use viewrank::{
+    Plan, Settings,
+    config::{self},
     files::files,
+};
+use viewrank_core::{
+    base::progress::NoWatcher,
+    method::synthetic::Town,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::Scene,
+    },
+};
+use viewrank_io::{
     output::{self, Contents, Disk, Operation},
-    plan::Plan,
     ply,
-    progress::NoWatcher,
     project::Project,
-    scene::Scene,
-    synthetic::Town,
 };
 
 /// All stages, in the order of the plan.
@@ -70,7 +75,7 @@ fn open(folder: &Path) -> Project {
 }
 
 fn plan(folder: &Path, text: &str) -> Plan {
-    backends::plan(&open(folder), &settings(text), &NoWatcher)
+    viewrank::plan(&open(folder), &settings(text), &NoWatcher)
         .unwrap_or_else(|error| panic!("{text}: {error}"))
 }
 
@@ -205,7 +210,7 @@ fn a_longer_cut_adds_to_what_is_kept() {
 
 /// For each setting another value than its default, with what it needs to be in force.
 fn changes(folder: &Path) -> BTreeMap<&'static str, String> {
-    let surface = plan(folder, "").stages.surface;
+    let surface = plan(folder, "").stages.tables.surface;
     let mesh = folder.join("mesh.ply");
     fs::write(
         &mesh,
@@ -294,7 +299,7 @@ fn another_mesh_is_another_surface() {
     let folder = planned(&town());
     let mesh = "surface.mesh = 'mesh.ply'"
         .replace("mesh.ply", folder.path().join("mesh.ply").to_str().unwrap());
-    let surface = plan(folder.path(), "").stages.surface;
+    let surface = plan(folder.path(), "").stages.tables.surface;
     let triangles =
         |from: usize| ply::write(&surface.vertices, &surface.triangles[from..], &[], &[]);
     for from in [0, 5] {
@@ -427,7 +432,7 @@ fn a_made_up_file_with_the_right_hash_is_no_reason_to_fail() {
                 [format!("viewrank cache 1\n{head}\n").as_bytes(), &bad].concat(),
             )
             .unwrap();
-            let plan = backends::plan(&open(folder.path()), &settings(""), &NoWatcher);
+            let plan = viewrank::plan(&open(folder.path()), &settings(""), &NoWatcher);
             assert!(
                 plan.is_ok_and(|plan| files(&plan, &open(folder.path())).is_ok()),
                 "{stage} at {place}"

@@ -2,15 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use viewrank::internals::{
-    error::Hint,
+use viewrank_core::{base::error::Hint, model::scene::Scene};
+use viewrank_io::{
     formats::{
         Bytes,
         colmap::{ColmapModel, Point2d},
         colmap_bin, colmap_text,
     },
     project::{ModelFormat, Project, ProjectError, ProjectKind},
-    scene::Scene,
 };
 
 /// Small models of every kind that COLMAP writes.
@@ -245,7 +244,7 @@ fn reduced_models_are_consistent() {
         // Oracle: the tracks of the whole scene without the dropped views.
         let mut expected = Vec::new();
         for p in 0..whole.points.len() {
-            let track = whole.track(viewrank::internals::scene::PointIndex(p as u32));
+            let track = whole.track(viewrank_core::model::scene::PointIndex(p as u32));
             let names = track.filter(|&o| kept.contains(&whole.track_views[o]));
             let names: Vec<_> = names
                 .map(|o| (whole.name(whole.track_views[o]), whole.track_pixels[o]))
@@ -259,7 +258,7 @@ fn reduced_models_are_consistent() {
         let scene = reread(&colmap_bin::write(&reduced));
         assert_eq!(scene.points.len(), expected.len(), "{folder}");
         for (p, (id, names)) in expected.iter().enumerate() {
-            let track = scene.track(viewrank::internals::scene::PointIndex(p as u32));
+            let track = scene.track(viewrank_core::model::scene::PointIndex(p as u32));
             let found: Vec<_> = track
                 .map(|o| (scene.name(scene.track_views[o]), scene.track_pixels[o]))
                 .collect();

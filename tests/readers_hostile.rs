@@ -1,11 +1,10 @@
 //! Damaged, contradictory and hostile models: an error with place and cure, no panic, no memory for
 //! what is only announced.
 
-use viewrank::internals::{
-    error::Hint,
+use viewrank_core::{base::error::Hint, model::scene::Scene};
+use viewrank_io::{
     formats::{Bytes, Fault, Place, Problem, colmap_bin, colmap_text},
     project::{Project, ProjectError},
-    scene::Scene,
 };
 
 /// A small model, binary: two images, two points.

@@ -7,27 +7,33 @@ use std::{
 
 use nalgebra::{Point2, Vector3};
 use npyz::WriterBuilder;
-use viewrank::internals::{
-    backends,
-    camera::{Camera, CameraModel},
-    cluster::MapScale,
-    config::Settings,
+use viewrank::{
+    Plan, Settings,
     daemon::follow::{self, Progress},
     evaluate::{EvaluationInput, MeasuredClusters, MeasuredProgress},
     files::files,
-    formats::{colmap::ColmapModel, colmap_bin},
-    fulfilment::FulfilmentTable,
     manifest::{WrittenPlan, WrittenPlanError},
-    output::Disk,
-    plan::Plan,
-    progress::NoWatcher,
-    project::Project,
-    ranking::{Maps, Ranker},
     replan::{self, EarlierPlan, MapFolder, as_written, replan},
     report::{Contents, DepthMapFolders},
-    scene::{Scene, ViewIndex},
-    synthetic::Town,
-    visibility,
+};
+use viewrank_core::{
+    base::progress::NoWatcher,
+    method::{
+        fulfilment::FulfilmentTable,
+        ranking::{Maps, Ranker},
+        synthetic::Town,
+        visibility,
+    },
+    model::{
+        camera::{Camera, CameraModel},
+        cluster::MapScale,
+        scene::{Scene, ViewIndex},
+    },
+};
+use viewrank_io::{
+    formats::{colmap::ColmapModel, colmap_bin},
+    output::Disk,
+    project::Project,
 };
 
 const FOCAL: f64 = 320.0;
@@ -134,7 +140,7 @@ fn plan_of(folder: &Path) -> Plan {
         backends: vec!["sgm".into()],
         ..Settings::default()
     };
-    backends::plan(&Project::open(folder, None).unwrap(), &settings, &NoWatcher).unwrap()
+    viewrank::plan(&Project::open(folder, None).unwrap(), &settings, &NoWatcher).unwrap()
 }
 
 fn write(plan: &Plan, folder: &Path) {
@@ -204,7 +210,7 @@ fn finished_maps_at_half_the_size_stay_such_and_are_no_measure_of_what_can_be_re
         write_map(&path, [200, 150], half);
     }
     let half = planned.again();
-    assert_eq!(half.decision.finished.clusters, 3);
+    assert_eq!(half.decision.finished, 3);
     let scales = |plan: &Plan| {
         plan.decision
             .ranking
@@ -242,7 +248,7 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     let planned = Planned::new(&town());
     planned.write_maps(0..3, |_, _| true);
     let again = planned.again();
-    assert_eq!(again.decision.finished.clusters, 3);
+    assert_eq!(again.decision.finished, 3);
     let before = &planned.plan;
     assert_eq!(again.stages.clusters, before.stages.clusters);
     let finished = &before.decision.ranking.order[..3];
@@ -361,13 +367,13 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     let (_, read, _) = as_written(planned.folder.path(), &NoWatcher).unwrap();
     assert_eq!(keys(&read), keys(&again));
     assert_eq!(
-        (read.decision.cut.clusters, read.decision.finished.clusters),
+        (read.decision.cut.clusters, read.decision.finished),
         (again.decision.cut.clusters, 2)
     );
     assert_eq!(read.decision.views, again.decision.views);
     assert!(read.unwritten().is_empty(), "what is kept is predicted");
     assert!(
-        read.decision.warnings.starts_with(&again.decision.warnings),
+        read.warnings.starts_with(&again.warnings),
         "and what writing the plan found"
     );
     let near = |a: &[f64], b: &[f64]| {
@@ -457,14 +463,11 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     write_model(planned.folder.path(), &shifted(&scene, moved, 0.4));
     let again = planned.again();
     assert_eq!(
-        (
-            again.decision.finished.clusters,
-            again.decision.finished.outdated.len()
-        ),
+        (again.decision.finished, again.finished.outdated.len()),
         (4, 0),
         "within a pixel"
     );
-    assert!(!again.decision.finished.made_with.is_empty());
+    assert!(!again.finished.made_with.is_empty());
     write(&again, planned.folder.path());
 
     // 0.8 px more is 1.2 px from where the view was when the maps were made.
@@ -493,7 +496,6 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     };
     with_moved.sort_unstable();
     let named: Vec<&str> = later
-        .decision
         .finished
         .outdated
         .iter()
@@ -502,10 +504,10 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     assert_eq!(
         named, with_moved,
         "{moved} moved: {:?}",
-        later.decision.finished.outdated
+        later.finished.outdated
     );
-    assert_eq!(later.decision.finished.clusters, 4 - with_moved.len());
-    for outdated in &later.decision.finished.outdated {
+    assert_eq!(later.decision.finished, 4 - with_moved.len());
+    for outdated in &later.finished.outdated {
         let pixels = outdated.moved_px.unwrap();
         // The ground lies up to 3 m nearer or farther than the mean, a box 8 m nearer.
         assert!((1.0..1.6).contains(&pixels), "{pixels}");
@@ -522,7 +524,6 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     );
     let last = planned.again();
     let named: Vec<&str> = last
-        .decision
         .finished
         .outdated
         .iter()
@@ -547,7 +548,6 @@ fn an_outdated_map_stays_named_while_its_view_has_no_partners() {
         let again = planned.again();
         assert!(
             again
-                .decision
                 .finished
                 .outdated
                 .iter()
@@ -569,20 +569,14 @@ fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_
     write_model(planned.folder.path(), &transformed(&scene, 1.0));
     let again = planned.again();
     assert_eq!(
-        (
-            again.decision.finished.clusters,
-            again.decision.finished.outdated.len()
-        ),
+        (again.decision.finished, again.finished.outdated.len()),
         (3, 0)
     );
     assert!(again.stages.scene.views.len() > planned.plan.stages.scene.views.len());
     write_model(planned.folder.path(), &transformed(&scene, 1.1));
     let again = planned.again();
     assert_eq!(
-        (
-            again.decision.finished.clusters,
-            again.decision.finished.outdated.len()
-        ),
+        (again.decision.finished, again.finished.outdated.len()),
         (0, 3)
     );
 }
@@ -640,7 +634,6 @@ fn a_map_that_is_cut_off_says_nothing_about_the_others() {
     write_model(planned.folder.path(), &moved);
     let plan = planned.again();
     let outdated: Vec<&str> = plan
-        .decision
         .finished
         .outdated
         .iter()
@@ -648,14 +641,14 @@ fn a_map_that_is_cut_off_says_nothing_about_the_others() {
         .collect();
     let mut keys = planned.keys(0..2);
     keys.sort_unstable();
-    assert_eq!((plan.decision.finished.clusters, outdated), (0, keys));
+    assert_eq!((plan.decision.finished, outdated), (0, keys));
     assert_eq!(
-        plan.decision.finished.unreadable.len(),
+        plan.finished.unreadable.len(),
         2,
         "{:?}",
-        plan.decision.finished.unreadable
+        plan.finished.unreadable
     );
-    assert!(plan.decision.finished.unreadable[0].contains("depth0009.dmap"));
+    assert!(plan.finished.unreadable[0].contains("depth0009.dmap"));
 }
 
 #[test]

@@ -2,14 +2,16 @@
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use proptest::{collection::vec, prelude::*, sample::Index};
-use viewrank::internals::{
-    backends::{ExportOptions, Selection, by_name},
+use viewrank::backends::{ExportOptions, Selection, by_name};
+use viewrank_core::model::{
     camera::{Camera, CameraModel},
     cluster::{MapScale, RankedCluster},
+    scene::{CameraIndex, Pose, Scene, View, ViewIndex},
+};
+use viewrank_io::{
     formats::{Bytes, alicevision, colmap::ColmapModel, colmap_bin, colmap_text, openmvs, sure},
     output::Contents,
     project::{ModelFormat, ModelLocation, Project, ProjectKind},
-    scene::{CameraIndex, Pose, Scene, View, ViewIndex},
 };
 
 /// Scenes with one to three cameras, ids out of order, and an origin that may be that of a map

@@ -5,8 +5,8 @@
 use std::{env, fs, path::Path};
 
 use schemars::{Schema, schema_for};
-use viewrank::internals::{
-    config::Settings,
+use viewrank::{
+    Settings,
     daemon::{follow::Progress, phase::Status},
     doctor::Diagnosis,
     manifest::Manifest,

@@ -3,18 +3,15 @@
 
 use std::{fs, path::Path};
 
-use viewrank::internals::{
-    backends::plan,
-    camera::{Camera, CameraModel},
-    column::Storage,
-    config::{Bytes, Settings},
-    evaluate::curve::ReachCurve,
+use viewrank::{Plan, PlanError, Settings, config::Bytes, evaluate::curve::ReachCurve, plan};
+use viewrank_core::{
+    base::{column::Storage, progress::NoWatcher},
+    method::{fulfilment, synthetic::Town},
+    model::camera::{Camera, CameraModel},
+};
+use viewrank_io::{
     formats::{colmap::ColmapModel, colmap_bin},
-    fulfilment,
-    plan::{Plan, PlanError},
-    progress::NoWatcher,
     project::Project,
-    synthetic::Town,
 };
 
 fn fixture() -> Project {
@@ -85,13 +82,7 @@ fn tiles_lose_next_to_nothing() {
     let whole = planned(&project, |_| ());
     let tiled = planned(&project, |s| s.surface.tile_points = Some(4000));
     assert_eq!(tiled.stages.surface_stats.tiles, 4);
-    assert!(
-        tiled
-            .decision
-            .warnings
-            .iter()
-            .any(|w| w.contains("4 tiles"))
-    );
+    assert!(tiled.warnings.iter().any(|w| w.contains("4 tiles")));
     let area = |plan: &Plan| {
         (0..plan.stages.surface.triangles.len() as u32)
             .map(|t| plan.stages.surface.area(t))
@@ -212,7 +203,7 @@ fn a_survey_in_tiles() {
 
 #[test]
 fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
-    use viewrank::internals::error::Hint;
+    use viewrank_core::base::error::Hint;
     let settings = Settings {
         max_memory: Some(Bytes(60 << 20)),
         ..Settings::default()

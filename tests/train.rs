@@ -9,16 +9,15 @@ use std::{
 
 use serde_json::Value;
 use tempfile::TempDir;
-use viewrank::internals::{
-    backends,
-    confidence::PairAgreement,
-    config::Settings,
-    plan::Plan,
-    progress::NoWatcher,
-    project::Project,
-    tables,
-    visibility::{NOTHING, front},
+use viewrank::{Plan, Settings, tables};
+use viewrank_core::{
+    base::progress::NoWatcher,
+    method::{
+        confidence::PairAgreement,
+        visibility::{NOTHING, front},
+    },
 };
+use viewrank_io::project::Project;
 
 /// Size of the depth maps.
 const WIDTH: u32 = 200;
@@ -75,7 +74,7 @@ fn project() -> TempDir {
         backends: vec!["sgm".into()],
         ..Settings::default()
     };
-    let plan = backends::plan(&project, &settings, &NoWatcher).unwrap();
+    let plan = viewrank::plan(&project, &settings, &NoWatcher).unwrap();
     fs::create_dir(folder.path().join("sgm")).unwrap();
     for cluster in 0..plan.stages.clusters.len() {
         let depths = matched(&plan, cluster);

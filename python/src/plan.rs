@@ -70,7 +70,7 @@ impl Plan {
         let held = model.held();
         runner.run(py, move |watcher| {
             let settings = options::load(&held.project.root, typed)?;
-            let plan = backends::plan_scene(&held.project, held.scene.clone(), &settings, watcher)?;
+            let plan = viewrank::plan_scene(&held.project, held.scene.clone(), &settings, watcher)?;
             Ok(Self(Arc::new(Planned {
                 plan,
                 project: held.project.clone(),
@@ -127,9 +127,7 @@ impl Plan {
             .warnings
             .iter()
             .map(|warning| warning.text.clone());
-        scene
-            .chain(self.0.plan.decision.warnings.iter().cloned())
-            .collect()
+        scene.chain(self.0.plan.warnings.iter().cloned()).collect()
     }
 
     /// The settings in force, as JSON.

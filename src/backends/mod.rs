@@ -10,12 +10,11 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use crate::{
-    base::progress::Watcher,
     config::{Settings, UnknownBackend},
     io::project::Project,
     method::confidence::Photometric,
-    model::{camera::Camera, cluster::Gate, scene::Scene},
-    plan::{Matcher, Plan, PlanError, PlanningNumbers, Timings},
+    model::{camera::Camera, cluster::Gate},
+    plan::{Matcher, PlanningNumbers},
 };
 
 mod alicevision;
@@ -208,34 +207,6 @@ fn nearest(name: &str) -> Option<&'static str> {
 /// Returns the backend that the project is planned for: the [chosen] one.
 pub fn planned_for(project: &Project, settings: &Settings) -> Result<Matcher, UnknownBackend> {
     chosen(project, settings).map(|(backend, _)| backend.matcher())
-}
-
-/// Plans which views of the project become key views, with which partners, in which order, for the
-/// backend that the settings name, else the default one.
-pub fn plan(
-    project: &Project,
-    settings: &Settings,
-    watcher: &dyn Watcher,
-) -> Result<Plan, PlanError> {
-    Plan::new(project, settings, &planned_for(project, settings)?, watcher)
-}
-
-/// Like [`plan`], for a scene of the project that is already read.
-pub fn plan_scene(
-    project: &Project,
-    scene: Scene,
-    settings: &Settings,
-    watcher: &dyn Watcher,
-) -> Result<Plan, PlanError> {
-    let matcher = planned_for(project, settings)?;
-    Plan::from_scene(
-        project,
-        scene,
-        settings,
-        &matcher,
-        Timings::start(),
-        watcher,
-    )
 }
 
 /// Degree to which a backend honours a part of the plan.

@@ -6,8 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Backend, Selection, by_name};
 use crate::{
-    io::output::FileSet,
-    method::confidence::Pictures,
+    io::{output::FileSet, pictures::Pictures},
     model::{
         camera::Camera,
         cluster::{MapScale, RankedCluster},

@@ -5,6 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::{apps::planning, config::RegionChoice, show::files::files_of_same_model};
 use crate::{
     apps::{
         dispatch::Dispatch,
@@ -30,7 +31,6 @@ use crate::{
         tables,
     },
 };
-use crate::{backends, config::RegionChoice, show::files::files_of_same_model};
 use clap::Args;
 
 use super::{
@@ -214,7 +214,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             .try_for_each(output::refuse_unwritable)?;
     }
     let progress = Progress::new(arguments.quiet);
-    let mut plan = backends::plan(&project, &settings, &progress)
+    let mut plan = planning::plan(&project, &settings, &progress)
         .map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
         if !arguments.dry_run {
@@ -225,19 +225,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             ready: &|_| true,
         };
         plan = replan(plan, &earlier(&project)?, &maps, &progress)?.0;
-        if plan.decision.finished.clusters == 0 {
+        if plan.decision.finished == 0 {
             warn(&format!(
                 "no depth map in {} fits the plan; planning without finished ones",
                 folder.display()
             ));
         }
     }
-    let files = files_of_same_model(&plan, &project).inspect_err(|_| {
-        plan.decision
-            .warnings
-            .iter()
-            .for_each(|warning| warn(warning))
-    })?;
+    let files = files_of_same_model(&plan, &project)
+        .inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
         write(arguments, &project, &plan, &files, &progress)?;
     }
@@ -517,11 +513,11 @@ fn page(
 ) -> Result<PathBuf, Failure> {
     // What finished depth maps have measured is not on the page, whose surface is predicted
     // throughout.
-    if plan.decision.finished.clusters > 0 {
+    if plan.decision.finished > 0 {
         return super::report::write(&project.home, progress);
     }
     let exports = &files.manifest.exports;
-    plan.decision.warnings = warnings_with(&plan.decision.warnings, exports, &[]);
+    plan.warnings = warnings_with(&plan.warnings, exports, &[]);
     super::report::write_page(
         project,
         plan,

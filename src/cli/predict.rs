@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use crate::{
     apps::replan,
     base::{error::Hint, pixels::PixelBound},
-    io::output::{Contents, Disk, FileSet},
-    method::confidence::{Image, ImageError, drawn_size},
+    io::{
+        image::{Image, ImageError, drawn_size},
+        output::{Contents, Disk, FileSet},
+    },
     model::cluster::ViewCluster,
     show::{
         pictures::{confidence_picture, expected_success},

@@ -90,7 +90,7 @@ impl<'a> Summary<'a> {
             views: plan.stages.scene.views.len(),
             points: plan.stages.scene.points.len(),
             triangles: plan.stages.surface.triangles.len(),
-            finished: plan.decision.finished.clusters,
+            finished: plan.decision.finished,
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
             region: manifest.region.as_ref(),
             cut: plan.decision.cut,

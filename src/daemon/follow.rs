@@ -26,7 +26,7 @@ use crate::{
         output::{self, Disk, OutputError},
     },
     model::{cluster::MapScale, scene::ViewIndex},
-    plan::{Decision, OutdatedMap, Plan, Stages},
+    plan::{Decision, OutdatedMap, Plan},
 };
 
 const PROGRESS: &str = "progress.json";
@@ -272,11 +272,11 @@ impl FollowJob<'_> {
                 .name(plan.stages.clusters[c as usize].key)
                 .to_owned()
         };
-        let finished: Vec<String> = plan.decision.ranking.order[..plan.decision.finished.clusters]
+        let finished: Vec<String> = plan.decision.ranking.order[..plan.decision.finished]
             .iter()
             .map(name)
             .collect();
-        let notes = &plan.decision.finished.unreadable;
+        let notes = &plan.finished.unreadable;
         let progress = Progress {
             version: 1,
             // Where only other limits are set, all maps of the list are wanted.
@@ -297,7 +297,7 @@ impl FollowJob<'_> {
             seconds_to_target: forecast.to_target.and_then(|(_, pairs)| seconds(pairs)),
             seconds_left: seconds(forecast.pairs_left),
             finished,
-            outdated: plan.decision.finished.outdated.clone(),
+            outdated: plan.finished.outdated.clone(),
             note: notes.first().map(|first| match notes.len() {
                 1 => first.clone(),
                 n => format!("{first}, and {} more", n - 1),
@@ -312,12 +312,11 @@ impl FollowJob<'_> {
     /// can be measured.
     fn count_undistorted(&self) -> Result<Option<Progress>, DepthMapError> {
         let Plan {
-            stages: Stages {
-                scene, settings, ..
-            },
+            stages,
             decision: Decision { cut, ranking, .. },
             ..
         } = &self.plan;
+        let (scene, settings) = (&stages.scene, &stages.settings);
         let maps = depthmaps::list(self.folder, scene)?.maps;
         let ready: Vec<_> = maps
             .iter()
@@ -356,7 +355,7 @@ impl FollowJob<'_> {
 
 /// Number of key views on the list, plus finished ones beyond it.
 fn with_finished(plan: &Plan, list: &[ViewIndex]) -> usize {
-    let finished = &plan.decision.ranking.order[..plan.decision.finished.clusters];
+    let finished = &plan.decision.ranking.order[..plan.decision.finished];
     let is_finished = |key: &&ViewIndex| {
         finished
             .iter()
@@ -371,7 +370,7 @@ fn listed(plan: &Plan, written: &[(ViewIndex, MapScale)]) -> Vec<(u32, MapScale)
         .decision
         .ranking
         .maps()
-        .take(plan.decision.finished.clusters)
+        .take(plan.decision.finished)
         .collect();
     let place = |key: &ViewIndex| {
         plan.stages
@@ -407,10 +406,7 @@ impl TargetForecast {
             .iter()
             .map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));
         let curve = ReachCurve::of_rows(&plan.stages.objective, rows);
-        let (done, total) = (
-            plan.decision.finished.clusters,
-            plan.decision.ranking.reachable,
-        );
+        let (done, total) = (plan.decision.finished, plan.decision.ranking.reachable);
         let reached = curve
             .clusters_for(target * total)
             .filter(|&n| n <= cut.max(done));

@@ -28,6 +28,7 @@ use super::{
 use crate::{
     apps::{
         dispatch::Dispatch,
+        planning,
         replan::{self, AgainError, EarlierPlan, MapFolder, ReplanError, replan},
     },
     backends,
@@ -224,7 +225,7 @@ impl PlanJob {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
         }
         info!(project = %job.project.display(), "planning");
-        let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
+        let plan = planning::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         if let Some(empty) = EmptyPlan::detect(&plan) {
             return Err(Outcome::Incomplete {
@@ -247,7 +248,7 @@ impl PlanJob {
             clusters,
             share,
             note: note
-                .or_else(|| outdated_note(&plan.decision.finished.outdated, "manifest.json"))
+                .or_else(|| outdated_note(&plan.finished.outdated, "manifest.json"))
                 .or(replaced),
             anew: true,
             known: None,

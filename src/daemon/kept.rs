@@ -72,7 +72,7 @@ impl PlanCache {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backends;
+    use crate::apps::planning;
     use crate::{
         base::progress::NoWatcher,
         config::Settings,
@@ -107,7 +107,7 @@ mod tests {
             std::fs::write(folder.path().join(name), bytes).expect("a file");
         }
         let project = Project::open(folder.path(), None).expect("a model");
-        let plan = backends::plan(&project, &Settings::default(), &NoWatcher).expect("a plan");
+        let plan = planning::plan(&project, &Settings::default(), &NoWatcher).expect("a plan");
         let print =
             |text: &str| serde_json::from_value::<Fingerprint>(text.into()).expect("a string");
         let [a, b, c] = ["a", "b", "c"].map(Path::new);

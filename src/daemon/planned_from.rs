@@ -42,8 +42,7 @@ pub struct PlannedFrom {
 impl PlannedFrom {
     /// Makes the record of a plan, with an empty list of files.
     pub fn new(plan: &Plan, fingerprint: Fingerprint, settings: Settings) -> Self {
-        let finished =
-            plan.decision.finished.clusters > 0 || !plan.decision.finished.outdated.is_empty();
+        let finished = plan.decision.finished > 0 || !plan.finished.outdated.is_empty();
         Self {
             fingerprint,
             version: manifest::VERSION,

@@ -74,7 +74,7 @@ fn no_images(plan: &Plan) -> &'static str {
 fn too_few_partners(plan: &Plan) -> Option<String> {
     let k = plan.stages.settings.partners.k;
     let cameras = plan.stages.settings.coverage.min_cameras;
-    let matches = plan.stages.confidence.min_matches();
+    let matches = plan.stages.rule.confidence.min_matches();
     if k < cameras.saturating_sub(1) {
         Some(format!(
             "use -k {} or more: coverage.min_cameras wants each place seen by {cameras} cameras",

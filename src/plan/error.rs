@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::memory;
+use super::{MeshError, RegionFileError, memory};
 use crate::{
     base::{
         column::{DiskError, TableError},
@@ -10,6 +10,7 @@ use crate::{
         progress::Cancelled,
     },
     config::UnknownBackend,
+    decision::DecisionError,
     io::project::ProjectError,
     method::{region::RegionError, surface::SurfaceError},
 };
@@ -33,11 +34,15 @@ pub enum PlanError {
     #[error(transparent)]
     Surface(#[from] SurfaceError),
     #[error(transparent)]
+    Mesh(#[from] MeshError),
+    #[error(transparent)]
+    RegionFile(#[from] RegionFileError),
+    #[error(transparent)]
     Region(RegionError),
     #[error(transparent)]
     Backend(#[from] UnknownBackend),
-    #[error("the time limit needs forecast.seconds_per_map or forecast.seconds_per_pair")]
-    NoTimes,
+    #[error(transparent)]
+    Decision(DecisionError),
     #[error(
         "the {stage} needs about {} of memory, but max_memory is {}",
         memory::readable(*need),
@@ -75,6 +80,15 @@ impl From<RegionError> for PlanError {
     }
 }
 
+impl From<DecisionError> for PlanError {
+    fn from(error: DecisionError) -> Self {
+        match error {
+            DecisionError::Table(error) => error.into(),
+            error => Self::Decision(error),
+        }
+    }
+}
+
 impl From<TableError> for PlanError {
     fn from(error: TableError) -> Self {
         match error {
@@ -88,26 +102,40 @@ impl Hint for PlanError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Project(error) => return error.hint(),
-            Self::NoViews(_) => "run structure from motion first, or choose another model with --model".into(),
+            Self::NoViews(_) => {
+                "run structure from motion first, or choose another model with --model".into()
+            }
             Self::OtherImages { name, .. } => {
                 format!("name the folder in which {name} is, by --images or in viewrank.toml")
             }
             Self::NoScale => "set --gsd, or give a model with points".into(),
             Self::Surface(error) => return error.hint(),
+            Self::Mesh(error) => return error.hint(),
+            Self::RegionFile(error) => return error.hint(),
             Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
-            Self::NoTimes => {
-                "time one depth map, and write its seconds into viewrank.toml: forecast.seconds_per_map = 30".into()
-            }
-            Self::Memory { stage: memory::SURFACE, with_picture, .. } => format!(
+            Self::Decision(error) => return error.hint(),
+            Self::Memory {
+                stage: memory::SURFACE,
+                with_picture,
+                ..
+            } => format!(
                 "give --max-memory {} or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
                 memory::enough(*with_picture)
             ),
-            Self::Memory { stage: memory::PICTURES, with_picture, .. } => format!(
+            Self::Memory {
+                stage: memory::PICTURES,
+                with_picture,
+                ..
+            } => format!(
                 "give --max-memory {} (max_memory in viewrank.toml), or plan without pictures: --confidence geometric",
                 memory::enough(*with_picture)
             ),
-            Self::Memory { stage: memory::MASKS, with_picture, .. } => format!(
+            Self::Memory {
+                stage: memory::MASKS,
+                with_picture,
+                ..
+            } => format!(
                 "give --max-memory {} (max_memory in viewrank.toml), or make the masks smaller: copies of the same shape will do",
                 memory::enough(*with_picture)
             ),
@@ -115,7 +143,11 @@ impl Hint for PlanError {
                 "give --max-memory {} (max_memory in viewrank.toml),{} or reduce the triangles with a coarser --gsd or a larger \
                  surface.edge_factor",
                 memory::enough(*with_picture),
-                if rayon::current_num_threads() > 1 { " use fewer --threads," } else { "" }
+                if rayon::current_num_threads() > 1 {
+                    " use fewer --threads,"
+                } else {
+                    ""
+                }
             ),
             Self::Refused { with_picture, .. } => format!(
                 "give viewrank watch --max-memory {} or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \
@@ -129,7 +161,8 @@ impl Hint for PlanError {
 
     fn is_usage(&self) -> bool {
         match self {
-            Self::NoTimes | Self::OtherImages { .. } => true,
+            Self::OtherImages { .. } => true,
+            Self::Decision(error) => error.is_usage(),
             Self::Project(error) => error.is_usage(),
             Self::Backend(error) => error.is_usage(),
             _ => false,

@@ -11,12 +11,9 @@ use crate::model::{
     scene::{Pose, Scene, ViewIndex},
 };
 
-/// The finished part of a plan.
+/// What is known of the finished depth maps of a plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FinishedMaps {
-    /// Number of clusters at the start of the ranking that have their depth map; their fulfilment
-    /// is measured, not predicted (method 5.4).
-    pub clusters: usize,
     /// Depth maps that no longer fit the model, by key view.
     pub outdated: Vec<OutdatedMap>,
     /// A sentence for each depth map that cannot be read.

@@ -5,44 +5,38 @@
 //! ranks them, cuts the ranking, forecasts its cost, and gives a reason for everything left out. A
 //! [`Plan`] holds both results. This module writes no files.
 
-mod band;
-mod border;
-mod curve;
-mod cut;
+mod cached;
 mod decision;
 mod empty;
 mod error;
 mod finished;
-mod forecast;
 mod georeference;
-mod given_up;
-mod kept;
+mod inputs;
 mod memory;
-mod numbers;
-mod reasons;
+mod mesh;
+mod region;
 mod stages;
+mod step;
+mod steps;
 mod timings;
-mod uncut;
 mod visible_surface;
 mod warnings;
 
-pub use band::Band;
-pub use curve::CurvePoint;
-pub use cut::{Cut, CutLimit};
-pub use decision::{Decision, decide, decide_as};
+pub use decision::{decide, decide_as};
 pub use empty::EmptyPlan;
 pub use error::PlanError;
 pub use finished::{FinishedMaps, OutdatedMap, PlannedView, PlannedViews};
-pub use forecast::Forecast;
 pub use georeference::georeference;
-pub use given_up::GivenUp;
 pub use memory::Memory;
-pub use numbers::{Matcher, PlanningNumbers, ReachOfPair, WorkPerMap};
-pub use reasons::{Substitute, ViewStatus};
+pub use mesh::MeshError;
+pub use region::RegionFileError;
 pub use stages::Stages;
 pub use timings::Timings;
-pub use uncut::UncutRanking;
-pub use warnings::unlikely_gsd;
+pub use viewrank_core::decision::{
+    Band, CurvePoint, Cut, CutLimit, Decision, Forecast, GivenUp, Matcher, PlanningNumbers,
+    ReachOfPair, Substitute, UncutRanking, ViewStatus, WorkPerMap,
+};
+pub use warnings::{unlikely_gsd, warnings};
 
 use crate::{
     base::{
@@ -50,6 +44,7 @@ use crate::{
         progress::{Stage, Watcher},
     },
     config::Settings,
+    decision::DecisionError,
     io::project::Project,
     model::{
         cluster::{RankedCluster, ViewCluster},
@@ -62,6 +57,9 @@ use crate::{
 pub struct Plan {
     pub stages: Stages,
     pub decision: Decision,
+    /// Empty in a fresh plan.
+    pub finished: FinishedMaps,
+    pub warnings: Vec<String>,
     /// Differs from run to run, unlike everything else in the plan.
     pub timings: Timings,
 }
@@ -77,7 +75,7 @@ impl Plan {
     ) -> Result<Self, PlanError> {
         let mut timings = Timings::start();
         if settings.cut.time.is_some() && !settings.forecast.knows_times() {
-            return Err(PlanError::NoTimes);
+            return Err(DecisionError::NoTimes.into());
         }
         watcher.progress(Stage::Read, 0, 1);
         let scene = timings.time(Stage::Read, || project.read_scene())?;
@@ -96,13 +94,26 @@ impl Plan {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let stages = Stages::run(project, scene, settings, matcher, &mut timings, watcher)?;
-        let decision = decide(&stages, FinishedMaps::default(), &[], &mut timings, watcher)?;
+        let decision = decide(&stages, &[], &mut timings, watcher)?;
         timings.end();
-        Ok(Self {
+        Ok(Self::of(stages, decision, FinishedMaps::default(), timings))
+    }
+
+    /// Puts a plan together, with its warnings.
+    pub fn of(
+        stages: Stages,
+        decision: Decision,
+        finished: FinishedMaps,
+        timings: Timings,
+    ) -> Self {
+        let warnings = warnings(&stages, &decision, &finished);
+        Self {
             stages,
             decision,
+            finished,
+            warnings,
             timings,
-        })
+        }
     }
 
     /// The clusters to compute, best first.
@@ -129,28 +140,20 @@ impl Plan {
     /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the
     /// ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {
-        let Decision {
-            ranking,
-            pixels,
-            finished,
-            ..
-        } = &self.decision;
-        let model = self.stages.model();
-        forecast::points(
-            &decision::cost(&self.stages, &model, ranking, pixels, finished),
-            ranking.order.len(),
-        )
+        let options = decision::options(&self.stages.settings);
+        self.decision.points_by_rank(&self.stages.tables, &options)
+    }
+
+    /// Returns the curve of the whole ranking, a point per cluster.
+    pub fn curve(&self) -> Vec<CurvePoint> {
+        let options = decision::options(&self.stages.settings);
+        self.decision.curve(&self.stages.tables, &options)
     }
 
     /// For each cluster, the clusters ranked before it that give more of its own fulfilment than
     /// all before them, by rank: the last one within a cut is the best substitute there.
     pub fn best_substitutes(&self) -> Result<Vec<Vec<Substitute>>, DiskError> {
-        let triangles = self.stages.surface.triangles.len();
-        reasons::best_substitutes(
-            &self.stages.fulfilment,
-            &self.decision.ranking.order,
-            triangles,
-        )
+        self.decision.best_substitutes(&self.stages.tables)
     }
 
     /// The whole ranking, best first.

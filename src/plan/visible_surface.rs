@@ -2,20 +2,21 @@
 
 use super::{
     Memory, PlanError, Timings,
-    kept::{self, Inputs, KeptSurface, Slotted},
+    cached::{self, CachedSurface, Filed},
+    inputs::Inputs,
+    mesh,
 };
 use crate::{
     base::{
-        platform,
+        large_pages,
         progress::{Stage, Watcher},
     },
-    config::{Settings, TargetMode},
+    config::TargetMode,
     method::{
-        surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
+        surface::{self, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::GSD_MARGIN,
         visibility::{self, Visibility},
     },
-    model::scene::{Scene, ViewPoints},
 };
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.
@@ -29,23 +30,22 @@ pub struct VisibleSurface {
 
 impl VisibleSurface {
     /// Returns the surface of an earlier plan, else builds it.
-    pub fn kept_or_new(
-        from: (&Scene, &ViewPoints),
-        settings: &Settings,
+    pub fn cached_or_new(
         inputs: &Inputs,
         watcher: &dyn Watcher,
         timings: &mut Timings,
         memory: &mut Memory,
-    ) -> Result<Slotted<Self>, PlanError> {
+    ) -> Result<Filed<Self>, PlanError> {
+        let settings = &inputs.settings;
         let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
         let (slot, found) = timings.time(Stage::Surface, || {
-            let file = inputs.surface(settings, memory);
-            kept::read(file, |facts, bytes| {
-                KeptSurface::unpack(facts, bytes, from.0.views.len())
+            let file = inputs.fingerprints.surface(settings, memory);
+            cached::read(file, |facts, bytes| {
+                CachedSurface::unpack(facts, bytes, inputs.scene.views.len())
             })
         });
         match found {
-            Some(KeptSurface {
+            Some(CachedSurface {
                 surface,
                 stats,
                 visibility,
@@ -61,25 +61,23 @@ impl VisibleSurface {
                     },
                 ))
             }
-            None => Ok((
-                slot,
-                Self::new(from, gsd, settings, watcher, timings, memory)?,
-            )),
+            None => Ok((slot, Self::new(inputs, gsd, watcher, timings, memory)?)),
         }
     }
 
     fn new(
-        (scene, points): (&Scene, &ViewPoints),
+        inputs: &Inputs,
         gsd: f64,
-        settings: &Settings,
         watcher: &dyn Watcher,
         timings: &mut Timings,
         memory: &mut Memory,
     ) -> Result<Self, PlanError> {
-        let mesh = settings.surface.mesh.clone().map(|path| MeshFile {
-            path,
-            as_is: settings.surface.mesh_as_is,
-        });
+        let Inputs {
+            scene,
+            points,
+            settings,
+            ..
+        } = inputs;
         let most = memory.most_triangles();
         let (surface, stats) = timings.time(Stage::Surface, || {
             let wanted = match settings.target.mode {
@@ -88,17 +86,16 @@ impl VisibleSurface {
                 }
                 _ => WantedGsd::uniform(gsd),
             };
-            surface::build(
-                scene,
-                &wanted,
-                &settings.surface,
-                mesh.as_ref(),
-                most,
-                watcher,
-            )
-            .map_err(|error| memory.too_fine(error))
+            let mesh = settings
+                .surface
+                .mesh
+                .as_deref()
+                .map(mesh::read)
+                .transpose()?;
+            surface::build(scene, &wanted, &settings.surface, mesh, most, watcher)
+                .map_err(|error| memory.too_fine(error))
         })?;
-        platform::return_freed_memory();
+        large_pages::return_freed_memory();
         let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
         let edge_length = settings.surface.edge_factor * gsd;
         timings.time(Stage::Visibility, || {

@@ -1,6 +1,6 @@
 //! Warnings that the user should read before relying on a plan.
 
-use super::{Band, Cut, FinishedMaps, Stages};
+use super::{Band, Cut, Decision, FinishedMaps, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     config::{Settings, SurfaceChoice},
@@ -23,12 +23,8 @@ const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that a warning names.
 const NAMED: usize = 3;
 
-pub(super) fn warnings(
-    stages: &Stages,
-    ranking: &Ranking,
-    cut: &Cut,
-    finished: &FinishedMaps,
-) -> Vec<String> {
+pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -> Vec<String> {
+    let Decision { ranking, cut, .. } = decision;
     let mut warnings: Vec<String> = stages
         .scene
         .warnings
@@ -128,10 +124,10 @@ fn outdated(stages: &Stages, finished: &FinishedMaps) -> Option<String> {
 fn without_effect(stages: &Stages) -> Option<String> {
     let set = &stages.settings.confidence;
     let pair = matches!(
-        stages.confidence,
+        stages.rule.confidence,
         Confidence::Pair(_) | Confidence::Photometric { .. }
     );
-    let photometric = matches!(stages.confidence, Confidence::Photometric { .. });
+    let photometric = matches!(stages.rule.confidence, Confidence::Photometric { .. });
     let ignored = [
         ("p0", set.p0.is_some() && !pair),
         ("cosine_power", set.cosine_power.is_some() && !pair),
@@ -145,7 +141,7 @@ fn without_effect(stages: &Stages) -> Option<String> {
         ),
         (
             "min_matches",
-            set.min_matches.is_some() && stages.confidence == Confidence::None,
+            set.min_matches.is_some() && stages.rule.confidence == Confidence::None,
         ),
     ];
     let names: Vec<String> = ignored

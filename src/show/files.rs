@@ -175,7 +175,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     pair_files
         .into_iter()
         .for_each(|(name, text)| add(name, text));
-    let planned_views = PlannedViews::new(&plan.stages.scene, &plan.decision.finished);
+    let planned_views = PlannedViews::new(&plan.stages.scene, &plan.finished);
     add(
         "planned_views.json",
         serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n",

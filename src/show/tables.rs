@@ -63,7 +63,7 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
         "allowed",
         array(&[seen], (0..seen).map(|row| unary.at(row).allowed)),
     );
-    if let Confidence::Photometric { .. } = plan.stages.confidence {
+    if let Confidence::Photometric { .. } = plan.stages.rule.confidence {
         let agreement = &plan.stages.agreement;
         table("agreement_partners", indices(&agreement.partners));
         table("agreement_offsets", offsets(&agreement.offsets));

@@ -16,18 +16,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-use viewrank::internals::{
-    daemon::{
-        DaemonError, Job, Planner, Signal, WatchOptions,
-        phase::Phase,
-        read_status,
-        run::WatchSummary,
-        settle::HashCache,
-        state::{OnBusy, Outcome},
-        watch_roots,
-    },
-    output::{Disk, OutputError},
+use viewrank::daemon::{
+    DaemonError, Job, Planner, Signal, WatchOptions,
+    phase::Phase,
+    read_status,
+    run::WatchSummary,
+    settle::HashCache,
+    state::{OnBusy, Outcome},
+    watch_roots,
 };
+use viewrank_io::output::{Disk, OutputError};
 
 /// Planner that records the fingerprint of each plan by project; a plan takes `length`.
 #[derive(Default)]

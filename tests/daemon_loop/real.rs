@@ -2,13 +2,19 @@
 
 use std::{fs, path::PathBuf};
 
-use viewrank::internals::{
-    camera::{Camera, CameraModel},
-    daemon::{PlanJob, PlanOptions, WatchOptions, phase::Phase, read_status, watch_roots},
+use viewrank::daemon::{
+    PlanJob, PlanOptions, WatchOptions, phase::Phase, read_status, watch_roots,
+};
+use viewrank_core::{
+    method::synthetic::Town,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::Scene,
+    },
+};
+use viewrank_io::{
     formats::{colmap::ColmapModel, colmap_bin},
     output::Disk,
-    scene::Scene,
-    synthetic::Town,
 };
 
 use crate::{eventually, make_pipe, options, root, with_daemon};

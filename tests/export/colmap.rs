@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use viewrank::internals::{
-    backends::{BackendError, ExportOptions, References},
+use viewrank::backends::{BackendError, ExportOptions, References};
+use viewrank_core::model::{
     camera::{Camera, CameraModel},
     cluster::MapScale,
     scene::CameraIndex,
@@ -201,7 +201,7 @@ fn keys_are_first_in_rank_order_with_exactly_their_partners() {
 fn colmap_min_consistent_before_drop() {
     let mut fixture = Fixture::new(4);
     let neighbours: Vec<u32> = fixture
-        .connected(viewrank::internals::scene::ViewIndex(12))
+        .connected(viewrank_core::model::scene::ViewIndex(12))
         .iter()
         .take(2)
         .map(|v| v.0)

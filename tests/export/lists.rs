@@ -2,10 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use viewrank::internals::{
-    backends::{ExportOptions, References},
-    formats::colmap_bin,
-};
+use viewrank::backends::{ExportOptions, References};
+use viewrank_io::formats::colmap_bin;
 
 use crate::Fixture;
 
@@ -132,9 +130,9 @@ fn trap_3dgs_basename_collision() {
     assert!(fixture.export("splat").says("for the same image"));
 }
 
-fn model(files: &crate::Files) -> viewrank::internals::formats::colmap::ColmapModel<'static> {
+fn model(files: &crate::Files) -> viewrank_io::formats::colmap::ColmapModel<'static> {
     let leak = |name: &str| -> &'static [u8] { Vec::leak(files.bytes(name).to_vec()) };
-    let bytes = viewrank::internals::formats::Bytes {
+    let bytes = viewrank_io::formats::Bytes {
         cameras: leak("sparse/0/cameras.bin"),
         images: leak("sparse/0/images.bin"),
         points3d: leak("sparse/0/points3D.bin"),

@@ -13,14 +13,18 @@ mod sure;
 
 use std::{collections::BTreeMap, path::PathBuf, sync::OnceLock};
 
-use viewrank::internals::{
-    backends::{BackendError, Export, ExportOptions, Selection, by_name},
-    camera::{Camera, CameraModel},
-    cluster::{MapScale, RankedCluster},
+use viewrank::backends::{BackendError, Export, ExportOptions, Selection, by_name};
+use viewrank_core::{
+    method::synthetic::Town,
+    model::{
+        camera::{Camera, CameraModel},
+        cluster::{MapScale, RankedCluster},
+        scene::{Scene, ViewIndex},
+    },
+};
+use viewrank_io::{
     output::Contents,
     project::{ImageFaults, ModelFormat, ModelLocation, Project, ProjectKind},
-    scene::{Scene, ViewIndex},
-    synthetic::Town,
 };
 
 /// A scene with chosen clusters, in a project that exists nowhere.
@@ -238,7 +242,7 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
     for (i, view) in fixture.scene.views.iter_mut().enumerate() {
         view.name = format!("img{i:03}.jpg");
     }
-    for backend in viewrank::internals::backends::BACKENDS {
+    for backend in viewrank::backends::BACKENDS {
         let files = fixture.export(backend.name);
         let record = &files.0.record;
         assert_eq!(record.backend, backend.name);
@@ -259,7 +263,7 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
             .find(|n| n.ends_with("export.json"))
             .unwrap()
             .to_owned();
-        let read: viewrank::internals::backends::ExportRecord =
+        let read: viewrank::backends::ExportRecord =
             serde_json::from_slice(files.bytes(&notes)).unwrap();
         assert_eq!(&read, record, "{}", backend.name);
         let partly = [
@@ -267,7 +271,7 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
             backend.capabilities.key_subset,
             backend.capabilities.order,
         ];
-        if partly.contains(&viewrank::internals::backends::Honours::No) {
+        if partly.contains(&viewrank::backends::Honours::No) {
             assert!(
                 !record.not_honoured.is_empty(),
                 "{} says what it does not honour",
@@ -303,7 +307,7 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
         .try_export("openmvs", &ExportOptions::default())
         .unwrap_err();
     assert!(
-        !viewrank::internals::error::Hint::hint(&foreign)
+        !viewrank_core::base::error::Hint::hint(&foreign)
             .unwrap()
             .contains("colmap"),
         "COLMAP does not read that model"
@@ -322,7 +326,7 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
         let error = fixture
             .try_export(backend, &ExportOptions::default())
             .unwrap_err();
-        let hint = viewrank::internals::error::Hint::hint(&error).unwrap();
+        let hint = viewrank_core::base::error::Hint::hint(&error).unwrap();
         assert!(
             error.to_string().contains("SIMPLE_RADIAL")
                 && hint.contains("viewrank undistort /nowhere")
@@ -433,7 +437,7 @@ fn without_image_scale_each_program_takes_its_own_size() {
 fn an_export_of_nothing_says_so() {
     let mut fixture = Fixture::new(3);
     fixture.clusters.clear();
-    for backend in viewrank::internals::backends::BACKENDS {
+    for backend in viewrank::backends::BACKENDS {
         assert!(
             fixture.export(backend.name).says("nothing to compute"),
             "{}",

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use viewrank::{MapScale, internals::depthmaps};
+use viewrank::MapScale;
+use viewrank_io::depthmaps;
 
 use crate::{Files, Fixture, numbers};
 
@@ -43,7 +44,7 @@ fn members(files: &Files, cluster: usize) -> BTreeSet<usize> {
 #[test]
 fn mve_bundle_mixes_clusters() {
     let mut fixture = Fixture::new(3);
-    let neighbour = fixture.connected(viewrank::internals::scene::ViewIndex(12))[0].0;
+    let neighbour = fixture.connected(viewrank_core::model::scene::ViewIndex(12))[0].0;
     fixture.choose(&[12, neighbour], 3);
     let files = fixture.export("mve");
     for cluster in 0..2 {

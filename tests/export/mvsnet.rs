@@ -1,9 +1,7 @@
 //! MVSNet's family: small readers after the grammars of PatchmatchNet, cascade, MVSNet.
 
-use viewrank::{
-    MapScale,
-    internals::scene::{CameraIndex, ViewIndex},
-};
+use viewrank::MapScale;
+use viewrank_core::model::scene::{CameraIndex, ViewIndex};
 
 use crate::{Files, Fixture, numbers, table};
 
@@ -200,7 +198,7 @@ fn mvsnet_geo_threshold() {
         .nth(1)
         .unwrap()
         .trim_end_matches(')');
-    let support = viewrank::internals::backends::by_name("patchmatchnet")
+    let support = viewrank::backends::by_name("patchmatchnet")
         .unwrap()
         .planning
         .support;

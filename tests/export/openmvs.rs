@@ -2,12 +2,9 @@
 //! scene that is there.
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank::internals::{
-    backends::{BackendError, ExportOptions},
-    error::Hint,
-    formats::openmvs::{Mvs, Vertex, VertexView},
-    scene::ViewIndex,
-};
+use viewrank::backends::{BackendError, ExportOptions};
+use viewrank_core::{base::error::Hint, model::scene::ViewIndex};
+use viewrank_io::formats::openmvs::{Mvs, Vertex, VertexView};
 
 use crate::{Files, Fixture};
 
@@ -230,13 +227,13 @@ fn shifted_cameras_are_where_they_were() {
     for (backend, folder) in [("colmap", "sparse"), ("splat", "sparse/0")] {
         let files = fixture.export(backend);
         let file = |stem: &str| files.bytes(&format!("{folder}/{stem}.bin"));
-        let bytes = viewrank::internals::formats::Bytes {
+        let bytes = viewrank_io::formats::Bytes {
             cameras: file("cameras"),
             images: file("images"),
             points3d: file("points3D"),
             ..Default::default()
         };
-        let scene = viewrank::internals::formats::colmap_bin::read(&bytes)
+        let scene = viewrank_io::formats::colmap_bin::read(&bytes)
             .unwrap()
             .scene()
             .unwrap();

@@ -4,11 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use quick_xml::events::Event;
 use serde_json::Value;
-use viewrank::internals::{
-    backends::{BackendError, ExportOptions},
-    cluster::MapScale,
-    scene::ViewIndex,
-};
+use viewrank::backends::{BackendError, ExportOptions};
+use viewrank_core::model::{cluster::MapScale, scene::ViewIndex};
 
 use crate::{Fixture, numbers, table};
 
@@ -173,7 +170,7 @@ fn micmac_pairs_undirected() {
         .collect();
     assert_eq!(texts(files.text("pairs.xml"), "Cple"), pairs);
     assert!(
-        viewrank::internals::backends::by_name("micmac")
+        viewrank::backends::by_name("micmac")
             .unwrap()
             .capabilities
             .notes

@@ -112,7 +112,7 @@ fn pmvs_row_goes_on_with_what_shares_points() {
 #[test]
 fn pmvs_image_in_both_lists() {
     let mut fixture = Fixture::new(4);
-    let neighbour = fixture.connected(viewrank::internals::scene::ViewIndex(12))[0].0;
+    let neighbour = fixture.connected(viewrank_core::model::scene::ViewIndex(12))[0].0;
     fixture.choose(&[12, neighbour], 4);
     let (timages, oimages, _) = options(fixture.export("pmvs").text("option-viewrank"));
     assert_eq!(timages, [0, 1]);

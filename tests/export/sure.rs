@@ -1,9 +1,8 @@
 //! SURE: oriented images, lists, one project per cluster.
 
-use viewrank::{
-    MapScale,
-    internals::{backends::ExportOptions, error::Hint, formats::sure},
-};
+use viewrank::{MapScale, backends::ExportOptions};
+use viewrank_core::base::error::Hint;
+use viewrank_io::formats::sure;
 
 use crate::Fixture;
 

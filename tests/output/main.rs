@@ -11,9 +11,7 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-use viewrank::internals::output::{
-    Contents, Disk, FileSet, Operation, OutputError, recover, replace,
-};
+use viewrank_io::output::{Contents, Disk, FileSet, Operation, OutputError, recover, replace};
 
 /// A folder of its own, in memory where the machine has such a place: these tests sync some
 /// thousand times.
@@ -66,7 +64,7 @@ fn set(root: &Path, files: &[(&str, &str)]) -> FileSet {
     set
 }
 
-fn write(root: &Path, files: &[(&str, &str)]) -> viewrank::internals::output::WriteReport {
+fn write(root: &Path, files: &[(&str, &str)]) -> viewrank_io::output::WriteReport {
     set(root, files).write(&Disk::REAL).unwrap()
 }
 

@@ -14,7 +14,7 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use viewrank::internals::output::{
+use viewrank_io::output::{
     Contents, Disk, FileSet, Operation, make_folder, recover, remove, replace, write_all,
 };
 

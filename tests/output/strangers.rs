@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use viewrank::internals::output::{Disk, OutputError, recover, replace};
+use viewrank_io::output::{Disk, OutputError, recover, replace};
 
 use super::{empty_folder, fail_at, prepare, prepare_again, set, texts, tree, undisturbed, write};
 

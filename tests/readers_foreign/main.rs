@@ -9,11 +9,13 @@ use std::{
 };
 
 use nalgebra::{Matrix3, Point3};
-use viewrank::internals::{
+use viewrank_core::model::{
     camera::CameraModel,
+    scene::{PointIndex, Scene, ViewIndex},
+};
+use viewrank_io::{
     formats::{Problem, alicevision, bundler, nvm, openmvg, openmvs, opensfm},
     project::{ModelFormat, Project, ProjectKind},
-    scene::{PointIndex, Scene, ViewIndex},
 };
 
 /// Small models that are our own.

@@ -3,11 +3,13 @@
 use std::collections::BTreeSet;
 
 use nalgebra::Point3;
-use viewrank::internals::{
+use viewrank_core::model::{
     camera::{Camera, CameraModel},
+    scene::{PointIndex, ViewIndex},
+};
+use viewrank_io::{
     formats::{cloud, sure},
     project::{Project, ProjectKind},
-    scene::{PointIndex, ViewIndex},
 };
 
 use crate::{counts, formats, read};
@@ -58,7 +60,7 @@ fn a_huge_cloud_of_a_sure_project_is_thinned() {
         vec![751.0, 751.0, 500.0, 375.0],
     )
     .unwrap();
-    let pose = viewrank::internals::scene::Pose {
+    let pose = viewrank_core::model::scene::Pose {
         rotation: nalgebra::Rotation3::identity(),
         translation: nalgebra::Vector3::zeros(),
     };

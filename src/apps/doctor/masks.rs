@@ -3,7 +3,8 @@
 use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     config::ConfidenceSource,
-    method::confidence::{ALL_COUNTS, ImageError, NOT_COMPARED, Pictures},
+    io::{image::ImageError, pictures::Pictures},
+    method::confidence::{ALL_COUNTS, NOT_COMPARED},
     model::scene::ViewIndex,
 };
 

@@ -2,10 +2,11 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use crate::backends::{self, ExportRecord};
-use crate::plan::{Cut, Decision, FinishedMaps, Plan, PlanError, Stages, UncutRanking, decide_as};
+use crate::plan::{Cut, FinishedMaps, Plan, PlanError, Stages, UncutRanking, decide_as};
+use crate::{apps::planning, backends::ExportRecord};
 use crate::{
     base::{column::TableError, error::Hint, progress::Watcher},
+    decision::Tables,
     io::project::Project,
     method::{fulfilment, ranking::Ranking},
     model::{cluster::ViewCluster, scene::ViewIndex},
@@ -34,17 +35,7 @@ pub fn as_written(
         plan
     };
     let warnings = warnings_with(&recorded.warnings, &recorded.exports, &[]);
-    Ok((
-        project,
-        Plan {
-            decision: Decision {
-                warnings,
-                ..plan.decision
-            },
-            ..plan
-        },
-        recorded.exports,
-    ))
+    Ok((project, Plan { warnings, ..plan }, recorded.exports))
 }
 
 fn with_ranking(
@@ -85,10 +76,13 @@ fn with_ranking(
     };
     let work = stages.work_of(&clusters);
     let stages = Stages {
-        clusters,
-        fulfilment,
-        half,
-        work,
+        tables: Tables {
+            clusters,
+            fulfilment,
+            half,
+            work,
+            ..stages.tables
+        },
         known_ranking: None,
         ..stages
     };
@@ -123,7 +117,6 @@ fn with_ranking(
         reachable: recorded.cut.reachable,
     };
     let finished = FinishedMaps {
-        clusters: recorded.finished(),
         outdated: recorded.outdated.clone(),
         ..FinishedMaps::default()
     };
@@ -131,17 +124,18 @@ fn with_ranking(
         clusters: recorded.cut.clusters.min(ranking.order.len()),
         ..recorded.cut
     };
-    let mut decision = decide_as(&stages, finished, UncutRanking::new(&stages, ranking), cut)?;
+    let mut decision = decide_as(
+        &stages,
+        recorded.finished(),
+        UncutRanking::new(&stages, ranking),
+        cut,
+    )?;
     for written in &recorded.views {
         if let Some(view) = stages.scene.find(&written.name) {
             decision.views[view.index()] = (written.status, written.reason);
         }
     }
-    Ok(Plan {
-        stages,
-        decision,
-        timings,
-    })
+    Ok(Plan::of(stages, decision, finished, timings))
 }
 
 fn predicted(
@@ -161,7 +155,7 @@ fn predicted(
         &project,
         &project.read_scene().map_err(WrittenPlanError::from)?,
     )?;
-    let plan = backends::plan(&project, &settings, watcher)?;
+    let plan = planning::plan(&project, &settings, watcher)?;
     project
         .refuse_changed_model()
         .map_err(WrittenPlanError::from)?;

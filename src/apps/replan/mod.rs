@@ -24,6 +24,7 @@ use crate::{
         input,
         progress::{Cancelled, Watcher},
     },
+    decision::Tables,
     io::{
         depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
         project::Project,
@@ -188,12 +189,8 @@ fn rank_around(
         Some(run) => with_finished(stages, run, watcher)?,
         None => (stages, Vec::new()),
     };
-    let decision = decide(&stages, finished, &order, &mut timings, watcher)?;
-    Ok(Plan {
-        stages,
-        decision,
-        timings,
-    })
+    let decision = decide(&stages, &order, &mut timings, watcher)?;
+    Ok(Plan::of(stages, decision, finished, timings))
 }
 
 /// Returns the stages with the measured fulfilment of the finished clusters and corrected
@@ -239,10 +236,13 @@ fn with_finished(
     let work = stages.work_of(&clusters);
     Ok((
         Stages {
-            clusters,
-            fulfilment,
-            half,
-            work,
+            tables: Tables {
+                clusters,
+                fulfilment,
+                half,
+                work,
+                ..stages.tables
+            },
             known_ranking: None,
             ..stages
         },

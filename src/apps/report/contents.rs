@@ -216,15 +216,9 @@ impl Contents {
                 .as_ref()
                 .map_or_else(|| whole_area(plan), |region| region.area),
             cut: plan.decision.cut.clusters,
-            finished: plan.decision.finished.clusters,
+            finished: plan.decision.finished,
             limits: Limits::new(&plan.decision.cut),
-            warnings: plan
-                .decision
-                .warnings
-                .iter()
-                .cloned()
-                .chain(left_out)
-                .collect(),
+            warnings: plan.warnings.iter().cloned().chain(left_out).collect(),
             notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
             reasons: Reason::NUMBERED.iter().map(|r| r.words()).collect(),

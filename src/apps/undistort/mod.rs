@@ -32,9 +32,9 @@ use crate::{
             colmap_bin,
         },
         output::{self, Contents, Disk, FileSet, OutputError},
+        pictures::Pictures,
         project::{ImageFolder, Project, ProjectError, undistorted_set},
     },
-    method::confidence::Pictures,
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},

@@ -11,8 +11,7 @@ use rayon::prelude::*;
 use crate::{
     base::{error::Hint, input},
     config::{ConfidenceSource, Settings},
-    io::project::Project,
-    method::confidence::Pictures,
+    io::{pictures::Pictures, project::Project},
     model::scene::{Scene, View},
 };
 

@@ -205,10 +205,10 @@ impl Manifest {
                 .map(|view| ViewEntry::new(plan, view))
                 .collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
-            outdated: plan.decision.finished.outdated.clone(),
+            outdated: plan.finished.outdated.clone(),
             forecast: plan.decision.forecast,
             exports,
-            warnings: plan.decision.warnings.clone(),
+            warnings: plan.warnings.clone(),
         })
     }
 
@@ -362,7 +362,7 @@ fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
         fulfilment: plan.decision.ranking.fulfilment[i],
         share: cluster.share,
         area: plan.decision.area_shares[i],
-        finished: i < plan.decision.finished.clusters,
+        finished: i < plan.decision.finished,
     };
     ranked.map(entry).collect()
 }

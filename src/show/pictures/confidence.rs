@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use image::{ImageFormat, Rgb, RgbImage};
 
-use crate::method::confidence::Image;
+use crate::io::image::Image;
 
 /// Colours of 0, 1/4, 1/2, 3/4 and 1, dark to light, distinguishable by the colour-blind (five
 /// colours of matplotlib's viridis).

@@ -1,0 +1,64 @@
+//! The ranking as a curve: share and cost of each prefix.
+
+use super::{Decision, Options, Tables, cost, forecast};
+
+/// The first `clusters` clusters of the ranking together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurvePoint {
+    /// Number of clusters, from 1.
+    pub clusters: usize,
+    /// Their (key view, partner) pairs.
+    pub pairs: usize,
+    /// Weight that fusion keeps of them over that of all clusters, 0 to 1.
+    pub share: f64,
+    /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1.
+    pub kept: f64,
+    /// Their fulfilment f_o, 0 to 1.
+    pub fulfilment: f64,
+    /// Pixels that their depth maps will measure, before fusion.
+    pub points: f64,
+    /// Seconds of matching, without finished maps; `None` where `forecast.seconds_per_pair` and
+    /// `.seconds_per_map` are unset.
+    pub seconds: Option<f64>,
+}
+
+impl Decision {
+    /// Returns the curve of the whole ranking, a point per cluster.
+    pub fn curve(&self, tables: &Tables, options: &Options) -> Vec<CurvePoint> {
+        let (ranking, model) = (&self.ranking, tables.model());
+        let points = self.points_by_rank(tables, options);
+        let cost = cost(
+            tables,
+            &model,
+            options,
+            ranking,
+            &self.pixels,
+            self.finished,
+        );
+        let start = CurvePoint {
+            clusters: 0,
+            pairs: 0,
+            share: 0.0,
+            kept: 0.0,
+            fulfilment: 0.0,
+            points: 0.0,
+            seconds: options.forecast.knows_times().then_some(0.0),
+        };
+        let next = |sum: &mut CurvePoint, rank: usize| {
+            *sum = CurvePoint {
+                clusters: rank + 1,
+                pairs: sum.pairs + tables.clusters[ranking.order[rank] as usize].partners.len(),
+                share: ranking.share(rank + 1),
+                kept: ranking.kept[rank],
+                fulfilment: ranking.fulfilment[rank],
+                points: sum.points + points[rank],
+                seconds: sum
+                    .seconds
+                    .zip(forecast::Cost::seconds(&cost, rank))
+                    .map(|(sum, one)| sum + one),
+            };
+            Some(*sum)
+        };
+        (0..ranking.order.len()).scan(start, next).collect()
+    }
+}

@@ -1,0 +1,62 @@
+//! Method 5.3: location of the surface that a cut gives up.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Tables, UncutRanking};
+use crate::method::ranking::Reached;
+
+/// Weight, over that of the whole surface, that fusion is expected to keep of all clusters, less
+/// that of the clusters up to the cut, 0 to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct GivenUp {
+    /// At the border: within a tenth of the site's width from its outline, and seen by few views.
+    pub border: f64,
+    /// Elsewhere.
+    pub inside: f64,
+    /// The part of both that only one planned map shows, while fusion requires several.
+    pub single_map: f64,
+}
+
+impl GivenUp {
+    pub fn new(
+        tables: &Tables,
+        UncutRanking {
+            ranking, border, ..
+        }: &UncutRanking,
+        clusters: usize,
+    ) -> Self {
+        let (objective, maps) = (&tables.objective, tables.maps());
+        let triangles = 0..objective.weights.len() as u32;
+        let mut reached = Reached::new(objective);
+        ranking
+            .maps()
+            .take(clusters)
+            .for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+        let at_cut: Vec<(f32, f32)> = triangles
+            .clone()
+            .map(|t| (reached.agreed(t), reached.best(t)))
+            .collect();
+        match maps.has_half() {
+            true => reached = Reached::by_all(&maps, objective),
+            false => ranking
+                .maps()
+                .skip(clusters)
+                .for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale))),
+        }
+        maps.release();
+        let mut given_up = Self::default();
+        for t in triangles {
+            let (at, weight) = (t as usize, objective.weights[t as usize]);
+            let (all, (agreed, best)) = (reached.agreed(t), at_cut[at]);
+            let lost = (all - agreed).max(0.0);
+            *if border[at] {
+                &mut given_up.border
+            } else {
+                &mut given_up.inside
+            } += weight * f64::from(lost);
+            given_up.single_map += weight * f64::from(lost.min(best - agreed));
+        }
+        given_up
+    }
+}

@@ -1,0 +1,345 @@
+//! What is decided with the results of the stages (method 5): the ranking, its cut, the forecast of
+//! its cost, and a reason for everything left out.
+//!
+//! [`Tables`] holds the results; [`decide`] ranks the clusters and cuts the ranking by the
+//! [`Options`].
+
+mod band;
+mod border;
+mod curve;
+mod cut;
+mod forecast;
+mod given_up;
+mod numbers;
+mod reasons;
+mod settings;
+mod tables;
+mod uncut;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
+pub use self::{
+    band::Band,
+    curve::CurvePoint,
+    cut::{Cut, CutLimit, DEFAULT_TARGET},
+    forecast::Forecast,
+    given_up::GivenUp,
+    numbers::{Matcher, PlanningNumbers, ReachOfPair, ReachRule, WorkPerMap},
+    reasons::{Substitute, ViewStatus},
+    settings::{CutSettings, ForecastSettings},
+    tables::Tables,
+    uncut::UncutRanking,
+};
+
+use self::reasons::Reasons;
+use crate::{
+    base::{
+        column::{DiskError, TableError},
+        error::Hint,
+        progress::{Cancelled, Stage, Watcher},
+    },
+    method::{
+        fulfilment::Model,
+        ranking::{self, Ranker, Ranking},
+    },
+    model::{
+        cluster::{MapScale, ViewCluster},
+        reason::Reason,
+    },
+};
+
+/// The ranking, its cut, the forecast cost, and the reasons for everything left out.
+#[derive(Clone, Debug)]
+pub struct Decision {
+    pub ranking: Ranking,
+    /// Number of clusters at the start of the ranking that have their depth map; their fulfilment
+    /// is measured, not predicted (method 5.4).
+    pub finished: usize,
+    pub cut: Cut,
+    /// Area that fusion is expected to keep of the clusters up to each rank, over that of all
+    /// clusters, 0 to 1.
+    pub area_shares: Vec<f64>,
+    pub forecast: Forecast,
+    /// Status and reason of each view.
+    pub views: Vec<(ViewStatus, Option<Reason>)>,
+    /// By triangle, the reason why no cluster fulfils it to 0.1; `None` if one does.
+    pub triangle_reasons: Vec<Option<Reason>>,
+    /// By triangle, true at the border of the surveyed site (method 5.3).
+    pub border: Vec<bool>,
+    /// Pixels that the depth map of each of the first clusters is expected to measure at full size;
+    /// those up to the cut are among them, unless `forecast.points_per_map` is set.
+    pub pixels: Vec<f64>,
+}
+
+/// What the decision needs to know besides the tables.
+#[derive(Clone, Copy, Debug)]
+pub struct Options<'a> {
+    pub cut: &'a CutSettings,
+    pub forecast: &'a ForecastSettings,
+    /// Partners per key view.
+    pub k: u32,
+    /// True if depth maps may be planned at half the size.
+    pub has_half: bool,
+}
+
+/// A ranking cannot be cut as asked, or not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DecisionError {
+    #[error("the time limit needs forecast.seconds_per_map or forecast.seconds_per_pair")]
+    NoTimes,
+    #[error(transparent)]
+    Table(#[from] TableError),
+}
+
+impl From<DiskError> for DecisionError {
+    fn from(error: DiskError) -> Self {
+        Self::Table(error.into())
+    }
+}
+
+impl From<Cancelled> for DecisionError {
+    fn from(error: Cancelled) -> Self {
+        Self::Table(error.into())
+    }
+}
+
+impl Hint for DecisionError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::NoTimes => Some(
+                "time one depth map, and write its seconds into viewrank.toml: forecast.seconds_per_map = 30"
+                    .into(),
+            ),
+            Self::Table(error) => error.hint(),
+        }
+    }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::NoTimes)
+    }
+}
+
+/// Ranks the clusters by their fulfilment and cuts the ranking as set. The finished clusters come
+/// first, as listed in `order`. `known`: the ranking without finished clusters, if it is known.
+pub fn decide(
+    tables: &Tables,
+    options: &Options,
+    known: Option<&UncutRanking>,
+    order: &[(u32, MapScale)],
+    watcher: &dyn Watcher,
+) -> Result<Decision, DecisionError> {
+    let finished = order.len();
+    let ranked = match known {
+        Some(known) if order.is_empty() => known.clone(),
+        _ => UncutRanking::new(tables, rank(tables, options, order, watcher)?),
+    };
+    let ranking = &ranked.ranking;
+    let cut = cut::cut(
+        options.cut,
+        &cost(
+            tables,
+            &tables.model(),
+            options,
+            ranking,
+            &ranked.pixels,
+            finished,
+        ),
+    )?;
+    // Band and what is given up take the clusters in their order, on one thread each.
+    let (fulfilment_bound, (reachable_band, given_up)) = rayon::join(
+        || ranking::most_of_any(cut.clusters, &tables.maps(), &tables.objective, ranking),
+        || {
+            rayon::join(
+                || Band::of_reachable(tables, ranking),
+                || GivenUp::new(tables, &ranked, cut.clusters),
+            )
+        },
+    );
+    let cut = Cut {
+        fulfilment_bound,
+        share_band: Band::of_share(tables, cut.share, cut.reachable, &reachable_band),
+        reachable_band,
+        pairs_beyond_gate: pairs_beyond_gate(tables, &ranking.order[..cut.clusters]),
+        given_up,
+        ..cut
+    };
+    let decision = decide_as(tables, options, finished, ranked, cut)?;
+    watcher.check()?;
+    Ok(decision)
+}
+
+/// Ranks the clusters; if there is a choice of sizes, at several prices of work, and returns the
+/// ranking that is best at its cut.
+fn rank(
+    tables: &Tables,
+    options: &Options,
+    order: &[(u32, MapScale)],
+    watcher: &dyn Watcher,
+) -> Result<Ranking, DecisionError> {
+    let maps = tables.maps();
+    let ranker = Ranker::new(&maps, &tables.objective)?;
+    if !options.has_half {
+        return Ok(ranker.rank(order, 0.0, watcher)?);
+    }
+    let prices = ranker.prices();
+    let ranked = AtomicU64::new(0);
+    watcher.progress(Stage::Ranking, 0, prices.len() as u64);
+    let one = |&price: &f64| {
+        let ranking = ranker.rank(order, price, &Unseen(watcher))?;
+        let merit = merit(tables, options, &ranking, order.len())?;
+        watcher.progress(
+            Stage::Ranking,
+            ranked.fetch_add(1, Ordering::Relaxed) + 1,
+            prices.len() as u64,
+        );
+        Ok((merit, ranking))
+    };
+    let rankings: Vec<([f64; 3], Ranking)> = prices
+        .par_iter()
+        .map(one)
+        .collect::<Result<_, DecisionError>>()?;
+    watcher.progress(Stage::Ranking, prices.len() as u64, prices.len() as u64);
+    // The first of equals has the lower price.
+    let better = |best: ([f64; 3], Ranking), next: ([f64; 3], Ranking)| {
+        if next.0 > best.0 { next } else { best }
+    };
+    Ok(rankings
+        .into_iter()
+        .reduce(better)
+        .map(|(_, ranking)| ranking)
+        .unwrap_or_default())
+}
+
+/// Returns what makes a plan better than others, in this order: what fusion keeps, up to the
+/// target; f_o, unless the target is reached; little work.
+fn merit(
+    tables: &Tables,
+    options: &Options,
+    ranking: &Ranking,
+    finished: usize,
+) -> Result<[f64; 3], DecisionError> {
+    let (model, settings) = (tables.model(), options.cut);
+    let cost = cost(tables, &model, options, ranking, &[], finished);
+    let cut = cut::cut(settings, &cost)?;
+    let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
+    let most = settings
+        .target
+        .map_or(0.0, |target| target.0 * ranking.reachable);
+    // Where the target is reached, more is of no use.
+    let is_enough = settings.target.is_some_and(|target| target.0 < 1.0) && cut.kept >= most;
+    let fulfilment = if is_enough { 0.0 } else { cut.fulfilment };
+    Ok([cut.kept.min(most), fulfilment, -work])
+}
+
+/// Passes on cancellation, but not the progress of one of several rankings.
+struct Unseen<'a>(&'a dyn Watcher);
+
+impl Watcher for Unseen<'_> {
+    fn progress(&self, _: Stage, _: u64, _: u64) {}
+
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+
+    fn most_memory(&self) -> Option<u64> {
+        self.0.most_memory()
+    }
+}
+
+/// Derives forecast and reasons of views from a given ranking and cut.
+pub fn decide_as(
+    tables: &Tables,
+    options: &Options,
+    finished: usize,
+    ranked: UncutRanking,
+    cut: Cut,
+) -> Result<Decision, DecisionError> {
+    let model = tables.model();
+    let UncutRanking {
+        ranking,
+        area_shares,
+        triangle_reasons,
+        border,
+        mut pixels,
+    } = ranked;
+    if options.forecast.points_per_map.is_none() {
+        let more = forecast::full_size_pixels(
+            &cost(tables, &model, options, &ranking, &pixels, finished),
+            pixels.len()..cut.clusters,
+        );
+        pixels.extend(more);
+    }
+    let forecast = forecast::forecast(
+        &cost(tables, &model, options, &ranking, &pixels, finished),
+        cut.clusters,
+    );
+    let reasons = Reasons::of(tables, &model);
+    let views = reasons.views(&ranking.order[..cut.clusters], options.k)?;
+    Ok(Decision {
+        ranking,
+        finished,
+        cut,
+        area_shares,
+        forecast,
+        views,
+        triangle_reasons,
+        border,
+        pixels,
+    })
+}
+
+fn pairs_beyond_gate(tables: &Tables, chosen: &[u32]) -> usize {
+    let beyond = |&cluster: &u32| {
+        let ViewCluster { key, partners } = &tables.clusters[cluster as usize];
+        let beyond = tables.candidates.beyond_gate(*key);
+        partners
+            .iter()
+            .filter(|partner| beyond.contains(partner))
+            .count()
+    };
+    chosen.iter().map(beyond).sum()
+}
+
+fn cost<'a>(
+    tables: &'a Tables,
+    model: &'a Model<'a>,
+    options: &'a Options<'a>,
+    ranking: &'a Ranking,
+    pixels: &'a [f64],
+    finished: usize,
+) -> forecast::Cost<'a> {
+    forecast::Cost {
+        model,
+        tables,
+        ranking,
+        pixels,
+        finished,
+        options,
+    }
+}
+
+impl Decision {
+    /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the
+    /// ranking.
+    pub fn points_by_rank(&self, tables: &Tables, options: &Options) -> Vec<f64> {
+        let model = tables.model();
+        let cost = cost(
+            tables,
+            &model,
+            options,
+            &self.ranking,
+            &self.pixels,
+            self.finished,
+        );
+        forecast::points(&cost, self.ranking.order.len())
+    }
+
+    /// For each cluster, the clusters ranked before it that give more of its own fulfilment than
+    /// all before them, by rank: the last one within a cut is the best substitute there.
+    pub fn best_substitutes(&self, tables: &Tables) -> Result<Vec<Vec<Substitute>>, DiskError> {
+        let triangles = tables.surface.triangles.len();
+        reasons::best_substitutes(&tables.fulfilment, &self.ranking.order, triangles)
+    }
+}

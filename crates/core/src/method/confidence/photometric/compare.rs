@@ -1,0 +1,217 @@
+//! Samples all pictures and compares pairs.
+
+use std::sync::{
+    Mutex,
+    atomic::{AtomicU64, Ordering},
+};
+
+use super::{
+    super::pictures::{PictureFault, Pictures},
+    ProgramReach, packed,
+    stacks::{self, STACK, Spacing, correlation, stacks},
+};
+use crate::{
+    base::{
+        column::{self, Column, ColumnBuilder, Storage, TableError},
+        large_pages,
+        progress::{Stage, Watcher},
+    },
+    method::geometry::Geometry,
+    model::{cluster::Reach, scene::ViewIndex},
+};
+
+/// Room for samples and the pictures that they are taken from.
+#[derive(Clone, Copy, Debug)]
+pub struct SampleRoom {
+    /// Place of the samples.
+    pub keep: Storage,
+    /// Views that are sampled per batch, at least 1.
+    pub views_at_once: usize,
+}
+
+/// Returns [`STACK`] samples for each row of visibility, and the faults of the views without
+/// samples, by view.
+pub(super) fn samples(
+    geometry: &Geometry,
+    pictures: &dyn Pictures,
+    room: SampleRoom,
+    watcher: &dyn Watcher,
+) -> Result<(Column<i8>, Vec<PictureFault>), TableError> {
+    let Geometry {
+        scene, visibility, ..
+    } = *geometry;
+    let spacing = Spacing::new(geometry);
+    let (done, total) = (AtomicU64::new(0), scene.views.len() as u64);
+    watcher.progress(Stage::Confidence, 0, total);
+    let failures = Mutex::new(Vec::new());
+    let of_view = |view: ViewIndex| {
+        watcher.check()?;
+        let sampled = pictures
+            .grey(scene, view, geometry.image_scale)
+            .map(|picture| {
+                picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref()))
+            });
+        let sampled = sampled.unwrap_or_else(|failure| {
+            failures
+                .lock()
+                .map(|mut failures| failures.push((view, failure)))
+                .ok();
+            None
+        });
+        watcher.progress(
+            Stage::Confidence,
+            1 + done.fetch_add(1, Ordering::Relaxed),
+            total,
+        );
+        Ok(sampled.unwrap_or_else(|| {
+            vec![stacks::NOT_SEEN; visibility.triangles_seen_by(view).len() * STACK]
+        }))
+    };
+    let mut samples = ColumnBuilder::new(room.keep)?;
+    samples.reserve(visibility.triangles.len() * STACK);
+    let views = visibility.views();
+    column::in_order(
+        &views,
+        room.views_at_once,
+        || (),
+        |(), &view| of_view(view),
+        |_, taken| {
+            visibility.triangles.release();
+            taken
+                .into_iter()
+                .try_for_each(|samples_of_view| samples.extend(&samples_of_view))?;
+            // Else the next batch comes on top of what the allocator holds back of this one.
+            large_pages::return_freed_memory();
+            Ok(())
+        },
+    )?;
+    let mut faults = failures.into_inner().unwrap_or_default();
+    faults.sort_by_key(|(view, _)| *view);
+    Ok((samples.finish()?, faults))
+}
+
+/// Returns the agreement of the key view with each partner, by partner, then row of the key view; 0
+/// beyond the reach of the program.
+pub(super) fn compared(
+    geometry: &Geometry,
+    samples: &Column<i8>,
+    key: ViewIndex,
+    partners: &[ViewIndex],
+    reach: &ProgramReach,
+    places: &mut [u32],
+) -> Vec<u8> {
+    let visibility = geometry.visibility;
+    let (own, seen) = (visibility.rows(key), visibility.triangles_seen_by(key));
+    seen.iter()
+        .enumerate()
+        .for_each(|(row, &t)| places[t as usize] = row as u32);
+    let mut values = vec![0; partners.len() * seen.len()];
+    let reach_of = (reach.of_key_view)(key);
+    for (partner, values) in partners
+        .iter()
+        .zip(values.chunks_exact_mut(seen.len().max(1)))
+    {
+        let reach = reach_of(*partner);
+        let is_reached = |t: u32| match &reach {
+            Reach::Nothing => false,
+            Reach::Everything => true,
+            Reach::Part(is_inside) => is_inside(&geometry.surface.centroid(t)),
+        };
+        for (row, &t) in visibility
+            .rows(*partner)
+            .zip(visibility.triangles_seen_by(*partner))
+        {
+            let place = places[t as usize];
+            if place != u32::MAX && is_reached(t) {
+                let [a, b] =
+                    [own.start + place as usize, row].map(|row| &samples[row * STACK..][..STACK]);
+                values[place as usize] = packed(correlation(a, b));
+            }
+        }
+    }
+    seen.iter().for_each(|&t| places[t as usize] = u32::MAX);
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{
+        ReachOfPartner,
+        tests::{town, view_that_overlaps},
+    };
+    use super::*;
+
+    /// Samples that are the same in all views of a triangle, and differ from those of other
+    /// triangles.
+    fn textured(geometry: &Geometry) -> Column<i8> {
+        let rows = geometry
+            .scene
+            .view_indices()
+            .flat_map(|view| geometry.visibility.triangles_seen_by(view));
+        let sample = |t: u32, i: usize| ((t as usize * 31 + i * i * 17) % 37) as i8 - 18;
+        rows.flat_map(|&t| (0..STACK).map(move |i| sample(t, i)))
+            .collect::<Vec<_>>()
+            .into()
+    }
+
+    #[test]
+    fn values_are_of_triangles_that_both_see_and_the_program_reaches() {
+        let town = town();
+        let geometry = town.geometry(1.0);
+        let (samples, key, partner) = (
+            textured(&geometry),
+            ViewIndex(12),
+            view_that_overlaps(&geometry, ViewIndex(12)),
+        );
+        let mut places = vec![u32::MAX; town.surface.triangles.len()];
+        let middle = town.scene.view(key).cam_from_world.centre().x;
+        let part = move |_| {
+            Reach::Part(Box::new(move |point: &nalgebra::Point3<f64>| {
+                point.x < middle
+            }))
+        };
+        let of_part = move |_| -> ReachOfPartner { Box::new(part) };
+        let reaches: [&(dyn Fn(ViewIndex) -> ReachOfPartner<'static> + Sync); 3] =
+            [&|_| Box::new(|_| Reach::Everything), &of_part, &|_| {
+                Box::new(|_| Reach::Nothing)
+            }];
+        let seen = town.visibility.triangles_seen_by(key);
+        let counts = reaches.map(|of_key_view| {
+            let reach = ProgramReach {
+                program: Some("program"),
+                of_key_view,
+            };
+            let values = compared(
+                &geometry,
+                &samples,
+                key,
+                &[partner, partner],
+                &reach,
+                &mut places,
+            );
+            assert!(
+                places.iter().all(|&place| place == u32::MAX),
+                "left as found"
+            );
+            let (first, second) = values.split_at(seen.len());
+            assert_eq!(first, second);
+            for (&t, &value) in seen.iter().zip(first) {
+                let is_reached = match of_key_view(key)(partner) {
+                    Reach::Nothing => false,
+                    Reach::Everything => true,
+                    Reach::Part(is_inside) => is_inside(&town.surface.centroid(t)),
+                };
+                assert_eq!(
+                    value > 0,
+                    is_reached && town.visibility.row(partner, t).is_some(),
+                    "{t}"
+                );
+            }
+            first.iter().filter(|&&value| value > 0).count()
+        });
+        assert!(
+            counts[0] > counts[1] && counts[1] > counts[2] && counts[2] == 0,
+            "{counts:?}"
+        );
+    }
+}

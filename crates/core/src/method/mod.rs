@@ -1,0 +1,12 @@
+//! The method: one folder per section of `docs/method.md`. Each depends only on those before it.
+
+pub mod confidence;
+pub mod fulfilment;
+pub mod geometry;
+pub mod partners;
+pub mod ranking;
+pub mod region;
+pub mod surface;
+pub mod synthetic;
+pub mod target;
+pub mod visibility;

@@ -1,0 +1,128 @@
+//! Errors of regions.
+
+use super::{columns::Rectangle, solid::OpenMesh};
+use crate::base::{error::Hint, progress::Cancelled};
+
+/// A region that cannot be used, whatever the surface.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ShapeError {
+    #[error(transparent)]
+    Open(#[from] OpenMesh),
+    #[error("it is in WGS 84, but the model has no georeference")]
+    NoGeoreference,
+    #[error("{x} {y} is not a longitude and a latitude")]
+    NotDegrees { x: f64, y: f64 },
+    #[error("its axes are not unit vectors")]
+    Axes,
+}
+
+impl Hint for ShapeError {
+    fn hint(&self) -> Option<String> {
+        let hint = match self {
+            Self::Open(_) => "close its holes, or give a box x0,y0,z0,x1,y1,z1",
+            Self::NoGeoreference => {
+                "set frame.origin or frame.utm, or draw the polygon in model units with \"crs\": null"
+            }
+            Self::NotDegrees { .. } => {
+                "export it in WGS 84 (EPSG:4326), longitude first; for model units add \"crs\": null to the file"
+            }
+            Self::Axes => "copy crs and axes from viewrank/views_local.json",
+        };
+        Some(hint.into())
+    }
+}
+
+/// The region cannot be used on this surface.
+#[derive(Debug, thiserror::Error)]
+pub enum RegionError {
+    #[error("no part of the surface is inside the region: it covers {}, the surface {}", on_map(region, *is_geodetic), on_map(model, *is_geodetic))]
+    OutsideMap {
+        region: Rectangle,
+        model: Rectangle,
+        is_geodetic: bool,
+    },
+    #[error(
+        "no part of the surface is inside the region: it covers {}, the surface {}",
+        in_space(region),
+        in_space(model)
+    )]
+    OutsideBox { region: [f64; 6], model: [f64; 6] },
+    #[error("the areas of the region that hold parts of the surface all have the weight 0")]
+    Weightless,
+    #[error(
+        "the region has too many edges across the surface: finding what is inside would take minutes"
+    )]
+    TooIntricate,
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl RegionError {
+    /// Returns whether the region is where the surface is, but between the samples of its
+    /// triangles.
+    fn is_too_small(&self) -> bool {
+        match self {
+            Self::OutsideMap { region, model, .. } => (0..2).all(|axis| {
+                model.low[axis] <= region.low[axis] && region.high[axis] <= model.high[axis]
+            }),
+            Self::OutsideBox { region, model } => (0..3)
+                .all(|axis| model[axis] <= region[axis] && region[axis + 3] <= model[axis + 3]),
+            _ => false,
+        }
+    }
+
+    pub(super) fn outside_box(region: &[f64], model: &[f64; 6]) -> Self {
+        Self::OutsideBox {
+            region: std::array::from_fn(|i| region[i]),
+            model: *model,
+        }
+    }
+}
+
+fn on_map(Rectangle { low, high }: &Rectangle, is_geodetic: bool) -> String {
+    let [first, second] = if is_geodetic {
+        ["longitude", "latitude"]
+    } else {
+        ["x", "y"]
+    };
+    format!(
+        "{first} {:.6} to {:.6}, {second} {:.6} to {:.6}",
+        low[0], high[0], low[1], high[1]
+    )
+}
+
+fn in_space(corners: &[f64; 6]) -> String {
+    let axis =
+        |(i, name): (usize, &str)| format!("{name} {:.6} to {:.6}", corners[i], corners[i + 3]);
+    ["x", "y", "z"]
+        .into_iter()
+        .enumerate()
+        .map(axis)
+        .collect::<Vec<_>>()
+        .join(", ")
+}
+
+impl Hint for RegionError {
+    fn hint(&self) -> Option<String> {
+        let hint = match self {
+            _ if self.is_too_small() => {
+                "draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer --gsd"
+            }
+            Self::OutsideMap {
+                is_geodetic: true, ..
+            } => {
+                "check that the polygon has longitude before latitude, and frame.origin or frame.utm"
+            }
+            Self::OutsideMap { .. } => {
+                "draw the polygon over viewrank/views_local.json; for one in WGS 84 set frame.origin or frame.utm"
+            }
+            Self::OutsideBox { .. } => "give it in the frame and the units of the model",
+            Self::Weightless => "give the areas that count a weight above 0",
+            Self::TooIntricate => {
+                "simplify its outline to the detail of the surface: ogr2ogr -simplify"
+            }
+            Self::Cancelled(error) => return error.hint(),
+        };
+        Some(hint.into())
+    }
+}

@@ -1,0 +1,158 @@
+//! Number of views, pixels and finest GSD of each triangle.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+
+use nalgebra::{Point3, Vector2};
+
+use super::Visibility;
+use crate::{
+    base::column,
+    method::surface::Surface,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// Pixels are added as integer multiples of 1 / `PARTS`: the sum does not depend on the order in
+/// which threads add them.
+const PARTS: f64 = 65_536.0;
+
+/// By triangle, over the views that see it; pixels are those of the model's images.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shown {
+    /// Number of views.
+    pub views: Vec<u32>,
+    /// Pixels of all of them together.
+    pub pixels: Vec<f64>,
+    /// Finest GSD, scene units per pixel; infinite without a view. Views with a GSD that is not
+    /// positive don't count: the centroid of a large triangle may be behind a camera that sees a
+    /// corner of it.
+    pub finest_gsd: Vec<f32>,
+}
+
+impl Shown {
+    /// Pixels of a triangle in one view that are counted at most.
+    pub const MOST_PIXELS: f64 = 1e9;
+
+    pub fn new(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Self {
+        let triangles = surface.triangles.len();
+        let views: Vec<AtomicU32> = (0..triangles).map(|_| AtomicU32::new(0)).collect();
+        let pixels: Vec<AtomicU64> = (0..triangles).map(|_| AtomicU64::new(0)).collect();
+        let finest: Vec<AtomicU32> = (0..triangles)
+            .map(|_| AtomicU32::new(f32::INFINITY.to_bits()))
+            .collect();
+        let look = |&view: &ViewIndex| {
+            let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+            for &t in visibility.triangles_seen_by(view) {
+                let area = projected_area(
+                    camera,
+                    &surface
+                        .corners(t)
+                        .map(|corner| pose.camera_from_world(&corner)),
+                );
+                let gsd = gsd_at(scene, surface, view, t) as f32;
+                let t = t as usize;
+                views[t].fetch_add(1, Ordering::Relaxed);
+                pixels[t].fetch_add(
+                    (area.min(Self::MOST_PIXELS) * PARTS) as u64,
+                    Ordering::Relaxed,
+                );
+                if gsd > 0.0 {
+                    // Bits of positive floats are ordered like the floats, and a minimum does not
+                    // depend on the order of threads.
+                    finest[t].fetch_min(gsd.to_bits(), Ordering::Relaxed);
+                }
+            }
+        };
+        column::read_by_parts(&visibility.views(), look, || visibility.triangles.release());
+        Self {
+            views: views.into_iter().map(AtomicU32::into_inner).collect(),
+            pixels: pixels
+                .into_iter()
+                .map(|sum| sum.into_inner() as f64 / PARTS)
+                .collect(),
+            finest_gsd: finest
+                .into_iter()
+                .map(|bits| f32::from_bits(bits.into_inner()))
+                .collect(),
+        }
+    }
+
+    /// Returns the mean pixels over the views that see a triangle; 0 if no view does.
+    ///
+    /// A sum would favour the middle of a flight, where most views overlap.
+    pub fn mean_pixels(&self, triangle: usize) -> f64 {
+        self.pixels[triangle] / f64::from(self.views[triangle].max(1))
+    }
+}
+
+/// Returns scene units per pixel of the model's image at a triangle's centroid, across the viewing
+/// direction: its depth over the mean focal length.
+pub fn gsd_at(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> f64 {
+    let camera = scene.camera_of(view);
+    let centroid = scene
+        .view(view)
+        .cam_from_world
+        .camera_from_world(&surface.centroid(triangle));
+    camera.depth(&centroid) / camera.mean_focal_length()
+}
+
+/// Returns the area of the projected triangle, square pixels of the model's image; corners in
+/// camera coordinates. If one does not project, the projection is linearised at the centroid.
+pub fn projected_area(camera: &Camera, corners: &[Point3<f64>; 3]) -> f64 {
+    let pixels = corners.each_ref().map(|p| camera.project(p));
+    let edges = match pixels {
+        [Some(a), Some(b), Some(c)] => [b - a, c - a].map(|edge| unwrapped(camera, edge)),
+        _ => {
+            let [a, b, c] = corners.each_ref().map(|p| p.coords);
+            let Some((_, jacobian)) = camera.project_with_jacobian(&((a + b + c) / 3.0).into())
+            else {
+                return 0.0;
+            };
+            [jacobian * (b - a), jacobian * (c - a)]
+        }
+    };
+    0.5 * edges[0].perp(&edges[1]).abs()
+}
+
+/// Unwraps an edge that crosses the seam of an equirectangular image.
+fn unwrapped(camera: &Camera, edge: Vector2<f64>) -> Vector2<f64> {
+    if camera.model() != CameraModel::Equirectangular {
+        return edge;
+    }
+    let around = camera.pinhole_part().0.x * std::f64::consts::TAU;
+    Vector2::new(edge.x - around * (edge.x / around).round(), edge.y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 80 px around, an edge of 4 px over the seam.
+    #[test]
+    fn a_triangle_on_the_seam_of_a_panorama_has_the_pixels_of_one_elsewhere() {
+        let camera =
+            Camera::new(1, CameraModel::Equirectangular, 80, 40, vec![80.0, 40.0]).unwrap();
+        let at = |degrees: f64, y: f64| {
+            let angle = degrees.to_radians();
+            Point3::new(10.0 * angle.sin(), y, 10.0 * angle.cos())
+        };
+        let across = |middle: f64| {
+            projected_area(
+                &camera,
+                &[
+                    at(middle - 9.0, 0.0),
+                    at(middle + 9.0, 0.0),
+                    at(middle, 1.0),
+                ],
+            )
+        };
+        assert!(
+            across(0.0) > 1.0 && (across(180.0) - across(0.0)).abs() < 1e-9,
+            "{} {}",
+            across(180.0),
+            across(0.0)
+        );
+    }
+}

@@ -1,0 +1,38 @@
+//! COLMAP's `NAME.geometric.bin`: ASCII `W&H&C&`, then W x H x C little-endian float32, plane by
+//! plane, row-major.
+
+use viewrank_core::base::pixels::PixelBound;
+
+use super::{DepthMap, DepthMapFormat, Parsed, floats};
+
+pub(super) fn parse(bytes: &[u8], format: DepthMapFormat, bound: PixelBound) -> Parsed<DepthMap> {
+    let (width, at) = number(bytes, 0)?;
+    let (height, at) = number(bytes, at)?;
+    let (channels, at) = number(bytes, at)?;
+    if channels != 1 {
+        return Err((
+            0,
+            format!("{channels} channels, expected 1 (is this a normal map?)"),
+        ));
+    }
+    Ok(DepthMap {
+        format,
+        width,
+        height,
+        depth: floats(bytes, at, (width, height), bound)?,
+        ids: Vec::new(),
+    })
+}
+
+/// Parses decimal digits up to `&`; returns the number and the offset after the `&`.
+fn number(bytes: &[u8], start: usize) -> Parsed<(u32, usize)> {
+    let bad = || (start, "expected `WIDTH&HEIGHT&CHANNELS&`".to_string());
+    let rest = bytes.get(start..).ok_or_else(bad)?;
+    let length = rest
+        .iter()
+        .take(11)
+        .position(|&b| b == b'&')
+        .ok_or_else(bad)?;
+    let digits = std::str::from_utf8(&rest[..length]).map_err(|_| bad())?;
+    Ok((digits.parse().map_err(|_| bad())?, start + length + 1))
+}

@@ -1,0 +1,448 @@
+//! Readers for the depth maps of the backends, one module per format, and the assignment of files
+//! to views.
+
+mod colmap;
+mod dmb;
+mod exr;
+mod find;
+mod micmac;
+mod mvei;
+mod npy;
+mod openmvs;
+mod pfm;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point2;
+use viewrank_core::{
+    base::{error::Hint, pixels::PixelBound},
+    model::{camera::Camera, scene::Scene},
+};
+
+use crate::input::{self, FileKind};
+
+pub use find::{
+    DepthMapFile, DepthMapSet, MICMAC_MARK, default_folders, files_of, files_with_depths, find,
+    folder_of, folders, ids_of, is_of_a_map, list,
+};
+
+/// Depth map formats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DepthMapFormat {
+    /// `NAME.geometric.bin` in `stereo/depth_maps`.
+    ColmapGeometric,
+    /// `NAME.photometric.bin` in `stereo/depth_maps`.
+    ColmapPhotometric,
+    /// `depthNNNN.dmap`.
+    OpenMvs,
+    /// `NNNNNNNN.pfm` (MVSNet, PatchmatchNet).
+    Pfm,
+    /// `2333_NNNNNNNN/depths.dmb` (ACMH, ACMM, ACMP, ACMMP).
+    Dmb,
+    /// `2_TIME_NAME/disp.dmb` (Gipuma).
+    Gipuma,
+    /// `NAME.mve/depth-LN.mvei` (MVE's dmrecon); holds the length of the ray.
+    Mve,
+    /// `ID_depthMap.exr` (AliceVision); holds the length of the ray.
+    AliceVision,
+    /// `MM-Malt-Img-STEM/MMLastNuage.xml` and the images that it names (MicMac), of distorted
+    /// images.
+    MicMac,
+    /// `NAME.npy` (`integrations/sgm`).
+    Npy,
+}
+
+impl DepthMapFormat {
+    /// Returns whether the program stores the distance from the camera's centre instead of z.
+    fn holds_ray_length(self) -> bool {
+        matches!(self, Self::Mve | Self::AliceVision)
+    }
+
+    /// Returns whether the program matches images as they were taken, with their distortion.
+    pub fn takes_distorted(self) -> bool {
+        self == Self::MicMac
+    }
+}
+
+/// Depth along the optical axis for each pixel of an image, possibly reduced.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthMap {
+    pub format: DepthMapFormat,
+    pub width: u32,
+    pub height: u32,
+    /// z in camera coordinates, scene units; `height` x `width`, row-major; finite, at least 0, 0
+    /// for no depth.
+    pub depth: Vec<f32>,
+    /// Backend ids of the key view and its partners, as stored in the file; empty for formats
+    /// without ids.
+    pub ids: Vec<u32>,
+}
+
+impl DepthMap {
+    /// Depth at a map pixel, scene units; `None` without a measurement. Panics outside the map.
+    pub fn depth_at(&self, column: u32, row: u32) -> Option<f64> {
+        let z = self.depth[row as usize * self.width as usize + column as usize];
+        (z > 0.0).then(|| f64::from(z))
+    }
+
+    /// Size of a map pixel along x and y, in pixels of the camera's image.
+    pub fn pixel_size(&self, camera: &Camera) -> (f64, f64) {
+        (
+            f64::from(camera.width) / f64::from(self.width),
+            f64::from(camera.height) / f64::from(self.height),
+        )
+    }
+
+    /// Centre of a map pixel, in pixels of the camera's image. It is the centre of the matched
+    /// patch even for programs that back-project the integer column and row (COLMAP, ACMM).
+    pub fn image_position(&self, camera: &Camera, column: u32, row: u32) -> Point2<f64> {
+        let (sx, sy) = self.pixel_size(camera);
+        Point2::new((f64::from(column) + 0.5) * sx, (f64::from(row) + 0.5) * sy)
+    }
+
+    /// Column and row of the map pixel that contains an image position; `None` outside the image.
+    pub fn pixel_at(&self, camera: &Camera, position: &Point2<f64>) -> Option<(u32, u32)> {
+        let (sx, sy) = self.pixel_size(camera);
+        let (x, y) = (position.x / sx, position.y / sy);
+        let inside =
+            x >= 0.0 && y >= 0.0 && x < f64::from(self.width) && y < f64::from(self.height);
+        inside.then_some((x as u32, y as u32))
+    }
+
+    /// Depth at an image position, scene units: bilinear interpolation of inverse depth if all four
+    /// neighbours have a depth and the result is within `same_surface` (a fraction of the depth) of
+    /// the nearest pixel; otherwise the depth of the nearest pixel.
+    pub fn interpolated(
+        &self,
+        camera: &Camera,
+        position: &Point2<f64>,
+        same_surface: f64,
+    ) -> Option<f64> {
+        let (column, row) = self.pixel_at(camera, position)?;
+        let nearest = self.depth_at(column, row);
+        let (sx, sy) = self.pixel_size(camera);
+        let (x, y) = (position.x / sx - 0.5, position.y / sy - 0.5);
+        let (left, top) = (x.floor(), y.floor());
+        let (right, down) = (x - left, y - top);
+        let inverse = |dx: f64, dy: f64| {
+            let (column, row) = (left + dx, top + dy);
+            let inside = column >= 0.0
+                && row >= 0.0
+                && column < f64::from(self.width)
+                && row < f64::from(self.height);
+            inside
+                .then(|| self.depth_at(column as u32, row as u32))
+                .flatten()
+                .map(f64::recip)
+        };
+        let corners = [
+            (inverse(0.0, 0.0), (1.0 - right) * (1.0 - down)),
+            (inverse(1.0, 0.0), right * (1.0 - down)),
+            (inverse(0.0, 1.0), (1.0 - right) * down),
+            (inverse(1.0, 1.0), right * down),
+        ];
+        // At a pixel centre the other corners have weight 0 and need no depth.
+        let used = corners.iter().filter(|(_, weight)| *weight > 1e-9);
+        let depth = used
+            .map(|(inverse, weight)| inverse.map(|i| i * weight))
+            .sum::<Option<f64>>()
+            .map(f64::recip);
+        match (depth, nearest) {
+            (Some(depth), Some(nearest)) if (depth - nearest).abs() <= same_surface * nearest => {
+                Some(depth)
+            }
+            _ => nearest,
+        }
+    }
+
+    /// Turns distances from the centre of a pinhole camera into z, for formats that hold those.
+    fn along_the_axis(mut self, camera: &Camera) -> Self {
+        if self.format.holds_ray_length() {
+            let (sx, sy) = self.pixel_size(camera);
+            let (f, c) = camera.pinhole_part();
+            for (row, depths) in (0..).zip(self.depth.chunks_exact_mut(self.width as usize)) {
+                let y = ((f64::from(row) + 0.5) * sy - c.y) / f.y;
+                for (column, z) in (0u32..).zip(depths) {
+                    let x = ((f64::from(column) + 0.5) * sx - c.x) / f.x;
+                    *z = (f64::from(*z) / (1.0 + x * x + y * y).sqrt()) as f32;
+                }
+            }
+        }
+        self
+    }
+
+    /// Takes out the depths whose confidence, in a file of the same form, is too low.
+    fn keep_confident(&mut self, path: &Path) -> Result<(), DepthMapError> {
+        let confidence = read(path, self.format, PixelBound::new(self.depth.len() as u64))?;
+        if (confidence.width, confidence.height) != (self.width, self.height) {
+            let size = |map: &Self| format!("{} x {} pixels", map.width, map.height);
+            let what = format!(
+                "{}, but the depth map has {}",
+                size(&confidence),
+                size(self)
+            );
+            return Err(DepthMapError::Format {
+                path: path.into(),
+                byte: 0,
+                what,
+            });
+        }
+        for (z, &confidence) in self.depth.iter_mut().zip(&confidence.depth) {
+            // Not a number is no confidence either.
+            *z = if confidence > LEAST_CONFIDENCE {
+                *z
+            } else {
+                0.0
+            };
+        }
+        Ok(())
+    }
+
+    /// Returns whether the map has the aspect ratio of the camera's image, up to rounding of its
+    /// size.
+    pub fn fits(&self, camera: &Camera) -> bool {
+        let (sx, sy) = self.pixel_size(camera);
+        let rounding = 1.0 / f64::from(self.width) + 1.0 / f64::from(self.height);
+        (sx / sy - 1.0).abs() <= rounding
+    }
+
+    /// Returns a map of the same size without any depth.
+    pub fn without_depths(&self) -> Self {
+        Self {
+            depth: vec![0.0; self.depth.len()],
+            ids: Vec::new(),
+            ..*self
+        }
+    }
+}
+
+/// Error of finding or reading depth maps.
+#[derive(Debug, thiserror::Error)]
+pub enum DepthMapError {
+    #[error("cannot read {path}: {source}")]
+    Io {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("{path}: byte {byte}: {what}")]
+    Format {
+        path: PathBuf,
+        byte: usize,
+        what: String,
+    },
+    #[error("{path}: still being matched, or failed: there is no {}", file.display())]
+    Unmatched { path: PathBuf, file: PathBuf },
+    #[error("no depth maps of the plan's views in {0}")]
+    None(PathBuf),
+    #[error("{path}: {what}")]
+    Names { path: PathBuf, what: String },
+    #[error("two depth maps of view {view}: {first} and {second}")]
+    Duplicate {
+        view: String,
+        first: PathBuf,
+        second: PathBuf,
+    },
+    #[error("depth maps need undistorted images, but view {view} has a {model} camera")]
+    Distorted { view: String, model: &'static str },
+    #[error("{}: {} x {} pixels don't have the aspect ratio of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
+    Shape {
+        path: PathBuf,
+        map: [u32; 2],
+        view: String,
+        image: [u32; 2],
+    },
+}
+
+impl Hint for DepthMapError {
+    fn hint(&self) -> Option<String> {
+        let hint = match self {
+            Self::Io { .. } => "check that the file exists and is readable",
+            Self::Format { .. } => {
+                "compute this depth map again, or remove it: it is damaged, still being written, or of a kind that is not read"
+            }
+            Self::Unmatched { .. } => {
+                "let the run.sh of the export end: it marks each view that is finished"
+            }
+            Self::None(_) => {
+                "name the folder with COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
+                 2333_NNNNNNNN/depths.dmb, Gipuma's 2_TIME_NAME/disp.dmb, MVE's NAME.mve/depth-LN.mvei, AliceVision's ID_depthMap.exr, \
+                 MicMac's MM-Malt-Img-NAME/MMLastNuage.xml, or NAME.npy of integrations/sgm"
+            }
+            Self::Names { .. } => "copy the view_names.txt that `viewrank export` writes",
+            Self::Duplicate { .. } => "name a folder with the depth maps of one run",
+            Self::Distorted { .. } => {
+                "use the undistorted workspace in which the depth maps were made"
+            }
+            Self::Shape { .. } => "use uncropped depth maps of these images",
+        };
+        Some(hint.into())
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. }
+            | Self::Format { path, .. }
+            | Self::Unmatched { path, .. }
+            | Self::None(path)
+            | Self::Names { path, .. }
+            | Self::Shape { path, .. }
+            | Self::Duplicate { second: path, .. } => Some(path),
+            Self::Distorted { .. } => None,
+        }
+    }
+}
+
+/// A parse result; an error has the byte offset and the problem, the caller adds the path.
+type Parsed<T> = Result<T, (usize, String)>;
+
+/// Reads another file of a depth map's folder, by its name.
+pub type Beside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
+
+/// Reads one depth map as the file has it: some formats hold distances from the camera's centre,
+/// see [`read_of_view`]. No more of the file is read than a map within the bound has.
+pub fn read(
+    path: &Path,
+    format: DepthMapFormat,
+    bound: PixelBound,
+) -> Result<DepthMap, DepthMapError> {
+    let read = |path: &Path| match format {
+        // A description in XML.
+        DepthMapFormat::MicMac => input::read(path, FileKind::Settings),
+        _ => input::read_start(path, FileKind::Picture, bound.file_bytes()),
+    };
+    let bytes = read(path).map_err(|source| DepthMapError::Io {
+        path: path.into(),
+        source,
+    })?;
+    let beside = |name: &str| {
+        input::read_start(
+            &path.with_file_name(name),
+            FileKind::Picture,
+            bound.file_bytes(),
+        )
+    };
+    parse(&bytes, format, bound, &beside).map_err(|(byte, what)| DepthMapError::Format {
+        path: path.into(),
+        byte,
+        what,
+    })
+}
+
+/// Confidence that PatchmatchNet's fusion asks for by default (`--photo_thres`): it drops depths of
+/// no more.
+const LEAST_CONFIDENCE: f32 = 0.5;
+
+/// Reads the depth map of a view of the scene. PatchmatchNet gives each pixel a depth; those that
+/// it has no confidence in count as none.
+///
+/// # Errors
+/// As [`read`], and if the view isn't a pinhole view but the program takes undistorted images, the
+/// map doesn't have the aspect ratio of its image, or its confidences cannot be read.
+pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, DepthMapError> {
+    let camera = scene.camera_of(file.view);
+    let view = || scene.name(file.view).to_string();
+    if !(camera.is_pinhole() || file.format.takes_distorted()) {
+        return Err(DepthMapError::Distorted {
+            view: view(),
+            model: camera.model().name(),
+        });
+    }
+    let mut map = read(&file.path, file.format, camera.most_map_pixels())?;
+    let confidences = (file.format == DepthMapFormat::Pfm)
+        .then(|| confidences_of(&file.path))
+        .flatten();
+    if let Some(path) = confidences.filter(|path| path.is_file()) {
+        map.keep_confident(&path)?;
+    }
+    if !map.fits(camera) {
+        let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
+        return Err(DepthMapError::Shape {
+            path: file.path.clone(),
+            map,
+            view: view(),
+            image,
+        });
+    }
+    Ok(map.along_the_axis(camera))
+}
+
+/// Where PatchmatchNet and its relatives write the confidences of a map: `confidence/NNNNNNNN.pfm`
+/// beside `depth_est/NNNNNNNN.pfm`.
+fn confidences_of(map: &Path) -> Option<PathBuf> {
+    let folder = map
+        .parent()
+        .filter(|folder| folder.ends_with("depth_est"))?;
+    Some(folder.with_file_name("confidence").join(map.file_name()?))
+}
+
+/// Parses the bytes of one depth map, with depths as the file has them. `beside` reads another file
+/// of its folder. Allocates memory for no more pixels than the bound.
+pub fn parse(
+    bytes: &[u8],
+    format: DepthMapFormat,
+    bound: PixelBound,
+    beside: Beside,
+) -> Parsed<DepthMap> {
+    let mut map = match format {
+        DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => {
+            colmap::parse(bytes, format, bound)
+        }
+        DepthMapFormat::OpenMvs => openmvs::parse(bytes, bound),
+        DepthMapFormat::Pfm => pfm::parse(bytes, bound),
+        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, format, bound),
+        DepthMapFormat::Mve => mvei::parse(bytes, bound),
+        DepthMapFormat::AliceVision => exr::parse(bytes, bound),
+        DepthMapFormat::MicMac => micmac::parse(bytes, bound, beside),
+        DepthMapFormat::Npy => npy::parse(bytes, bound),
+    }?;
+    for z in &mut map.depth {
+        if !(z.is_finite() && *z > 0.0) {
+            *z = 0.0;
+        }
+    }
+    Ok(map)
+}
+
+/// Returns the number of pixels of a map, which every reader needs before it allocates: at least
+/// one and within the bound.
+fn pixels(width: u32, height: u32, bound: PixelBound) -> Parsed<usize> {
+    match bound.admit(width, height) {
+        Ok(0) => Err((0, "the map has no pixels".into())),
+        admitted => admitted.map_err(|error| (0, error.to_string())),
+    }
+}
+
+/// Reads `width` x `height` little-endian f32 from `start`; checks the size before it allocates.
+fn floats(
+    bytes: &[u8],
+    start: usize,
+    (width, height): (u32, u32),
+    bound: PixelBound,
+) -> Parsed<Vec<f32>> {
+    let pixels = pixels(width, height, bound)?;
+    let left = bytes.len().saturating_sub(start);
+    if left < pixels * 4 {
+        return Err((
+            start,
+            format!(
+                "{width} x {height} pixels need {} bytes, {left} are left",
+                pixels * 4
+            ),
+        ));
+    }
+    let data = &bytes[start..start + pixels * 4];
+    Ok(data
+        .chunks_exact(4)
+        .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        .collect())
+}
+
+/// Reads the little-endian u32 at a byte offset.
+fn u32_at(bytes: &[u8], at: usize) -> Parsed<u32> {
+    let four = at.checked_add(4).and_then(|end| bytes.get(at..end));
+    let four = four.ok_or_else(|| (at, "unexpected end of file, expected 4 bytes".to_string()))?;
+    Ok(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+}

@@ -1,0 +1,487 @@
+//! BlocksExchange XML of ContextCapture (iTwin Capture), which Metashape and RealityScan write,
+//! too.
+//!
+//! ```text
+//! BlocksExchange/SpatialReferenceSystems/SRS    Id, Definition
+//! BlocksExchange/Block                          SRSId
+//!   Photogroups/Photogroup    ImageDimensions, FocalLengthPixels (or FocalLength and SensorSize), CameraOrientation, PrincipalPoint, Distortion
+//!     Photo                   Id, ImagePath, Pose: Rotation M_00..M_22, Center
+//!   TiePoints/TiePoint        Position, Color, Measurement: PhotoId, x, y
+//! ```
+//!
+//! Rotations are world to camera, with the axes that CameraOrientation names (XRightYDown: as in
+//! COLMAP); the centre of the first pixel is (0, 0). P1 belongs to r² + 2x², as in Brown's model:
+//! OpenCV's p2.
+
+use std::collections::HashMap;
+
+use nalgebra::{Matrix3, Vector3};
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
+
+use super::{
+    Fault, Place, Problem,
+    colmap::StoredPose,
+    foreign::{ForeignModel, camera, pose_with_centre, shift},
+    xml::{Element, Xml},
+};
+
+/// Reads the first block that has images.
+pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
+    let mut xml = Xml::in_root(bytes, "BlocksExchange", "<BlocksExchange>")?;
+    let mut block = Block::default();
+    let mut blocks = 0;
+    while let Some(entered) = xml.enter()? {
+        match &*entered.name {
+            "SpatialReferenceSystems" => {
+                while let Some(system) = xml.enter()? {
+                    let system = xml.whole(system)?;
+                    let text = |name| {
+                        system
+                            .child(name)
+                            .map(|child| child.text().to_owned())
+                            .unwrap_or_default()
+                    };
+                    block.systems.insert(text("Id"), text("Definition"));
+                }
+            }
+            "Block" => {
+                blocks += 1;
+                if block.foreign.model.images.is_empty() {
+                    block.read(&mut xml)?
+                } else {
+                    xml.skip()?
+                }
+            }
+            _ => xml.skip()?,
+        }
+    }
+    if blocks > 1 {
+        block.foreign.warn(
+            WarningKind::OtherModels,
+            "only the first block with images is read",
+        );
+    }
+    Ok(block.foreign)
+}
+
+#[derive(Default)]
+struct Block {
+    foreign: ForeignModel,
+    /// Definition of each reference system, by id.
+    systems: HashMap<String, String>,
+    /// Position in the model of each photo, by id.
+    photos: HashMap<String, usize>,
+    groups: u32,
+}
+
+impl Block {
+    fn read(&mut self, xml: &mut Xml) -> Result<(), Fault> {
+        while let Some(entered) = xml.enter()? {
+            match &*entered.name {
+                "SRSId" => self.check_system(&xml.whole(entered)?)?,
+                "Photogroups" => {
+                    while let Some(entered) = xml.enter()? {
+                        if entered.name == "Photogroup" {
+                            self.read_group(xml, entered)?
+                        } else {
+                            xml.skip()?
+                        }
+                    }
+                }
+                "TiePoints" => {
+                    while let Some(entered) = xml.enter()? {
+                        let point = xml.whole(entered)?;
+                        match &*point.name {
+                            "TiePoint" => self.add_tie_point(&point)?,
+                            "SRSId" => self.check_system(&point)?,
+                            _ => {}
+                        }
+                    }
+                }
+                _ => xml.skip()?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Fails for a geographic system: degrees are no lengths.
+    fn check_system(&self, id: &Element) -> Result<(), Fault> {
+        let Some(definition) = self.systems.get(id.text()) else {
+            return Ok(());
+        };
+        let plain = definition.trim().to_ascii_uppercase();
+        let code = plain
+            .strip_prefix("EPSG:")
+            .map(|code| code.split('+').next().unwrap_or_default());
+        let geographic = ["GEOGCS[", "GEOGCRS[", "GEODCRS["]
+            .iter()
+            .any(|head| plain.starts_with(head))
+            || matches!(code, Some("4326" | "4979" | "4258" | "4269" | "4937"))
+            || plain == "WGS84"
+            || plain.contains("+PROJ=LONGLAT");
+        if !geographic {
+            return Ok(());
+        }
+        let what = format!(
+            "coordinates are longitude and latitude ({})",
+            definition.chars().take(40).collect::<String>()
+        );
+        let hint = "export the block in a projected or local coordinate system";
+        Err(Fault::new("", id.at(), Problem::Unsupported { what, hint }))
+    }
+
+    /// Reads a group: what its photos have in common stands before them.
+    fn read_group(&mut self, xml: &mut Xml, entered: Element) -> Result<(), Fault> {
+        let mut common = Group {
+            at: entered.at(),
+            parts: HashMap::new(),
+            camera: None,
+        };
+        self.groups += 1;
+        let id = self.groups;
+        while let Some(entered) = xml.enter()? {
+            let element = xml.whole(entered)?;
+            match &*element.name {
+                "Photo" => self.add_photo(&element, &mut common, id)?,
+                "SRSId" => self.check_system(&element)?,
+                _ => _ = common.parts.insert(element.name.clone(), element),
+            }
+        }
+        Ok(())
+    }
+
+    fn add_photo(&mut self, photo: &Element, group: &mut Group, id: u32) -> Result<(), Fault> {
+        let path = photo
+            .child("ImagePath")
+            .map(Element::text)
+            .unwrap_or_default();
+        let what = || format!("photo {path:?}");
+        let pose = photo.child("Pose");
+        let rotation = pose
+            .and_then(|pose| pose.child("Rotation"))
+            .filter(|rotation| rotation.child("M_00").is_some());
+        let Some((rotation, centre)) = rotation.zip(pose.and_then(|pose| pose.child("Center")))
+        else {
+            self.foreign.unregistered.push(path.replace('\\', "/"));
+            return Ok(());
+        };
+        let axes = match group.camera {
+            Some(axes) => axes,
+            None => {
+                let (camera, axes) = group
+                    .read(id)
+                    .map_err(|fault| fault.in_record(|| format!("photogroup {id}")))?;
+                self.foreign.model.cameras.push(camera);
+                *group.camera.insert(axes)
+            }
+        };
+        let pose = pose_of(rotation, centre, axes).map_err(|fault| fault.in_record(what))?;
+        let position = self.foreign.model.images.len();
+        if let Some(id) = photo.child("Id") {
+            self.photos.insert(id.text().to_owned(), position);
+        }
+        self.foreign.add_image(
+            position as u32 + 1,
+            path.replace('\\', "/"),
+            id,
+            pose,
+            photo.at(),
+        );
+        Ok(())
+    }
+
+    fn add_tie_point(&mut self, point: &Element) -> Result<(), Fault> {
+        let position = point
+            .child("Position")
+            .ok_or_else(|| point.lacks("Position"))?;
+        let xyz = position.required(["x", "y", "z"])?;
+        let mut colour = [255; 3];
+        if let Some(found) = point.child("Color") {
+            for (to, name) in colour.iter_mut().zip(["Red", "Green", "Blue"]) {
+                *to = (found.number(name)?.unwrap_or(1.0) * 255.0)
+                    .round()
+                    .clamp(0.0, 255.0) as u8;
+            }
+        }
+        let mut track: Vec<(usize, [f64; 2])> = Vec::new();
+        for measured in point.children("Measurement") {
+            let id = measured
+                .child("PhotoId")
+                .ok_or_else(|| measured.lacks("PhotoId"))?;
+            // Photos without a pose have measurements, too.
+            if let Some(&photo) = self.photos.get(id.text()) {
+                track.push((photo, shift(measured.required(["x", "y"])?)));
+            }
+        }
+        let id = self.foreign.model.points.len() as u64 + 1;
+        self.foreign.add_point(id, xyz, colour, track, point.at());
+        Ok(())
+    }
+}
+
+fn pose_of(rotation: &Element, centre: &Element, axes: Matrix3<f64>) -> Result<StoredPose, Fault> {
+    let names = [
+        "M_00", "M_01", "M_02", "M_10", "M_11", "M_12", "M_20", "M_21", "M_22",
+    ];
+    let matrix = Matrix3::from_row_slice(&rotation.required(names)?);
+    let centre = Vector3::from(centre.required(["x", "y", "z"])?);
+    pose_with_centre(axes * matrix, centre)
+        .map_err(|problem| Fault::new("", rotation.at(), problem))
+}
+
+/// The parameters that all photos of a group share.
+struct Group {
+    at: Place,
+    parts: HashMap<String, Element>,
+    /// Axes of the camera in COLMAP's, once it is read.
+    camera: Option<Matrix3<f64>>,
+}
+
+impl Group {
+    fn part(&self, name: &'static str) -> Result<&Element, Fault> {
+        let missing = || Problem::Syntax {
+            expected: name,
+            found: "a photogroup without it".into(),
+        };
+        self.parts
+            .get(name)
+            .ok_or_else(|| Fault::new("", self.at, missing()))
+    }
+
+    fn number(&self, name: &str) -> Result<Option<f64>, Fault> {
+        self.parts
+            .get(name)
+            .map(|part| part.numbers::<1>().map(|[value]| value))
+            .transpose()
+    }
+
+    fn read(&self, id: u32) -> Result<(Camera, Matrix3<f64>), Fault> {
+        let [w, h] = self
+            .part("ImageDimensions")?
+            .required(["Width", "Height"])?;
+        let (width, height) = (w as u64, h as u64);
+        let what = || "its camera".into();
+        let axes = axes(
+            self.parts
+                .get("CameraOrientation")
+                .map_or("XRightYDown", Element::text),
+        );
+        let axes = axes.ok_or_else(|| {
+            let found = self
+                .parts
+                .get("CameraOrientation")
+                .map_or("", Element::text)
+                .chars()
+                .take(40)
+                .collect();
+            Fault::new(
+                "",
+                self.at,
+                Problem::Syntax {
+                    expected: "a CameraOrientation such as XRightYDown",
+                    found,
+                },
+            )
+        })?;
+        let kind = self
+            .parts
+            .get("CameraModelType")
+            .map_or("Perspective", Element::text);
+        if kind == "Spherical" {
+            return Ok((
+                camera(
+                    Camera::new(id, CameraModel::Equirectangular, width, height, vec![w, h]),
+                    what,
+                )?,
+                axes,
+            ));
+        }
+        if kind != "Perspective" {
+            return Err(Fault::new(
+                "",
+                self.at,
+                Problem::CameraModel(format!("{kind} (BlocksExchange)")),
+            ));
+        }
+        let focal = match self.number("FocalLengthPixels")? {
+            Some(focal) => focal,
+            None => {
+                let [focal] = self.part("FocalLength")?.numbers()?;
+                match self.number("PixelSize")? {
+                    Some(pixel) => focal / pixel,
+                    None => focal * w.max(h) / self.part("SensorSize")?.numbers::<1>()?[0],
+                }
+            }
+        };
+        let [cx, cy] = match self.parts.get("PrincipalPoint") {
+            Some(point) if point.child("xmm").is_some() => {
+                let what = "the principal point is in millimetres".into();
+                let hint = "export the block with the principal point in pixels";
+                return Err(Fault::new(
+                    "",
+                    point.at(),
+                    Problem::Unsupported { what, hint },
+                ));
+            }
+            Some(point) => shift(point.required(["x", "y"])?),
+            None => [w / 2.0, h / 2.0],
+        };
+        let skew = self.number("Skew")?.unwrap_or_default();
+        // Half a pixel is less than other errors of a camera.
+        let off = (skew * h / 2.0 / focal).abs();
+        if off.is_nan() || off > 0.5 {
+            let what = format!("a camera with skew ({skew}), which COLMAP's models do not have");
+            let hint = "export undistorted photos with their block";
+            return Err(Fault::new("", self.at, Problem::Unsupported { what, hint }));
+        }
+        let none = |name| {
+            self.parts
+                .get("Distortion")
+                .map_or(Ok(None), |distortion| distortion.number(name))
+        };
+        let [k1, k2, k3] = [none("K1")?, none("K2")?, none("K3")?].map(Option::unwrap_or_default);
+        let [p1, p2] = [none("P1")?, none("P2")?].map(Option::unwrap_or_default);
+        let fy = focal * self.number("AspectRatio")?.unwrap_or(1.0);
+        let params = vec![focal, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0];
+        Ok((
+            camera(
+                Camera::new(id, CameraModel::FullOpenCv, width, height, params),
+                what,
+            )?,
+            axes,
+        ))
+    }
+}
+
+/// The camera's axes as columns, in COLMAP's (x right, y down), from a name such as `XRightYUp`.
+fn axes(orientation: &str) -> Option<Matrix3<f64>> {
+    let (x, y) = orientation.strip_prefix('X')?.split_once('Y')?;
+    let axis = |name: &str| match name {
+        "Right" => Some(Vector3::x()),
+        "Left" => Some(-Vector3::x()),
+        "Down" => Some(Vector3::y()),
+        "Up" => Some(-Vector3::y()),
+        _ => None,
+    };
+    let (x, y) = (axis(x)?, axis(y)?);
+    (x.dot(&y) == 0.0).then(|| Matrix3::from_columns(&[x, y, x.cross(&y)]))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::*;
+
+    fn file(srs: &str, group: &str) -> String {
+        let rotation = |m: [i32; 9]| {
+            let name = |i: usize| format!("M_{}{}", i / 3, i % 3);
+            m.iter()
+                .enumerate()
+                .map(|(i, v)| format!("<{0}>{v}</{0}>", name(i)))
+                .collect::<String>()
+        };
+        let photo = |id: u32, path: &str, m, x: f64| {
+            format!(
+                "<Photo><Id>{id}</Id><ImagePath>{path}</ImagePath><Pose><Rotation>{}</Rotation><Center><x>{x}</x><y>0</y><z>10</z></Center></Pose></Photo>",
+                rotation(m)
+            )
+        };
+        format!(
+            "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<BlocksExchange version=\"3.2\"><SpatialReferenceSystems><SRS><Id>0</Id>\
+             <Definition>{srs}</Definition></SRS></SpatialReferenceSystems><Block><Name>b</Name><SRSId>0</SRSId><Photogroups><Photogroup>\
+             <ImageDimensions><Width>200</Width><Height>100</Height></ImageDimensions>{group}{}{}<Photo><Id>9</Id><ImagePath>D:\\p\\c.jpg</ImagePath>\
+             </Photo></Photogroup></Photogroups><TiePoints><TiePoint><Position><x>1</x><y>2</y><z>0</z></Position><Color><Red>1</Red><Green>0.5</Green>\
+             <Blue>0</Blue></Color><Measurement><PhotoId>7</PhotoId><x>10</x><y>20</y></Measurement><Measurement><PhotoId>9</PhotoId><x>1</x><y>2</y>\
+             </Measurement></TiePoint></TiePoints></Block></BlocksExchange>",
+            photo(7, "D:\\p\\a.jpg", [1, 0, 0, 0, -1, 0, 0, 0, -1], 0.0),
+            photo(8, "D:\\p\\b.jpg", [1, 0, 0, 0, -1, 0, 0, 0, -1], 5.0),
+        )
+    }
+
+    #[test]
+    fn a_block_has_cameras_paths_of_windows_and_tracks() {
+        let group = "<FocalLength>20</FocalLength><SensorSize>40</SensorSize><AspectRatio>1.5</AspectRatio><PrincipalPoint><x>99</x><y>51</y>\
+                     </PrincipalPoint><Distortion><K1>0.1</K1><P1>0.01</P1><P2>0.02</P2></Distortion>";
+        let mut foreign = read(file("EPSG:2154", group).as_bytes()).unwrap();
+        foreign.shorten_names();
+        let scene = foreign.scene().unwrap();
+        assert_eq!(
+            scene
+                .views
+                .iter()
+                .map(|v| v.name.as_str())
+                .collect::<Vec<_>>(),
+            ["a.jpg", "b.jpg"]
+        );
+        assert_eq!(scene.unregistered, ["c.jpg"]);
+        let expected = [
+            100.0, 150.0, 99.5, 51.5, 0.1, 0.0, 0.02, 0.01, 0.0, 0.0, 0.0, 0.0,
+        ];
+        assert_eq!(scene.cameras[0].params(), expected);
+        assert_eq!(
+            (scene.track_pixels[0], scene.observations()),
+            ([10.5, 20.5], 1)
+        );
+        let seen = scene.views[1]
+            .cam_from_world
+            .camera_from_world(&Point3::new(6.0, 2.0, 0.0));
+        assert!(
+            (seen - Point3::new(1.0, -2.0, 10.0)).norm() < 1e-12,
+            "{seen}"
+        );
+    }
+
+    #[test]
+    fn axes_of_the_camera_are_turned_to_colmaps() {
+        // The same rotation in a camera whose y is up: what was below is above, and what was before
+        // is behind.
+        let group = "<FocalLengthPixels>100</FocalLengthPixels><CameraOrientation>XRightYUp</CameraOrientation>";
+        let scene = read(file("Local", group).as_bytes())
+            .unwrap()
+            .scene()
+            .unwrap();
+        let seen = scene.views[0]
+            .cam_from_world
+            .camera_from_world(&Point3::new(1.0, 2.0, 0.0));
+        assert!(
+            (seen - Point3::new(1.0, 2.0, -10.0)).norm() < 1e-12,
+            "{seen}"
+        );
+        assert_eq!(scene.cameras[0].params(), [100.0, 100.0, 100.0, 50.0]);
+        assert_eq!(axes("XDownYLeft").unwrap() * Vector3::x(), Vector3::y());
+        assert!(axes("XRightYLeft").is_none() && axes("YUp").is_none());
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_named() {
+        let focal = "<FocalLengthPixels>100</FocalLengthPixels>";
+        let said = |text: &str| read(text.as_bytes()).unwrap_err().to_string();
+        assert!(said(&file("EPSG:4326+5773", focal)).contains("longitude"));
+        assert!(
+            said(&file(
+                "",
+                &format!("{focal}<CameraModelType>Fisheye</CameraModelType>")
+            ))
+            .contains("Fisheye")
+        );
+        assert!(said(&file("", &format!("{focal}<Skew>9</Skew>"))).contains("skew"));
+        assert!(said(&file("", "<FocalLength>5</FocalLength>")).contains("SensorSize"));
+        assert!(
+            said(&file(
+                "",
+                &format!("{focal}<CameraOrientation>Up</CameraOrientation>")
+            ))
+            .contains("CameraOrientation")
+        );
+        assert!(said("<document/>").contains("BlocksExchange"));
+        let whole = file("", focal);
+        (1..whole.len())
+            .step_by(7)
+            .for_each(|end| _ = read(&whole.as_bytes()[..end]).unwrap_err());
+        assert!(said(&whole.replace("<x>10</x>", "")).contains("x"));
+    }
+}

@@ -1,0 +1,191 @@
+//! Bundler's `bundle.out` (v0.3) with its list of images.
+//!
+//! ```text
+//! # Bundle file v0.3
+//! CAMERAS POINTS
+//! camera  f k1 k2   R (3 lines)   t          f = 0: not registered
+//! point   X   r g b   n (camera key x y) ...
+//! ```
+//!
+//! Poses are world to camera with x right, y up, z backward; pixels are relative to the image
+//! centre, y up; distortion is `f (1 + k1 r² + k2 r⁴)` of the undistorted radius, as in RADIAL. The
+//! file doesn't store image sizes.
+
+use nalgebra::{Matrix3, Vector3};
+use viewrank_core::model::camera::{Camera, CameraModel};
+
+use super::{
+    Fault, Place, Problem, check_images,
+    foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose},
+    words::{Observation, Words},
+};
+
+/// Least number of bytes of a camera (15 one-digit numbers) and of a point (7).
+const SMALLEST: [usize; 2] = [30, 14];
+
+struct BundlerCamera {
+    focal: f64,
+    k1: f64,
+    k2: f64,
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+    at: Place,
+}
+
+struct BundlerPoint {
+    xyz: [f64; 3],
+    colour: [u8; 3],
+    observations: Vec<Observation>,
+    at: Place,
+}
+
+/// Reads `bundle.out` and its image list: one line per image with the name, sometimes followed by
+/// two numbers.
+pub fn read(bundle: &[u8], list: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
+    let names = names(list)?;
+    let mut words = Words::new(bundle);
+    if words
+        .line()
+        .is_none_or(|line| line != b"# Bundle file v0.3")
+    {
+        return Err(Words::new(bundle).unexpected("# Bundle file v0.3"));
+    }
+    let cameras = words.count("cameras", SMALLEST[0])?;
+    check_images(cameras)?;
+    let points = words.count("points", SMALLEST[1])?;
+    if names.len() != cameras {
+        let message = format!(
+            "{} images in the list, but {cameras} cameras in the bundle file",
+            names.len()
+        );
+        return Err(words.fault(Problem::Contradiction(message)));
+    }
+    let numbered = |what: &'static str, n: usize| move || format!("{what} {}", n + 1);
+    let each_camera =
+        |n| bundler_camera(&mut words).map_err(|fault| fault.in_record(numbered("camera", n)));
+    let cameras = (0..cameras)
+        .map(each_camera)
+        .collect::<Result<Vec<_>, _>>()?;
+    let each_point =
+        |n| point(&mut words, cameras.len()).map_err(|fault| fault.in_record(numbered("point", n)));
+    let points = (0..points).map(each_point).collect::<Result<Vec<_>, _>>()?;
+    assemble(&names, &cameras, &points, size_of)
+}
+
+fn bundler_camera(words: &mut Words) -> Result<BundlerCamera, Fault> {
+    let at = words.place();
+    let [focal, k1, k2] = words.numbers("the focal length, k1 and k2")?;
+    let rotation = Matrix3::from_row_slice(&words.numbers::<9>("a rotation matrix")?);
+    let translation = Vector3::from(words.numbers::<3>("a translation")?);
+    Ok(BundlerCamera {
+        focal,
+        k1,
+        k2,
+        rotation,
+        translation,
+        at,
+    })
+}
+
+fn point(words: &mut Words, cameras: usize) -> Result<BundlerPoint, Fault> {
+    let at = words.place();
+    let xyz = words.numbers("a position")?;
+    let mut colour = [0; 3];
+    for c in &mut colour {
+        *c = words.number("a colour from 0 to 255")?;
+    }
+    Ok(BundlerPoint {
+        xyz,
+        colour,
+        observations: words.observations(cameras)?,
+        at,
+    })
+}
+
+fn names(list: &[u8]) -> Result<Vec<String>, Fault> {
+    let fault = |n: usize, problem| Fault::new("list", Place::Line(n as u64 + 1), problem);
+    let lines = list
+        .split(|&b| b == b'\n')
+        .enumerate()
+        .filter(|(_, line)| !line.trim_ascii().is_empty());
+    let name = |(n, line): (usize, &[u8])| {
+        let line = line.trim_ascii();
+        // "NAME 0 FOCAL" if the focal length was known.
+        let name = super::words::name_and_numbers::<2>(line).map_or(line, |(name, _)| name);
+        let text = std::str::from_utf8(name).map_err(|_| {
+            fault(
+                n,
+                Problem::Name {
+                    name: String::from_utf8_lossy(name).into_owned(),
+                    why: "is not UTF-8",
+                },
+            )
+        })?;
+        Ok(text.strip_prefix("./").unwrap_or(text).to_owned())
+    };
+    lines.map(name).collect()
+}
+
+fn assemble(
+    names: &[String],
+    cameras: &[BundlerCamera],
+    points: &[BundlerPoint],
+    size_of: SizeLookup,
+) -> Result<ForeignModel, Fault> {
+    let mut foreign = ForeignModel::default();
+    let mut farthest = vec![[0.0f64; 2]; cameras.len()];
+    for &(camera, [x, y]) in points.iter().flat_map(|point| &point.observations) {
+        farthest[camera] = [
+            farthest[camera][0].max(x.abs()),
+            farthest[camera][1].max(y.abs()),
+        ];
+    }
+    // Index among the registered images, and half the image size.
+    let mut registered = vec![None; cameras.len()];
+    let mut guessed = 0;
+    for (n, bundler) in cameras.iter().enumerate() {
+        let (name, at) = (&names[n], bundler.at);
+        if bundler.focal == 0.0 {
+            foreign.unregistered.push(name.clone());
+            continue;
+        }
+        let (w, h) = size_of(name).unwrap_or_else(|| {
+            guessed += 1;
+            guessed_size(farthest[n], true)
+        });
+        let half = [f64::from(w) / 2.0, f64::from(h) / 2.0];
+        let params = vec![bundler.focal, half[0], half[1], bundler.k1, bundler.k2];
+        let intrinsics = Camera::new(
+            n as u32 + 1,
+            CameraModel::Radial,
+            w.into(),
+            h.into(),
+            params,
+        );
+        foreign.model.cameras.push(camera(intrinsics, || {
+            format!("camera {}, {name:?}", n + 1)
+        })?);
+        let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+        let pose = pose(flip * bundler.rotation, flip * bundler.translation);
+        let pose = pose.map_err(|problem| {
+            Fault::new("", at, problem).in_record(|| format!("camera {}", n + 1))
+        })?;
+        registered[n] = Some((foreign.model.images.len(), half));
+        foreign.add_image(n as u32 + 1, name.clone(), n as u32 + 1, pose, at);
+    }
+    for (n, point) in points.iter().enumerate() {
+        let observations = point.observations.iter().filter_map(|&(camera, [x, y])| {
+            let (image, [half_width, half_height]) = registered[camera]?;
+            Some((image, [half_width + x, half_height - y]))
+        });
+        foreign.add_point(
+            n as u64 + 1,
+            point.xyz,
+            point.colour,
+            observations,
+            point.at,
+        );
+    }
+    foreign.warn_of_guessed_sizes(guessed);
+    Ok(foreign)
+}

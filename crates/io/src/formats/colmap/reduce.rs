@@ -1,0 +1,185 @@
+//! Makes models to write: a part of a model, or the model of a scene in another format.
+
+use std::{borrow::Cow, collections::HashSet};
+
+use nalgebra::Vector3;
+use viewrank_core::model::scene::{PointIndex, Scene, mean};
+
+use super::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement, tracks::ImageLists};
+use crate::formats::{Fault, Place};
+
+impl ColmapModel<'_> {
+    /// Reduces the model to some of its images. Ids don't change. The kept images keep their lists
+    /// of 2D points, in which removed points become "no point". Points keep the track elements of
+    /// kept images; those that fewer than `min_views` kept images observe are removed, as are
+    /// unused cameras. Rigs and frames are removed: those of the whole model would contradict the
+    /// rest.
+    pub fn reduced(
+        &self,
+        keep: impl Fn(&ColmapImage) -> bool,
+        min_views: usize,
+    ) -> Result<ColmapModel<'_>, Fault> {
+        let (_, view_of_image) = self.views(&self.cameras_by_id()?)?;
+        let lists = ImageLists::new(&self.images, &view_of_image);
+        let kept: Vec<bool> = self.images.iter().map(keep).collect();
+        let points = self
+            .points
+            .iter()
+            .map(|point| point.reduced(&lists, &kept, min_views));
+        let points: Vec<ColmapPoint> = points
+            .filter_map(Result::transpose)
+            .collect::<Result<_, _>>()?;
+        let ids: HashSet<u64> = points.iter().map(|point| point.id).collect();
+        let images = self
+            .images
+            .iter()
+            .zip(&kept)
+            .filter(|(_, kept)| **kept)
+            .map(|(image, _)| image.reduced(&ids));
+        let images: Vec<ColmapImage> = images.collect();
+        let used: HashSet<u32> = images.iter().map(|image| image.camera_id).collect();
+        let cameras = self
+            .cameras
+            .iter()
+            .filter(|camera| used.contains(&camera.id))
+            .cloned()
+            .collect();
+        Ok(ColmapModel {
+            cameras,
+            images,
+            points,
+            rigs: None,
+            frames: None,
+            warnings: self.warnings.clone(),
+        })
+    }
+
+    /// Returns a copy of the model whose world origin is at `origin`.
+    pub fn moved(mut self, origin: Vector3<f64>) -> Result<Self, Fault> {
+        if origin == Vector3::zeros() {
+            return Ok(self);
+        }
+        for image in &mut self.images {
+            let pose = image
+                .cam_from_world
+                .pose()
+                .map_err(|problem| Fault::new("images", image.at, problem))?;
+            image.cam_from_world.translation = (pose.translation + pose.rotation * origin).into();
+        }
+        for point in &mut self.points {
+            point.xyz = (Vector3::from(point.xyz) - origin).into();
+        }
+        Ok(self)
+    }
+
+    /// Makes the model of a scene. Image ids are the scene's if they are positive and unique,
+    /// otherwise 1, 2, ... by name; the images' lists of 2D points are their observations.
+    pub fn from_scene(scene: &Scene) -> ColmapModel<'static> {
+        let given: HashSet<u32> = scene.views.iter().map(|view| view.image_id).collect();
+        let keep_ids = given.len() == scene.views.len() && !given.contains(&0);
+        let image_id = |v: usize| {
+            if keep_ids {
+                scene.views[v].image_id
+            } else {
+                v as u32 + 1
+            }
+        };
+        let mut lists = vec![Vec::new(); scene.views.len()];
+        let mut points = Vec::with_capacity(scene.points.len());
+        for (p, position) in scene.points.iter().enumerate() {
+            let point = PointIndex(p as u32);
+            let id = scene.point_ids[p];
+            let track = scene.track(point).map(|o| {
+                let view = scene.track_views[o].index();
+                lists[view].push(Point2d::new(scene.track_pixels[o], Some(id)));
+                TrackElement::new(image_id(view), lists[view].len() as u32 - 1)
+            });
+            let track = Cow::Owned(track.collect());
+            let errors = scene
+                .track(point)
+                .filter_map(|o| scene.reprojection_error(point, o));
+            let error = mean(errors).unwrap_or(-1.0);
+            points.push(ColmapPoint {
+                id,
+                xyz: (*position).into(),
+                colour: scene.colours[p],
+                error,
+                track,
+                at: Place::File,
+            });
+        }
+        let images = scene
+            .views
+            .iter()
+            .zip(lists)
+            .enumerate()
+            .map(|(v, (view, list))| ColmapImage {
+                id: image_id(v),
+                cam_from_world: (&view.cam_from_world).into(),
+                camera_id: scene.cameras[view.camera.index()].id,
+                name: Cow::Owned(view.name.clone()),
+                points2d: Cow::Owned(list),
+                at: Place::File,
+            });
+        let images = images.collect();
+        ColmapModel {
+            cameras: scene.cameras.clone(),
+            images,
+            points,
+            rigs: None,
+            frames: None,
+            warnings: Vec::new(),
+        }
+    }
+}
+
+impl ColmapImage<'_> {
+    /// Returns the image with links to these points only.
+    fn reduced(&self, points: &HashSet<u64>) -> ColmapImage<'_> {
+        let relink =
+            |p: &Point2d| Point2d::new(p.pixel(), p.point().filter(|id| points.contains(id)));
+        let points2d = Cow::Owned(self.points2d.iter().map(relink).collect());
+        ColmapImage {
+            name: Cow::Borrowed(&self.name),
+            points2d,
+            ..*self
+        }
+    }
+}
+
+impl ColmapPoint<'_> {
+    /// Returns the point with the track elements of the kept images (in file order).
+    fn reduced(
+        &self,
+        lists: &ImageLists,
+        kept: &[bool],
+        min_views: usize,
+    ) -> Result<Option<ColmapPoint<'static>>, Fault> {
+        let mut track = Vec::new();
+        self.resolve(lists, |image_view, index, _| {
+            if kept[image_view.position as usize] {
+                let image = lists.links[image_view.position as usize].image.id;
+                track.push(TrackElement::new(image, index));
+            }
+            Ok(())
+        })?;
+        let views: HashSet<u32> = track.iter().map(TrackElement::image).collect();
+        let Self {
+            id,
+            xyz,
+            colour,
+            error,
+            at,
+            ..
+        } = *self;
+        let reduced = ColmapPoint {
+            id,
+            xyz,
+            colour,
+            error,
+            track: Cow::Owned(track),
+            at,
+        };
+        Ok((views.len() >= min_views).then_some(reduced))
+    }
+}

@@ -1,0 +1,340 @@
+//! Shared code of the readers of other programs' formats: each builds a model in COLMAP's
+//! conventions, which is then checked and converted to a scene like a COLMAP model.
+
+use std::borrow::Cow;
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use viewrank_core::model::{
+    camera::{Camera, CameraError, CameraModel},
+    scene::{ModelWarning, Scene, WarningKind},
+};
+
+use super::{
+    Fault, Place, Problem,
+    colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, StoredPose, TrackElement},
+};
+
+/// Largest deviation of a rotation matrix from orthonormality (Frobenius norm of R Rᵀ - I); some
+/// programs print six digits.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// A model in COLMAP's conventions, with the additional data of its format.
+#[derive(Clone, Debug, Default)]
+pub struct ForeignModel {
+    pub model: ColmapModel<'static>,
+    /// Names of images without a pose.
+    pub unregistered: Vec<String>,
+    /// The folder to which image names are relative, for formats that store it.
+    pub image_folder: Option<String>,
+}
+
+impl ForeignModel {
+    pub fn scene(&self) -> Result<Scene, Fault> {
+        let mut scene = self.model.scene()?;
+        scene.unregistered = self.unregistered.clone();
+        scene.unregistered.sort_unstable();
+        Ok(scene)
+    }
+
+    /// Adds a view without 2D points.
+    pub fn add_image(
+        &mut self,
+        id: u32,
+        name: String,
+        camera_id: u32,
+        cam_from_world: StoredPose,
+        at: Place,
+    ) {
+        let points2d = Cow::Owned(Vec::new());
+        self.model.images.push(ColmapImage {
+            id,
+            cam_from_world,
+            camera_id,
+            name: Cow::Owned(name),
+            points2d,
+            at,
+        });
+    }
+
+    /// Adds a point with its observations (index of the image in `model.images`, pixel).
+    pub(super) fn add_point(
+        &mut self,
+        id: u64,
+        xyz: [f64; 3],
+        colour: [u8; 3],
+        observations: impl IntoIterator<Item = (usize, [f64; 2])>,
+        at: Place,
+    ) {
+        let images = &mut self.model.images;
+        let track = observations.into_iter().map(|(image, pixel)| {
+            let image = &mut images[image];
+            image.points2d.to_mut().push(Point2d::new(pixel, Some(id)));
+            TrackElement::new(image.id, image.points2d.len() as u32 - 1)
+        });
+        let track = Cow::Owned(track.collect());
+        self.model.points.push(ColmapPoint {
+            id,
+            xyz,
+            colour,
+            error: -1.0,
+            track,
+            at,
+        });
+    }
+
+    /// Warns of guessed image sizes, for formats that don't store them.
+    pub(super) fn warn_of_guessed_sizes(&mut self, guessed: usize) {
+        if guessed > 0 {
+            let all = self.model.images.len();
+            let text = format!(
+                "images missing: {guessed} of {all}; their sizes are guessed from the measured pixels: copy the images next to the model"
+            );
+            self.warn(WarningKind::Guessed, text);
+        }
+    }
+
+    pub fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
+        self.model.warnings.push(ModelWarning::new(kind, text));
+    }
+
+    /// Makes absolute names relative to their common folder, which becomes the image folder. Those
+    /// of Windows count, too (`C:\photos\a.jpg`).
+    pub fn shorten_names(&mut self) {
+        let mut drive = false;
+        let all = self
+            .model
+            .images
+            .iter_mut()
+            .map(|image| image.name.to_mut())
+            .chain(&mut self.unregistered);
+        for name in all.filter(|name| is_of_windows(name)) {
+            drive = !name.starts_with('\\');
+            let slash = if drive { "/" } else { "" };
+            *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
+        }
+        let names = || {
+            self.model
+                .images
+                .iter()
+                .map(|image| &*image.name)
+                .chain(self.unregistered.iter().map(String::as_str))
+        };
+        if !names().any(|name| name.starts_with('/')) {
+            return;
+        }
+        let folder = |name: &str| name.rfind('/').map_or(0, |end| end + 1);
+        let mut common = names()
+            .next()
+            .map_or(String::new(), |name| name[..folder(name)].into());
+        for name in names() {
+            let shared = common
+                .bytes()
+                .zip(name.bytes())
+                .take_while(|(a, b)| a == b)
+                .count();
+            common.truncate(
+                common.as_bytes()[..shared]
+                    .iter()
+                    .rposition(|&b| b == b'/')
+                    .map_or(0, |end| end + 1),
+            );
+        }
+        self.model
+            .images
+            .iter_mut()
+            .for_each(|image| _ = image.name.to_mut().drain(..common.len()));
+        self.unregistered
+            .iter_mut()
+            .for_each(|name| _ = name.drain(..common.len()));
+        // Of several drives, none is left.
+        let is_on_drive = drive && common.len() > 2;
+        self.image_folder = Some(if is_on_drive {
+            format!("{}:{}", &common[1..2], &common[2..])
+        } else {
+            common
+        });
+    }
+}
+
+/// Most folders of a moved image's path that still hold.
+const KEPT_FOLDERS: usize = 16;
+
+/// The name, and if it is an absolute path what is left without its first folders: the image may
+/// have moved.
+pub fn last_parts(name: &str) -> Vec<String> {
+    let slashes = if is_of_windows(name) {
+        name.replace('\\', "/")
+    } else {
+        name.to_owned()
+    };
+    let is_absolute = slashes != name || name.starts_with('/');
+    let ends = slashes
+        .rmatch_indices('/')
+        .filter(|_| is_absolute)
+        .take(KEPT_FOLDERS);
+    let mut parts: Vec<String> = ends.map(|(at, _)| slashes[at + 1..].to_owned()).collect();
+    parts.push(name.to_owned());
+    parts.reverse();
+    parts
+}
+
+/// Returns whether a name is an absolute path of Windows: a drive or a server.
+fn is_of_windows(name: &str) -> bool {
+    let drive = name.as_bytes();
+    name.starts_with(r"\\")
+        || matches!(drive, [letter, b':', b'\\' | b'/', ..] if letter.is_ascii_alphabetic())
+}
+
+/// Makes a pose from a rotation matrix (world to camera) and a translation; orthonormalises the
+/// rotation.
+pub(super) fn pose(
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+) -> Result<StoredPose, Problem> {
+    if !rotation
+        .iter()
+        .chain(translation.iter())
+        .all(|v| v.is_finite())
+    {
+        return Err(Problem::NotFinite("the pose"));
+    }
+    let off = (rotation * rotation.transpose() - Matrix3::identity()).norm();
+    if off > ROTATION_TOLERANCE || rotation.determinant() < 0.0 {
+        return Err(Problem::Contradiction(
+            "the rows of the rotation matrix are not orthonormal".into(),
+        ));
+    }
+    // Orthonormalised by the polar decomposition.
+    let svd = rotation.svd(true, true);
+    let rotation = svd.u.zip(svd.v_t).map_or(rotation, |(u, v_t)| u * v_t);
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    Ok(StoredPose {
+        quaternion: [q.w, q.i, q.j, q.k],
+        translation: translation.into(),
+    })
+}
+
+/// Makes a pose from a rotation matrix (world to camera) and the camera centre.
+pub(super) fn pose_with_centre(
+    rotation: Matrix3<f64>,
+    centre: Vector3<f64>,
+) -> Result<StoredPose, Problem> {
+    pose(rotation, -(rotation * centre))
+}
+
+/// Adds half a pixel: converts from pixel centres at integers to COLMAP's convention (first centre
+/// at 0.5, 0.5).
+pub(super) fn shift(pixel: [f64; 2]) -> [f64; 2] {
+    pixel.map(|c| c + 0.5)
+}
+
+/// Returns the camera, as a pinhole camera if its distortion is zero, or the fault. Programs that
+/// undistort images write models with zero distortion, but some backends take pinhole cameras only.
+pub(super) fn camera(
+    camera: Result<Camera, CameraError>,
+    what: impl FnOnce() -> String,
+) -> Result<Camera, Fault> {
+    camera
+        .and_then(simplified)
+        .map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
+}
+
+fn simplified(camera: Camera) -> Result<Camera, CameraError> {
+    use CameraModel::{FullOpenCv, OpenCv, Radial, SimpleRadial};
+    let size = (u64::from(camera.width), u64::from(camera.height));
+    match (camera.model(), camera.params()) {
+        (SimpleRadial | Radial, &[f, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
+            Camera::new(
+                camera.id,
+                CameraModel::Pinhole,
+                size.0,
+                size.1,
+                vec![f, f, cx, cy],
+            )
+        }
+        (OpenCv | FullOpenCv, &[fx, fy, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
+            Camera::new(
+                camera.id,
+                CameraModel::Pinhole,
+                size.0,
+                size.1,
+                vec![fx, fy, cx, cy],
+            )
+        }
+        _ => Ok(camera),
+    }
+}
+
+/// Returns the width and height of an image by name, for formats that don't store them.
+pub type SizeLookup<'a> = &'a dyn Fn(&str) -> Option<(u32, u32)>;
+
+/// Guesses the width and height of a missing image so that it contains all measured pixels.
+/// `farthest`: largest coordinate along each axis, absolute and relative to the image centre if
+/// `from_centre`.
+pub(super) fn guessed_size(farthest: [f64; 2], from_centre: bool) -> (u32, u32) {
+    let factor = if from_centre { 2.0 } else { 1.0 };
+    let [w, h] = farthest.map(|c| (c * factor).ceil().clamp(1.0, 1e6) as u32);
+    // Even, so the centre has integer coordinates.
+    (w + w % 2, h + h % 2)
+}
+
+/// Parses JSON; a fault has its line.
+pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, Fault> {
+    serde_json::from_slice(bytes).map_err(|error| {
+        let place = if error.line() > 0 {
+            Place::Line(error.line() as u64)
+        } else {
+            Place::File
+        };
+        Fault::new("", place, Problem::Json(error.to_string()))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_of_other_machines_are_shortened() {
+        let shortened = |names: &[&str]| {
+            let mut foreign = ForeignModel::default();
+            let pose = || StoredPose {
+                quaternion: [1.0, 0.0, 0.0, 0.0],
+                translation: [0.0; 3],
+            };
+            (1..).zip(names).for_each(|(id, name)| {
+                foreign.add_image(id, name.to_string(), 1, pose(), Place::File)
+            });
+            foreign.shorten_names();
+            let names: Vec<String> = foreign
+                .model
+                .images
+                .iter()
+                .map(|image| image.name.to_string())
+                .collect();
+            (names.join(" "), foreign.image_folder)
+        };
+        let of = |names: &str, folder: &str| (names.to_string(), Some(folder.to_string()));
+        assert_eq!(
+            shortened(&[r"D:\photos\1\a.jpg", "D:/photos/2/b.jpg"]),
+            of("1/a.jpg 2/b.jpg", "D:/photos/")
+        );
+        assert_eq!(
+            shortened(&[r"\\server\photos\a.jpg"]),
+            of("a.jpg", "//server/photos/")
+        );
+        assert_eq!(
+            shortened(&["/home/me/a.jpg", "/home/you/b.jpg"]),
+            of("me/a.jpg you/b.jpg", "/home/")
+        );
+        assert_eq!(
+            shortened(&[r"back\slash.jpg", "c/d.jpg"]),
+            (r"back\slash.jpg c/d.jpg".into(), None)
+        );
+        assert_eq!(
+            last_parts(r"D:\p\a.jpg"),
+            [r"D:\p\a.jpg", "p/a.jpg", "a.jpg"]
+        );
+        assert_eq!(last_parts("p/a.jpg"), ["p/a.jpg"]);
+    }
+}

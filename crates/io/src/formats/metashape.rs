@@ -1,0 +1,427 @@
+//! Metashape's (PhotoScan's) `cameras.xml`, with the points of a PLY file exported beside it.
+//!
+//! ```text
+//! document version
+//!   chunk (transform)
+//!     sensors/sensor id type    resolution, calibration: f cx cy b1 b2 k1..k4 p1..p4
+//!     components/component id   transform: rotation, translation, scale
+//!     cameras (group)/camera id label sensor_id component_id    transform: 16 numbers, camera to chunk
+//! ```
+//!
+//! Camera axes and pixels are as in COLMAP. cx and cy are relative to the image centre; beside fx
+//! and fy, which PhotoScan wrote before 1.4, to its corner. p1 and p2 are OpenCV's p2 and p1; b1 is
+//! added to f along x. The transform of the component or the chunk, where there is one, leads to
+//! the world, but points may have been exported without it: [`Frame`].
+
+use std::collections::{HashMap, HashSet};
+
+use nalgebra::{Matrix3, Vector3};
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
+
+use super::{
+    Fault, Problem, check_images,
+    colmap::StoredPose,
+    foreign::{ForeignModel, camera, pose_with_centre},
+    xml::{Element, Xml},
+};
+
+/// Coordinates of cameras and points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Frame {
+    /// With the transform of the component or the chunk.
+    World,
+    /// Without: as the cameras are stored.
+    Chunk,
+}
+
+/// Largest error in pixels that leaving out a term of the distortion may cause.
+const NEGLIGIBLE_PX: f64 = 0.5;
+
+/// Reads cameras and poses of the first chunk that has any. `spelled` completes labels, which may
+/// lack the extension of the image.
+pub fn read(
+    bytes: &[u8],
+    frame: Frame,
+    spelled: &dyn Fn(&str) -> String,
+) -> Result<ForeignModel, Fault> {
+    let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
+    let mut foreign = ForeignModel::default();
+    let mut chunks = 0;
+    while let Some(entered) = xml.enter()? {
+        if entered.name != "chunk" || !foreign.model.images.is_empty() {
+            chunks += usize::from(entered.name == "chunk");
+            xml.skip()?;
+            continue;
+        }
+        chunks += 1;
+        foreign = Chunk::read(&mut xml)?.model(frame, spelled)?;
+    }
+    if chunks > 1 {
+        foreign.warn(
+            WarningKind::OtherModels,
+            "only the first chunk with aligned cameras is read",
+        );
+    }
+    Ok(foreign)
+}
+
+#[derive(Default)]
+struct Chunk {
+    /// By id as in the file.
+    sensors: HashMap<String, (u32, Element)>,
+    components: HashMap<String, Similarity>,
+    transform: Option<Similarity>,
+    cameras: Vec<Element>,
+}
+
+impl Chunk {
+    fn read(xml: &mut Xml) -> Result<Self, Fault> {
+        let mut chunk = Self::default();
+        while let Some(entered) = xml.enter()? {
+            match &*entered.name {
+                "sensors" => {
+                    while let Some(sensor) = xml.enter()? {
+                        let sensor = xml.whole(sensor)?;
+                        let (id, number) = (id_of(&sensor, "id"), chunk.sensors.len() as u32 + 1);
+                        chunk.sensors.insert(id, (number, sensor));
+                    }
+                }
+                "components" => {
+                    while let Some(component) = xml.enter()? {
+                        // The partition below, a list of all cameras, may be long.
+                        let component = xml.whole(component)?;
+                        if let Some(transform) = component.child("transform") {
+                            chunk
+                                .components
+                                .insert(id_of(&component, "id"), Similarity::read(transform)?);
+                        }
+                    }
+                }
+                "transform" => chunk.transform = Some(Similarity::read(&xml.whole(entered)?)?),
+                "cameras" => chunk.read_cameras(xml)?,
+                _ => xml.skip()?,
+            }
+        }
+        Ok(chunk)
+    }
+
+    /// Cameras, some of them in groups.
+    fn read_cameras(&mut self, xml: &mut Xml) -> Result<(), Fault> {
+        while let Some(entered) = xml.enter()? {
+            match &*entered.name {
+                "camera" => {
+                    self.cameras.push(xml.whole(entered)?);
+                    check_images(self.cameras.len())?;
+                }
+                "group" => self.read_cameras(xml)?,
+                _ => xml.skip()?,
+            }
+        }
+        Ok(())
+    }
+
+    fn model(&self, frame: Frame, spelled: &dyn Fn(&str) -> String) -> Result<ForeignModel, Fault> {
+        let mut foreign = ForeignModel::default();
+        let mut used = HashSet::new();
+        let mut of_rigs = 0;
+        for (n, element) in (1..).zip(&self.cameras) {
+            let label = element.attribute("label").unwrap_or_default();
+            let what = || format!("camera {n}, {label:?}");
+            let name = spelled(&label.replace('\\', "/"));
+            let Some(transform) = element.child("transform") else {
+                of_rigs += usize::from(element.attribute("master_id").is_some());
+                foreign.unregistered.push(name);
+                continue;
+            };
+            let sensor = self.sensors.get(&id_of(element, "sensor_id"));
+            let (id, sensor) = sensor.ok_or_else(|| {
+                let found = format!("sensor_id {:?}", id_of(element, "sensor_id"));
+                Fault::new(
+                    "",
+                    element.at(),
+                    Problem::Syntax {
+                        expected: "the id of a sensor",
+                        found,
+                    },
+                )
+                .in_record(what)
+            })?;
+            if used.insert(*id) {
+                let camera = lens(sensor, *id, &mut foreign)
+                    .map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
+                foreign.model.cameras.push(camera);
+            }
+            let component = self.components.get(&id_of(element, "component_id"));
+            let world = component
+                .or(self.transform.as_ref())
+                .filter(|_| frame == Frame::World);
+            let pose = pose(
+                &transform.numbers().map_err(|fault| fault.in_record(what))?,
+                world,
+            );
+            let pose =
+                pose.map_err(|problem| Fault::new("", transform.at(), problem).in_record(what))?;
+            foreign.add_image(n, name, *id, pose, element.at());
+        }
+        if of_rigs > 0 {
+            let text = format!(
+                "{of_rigs} images of further cameras of a rig have no pose of their own and are left out"
+            );
+            foreign.warn(WarningKind::Format, text);
+        }
+        Ok(foreign)
+    }
+}
+
+fn id_of(element: &Element, attribute: &str) -> String {
+    element.attribute(attribute).unwrap_or_default().to_owned()
+}
+
+/// Scale, rotation and translation.
+struct Similarity {
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+    scale: f64,
+}
+
+impl Similarity {
+    fn read(transform: &Element) -> Result<Self, Fault> {
+        let rotation = transform
+            .child("rotation")
+            .map(|rotation| rotation.numbers::<9>())
+            .transpose()?;
+        let translation = transform
+            .child("translation")
+            .map(|translation| translation.numbers::<3>())
+            .transpose()?;
+        Ok(Self {
+            rotation: rotation.map_or_else(Matrix3::identity, |rotation| {
+                Matrix3::from_row_slice(&rotation)
+            }),
+            translation: translation.map_or_else(Vector3::zeros, Vector3::from),
+            scale: transform.number("scale")?.unwrap_or(1.0),
+        })
+    }
+}
+
+/// The pose of a camera from its transform to the chunk, a 4 x 4 matrix.
+fn pose(to_chunk: &[f64; 16], world: Option<&Similarity>) -> Result<StoredPose, Problem> {
+    let m = |row: usize, column: usize| to_chunk[4 * row + column];
+    let mut rotation = Matrix3::from_fn(m);
+    let mut centre = Vector3::from_fn(|row, _| m(row, 3));
+    if let Some(Similarity {
+        rotation: turn,
+        translation,
+        scale,
+    }) = world
+    {
+        rotation = turn * rotation;
+        centre = turn * centre * *scale + translation;
+    }
+    pose_with_centre(rotation.transpose(), centre)
+}
+
+fn lens(sensor: &Element, id: u32, foreign: &mut ForeignModel) -> Result<Camera, Fault> {
+    let adjusted = sensor
+        .children("calibration")
+        .find(|one| one.attribute("class") != Some("initial"));
+    let calibration = adjusted.or(sensor.child("calibration"));
+    let kind = [calibration, Some(sensor)]
+        .into_iter()
+        .flatten()
+        .find_map(|element| element.attribute("type"));
+    let kind = kind.unwrap_or("frame");
+    let resolution = calibration
+        .and_then(|c| c.child("resolution"))
+        .or(sensor.child("resolution"));
+    let resolution = resolution.ok_or_else(|| sensor.lacks("resolution"))?;
+    let side = |name: &'static str| {
+        let side = resolution
+            .attribute(name)
+            .and_then(|side| side.parse::<u64>().ok());
+        side.ok_or_else(|| resolution.lacks(name))
+    };
+    let (width, height) = (side("width")?, side("height")?);
+    let (w, h) = (width as f64, height as f64);
+    let what = || "its camera".into();
+    if kind == "spherical" {
+        return camera(
+            Camera::new(id, CameraModel::Equirectangular, width, height, vec![w, h]),
+            what,
+        );
+    }
+    let calibration = calibration.ok_or_else(|| sensor.lacks("calibration"))?;
+    let value = |name: &str| calibration.number(name).map(Option::unwrap_or_default);
+    let [k1, k2, k3, k4, p1, p2, p3, p4] = {
+        let mut values = [0.0; 8];
+        for (to, name) in values
+            .iter_mut()
+            .zip(["k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4"])
+        {
+            *to = value(name)?;
+        }
+        values
+    };
+    let (focal, centre) = match calibration.number("f")? {
+        Some(f) => (
+            [f + value("b1")?, f],
+            [w / 2.0 + value("cx")?, h / 2.0 + value("cy")?],
+        ),
+        None => (
+            calibration.required(["fx", "fy"])?,
+            calibration.required(["cx", "cy"])?,
+        ),
+    };
+    let ([fx, fy], [cx, cy]) = (focal, centre);
+    let corner = (w / 2.0 / fx).hypot(h / 2.0 / fy);
+    let tangential =
+        (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
+    let skew = value("b2")?.abs() * h / 2.0 / fy;
+    let (model, params, left_out) = match kind {
+        "frame" => {
+            let off = fx * (k4.abs() * corner.powi(9) + 3.0 * corner.powi(2) * tangential);
+            (
+                CameraModel::FullOpenCv,
+                vec![fx, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0],
+                off + skew,
+            )
+        }
+        "fisheye" | "equidistant_fisheye" => {
+            let off = 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2);
+            (
+                CameraModel::OpenCvFisheye,
+                vec![fx, fy, cx, cy, k1, k2, k3, k4],
+                off + skew,
+            )
+        }
+        _ => {
+            return Err(Fault::new(
+                "",
+                sensor.at(),
+                Problem::CameraModel(format!("{kind} (Metashape)")),
+            ));
+        }
+    };
+    if left_out.is_nan() || left_out > 100.0 * NEGLIGIBLE_PX {
+        let what = format!(
+            "b2, k4, p3 or p4 of the calibration move pixels by {left_out:.0}, and COLMAP's models have no such term"
+        );
+        let hint = "undistort the photos in Metashape (Export > Undistort Photos), or fit the calibration without these terms";
+        return Err(Fault::new(
+            "",
+            calibration.at(),
+            Problem::Unsupported { what, hint },
+        ));
+    }
+    if left_out > NEGLIGIBLE_PX {
+        let text = format!(
+            "b2, k4, p3 and p4 of sensor {id} are left out, which moves pixels by up to {left_out:.1}"
+        );
+        foreign.warn(WarningKind::Format, text);
+    }
+    camera(Camera::new(id, model, width, height, params), what)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::*;
+
+    /// Two aligned cameras, the second in a group, turned by 180 degrees about x and 10 above; one
+    /// that isn't aligned.
+    fn file(calibration: &str, more: &str) -> String {
+        format!(
+            r#"<?xml version="1.0" encoding="UTF-8"?><document version="2.0.0"><chunk label="C &amp; D"><sensors next_id="1">
+            <sensor id="4" label="a" type="frame"><resolution width="200" height="100"/>
+            <calibration type="frame" class="initial"><f>1</f></calibration>
+            <calibration type="frame" class="adjusted">{calibration}</calibration></sensor></sensors>
+            {more}<cameras><camera id="0" label="a" sensor_id="4" component_id="0">
+            <transform>1 0 0 1 0 1 0 2 0 0 1 3 0 0 0 1</transform></camera>
+            <group label="g"><camera id="1" label="b" sensor_id="4" component_id="0">
+            <transform>1 0 0 0 0 -1 0 0 0 0 -1 10 0 0 0 1</transform></camera></group>
+            <camera id="2" label="c" sensor_id="4"/></cameras></chunk></document>"#
+        )
+    }
+
+    fn read(text: &str, frame: Frame) -> Result<ForeignModel, Fault> {
+        super::read(text.as_bytes(), frame, &|label| format!("{label}.jpg"))
+    }
+
+    #[test]
+    fn cameras_are_as_in_colmap_but_for_their_centre_and_p1_p2() {
+        let text = file(
+            "<f>80</f><cx>3</cx><cy>-2</cy><b1>1</b1><k1>0.1</k1><p1>0.01</p1><p2>0.02</p2>",
+            "",
+        );
+        let foreign = read(&text, Frame::World).unwrap();
+        let scene = foreign.scene().unwrap();
+        assert_eq!(
+            scene
+                .views
+                .iter()
+                .map(|v| v.name.as_str())
+                .collect::<Vec<_>>(),
+            ["a.jpg", "b.jpg"]
+        );
+        assert_eq!(scene.unregistered, ["c.jpg"]);
+        let expected = [
+            81.0, 80.0, 103.0, 48.0, 0.1, 0.0, 0.02, 0.01, 0.0, 0.0, 0.0, 0.0,
+        ];
+        assert_eq!(scene.cameras[0].params(), expected);
+        let seen = scene.views[1]
+            .cam_from_world
+            .camera_from_world(&Point3::new(1.0, 2.0, 4.0));
+        assert!(
+            (seen - Point3::new(1.0, -2.0, 6.0)).norm() < 1e-12,
+            "{seen}"
+        );
+        let old = file("<fx>81</fx><fy>80</fy><cx>103</cx><cy>48</cy>", "");
+        assert_eq!(
+            read(&old, Frame::World).unwrap().scene().unwrap().cameras[0].params(),
+            [81.0, 80.0, 103.0, 48.0]
+        );
+    }
+
+    #[test]
+    fn the_transform_of_the_component_leads_to_the_world() {
+        let component = "<components><component id=\"0\"><transform><rotation>0 -1 0 1 0 0 0 0 1</rotation>\
+                         <translation>100 200 300</translation><scale>2</scale></transform></component></components>";
+        let text = file("<f>80</f>", component);
+        let centre = |frame| {
+            let scene = read(&text, frame).unwrap().scene().unwrap();
+            scene.views[0].cam_from_world.centre()
+        };
+        assert!((centre(Frame::World) - Point3::new(96.0, 202.0, 306.0)).norm() < 1e-9);
+        assert!((centre(Frame::Chunk) - Point3::new(1.0, 2.0, 3.0)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn what_colmap_cannot_say_is_left_out_with_a_warning_or_refused() {
+        let warnings = |calibration: &str| {
+            read(&file(calibration, ""), Frame::World)
+                .unwrap()
+                .model
+                .warnings
+                .len()
+        };
+        assert_eq!(warnings("<f>80</f><k4>1e-9</k4>"), 0);
+        assert_eq!(warnings("<f>80</f><b2>3</b2>"), 1);
+        let said = |text: &str| read(text, Frame::World).unwrap_err().to_string();
+        assert!(said(&file("<f>80</f><b2>300</b2>", "")).contains("b2"));
+        assert!(said(&file("<f>eighty</f>", "")).contains("<f>"));
+        assert!(said(&file("", "")).contains("fx"));
+        assert!(said("<a><b/></a>").contains("<document>"));
+        assert!(said("<document><chunk>").contains("ends"));
+        assert!(said("<document><chunk></document>").contains("XML"));
+        assert!(said(&file("&lol;", "")).contains("&lol;"));
+        assert!(said(&format!("<document>{}", "<a>".repeat(1000))).contains("deeper"));
+        assert!(
+            said(&file("<f>80</f>", "").replace("sensor_id=\"4\"", "sensor_id=\"5\""))
+                .contains("sensor")
+        );
+    }
+}

@@ -1,0 +1,242 @@
+//! File formats of sparse models, one module each: bytes <-> [`viewrank_core::model::scene::Scene`],
+//! without file access. Conventions of a format (axes, pixel centre, distortion) don't leave its
+//! module.
+
+pub mod alicevision;
+pub mod blocks;
+pub mod bundler;
+pub mod cloud;
+pub mod colmap;
+pub mod colmap_bin;
+pub mod colmap_text;
+pub mod exif;
+pub mod foreign;
+pub mod metashape;
+pub mod micmac;
+pub mod mve;
+pub mod nvm;
+pub mod openmvg;
+pub mod openmvs;
+pub mod opensfm;
+pub mod sure;
+pub mod transforms;
+mod words;
+pub(super) mod xml;
+
+use std::fmt;
+
+use viewrank_core::model::camera::CameraError;
+
+/// Contents of the files of a COLMAP model, binary or text.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Bytes<'a> {
+    pub cameras: &'a [u8],
+    pub images: &'a [u8],
+    pub points3d: &'a [u8],
+    pub rigs: Option<&'a [u8]>,
+    pub frames: Option<&'a [u8]>,
+}
+
+/// A fault in a model file, with its position.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{place}{}: {problem}", record.iter().map(|r| format!(" ({r})")).collect::<String>())]
+pub struct Fault {
+    /// Stem of the COLMAP file, such as `images`; empty for models of one file.
+    pub file: &'static str,
+    pub place: Place,
+    /// The record at fault, such as `image 3 of 12`.
+    pub record: Option<String>,
+    pub problem: Problem,
+}
+
+impl Fault {
+    pub fn new(file: &'static str, place: Place, problem: Problem) -> Self {
+        Self {
+            file,
+            place,
+            record: None,
+            problem,
+        }
+    }
+
+    /// Adds the record, unless there is one.
+    pub fn in_record(mut self, record: impl FnOnce() -> String) -> Self {
+        self.record.get_or_insert_with(record);
+        self
+    }
+}
+
+/// Position in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Offset from the start of the file.
+    Byte(u64),
+    /// Line number, from 1.
+    Line(u64),
+    /// The file as a whole.
+    File,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Place::Byte(offset) => write!(f, "byte {offset}"),
+            Place::Line(line) => write!(f, "line {line}"),
+            Place::File => write!(f, "whole file"),
+        }
+    }
+}
+
+/// A problem with the contents of a model file.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Problem {
+    #[error("the file ends within {0}")]
+    Truncated(&'static str),
+    #[error("{count} {what} declared, but at most {room} fit in the rest of the file")]
+    Count {
+        what: &'static str,
+        count: u64,
+        room: u64,
+    },
+    #[error("expected {expected}, found {found:?}")]
+    Syntax {
+        expected: &'static str,
+        found: String,
+    },
+    #[error("{0}")]
+    Json(String),
+    #[error("unknown camera model {0}")]
+    CameraModel(String),
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    #[error("duplicate {what} {id}")]
+    Duplicate { what: &'static str, id: String },
+    #[error("reference to {what} {id}, which is not in the model")]
+    Absent { what: &'static str, id: u64 },
+    #[error("{0} is not a finite number")]
+    NotFinite(&'static str),
+    #[error("the rotation is a quaternion of length 0")]
+    ZeroQuaternion,
+    #[error("the image name {name:?} {why}")]
+    Name { name: String, why: &'static str },
+    #[error("the track refers to 2D point {index} of image {image}, {why}")]
+    TrackIndex { image: u32, index: u32, why: String },
+    #[error("{0}")]
+    Contradiction(String),
+    #[error("{what}")]
+    Unsupported { what: String, hint: &'static str },
+}
+
+impl Problem {
+    /// Hint: what to do about the problem.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            Self::Truncated(_) | Self::Count { .. } => {
+                "copy or export the file again: it is incomplete or damaged"
+            }
+            Self::Syntax { .. } | Self::Json(_) => {
+                "export the model again, or correct the line by hand"
+            }
+            Self::CameraModel(_) => {
+                "convert the cameras to a model that COLMAP 4.2 supports, or check that the file has the format of its name"
+            }
+            Self::Camera(_) => "correct the intrinsics, or export the model again",
+            Self::Duplicate { .. } => {
+                "make ids and image names unique; if the rest of the file is zeros, copy it again: it was copied in part"
+            }
+            Self::Absent { .. } => "export all files of the model together: they don't match",
+            Self::NotFinite(_) | Self::ZeroQuaternion => {
+                "remove the record in the program that made the model, whose bundle adjustment has probably failed"
+            }
+            Self::Name { name, .. } if name.is_empty() => {
+                "copy or export the file again: it is incomplete or damaged"
+            }
+            Self::Name { .. } => "rename the image, in the image folder and in the model",
+            Self::TrackIndex { .. } | Self::Contradiction(_) => {
+                "export all files of the model together; delete rigs and frames files of other models"
+            }
+            Self::Unsupported { hint, .. } => hint,
+        }
+    }
+}
+
+/// Most images, and most cameras, of a model: each takes up to a kilobyte while the model is read,
+/// and a few bytes in some formats.
+const MOST_IMAGES: usize = 1 << 18;
+
+/// Checks the number of images or cameras of a model.
+fn check_images(count: usize) -> Result<(), Fault> {
+    if count <= MOST_IMAGES {
+        return Ok(());
+    }
+    let what = format!("{count} images, at most {MOST_IMAGES} are read");
+    Err(Fault::new(
+        "",
+        Place::File,
+        Problem::Unsupported {
+            what,
+            hint: "split the model",
+        },
+    ))
+}
+
+/// Checks an image name relative to the image folder: not empty, not absolute, and not outside the
+/// parent of the image folder. `../other/a.jpg` occurs in practice and is allowed.
+pub fn check_name(name: &str) -> Result<(), Problem> {
+    let refuse = |why| {
+        Err(Problem::Name {
+            name: name.into(),
+            why,
+        })
+    };
+    if name.is_empty() {
+        return refuse("is empty");
+    }
+    if name.contains('\0') {
+        return refuse("contains a zero byte");
+    }
+    if name.starts_with('/') {
+        return refuse("is an absolute path");
+    }
+    let mut depth = 0i64;
+    for part in name.split('/') {
+        match part {
+            ".." => depth -= 1,
+            "" | "." => {}
+            _ => depth += 1,
+        }
+        if depth < -1 {
+            return refuse("is outside the parent of the image folder");
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_outside_the_project_are_refused() {
+        for name in [
+            "a.jpg",
+            "../up/one.jpg",
+            "./dot.jpg",
+            "back\\slash.jpg",
+            "a/../../b.jpg",
+            "日本/写真 2.png",
+        ] {
+            assert_eq!(check_name(name), Ok(()), "{name}");
+        }
+        for name in [
+            "",
+            "/etc/passwd",
+            "../../etc/passwd",
+            "a/../../../b",
+            "..//../x",
+            "a\0b",
+        ] {
+            assert!(check_name(name).is_err(), "{name}");
+        }
+    }
+}

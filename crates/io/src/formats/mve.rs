@@ -1,0 +1,254 @@
+//! MVE's `synth_0.out` with the `meta.ini` of its views.
+//!
+//! ```text
+//! drews 1.0
+//! CAMERAS POINTS
+//! camera  f k1 k2   R (3 lines)   t          f = 0: not registered
+//! point   X   r g b   n (view feature 0) ...
+//! ```
+//!
+//! Poses are world to camera, axes as in COLMAP; f is in units of the larger side of the image. The
+//! cameras are those of the undistorted images, so k1 and k2, of the original ones, are left out.
+//! The file has no pixels: observations are the projections of their points.
+
+use std::collections::HashMap;
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
+
+use super::{
+    Fault, Place, Problem,
+    foreign::{ForeignModel, SizeLookup, camera, pose},
+    words::Words,
+};
+
+/// Camera of a view, from its `meta.ini`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Position of its camera in the bundle.
+    pub id: usize,
+    /// Over width and height.
+    principal_point: [f64; 2],
+    pixel_aspect: f64,
+    /// File name of the undistorted image, relative to `views`.
+    pub image: String,
+}
+
+impl View {
+    /// Reads a `meta.ini`; `None` without an id. Values that are missing are MVE's defaults.
+    pub fn read(meta: &str, image: String) -> Option<Self> {
+        let mut section = "";
+        let mut view = Self {
+            id: usize::MAX,
+            principal_point: [0.5; 2],
+            pixel_aspect: 1.0,
+            image,
+        };
+        for line in meta.lines().map(str::trim) {
+            if let Some(name) = line.strip_prefix('[') {
+                section = name.trim_end_matches(']');
+            }
+            let Some((key, value)) = line
+                .split_once('=')
+                .map(|(key, value)| (key.trim(), value.trim()))
+            else {
+                continue;
+            };
+            let numbers: Vec<f64> = value
+                .split_ascii_whitespace()
+                .filter_map(|word| word.parse().ok())
+                .collect();
+            match (section, key, &numbers[..]) {
+                ("view", "id", _) => view.id = value.parse().ok()?,
+                ("camera", "principal_point", &[x, y]) => view.principal_point = [x, y],
+                ("camera", "pixel_aspect", &[aspect]) => view.pixel_aspect = aspect,
+                _ => {}
+            }
+        }
+        (view.id != usize::MAX).then_some(view)
+    }
+
+    fn camera(&self, focal: f64, size_of: SizeLookup) -> Result<Camera, Fault> {
+        let id = self.id as u32 + 1;
+        let (width, height) = size_of(&self.image).ok_or_else(|| {
+            let what = format!(
+                "the image views/{} is missing, and its size with it",
+                self.image
+            );
+            Fault::new(
+                "",
+                Place::File,
+                Problem::Unsupported {
+                    what,
+                    hint: "copy the whole folder of the MVE scene",
+                },
+            )
+        })?;
+        let (w, h) = (f64::from(width), f64::from(height));
+        let fx = if w * self.pixel_aspect < h {
+            focal * h / self.pixel_aspect
+        } else {
+            focal * w
+        };
+        let [x, y] = self.principal_point;
+        let params = vec![fx, fx * self.pixel_aspect, x * w, y * h];
+        camera(
+            Camera::new(
+                id,
+                CameraModel::Pinhole,
+                width.into(),
+                height.into(),
+                params,
+            ),
+            || format!("view {}", self.id),
+        )
+    }
+}
+
+/// Reads `synth_0.out`.
+pub fn read(bundle: &[u8], views: &[View], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
+    let mut words = Words::new(bundle);
+    if words.line() != Some(b"drews 1.0") {
+        return Err(Words::new(bundle).unexpected("drews 1.0"));
+    }
+    let cameras = words.count("cameras", 30)?;
+    let points = words.count("points", 14)?;
+    let by_id: HashMap<usize, &View> = views.iter().map(|view| (view.id, view)).collect();
+    let mut foreign = ForeignModel::default();
+    // By position in the file: the position in the model, the camera and the pose.
+    let mut registered = Vec::with_capacity(cameras);
+    let mut without_folder = 0;
+    for n in 0..cameras {
+        let what = || format!("camera {n}");
+        let at = words.place();
+        let [focal, _, _] = words
+            .numbers("the focal length, k1 and k2")
+            .map_err(|fault| fault.in_record(what))?;
+        let rotation = words
+            .numbers::<9>("a rotation matrix")
+            .map_err(|fault| fault.in_record(what))?;
+        let translation = words
+            .numbers::<3>("a translation")
+            .map_err(|fault| fault.in_record(what))?;
+        let view = by_id.get(&n).filter(|_| focal != 0.0);
+        without_folder += usize::from(focal != 0.0 && view.is_none());
+        let Some(view) = view else {
+            foreign
+                .unregistered
+                .extend(by_id.get(&n).map(|view| view.image.clone()));
+            registered.push(None);
+            continue;
+        };
+        let stored = pose(
+            Matrix3::from_row_slice(&rotation),
+            Vector3::from(translation),
+        );
+        let stored = stored.map_err(|problem| Fault::new("", at, problem).in_record(what))?;
+        let placed = stored
+            .pose()
+            .map_err(|problem| Fault::new("", at, problem).in_record(what))?;
+        let camera = view.camera(focal, size_of)?;
+        registered.push(Some((foreign.model.images.len(), camera.clone(), placed)));
+        foreign.add_image(n as u32 + 1, view.image.clone(), camera.id, stored, at);
+        foreign.model.cameras.push(camera);
+    }
+    for n in 0..points {
+        let at = words.place();
+        let xyz = words
+            .numbers("a position")
+            .map_err(|fault| fault.in_record(|| format!("point {n}")))?;
+        let colour = words
+            .numbers::<3>("a colour")
+            .map_err(|fault| fault.in_record(|| format!("point {n}")))?;
+        let count = words.count("observations", 6)?;
+        let mut track = Vec::with_capacity(count);
+        for _ in 0..count {
+            let view: usize = words.number("a view")?;
+            let _ = words.numbers::<2>("a feature and 0")?;
+            let known = registered.get(view);
+            let known = known.ok_or_else(|| {
+                words.fault(Problem::Absent {
+                    what: "view",
+                    id: view as u64,
+                })
+            })?;
+            if let Some((image, camera, pose)) = known {
+                let pixel = camera.project(&pose.camera_from_world(&Point3::from(xyz)));
+                track.extend(pixel.map(|pixel| (*image, [pixel.x, pixel.y])));
+            }
+        }
+        let colour = colour.map(|c| c.round().clamp(0.0, 255.0) as u8);
+        foreign.add_point(n as u64 + 1, xyz, colour, track, at);
+    }
+    if without_folder > 0 {
+        let text = format!(
+            "{without_folder} cameras of the bundle have no folder in views, and are left out"
+        );
+        foreign.warn(WarningKind::Damaged, text);
+    }
+    foreign.image_folder = Some("views".into());
+    Ok(foreign)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const META: &str = "[camera]\nfocal_length = 1\npixel_aspect = 1\nprincipal_point = 0.5 0.25\n[view]\nid = 1\nname = a\n";
+    const BUNDLE: &str = "drews 1.0\n3 2\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n0.5 0.1 0\n1 0 0\n0 1 0\n0 0 1\n0 0 5\n\
+                          0.5 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 5\n1 2 5\n10 20 30\n2 1 7 0 2 8 0\n0 0 0\n1 2 3\n0\n";
+
+    fn views() -> Vec<View> {
+        let of = |id: usize| {
+            let meta = META.replace("id = 1", &format!("id = {id}"));
+            View::read(&meta, format!("view_000{id}.mve/undistorted.jpg")).unwrap()
+        };
+        vec![of(0), of(1)]
+    }
+
+    #[test]
+    fn a_bundle_goes_with_the_views_by_their_ids() {
+        let foreign = read(BUNDLE.as_bytes(), &views(), &|_| Some((200, 100))).unwrap();
+        assert_eq!(
+            foreign.model.warnings.len(),
+            1,
+            "the third camera has no folder"
+        );
+        let scene = foreign.scene().unwrap();
+        assert_eq!(scene.views.len(), 1);
+        assert_eq!(scene.views[0].name, "view_0001.mve/undistorted.jpg");
+        assert_eq!(scene.unregistered, ["view_0000.mve/undistorted.jpg"]);
+        assert_eq!(scene.cameras[0].params(), [100.0, 100.0, 100.0, 25.0]);
+        assert_eq!(
+            (scene.observations(), scene.track_pixels[0]),
+            (1, [110.0, 45.0])
+        );
+        let upright = read(BUNDLE.as_bytes(), &views(), &|_| Some((100, 200))).unwrap();
+        assert_eq!(
+            upright.model.cameras[0].params(),
+            [100.0, 100.0, 50.0, 50.0],
+            "f is of the larger side"
+        );
+    }
+
+    #[test]
+    fn a_damaged_bundle_is_refused() {
+        let read = |text: &str| read(text.as_bytes(), &views(), &|_| Some((200, 100)));
+        (1..BUNDLE.len() - 2)
+            .step_by(3)
+            .for_each(|end| _ = read(&BUNDLE[..end]).unwrap_err());
+        assert!(
+            read(&BUNDLE.replace("2 1 7 0 2 8 0", "2 1 7 0 3 8 0"))
+                .unwrap_err()
+                .to_string()
+                .contains("view 3")
+        );
+        assert!(read(&BUNDLE.replace("3 2\n", "3 4000000000\n")).is_err());
+        let missing = super::read(BUNDLE.as_bytes(), &views(), &|_| None).unwrap_err();
+        assert!(missing.to_string().contains("view_0001.mve"));
+        assert_eq!(View::read("[view]\nid = x\n", String::new()), None);
+    }
+}

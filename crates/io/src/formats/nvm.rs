@@ -1,0 +1,173 @@
+//! VisualSFM's `NVM_V3`, also written by COLMAP and OpenMVG.
+//!
+//! ```text
+//! NVM_V3 [FixedK fx cx fy cy [r]]
+//! CAMERAS   then per line: NAME f  qw qx qy qz  Cx Cy Cz  r 0
+//! POINTS    then per line: X Y Z  r g b  n (camera key x y) ...
+//! ```
+//!
+//! Quaternions are world to camera, axes as in COLMAP, C is the camera centre. Pixels are relative
+//! to the image centre (VisualSFM) or corner (COLMAP, OpenMVG); a negative one in the file means
+//! the former. The distortion r applies to *measured* pixels; to first order it is SIMPLE_RADIAL
+//! with k = -r, which is how COLMAP writes it. The file doesn't store image sizes. Only the first
+//! model of a file is read.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
+
+use super::{
+    Fault, Place, Problem, check_images,
+    foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose_with_centre},
+    words::{Observation, Words, name_and_numbers},
+};
+
+struct NvmCamera {
+    name: String,
+    /// f, quaternion, centre, r, 0
+    numbers: [f64; 10],
+    at: Place,
+}
+
+struct NvmPoint {
+    xyz: [f64; 3],
+    colour: [u8; 3],
+    observations: Vec<Observation>,
+    at: Place,
+}
+
+pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
+    let mut words = Words::new(nvm);
+    let head = words.line().and_then(|line| line.strip_prefix(b"NVM_V3"));
+    let fixed = head.ok_or_else(|| Words::new(nvm).unexpected("NVM_V3"))?;
+    let count = words.count("cameras", 22)?;
+    check_images(count)?;
+    words.line();
+    let each =
+        |n| nvm_camera(&mut words).map_err(|fault| fault.in_record(|| format!("camera {}", n + 1)));
+    let cameras = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
+    let count = if words.at_end() {
+        0
+    } else {
+        words.count("points", 14)?
+    };
+    let each = |n| {
+        point(&mut words, cameras.len())
+            .map_err(|fault| fault.in_record(|| format!("point {}", n + 1)))
+    };
+    let points = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
+    let mut foreign = assemble(&cameras, &points, size_of)?;
+    if !fixed.trim_ascii().is_empty() {
+        foreign.warn(
+            WarningKind::Format,
+            "FixedK of the NVM file is ignored in favour of the focal length of each camera",
+        );
+    }
+    if words.number::<u64>("").is_ok_and(|more| more > 0) {
+        foreign.warn(
+            WarningKind::OtherModels,
+            "only the first of several models of the NVM file is read",
+        );
+    }
+    Ok(foreign)
+}
+
+fn nvm_camera(words: &mut Words) -> Result<NvmCamera, Fault> {
+    let at = words.place();
+    let expected = "a name, focal length, quaternion, centre, distortion and 0";
+    let fault = |problem| Fault::new("", at, problem);
+    let line = words
+        .full_line()
+        .ok_or_else(|| fault(Problem::Truncated("the cameras")))?;
+    let (name, numbers) = name_and_numbers::<10>(line).ok_or_else(|| {
+        let found = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
+        fault(Problem::Syntax { expected, found })
+    })?;
+    let name = std::str::from_utf8(name).map_err(|_| {
+        fault(Problem::Name {
+            name: String::from_utf8_lossy(name).into_owned(),
+            why: "is not UTF-8",
+        })
+    })?;
+    Ok(NvmCamera {
+        name: name.to_owned(),
+        numbers,
+        at,
+    })
+}
+
+fn point(words: &mut Words, cameras: usize) -> Result<NvmPoint, Fault> {
+    let at = words.place();
+    let xyz = words.numbers("a position")?;
+    // Some writers print colours as floating-point numbers.
+    let colour = words
+        .numbers::<3>("a colour")?
+        .map(|c| c.round().clamp(0.0, 255.0) as u8);
+    Ok(NvmPoint {
+        xyz,
+        colour,
+        observations: words.observations(cameras)?,
+        at,
+    })
+}
+
+fn assemble(
+    cameras: &[NvmCamera],
+    points: &[NvmPoint],
+    size_of: SizeLookup,
+) -> Result<ForeignModel, Fault> {
+    let mut foreign = ForeignModel::default();
+    let observations = || points.iter().flat_map(|point| &point.observations);
+    let from_centre = observations().any(|&(_, [x, y])| x < 0.0 || y < 0.0);
+    let mut farthest = vec![[0.0f64; 2]; cameras.len()];
+    for &(camera, [x, y]) in observations() {
+        farthest[camera] = [
+            farthest[camera][0].max(x.abs()),
+            farthest[camera][1].max(y.abs()),
+        ];
+    }
+    let mut guessed = 0;
+    let mut origins = Vec::with_capacity(cameras.len());
+    for (n, nvm) in cameras.iter().enumerate() {
+        let [f, w, x, y, z, cx, cy, cz, r, _] = nvm.numbers;
+        let (width, height) = size_of(&nvm.name).unwrap_or_else(|| {
+            guessed += 1;
+            guessed_size(farthest[n], from_centre)
+        });
+        let half = [f64::from(width) / 2.0, f64::from(height) / 2.0];
+        let id = n as u32 + 1;
+        let what = || format!("camera {id}, {:?}", nvm.name);
+        let params = vec![f, half[0], half[1], -r];
+        let intrinsics = Camera::new(
+            id,
+            CameraModel::SimpleRadial,
+            width.into(),
+            height.into(),
+            params,
+        );
+        foreign.model.cameras.push(camera(intrinsics, what)?);
+        let quaternion = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+        let rotation = quaternion.to_rotation_matrix().into_inner();
+        let pose = pose_with_centre(rotation, Vector3::new(cx, cy, cz));
+        let pose = pose.map_err(|problem| Fault::new("", nvm.at, problem).in_record(what))?;
+        foreign.add_image(id, nvm.name.clone(), id, pose, nvm.at);
+        origins.push(if from_centre { half } else { [0.0; 2] });
+    }
+    for (n, point) in points.iter().enumerate() {
+        let observations = point
+            .observations
+            .iter()
+            .map(|&(image, [x, y])| (image, [x + origins[image][0], y + origins[image][1]]));
+        foreign.add_point(
+            n as u64 + 1,
+            point.xyz,
+            point.colour,
+            observations,
+            point.at,
+        );
+    }
+    foreign.warn_of_guessed_sizes(guessed);
+    Ok(foreign)
+}

@@ -1,0 +1,253 @@
+//! OpenSfM's `reconstruction.json` with its `tracks.csv` (also OpenDroneMap's).
+//!
+//! Poses are world-to-camera angle-axis rotations and translations; axes as in COLMAP. Pixels are
+//! normalised: `(u - w/2) / max(w, h)` with COLMAP's u; focal lengths and principal points have the
+//! same unit. Of several reconstructions the one with the most shots is read, ties by position in
+//! the file.
+
+use std::collections::HashMap;
+
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
+
+use super::{
+    Fault, Place, Problem, check_images,
+    colmap::StoredPose,
+    foreign::{ForeignModel, camera, json},
+    words::parse,
+};
+
+#[derive(Deserialize)]
+struct Reconstruction {
+    cameras: JsonMap<OpenSfmCamera>,
+    shots: JsonMap<Shot>,
+    #[serde(default)]
+    points: JsonMap<Point>,
+}
+
+/// A JSON object as a map.
+type JsonMap<T> = std::collections::BTreeMap<String, T>;
+
+#[derive(Deserialize)]
+#[serde(default)]
+struct OpenSfmCamera {
+    projection_type: String,
+    width: u64,
+    height: u64,
+    focal: f64,
+    focal_x: Option<f64>,
+    focal_y: Option<f64>,
+    c_x: f64,
+    c_y: f64,
+    k1: f64,
+    k2: f64,
+    k3: f64,
+    k4: f64,
+    k5: f64,
+    k6: f64,
+    p1: f64,
+    p2: f64,
+}
+
+impl Default for OpenSfmCamera {
+    fn default() -> Self {
+        let [focal, c_x, c_y, k1, k2, k3, k4, k5, k6, p1, p2] = [0.0; 11];
+        let projection_type = "perspective".into();
+        let (focal_x, focal_y) = (None, None);
+        Self {
+            projection_type,
+            width: 0,
+            height: 0,
+            focal,
+            focal_x,
+            focal_y,
+            c_x,
+            c_y,
+            k1,
+            k2,
+            k3,
+            k4,
+            k5,
+            k6,
+            p1,
+            p2,
+        }
+    }
+}
+
+#[derive(Deserialize)]
+struct Shot {
+    rotation: [f64; 3],
+    translation: [f64; 3],
+    camera: String,
+}
+
+#[derive(Deserialize)]
+struct Point {
+    coordinates: [f64; 3],
+    #[serde(default)]
+    color: [f64; 3],
+}
+
+/// Observations by track: index of the image, and pixel.
+type Observations<'a> = HashMap<&'a [u8], Vec<(usize, [f64; 2])>>;
+
+/// Reads the reconstruction and the tracks; without tracks, points have no observations.
+pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
+    let reconstructions: Vec<Reconstruction> = json(reconstruction)?;
+    let all = reconstructions.len();
+    let largest = reconstructions
+        .into_iter()
+        .rev()
+        .max_by_key(|r| r.shots.len());
+    let mut foreign = ForeignModel::default();
+    let Some(largest) = largest else {
+        return Ok(foreign);
+    };
+    if all > 1 {
+        let shots = largest.shots.len();
+        let text =
+            format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
+        foreign.warn(WarningKind::OtherModels, text);
+    }
+    check_images(largest.cameras.len().max(largest.shots.len()))?;
+    let mut camera_ids = HashMap::new();
+    for (n, (name, camera)) in largest.cameras.iter().enumerate() {
+        camera_ids.insert(name.as_str(), (n as u32 + 1, camera));
+        foreign
+            .model
+            .cameras
+            .push(intrinsics(n as u32 + 1, name, camera)?);
+    }
+    let mut shots = HashMap::new();
+    for (n, (name, shot)) in largest.shots.iter().enumerate() {
+        let fault =
+            |problem| Fault::new("", Place::File, problem).in_record(|| format!("shot {name:?}"));
+        let unknown = || fault(Problem::Json(format!("unknown camera {:?}", shot.camera)));
+        let &(camera_id, camera) = camera_ids.get(shot.camera.as_str()).ok_or_else(unknown)?;
+        let rotation = Rotation3::new(Vector3::from(shot.rotation));
+        let q = UnitQuaternion::from_rotation_matrix(&rotation);
+        let pose = StoredPose {
+            quaternion: [q.w, q.i, q.j, q.k],
+            translation: shot.translation,
+        };
+        shots.insert(name.as_bytes(), (foreign.model.images.len(), camera));
+        foreign.add_image(n as u32 + 1, name.clone(), camera_id, pose, Place::File);
+    }
+    let observations = tracks.map_or(Ok(HashMap::new()), |tracks| observations(tracks, &shots))?;
+    add_points(&mut foreign, &largest.points, &observations);
+    if tracks.is_none() && !largest.points.is_empty() {
+        let text = "points have no observations: tracks.csv is missing next to the reconstruction";
+        foreign.warn(WarningKind::Damaged, text);
+    }
+    Ok(foreign)
+}
+
+/// Point ids: those of the file if all are numbers, otherwise 1, 2, ...
+fn add_points(foreign: &mut ForeignModel, points: &JsonMap<Point>, observations: &Observations) {
+    let ids: Option<Vec<u64>> = points.keys().map(|id| id.parse().ok()).collect();
+    let mut order: Vec<_> = points
+        .iter()
+        .enumerate()
+        .map(|(n, (name, p))| (ids.as_ref().map_or(n as u64 + 1, |ids| ids[n]), name, p))
+        .collect();
+    order.sort_by_key(|&(id, ..)| id);
+    for (id, name, point) in order {
+        let colour = point.color.map(|c| c.round().clamp(0.0, 255.0) as u8);
+        let track = observations
+            .get(name.as_bytes())
+            .map_or(&[][..], Vec::as_slice);
+        foreign.add_point(
+            id,
+            point.coordinates,
+            colour,
+            track.iter().copied(),
+            Place::File,
+        );
+    }
+}
+
+/// Parses rows of `shot, track, feature, x, y, ...`, separated by tabs.
+fn observations<'a>(
+    tracks: &'a [u8],
+    shots: &HashMap<&[u8], (usize, &OpenSfmCamera)>,
+) -> Result<Observations<'a>, Fault> {
+    let mut by_track = Observations::new();
+    for (n, line) in tracks.split(|&b| b == b'\n').enumerate() {
+        let line = line.strip_suffix(b"\r").unwrap_or(line);
+        if line.is_empty() || line.starts_with(b"OPENSFM_TRACKS_VERSION") {
+            continue;
+        }
+        let fields: Vec<&[u8]> = line.split(|&b| b == b'\t').take(5).collect();
+        let xy = fields
+            .get(3..5)
+            .and_then(|xy| Some([parse::<f64>(xy[0]).ok()?, parse::<f64>(xy[1]).ok()?]));
+        let Some([x, y]) = xy else {
+            let found = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
+            let problem = Problem::Syntax {
+                expected: "shot, track, feature, x, y separated by tabs",
+                found,
+            };
+            return Err(Fault::new("tracks", Place::Line(n as u64 + 1), problem));
+        };
+        if let Some(&(image, camera)) = shots.get(fields[0]) {
+            let (w, h) = (camera.width as f64, camera.height as f64);
+            let size = w.max(h);
+            by_track
+                .entry(fields[1])
+                .or_default()
+                .push((image, [x * size + w / 2.0, y * size + h / 2.0]));
+        }
+    }
+    Ok(by_track)
+}
+
+fn intrinsics(id: u32, name: &str, c: &OpenSfmCamera) -> Result<Camera, Fault> {
+    let (w, h) = (c.width as f64, c.height as f64);
+    let size = w.max(h);
+    let (fx, fy) = (
+        c.focal_x.unwrap_or(c.focal) * size,
+        c.focal_y.or(c.focal_x).unwrap_or(c.focal) * size,
+    );
+    let (cx, cy) = (w / 2.0 + c.c_x * size, h / 2.0 + c.c_y * size);
+    let (model, params) = match c.projection_type.as_str() {
+        "perspective" => (CameraModel::Radial, vec![fx, cx, cy, c.k1, c.k2]),
+        "radial" | "simple_radial" => (
+            CameraModel::OpenCv,
+            vec![fx, fy, cx, cy, c.k1, c.k2, 0.0, 0.0],
+        ),
+        "brown" => (
+            CameraModel::FullOpenCv,
+            vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, 0.0, 0.0, 0.0],
+        ),
+        "fisheye" => (CameraModel::RadialFisheye, vec![fx, cx, cy, c.k1, c.k2]),
+        "fisheye_opencv" => (
+            CameraModel::OpenCvFisheye,
+            vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4],
+        ),
+        // Tangential plus radial distortion, for which COLMAP has four radial coefficients.
+        "fisheye62" if c.k5 == 0.0 && c.k6 == 0.0 => (
+            CameraModel::ThinPrismFisheye,
+            vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, c.k4, 0.0, 0.0],
+        ),
+        "fisheye62" if c.p1 == 0.0 && c.p2 == 0.0 => {
+            let mut params = vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4, c.k5, c.k6];
+            params.resize(16, 0.0);
+            (CameraModel::RadTanThinPrismFisheye, params)
+        }
+        "spherical" | "equirectangular" => (CameraModel::Equirectangular, vec![w, h]),
+        other => {
+            let problem = Problem::CameraModel(format!("{other} (OpenSfM)"));
+            return Err(
+                Fault::new("", Place::File, problem).in_record(|| format!("camera {name:?}"))
+            );
+        }
+    };
+    camera(Camera::new(id, model, c.width, c.height, params), || {
+        format!("camera {name:?}")
+    })
+}

@@ -1,0 +1,368 @@
+//! SURE's `.ori`: interior and exterior orientation of one image, a text file of keys and values.
+//!
+//! The rotation is world to camera, the "translation vector" is the camera *centre*; axes as in
+//! COLMAP; the centre of the first pixel is (0, 0). The camera matrix is in pixels, so the focal
+//! length in mm and the pixel size are ignored. Distortion is `NONE`, or `Brown5` with K1 K2 K3 T1
+//! T2.
+
+use std::collections::{HashMap, HashSet};
+
+use nalgebra::{Matrix3, Vector3};
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::{Pose, WarningKind},
+};
+
+use super::{
+    Fault, Place, Problem,
+    colmap::{ColmapImage, StoredPose},
+    foreign::{ForeignModel, camera, pose_with_centre, shift},
+    words::parse,
+};
+
+/// One oriented image.
+#[derive(Clone, Debug)]
+pub struct Orientation {
+    /// File name of the image.
+    pub image: String,
+    /// Pose in COLMAP's conventions.
+    pub camera: Camera,
+    pub cam_from_world: StoredPose,
+}
+
+/// Reads one `.ori` file; `id` becomes the id of its camera.
+pub fn read(bytes: &[u8], id: u32) -> Result<Orientation, Fault> {
+    let entries = entries(bytes)?;
+    let image = entries
+        .get("ImageID")
+        .and_then(|entry| entry.lines.first())
+        .copied()
+        .unwrap_or_default();
+    let image = std::str::from_utf8(image).map_err(|_| {
+        Fault::new(
+            "",
+            Place::File,
+            Problem::Json("the image id is not UTF-8".into()),
+        )
+    })?;
+    let [width, height] = numbers(&entries, "IntOri_SensorSize")?;
+    let matrix = match entries.contains_key("IntOri_CameraMatrix") {
+        true => numbers::<9>(&entries, "IntOri_CameraMatrix")?,
+        false => {
+            let [f] = numbers(&entries, "IntOri_FocalLength")?;
+            let [px, py] = numbers(&entries, "IntOri_PixelSize")?;
+            let [cx, cy] = numbers(&entries, "IntOri_PrincipalPoint")?;
+            [f / px, 0.0, cx, 0.0, f / py, cy, 0.0, 0.0, 1.0]
+        }
+    };
+    let [cx, cy] = shift([matrix[2], matrix[5]]);
+    let (model, params) = distortion(&entries, [matrix[0], matrix[4], cx, cy])?;
+    let camera = camera(
+        Camera::new(id, model, width as u64, height as u64, params),
+        || format!("image {image:?}"),
+    )?;
+    let rotation = Matrix3::from_row_slice(&numbers::<9>(&entries, "ExtOri_RotationMatrix")?);
+    let centre = Vector3::from(numbers::<3>(&entries, "ExtOri_TranslationVector")?);
+    let at = entries["ExtOri_RotationMatrix"].at;
+    let cam_from_world =
+        pose_with_centre(rotation, centre).map_err(|problem| Fault::new("", at, problem))?;
+    Ok(Orientation {
+        image: image.to_owned(),
+        camera,
+        cam_from_world,
+    })
+}
+
+/// The lines after a key.
+struct Entry<'a> {
+    at: Place,
+    lines: Vec<&'a [u8]>,
+}
+
+/// Entries by key: the text between `$` and the first bracket or run of underscores.
+fn entries(bytes: &[u8]) -> Result<HashMap<String, Entry<'_>>, Fault> {
+    let mut entries: HashMap<String, Entry> = HashMap::new();
+    let mut current = None;
+    for (n, line) in bytes.split(|&b| b == b'\n').enumerate() {
+        let line = line.trim_ascii();
+        if let Some(key) = line.strip_prefix(b"$") {
+            let key = String::from_utf8_lossy(key);
+            let ends = [key.find("__"), key.find(['(', '['])];
+            let end = ends.into_iter().flatten().min().unwrap_or(key.len());
+            let key = key[..end].trim_end_matches('_').to_owned();
+            entries.insert(
+                key.clone(),
+                Entry {
+                    at: Place::Line(n as u64 + 1),
+                    lines: Vec::new(),
+                },
+            );
+            current = Some(key);
+        } else if !line.is_empty() {
+            let entry = current.as_ref().and_then(|key| entries.get_mut(key));
+            let found = || String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
+            let problem = || Problem::Syntax {
+                expected: "a key that begins with $",
+                found: found(),
+            };
+            entry
+                .ok_or_else(|| Fault::new("", Place::Line(n as u64 + 1), problem()))?
+                .lines
+                .push(line);
+        }
+    }
+    Ok(entries)
+}
+
+fn numbers<const N: usize>(
+    entries: &HashMap<String, Entry>,
+    key: &'static str,
+) -> Result<[f64; N], Fault> {
+    let missing = || {
+        Fault::new(
+            "",
+            Place::File,
+            Problem::Syntax {
+                expected: key,
+                found: "no such key".into(),
+            },
+        )
+    };
+    let entry = entries.get(key).ok_or_else(missing)?;
+    let words = entry.lines.iter().flat_map(|line| {
+        line.split(u8::is_ascii_whitespace)
+            .filter(|word| !word.is_empty())
+    });
+    let values: Option<Vec<f64>> = words.map(|word| parse(word).ok()).collect();
+    values
+        .and_then(|values| values.try_into().ok())
+        .ok_or_else(|| {
+            let found = entry
+                .lines
+                .iter()
+                .map(|line| String::from_utf8_lossy(line))
+                .collect::<Vec<_>>()
+                .join(" ");
+            Fault::new(
+                "",
+                entry.at,
+                Problem::Syntax {
+                    expected: key,
+                    found,
+                },
+            )
+        })
+}
+
+fn distortion(
+    entries: &HashMap<String, Entry>,
+    [fx, fy, cx, cy]: [f64; 4],
+) -> Result<(CameraModel, Vec<f64>), Fault> {
+    let Some(entry) = entries.get("IntOri_Distortion") else {
+        return Ok((CameraModel::Pinhole, vec![fx, fy, cx, cy]));
+    };
+    let text = entry
+        .lines
+        .iter()
+        .map(|line| String::from_utf8_lossy(line))
+        .collect::<Vec<_>>()
+        .join(" ");
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let values: Vec<f64> = words
+        .iter()
+        .skip(2)
+        .filter_map(|word| word.parse().ok())
+        .collect();
+    match (words.first().copied(), &values[..]) {
+        (None | Some("NONE"), _) => Ok((CameraModel::Pinhole, vec![fx, fy, cx, cy])),
+        (Some("Brown5"), &[k1, k2, k3, t1, t2]) => Ok((
+            CameraModel::FullOpenCv,
+            vec![fx, fy, cx, cy, k1, k2, t1, t2, k3, 0.0, 0.0, 0.0],
+        )),
+        _ => Err(Fault::new(
+            "",
+            entry.at,
+            Problem::CameraModel(format!("{text} (SURE)")),
+        )),
+    }
+}
+
+/// Makes a model of oriented images, without points. `name_of` completes image names: the file may
+/// omit the extension.
+pub fn model(oriented: Vec<Orientation>, name_of: impl Fn(&str) -> String) -> ForeignModel {
+    let mut foreign = ForeignModel::default();
+    for Orientation {
+        image,
+        camera,
+        cam_from_world,
+    } in oriented
+    {
+        let id = camera.id;
+        foreign.model.cameras.push(camera);
+        foreign.add_image(id, name_of(&image), id, cam_from_world, Place::File);
+    }
+    foreign
+}
+
+/// Adds the points and measured pixels of another model of the same images. Images are matched by
+/// name without extensions and, if that is unambiguous, without folders: SURE's files may have
+/// neither.
+pub fn add_tracks(foreign: &mut ForeignModel, cloud: &ForeignModel) -> Result<(), Problem> {
+    let images = &cloud.model.images;
+    let own = positions(foreign, images.iter().map(|image| &*image.name));
+    report_unmatched(foreign, cloud, &own)?;
+    let position: HashMap<u32, usize> = images
+        .iter()
+        .enumerate()
+        .map(|(n, image)| (image.id, n))
+        .collect();
+    for point in &cloud.model.points {
+        let track = point.track.iter().filter_map(|element| {
+            let n = *position.get(&element.image())?;
+            let pixel = images[n].points2d.get(element.index() as usize)?.pixel();
+            Some((own[n]?, pixel))
+        });
+        foreign.add_point(
+            point.id,
+            point.xyz,
+            point.colour,
+            track.collect::<Vec<_>>(),
+            Place::File,
+        );
+    }
+    Ok(())
+}
+
+/// Index of the oriented image for each name.
+fn positions<'a>(
+    oriented: &ForeignModel,
+    names: impl Iterator<Item = &'a str>,
+) -> Vec<Option<usize>> {
+    let stem = |name: &str| {
+        let name = name.replace('\\', "/");
+        name.rsplit_once('.')
+            .map_or(name.as_str(), |(stem, _)| stem)
+            .to_lowercase()
+    };
+    let file = |stem: &str| stem.rsplit('/').next().unwrap_or_default().to_owned();
+    let mut by_stem = HashMap::new();
+    let mut by_file: HashMap<String, Vec<usize>> = HashMap::new();
+    for (n, image) in oriented.model.images.iter().enumerate() {
+        let stem = stem(&image.name);
+        by_file.entry(file(&stem)).or_default().push(n);
+        by_stem.insert(stem, n);
+    }
+    let names: Vec<String> = names.map(stem).collect();
+    let mut same_file: HashMap<String, usize> = HashMap::new();
+    names
+        .iter()
+        .for_each(|stem| *same_file.entry(file(stem)).or_default() += 1);
+    let by_file = |stem: &String| match by_file.get(&file(stem)).map(Vec::as_slice) {
+        Some(&[n]) if same_file[&file(stem)] == 1 => Some(n),
+        _ => None,
+    };
+    names
+        .iter()
+        .map(|stem| by_stem.get(stem).copied().or_else(|| by_file(stem)))
+        .collect()
+}
+
+/// Warns of images without a counterpart; an error if no image has one, since the two models then
+/// don't match.
+fn report_unmatched(
+    foreign: &mut ForeignModel,
+    cloud: &ForeignModel,
+    own: &[Option<usize>],
+) -> Result<(), Problem> {
+    let matched: HashSet<usize> = own.iter().flatten().copied().collect();
+    let name =
+        |(n, image): (usize, &ColmapImage)| (!matched.contains(&n)).then(|| image.name.to_string());
+    let oriented: Vec<String> = foreign
+        .model
+        .images
+        .iter()
+        .enumerate()
+        .filter_map(name)
+        .collect();
+    let other = |(image, own): (&ColmapImage, &Option<usize>)| {
+        own.is_none().then(|| image.name.to_string())
+    };
+    let others: Vec<String> = cloud
+        .model
+        .images
+        .iter()
+        .zip(own)
+        .filter_map(other)
+        .collect();
+    if let (true, [first, ..], [other, ..]) = (matched.is_empty(), &oriented[..], &others[..]) {
+        return Err(Problem::Contradiction(format!(
+            "no image of the sparse cloud (e.g. {other}) is among the oriented images (e.g. {first})"
+        )));
+    }
+    for (names, what) in [
+        (oriented, "oriented images are not in the sparse cloud"),
+        (others, "images of the sparse cloud are not oriented"),
+    ] {
+        if !names.is_empty() {
+            let more = if names.len() > 3 { ", ..." } else { "" };
+            let some = names
+                .iter()
+                .take(3)
+                .map(String::as_str)
+                .collect::<Vec<_>>()
+                .join(", ");
+            let text = format!(
+                "{} {what}, so their observations are missing: {some}{more}",
+                names.len()
+            );
+            foreign.warn(WarningKind::Damaged, text);
+        }
+    }
+    Ok(())
+}
+
+/// Text of the `.ori` file of an undistorted image; `None` for cameras with distortion.
+pub fn write(image: &str, camera: &Camera, cam_from_world: &Pose) -> Option<String> {
+    if !camera.is_pinhole() {
+        return None;
+    }
+    let (focal, centre) = camera.pinhole_part();
+    let (cx, cy) = (centre.x - 0.5, centre.y - 0.5);
+    let r = cam_from_world.rotation.matrix();
+    let row = |i: usize| format!("\t{}\t{}\t{}", r[(i, 0)], r[(i, 1)], r[(i, 2)]);
+    let c = cam_from_world.centre();
+    let key = |name: &str, note: &str| {
+        format!(
+            "${name}{}{note}",
+            "_".repeat(71usize.saturating_sub(name.len() + note.len()))
+        )
+    };
+    let lines = [
+        key("ImageID", "(ORI_Ver_1.0)"),
+        format!("\t{image}"),
+        key("IntOri_FocalLength", "[mm]"),
+        "\t1.0".into(),
+        key("IntOri_PixelSize______(x|y)", "[mm]"),
+        "\t1.0\t1.0".into(),
+        key("IntOri_SensorSize_____(x|y)", "[pixel]"),
+        format!("\t{}\t{}", camera.width, camera.height),
+        key("IntOri_PrincipalPoint_(x|y)", "[pixel]"),
+        format!("\t{cx}\t{cy}"),
+        key("IntOri_CameraMatrix", "(ImageCoordinateSystem)"),
+        format!("\t{}\t0.0\t{cx}", focal.x),
+        format!("\t0.0\t{}\t{cy}", focal.y),
+        "\t0.0\t0.0\t1.0".into(),
+        key("ExtOri_RotationMatrix", "(World->ImageCoordinateSystem)"),
+        row(0),
+        row(1),
+        row(2),
+        key("ExtOri_TranslationVector", "(WorldCoordinateSystem)"),
+        format!("\t{}\t{}\t{}", c.x, c.y, c.z),
+        key(
+            "IntOri_Distortion_____(Model|ParameterCount|(Parameters))",
+            "",
+        ),
+        "\tNONE\t0".into(),
+    ];
+    Some(lines.join("\n") + "\n")
+}

@@ -1,0 +1,281 @@
+//! Pull reader for XML: a reader walks down to the records and takes them one after another, so a
+//! file of any size needs the memory of one record.
+
+use std::borrow::Cow;
+
+use quick_xml::{
+    Reader, XmlVersion,
+    escape::resolve_predefined_entity,
+    events::{BytesStart, Event},
+};
+
+use super::{Fault, Place, Problem, words::parse};
+
+/// Deepest nesting of elements, and most elements in one record.
+const DEEPEST: usize = 64;
+const MOST_ELEMENTS: usize = 1 << 18;
+/// Most attributes of an element.
+const MOST_ATTRIBUTES: usize = 1 << 10;
+
+/// An element with all that it contains.
+#[derive(Debug)]
+pub struct Element {
+    pub name: String,
+    attributes: Vec<(String, String)>,
+    text: String,
+    children: Vec<Element>,
+    at: Place,
+}
+
+impl Element {
+    pub fn at(&self) -> Place {
+        self.at
+    }
+
+    pub fn attribute(&self, name: &str) -> Option<&str> {
+        self.attributes
+            .iter()
+            .find(|(known, _)| known == name)
+            .map(|(_, value)| &**value)
+    }
+
+    /// The text, trimmed.
+    pub fn text(&self) -> &str {
+        self.text.trim()
+    }
+
+    /// The first child of this name.
+    pub fn child(&self, name: &str) -> Option<&Element> {
+        self.children.iter().find(|child| child.name == name)
+    }
+
+    pub fn children<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Element> {
+        self.children.iter().filter(move |child| child.name == name)
+    }
+
+    /// All numbers of the text.
+    pub fn numbers<const N: usize>(&self) -> Result<[f64; N], Fault> {
+        let words = self.text.split_ascii_whitespace().take(N + 1);
+        let values: Option<Vec<f64>> = words.map(|word| parse(word.as_bytes()).ok()).collect();
+        values
+            .and_then(|values| values.try_into().ok())
+            .ok_or_else(|| {
+                let found = self.text().chars().take(40).collect();
+                let fault = Fault::new(
+                    "",
+                    self.at,
+                    Problem::Syntax {
+                        expected: "numbers",
+                        found,
+                    },
+                );
+                fault.in_record(|| format!("<{}>", self.name))
+            })
+    }
+
+    /// The number in a child, if there is one.
+    pub fn number(&self, child: &str) -> Result<Option<f64>, Fault> {
+        self.child(child)
+            .map(|child| child.numbers::<1>().map(|[value]| value))
+            .transpose()
+    }
+
+    /// The numbers in children, all of which must be there.
+    pub fn required<const N: usize>(&self, children: [&'static str; N]) -> Result<[f64; N], Fault> {
+        let mut values = [0.0; N];
+        for (value, name) in values.iter_mut().zip(children) {
+            *value = self.number(name)?.ok_or_else(|| self.lacks(name))?;
+        }
+        Ok(values)
+    }
+
+    /// The fault of an element that has no such child.
+    pub fn lacks(&self, child: &'static str) -> Fault {
+        let found = format!("<{}> without it", self.name);
+        Fault::new(
+            "",
+            self.at,
+            Problem::Syntax {
+                expected: child,
+                found,
+            },
+        )
+    }
+}
+
+/// The unread part of a file.
+pub struct Xml<'a> {
+    reader: Reader<&'a [u8]>,
+    open: usize,
+}
+
+impl<'a> Xml<'a> {
+    pub fn new(bytes: &'a [u8]) -> Result<Self, Fault> {
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let text = std::str::from_utf8(bytes).map_err(|error| {
+            let found = "other bytes".into();
+            Fault::new(
+                "",
+                Place::Byte(error.valid_up_to() as u64),
+                Problem::Syntax {
+                    expected: "text in UTF-8",
+                    found,
+                },
+            )
+        })?;
+        let mut reader = Reader::from_str(text);
+        reader.config_mut().expand_empty_elements = true;
+        Ok(Self { reader, open: 0 })
+    }
+
+    /// Walks into the root, which must have this name; `expected` describes it.
+    pub fn in_root(bytes: &'a [u8], name: &str, expected: &'static str) -> Result<Self, Fault> {
+        let mut xml = Self::new(bytes)?;
+        match xml.enter()? {
+            Some(root) if root.name == name => Ok(xml),
+            root => {
+                let found = root.map_or("nothing".into(), |root| format!("<{}>", root.name));
+                Err(Fault::new(
+                    "",
+                    Place::File,
+                    Problem::Syntax { expected, found },
+                ))
+            }
+        }
+    }
+
+    /// Walks into the next child of the element that was entered last, which is returned without
+    /// what it contains; leaves the element and returns `None` if there is no other. At first, the
+    /// root is the only child.
+    pub fn enter(&mut self) -> Result<Option<Element>, Fault> {
+        loop {
+            match self.step()? {
+                Step::Into(element) => return Ok(Some(element)),
+                Step::Out => return Ok(None),
+                Step::Text(_) => {}
+            }
+        }
+    }
+
+    /// Reads all that the entered element contains, and leaves it.
+    pub fn whole(&mut self, entered: Element) -> Result<Element, Fault> {
+        let mut room = MOST_ELEMENTS;
+        self.fill(entered, &mut room)
+    }
+
+    /// Leaves the entered element without keeping anything of it.
+    pub fn skip(&mut self) -> Result<(), Fault> {
+        while self.enter()?.is_some() {
+            self.skip()?;
+        }
+        Ok(())
+    }
+
+    fn fill(&mut self, mut element: Element, room: &mut usize) -> Result<Element, Fault> {
+        loop {
+            match self.step()? {
+                Step::Into(child) => {
+                    let full = || format!("a record of more than {MOST_ELEMENTS} elements");
+                    *room = room
+                        .checked_sub(1)
+                        .ok_or_else(|| Fault::new("", child.at, Problem::Json(full())))?;
+                    let child = self.fill(child, room)?;
+                    element.children.push(child);
+                }
+                Step::Text(text) => element.text += &text,
+                Step::Out => return Ok(element),
+            }
+        }
+    }
+
+    fn step(&mut self) -> Result<Step<'a>, Fault> {
+        loop {
+            let at = self.place();
+            let event = self
+                .reader
+                .read_event()
+                .map_err(|error| broken(at, &error))?;
+            return Ok(match event {
+                Event::Start(start) => Step::Into(self.start(&start, at)?),
+                Event::Eof if self.open > 0 => {
+                    return Err(Fault::new("", at, Problem::Truncated("an element")));
+                }
+                Event::End(_) | Event::Eof => {
+                    self.open = self.open.saturating_sub(1);
+                    Step::Out
+                }
+                Event::Text(text) => Step::Text(text.xml10_content()),
+                Event::CData(text) => Step::Text(text.xml10_content()),
+                Event::GeneralRef(name) => {
+                    let character = name
+                        .resolve_char_ref()
+                        .map_err(|error| broken(at, &error))?
+                        .map(String::from);
+                    let text =
+                        character.or_else(|| resolve_predefined_entity(&name).map(String::from));
+                    let unknown =
+                        || Problem::Json(format!("an entity that is no character: &{};", &*name));
+                    Step::Text(Cow::Owned(
+                        text.ok_or_else(|| Fault::new("", at, unknown()))?,
+                    ))
+                }
+                _ => continue,
+            });
+        }
+    }
+
+    fn start(&mut self, start: &BytesStart, at: Place) -> Result<Element, Fault> {
+        self.open += 1;
+        if self.open > DEEPEST {
+            return Err(Fault::new(
+                "",
+                at,
+                Problem::Json(format!("elements are nested deeper than {DEEPEST}")),
+            ));
+        }
+        let mut attributes = Vec::new();
+        // Without the search for repeated names, which takes the square of their number.
+        let mut all = start.attributes();
+        all.with_checks(false);
+        for attribute in all {
+            if attributes.len() == MOST_ATTRIBUTES {
+                return Err(Fault::new(
+                    "",
+                    at,
+                    Problem::Json(format!("more than {MOST_ATTRIBUTES} attributes")),
+                ));
+            }
+            let attribute = attribute.map_err(|error| broken(at, &error))?;
+            let value = attribute
+                .normalized_value(XmlVersion::Implicit1_0)
+                .map_err(|error| broken(at, &error))?;
+            attributes.push((attribute.key.0.to_owned(), value.into_owned()));
+        }
+        let name = start.local_name().into_inner().to_owned();
+        Ok(Element {
+            name,
+            attributes,
+            text: String::new(),
+            children: Vec::new(),
+            at,
+        })
+    }
+
+    fn place(&self) -> Place {
+        Place::Byte(self.reader.buffer_position())
+    }
+}
+
+enum Step<'a> {
+    Into(Element),
+    Text(Cow<'a, str>),
+    Out,
+}
+
+fn broken(at: Place, error: &dyn std::error::Error) -> Fault {
+    Fault::new(
+        "",
+        at,
+        Problem::Json(format!("not well-formed XML: {error}")),
+    )
+}

@@ -1,0 +1,352 @@
+//! Decodes pictures at reduced size (method 7.4): JPEG at a fraction of its size, PNG and TIFF
+//! completely, then reduced.
+//!
+//! Pixels keep their position in the file: EXIF orientation is never applied, because poses and
+//! observations refer to the file.
+
+use std::{io::BufReader, path::Path};
+
+use crate::{
+    input::{self, FileKind},
+    picture::{self, MOST_BYTES},
+    project::Unread,
+};
+use fast_image_resize::{
+    FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels,
+};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
+use jpeg_decoder::PixelFormat;
+use viewrank_core::{
+    base::pixels::{PixelBound, TooManyPixels},
+    method::confidence::Mask,
+};
+use zune_jpeg::{
+    JpegDecoder,
+    zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
+};
+
+/// Minimum number of pixels of a reduced picture, unless the file has fewer.
+const LEAST_PIXELS: f64 = 750_000.0;
+/// Minimum side relative to the file's.
+const LEAST_SCALE: f64 = 0.25;
+/// Limit on the scans of a JPEG, each of which may visit all its pixels in a few hundred bytes;
+/// programs write about ten.
+const MOST_SCANS: usize = 100;
+
+/// A reduced picture: RGB, 8 bit, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image {
+    pub width: u32,
+    pub height: u32,
+    /// 3 x width x height bytes.
+    pub rgb: Vec<u8>,
+    /// Width and height of the file's image.
+    pub full: [u32; 2],
+}
+
+/// An image that cannot be decoded or doesn't fit its camera.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    #[error("no JPEG, PNG or TIFF image")]
+    Unknown,
+    #[error("broken JPEG: {0}")]
+    Jpeg(#[from] jpeg_decoder::Error),
+    #[error("broken image: {0}")]
+    Other(#[from] image::ImageError),
+    #[error(transparent)]
+    Large(#[from] TooManyPixels),
+    #[error("a JPEG of more than {MOST_SCANS} scans")]
+    Scans,
+    #[error("{width} x {height} pixels, the camera has {} x {}", camera[0], camera[1])]
+    Shape {
+        width: u32,
+        height: u32,
+        camera: [u32; 2],
+    },
+    #[error("{0}")]
+    Unread(#[from] Unread),
+    #[error("its mask: {0}")]
+    Mask(Box<ImageError>),
+}
+
+impl ImageError {
+    /// Returns true if no program can match the image: it is damaged, or its aspect ratio differs
+    /// from its camera's. False for formats that other programs may read.
+    pub fn is_unusable(&self) -> bool {
+        matches!(
+            self,
+            Self::Shape { .. }
+                | Self::Jpeg(jpeg_decoder::Error::Format(_) | jpeg_decoder::Error::Io(_))
+                | Self::Other(image::ImageError::Decoding(_) | image::ImageError::IoError(_))
+        )
+    }
+}
+
+impl Image {
+    /// Reads an image file and reduces it to the size that `wanted` returns for its width and
+    /// height.
+    pub fn read(
+        path: &Path,
+        bound: PixelBound,
+        wanted: impl Fn([u32; 2]) -> [u32; 2],
+    ) -> Result<Self, ImageError> {
+        Self::decode(&input::read(path, FileKind::Picture)?, bound, wanted)
+    }
+
+    /// Decodes an image and reduces it to the size that `wanted` returns for its width and height.
+    pub fn decode(
+        bytes: &[u8],
+        bound: PixelBound,
+        wanted: impl Fn([u32; 2]) -> [u32; 2],
+    ) -> Result<Self, ImageError> {
+        let image = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
+            ImageFormat::Jpeg => jpeg(bytes, bound, &wanted)?,
+            _ => whole(bytes, bound)?,
+        };
+        let [width, height] = wanted(image.full);
+        Ok(image.shrunk(width, height))
+    }
+
+    /// Decodes an image to grey levels, reduced to the size that `wanted` returns for its width and
+    /// height; also returns its full size.
+    pub fn decode_grey(
+        bytes: &[u8],
+        bound: PixelBound,
+        wanted: impl Fn([u32; 2]) -> [u32; 2],
+    ) -> Result<(GreyImage, [u32; 2]), ImageError> {
+        let (pixels, full) = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
+            ImageFormat::Jpeg => jpeg_grey(bytes, bound)?,
+            _ => {
+                let image = open(bytes, bound)?.into_luma8();
+                let full = [image.width(), image.height()];
+                (image.into_raw(), full)
+            }
+        };
+        let [width, height] = wanted(full);
+        let sized = "a byte a pixel, and the kind of pixels is the same";
+        let from = Pixels::from_vec_u8(full[0], full[1], pixels, PixelType::U8).expect(sized);
+        let mut to = Pixels::new(width, height, PixelType::U8);
+        let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
+        Resizer::new()
+            .resize(&from, &mut to, &by_areas)
+            .expect(sized);
+        Ok((
+            GreyImage {
+                width,
+                height,
+                pixels: to.into_vec(),
+            },
+            full,
+        ))
+    }
+
+    /// Reduces by area averaging; unchanged if it has that size already.
+    fn shrunk(self, width: u32, height: u32) -> Self {
+        if (self.width, self.height) == (width, height) {
+            return self;
+        }
+        let sized = "three bytes a pixel, and the kind of pixels is the same";
+        let from =
+            Pixels::from_vec_u8(self.width, self.height, self.rgb, PixelType::U8x3).expect(sized);
+        let mut to = Pixels::new(width, height, PixelType::U8x3);
+        let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
+        Resizer::new()
+            .resize(&from, &mut to, &by_areas)
+            .expect(sized);
+        Self {
+            width,
+            height,
+            rgb: to.into_vec(),
+            full: self.full,
+        }
+    }
+}
+
+/// Grey levels, row by row.
+pub struct GreyImage {
+    pub width: u32,
+    pub height: u32,
+    pub pixels: Vec<u8>,
+}
+
+/// Decodes to grey levels, with the slower decoder if the faster one fails.
+fn jpeg_grey(bytes: &[u8], bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
+    check_scans(bytes)?;
+    if let Some(stored) = stored_luma(bytes, bound) {
+        return Ok(stored);
+    }
+    let Image { rgb, full, .. } = jpeg(bytes, bound, &|full| full)?;
+    let luma = |p: &[u8]| {
+        ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8
+    };
+    Ok((rgb.chunks_exact(3).map(luma).collect(), full))
+}
+
+/// Decodes luma alone, which saves the colour conversion; `None` if the file doesn't store it, is
+/// too large, or cannot be decoded.
+fn stored_luma(bytes: &[u8], bound: PixelBound) -> Option<(Vec<u8>, [u32; 2])> {
+    let options = DecoderOptions::default()
+        .jpeg_set_out_colorspace(ColorSpace::Luma)
+        .set_max_width(65_535)
+        .set_max_height(65_535);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().ok()?;
+    let full = decoder
+        .dimensions()
+        .map(|(width, height)| [width, height].map(|side| side as u32))?;
+    let is_stored = matches!(
+        decoder.input_colorspace(),
+        Some(ColorSpace::YCbCr | ColorSpace::Luma)
+    );
+    if !is_stored || bound.admit(full[0], full[1]).is_err() {
+        return None;
+    }
+    Some((decoder.decode().ok()?, full))
+}
+
+/// Returns the size at which a picture is drawn: three quarters of a megapixel or a quarter of the
+/// side, whichever is larger.
+pub fn drawn_size(full: [u32; 2]) -> [u32; 2] {
+    let pixels = f64::from(full[0]) * f64::from(full[1]);
+    let scale = (LEAST_PIXELS / pixels).sqrt().clamp(LEAST_SCALE, 1.0);
+    full.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
+}
+
+/// Decodes at the smallest of 1/8, 1/4, 1/2 and 1 that is not below the wanted size.
+fn jpeg(
+    bytes: &[u8],
+    bound: PixelBound,
+    wanted: &impl Fn([u32; 2]) -> [u32; 2],
+) -> Result<Image, ImageError> {
+    check_scans(bytes)?;
+    let mut decoder = jpeg_decoder::Decoder::new(bytes);
+    decoder.set_max_decoding_buffer_size(MOST_BYTES as usize);
+    decoder.read_info()?;
+    let full = decoder
+        .info()
+        .map_or([1, 1], |info| [info.width, info.height].map(u32::from));
+    bound.admit(full[0], full[1])?;
+    // The sides of a JPEG are 16-bit numbers.
+    let [width, height] = wanted(full).map(|side| side as u16);
+    let (width, height) = decoder.scale(width, height)?;
+    let data = decoder.decode()?;
+    let format = decoder
+        .info()
+        .map_or(PixelFormat::RGB24, |info| info.pixel_format);
+    let rgb = match format {
+        PixelFormat::RGB24 => data,
+        PixelFormat::L8 => data.iter().flat_map(|&v| [v; 3]).collect(),
+        PixelFormat::L16 => data
+            .chunks_exact(2)
+            .flat_map(|v| [(u16::from_ne_bytes([v[0], v[1]]) >> 8) as u8; 3])
+            .collect(),
+        // CMYK; the decoder has already inverted it where necessary.
+        PixelFormat::CMYK32 => data
+            .chunks_exact(4)
+            .flat_map(|v| [0, 1, 2].map(|c| product(255 - v[c], 255 - v[3])))
+            .collect(),
+    };
+    Ok(Image {
+        width: width.into(),
+        height: height.into(),
+        rgb,
+        full,
+    })
+}
+
+/// Checks the number of scans.
+fn check_scans(bytes: &[u8]) -> Result<(), ImageError> {
+    if scans(bytes) > MOST_SCANS {
+        Err(ImageError::Scans)
+    } else {
+        Ok(())
+    }
+}
+
+/// Counts the scans up to the end of the image. Neither segments nor what follows the image (the
+/// film of a motion photo, say) count; scan data has no marker but restarts (ITU T.81, B.1.1.5).
+fn scans(bytes: &[u8]) -> usize {
+    const RESTARTS: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
+    let (mut at, mut scans) = (2, 0);
+    while let Some(next) = bytes
+        .get(at..)
+        .and_then(|rest| rest.windows(2).position(|pair| is_marker(pair[0], pair[1])))
+    {
+        let marker = bytes[at + next + 1];
+        at += next + 2;
+        match marker {
+            0xd9 => break,
+            0x01 => {}
+            _ if RESTARTS.contains(&marker) => {}
+            _ => {
+                scans += usize::from(marker == 0xda);
+                let Some(length) = bytes.get(at..at + 2) else {
+                    break;
+                };
+                at += usize::from(u16::from_be_bytes([length[0], length[1]])).max(2);
+            }
+        }
+    }
+    scans
+}
+
+/// A stuffed byte or a fill byte is no marker.
+fn is_marker(first: u8, second: u8) -> bool {
+    first == 0xff && second != 0 && second != 0xff
+}
+
+/// Multiplies two shares in 255ths.
+fn product(a: u8, b: u8) -> u8 {
+    (u16::from(a) * u16::from(b) / 255) as u8
+}
+
+fn whole(bytes: &[u8], bound: PixelBound) -> Result<Image, ImageError> {
+    let pixels = open(bytes, bound)?.into_rgb8();
+    let (width, height) = pixels.dimensions();
+    Ok(Image {
+        width,
+        height,
+        rgb: pixels.into_raw(),
+        full: [width, height],
+    })
+}
+
+fn open(bytes: &[u8], bound: PixelBound) -> Result<DynamicImage, ImageError> {
+    Ok(DynamicImage::from_decoder(picture::open::<ImageError>(
+        bytes, bound,
+    )?)?)
+}
+
+/// Decodes a mask: black pixels must not be used.
+pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
+    let image = open(bytes, bound)?;
+    let (width, height) = (image.width(), image.height());
+    let usable = match image {
+        DynamicImage::ImageLuma8(pixels) => pixels.iter().map(|&grey| grey > 0).collect(),
+        // 16 bits, so that the darkest grey is not rounded to black.
+        other => other.into_luma16().iter().map(|&grey| grey > 0).collect(),
+    };
+    Mask::new(width, height, usable).ok_or(ImageError::Unknown)
+}
+
+/// Returns about how many bytes of memory reading a mask takes at its peak, by its header;
+/// `None` if it cannot be read.
+pub fn mask_reading_bytes(path: &Path, bound: PixelBound) -> Option<u64> {
+    let file = BufReader::new(input::open(path).ok()?);
+    let length = file.get_ref().metadata().ok()?.len();
+    let decoder = picture::header(file).ok()?;
+    let decoded = Some(decoder.total_bytes()).filter(|&bytes| bytes <= MOST_BYTES)?;
+    let (width, height) = decoder.dimensions();
+    let pixels = bound.admit(width, height).ok()? as u64;
+    let of_pixel = if matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
+        1
+    } else {
+        2
+    };
+    Some(length + decoded + of_pixel * pixels)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,126 @@
+//! Checks the journal of an earlier process before it is carried out.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    io,
+};
+
+use super::{
+    OutputError, check_name, record,
+    transaction::{Direction, FOLDER, JOURNAL, Journal, Root, STAGING, Step, staged},
+};
+use crate::input::{self, FileKind};
+
+/// Reads the journal that an earlier process left; `None` if there isn't one.
+///
+/// # Errors
+/// [`OutputError::Journal`] if it must not be carried out. The journal and its staged files are
+/// then set aside, so the next run isn't affected.
+pub(super) fn journal(root: &Root) -> Result<Option<Journal>, OutputError> {
+    let file = match root.folder.file(JOURNAL) {
+        Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+            return Ok(None);
+        }
+        file => file?,
+    };
+    let read = input::read_all(file, FileKind::State);
+    let bytes = read.map_err(|error| root.folder.failed(JOURNAL.as_ref(), error))?;
+    check(root, &bytes)
+        .map(Some)
+        .map_err(|why| set_aside(root, why))
+}
+
+/// Parses and checks a journal; the error says why it is refused.
+fn check(root: &Root, bytes: &[u8]) -> Result<Journal, String> {
+    let journal: Journal =
+        serde_json::from_slice(bytes).map_err(|error| format!("invalid journal: {error}"))?;
+    let change = &journal.change;
+    let mut names = change
+        .steps
+        .iter()
+        .map(|s| &s.path)
+        .chain(&change.new_folders)
+        .chain(&change.old_folders);
+    names
+        .try_for_each(|name| check_name(name))
+        .map_err(|error| error.to_string())?;
+    if journal.identity != root.identity {
+        let first = change.steps.first().map_or(String::new(), |step| {
+            format!(" (the first is {})", step.path)
+        });
+        let files = change.steps.len();
+        return Err(format!(
+            "it was written in another folder, so its {files} files{first} are not touched"
+        ));
+    }
+    if matches!(root.folder.find(STAGING), Ok(Some(found)) if !found.is_dir()) {
+        return Err(format!("{STAGING} is not a folder"));
+    }
+    check_steps(root, &journal)?;
+    Ok(journal)
+}
+
+/// Checks that each file is in its state before or after the change; several steps may change the
+/// same file.
+fn check_steps(root: &Root, journal: &Journal) -> Result<(), String> {
+    let mut known: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for step in &journal.change.steps {
+        known
+            .entry(&step.path)
+            .or_default()
+            .extend(step.new.iter().chain(&step.old).map(String::as_str));
+    }
+    let hash = |path: &str| record::hash(&root.folder, path).map_err(|error| error.to_string());
+    for (i, step) in journal.change.steps.iter().enumerate() {
+        let Step { path, new, old } = step;
+        let found = root.folder.find(path).map_err(|error| error.to_string())?;
+        let (there, staged_new) = (hash(path)?, staged(i, "new"));
+        let is_known = there
+            .as_ref()
+            .is_none_or(|there| known[path.as_str()].contains(there.as_str()));
+        if !is_known || found.is_some_and(|found| found.is_dir()) {
+            return Err(format!("{path} has changed since, so it is not touched"));
+        }
+        for (name, expected) in [(&staged_new, new), (&staged(i, "old"), old)] {
+            if root.folder.has(name) && hash(name)? != *expected {
+                return Err(format!("the staged file of {path} has changed since"));
+            }
+        }
+        if journal.direction == Direction::Finish
+            && new.is_some()
+            && there.is_none()
+            && !root.folder.has(&staged_new)
+        {
+            return Err(format!("the staged file of {path} is missing"));
+        }
+    }
+    Ok(())
+}
+
+/// Renames the staged files, then the journal. Nothing is removed: a staged file may be the only
+/// copy.
+fn set_aside(root: &Root, why: String) -> OutputError {
+    let mut names = (1..).map(|n| {
+        (
+            format!("{FOLDER}/.journal.refused-{n}.json"),
+            format!("{FOLDER}/.staging.refused-{n}"),
+        )
+    });
+    let is_free = |(journal, staging): &(String, String)| {
+        !root.folder.has(journal) && !root.folder.has(staging)
+    };
+    let Some((journal, staging)) = names.find(is_free) else {
+        return OutputError::Journal {
+            path: root.folder.path(JOURNAL),
+            why,
+        };
+    };
+    let rename = |from: &str, to: &str| root.disk.rename(&root.folder, from, to);
+    match rename(STAGING, &staging).and_then(|_| rename(JOURNAL, &journal)) {
+        Ok(_) => OutputError::Journal {
+            path: root.folder.path(journal),
+            why,
+        },
+        Err(error) => error,
+    }
+}

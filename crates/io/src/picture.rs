@@ -1,0 +1,55 @@
+//! Opens image files with bounds: on pixels before any is decoded, and on what a header may hold.
+
+use std::io::{BufRead, Cursor, Read, Seek};
+
+use image::{ImageDecoder, ImageFormat, ImageReader, ImageResult, Limits};
+use viewrank_core::base::pixels::{PixelBound, TooManyPixels};
+
+/// Limit on colour profile and other metadata, bytes: they may be deflated.
+const METADATA_BYTES: u64 = 32 << 20;
+/// Bytes in which the size of a JPEG is searched; its decoder reads a file whole.
+const JPEG_HEADER_BYTES: u64 = 16 << 20;
+/// Limit on decoded pixels, bytes; a 16-bit RGB image of 150 megapixels has 900 MB.
+pub const MOST_BYTES: u64 = 1 << 30;
+
+/// Reads the header of an image.
+pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecoder + 'a> {
+    let mut reader = ImageReader::new(file).with_guessed_format()?;
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(METADATA_BYTES);
+    reader.limits(limits);
+    reader.into_decoder()
+}
+
+/// Opens an image of no more pixels than the bound, to be decoded.
+pub fn open<'a, E>(bytes: &'a [u8], bound: PixelBound) -> Result<impl ImageDecoder + 'a, E>
+where
+    E: From<image::ImageError> + From<TooManyPixels>,
+{
+    let mut decoder = header(Cursor::new(bytes))?;
+    let (width, height) = decoder.dimensions();
+    bound.admit(width, height)?;
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(MOST_BYTES);
+    limits.reserve(decoder.total_bytes())?;
+    decoder.set_limits(limits)?;
+    // Decoders abort where there is no memory.
+    let room = Vec::<u8>::new().try_reserve_exact(decoder.total_bytes() as usize);
+    room.map_err(|error| image::ImageError::IoError(error.into()))?;
+    Ok(decoder)
+}
+
+/// Width and height by the header of an image; `None` if it isn't one.
+pub fn size(file: impl BufRead + Seek) -> Option<[u32; 2]> {
+    let reader = ImageReader::new(file).with_guessed_format().ok()?;
+    let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
+    let file = reader.into_inner();
+    let (width, height) = if is_jpeg {
+        let mut head = Vec::new();
+        file.take(JPEG_HEADER_BYTES).read_to_end(&mut head).ok()?;
+        header(Cursor::new(head)).ok()?.dimensions()
+    } else {
+        header(file).ok()?.dimensions()
+    };
+    Some([width, height])
+}

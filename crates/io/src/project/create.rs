@@ -1,0 +1,117 @@
+//! Makes a project of a scene in memory.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use viewrank_core::{base::error::Hint, model::scene::Scene};
+
+use super::{ImageFolder, Project, ProjectError};
+use crate::{
+    formats::{colmap::ColmapModel, colmap_bin},
+    output::{Contents, Disk, FileSet, OutputError},
+};
+
+/// Folder of the model in a new project.
+const MODEL: &str = "sparse/0";
+
+/// Errors of making a project.
+#[derive(Debug, thiserror::Error)]
+pub enum CreateError {
+    #[error("cannot write the model: {} has another one", .0.display())]
+    OtherModel(PathBuf),
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    #[error(transparent)]
+    Project(#[from] ProjectError),
+}
+
+impl Hint for CreateError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::OtherModel(_) => Some("give a new or empty folder".into()),
+            Self::Output(error) => error.hint(),
+            Self::Project(error) => error.hint(),
+        }
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::OtherModel(path) => Some(path),
+            Self::Output(error) => error.path(),
+            Self::Project(error) => error.path(),
+        }
+    }
+}
+
+impl Project {
+    /// Writes the scene as COLMAP model to `folder/sparse/0` and opens it as a project. `images`,
+    /// the folder to which view names are relative, is noted in the model's `project.ini`. A folder
+    /// that has the same model already is left as it is.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or has another model; names that no file can have.
+    pub fn create(
+        folder: &Path,
+        scene: &Scene,
+        images: Option<&Path>,
+    ) -> Result<Self, CreateError> {
+        let mut files = FileSet::new(folder, "model");
+        for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(scene)) {
+            files.add(format!("{MODEL}/{name}"), Contents::Bytes(bytes));
+        }
+        let images = images.map(|images| std::path::absolute(images).unwrap_or(images.into()));
+        if let Some(images) = &images {
+            files.add_text(
+                format!("{MODEL}/project.ini"),
+                format!("image_path={}\n", images.display()),
+            );
+        }
+        let is_same = |(name, contents): (&String, &Contents)| match contents {
+            Contents::Bytes(bytes) => {
+                fs::read(folder.join(name)).is_ok_and(|there| there == *bytes)
+            }
+            _ => false,
+        };
+        if !files.files.iter().all(is_same) {
+            if folder.join("sparse").exists() {
+                return Err(CreateError::OtherModel(folder.into()));
+            }
+            fs::create_dir_all(folder).map_err(|source| ProjectError::Io {
+                path: folder.into(),
+                source,
+            })?;
+            files.write(&Disk::REAL)?;
+        }
+        let project = Self::open(folder, None)?;
+        Ok(Self {
+            images: images.map(ImageFolder::new).or(project.images.clone()),
+            ..project
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use viewrank_core::method::synthetic::Town;
+
+    #[test]
+    fn a_project_of_a_scene_has_its_views_and_its_images() {
+        let scene = Town::default().scene();
+        let (folder, images) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        for _ in 0..2 {
+            Project::create(folder.path(), &scene, Some(images.path())).unwrap();
+        }
+        let project = Project::open(folder.path(), None).unwrap();
+        assert_eq!(project.images.as_deref(), Some(images.path()));
+        let read = project.read_scene().unwrap();
+        assert!(read.has_same_views(&scene) && read.observations() == scene.observations());
+        let other = scene.moved(nalgebra::Vector3::new(1.0, 0.0, 0.0));
+        assert!(matches!(
+            Project::create(folder.path(), &other, None),
+            Err(CreateError::OtherModel(_))
+        ));
+    }
+}

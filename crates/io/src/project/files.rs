@@ -1,0 +1,181 @@
+//! Reads the files of a COLMAP model.
+
+use std::{
+    collections::BTreeSet,
+    fs::File,
+    io::{self, BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+};
+
+use viewrank_core::model::scene::Scene;
+
+use super::{ModelFormat, ModelLocation, ProjectError, images::PROBED};
+use crate::{
+    formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
+    input::{self, FileKind},
+};
+
+/// Required files of a COLMAP model.
+pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
+
+/// Reads a regular file. It is not memory-mapped: another process that truncated it would crash
+/// this one.
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
+    let fail = |source| ProjectError::Io {
+        path: path.into(),
+        source,
+    };
+    let file = input::open(path).map_err(fail)?;
+    input::read_large(&file, FileKind::Sparse).map_err(fail)
+}
+
+/// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be
+/// read.
+pub(super) fn image_names(model: &ModelLocation) -> Option<BTreeSet<String>> {
+    let images = read(&colmap_file(&model.path, "images", model.format)).ok()?;
+    let is_text = model.format == ModelFormat::ColmapText;
+    if is_text {
+        colmap_text::image_names(&images)
+    } else {
+        colmap_bin::image_names(&images)
+    }
+    .ok()
+}
+
+/// Names of the first images of a COLMAP model, by reading little of its file; empty if that fails.
+pub(super) fn first_names(model: &ModelLocation) -> Vec<String> {
+    let file = input::open(&colmap_file(&model.path, "images", model.format));
+    let Ok(file) = file.map(BufReader::new) else {
+        return Vec::new();
+    };
+    match model.format {
+        ModelFormat::ColmapText => names_in_text(file),
+        _ => names_in_binary(file).unwrap_or_default(),
+    }
+}
+
+/// Bytes of a binary record before its name: id, quaternion, translation, camera.
+const BEFORE_NAME: i64 = 4 + 7 * 8 + 4;
+/// Longest name, bytes.
+const LONGEST_NAME: u64 = 4096;
+
+fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
+    let number = |file: &mut BufReader<File>| {
+        let mut bytes = [0; 8];
+        file.read_exact(&mut bytes)
+            .map(|()| u64::from_le_bytes(bytes))
+    };
+    let count = number(&mut file)?;
+    let mut names = Vec::new();
+    for _ in 0..count.min(PROBED as u64) {
+        file.seek_relative(BEFORE_NAME)?;
+        let mut name = Vec::new();
+        (&mut file).take(LONGEST_NAME).read_until(0, &mut name)?;
+        name.pop();
+        names.extend(String::from_utf8(name));
+        let observations = number(&mut file)?;
+        let length = observations
+            .checked_mul(24)
+            .and_then(|length| i64::try_from(length).ok());
+        file.seek_relative(length.ok_or(io::ErrorKind::InvalidData)?)?;
+    }
+    Ok(names)
+}
+
+/// Bytes of a text model to search.
+const SEARCHED: u64 = 16 << 20;
+
+fn names_in_text(file: BufReader<File>) -> Vec<String> {
+    let lines = file
+        .take(SEARCHED)
+        .lines()
+        .map_while(Result::ok)
+        .filter(|line| !line.starts_with('#'));
+    let heads = lines.step_by(2).take(PROBED);
+    // ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; names may have blanks.
+    heads
+        .filter_map(|line| {
+            line.trim()
+                .splitn(10, ' ')
+                .nth(9)
+                .map(|name| name.trim().to_owned())
+        })
+        .collect()
+}
+
+/// The files of a COLMAP model, in memory.
+pub struct ColmapFiles {
+    folder: PathBuf,
+    format: ModelFormat,
+    cameras: Vec<u8>,
+    images: Vec<u8>,
+    points3d: Vec<u8>,
+    rigs: Option<Vec<u8>>,
+    frames: Option<Vec<u8>>,
+}
+
+impl ColmapFiles {
+    pub(super) fn open(model: &ModelLocation) -> Result<Self, ProjectError> {
+        let path = |stem| colmap_file(&model.path, stem, model.format);
+        let optional = |stem| {
+            let path = path(stem);
+            path.is_file().then(|| read(&path)).transpose()
+        };
+        let [cameras, images, points3d] = REQUIRED.map(path);
+        let (images, points3d) = rayon::join(|| read(&images), || read(&points3d));
+        Ok(Self {
+            folder: model.path.clone(),
+            format: model.format,
+            cameras: read(&cameras)?,
+            images: images?,
+            points3d: points3d?,
+            rigs: optional("rigs")?,
+            frames: optional("frames")?,
+        })
+    }
+
+    /// Parses the files.
+    pub fn model(&self) -> Result<ColmapModel<'_>, ProjectError> {
+        let bytes = Bytes {
+            cameras: &self.cameras,
+            images: &self.images,
+            points3d: &self.points3d,
+            rigs: self.rigs.as_deref(),
+            frames: self.frames.as_deref(),
+        };
+        let model = if self.format == ModelFormat::ColmapText {
+            colmap_text::read(&bytes)
+        } else {
+            colmap_bin::read(&bytes)
+        };
+        model.map_err(|fault| self.locate(fault))
+    }
+
+    pub(super) fn scene(&self) -> Result<Scene, ProjectError> {
+        self.model()?.scene().map_err(|fault| self.locate(fault))
+    }
+
+    fn locate(&self, fault: Fault) -> ProjectError {
+        ProjectError::Fault {
+            path: colmap_file(&self.folder, fault.file, self.format),
+            fault,
+        }
+    }
+}
+
+/// The existing files of a COLMAP model.
+pub(super) fn all(model: &ModelLocation) -> Vec<PathBuf> {
+    let files = ["cameras", "images", "points3D", "rigs", "frames"]
+        .map(|stem| colmap_file(&model.path, stem, model.format));
+    files.into_iter().filter(|path| path.is_file()).collect()
+}
+
+/// Path of a file of a COLMAP model.
+pub(super) fn colmap_file(folder: &Path, stem: &str, format: ModelFormat) -> PathBuf {
+    let extension = if format == ModelFormat::ColmapText {
+        "txt"
+    } else {
+        "bin"
+    };
+    folder.join(format!("{stem}.{extension}"))
+}

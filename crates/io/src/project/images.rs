@@ -1,0 +1,621 @@
+//! Finds the image folder of a project and checks the images in it.
+
+use std::{
+    cell::Cell,
+    collections::{HashMap, HashSet},
+    fs::File,
+    io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom},
+    path::{Path, PathBuf},
+};
+
+use image::ImageFormat;
+use rayon::prelude::*;
+use viewrank_core::model::scene::{Scene, ViewIndex};
+use walkdir::WalkDir;
+
+use super::{ImageFolder, MASKS, Project, folder};
+use crate::{
+    formats::foreign::{ForeignModel, last_parts},
+    input::{self, FileKind},
+    picture,
+};
+
+/// Extensions of image files, lower case.
+const EXTENSIONS: [&str; 10] = [
+    "jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2",
+];
+
+/// Number of image names that are tried on a candidate for the image folder.
+pub(super) const PROBED: usize = 20;
+
+/// Existing folders to which the model's image names may be relative, best first: the nearest
+/// `images`, the image path in the model's `project.ini`, the project folder and the model's
+/// folder.
+pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
+    let up = |levels: usize| {
+        model
+            .ancestors()
+            .nth(levels)
+            .map(|folder| folder.join("images"))
+    };
+    let named = [
+        up(0),
+        up(1),
+        up(2),
+        Some(root.join("images")),
+        colmap_image_path(model),
+    ];
+    let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
+    named
+        .into_iter()
+        .chain(bare)
+        .flatten()
+        .filter(|folder| folder.is_dir())
+        .collect()
+}
+
+/// Finds the image folder of another program's model by its images.
+pub(super) fn find_by_names(
+    root: &Path,
+    model: &Path,
+    foreign: &ForeignModel,
+) -> Option<ImageFolder> {
+    let named = foreign
+        .image_folder
+        .as_ref()
+        .map(|folder| root.join(folder))
+        .filter(|folder| folder.is_dir());
+    let names: Vec<String> = foreign
+        .model
+        .images
+        .iter()
+        .take(PROBED)
+        .map(|image| image.name.to_string())
+        .collect();
+    folder::find(root, model, named, &names).filter(|found| {
+        found.is_searched
+            || found.ends_with("images")
+            || names.iter().any(|name| found.join(name).is_file())
+    })
+}
+
+/// Most names that are looked for in vain: each takes up to a hundred calls of the system, and a
+/// small file may name a million.
+const MOST_MISSING: usize = 10_000;
+
+/// Looks for the images of a model in some folders.
+pub(super) struct ImageSearch {
+    folders: Vec<PathBuf>,
+    missing: Cell<usize>,
+}
+
+impl ImageSearch {
+    pub fn new(folders: Vec<PathBuf>) -> Self {
+        Self {
+            folders,
+            missing: Cell::new(0),
+        }
+    }
+
+    /// Returns `name` if that image exists; otherwise `name` with the extension of an image that
+    /// exists, if any.
+    pub fn spelled(&self, name: &str) -> String {
+        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+        let others = EXTENSIONS.iter().flat_map(|e| {
+            [
+                format!("{stem}.{e}"),
+                format!("{stem}.{}", e.to_uppercase()),
+            ]
+        });
+        let exists = |name: &String| {
+            self.folders
+                .iter()
+                .any(|folder| folder.join(name).is_file())
+        };
+        let look = || std::iter::once(name.to_owned()).chain(others).find(exists);
+        self.unless_most_are_missing(look)
+            .unwrap_or_else(|| name.into())
+    }
+
+    /// Returns width and height by the header of the image, or of that in a folder with the last
+    /// parts of its path.
+    pub fn size_of(&self, name: &str) -> Option<(u32, u32)> {
+        let in_folders = |name: &String| {
+            self.folders
+                .iter()
+                .find_map(|folder| size_by_header(&folder.join(name)))
+        };
+        self.unless_most_are_missing(|| last_parts(name).iter().find_map(in_folders))
+    }
+
+    fn unless_most_are_missing<T>(&self, look: impl FnOnce() -> Option<T>) -> Option<T> {
+        if self.missing.get() == MOST_MISSING {
+            return None;
+        }
+        let found = look();
+        self.missing
+            .set(self.missing.get() + usize::from(found.is_none()));
+        found
+    }
+}
+
+/// `image_path` of the `project.ini` that COLMAP writes next to a model.
+fn colmap_image_path(model: &Path) -> Option<PathBuf> {
+    let settings = input::read_text(&model.join("project.ini"), FileKind::Settings).ok()?;
+    let value = settings.lines().find_map(|line| {
+        line.trim()
+            .strip_prefix("image_path")?
+            .trim()
+            .strip_prefix('=')
+    })?;
+    Some(model.join(value.trim()))
+}
+
+/// Numbers of leading bytes of an image to parse for its header, before trying the whole file.
+const HEADS: [u64; 2] = [1 << 16, 1 << 20];
+
+/// Beginnings of warnings.
+const MISSING: &str = "images missing from";
+const OTHER_SIZE: &str = "images of another size";
+const OTHER_ASPECT_RATIO: &str = "images of another aspect ratio";
+const UNREADABLE: &str = "images that cannot be read";
+
+/// Faults of the image files of a scene, according to their names and headers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ImageFaults {
+    /// Views without a file.
+    pub missing: Vec<ViewIndex>,
+    /// Views whose image is a scaled copy of the camera's, with its width and height.
+    pub other_size: Vec<(ViewIndex, [u32; 2])>,
+    /// Views whose image has another aspect ratio than the camera's, with its width and height.
+    pub other_aspect_ratio: Vec<(ViewIndex, [u32; 2])>,
+    /// Views whose file is empty, truncated, not an image or not to be read, in words.
+    pub unreadable: Vec<(ViewIndex, &'static str)>,
+}
+
+impl ImageFaults {
+    /// Checks the image files of all views, in parallel.
+    pub(super) fn find(folder: &ImageFolder, scene: &Scene) -> Self {
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        let check = |view: &ViewIndex| {
+            let (path, view) = (folder.file(scene.name(*view)), *view);
+            let camera = scene.camera_of(view);
+            match probe(&path) {
+                Ok(Some(size)) if !camera.has_aspect_ratio_of(size) => Self {
+                    other_aspect_ratio: vec![(view, size)],
+                    ..Self::default()
+                },
+                Ok(Some(size)) if size != [camera.width, camera.height] => Self {
+                    other_size: vec![(view, size)],
+                    ..Self::default()
+                },
+                Ok(_) => Self::default(),
+                Err(Unread::Missing) => Self {
+                    missing: vec![view],
+                    ..Self::default()
+                },
+                Err(Unread::Broken(why)) => Self {
+                    unreadable: vec![(view, why)],
+                    ..Self::default()
+                },
+            }
+        };
+        let found: Vec<Self> = views.par_iter().map(check).collect();
+        let mut all = Self::default();
+        for faults in found {
+            all.missing.extend(faults.missing);
+            all.other_size.extend(faults.other_size);
+            all.other_aspect_ratio.extend(faults.other_aspect_ratio);
+            all.unreadable.extend(faults.unreadable);
+        }
+        all
+    }
+
+    /// Pixels of the largest image of a scene that can be read; 0 without one.
+    pub fn most_pixels(&self, scene: &Scene) -> u64 {
+        let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+        let admitted = |view: ViewIndex, pixels: u64| {
+            Some(pixels)
+                .filter(|&pixels| pixels <= scene.camera_of(view).most_picture_pixels().pixels())
+        };
+        let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
+        let others: HashMap<ViewIndex, [u32; 2]> = self
+            .other_size
+            .iter()
+            .chain(&self.other_aspect_ratio)
+            .copied()
+            .collect();
+        let of_view = |view: ViewIndex| {
+            let camera = scene.camera_of(view);
+            admitted(
+                view,
+                pixels(
+                    others
+                        .get(&view)
+                        .copied()
+                        .unwrap_or([camera.width, camera.height]),
+                ),
+            )
+        };
+        scene
+            .view_indices()
+            .filter(|view| !without.contains(view))
+            .filter_map(of_view)
+            .max()
+            .unwrap_or_default()
+    }
+
+    fn missing_or_unreadable(&self) -> impl Iterator<Item = ViewIndex> {
+        self.missing
+            .iter()
+            .copied()
+            .chain(self.unreadable.iter().map(|(view, _)| *view))
+    }
+
+    /// Views without an image that can be read, ascending; none if that is true of all `views`.
+    pub fn without_image(&self, views: usize) -> Vec<ViewIndex> {
+        let mut without: Vec<ViewIndex> = self.missing_or_unreadable().collect();
+        without.sort_unstable();
+        if self.is_any_readable(views) {
+            without
+        } else {
+            Vec::new()
+        }
+    }
+
+    /// Views that a plan which compares pictures leaves out, ascending, as far as headers show:
+    /// also those whose image has another aspect ratio; none if that is true of all `views`.
+    pub fn unusable(&self, views: usize) -> Vec<ViewIndex> {
+        let others = self.other_aspect_ratio.iter().map(|(view, _)| *view);
+        let mut unusable: Vec<ViewIndex> = self.missing_or_unreadable().chain(others).collect();
+        unusable.sort_unstable();
+        if unusable.len() < views {
+            unusable
+        } else {
+            Vec::new()
+        }
+    }
+
+    /// Returns true if at least one image of the scene's `views` views is readable.
+    pub fn is_any_readable(&self, views: usize) -> bool {
+        self.missing_or_unreadable().count() < views
+    }
+
+    /// The faults of these views, which must be ascending.
+    pub fn among(&self, views: &[ViewIndex]) -> Self {
+        let is_among = |view: &ViewIndex| views.binary_search(view).is_ok();
+        let sizes_among = |sizes: &[(ViewIndex, [u32; 2])]| -> Vec<_> {
+            sizes
+                .iter()
+                .copied()
+                .filter(|(view, _)| is_among(view))
+                .collect()
+        };
+        Self {
+            missing: self.missing.iter().copied().filter(is_among).collect(),
+            other_size: sizes_among(&self.other_size),
+            other_aspect_ratio: sizes_among(&self.other_aspect_ratio),
+            unreadable: self
+                .unreadable
+                .iter()
+                .copied()
+                .filter(|(view, _)| is_among(view))
+                .collect(),
+        }
+    }
+
+    /// One warning per kind of fault.
+    pub fn warnings(&self, project: &Project, scene: &Scene) -> Vec<String> {
+        let Some(folder) = &project.images else {
+            return Vec::new();
+        };
+        let doctor = format!("viewrank doctor {}", project.as_argument());
+        let all = scene.views.len();
+        let missing = self.missing.first().map(|first| {
+            let (count, name) = (self.missing.len(), scene.name(*first));
+            format!(
+                "{MISSING} {}: {count} of {all}, e.g. {name}: {doctor}",
+                folder.display()
+            )
+        });
+        let other = |kind: &str, views: &[(ViewIndex, [u32; 2])]| {
+            let &(first, [width, height]) = views.first()?;
+            let (camera, name, count) = (scene.camera_of(first), scene.name(first), views.len());
+            let model = format!("{} x {}", camera.width, camera.height);
+            Some(format!(
+                "{kind} than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {model}: {doctor}"
+            ))
+        };
+        let unreadable = self.unreadable.first().map(|(first, why)| {
+            let (count, name) = (self.unreadable.len(), scene.name(*first));
+            format!("{UNREADABLE}: {count} of {all}, e.g. {name} ({why}): {doctor}")
+        });
+        let size = other(OTHER_SIZE, &self.other_size);
+        let aspect_ratio = other(OTHER_ASPECT_RATIO, &self.other_aspect_ratio);
+        [missing, size, aspect_ratio, unreadable]
+            .into_iter()
+            .flatten()
+            .collect()
+    }
+
+    /// Returns whether this is one of [`ImageFaults::warnings`], of whatever views.
+    pub fn is_warning(text: &str) -> bool {
+        [MISSING, OTHER_SIZE, OTHER_ASPECT_RATIO, UNREADABLE]
+            .iter()
+            .any(|kind| text.starts_with(kind))
+    }
+}
+
+/// Reason why the size of an image cannot be determined.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unread {
+    #[error("no file")]
+    Missing,
+    #[error("{0}")]
+    Broken(&'static str),
+}
+
+/// Reads the width and height of a complete image, judging by its name, header and end; `None` for
+/// formats that cannot be checked.
+pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
+    let found = path
+        .metadata()
+        .ok()
+        .filter(|found| !found.is_dir())
+        .ok_or(Unread::Missing)?;
+    if !found.is_file() {
+        return Err(Unread::Broken("not a regular file"));
+    }
+    let length = found.len();
+    if length == 0 {
+        return Err(Unread::Broken("empty"));
+    }
+    let file = input::open(path).map_err(|error| match error.kind() {
+        io::ErrorKind::PermissionDenied => Unread::Broken("no permission to read it"),
+        io::ErrorKind::InvalidData => Unread::Broken("not completely copied"),
+        _ => Unread::Broken("cannot be opened"),
+    })?;
+    let mut file = BufReader::with_capacity(TAIL as usize, file);
+    let can_be_checked = ImageFormat::from_path(path).is_ok_and(|format| format.reading_enabled());
+    match dimensions(&mut file, length) {
+        None if can_be_checked => Err(Unread::Broken("not an image")),
+        Some(_) if is_truncated(&mut file, length).unwrap_or(false) => {
+            Err(Unread::Broken("truncated"))
+        }
+        found => Ok(found),
+    }
+}
+
+/// Bytes at the end of an image file to search for the mark of its end, before searching the rest.
+const TAIL: u64 = 1 << 16;
+const START_OF_IMAGE: &[u8] = &[0xff, 0xd8];
+const END_OF_IMAGE: &[u8] = &[0xff, 0xd9];
+const START_OF_SCAN: u8 = 0xda;
+const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
+/// The last chunk of a PNG file (PNG specification, 11.2.5), without its checksum, which decoders
+/// don't read.
+const PNG_END: &[u8] = b"\0\0\0\0IEND";
+
+/// Returns whether a JPEG or PNG file lacks the mark of its end; other bytes may follow it. JPEG's
+/// cannot occur by chance in scan data (ITU T.81, B.1.1.5), but it can occur before the first scan,
+/// in an embedded thumbnail.
+fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
+    file.rewind()?;
+    let start = file.fill_buf()?;
+    let (is_jpeg, is_png) = (
+        start.starts_with(START_OF_IMAGE),
+        start.starts_with(PNG_SIGNATURE),
+    );
+    if !is_jpeg && !is_png {
+        return Ok(false);
+    }
+    let end = if is_jpeg { END_OF_IMAGE } else { PNG_END };
+    if length > TAIL {
+        file.seek(SeekFrom::Start(length - TAIL))?;
+        if contains(file, end)? {
+            return Ok(false);
+        }
+    }
+    match is_jpeg {
+        true => seek_first_scan(file)?,
+        false => file.rewind()?,
+    }
+    Ok(!contains(file, end)?)
+}
+
+/// Seeks to the data of the first scan or, without a scan, past the last complete segment.
+fn seek_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
+    file.seek(SeekFrom::Start(2))?;
+    loop {
+        let mut segment = Vec::new();
+        file.take(4).read_to_end(&mut segment)?;
+        let [0xff, kind, high, low] = segment[..] else {
+            return file.seek_relative(-(segment.len() as i64));
+        };
+        // The length counts its own two bytes.
+        file.seek_relative(i64::from(u16::from_be_bytes([high, low])) - 2)?;
+        if kind == START_OF_SCAN {
+            return Ok(());
+        }
+    }
+}
+
+/// Returns whether the rest of the file contains these bytes.
+fn contains(file: &mut impl BufRead, wanted: &[u8]) -> io::Result<bool> {
+    // What was read last, after the end of what was read before.
+    let mut searched = Vec::new();
+    loop {
+        let bytes = file.fill_buf()?;
+        let read = bytes.len();
+        searched.extend_from_slice(bytes);
+        if searched
+            .windows(wanted.len())
+            .any(|window| window == wanted)
+        {
+            return Ok(true);
+        }
+        if read == 0 {
+            return Ok(false);
+        }
+        file.consume(read);
+        searched.drain(..(searched.len() + 1).saturating_sub(wanted.len()));
+    }
+}
+
+/// Width and height from the header; reads as little of the file as possible.
+fn dimensions(file: &mut BufReader<File>, length: u64) -> Option<[u32; 2]> {
+    let mut from_head = |bytes: u64| {
+        file.rewind().ok()?;
+        let mut head = Vec::new();
+        file.take(bytes).read_to_end(&mut head).ok()?;
+        picture::size(Cursor::new(head))
+    };
+    let found = HEADS
+        .into_iter()
+        .filter(|bytes| *bytes < length)
+        .find_map(&mut from_head);
+    found.or_else(|| file.rewind().ok().and_then(|()| picture::size(file)))
+}
+
+/// Width and height of an image file, wherever they are in it.
+fn size_by_header(path: &Path) -> Option<(u32, u32)> {
+    picture::size(BufReader::new(input::open(path).ok()?)).map(Into::into)
+}
+
+/// Images of the folder, other than masks, without a view in the scene, sorted; none if the folder
+/// has no image of the scene, since a foreign model may name an unrelated folder.
+pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
+    if !scene
+        .views
+        .iter()
+        .take(PROBED)
+        .any(|view| folder.file(&view.name).is_file())
+    {
+        return Vec::new();
+    }
+    let names = scene
+        .views
+        .iter()
+        .map(|view| &*view.name)
+        .chain(folder.other_names().map(|(_, file)| file));
+    let registered: HashSet<PathBuf> = names.map(|name| normal(Path::new(name))).collect();
+    images_below(folder, |name| {
+        !registered.contains(name) && !name.starts_with(MASKS)
+    })
+}
+
+/// Most files and folders that are looked through: a project's settings may name any folder.
+const MOST_ENTRIES: usize = 500_000;
+
+/// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`;
+/// sorted. Links to folders are not followed: they may lead anywhere.
+pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<String> {
+    let entries = WalkDir::new(folder)
+        .follow_root_links(true)
+        .sort_by_file_name()
+        .into_iter()
+        .take(MOST_ENTRIES);
+    let images = entries
+        .filter_map(Result::ok)
+        .filter(|entry| is_image(entry.path()) && entry.path().is_file());
+    let names = images.filter_map(|entry| {
+        entry
+            .path()
+            .strip_prefix(folder)
+            .ok()
+            .map(Path::to_path_buf)
+    });
+    let mut wanted: Vec<String> = names
+        .filter(|name| is_wanted(name))
+        .map(|name| slashes(&name))
+        .collect();
+    wanted.sort_unstable();
+    wanted
+}
+
+/// True for names of image files.
+pub fn is_image(path: &Path) -> bool {
+    let extension = path
+        .extension()
+        .map(|e| e.to_string_lossy().to_ascii_lowercase());
+    extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
+}
+
+/// Removes `.` components.
+fn normal(name: &Path) -> PathBuf {
+    name.components()
+        .filter(|c| !matches!(c, std::path::Component::CurDir))
+        .collect()
+}
+
+/// Formats a path with `/` as the separator, like image names.
+pub fn slashes(path: &Path) -> String {
+    path.components()
+        .map(|c| c.as_os_str().to_string_lossy())
+        .collect::<Vec<_>>()
+        .join("/")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use viewrank_core::{method::synthetic::Town, model::scene::ViewIndex};
+
+    #[test]
+    fn bytes_are_found_wherever_they_are_read() {
+        for text in ["ab", "xab", "xxab", "xxxab", "xxaab", "aab", "xxxxxabxx"] {
+            for capacity in 1..5 {
+                let mut file = BufReader::with_capacity(capacity, text.as_bytes());
+                assert!(
+                    contains(&mut file, b"ab").unwrap(),
+                    "{text}, {capacity} at a time"
+                );
+            }
+        }
+        for text in ["", "a", "b", "axb", "xxba", "aaa"] {
+            assert!(
+                !contains(&mut BufReader::with_capacity(2, text.as_bytes()), b"ab").unwrap(),
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn images_that_are_missing_broken_or_larger_are_told_apart() {
+        let (folder, scene) = (tempfile::tempdir().unwrap(), Town::default().scene());
+        let path = |view: u32| {
+            let path = folder.path().join(scene.name(ViewIndex(view)));
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            path
+        };
+        let save = |view, width, height| {
+            image::GrayImage::new(width, height)
+                .save_with_format(path(view), ImageFormat::Png)
+                .unwrap();
+        };
+        let find = || ImageFaults::find(&ImageFolder::new(folder.path()), &scene);
+        let views = scene.views.len();
+        assert_eq!(find().missing.len(), views);
+        assert_eq!(find().without_image(views), [], "all are elsewhere");
+        (0..views as u32).for_each(|view| save(view, 1000, 750));
+        assert_eq!(
+            (find(), find().most_pixels(&scene)),
+            (ImageFaults::default(), 750_000)
+        );
+        save(5, 1200, 900);
+        save(7, 900, 900);
+        std::fs::remove_file(path(9)).unwrap();
+        std::fs::write(path(3), "").unwrap();
+        let faults = find();
+        assert_eq!(faults.other_size, [(ViewIndex(5), [1200, 900])]);
+        assert_eq!(faults.other_aspect_ratio, [(ViewIndex(7), [900, 900])]);
+        assert_eq!(faults.without_image(views), [3, 9].map(ViewIndex));
+        assert_eq!(faults.unusable(views), [3, 7, 9].map(ViewIndex));
+        (0..views as u32).for_each(|view| save(view, 8, 8));
+        assert_eq!(
+            (find().other_aspect_ratio.len(), find().unusable(views)),
+            (views, vec![])
+        );
+        assert_eq!(faults.most_pixels(&scene), 1_080_000);
+    }
+}

@@ -1,0 +1,511 @@
+//! Projects: folders with a sparse model, and where their images and dense workspace are.
+
+mod containing;
+mod create;
+mod discover;
+mod elsewhere;
+mod files;
+mod folder;
+mod foreign;
+mod images;
+
+use std::{
+    collections::HashSet,
+    io,
+    path::{Path, PathBuf},
+    time::SystemTime,
+};
+
+use viewrank_core::{
+    base::error::Hint,
+    model::scene::{ModelWarning, Scene, WarningKind},
+};
+
+pub use containing::containing;
+pub use create::CreateError;
+pub use files::ColmapFiles;
+pub use folder::{ImageFolder, MASKS};
+pub use images::{ImageFaults, Unread, slashes};
+pub use images::{images_below, is_image, probe};
+
+use crate::shell::{command_path, command_word};
+use crate::{
+    formats::{Fault, colmap::ColmapModel},
+    output::Disk,
+};
+
+/// Sparse model formats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ModelFormat {
+    ColmapBinary,
+    ColmapText,
+    Bundler,
+    Nvm,
+    OpenMvg,
+    OpenSfm,
+    AliceVision,
+    OpenMvs,
+    Sure,
+    /// `transforms.json` (nerfstudio, instant-ngp).
+    Transforms,
+    /// Metashape's `cameras.xml`.
+    Metashape,
+    /// BlocksExchange XML (ContextCapture).
+    Blocks,
+    /// MVE's `synth_0.out`.
+    Mve,
+    /// An `Ori-` folder of MicMac.
+    MicMac,
+}
+
+impl ModelFormat {
+    /// Returns whether COLMAP reads the format.
+    pub fn is_colmap(self) -> bool {
+        matches!(self, Self::ColmapBinary | Self::ColmapText)
+    }
+
+    /// Returns whether the format stores measured pixels. Without them, observations are placed at
+    /// the projections of their points.
+    pub fn has_pixels(self) -> bool {
+        !matches!(
+            self,
+            Self::OpenMvs
+                | Self::Sure
+                | Self::Transforms
+                | Self::Metashape
+                | Self::Mve
+                | Self::MicMac
+        )
+    }
+
+    /// Display name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ColmapBinary => "COLMAP binary",
+            Self::ColmapText => "COLMAP text",
+            Self::Bundler => "Bundler",
+            Self::Nvm => "NVM",
+            Self::OpenMvg => "OpenMVG",
+            Self::OpenSfm => "OpenSfM",
+            Self::AliceVision => "AliceVision",
+            Self::OpenMvs => "OpenMVS",
+            Self::Sure => "SURE",
+            Self::Transforms => "transforms.json",
+            Self::Metashape => "Metashape",
+            Self::Blocks => "BlocksExchange",
+            Self::Mve => "MVE",
+            Self::MicMac => "MicMac",
+        }
+    }
+}
+
+/// Location of a sparse model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelLocation {
+    pub format: ModelFormat,
+    /// Folder of a COLMAP model; the file of other formats.
+    pub path: PathBuf,
+    /// Number of registered images according to a quick check of the file; 0 if that fails.
+    pub registered: u64,
+}
+
+impl ModelLocation {
+    /// Name of the folder or file, as passed to `--model`.
+    pub fn name(&self) -> String {
+        self.path
+            .file_name()
+            .unwrap_or(self.path.as_os_str())
+            .to_string_lossy()
+            .into_owned()
+    }
+}
+
+/// Layout of the project folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProjectKind {
+    /// `sparse/0`, `sparse/1`, ..., `images/`.
+    Colmap,
+    /// `sparse/*.bin`, `images/`, `stereo/`.
+    ColmapDense,
+    /// A model without a project around it.
+    BareModel,
+    OpenMvs,
+    Sure,
+}
+
+/// A folder with a sparse model.
+#[derive(Clone, Debug)]
+pub struct Project {
+    pub root: PathBuf,
+    /// Folder with viewrank's output folder: `root`, or another one for a project that must not be
+    /// written to.
+    pub home: PathBuf,
+    pub kind: ProjectKind,
+    /// The model to plan for.
+    pub model: ModelLocation,
+    /// True if the user named the model.
+    pub model_is_named: bool,
+    /// Other sub-models of the project, which are not used.
+    pub other_models: Vec<ModelLocation>,
+    /// The folder to which image names are relative.
+    pub images: Option<ImageFolder>,
+    /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`.
+    pub dense_workspace: Option<PathBuf>,
+    /// The model's files as they were before the scene was read.
+    pub model_stamps: Vec<FileStamp>,
+}
+
+/// Length and modification time of a file; `None` if it is missing. Not the inode, which some
+/// network file systems make up anew each time.
+pub type FileStamp = Option<(u64, Option<SystemTime>)>;
+
+/// Name of the file set of a batch of undistorted images, from 1.
+pub fn undistorted_set(batch: usize) -> String {
+    format!("undistorted-{batch:04}")
+}
+
+impl Project {
+    /// Opens a project folder, a model folder or a model file. Of several sub-models it takes the
+    /// one named by `model`, or the one with the most registered images, ties by name.
+    ///
+    /// # Errors
+    /// If there is no complete model, or no sub-model of that name.
+    pub fn open(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
+        discover::open(path, model)
+    }
+
+    /// Opens what a user names: as [`Self::open`], or the folder of a plan that was written
+    /// elsewhere (`plan --out`).
+    pub fn open_or_planned(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
+        match Self::open(path, model) {
+            Err(ProjectError::NoModel { .. }) if elsewhere::project_of(path).is_some() => {
+                let project = elsewhere::project_of(path).unwrap_or_default();
+                Ok(Self::open(&project, model)?.with_home(path))
+            }
+            opened => opened,
+        }
+    }
+
+    /// The same project with the results in another folder; nothing is written to its own. The plan
+    /// there names the project, so that the folder can be opened in its place.
+    pub fn with_home(self, home: &Path) -> Self {
+        let home = std::path::absolute(home).unwrap_or_else(|_| home.into());
+        // A workspace gets the files of its backend, which would be written into the project.
+        Self {
+            home,
+            dense_workspace: None,
+            ..self
+        }
+    }
+
+    /// The same project with its images in this folder; `None`: where they were found.
+    pub fn with_images(self, images: Option<&Path>) -> Self {
+        let images = images.map(ImageFolder::new).or(self.images);
+        Self { images, ..self }
+    }
+
+    /// Returns whether results go to a folder outside the project.
+    pub fn is_elsewhere(&self) -> bool {
+        self.home != self.root
+    }
+
+    /// Command line argument for the project: its folder, and `--model` unless the sub-model is the
+    /// default.
+    pub fn as_argument(&self) -> String {
+        let root = command_path(&self.home);
+        match discover::is_first(&self.model, &self.other_models) {
+            true => root,
+            false => format!("{root} --model {}", command_word(&self.model.name())),
+        }
+    }
+
+    /// Returns whether `viewrank undistort` made the dense workspace.
+    pub fn has_undistorted_workspace(&self) -> bool {
+        self.dense_workspace.as_ref().is_some_and(|dense| {
+            dense
+                .join(format!("viewrank/{}.json", undistorted_set(1)))
+                .is_file()
+        })
+    }
+
+    /// viewrank's output folder: `home/viewrank`.
+    pub fn output_folder(&self) -> PathBuf {
+        self.home.join("viewrank")
+    }
+
+    /// The disk for results: nothing that is written below [`Self::home`] gets out of it.
+    pub fn disk(&self) -> Disk<'_> {
+        Disk::REAL.within(std::slice::from_ref(&self.home))
+    }
+
+    /// Reads the model, and adds the images of the image folder that it lacks to `unregistered`.
+    pub fn read_scene(&self) -> Result<Scene, ProjectError> {
+        let mut scene = match self.model.format {
+            ModelFormat::ColmapBinary | ModelFormat::ColmapText => self.colmap_files()?.scene()?,
+            _ => {
+                let fault = |fault| ProjectError::Fault {
+                    path: self.model.path.clone(),
+                    fault,
+                };
+                foreign::read(&self.root, &self.model)?
+                    .scene()
+                    .map_err(fault)?
+            }
+        };
+        let others = self.sub_model_warning(scene.views.len());
+        scene
+            .warnings
+            .extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
+        let workspace = self.other_workspace_warning();
+        scene
+            .warnings
+            .extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
+        if let Some(images) = &self.images {
+            images.resolve(&scene);
+        }
+        // If the project folder itself is the image folder, an image in it need not belong to the
+        // survey.
+        if let Some(images) = self
+            .images
+            .as_ref()
+            .filter(|images| ***images != *self.root)
+        {
+            scene
+                .unregistered
+                .extend(images::unregistered(images, &scene));
+            scene.unregistered.sort_unstable();
+            scene.unregistered.dedup();
+        }
+        Ok(scene)
+    }
+
+    /// Checks the image files of the scene; finds no faults without an image folder.
+    pub fn image_faults(&self, scene: &Scene) -> ImageFaults {
+        self.images
+            .as_ref()
+            .map_or_else(ImageFaults::default, |folder| {
+                ImageFaults::find(folder, scene)
+            })
+    }
+
+    /// Returns whether the image folder, if there is one, has no image of the scene.
+    pub fn has_only_other_images(&self, scene: &Scene) -> bool {
+        let has_image = |folder: &ImageFolder| {
+            scene
+                .view_indices()
+                .any(|view| folder.file(scene.name(view)).is_file())
+        };
+        self.images
+            .as_ref()
+            .is_some_and(|folder| !has_image(folder))
+    }
+
+    /// Returns the folders of masks, the first of which counts if several have one for an image.
+    pub fn mask_folders(&self) -> Vec<PathBuf> {
+        let place = |folder: &Path| folder.canonicalize().unwrap_or_else(|_| folder.into());
+        // The folder above the project may belong to others.
+        let images = self
+            .images
+            .as_deref()
+            .filter(|images| place(images) != place(&self.root));
+        let above = [Some(&*self.root), images.and_then(Path::parent), images]
+            .into_iter()
+            .flatten();
+        let mut places = HashSet::new();
+        above
+            .map(|folder| folder.join(MASKS))
+            .filter(|folder| folder.is_dir() && places.insert(place(folder)))
+            .collect()
+    }
+
+    /// Reads the files of a COLMAP model unchanged, to write a part of the model.
+    pub fn colmap_files(&self) -> Result<ColmapFiles, ProjectError> {
+        ColmapFiles::open(&self.model)
+    }
+
+    /// Returns whether the folder of a binary COLMAP model also has a text model with other images
+    /// or poses, or one that cannot be read.
+    pub fn has_other_text_model(&self, scene: &Scene) -> bool {
+        let location = ModelLocation {
+            format: ModelFormat::ColmapText,
+            ..self.model.clone()
+        };
+        if self.model.format != ModelFormat::ColmapBinary
+            || !self.model.path.join("images.txt").is_file()
+        {
+            return false;
+        }
+        ColmapFiles::open(&location)
+            .and_then(|files| files.scene())
+            .map_or(true, |text| !text.has_same_views(scene))
+    }
+
+    /// Calls `use_model` with the COLMAP model in the project's files, or with one made from the
+    /// scene for other formats.
+    pub fn with_colmap_model<T>(
+        &self,
+        scene: &Scene,
+        use_model: impl FnOnce(&ColmapModel) -> T,
+    ) -> Result<T, ProjectError> {
+        Ok(match self.model.format {
+            ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
+                use_model(&self.colmap_files()?.model()?)
+            }
+            _ => use_model(&ColmapModel::from_scene(scene)),
+        })
+    }
+
+    /// All files of the model, in a fixed order.
+    pub fn model_files(&self) -> Vec<PathBuf> {
+        model_files(&self.root, &self.model)
+    }
+
+    /// Returns an error if the model's files have changed since the project was opened: what is
+    /// known of them is out of date.
+    pub fn refuse_changed_model(&self) -> Result<(), ProjectError> {
+        match stamps(&self.root, &self.model) == self.model_stamps {
+            true => Ok(()),
+            false => Err(ProjectError::ModelChanged(self.model.path.clone())),
+        }
+    }
+
+    /// Other models at least half of whose images are in the scene: copies of the model, possibly
+    /// in other coordinates.
+    pub fn copies(&self, scene: &Scene) -> Vec<&ModelLocation> {
+        let is_copy = |model: &&ModelLocation| {
+            let names = discover::image_names(&self.root, model).unwrap_or_default();
+            let shared = names
+                .iter()
+                .filter(|name| scene.find(name).is_some())
+                .count();
+            2 * shared >= names.len()
+        };
+        self.other_models.iter().filter(is_copy).collect()
+    }
+
+    /// Warns of a dense workspace that was made from another model, unless nothing is written into
+    /// the project anyway.
+    fn other_workspace_warning(&self) -> Option<String> {
+        let others = discover::dense_folders(&self.root, &self.model);
+        let other = others
+            .first()
+            .filter(|_| self.dense_workspace.is_none() && !self.is_elsewhere())?;
+        Some(format!(
+            "{} lacks images of this model, or its own model cannot be read; viewrank writes nothing into it",
+            other.display()
+        ))
+    }
+
+    /// Names the model that is used, and the others.
+    fn sub_model_warning(&self, registered: usize) -> Option<String> {
+        let others = self
+            .other_models
+            .iter()
+            .map(|m| format!("{} ({} images)", m.name(), m.registered));
+        let others: Vec<String> = others.collect();
+        (!others.is_empty() && !self.model_is_named).then(|| {
+            let used = self.model.name();
+            let how = match self.model.path.is_dir() {
+                true => format!(
+                    "`viewrank plan {}` plans another one",
+                    command_path(&self.other_models[0].path)
+                ),
+                false => "choose another one with --model".into(),
+            };
+            format!(
+                "of several sub-models {used} ({registered} images) is used; not used: {}; {how}",
+                others.join(", ")
+            )
+        })
+    }
+}
+
+fn model_files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
+    if model.format.is_colmap() {
+        files::all(model)
+    } else {
+        foreign::files(root, model)
+    }
+}
+
+fn stamps(root: &Path, model: &ModelLocation) -> Vec<FileStamp> {
+    let stamp = |path: PathBuf| {
+        let found = path.metadata().ok()?;
+        Some((found.len(), found.modified().ok()))
+    };
+    model_files(root, model).into_iter().map(stamp).collect()
+}
+
+/// Returns the path between quotes that a shell has passed on.
+fn unquoted(path: &Path) -> Option<&Path> {
+    let text = path.to_str()?;
+    let inner = |quote: char| text.strip_prefix(quote)?.strip_suffix(quote);
+    ['"', '\''].into_iter().find_map(inner).map(Path::new)
+}
+
+/// Error of opening a project or reading its model.
+#[derive(Debug, thiserror::Error)]
+pub enum ProjectError {
+    #[error("{0}: no such file or folder")]
+    NotFound(PathBuf),
+    #[error("no sparse model under {path}; looked for {looked_for}")]
+    NoModel { path: PathBuf, looked_for: String },
+    #[error("incomplete COLMAP model in {folder}: {missing} missing")]
+    IncompleteModel { folder: PathBuf, missing: String },
+    #[error("no sub-model {wanted:?} in {path}, only {present}")]
+    NoSuchModel {
+        path: PathBuf,
+        wanted: String,
+        present: String,
+    },
+    #[error("cannot read {path}: {source}")]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{path}, {fault}")]
+    Fault { path: PathBuf, fault: Fault },
+    #[error("the model {0} has changed since it was read")]
+    ModelChanged(PathBuf),
+    #[error("no image list (list.txt) for {0} in its folder or the one above")]
+    NoImageList(PathBuf),
+}
+
+impl Hint for ProjectError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::NotFound(path) if unquoted(path).is_some_and(Path::exists) => {
+                let name = unquoted(path).unwrap_or(path);
+                format!("the quotes became part of the name; without them it is there: {}", command_path(name))
+            }
+            Self::NotFound(_) => "name the project folder, which contains `sparse` and `images`".into(),
+            Self::NoModel { path, .. } if path.is_file() => {
+                "this file is no sparse model, and none is beside it: name the project folder, which contains `sparse`"
+                    .into()
+            }
+            Self::NoModel { .. } => "name a folder that contains `sparse`, or the folder of the model itself".into(),
+            Self::IncompleteModel { .. } => {
+                "export the model again, with cameras, images and points3D in one format, binary or text".into()
+            }
+            Self::NoSuchModel { .. } => "pass one of these names to --model, or omit it".into(),
+            Self::Io { .. } => "check that the file exists and is readable".into(),
+            Self::Fault { fault, .. } => fault.problem.hint().into(),
+            Self::ModelChanged(_) => "once the model is complete, read it and plan again; nothing was written".into(),
+            Self::NoImageList(_) => "copy Bundler's image list there: one line per camera with the image name".into(),
+        })
+    }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::NoSuchModel { .. })
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::NotFound(path) | Self::ModelChanged(path) | Self::NoImageList(path) => Some(path),
+            Self::NoModel { path, .. }
+            | Self::IncompleteModel { folder: path, .. }
+            | Self::NoSuchModel { path, .. }
+            | Self::Io { path, .. }
+            | Self::Fault { path, .. } => Some(path),
+        }
+    }
+}

@@ -1,8 +1,0 @@
-//! The sparse model: cameras, views, points and tracks, and its georeference.
-
-pub mod arrays;
-pub mod camera;
-pub mod cluster;
-pub mod georeference;
-pub mod reason;
-pub mod scene;

@@ -1,0 +1,186 @@
+//! What the stages of a plan start from: the scene, the settings in force, and what the images
+//! show before any is decoded.
+
+use super::{Matcher, PlanError, Timings, cached::Fingerprints, georeference, region};
+use crate::{
+    base::progress::Stage,
+    config::{ConfidenceSource, Settings, Share},
+    decision::DEFAULT_TARGET,
+    io::{
+        pictures::Pictures,
+        project::{ImageFaults, Project},
+    },
+    method::{
+        confidence::Confidence, fulfilment::FulfilmentRule, region::RegionShape, target::GSD_MARGIN,
+    },
+    model::{
+        cluster::MapScale,
+        georeference::MapFrame,
+        scene::{Scene, Units, ViewIndex, ViewPoints},
+    },
+};
+
+/// Inputs of all stages.
+pub(super) struct Inputs<'a> {
+    pub matcher: &'a Matcher,
+    /// In force: those chosen from the data or by the backend are filled in.
+    pub settings: Settings,
+    pub scene: Scene,
+    pub points: ViewPoints,
+    /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
+    /// points.
+    pub image_gsd: Option<f64>,
+    pub image_faults: ImageFaults,
+    /// Pixels of the largest image; 0 without images.
+    pub most_pixels: u64,
+    /// Views whose image is missing or unreadable, ascending.
+    pub without_image: Vec<ViewIndex>,
+    pub pictures: Pictures,
+    /// How p_i is predicted (method 3.4).
+    pub confidence: Confidence,
+    /// The region of the settings, before it is laid over the surface.
+    pub region: Option<RegionShape>,
+    pub fingerprints: Fingerprints<'a>,
+}
+
+impl<'a> Inputs<'a> {
+    /// Checks the images, and fills in the settings.
+    pub fn new(
+        project: &'a Project,
+        scene: Scene,
+        settings: &Settings,
+        matcher: &'a Matcher,
+        timings: &mut Timings,
+    ) -> Result<Self, PlanError> {
+        let source = settings
+            .confidence
+            .source
+            .in_force(project.images.is_some());
+        let (points, fingerprints, image_gsd, mut settings, region) =
+            timings.time(Stage::Read, || {
+                let (points, fingerprints) = rayon::join(
+                    || scene.view_points(),
+                    || Fingerprints::new(project, &scene),
+                );
+                let image_gsd = scene.median_gsd_of(&points);
+                let settings = in_force(project, settings, (&scene, image_gsd), matcher, source)?;
+                let region = shape(project, &scene, &settings)?;
+                Ok::<_, PlanError>((points, fingerprints, image_gsd, settings, region))
+            })?;
+        refuse_other_images(project, &scene, &settings)?;
+        let image_faults = project.image_faults(&scene);
+        let most_pixels = match project.images {
+            Some(_) => image_faults.most_pixels(&scene),
+            None => 0,
+        };
+        let numbers = &matcher.numbers;
+        let own = &settings.confidence;
+        let confidence = Confidence::new(source, own, &numbers.confidence, &numbers.photometric);
+        confidence.fill_in(&mut settings.confidence);
+        let without_image = image_faults.without_image(scene.views.len());
+        Ok(Self {
+            matcher,
+            settings,
+            pictures: Pictures::new(project).without(&without_image),
+            scene,
+            points,
+            image_gsd,
+            image_faults,
+            most_pixels,
+            without_image,
+            confidence,
+            region,
+            fingerprints,
+        })
+    }
+
+    /// Parameters of f.
+    pub fn rule(&self) -> FulfilmentRule {
+        let settings = &self.settings;
+        FulfilmentRule {
+            alpha: settings.fulfilment.alpha,
+            sigma_px: settings.fulfilment.sigma_px,
+            min_cameras: settings.coverage.min_cameras,
+            image_scale: settings.image_scale(),
+            confidence: self.confidence,
+        }
+    }
+}
+
+/// Returns an error if the image folder that the user has set holds no image of the scene.
+fn refuse_other_images(
+    project: &Project,
+    scene: &Scene,
+    settings: &Settings,
+) -> Result<(), PlanError> {
+    match (&project.images, scene.view_indices().next()) {
+        (Some(folder), Some(first))
+            if settings.images.is_some() && project.has_only_other_images(scene) =>
+        {
+            Err(PlanError::OtherImages {
+                folder: folder.to_path_buf(),
+                name: scene.name(first).into(),
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Fills in the settings that depend on the data and the backend.
+fn in_force(
+    project: &Project,
+    settings: &Settings,
+    (scene, image_gsd): (&Scene, Option<f64>),
+    matcher: &Matcher,
+    source: ConfidenceSource,
+) -> Result<Settings, PlanError> {
+    if scene.views.is_empty() {
+        return Err(PlanError::NoViews(project.model.path.clone()));
+    }
+    let mut all = settings.clone();
+    all.units.get_or_insert(Units::Relative);
+    all.image_scale
+        .get_or_insert_with(|| matcher.image_scale(scene));
+    let gsd = match all.target.gsd {
+        Some(gsd) => gsd,
+        None => GSD_MARGIN * image_gsd.ok_or(PlanError::NoScale)? / all.image_scale(),
+    };
+    all.target.accuracy.get_or_insert(gsd);
+    all.target.mode = all
+        .target
+        .mode
+        .in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
+    all.target.gsd = Some(gsd);
+    all.partners.candidates = all.partners.candidates.max(all.partners.k);
+    all.partners.gate = matcher.numbers.gate.with(&all.partners.gate).settings();
+    all.ranking.support.get_or_insert(matcher.numbers.support);
+    all.confidence.source = source;
+    if all.partners.k == 1 {
+        all.coverage.min_cameras = 2;
+    }
+    let cut = &mut all.cut;
+    if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
+        cut.target.get_or_insert(Share(DEFAULT_TARGET));
+    }
+    if !matcher.mixes_sizes {
+        all.ranking.scales = vec![MapScale::Full];
+    }
+    Ok(all)
+}
+
+/// Reads the region of the settings, before the surface is built.
+fn shape(
+    project: &Project,
+    scene: &Scene,
+    settings: &Settings,
+) -> Result<Option<RegionShape>, PlanError> {
+    let Some(choice) = &settings.region else {
+        return Ok(None);
+    };
+    let place = georeference(project, scene, &settings.frame);
+    Ok(Some(region::read(
+        choice,
+        &place,
+        &MapFrame::new(scene, settings.surface.up),
+    )?))
+}

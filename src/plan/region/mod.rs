@@ -1,0 +1,80 @@
+//! Reads the region of the settings (method 5.7).
+
+use std::path::PathBuf;
+
+use crate::{
+    base::error::Hint,
+    config::RegionChoice,
+    io::region_file::{self, RegionFault, RegionFile},
+    method::region::{RegionShape, ShapeError},
+    model::georeference::{Georeference, MapFrame},
+};
+
+/// The file of a region cannot be used, whatever the surface.
+#[derive(Debug, thiserror::Error)]
+pub enum RegionFileError {
+    #[error("cannot read the region {}: {fault}", path.display())]
+    Read { path: PathBuf, fault: RegionFault },
+    #[error("cannot use the {}{}{}: {fault}", before(fault), path.display(), after(fault))]
+    Shape { path: PathBuf, fault: ShapeError },
+}
+
+fn before(fault: &ShapeError) -> &'static str {
+    match fault {
+        ShapeError::Open(_) => "mesh ",
+        _ => "region ",
+    }
+}
+
+fn after(fault: &ShapeError) -> &'static str {
+    match fault {
+        ShapeError::Open(_) => " as the region",
+        _ => "",
+    }
+}
+
+impl Hint for RegionFileError {
+    fn hint(&self) -> Option<String> {
+        let fault = match self {
+            Self::Read { fault, .. } => fault,
+            Self::Shape { fault, .. } => return fault.hint(),
+        };
+        let hint = match fault {
+            RegionFault::Read(_) => "check that the file exists and is readable",
+            RegionFault::Collection(_) => {
+                "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"
+            }
+            _ => "give GeoJSON polygons, a closed PLY mesh, or a box x0,y0,z0,x1,y1,z1",
+        };
+        Some(hint.into())
+    }
+}
+
+/// Reads the region. `frame`: the map on which polygons without a georeference are drawn.
+pub(super) fn read(
+    choice: &RegionChoice,
+    place: &Georeference,
+    frame: &MapFrame,
+) -> Result<RegionShape, RegionFileError> {
+    let path = match choice {
+        RegionChoice::Auto => return Ok(RegionShape::Auto),
+        RegionChoice::Box(corners) => return Ok(RegionShape::of_box(*corners)),
+        RegionChoice::File(path) => path,
+    };
+    let file = region_file::read(path).map_err(|fault| RegionFileError::Read {
+        path: path.clone(),
+        fault,
+    })?;
+    let shape = match file {
+        RegionFile::Box(corners) => Ok(RegionShape::of_box(corners)),
+        RegionFile::Mesh(mesh) => RegionShape::of_mesh(&mesh, frame),
+        RegionFile::Areas(areas) => RegionShape::of_areas(areas, place, frame),
+    };
+    shape.map_err(|fault| RegionFileError::Shape {
+        path: path.clone(),
+        fault,
+    })
+}
+
+#[cfg(test)]
+mod tests;

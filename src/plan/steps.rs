@@ -1,0 +1,305 @@
+//! The stages of the method as steps of a plan, in the order of [`Stages::run`](super::Stages).
+
+use super::{
+    Memory, PlanError, PlanningNumbers,
+    cached::{self, Filed, ResultFile, clusters::CachedClusters},
+    inputs::Inputs,
+    step::{Run, Step},
+    visible_surface::VisibleSurface,
+};
+use crate::{
+    base::progress::{Cancelled, Stage, Watcher},
+    io::cache::CacheFile,
+    method::{
+        confidence::{
+            self, Agreement, Confidence, ProgramReach, ReachOfPartner, SampleRoom, Unary,
+        },
+        fulfilment::{self, Model},
+        geometry::Geometry,
+        partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
+        region::Region,
+        visibility::Shown,
+    },
+    model::{cluster::Reach, scene::ViewIndex},
+};
+
+/// Returns the surface, and the candidate partners of each view within the gate, among pairs that
+/// the backend can match and that have images.
+pub(super) fn surface_and_candidates(
+    inputs: &Inputs,
+    memory: &mut Memory,
+    run: &mut Run,
+) -> Result<(Filed<VisibleSurface>, Filed<Candidates>), PlanError> {
+    let Inputs {
+        scene,
+        points,
+        settings,
+        without_image,
+        ..
+    } = inputs;
+    let PlanningNumbers { reach, gate, .. } = inputs.matcher.numbers;
+    let gate = gate.with(&settings.partners.gate);
+    let program = reach.map(|_| inputs.matcher.name);
+    let file = inputs
+        .fingerprints
+        .candidates(settings, program, &gate, without_image);
+    let (file, known) = cached::read(file, |(), bytes| {
+        cached::candidates::unpack(bytes, scene.views.len())
+    });
+    let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
+    let refusals_of = |key| -> Refuses {
+        let reach = reach.map(|rule| rule(scene, points, key, settings.image_scale()));
+        Box::new(move |pair| {
+            [pair.key, pair.partner].iter().any(lacks_image)
+                || reach.as_ref().is_some_and(|reach| reach.refuses(pair))
+        })
+    };
+    let limits = Limits {
+        gate: &gate,
+        refusals_of: &refusals_of,
+    };
+    let watcher = run.watcher;
+    let search = CandidateSearch::new(scene, points, &settings.partners, &limits, watcher);
+    let mut surface = Err(Cancelled.into());
+    // Parts of the surface are built by one thread, and the others find candidates meanwhile.
+    // Called from outside the thread pool, these jobs wait in its queue, where threads look only
+    // when nothing of the surface is left to share; on a thread of the pool, they merely run beside
+    // it.
+    rayon::in_place_scope_fifo(|jobs| {
+        jobs.spawn_fifo(|_| {
+            surface = VisibleSurface::cached_or_new(inputs, watcher, run.timings, memory)
+        });
+        if known.is_none() {
+            search.start(jobs);
+        }
+    });
+    let surface = surface?;
+    let candidates = match known {
+        Some(candidates) => candidates,
+        None => search.finish()?,
+    };
+    Ok((surface, (file, candidates)))
+}
+
+/// Number of views, pixels and finest GSD of each triangle.
+pub(super) struct ShownStep<'a> {
+    pub inputs: &'a Inputs<'a>,
+    pub surface_file: &'a ResultFile,
+    pub seen: &'a VisibleSurface,
+}
+
+impl Step for ShownStep<'_> {
+    const STAGE: Stage = Stage::Visibility;
+    type Facts = ();
+    type Output = Shown;
+
+    fn file(&self) -> CacheFile {
+        self.inputs.fingerprints.shown(&self.surface_file.file)
+    }
+
+    fn unpack(&self, (): (), bytes: &[u8]) -> Option<Shown> {
+        let triangles = self.seen.surface.triangles.len();
+        cached::shown::unpack(bytes, self.inputs.scene.views.len(), triangles)
+    }
+
+    fn compute(self, _: &dyn Watcher) -> Result<Shown, PlanError> {
+        let VisibleSurface {
+            surface,
+            visibility,
+            ..
+        } = self.seen;
+        Ok(Shown::new(&self.inputs.scene, surface, visibility))
+    }
+}
+
+/// Lays the region of the settings over the surface.
+pub(super) fn region(
+    inputs: &mut Inputs,
+    seen: &VisibleSurface,
+    shown: &Shown,
+    run: &mut Run,
+) -> Result<Option<Region>, PlanError> {
+    let Some(region) = inputs.region.take() else {
+        return Ok(None);
+    };
+    let watcher = run.watcher;
+    run.timings.time(Stage::Visibility, || {
+        Ok(Some(region.lay_over(
+            &seen.surface,
+            &shown.pixels,
+            watcher,
+        )?))
+    })
+}
+
+/// Unary confidence of each row of the visibility, and warnings of masks that cannot be used.
+pub(super) struct UnaryStep<'a> {
+    pub inputs: &'a Inputs<'a>,
+    pub surface_file: &'a ResultFile,
+    pub geometry: Geometry<'a>,
+    pub memory: &'a mut Memory,
+    /// Returns the memory of reading the largest mask, bytes.
+    pub mask_bytes: &'a dyn Fn() -> u64,
+}
+
+impl Step for UnaryStep<'_> {
+    const STAGE: Stage = Stage::Confidence;
+    type Facts = Vec<String>;
+    type Output = (Unary, Vec<String>);
+
+    fn file(&self) -> CacheFile {
+        let Inputs {
+            scene,
+            confidence,
+            pictures,
+            fingerprints,
+            ..
+        } = self.inputs;
+        fingerprints.unary(scene, &self.surface_file.file, *confidence, pictures)
+    }
+
+    fn unpack(&self, warnings: Vec<String>, bytes: &[u8]) -> Option<Self::Output> {
+        let rows = self.geometry.visibility.triangles.len();
+        Some((cached::unary::unpack(bytes, rows)?, warnings))
+    }
+
+    fn compute(self, watcher: &dyn Watcher) -> Result<Self::Output, PlanError> {
+        let Inputs {
+            points,
+            confidence,
+            pictures,
+            ..
+        } = self.inputs;
+        let geometry = &self.geometry;
+        if let Confidence::None = confidence {
+            return Ok((Unary::certain(), Vec::new()));
+        }
+        let unused = pictures.unused_masks(geometry.scene);
+        let (masks, faults) = if pictures.have_masks() && unused.is_none() {
+            let views_at_once = self.memory.before_masks(geometry, (self.mask_bytes)())?;
+            Unary::of_masks(geometry, pictures, views_at_once, watcher)?
+        } else {
+            Default::default()
+        };
+        let Geometry {
+            scene,
+            surface,
+            visibility,
+            ..
+        } = *geometry;
+        let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
+        let broken = match confidence {
+            // A mask that cannot be used is named with its picture.
+            Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
+            _ => confidence::picture_warnings(scene, &faults, confidence::ALL_COUNTS),
+        };
+        let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
+        Ok((
+            nearby.within(masks),
+            unused.into_iter().chain(broken).collect(),
+        ))
+    }
+}
+
+/// Compares the pictures of candidate pairs, within what the backend can match of each, if
+/// confidence is photometric.
+pub(super) fn agreement(
+    inputs: &Inputs,
+    geometry: &Geometry,
+    candidates: &Candidates,
+    room: impl FnOnce() -> Result<SampleRoom, PlanError>,
+    run: &mut Run,
+) -> Result<Option<Filed<Agreement>>, PlanError> {
+    let Inputs {
+        matcher,
+        points,
+        pictures,
+        ..
+    } = inputs;
+    if !matches!(inputs.confidence, Confidence::Photometric { .. }) {
+        return Ok(None);
+    }
+    let of_key_view = |key| -> ReachOfPartner {
+        let Some(rule) = matcher.numbers.reach else {
+            return Box::new(|_| Reach::Everything);
+        };
+        let pairs = rule(geometry.scene, points, key, geometry.image_scale);
+        Box::new(move |partner| {
+            let shared = points.shared(key, partner);
+            pairs.reach(&PairGeometry::new(geometry.scene, key, partner, &shared))
+        })
+    };
+    let reach = ProgramReach {
+        program: matcher.numbers.reach.map(|_| matcher.name),
+        of_key_view: &of_key_view,
+    };
+    let partners = |view| candidates.candidates_of(view);
+    let watcher = run.watcher;
+    run.timings.time(Stage::Confidence, || {
+        let file = cached::agreement::file(geometry, pictures, partners, reach.program);
+        Ok(Some(
+            match cached::agreement::read(file, geometry, partners)? {
+                (file, Some(agreement)) => (file, agreement),
+                (file, None) => {
+                    let agreement =
+                        Agreement::new(geometry, pictures, partners, &reach, room()?, watcher)?;
+                    (file, agreement)
+                }
+            },
+        ))
+    })
+}
+
+/// The clusters, and their fulfilment at full and, if there is a choice of sizes, at half size.
+pub(super) struct ClustersStep<'a> {
+    pub inputs: &'a Inputs<'a>,
+    /// The files of surface, candidates and unary confidence.
+    pub from: [&'a ResultFile; 3],
+    pub agreement_file: Option<&'a ResultFile>,
+    pub model: Model<'a>,
+    pub candidates: &'a Candidates,
+}
+
+impl Step for ClustersStep<'_> {
+    const STAGE: Stage = Stage::Partners;
+    type Facts = ();
+    type Output = CachedClusters;
+
+    fn file(&self) -> CacheFile {
+        let Model {
+            agreement,
+            target,
+            rule,
+            ..
+        } = &self.model;
+        let compared = match agreement.is_empty() {
+            true => Some(""),
+            false => self.agreement_file.and_then(|file| file.file.inputs()),
+        };
+        let (settings, from) = (&self.inputs.settings, self.from.map(|file| &file.file));
+        let fingerprints = &self.inputs.fingerprints;
+        fingerprints.clusters(settings, from, compared, target, rule)
+    }
+
+    fn unpack(&self, (): (), bytes: &[u8]) -> Option<CachedClusters> {
+        let has_half = self.inputs.settings.ranking.has_half();
+        cached::clusters::unpack(bytes, self.model.visibility, has_half)
+    }
+
+    fn compute(self, watcher: &dyn Watcher) -> Result<CachedClusters, PlanError> {
+        let (model, settings) = (&self.model, &self.inputs.settings);
+        let (clusters, fulfilment) = partners::choose(
+            model,
+            self.candidates,
+            &settings.partners,
+            settings.seed,
+            watcher,
+        )?;
+        if !settings.ranking.has_half() {
+            return Ok((clusters, fulfilment, None));
+        }
+        let worth = settings.ranking.half_worth;
+        let half = fulfilment::half_size(model, &clusters, &fulfilment, worth, watcher)?;
+        Ok((clusters, fulfilment, Some(half)))
+    }
+}
