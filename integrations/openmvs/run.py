@@ -57,6 +57,7 @@ def main():
     args = arguments()
     refuse_strangers()
     run = json.loads((HERE / "run.json").read_text(encoding="utf-8"))
+    refuse_other_pictures(run["pictures"])
     program = Densify(args.densify, run, args.threads, args.options)
     report = Report(program.options)
     if args.rank is not None:
@@ -73,6 +74,14 @@ def main():
     if not args.no_fusion:
         failed |= not fuse(run, program, report)
     sys.exit(1 if failed else 0)
+
+
+def refuse_other_pictures(planned):
+    """Ends where a picture is not the one that was planned with: its partners and its camera may no longer be right."""
+    for name, length in planned.items():
+        with contextlib.suppress(FileNotFoundError):  # said by the program
+            if (HERE / "images" / name).stat().st_size != length:
+                sys.exit(f"error: {ascii(name)}: the picture has changed since the plan: plan again")
 
 
 def refuse_strangers():

@@ -39,6 +39,8 @@ const REST: u32 = 4;
 const REPORT_REST: u32 = 20;
 /// Said at the end of a run that leaves nothing of the plan.
 const ALL_DONE: &str = "the list is done, with all that the plan has";
+/// Depth maps of which a cloud can be fused.
+const LEAST_FUSED: usize = 2;
 /// Number of consecutive failures that ends the run.
 const FAILURES: usize = 3;
 
@@ -47,7 +49,8 @@ const FAILURES: usize = 3;
 /// Undistorts the images if the backend needs that, and matches with the backend that the project
 /// is set up for, else with OpenMVS (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else
 /// with integrations/sgm (Python with numpy and opencv). Each depth map is measured;
-/// PROJECT/viewrank/report.html shows the progress. Ctrl-C stops; the same command resumes.
+/// PROJECT/viewrank/report.html shows the progress. Ctrl-C stops and fuses what is there, a second
+/// one ends at once; the same command resumes.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -99,11 +102,23 @@ struct RunSummary {
     done: usize,
     tasks: usize,
     failed: usize,
-    /// Measured share, 0 to 1.
+    /// Depth maps that the project could have.
+    all: usize,
+    /// All of them that can be made are there.
+    is_whole: bool,
+    /// Share of the cloud of all of them, 0 to 1, estimated from the finished maps; null before
+    /// the first measurement.
     share: Option<f64>,
+    /// The same as the plan predicted it for as many maps.
+    predicted: Option<f64>,
+    /// Seconds that this run matched for, and that all depth maps would take at that speed; null
+    /// if it computed none.
+    seconds: Option<[f64; 2]>,
     /// Target of the share; null if only other limits were set.
     target: Option<f64>,
     target_reached: bool,
+    /// Stopped before its end.
+    stopped: bool,
     /// Point cloud; null if none was made.
     cloud: Option<PathBuf>,
     /// Report page; null if none was written.
@@ -149,8 +164,17 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
     say(work.plan_in_words())?;
-    let reached = work.compute()?;
-    work.end(reached)
+    let ended = work.compute()?;
+    work.end(ended)
+}
+
+/// Why no more depth maps are computed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ended {
+    TargetReached,
+    ListDone,
+    /// By Ctrl-C.
+    Stopped,
 }
 
 /// Undistorts the images; returns their project.
@@ -257,9 +281,11 @@ struct Work<'a> {
     threads: usize,
     failed: Vec<String>,
     measured: Throttle,
-    /// Measured share of the finished maps; `None` before the first measurement.
+    /// Estimated share of the finished maps; `None` before the first measurement.
     share: Option<f64>,
     reported: Throttle,
+    /// Depth maps that this run computed, and the time that they took.
+    computed: (u32, Duration),
 }
 
 /// End and duration of the last run of a slow step.
@@ -345,6 +371,7 @@ impl<'a> Work<'a> {
             measured: Throttle::default(),
             share: None,
             reported: Throttle::default(),
+            computed: (0, Duration::ZERO),
             plan,
         })
     }
@@ -373,7 +400,7 @@ impl<'a> Work<'a> {
             (Some(target), _) => {
                 let target = (1000.0 * target).round() / 10.0;
                 format!(
-                    "Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give."
+                    "Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all would give."
                 )
             }
             (None, Some(budget)) => {
@@ -390,8 +417,8 @@ impl<'a> Work<'a> {
         self.plan.settings.cut.target.map(|target| target.0)
     }
 
-    /// Computes the depth maps in rank order; true if the target is reached.
-    fn compute(&mut self) -> Result<bool, Failure> {
+    /// Computes the depth maps in rank order.
+    fn compute(&mut self) -> Result<Ended, Failure> {
         let tasks = self.dispatch.tasks.clone();
         let missing: Vec<&Task> = tasks
             .iter()
@@ -401,12 +428,12 @@ impl<'a> Work<'a> {
         let (began, mut in_a_row) = (Instant::now(), 0);
         for (i, task) in missing.iter().enumerate() {
             if reached {
-                return Ok(true);
+                return Ok(Ended::TargetReached);
             }
             let since = Instant::now();
             let ended = self.dispatch.compute_here(task, self.threads, self.stop)?;
             if ended == ScriptResult::Stopped || self.stop.load(Ordering::Relaxed) {
-                return Err(self.stopped());
+                return Ok(Ended::Stopped);
             }
             in_a_row = match ended {
                 ScriptResult::Failed(output) => {
@@ -421,7 +448,11 @@ impl<'a> Work<'a> {
                     self.failed.push(task.key.clone());
                     in_a_row + 1
                 }
-                _ => 0,
+                _ => {
+                    self.computed.0 += 1;
+                    self.computed.1 += since.elapsed();
+                    0
+                }
             };
             reached = self.measure(i + 1 == missing.len());
             self.report(false);
@@ -429,7 +460,11 @@ impl<'a> Work<'a> {
                 began.elapsed().as_secs_f64() / (i + 1) as f64 * (missing.len() - i - 1) as f64;
             self.line(task, since.elapsed(), left);
         }
-        Ok(reached)
+        Ok(if reached {
+            Ended::TargetReached
+        } else {
+            Ended::ListDone
+        })
     }
 
     /// Measures the finished depth maps, unless the last measurement was recent; true if the target
@@ -494,7 +529,15 @@ impl<'a> Work<'a> {
     }
 
     /// Fuses, writes the report and prints the result.
-    fn end(mut self, reached: bool) -> Result<(), Failure> {
+    fn end(mut self, ended: Ended) -> Result<(), Failure> {
+        if ended == Ended::Stopped {
+            if self.dispatch.finished_maps().count() < LEAST_FUSED {
+                return Err(self.stopped());
+            }
+            note("fusing the depth maps that are there; Ctrl-C again leaves that");
+            self.stop.store(false, Ordering::Relaxed);
+            self.measure(true);
+        }
         match self.dispatch.fuse_here(self.threads, self.stop)? {
             ScriptResult::Done => {}
             ScriptResult::Stopped => return Err(self.stopped()),
@@ -505,11 +548,14 @@ impl<'a> Work<'a> {
             }
         }
         self.report(true);
-        let result = self.result(reached);
+        let result = self.result(ended);
         match self.arguments.format {
             Format::Json => print_json(&result)?,
             Format::Text if self.arguments.quiet => {}
             Format::Text => print(self.words(&result))?,
+        }
+        if ended == Ended::Stopped {
+            return Err(self.stopped().behind_result());
         }
         match self.failed.len() {
             0 => Ok(()),
@@ -528,30 +574,40 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn result(&self, reached: bool) -> RunSummary {
+    fn result(&self, ended: Ended) -> RunSummary {
         let report = report_path(self.foreground.root());
+        let (done, all) = (
+            self.dispatch.finished_maps().count(),
+            self.plan.scene.views.len(),
+        );
+        let (computed, took) = self.computed;
+        let each = (computed > 0).then(|| took.as_secs_f64() / f64::from(computed.max(1)));
         RunSummary {
             project: self.foreground.root().into(),
             backend: self.backend.name,
-            done: self.dispatch.finished_maps().count(),
+            done,
+            all,
+            is_whole: done == self.plan.clusters.len(),
             tasks: self.dispatch.tasks.len(),
             failed: self.failed.len(),
             share: follow::Progress::read(self.foreground.root())
                 .and_then(|progress| progress.share),
+            predicted: done
+                .checked_sub(1)
+                .and_then(|last| Some(self.plan.clusters.get(last)?.share)),
+            seconds: each.map(|each| [done, all].map(|maps| each * maps as f64)),
             target: self.target(),
-            target_reached: reached,
+            target_reached: ended == Ended::TargetReached,
+            stopped: ended == Ended::Stopped,
             cloud: Some(self.dispatch.runner().cloud.clone()).filter(|cloud| cloud.is_file()),
             report: report.is_file().then_some(report),
         }
     }
 
     fn words(&self, result: &RunSummary) -> Vec<String> {
-        let measured = |share| format!("{:.1} % of what all would give, measured", 100.0 * share);
-        let share = result
-            .share
-            .map_or("their share is not measured".into(), measured);
         let verdict = match result.target_reached {
             true => "the target is reached".to_owned(),
+            false if result.stopped => "stopped".to_owned(),
             false if result.failed > 0 => {
                 let again = self.arguments.again(self.arguments.target.as_deref());
                 format!("{} failed; to try again: {again}", result.failed)
@@ -573,10 +629,7 @@ impl<'a> Work<'a> {
                 None => ALL_DONE.to_owned(),
             },
         };
-        let result_line = format!(
-            "{} of {} depth maps: {share}; {verdict}.",
-            result.done, result.tasks
-        );
+        let result_line = format!("{}; {verdict}.", result.in_words());
         let mut lines = vec![String::new()];
         lines.extend(wrapped("", &result_line));
         if let Some(cloud) = &result.cloud {
@@ -629,6 +682,31 @@ impl<'a> Work<'a> {
             ),
         };
         Failure::new(Exit::Failed, message, hint).with_output(output)
+    }
+}
+
+impl RunSummary {
+    /// Says what was computed, what that gives of what, how that is known, and what it saved.
+    fn in_words(&self) -> String {
+        let Self { done, all, .. } = *self;
+        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let share = match (self.share, self.predicted) {
+            _ if self.is_whole => "the whole cloud".to_owned(),
+            (Some(share), Some(predicted)) => format!(
+                "about {} of the cloud that all {all} would give (estimated from these maps; the plan said {})",
+                percent(share),
+                percent(predicted)
+            ),
+            _ => format!("their share of the cloud that all {all} would give is not known"),
+        };
+        let seconds =
+            self.seconds
+                .filter(|_| !self.is_whole)
+                .map_or_else(String::new, |[here, whole]| {
+                    let [here, whole] = [here, whole].map(duration);
+                    format!(", in {here} of matching, where all would take about {whole}")
+                });
+        format!("{done} of {all} depth maps: {share}{seconds}")
     }
 }
 

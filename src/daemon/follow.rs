@@ -43,15 +43,15 @@ const PAUSE: f64 = 20.0;
 pub struct Progress {
     /// Version of this format.
     pub version: u32,
-    /// The measured share has reached the target. Queues may stop then; `integrations/sgm` does.
+    /// The share has reached the target. Queues may stop then; `integrations/sgm` does.
     pub target_reached: bool,
     /// Number of key views with a depth map that counts.
     pub done: usize,
     /// Number of key views up to the plan's cut, plus those beyond it that already have a depth
     /// map.
     pub clusters: usize,
-    /// Weight that fusion keeps of all finished depth maps over what it is expected to keep of all
-    /// clusters (`kept` over `reachable`), 0 to 1; null where they are only counted (`note` says
+    /// Estimated share of the result of all clusters: weight that fusion keeps of all finished depth
+    /// maps, measured, over what it is expected to keep of all (`kept` over `reachable`), 0 to 1; null where they are only counted (`note` says
     /// why).
     pub share: Option<f64>,
     /// Target of `share`, 0 to 1.

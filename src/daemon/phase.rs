@@ -42,8 +42,9 @@ pub enum Phase {
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
         clusters: usize,
-        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to
-        /// 1; null where depth maps are counted, not measured.
+        /// Share of the result of all view clusters that they give, 0 to 1: their measured
+        /// fulfilment over what is expected of all, so an estimate; null where depth maps are
+        /// counted, not measured.
         share: Option<f64>,
         /// Number of depth map files that are new or changed since the last measurement; left out
         /// where it is 0.
@@ -53,14 +54,14 @@ pub enum Phase {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
     },
-    /// The target is reached as measured.
+    /// The target is reached, as far as finished maps tell.
     Reached {
         /// Number of key views with a depth map.
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
         clusters: usize,
-        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to
-        /// 1.
+        /// Share of the result of all view clusters that they give, 0 to 1, estimated as in
+        /// `computing`.
         share: f64,
         /// Remark about the result.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -113,7 +114,7 @@ impl fmt::Display for Phase {
                 write!(f, "computing: {done} of {clusters} depth maps")?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
                 share.iter().try_for_each(|share| {
-                    write!(f, ", {:.0} % reached", (share * 100.0).floor())
+                    write!(f, ", about {:.0} % reached", (share * 100.0).floor())
                 })?;
                 match *unmeasured {
                     0 => {}
@@ -125,7 +126,11 @@ impl fmt::Display for Phase {
             Self::Reached {
                 done, share, note, ..
             } => {
-                write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0)?;
+                write!(
+                    f,
+                    "reached: about {:.0} % with {done} depth maps",
+                    share * 100.0
+                )?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Failed {

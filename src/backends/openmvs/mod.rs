@@ -7,6 +7,8 @@
 //! key views. `run.py` does all that and checks each map, since DensifyPointCloud exits with 0 even
 //! on failure.
 
+use std::{collections::BTreeMap, fs};
+
 use serde::Serialize;
 
 use self::scene::Builder;
@@ -194,9 +196,16 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         });
         files.add(path, Contents::Bytes(mvs.write()));
     }
+    let mut pictures = BTreeMap::new();
     for view in selection.views() {
         let name = selection.scene.name(view);
-        files.add(format!("images/{name}"), images.link(name));
+        let link = images.link(name);
+        if let Contents::Link { file, .. } = &link
+            && let Ok(picture) = fs::metadata(file)
+        {
+            pictures.insert(name.to_owned(), picture.len());
+        }
+        files.add(format!("images/{name}"), link);
     }
     let (common, overlaps) = common_project(selection);
     files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
@@ -205,6 +214,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         overlaps,
         maps_per_point: MAPS_PER_POINT,
         resolution: resolution(selection),
+        pictures,
     };
     files.add_text(
         "run.json",
@@ -293,6 +303,8 @@ struct Run {
     maps_per_point: usize,
     /// Long side of the matched images, pixels.
     resolution: u32,
+    /// Length of the file of each image, bytes, to notice another picture of the same name.
+    pictures: BTreeMap<String, u64>,
 }
 
 /// Returns the images of the fusion (key views in rank order, and a partner if there is only one

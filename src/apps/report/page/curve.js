@@ -101,10 +101,10 @@ function setUpCurve() {
   });
   curve.addEventListener('pointermove', event => { if (event.buttons & 1) change({ cut: cutAt(event) }); });
   byId('over').addEventListener('change', drawCurve);
-  const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is measured. ` : '';
+  const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is by their measured fulfilment. ` : '';
   const note = data.real
-    ? `Dashed: measured on the ${counted(data.real.maps, 'depth map')} in ${data.real.folder}${data.real.reference ? ' against the reference'
-      : ' (without --reference every depth counts as right)'}, as a share of what all depth maps are predicted to give${data.finished ? ' around the finished ones' : ''}.`
+    ? `Dashed: measured fulfilment of the triangles by the ${counted(data.real.maps, 'depth map')} in ${data.real.folder}${data.real.reference ? ' against the reference'
+      : ' (without --reference every depth counts as right)'}, over what all depth maps are predicted to give: an estimate of their share of the cloud${data.finished ? ' around the finished ones' : ''}.`
     : 'Predicted. To add finished depth maps from another folder to the curve: viewrank report --depth-maps DIR.';
   byId('curve-note').textContent = around + note;
   byId('bound').textContent = boundText();
