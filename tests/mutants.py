@@ -23,6 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 COPY = ROOT / "target/mutants"
 BUILD = ROOT / "target/mutants-build"
+PACKAGES = ["-p=viewrank-core", "-p=viewrank-io", "-p=viewrank"]
 SWITCH = """
 /// True if this mutant is the one to be tested.
 pub(crate) fn mutant(number: u32) -> bool {
@@ -94,7 +95,7 @@ def prepare(mutants):
         data = source.read_bytes()
         if name in by_file:
             data = mutated(data.decode(), by_file[name]).encode()
-        if name == "src/lib.rs":
+        if name in ("src/lib.rs", "crates/core/src/lib.rs", "crates/io/src/lib.rs"):
             data = b"#![allow(warnings)]\n" + data + SWITCH.encode()
         if not copy.is_file() or copy.read_bytes() != data:
             copy.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +108,7 @@ def prepare(mutants):
 
 def build(targets):
     """Builds the tests; the test programs by target."""
-    command = ["cargo", "test", "--no-run", "--quiet", "--locked", "--message-format=json", *targets]
+    command = ["cargo", "test", "--no-run", "--quiet", "--locked", "--message-format=json", *PACKAGES, *targets]
     environment = dict(os.environ, CARGO_TARGET_DIR=str(BUILD), CARGO_PROFILE_DEV_DEBUG="0")
     built = subprocess.run(command, cwd=COPY, env=environment, stdout=subprocess.PIPE, text=True)
     if built.returncode:
@@ -124,8 +125,7 @@ class Test:
     """A test program and which of its tests are run."""
 
     def __init__(self, words, programs):
-        library = words[0] == "--lib"
-        self.command = [programs["viewrank" if library else words[1]], *words[1 if library else 2 :]]
+        self.command = [programs[words[1]], *words[2:]]
         self.seconds = 600
         start = time.monotonic()
         if not self.passes(0):

@@ -36,6 +36,7 @@ mod pmvs;
 mod realityscan;
 mod record;
 mod selection;
+mod semi_global;
 mod sgm;
 mod splat;
 mod strangers;
@@ -50,8 +51,8 @@ pub use machine::{Obstacle, Why, by_default, can_match_here, chosen, obstacle, p
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;
+pub use semi_global::pair_files;
 pub use strangers::with_refusal;
-pub use sure::pair_files;
 pub use tiles::clusters_by_area;
 pub use traps::{ExaminedProject, Trap};
 

@@ -5,7 +5,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
-    sgm,
+    semi_global::{CONFIDENCE, PHOTOMETRIC, checked_name, lists_of_pairs},
     strangers::list_links,
 };
 use std::collections::HashMap;
@@ -33,8 +33,8 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
         max_scale_octaves: 0.7655,
         epipole_inside: false,
     },
-    confidence: sgm::CONFIDENCE,
-    photometric: sgm::PHOTOMETRIC,
+    confidence: CONFIDENCE,
+    photometric: PHOTOMETRIC,
     support: 1,
     work: super::openmvs::WORK,
     measured: "valley (sgm)",
@@ -308,74 +308,4 @@ fn add_lists(
         .iter()
         .map(|k| format!("{}\n", stem(&names[k.index()])));
     files.add_text(format!("{folder}baseImages.txt"), keys.collect::<String>());
-}
-
-/// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for other programs, and `sizes.txt`
-/// if key views are planned at half the size.
-pub fn pair_files(
-    backend: &'static str,
-    selection: &Selection,
-) -> Result<Vec<(&'static str, String)>, BackendError> {
-    let lists = lists_of_pairs(selection, |view| {
-        checked_name(backend, selection.scene.name(view))
-    })?;
-    Ok(lists
-        .into_iter()
-        .chain(sizes(selection).map(|text| ("sizes.txt", text)))
-        .collect())
-}
-
-/// Returns `sizes.txt`: the key views whose size differs from the others', each with the ratio of
-/// the two; `None` if all have one size.
-fn sizes(selection: &Selection) -> Option<String> {
-    let smaller = selection
-        .clusters
-        .iter()
-        .filter(|cluster| cluster.scale != MapScale::Full);
-    let line =
-        |c: &RankedCluster| format!("{}\t{}\n", selection.scene.name(c.key), c.scale.factor());
-    let text: String = smaller.map(line).collect();
-    (!text.is_empty()).then_some(text)
-}
-
-fn lists_of_pairs<'a>(
-    selection: &Selection,
-    name: impl Fn(ViewIndex) -> Result<&'a str, BackendError>,
-) -> Result<[(&'static str, String); 3], BackendError> {
-    let (mut clusters, mut pairs, mut keys) = (String::new(), String::new(), String::new());
-    for cluster in selection.clusters {
-        let key = name(cluster.key)?;
-        clusters += key;
-        for &partner in &cluster.partners {
-            let partner = name(partner)?;
-            clusters += &format!("\t{partner}");
-            pairs += &format!("{key}\t{partner}\n");
-        }
-        clusters.push('\n');
-        keys += &format!("{key}\n");
-    }
-    Ok([
-        ("clusters.txt", clusters),
-        ("pairs.txt", pairs),
-        ("baseImages.txt", keys),
-    ])
-}
-
-/// Refuses a name that cannot be written to a tab-separated file with `#` comments.
-pub(super) fn checked_name<'a>(
-    backend: &'static str,
-    name: &'a str,
-) -> Result<&'a str, BackendError> {
-    let why = if name.contains(['\t', '\n', '\r']) {
-        "a tab or line break separates entries in the pair files"
-    } else if name.starts_with('#') {
-        "a line that begins with # is a comment in the pair files"
-    } else {
-        return Ok(name);
-    };
-    Err(BackendError::Name {
-        backend,
-        name: name.into(),
-        why: why.into(),
-    })
 }

@@ -5,30 +5,13 @@ mod search;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PlanningNumbers, Selection, TaskRunner, Trap, place, sure,
+    Honours, PlanningNumbers, Selection, TaskRunner, Trap, place,
+    semi_global::{self, CONFIDENCE, PHOTOMETRIC},
 };
 use crate::{
     base::shell::quoted_path,
-    method::confidence::{PairConfidence, Photometric},
     model::cluster::{Gate, RankedCluster},
     plan::WorkPerMap,
-};
-
-/// Ranks best by real curves (`integrations/sgm/RESULTS.md`).
-pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
-    min_matches: 2,
-    p0: 0.9,
-    cosine_power: 0.0,
-    scale_octaves: Some(2.0),
-    full_angle_deg: None,
-};
-
-/// By depth maps of seven scenes (method 7.4): semi-global matching also bridges what the pictures
-/// do not agree on.
-pub(super) const PHOTOMETRIC: Photometric = Photometric {
-    agree: 0.95,
-    differ: 0.19,
-    full_agreement: 0.9,
 };
 
 /// It works on a polar grid around the epipole, so an epipole in the image or a large scale ratio
@@ -106,7 +89,7 @@ pub static BACKEND: Backend = Backend {
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let bad = patient.bad_names("sgm-name", |name| {
-        sure::checked_name(BACKEND.name, name).map(|_| ())
+        semi_global::checked_name(BACKEND.name, name).map(|_| ())
     });
     bad.into_iter().collect()
 }
@@ -156,7 +139,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     for (name, text) in MATCHER {
         files.add_text(name, text);
     }
-    for (name, text) in sure::pair_files(BACKEND.name, selection)? {
+    for (name, text) in semi_global::pair_files(BACKEND.name, selection)? {
         files.add_text(name, text);
     }
     files.add_text("export.json", record.to_json());

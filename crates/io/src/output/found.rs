@@ -6,8 +6,9 @@ use std::{
 };
 
 use super::{
-    OutputError, check_name, record,
-    transaction::{Direction, FOLDER, JOURNAL, Journal, Root, STAGING, Step, staged},
+    OutputError, check_name,
+    journal::{Direction, FOLDER, JOURNAL, Journal, Root, STAGING, Step, staged},
+    record,
 };
 use crate::input::{self, FileKind};
 

@@ -18,6 +18,7 @@ mod disk;
 mod folder;
 mod found;
 mod identity;
+mod journal;
 mod record;
 mod staging;
 mod transaction;

@@ -13,8 +13,8 @@ use cap_std::fs::Metadata;
 use super::{
     Contents, FileSet, OutputError, WriteReport,
     folder::Folder,
+    journal::{Change, Root, STAGING, Step, staged},
     record::{self, Record, Records, hash},
-    transaction::{Change, Root, STAGING, Step, staged},
 };
 use crate::{input, packed::Packed, platform};
 

@@ -1,72 +1,21 @@
 //! Journalled changes: staged, journalled, renamed into place; completed or undone after a crash,
 //! undone after a failure.
 //!
-//! Step `i` of the journal has its new file in `.staging/i.new` (none: the path is removed) and a
-//! link to the old file in `.staging/i.old` (none: the path was free). Every step is idempotent, so
-//! a crash while finishing or undoing does no harm; the journal stores which of the two is in
-//! progress.
-//!
 //! The journal of an earlier process is carried out only if it was written in this folder
 //! (`identity.rs`) and each file that it would replace or remove has the hash from before or after
 //! the change. Otherwise the journal and its staged files are set aside, and no file is touched
 //! (`found.rs`).
 
-use std::{collections::BTreeSet, fs::File, path::Path};
-
-use serde::{Deserialize, Serialize};
+use std::{collections::BTreeSet, path::Path};
 
 use super::{
-    Disk, FileSet, OutputError, WriteReport, folder::Folder, found, identity::identity, staging,
+    Disk, FileSet, OutputError, WriteReport, found,
+    identity::identity,
+    journal::{Change, Direction, FOLDER, JOURNAL, Journal, Root, STAGING, staged},
+    staging,
 };
 
-pub(super) const FOLDER: &str = "viewrank";
-pub(super) const STAGING: &str = "viewrank/.staging";
-pub(super) const JOURNAL: &str = "viewrank/.journal.json";
 const LOCK: &str = "viewrank/.lock";
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum Direction {
-    Finish,
-    Undo,
-}
-
-/// A change of a set of files; paths relative to the root.
-#[derive(Debug, Default, Serialize, Deserialize)]
-pub(super) struct Change {
-    /// Folders to create, outer before inner.
-    pub new_folders: Vec<String>,
-    pub steps: Vec<Step>,
-    /// Folders to remove if they are empty by then, inner before outer.
-    pub old_folders: Vec<String>,
-}
-
-/// The change at one path.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Step {
-    pub path: String,
-    /// Hash of the new file; `None`: the path is removed.
-    pub new: Option<String>,
-    /// Hash of the old file; `None`: the path was free.
-    pub old: Option<String>,
-}
-
-#[derive(Serialize, Deserialize)]
-pub(super) struct Journal {
-    pub direction: Direction,
-    /// Identity of the folder in which it was written.
-    pub identity: String,
-    pub change: Change,
-}
-
-/// A locked root folder.
-pub(super) struct Root<'a> {
-    pub folder: Folder,
-    pub disk: &'a Disk<'a>,
-    /// Identity of the folder `viewrank`.
-    pub identity: String,
-    _lock: File,
-}
 
 /// Writes the sets of one root.
 pub(super) fn write(
@@ -236,9 +185,4 @@ impl<'a> Root<'a> {
         self.disk.remove(&self.folder, JOURNAL)?;
         self.disk.sync_folder(&self.folder, FOLDER)
     }
-}
-
-/// Name of the new or old file of a step.
-pub(super) fn staged(step: usize, which: &str) -> String {
-    format!("{STAGING}/{step}.{which}")
 }

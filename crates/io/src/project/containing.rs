@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Project, discover, elsewhere, files::REQUIRED, images::is_image};
+use super::{Project, discover, elsewhere, files::REQUIRED, image_files::is_image};
 use crate::paths::is_same;
 
 /// Files of a COLMAP model beside those that are required, without their extension.

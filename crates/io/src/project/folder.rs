@@ -11,8 +11,11 @@ use std::{
 use viewrank_core::model::scene::Scene;
 use walkdir::{DirEntry, WalkDir};
 
-use super::images::{candidates, is_image, slashes};
-use crate::output::Contents;
+use super::image_files::{is_image, slashes};
+use crate::{
+    input::{self, FileKind},
+    output::Contents,
+};
 
 /// Name of a folder of masks: in the project, beside its image folder or in that.
 pub const MASKS: &str = "masks";
@@ -185,6 +188,44 @@ fn is_skipped(entry: &DirEntry) -> bool {
         .is_some_and(|factor| factor.parse::<u32>().is_ok());
     entry.file_type().is_dir()
         && (name.starts_with('.') || is_reduced || NOT_SEARCHED.contains(&&*name))
+}
+
+/// Existing folders to which the model's image names may be relative, best first: the nearest
+/// `images`, the image path in the model's `project.ini`, the project folder and the model's
+/// folder.
+pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
+    let up = |levels: usize| {
+        model
+            .ancestors()
+            .nth(levels)
+            .map(|folder| folder.join("images"))
+    };
+    let named = [
+        up(0),
+        up(1),
+        up(2),
+        Some(root.join("images")),
+        colmap_image_path(model),
+    ];
+    let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
+    named
+        .into_iter()
+        .chain(bare)
+        .flatten()
+        .filter(|folder| folder.is_dir())
+        .collect()
+}
+
+/// `image_path` of the `project.ini` that COLMAP writes next to a model.
+fn colmap_image_path(model: &Path) -> Option<PathBuf> {
+    let settings = input::read_text(&model.join("project.ini"), FileKind::Settings).ok()?;
+    let value = settings.lines().find_map(|line| {
+        line.trim()
+            .strip_prefix("image_path")?
+            .trim()
+            .strip_prefix('=')
+    })?;
+    Some(model.join(value.trim()))
 }
 
 /// Finds the image folder: the first usual place that holds one of the `names`, else the folder

@@ -7,10 +7,7 @@ use std::{
 
 use viewrank_core::model::scene::WarningKind;
 
-use super::{
-    ModelFormat, ModelLocation, ProjectError, files,
-    images::{self, ImageSearch},
-};
+use super::{ModelFormat, ModelLocation, ProjectError, files, folder, images::ImageSearch};
 use crate::{
     formats::{
         Fault, Place, Problem, alicevision, blocks, bundler, cloud,
@@ -246,7 +243,7 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
 
 /// Reads the model; its image sizes come from the image files for formats that don't store them.
 pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, ProjectError> {
-    let search = ImageSearch::new(images::candidates(root, &model.path));
+    let search = ImageSearch::new(folder::candidates(root, &model.path));
     let size_of = |name: &str| search.size_of(name);
     let spelled = |name: &str| search.spelled(name);
     let at = |path: &Path, fault| ProjectError::Fault {
@@ -478,7 +475,7 @@ fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
             fault,
         })?);
     }
-    let search = ImageSearch::new(images::candidates(root, folder));
+    let search = ImageSearch::new(folder::candidates(root, folder));
     let mut foreign = sure::model(oriented, |name| search.spelled(name));
     match sure_cloud(root) {
         None => {

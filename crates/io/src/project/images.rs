@@ -11,48 +11,18 @@ use std::{
 use image::ImageFormat;
 use rayon::prelude::*;
 use viewrank_core::model::scene::{Scene, ViewIndex};
-use walkdir::WalkDir;
 
-use super::{ImageFolder, MASKS, Project, folder};
+use super::{
+    ImageFolder, MASKS, Project, folder,
+    image_files::{EXTENSIONS, images_below},
+};
 use crate::{
     formats::foreign::{ForeignModel, last_parts},
-    input::{self, FileKind},
-    picture,
+    input, picture,
 };
-
-/// Extensions of image files, lower case.
-const EXTENSIONS: [&str; 10] = [
-    "jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2",
-];
 
 /// Number of image names that are tried on a candidate for the image folder.
 pub(super) const PROBED: usize = 20;
-
-/// Existing folders to which the model's image names may be relative, best first: the nearest
-/// `images`, the image path in the model's `project.ini`, the project folder and the model's
-/// folder.
-pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
-    let up = |levels: usize| {
-        model
-            .ancestors()
-            .nth(levels)
-            .map(|folder| folder.join("images"))
-    };
-    let named = [
-        up(0),
-        up(1),
-        up(2),
-        Some(root.join("images")),
-        colmap_image_path(model),
-    ];
-    let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
-    named
-        .into_iter()
-        .chain(bare)
-        .flatten()
-        .filter(|folder| folder.is_dir())
-        .collect()
-}
 
 /// Finds the image folder of another program's model by its images.
 pub(super) fn find_by_names(
@@ -137,18 +107,6 @@ impl ImageSearch {
             .set(self.missing.get() + usize::from(found.is_none()));
         found
     }
-}
-
-/// `image_path` of the `project.ini` that COLMAP writes next to a model.
-fn colmap_image_path(model: &Path) -> Option<PathBuf> {
-    let settings = input::read_text(&model.join("project.ini"), FileKind::Settings).ok()?;
-    let value = settings.lines().find_map(|line| {
-        line.trim()
-            .strip_prefix("image_path")?
-            .trim()
-            .strip_prefix('=')
-    })?;
-    Some(model.join(value.trim()))
 }
 
 /// Numbers of leading bytes of an image to parse for its header, before trying the whole file.
@@ -504,56 +462,11 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
     })
 }
 
-/// Most files and folders that are looked through: a project's settings may name any folder.
-const MOST_ENTRIES: usize = 500_000;
-
-/// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`;
-/// sorted. Links to folders are not followed: they may lead anywhere.
-pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<String> {
-    let entries = WalkDir::new(folder)
-        .follow_root_links(true)
-        .sort_by_file_name()
-        .into_iter()
-        .take(MOST_ENTRIES);
-    let images = entries
-        .filter_map(Result::ok)
-        .filter(|entry| is_image(entry.path()) && entry.path().is_file());
-    let names = images.filter_map(|entry| {
-        entry
-            .path()
-            .strip_prefix(folder)
-            .ok()
-            .map(Path::to_path_buf)
-    });
-    let mut wanted: Vec<String> = names
-        .filter(|name| is_wanted(name))
-        .map(|name| slashes(&name))
-        .collect();
-    wanted.sort_unstable();
-    wanted
-}
-
-/// True for names of image files.
-pub fn is_image(path: &Path) -> bool {
-    let extension = path
-        .extension()
-        .map(|e| e.to_string_lossy().to_ascii_lowercase());
-    extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
-}
-
 /// Removes `.` components.
 fn normal(name: &Path) -> PathBuf {
     name.components()
         .filter(|c| !matches!(c, std::path::Component::CurDir))
         .collect()
-}
-
-/// Formats a path with `/` as the separator, like image names.
-pub fn slashes(path: &Path) -> String {
-    path.components()
-        .map(|c| c.as_os_str().to_string_lossy())
-        .collect::<Vec<_>>()
-        .join("/")
 }
 
 #[cfg(test)]

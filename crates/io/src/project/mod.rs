@@ -7,6 +7,7 @@ mod elsewhere;
 mod files;
 mod folder;
 mod foreign;
+mod image_files;
 mod images;
 
 use std::{
@@ -25,8 +26,8 @@ pub use containing::containing;
 pub use create::CreateError;
 pub use files::ColmapFiles;
 pub use folder::{ImageFolder, MASKS};
-pub use images::{ImageFaults, Unread, slashes};
-pub use images::{images_below, is_image, probe};
+pub use image_files::{images_below, is_image, slashes};
+pub use images::{ImageFaults, Unread, probe};
 
 use crate::shell::{command_path, command_word};
 use crate::{
