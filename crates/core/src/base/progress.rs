@@ -10,6 +10,7 @@ pub enum Stage {
     Visibility,
     Confidence,
     Partners,
+    Pilot,
     Ranking,
     Evaluate,
     Undistort,
