@@ -57,7 +57,7 @@ def main():
     args = arguments()
     refuse_strangers()
     run = json.loads((HERE / "run.json").read_text(encoding="utf-8"))
-    refuse_other_pictures(run["pictures"])
+    refuse_other_pictures(run.get("pictures", {}))
     program = Densify(args.densify, run, args.threads, args.options)
     report = Report(program.options)
     if args.rank is not None:

@@ -53,8 +53,10 @@ pub struct Arguments {
     /// (PLY)
     #[arg(long, value_name = "FILE", requires = "cloud")]
     reference_cloud: Option<PathBuf>,
-    /// Fused cloud of these depth maps (PLY)
-    #[arg(long, value_name = "FILE", requires_all = ["reference_cloud", "depth_maps"])]
+    /// Fused cloud of these depth maps (PLY); orders are judged by its cells if it says which maps
+    /// made its points, as those of OpenMVS (FILE.mvs beside it) and COLMAP (FILE.ply.vis) do
+    /// [default: the one beside the maps, if it is newer]
+    #[arg(long, value_name = "FILE", requires = "depth_maps")]
     cloud: Option<PathBuf>,
     /// File of the view clusters that the maps were made for, in order [default: the plan's]
     #[arg(long, value_name = "FILE", requires = "depth_maps")]

@@ -92,7 +92,7 @@ def folder(tmp_path):
     (tmp_path / "images").mkdir()
     for row in rows:
         (tmp_path / "images" / row["key"]).touch()
-    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], maps_per_point=2, resolution=400)
+    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], maps_per_point=2, resolution=400, pictures={row["key"]: 0 for row in rows})
     (tmp_path / "run.json").write_text(json.dumps(run))
     make(tmp_path)
     stand_in = tmp_path / "densify"
@@ -134,6 +134,12 @@ def depth(content):
 
 def nothing_left(folder):
     return not list((folder / "unfinished").iterdir()) and not list(folder.rglob("*.tmp"))
+
+
+def test_a_picture_that_changed_since_the_plan_is_not_matched(folder):
+    (folder / "images/k1").write_bytes(b"another picture")
+    done, calls, _ = run(folder)
+    assert done.returncode == 1 and "'k1': the picture has changed since the plan: plan again" in done.stderr and not calls
 
 
 def test_in_rank_order_then_fused_and_resumed(folder):

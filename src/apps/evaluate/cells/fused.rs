@@ -74,8 +74,7 @@ enum PointViews {
 }
 
 /// Returns the cloud that names its maps: `asked`, or one at the program's own place that is newer
-/// than all maps. `None` if there is none; one that was asked for but does not name its maps is an
-/// error.
+/// than all maps. `None` if there is none, or if the one that was asked for does not name its maps.
 pub fn find(
     scene: &Scene,
     keys: &[ViewIndex],

@@ -14,7 +14,10 @@ mod oracle;
 mod places;
 mod words;
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 use serde::Serialize;
 
@@ -31,7 +34,7 @@ use crate::{
     base::progress::Watcher,
     io::depthmaps,
     method::{confidence::Confidence, fulfilment},
-    model::scene::ViewIndex,
+    model::{cluster::ViewCluster, scene::ViewIndex},
     plan::{Plan, Stages},
 };
 
@@ -133,37 +136,39 @@ pub fn judge_plan(
 ) -> Result<CellsEvaluation, EvaluateError> {
     let stages = &plan.stages;
     let incidence = Incidence::read(table)?;
-    let mut certain = stages.model();
-    certain.rule.confidence = Confidence::None;
-    let nocp = fulfilment::table(&certain, &stages.clusters, watcher)?;
-    let named = [
-        (
-            "ours",
-            orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len()),
-        ),
-        ("nocp", orders::greedy(&nocp, &stages.objective, watcher)?),
-        (
-            "maxpts",
-            orders::max_points(&stages.scene, &stages.clusters),
-        ),
-        (
-            "farthest view",
-            orders::farthest_view(&stages.scene, &stages.clusters),
-        ),
-    ];
-    let clusters = named.map(|(name, order)| {
-        let clusters = order.iter().map(|&c| &stages.clusters[c as usize]);
-        (name, clusters.collect::<Vec<_>>())
-    });
-    let is_known = |name: &String| stages.scene.find(name).is_some();
-    if !incidence.names().iter().any(is_known) {
+    let known: BTreeSet<&str> = incidence.names().iter().map(String::as_str).collect();
+    let is_known = |cluster: &ViewCluster| known.contains(stages.scene.name(cluster.key));
+    let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
+    let ranked = order.iter().map(|&c| &stages.clusters[c as usize]);
+    let ours: Vec<&ViewCluster> = ranked.filter(|cluster| is_known(cluster)).collect();
+    if ours.is_empty() {
         return Err(IncidenceError::Foreign(table.into()).into());
     }
+    let clusters: Vec<ViewCluster> = stages
+        .clusters
+        .iter()
+        .filter(|cluster| is_known(cluster))
+        .cloned()
+        .collect();
+    let mut certain = stages.model();
+    certain.rule.confidence = Confidence::None;
+    let nocp = fulfilment::table(&certain, &clusters, watcher)?;
+    let others = [
+        ("nocp", orders::greedy(&nocp, &stages.objective, watcher)?),
+        ("maxpts", orders::max_points(&stages.scene, &clusters)),
+        (
+            "farthest view",
+            orders::farthest_view(&stages.scene, &clusters),
+        ),
+    ];
+    let others =
+        others.map(|(name, order)| (name, order.iter().map(|&c| &clusters[c as usize]).collect()));
+    let named: Vec<_> = std::iter::once(("ours", ours)).chain(others).collect();
     let source = CellSource::Table(table.into());
     Ok(CellsEvaluation::new(
         &incidence,
         source,
         &stages.scene,
-        &clusters,
+        &named,
     ))
 }
