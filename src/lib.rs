@@ -57,7 +57,7 @@ use viewrank_io as io;
 pub use apps::planning::{plan, plan_scene};
 pub use apps::{doctor, evaluate, learn, replan, report};
 pub use base::{
-    error::Hint,
+    error::{Advice, Hint},
     progress::{Cancelled, NoWatcher, Stage, Watcher},
 };
 pub use config::Settings;

@@ -212,7 +212,7 @@ fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
     let PlanError::Memory { need, .. } = error else {
         panic!("{error}")
     };
-    assert!(error.hint().unwrap().contains("--max-memory"));
+    assert!(error.hint().unwrap().to_string().contains("max_memory"));
     let enough = Settings {
         max_memory: Some(Bytes(need + need / 20)),
         ..Settings::default()

@@ -29,7 +29,7 @@ impl Failure {
         Self {
             exception,
             message: error.to_string(),
-            hint: error.hint().map(|hint| crate::options::as_keywords(&hint)),
+            hint: error.hint().as_ref().map(crate::options::as_keywords),
             path: error.path().map(Into::into),
         }
     }

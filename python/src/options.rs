@@ -9,7 +9,7 @@ use pyo3::{
 };
 use toml::Value;
 use viewrank::{
-    Settings, backends,
+    Advice, Settings, backends,
     config::{CommandLineSettings, Configuration, Files, RegionChoice, user_file},
 };
 
@@ -37,13 +37,18 @@ const KEYWORDS: [(&str, &str); 18] = [
     ("model", ""),
 ];
 
-/// Replaces the program's options in a hint by keywords: `--gsd` by `gsd=`.
-pub fn as_keywords(hint: &str) -> String {
-    KEYWORDS.iter().fold(hint.to_owned(), |hint, (keyword, _)| {
-        hint.replace(
-            &format!("--{}", keyword.replace('_', "-")),
-            &format!("{keyword}="),
-        )
+/// Writes advice for those who call `plan()`: settings as its keywords, `gsd=`.
+pub fn as_keywords(advice: &Advice) -> String {
+    advice.words(|key, value| {
+        let is_meant = |(keyword, known): &&(&str, &str)| *known == key || *keyword == key;
+        let Some((keyword, _)) = KEYWORDS.iter().find(is_meant) else {
+            return format!("--{key}");
+        };
+        match value {
+            None => format!("{keyword}="),
+            Some(value) if value.parse::<f64>().is_ok() => format!("{keyword}={value}"),
+            Some(value) => format!("{keyword}=\"{value}\""),
+        }
     })
 }
 

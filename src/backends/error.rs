@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::BACKENDS;
 use crate::{
-    base::error::Hint,
+    base::error::{Advice, Hint},
     config::UnknownBackend,
     io::{output::OutputError, project::ProjectError},
 };
@@ -50,7 +50,7 @@ impl From<ProjectError> for BackendError {
 }
 
 impl Hint for BackendError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Unknown(error) => return error.hint(),
             Self::Name { .. } => {
@@ -65,15 +65,16 @@ impl Hint for BackendError {
                     "leave it out; it is for {}",
                     takers.collect::<Vec<_>>().join(", ")
                 )
+                .into()
             }
-            Self::Needs { hint, .. } => hint.clone(),
-            Self::OwnFile(_) => "write to another folder with --out".into(),
-            Self::OtherModel(_) => {
-                "write to another folder with --out, or move that model away".into()
-            }
-            Self::OtherExport { .. } => {
-                "write to another folder with --out, or remove that one first".into()
-            }
+            Self::Needs { hint, .. } => hint.clone().into(),
+            Self::OwnFile(_) => Advice::text("write to another folder with ").set("out"),
+            Self::OtherModel(_) => Advice::text("write to another folder with ")
+                .set("out")
+                .and(", or move that model away"),
+            Self::OtherExport { .. } => Advice::text("write to another folder with ")
+                .set("out")
+                .and(", or remove that one first"),
             Self::Place(error) => return error.hint(),
             Self::Model(error) => return error.hint(),
         })

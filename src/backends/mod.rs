@@ -307,7 +307,7 @@ mod tests {
             );
             assert_eq!(plain(name), name);
         }
-        assert!(by_name("nothing").is_err_and(|e| e.hint().unwrap().contains("sure")));
+        assert!(by_name("nothing").is_err_and(|e| e.hint().unwrap().to_string().contains("sure")));
     }
 
     #[test]
@@ -326,7 +326,7 @@ mod tests {
             once.iter().map(|b| b.name).collect::<Vec<_>>(),
             ["openmvs", "colmap"]
         );
-        let hint = |name: &str| by_name(name).err().unwrap().hint().unwrap();
+        let hint = |name: &str| by_name(name).err().unwrap().hint().unwrap().to_string();
         assert!(hint("colmpa").starts_with("did you mean colmap? take one of sure, "));
         assert!(hint("xyz").starts_with("take one of sure, "));
     }

@@ -1,5 +1,7 @@
-//! The ground floor of this crate: that of the crates below, signals and processes.
+//! The ground floor of this crate: that of the crates below, signals and processes, and how the
+//! command line says advice.
 
+pub mod advice;
 pub mod platform;
 
 pub use viewrank_core::base::*;

@@ -5,6 +5,7 @@ use clap::{Args, Command, CommandFactory};
 use clap_complete::Shell;
 
 use super::{Failure, terminal::print_data};
+use crate::base::error::{Advice, Hint};
 
 /// Print the completion script for a shell.
 ///
@@ -66,8 +67,8 @@ fn definition(subcommand: Option<&str>) -> Result<Command, Failure> {
 #[error("there is no subcommand \"{0}\"")]
 struct UnknownSubcommand(String);
 
-impl crate::base::error::Hint for UnknownSubcommand {
-    fn hint(&self) -> Option<String> {
+impl Hint for UnknownSubcommand {
+    fn hint(&self) -> Option<Advice> {
         Some("type viewrank --help for the list".into())
     }
 

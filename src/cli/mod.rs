@@ -30,6 +30,7 @@ mod watch;
 
 use std::{ffi::OsString, process::ExitCode};
 
+use crate::base::advice::on_command_line;
 use crate::base::error::Hint;
 use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
@@ -135,7 +136,8 @@ impl<E: Hint> From<E> for Failure {
         } else {
             Exit::Failed
         };
-        Self::new(exit, error.to_string(), error.hint())
+        let hint = error.hint().map(|advice| on_command_line(&advice));
+        Self::new(exit, error.to_string(), hint)
     }
 }
 

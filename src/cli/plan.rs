@@ -13,7 +13,7 @@ use crate::{
         report::DepthMapFolders,
     },
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         progress::{Stage, Watcher},
         shell::command_path,
     },
@@ -260,7 +260,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 struct ExportFailure(Vec<String>);
 
 impl Hint for ExportFailure {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         None
     }
 }

@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 
 use crate::{
     apps::replan,
-    base::{error::Hint, pixels::PixelBound},
+    base::{
+        error::{Advice, Hint},
+        pixels::PixelBound,
+    },
     io::{
         image::{Image, ImageError, drawn_size},
         output::{Contents, Disk, FileSet},
@@ -118,7 +121,7 @@ struct Unreadable {
 }
 
 impl Hint for Unreadable {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("give JPEG, PNG or TIFF images".into())
     }
 }
@@ -128,7 +131,7 @@ impl Hint for Unreadable {
 struct NoImages;
 
 impl Hint for NoImages {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("put the images of the model into PROJECT/images".into())
     }
 }

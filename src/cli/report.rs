@@ -5,6 +5,7 @@ use std::{
     process::{Command, Stdio},
 };
 
+use crate::base::error::{Advice, Hint};
 use crate::{
     apps::{
         replan,
@@ -189,8 +190,8 @@ struct OpenFailure {
     source: std::io::Error,
 }
 
-impl crate::base::error::Hint for OpenFailure {
-    fn hint(&self) -> Option<String> {
+impl Hint for OpenFailure {
+    fn hint(&self) -> Option<Advice> {
         Some("open that file in a browser".into())
     }
 }

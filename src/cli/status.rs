@@ -7,7 +7,10 @@ use std::{
 };
 
 use crate::{
-    base::{error::Hint, shell::command_path},
+    base::{
+        error::{Advice, Hint},
+        shell::command_path,
+    },
     daemon::{
         Line,
         phase::{Phase, ProjectStatus},
@@ -90,7 +93,7 @@ enum NoStatus {
 }
 
 impl Hint for NoStatus {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::NotFound(_) => {
                 "name the folder that was given to viewrank watch, or a project below it".into()
@@ -100,9 +103,10 @@ impl Hint for NoStatus {
                 format!(
                     "what its depth maps give: viewrank report {project}; to have it watched: viewrank watch {project}"
                 )
+                .into()
             }
             Self::NotWatched(folder) => {
-                format!("start one: viewrank watch {}", command_path(folder))
+                format!("start one: viewrank watch {}", command_path(folder)).into()
             }
             Self::Unreadable(_) => {
                 "make it readable, or start a daemon of this version, which rewrites it".into()

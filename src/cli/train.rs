@@ -11,7 +11,10 @@ use crate::{
         learn::{self, Fitted, Lesson, Numbers},
     },
     backends::{self, planned_for},
-    base::{error::Hint, shell::command_path},
+    base::{
+        error::{Advice, Hint},
+        shell::command_path,
+    },
     config::{CommandLineSettings, ConfidenceSource},
     io::{
         depthmaps::{self, DepthMapFormat},
@@ -165,7 +168,7 @@ fn one_backend(prepared: &[Prepared]) -> Result<&str, MixedBackends> {
 struct MixedBackends([String; 2]);
 
 impl Hint for MixedBackends {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("train on the projects of one backend, or name it with --backend".into())
     }
 }

@@ -4,7 +4,7 @@ use std::{num::NonZeroUsize, path::PathBuf, process, thread, time::Duration};
 
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         platform::{self, Request},
         shell::command_path,
     },
@@ -181,7 +181,7 @@ impl Arguments {
 struct NoProgram(std::io::Error);
 
 impl Hint for NoProgram {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("start it by its full path".into())
     }
 }
@@ -196,13 +196,13 @@ struct WatchFailure {
 }
 
 impl Hint for WatchFailure {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         let commands: Vec<String> = self
             .roots
             .iter()
             .map(|root| format!("viewrank status {}", command_path(root)))
             .collect();
-        Some(format!("to see why: {}", commands.join(", ")))
+        Some(format!("to see why: {}", commands.join(", ")).into())
     }
 }
 

@@ -15,6 +15,7 @@ use super::{
     state::Outcome,
 };
 use crate::apps::replan;
+use crate::base::advice::on_command_line;
 use crate::{
     apps::{
         evaluate::{MeasuredClusters, curve::ReachCurve},
@@ -204,7 +205,7 @@ fn follow_now(
 pub(super) fn failed(error: impl Hint) -> Outcome {
     Outcome::Failed {
         reason: error.to_string(),
-        hint: error.hint(),
+        hint: error.hint().as_ref().map(on_command_line),
     }
 }
 

@@ -25,6 +25,7 @@ use super::{
     settle::{Fingerprint, HashCache, lock},
     state::Outcome,
 };
+use crate::base::advice::on_command_line;
 use crate::{
     apps::{
         dispatch::Dispatch,
@@ -576,7 +577,7 @@ fn sort_out(error: PlanError) -> Outcome {
         },
         PlanError::Refused { .. } => Outcome::Aside {
             reason: error.to_string(),
-            hint: error.hint(),
+            hint: error.hint().as_ref().map(on_command_line),
         },
         error => failed(error),
     }

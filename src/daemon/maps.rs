@@ -10,7 +10,10 @@ use std::{
 use walkdir::WalkDir;
 
 use super::{discover, settle::Entry};
-use crate::{base::error::Hint, io::depthmaps};
+use crate::{
+    base::error::{Advice, Hint},
+    io::depthmaps,
+};
 
 /// Pause after measuring the maps of a project, as a multiple of the time taken.
 const REST: u32 = 3;
@@ -27,7 +30,7 @@ pub struct UnreadableMaps {
 }
 
 impl Hint for UnreadableMaps {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(
             "make it readable for the user who runs viewrank: it may hold finished depth maps"
                 .into(),

@@ -33,7 +33,10 @@ pub use run::{Signal, watch_roots};
 pub use status::{Line, read_status, status_file};
 pub use worker::{Workers, serve};
 
-use crate::{base::error::Hint, io::output::OutputError};
+use crate::{
+    base::error::{Advice, Hint},
+    io::output::OutputError,
+};
 
 /// Options of `viewrank watch`.
 #[derive(Clone, Debug)]
@@ -74,7 +77,7 @@ pub enum DaemonError {
 }
 
 impl Hint for DaemonError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::Root { source, .. } if source.kind() == std::io::ErrorKind::NotFound => Some(
                 "name a folder that exists: the one that holds the projects, or a project itself"

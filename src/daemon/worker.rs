@@ -31,7 +31,10 @@ use super::{
     settle::{Entry, Stamp, lock},
     state::{OnBusy, Outcome, Work},
 };
-use crate::base::{error::Hint, shell::command_path};
+use crate::base::{
+    error::{Advice, Hint},
+    shell::command_path,
+};
 
 /// Interval at which a waiting daemon notices that a job was cancelled.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -322,7 +325,7 @@ fn lost(status: Option<ExitStatus>, project: &Path) -> Outcome {
 struct NoWorker(io::Error);
 
 impl Hint for NoWorker {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("start viewrank watch again if it was updated or moved".into())
     }
 }

@@ -3,7 +3,10 @@
 use std::{cmp::Reverse, collections::BTreeMap};
 
 use super::Plan;
-use crate::{base::error::Hint, model::reason::Reason};
+use crate::{
+    base::error::{Advice, Hint},
+    model::reason::Reason,
+};
 
 /// The plan chooses no cluster.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -15,7 +18,7 @@ pub enum EmptyPlan {
         reason: Reason,
         of: usize,
         views: usize,
-        cure: Option<String>,
+        cure: Option<Advice>,
     },
     /// The limits of the cut exclude every ranked cluster.
     #[error("the limits exclude all {ranked} view clusters: {limits}")]
@@ -48,7 +51,7 @@ impl EmptyPlan {
             .max_by_key(|&(reason, count)| (count, Reverse(reason)));
         let (reason, of) = most.unwrap_or((Reason::Hidden, 0));
         let cure = match reason {
-            Reason::NoImage => Some(no_images(plan).into()),
+            Reason::NoImage => Some(no_images(plan)),
             _ => too_few_partners(plan),
         };
         Self::Fulfilled {
@@ -61,30 +64,39 @@ impl EmptyPlan {
 }
 
 /// Returns a remedy for missing, unreadable or rejected images.
-fn no_images(plan: &Plan) -> &'static str {
+fn no_images(plan: &Plan) -> Advice {
     match plan.stages.agreement.rejected.is_empty() {
-        true => "copy these images again (viewrank doctor)",
+        true => Advice::text("copy these images again (")
+            .run("doctor")
+            .and(")"),
         false => {
-            "replace the images that the warnings name, or plan without pictures: --confidence geometric"
+            Advice::text("replace the images that the warnings name, or plan without pictures: ")
+                .set_to("confidence.source", "geometric")
         }
     }
 }
 
 /// Returns a remedy if k is too small for `coverage.min_cameras` or for the backend's matches.
-fn too_few_partners(plan: &Plan) -> Option<String> {
+fn too_few_partners(plan: &Plan) -> Option<Advice> {
     let k = plan.stages.settings.partners.k;
     let cameras = plan.stages.settings.coverage.min_cameras;
     let matches = plan.stages.rule.confidence.min_matches();
     if k < cameras.saturating_sub(1) {
-        Some(format!(
-            "use -k {} or more: coverage.min_cameras wants each place seen by {cameras} cameras",
-            cameras - 1
-        ))
+        let wanted =
+            format!(" or more: coverage.min_cameras wants each place seen by {cameras} cameras");
+        Some(
+            Advice::text("use ")
+                .set_to("partners.k", (cameras - 1).to_string())
+                .and(wanted),
+        )
     } else if k < matches {
-        Some(format!(
-            "use -k {matches} or more: {} needs {matches} matches that agree",
-            plan.stages.backend
-        ))
+        let backend = plan.stages.backend;
+        let wanted = format!(" or more: {backend} needs {matches} matches that agree");
+        Some(
+            Advice::text("use ")
+                .set_to("partners.k", matches.to_string())
+                .and(wanted),
+        )
     } else {
         None
     }
@@ -102,7 +114,7 @@ fn limits(plan: &Plan) -> String {
 }
 
 impl Hint for EmptyPlan {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Fulfilled {
                 cure: Some(cure), ..
@@ -110,10 +122,13 @@ impl Hint for EmptyPlan {
             Self::Fulfilled {
                 reason: Reason::OutsideRegion,
                 ..
-            } => "choose a region that the images show, such as --region auto".into(),
-            Self::Fulfilled { .. } => {
-                "run viewrank doctor; check the masks and --confidence, too".into()
-            }
+            } => Advice::text("choose a region that the images show, such as ")
+                .set_to("region", "auto"),
+            Self::Fulfilled { .. } => Advice::text("run ")
+                .run("doctor")
+                .and("; check the masks and ")
+                .set("confidence.source")
+                .and(", too"),
             Self::Allowed { .. } => "raise the limit".into(),
         })
     }

@@ -6,7 +6,7 @@ use super::{MeshError, RegionFileError, memory};
 use crate::{
     base::{
         column::{DiskError, TableError},
-        error::Hint,
+        error::{Advice, Hint},
         progress::Cancelled,
     },
     config::UnknownBackend,
@@ -99,16 +99,21 @@ impl From<TableError> for PlanError {
 }
 
 impl Hint for PlanError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Project(error) => return error.hint(),
             Self::NoViews(_) => {
-                "run structure from motion first, or choose another model with --model".into()
+                Advice::text("run structure from motion first, or choose another model with ")
+                    .set("model")
             }
             Self::OtherImages { name, .. } => {
-                format!("name the folder in which {name} is, by --images or in viewrank.toml")
+                Advice::text(format!("name the folder in which {name} is, by "))
+                    .set("images")
+                    .and(" or in viewrank.toml")
             }
-            Self::NoScale => "set --gsd, or give a model with points".into(),
+            Self::NoScale => Advice::text("set ")
+                .set("target.gsd")
+                .and(", or give a model with points"),
             Self::Surface(error) => return error.hint(),
             Self::Mesh(error) => return error.hint(),
             Self::RegionFile(error) => return error.hint(),
@@ -119,41 +124,41 @@ impl Hint for PlanError {
                 stage: memory::SURFACE,
                 with_picture,
                 ..
-            } => format!(
-                "give --max-memory {} or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
-                memory::enough(*with_picture)
+            } => allow(*with_picture).and(
+                " or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
             ),
             Self::Memory {
                 stage: memory::PICTURES,
                 with_picture,
                 ..
-            } => format!(
-                "give --max-memory {} (max_memory in viewrank.toml), or plan without pictures: --confidence geometric",
-                memory::enough(*with_picture)
-            ),
+            } => allow(*with_picture)
+                .and(" (max_memory in viewrank.toml), or plan without pictures: ")
+                .set_to("confidence.source", "geometric"),
             Self::Memory {
                 stage: memory::MASKS,
                 with_picture,
                 ..
-            } => format!(
-                "give --max-memory {} (max_memory in viewrank.toml), or make the masks smaller: copies of the same shape will do",
-                memory::enough(*with_picture)
+            } => allow(*with_picture).and(
+                " (max_memory in viewrank.toml), or make the masks smaller: copies of the same shape will do",
             ),
-            Self::Memory { with_picture, .. } => format!(
-                "give --max-memory {} (max_memory in viewrank.toml),{} or reduce the triangles with a coarser --gsd or a larger \
-                 surface.edge_factor",
-                memory::enough(*with_picture),
-                if rayon::current_num_threads() > 1 {
-                    " use fewer --threads,"
-                } else {
-                    ""
-                }
-            ),
-            Self::Refused { with_picture, .. } => format!(
-                "give viewrank watch --max-memory {} or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \
-                 built in tiles, larger tables are kept on disk, and fewer pictures and masks are read at once",
-                memory::enough(*with_picture)
-            ),
+            Self::Memory { with_picture, .. } => {
+                let allow = allow(*with_picture).and(" (max_memory in viewrank.toml),");
+                let allow = match rayon::current_num_threads() {
+                    0 | 1 => allow,
+                    _ => allow.and(" use fewer ").set("threads").and(","),
+                };
+                allow
+                    .and(" or reduce the triangles with a coarser ")
+                    .set("target.gsd")
+                    .and(" or a larger surface.edge_factor")
+            }
+            Self::Refused { with_picture, .. } => Advice::text("give ")
+                .run("watch ")
+                .set_to("max_memory", memory::enough(*with_picture))
+                .and(
+                    " or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \
+                     built in tiles, larger tables are kept on disk, and fewer pictures and masks are read at once",
+                ),
             Self::Disk(error) => return error.hint(),
             Self::Cancelled(_) => return None,
         })
@@ -179,4 +184,9 @@ impl Hint for PlanError {
             _ => None,
         }
     }
+}
+
+/// Begins advice to allow as much memory as is needed.
+fn allow(need: u64) -> Advice {
+    Advice::text("give ").set_to("max_memory", memory::enough(need))
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         input::{self, FileKind},
     },
     io::ply::{self, PlyError},
@@ -24,7 +24,7 @@ pub enum MeshError {
 }
 
 impl Hint for MeshError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::File { .. } => "check that the file exists and is readable".into(),
             Self::Ply { .. } => "give a PLY file of triangles in the frame of the model".into(),

@@ -9,7 +9,7 @@ use crate::{
         self, Backend, BackendError, Export, ExportOptions, ExportRecord, Selection, place,
     },
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         shell::{command_path, one_after_other},
     },
     io::{
@@ -84,7 +84,7 @@ pub enum FilesError {
 }
 
 impl Hint for FilesError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::Backend(error) => error.hint(),
             Self::Input(error) => error.hint(),

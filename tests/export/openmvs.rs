@@ -481,7 +481,8 @@ fn openmvs_neighbors_fix_depth_range() {
     let it = Neighbours::new(5.0);
     let error = it.export(false).err().unwrap();
     assert!(
-        error.to_string().contains("0.1 to 100") && error.hint().unwrap().contains("--scale"),
+        error.to_string().contains("0.1 to 100")
+            && error.hint().unwrap().to_string().contains("--scale"),
         "{error}"
     );
 

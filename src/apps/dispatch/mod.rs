@@ -20,7 +20,11 @@ use std::{
 
 use crate::{
     backends::{self, BACKENDS, Backend, Export, Selection, TaskRunner, recipe},
-    base::{error::Hint, platform, shell::quoted_path},
+    base::{
+        error::{Advice, Hint},
+        platform,
+        shell::quoted_path,
+    },
     config::{DispatchSettings, Share},
     io::{
         output::{self, Contents, Disk, FileSet, OutputError},
@@ -435,15 +439,17 @@ pub enum DispatchError {
 }
 
 impl Hint for DispatchError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::NoTasks(name) => format!(
                 "run what `viewrank plan PROJECT --backend {name}` prints, or take --backend sgm, openmvs or colmap"
-            ),
+            )
+            .into(),
             Self::Program { variable, .. } => {
                 format!(
                     "name it with --program or {variable}; where only the nodes of a queue have it, see viewrank dispatch --setup"
                 )
+                .into()
             }
             Self::Path(_) => "rename the folder or the image".into(),
             Self::Start { program, .. } if program == "sh" => {
@@ -455,7 +461,7 @@ impl Hint for DispatchError {
             Self::Stuck => "look with squeue, then try again".into(),
             Self::Busy(_) => "wait for it to end, or stop it with Ctrl-C: its command goes on where it was".into(),
             Self::Lock(error) => return error.hint(),
-            Self::Target { wanted, .. } => format!("plan again with --target {wanted}"),
+            Self::Target { wanted, .. } => Advice::text("plan again with ").set_to("cut.target", wanted.to_string()),
         })
     }
 

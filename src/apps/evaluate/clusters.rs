@@ -10,7 +10,7 @@ use walkdir::WalkDir;
 
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         input::{self, FileKind},
     },
     model::{
@@ -38,7 +38,7 @@ pub enum ClustersError {
 }
 
 impl Hint for ClustersError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("give a clusters.txt of this model: a line per cluster, key view and partners separated by tabs".into())
     }
 }

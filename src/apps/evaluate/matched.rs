@@ -12,7 +12,7 @@ use walkdir::WalkDir;
 
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         input::{self, FileKind},
     },
     io::depthmaps::{self, DepthMapFile, DepthMapFormat},
@@ -60,7 +60,7 @@ pub struct MatcherReportError {
 }
 
 impl Hint for MatcherReportError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(
             "run the matcher again, or take the report away: all partners then count as matched"
                 .into(),

@@ -17,7 +17,7 @@ use super::{
 use crate::{
     base::{
         column::TableError,
-        error::Hint,
+        error::{Advice, Hint},
         progress::{Cancelled, Stage, Watcher},
     },
     io::{
@@ -438,7 +438,7 @@ pub enum EvaluateError {
 }
 
 impl Hint for EvaluateError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::DepthMap(error) => return error.hint(),
             Self::Report(error) => return error.hint(),

@@ -16,7 +16,7 @@ pub use self::score::Scores;
 use super::evaluate::measure;
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         progress::{Cancelled, Stage, Watcher},
     },
     io::depthmaps::{self, DepthMapError, DepthMapFile},
@@ -191,7 +191,7 @@ pub enum TrainError {
 }
 
 impl Hint for TrainError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::Cancelled(_) => None,
             Self::Map(error) => error.hint(),

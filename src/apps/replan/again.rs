@@ -5,7 +5,11 @@ use std::{collections::BTreeMap, path::Path};
 use crate::plan::{Cut, FinishedMaps, Plan, PlanError, Stages, UncutRanking, decide_as};
 use crate::{apps::planning, backends::ExportRecord};
 use crate::{
-    base::{column::TableError, error::Hint, progress::Watcher},
+    base::{
+        column::TableError,
+        error::{Advice, Hint},
+        progress::Watcher,
+    },
     decision::Tables,
     io::project::Project,
     method::{fulfilment, ranking::Ranking},
@@ -175,7 +179,7 @@ pub enum AgainError {
 }
 
 impl Hint for AgainError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::Written(error) => error.hint(),
             Self::Plan(error) => error.hint(),

@@ -20,7 +20,7 @@ use self::movement::{MovedView, movement};
 use crate::{
     apps::evaluate::{EvaluateError, EvaluationInput, MapSize, MeasuredClusters},
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         input,
         progress::{Cancelled, Watcher},
     },
@@ -510,7 +510,7 @@ pub enum ReplanError {
 }
 
 impl Hint for ReplanError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::Written(error) => error.hint(),
             Self::DepthMaps(error) => error.hint(),

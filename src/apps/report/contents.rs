@@ -25,7 +25,7 @@ use crate::{
     backends::ExportRecord,
     base::{
         column::{DiskError, TableError},
-        error::Hint,
+        error::{Advice, Hint},
         progress::{Cancelled, Watcher},
         rows::Offsets,
     },
@@ -572,7 +572,7 @@ pub enum ReportError {
 }
 
 impl Hint for ReportError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::DepthMaps(error) => error.hint(),
             Self::NothingToCompare(_) => Some("name their folder with --depth-maps".into()),

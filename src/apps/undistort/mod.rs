@@ -21,7 +21,7 @@ pub use picture::PictureError;
 
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         input::{self, FileKind},
         paths,
         progress::{Cancelled, Stage, Watcher},
@@ -457,11 +457,11 @@ pub enum UndistortError {
 }
 
 impl Hint for UndistortError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Project(error) => return error.hint(),
-            Self::NoImages(root) => format!("put the images into {}", root.join("images").display()),
-            Self::OwnImages(_) => "write to another folder with --out".into(),
+            Self::NoImages(root) => format!("put the images into {}", root.join("images").display()).into(),
+            Self::OwnImages(_) => Advice::text("write to another folder with ").set("out"),
             Self::NoPinhole { .. } => {
                 "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py".into()
             }

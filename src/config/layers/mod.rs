@@ -14,7 +14,7 @@ use toml::{Table, Value, de::DeTable};
 use super::{Key, RegionChoice, Settings, keys};
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         input::{self, FileKind},
     },
     model::{cluster::MapScale, georeference::Zone},
@@ -36,11 +36,11 @@ pub struct UnknownBackend {
 }
 
 impl Hint for UnknownBackend {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         let meant = self
             .meant
             .map_or(String::new(), |name| format!("did you mean {name}? "));
-        Some(format!("{meant}take one of {}", self.known.join(", ")))
+        Some(format!("{meant}take one of {}", self.known.join(", ")).into())
     }
 
     fn is_usage(&self) -> bool {
@@ -538,16 +538,16 @@ pub enum ConfigError {
 }
 
 impl Hint for ConfigError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Read { .. } => "make the file readable, or move it away".into(),
             Self::Syntax { .. } => "see https://toml.io for the grammar; put text in quotes".into(),
             Self::UnknownKey { key, .. } => match nearest(key) {
-                Some(known) => format!("did you mean {known}?"),
+                Some(known) => format!("did you mean {known}?").into(),
                 None => "run viewrank config to list all settings".into(),
             },
             Self::UserOnly { .. } => match user_file() {
-                Some(path) => format!("set it in {}, or on the command line", path.display()),
+                Some(path) => format!("set it in {}, or on the command line", path.display()).into(),
                 None => "set it on the command line".into(),
             },
             Self::NotMetric { .. } => "write units = \"metric\" into viewrank.toml if a unit of the model is a metre, else give the number in \
@@ -555,7 +555,7 @@ impl Hint for ConfigError {
                 .into(),
             Self::Backend { error, .. } => return error.hint(),
             Self::Value { key, .. } => match keys().iter().find(|known| known.name == *key) {
-                Some(known) => format!("{key}: {}", known.doc),
+                Some(known) => format!("{key}: {}", known.doc).into(),
                 None => "run viewrank config to list all settings".into(),
             },
         })

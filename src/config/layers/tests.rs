@@ -34,7 +34,7 @@ fn refused(project: &str) -> (String, String) {
     let message = error.to_string();
     (
         message[message.find("project.toml").unwrap()..].to_owned(),
-        error.hint().unwrap(),
+        error.hint().unwrap().to_string(),
     )
 }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::{
-    base::error::Hint,
+    base::error::{Advice, Hint},
     config::RegionChoice,
     io::region_file::{self, RegionFault, RegionFile},
     method::region::{RegionShape, ShapeError},
@@ -34,7 +34,7 @@ fn after(fault: &ShapeError) -> &'static str {
 }
 
 impl Hint for RegionFileError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         let fault = match self {
             Self::Read { fault, .. } => fault,
             Self::Shape { fault, .. } => return fault.hint(),

@@ -9,7 +9,10 @@ use std::{
 use rayon::prelude::*;
 
 use crate::{
-    base::{error::Hint, input},
+    base::{
+        error::{Advice, Hint},
+        input,
+    },
     config::{ConfidenceSource, Settings},
     io::{pictures::Pictures, project::Project},
     model::scene::{Scene, View},
@@ -29,7 +32,7 @@ pub struct FingerprintError {
 }
 
 impl Hint for FingerprintError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("plan again, and do not change the model meanwhile".into())
     }
 }

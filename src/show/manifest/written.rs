@@ -11,7 +11,10 @@ use serde::Deserialize;
 use super::{FingerprintError, VERSION, ViewEntry, check::check, fingerprint};
 use crate::{
     backends::ExportRecord,
-    base::{error::Hint, shell::command_path},
+    base::{
+        error::{Advice, Hint},
+        shell::command_path,
+    },
     config::{Budget, Settings, Share},
     io::{
         output::{self, OutputError},
@@ -332,18 +335,19 @@ fn plan_command(path: &Path) -> String {
 }
 
 impl Hint for WrittenPlanError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::Io { path, source } => Some(match source.kind() {
                 io::ErrorKind::PermissionDenied => {
-                    "make it readable for yourself, or plan elsewhere: --out DIR".into()
+                    Advice::text("make it readable for yourself, or plan elsewhere: ")
+                        .set_to("out", "DIR")
                 }
-                _ => format!("make the plan first: {}", plan_command(path)),
+                _ => format!("make the plan first: {}", plan_command(path)).into(),
             }),
             Self::Manifest { path, .. }
             | Self::Version { path, .. }
             | Self::OtherInput(path)
-            | Self::OtherPlan(path) => Some(format!("plan again: {}", plan_command(path))),
+            | Self::OtherPlan(path) => Some(format!("plan again: {}", plan_command(path)).into()),
             Self::Own(error) => error.hint(),
             Self::Input(error) => error.hint(),
             Self::Project(error) => error.hint(),

@@ -15,7 +15,10 @@ use bytemuck::Pod;
 use memmap2::Mmap;
 use rayon::prelude::*;
 
-use crate::base::{error::Hint, progress::Cancelled};
+use crate::base::{
+    error::{Advice, Hint},
+    progress::Cancelled,
+};
 
 /// Place of the columns: in memory or on disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -281,7 +284,7 @@ pub enum TableError {
 }
 
 impl Hint for TableError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::Cancelled(error) => error.hint(),
             Self::Disk(error) => error.hint(),
@@ -307,9 +310,10 @@ impl DiskError {
 }
 
 impl Hint for DiskError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(
-            "set TMPDIR to a folder on a disk with room, or allow more memory: --max-memory".into(),
+            Advice::text("set TMPDIR to a folder on a disk with room, or allow more memory: ")
+                .set("max_memory"),
         )
     }
 }
@@ -356,7 +360,8 @@ mod tests {
             panic!("there is no such folder")
         };
         assert!(
-            error.to_string().contains("gone") && error.hint().unwrap().contains("TMPDIR"),
+            error.to_string().contains("gone")
+                && error.hint().unwrap().to_string().contains("TMPDIR"),
             "{error}"
         );
     }

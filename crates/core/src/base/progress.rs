@@ -1,6 +1,8 @@
 //! Progress and cancellation of a running stage. Terminal bars are in `cli/`, state files in
 //! `daemon/`.
 
+use super::error::{Advice, Hint};
+
 /// The stages of a plan, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -50,8 +52,8 @@ pub trait Watcher: Sync {
 #[error("cancelled")]
 pub struct Cancelled;
 
-impl crate::base::error::Hint for Cancelled {
-    fn hint(&self) -> Option<String> {
+impl Hint for Cancelled {
+    fn hint(&self) -> Option<Advice> {
         None
     }
 }

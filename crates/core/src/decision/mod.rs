@@ -39,7 +39,7 @@ use self::reasons::Reasons;
 use crate::{
     base::{
         column::{DiskError, TableError},
-        error::Hint,
+        error::{Advice, Hint},
         progress::{Cancelled, Stage, Watcher},
     },
     method::{
@@ -108,7 +108,7 @@ impl From<Cancelled> for DecisionError {
 }
 
 impl Hint for DecisionError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::NoTimes => Some(
                 "time one depth map, and write its seconds into viewrank.toml: forecast.seconds_per_map = 30"

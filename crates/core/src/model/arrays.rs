@@ -6,7 +6,7 @@ use super::{
     camera::{Camera, CameraError, CameraModel},
     scene::{CameraIndex, Pose, Scene, View, ViewIndex},
 };
-use crate::base::error::Hint;
+use crate::base::error::{Advice, Hint};
 
 /// Largest entry of `R Rᵀ - I` of a rotation; rotations in f32 pass.
 const ROTATION_TOLERANCE: f64 = 1e-4;
@@ -74,7 +74,7 @@ pub enum ArraysError {
 }
 
 impl Hint for ArraysError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Length { .. } => "give one row per view".into(),
             Self::Pixels { .. } => "give one row per observation, or none at all".into(),
@@ -84,15 +84,14 @@ impl Hint for ArraysError {
                 "give [R | t] from world to camera, R orthonormal with determinant 1".into()
             }
             Self::SameName(_) => "give each view the path of its image".into(),
-            Self::CameraModel { .. } => {
-                format!(
-                    "take one of {}",
-                    CameraModel::all()
-                        .map(CameraModel::name)
-                        .collect::<Vec<_>>()
-                        .join(", ")
-                )
-            }
+            Self::CameraModel { .. } => format!(
+                "take one of {}",
+                CameraModel::all()
+                    .map(CameraModel::name)
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            )
+            .into(),
             Self::Camera { .. } => "give the parameters in COLMAP's order for the model".into(),
         })
     }

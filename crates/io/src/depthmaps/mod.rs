@@ -17,7 +17,10 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
 use viewrank_core::{
-    base::{error::Hint, pixels::PixelBound},
+    base::{
+        error::{Advice, Hint},
+        pixels::PixelBound,
+    },
     model::{camera::Camera, scene::Scene},
 };
 
@@ -257,7 +260,7 @@ pub enum DepthMapError {
 }
 
 impl Hint for DepthMapError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         let hint = match self {
             Self::Io { .. } => "check that the file exists and is readable",
             Self::Format { .. } => {

@@ -29,7 +29,7 @@ use std::{
     path::{Component, Path, PathBuf},
 };
 
-use viewrank_core::base::error::Hint;
+use viewrank_core::base::error::{Advice, Hint};
 
 pub use disk::{Disk, Operation};
 use folder::Folder;
@@ -347,20 +347,20 @@ impl OutputError {
 }
 
 impl Hint for OutputError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Name { .. } => {
                 "rename the image in the model: names are relative, without \"..\" or empty parts".into()
             }
             Self::Escapes { .. } => {
-                "replace the link with a folder, or with a relative link; where there is --out, it can name the link's target".into()
+                Advice::text("replace the link with a folder, or with a relative link; where there is ").set("out").and(", it can name the link's target")
             }
             Self::CopyOut { .. } => {
-                "put the file itself there, or write where symbolic links can be made (to another disk, with --out)".into()
+                Advice::text("put the file itself there, or write where symbolic links can be made (to another disk, with ").set("out").and(")")
             }
             Self::Foreign { .. } => "move it away: viewrank creates its own".into(),
             Self::InTheWay { .. } => "move it away, or choose another name".into(),
-            Self::OtherFileSystem { .. } => "choose a folder on a single file system with --out".into(),
+            Self::OtherFileSystem { .. } => Advice::text("choose a folder on a single file system with ").set("out"),
             Self::Full { .. } => "free some space on that disk (a plan's viewrank/cache can be deleted: it only saves time); nothing was changed".into(),
             Self::Denied { .. } => "get write permission there, or work on a copy; nothing was changed".into(),
             Self::Io { source, .. } if source.kind() == io::ErrorKind::NotADirectory => {

@@ -5,7 +5,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use viewrank_core::{base::error::Hint, model::scene::Scene};
+use viewrank_core::{
+    base::error::{Advice, Hint},
+    model::scene::Scene,
+};
 
 use super::{ImageFolder, Project, ProjectError};
 use crate::{
@@ -28,7 +31,7 @@ pub enum CreateError {
 }
 
 impl Hint for CreateError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         match self {
             Self::OtherModel(_) => Some("give a new or empty folder".into()),
             Self::Output(error) => error.hint(),

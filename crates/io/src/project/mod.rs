@@ -18,7 +18,7 @@ use std::{
 };
 
 use viewrank_core::{
-    base::error::Hint,
+    base::error::{Advice, Hint},
     model::scene::{ModelWarning, Scene, WarningKind},
 };
 
@@ -472,11 +472,11 @@ pub enum ProjectError {
 }
 
 impl Hint for ProjectError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::NotFound(path) if unquoted(path).is_some_and(Path::exists) => {
                 let name = unquoted(path).unwrap_or(path);
-                format!("the quotes became part of the name; without them it is there: {}", command_path(name))
+                format!("the quotes became part of the name; without them it is there: {}", command_path(name)).into()
             }
             Self::NotFound(_) => "name the project folder, which contains `sparse` and `images`".into(),
             Self::NoModel { path, .. } if path.is_file() => {
@@ -487,7 +487,7 @@ impl Hint for ProjectError {
             Self::IncompleteModel { .. } => {
                 "export the model again, with cameras, images and points3D in one format, binary or text".into()
             }
-            Self::NoSuchModel { .. } => "pass one of these names to --model, or omit it".into(),
+            Self::NoSuchModel { .. } => Advice::text("pass one of these names to ").set("model").and(", or omit it"),
             Self::Io { .. } => "check that the file exists and is readable".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
             Self::ModelChanged(_) => "once the model is complete, read it and plan again; nothing was written".into(),

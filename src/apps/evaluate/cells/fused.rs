@@ -14,7 +14,7 @@ use super::{CloudPart, FusedPoints};
 use crate::{
     apps::evaluate::EvaluateError,
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         input::{self, FileKind},
     },
     io::{
@@ -43,7 +43,7 @@ pub enum FusedCloudError {
 }
 
 impl Hint for FusedCloudError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(
             "give the PLY that the program fused, with its .mvs (OpenMVS) or .vis (COLMAP) beside it"
                 .into(),

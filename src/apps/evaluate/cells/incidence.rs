@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::{
-    error::Hint,
+    error::{Advice, Hint},
     input::{self, FileKind},
 };
 
@@ -74,7 +74,7 @@ pub enum IncidenceError {
 }
 
 impl Hint for IncidenceError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some("give the cells.tsv that an evaluation of this project wrote".into())
     }
 

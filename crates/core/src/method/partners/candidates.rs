@@ -72,7 +72,6 @@ pub struct Limits<'a> {
 /// True for pairs of a key view that cannot be matched at all.
 pub type Refuses<'a> = Box<dyn Fn(&PairGeometry) -> bool + 'a>;
 
-#[cfg(test)]
 impl<'a> Limits<'a> {
     /// Limits with this gate, for a program that refuses no pair.
     pub fn gate(gate: &'a Gate) -> Self {

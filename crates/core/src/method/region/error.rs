@@ -1,7 +1,10 @@
 //! Errors of regions.
 
 use super::{columns::Rectangle, solid::OpenMesh};
-use crate::base::{error::Hint, progress::Cancelled};
+use crate::base::{
+    error::{Advice, Hint},
+    progress::Cancelled,
+};
 
 /// A region that cannot be used, whatever the surface.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -17,7 +20,7 @@ pub enum ShapeError {
 }
 
 impl Hint for ShapeError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         let hint = match self {
             Self::Open(_) => "close its holes, or give a box x0,y0,z0,x1,y1,z1",
             Self::NoGeoreference => {
@@ -103,10 +106,13 @@ fn in_space(corners: &[f64; 6]) -> String {
 }
 
 impl Hint for RegionError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         let hint = match self {
             _ if self.is_too_small() => {
-                "draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer --gsd"
+                return Some(
+                    Advice::text("draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer ")
+                        .set("target.gsd"),
+                );
             }
             Self::OutsideMap {
                 is_geodetic: true, ..

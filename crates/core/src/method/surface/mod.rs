@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     base::{
-        error::Hint,
+        error::{Advice, Hint},
         progress::{Cancelled, Stage, Watcher},
         tiles,
     },
@@ -178,15 +178,24 @@ pub enum SurfaceError {
 }
 
 impl Hint for SurfaceError {
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<Advice> {
         Some(match self {
-            Self::TooFewPoints { .. } | Self::Linear => "check the model, or give a surface with --mesh".into(),
-            Self::Empty => {
-                "check the model (viewrank doctor) and the wanted --gsd, or give a surface with --mesh".into()
+            Self::TooFewPoints { .. } | Self::Linear => {
+                Advice::text("check the model, or give a surface with ").set("surface.mesh")
             }
-            Self::Gsd(_) => "set target.gsd, or type --gsd".into(),
-            Self::Delaunay(_) => "check the model: its points cannot be triangulated as they are".into(),
-            Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor".into(),
+            Self::Empty => Advice::text("check the model (")
+                .run("doctor")
+                .and(") and the wanted ")
+                .set("target.gsd")
+                .and(", or give a surface with ")
+                .set("surface.mesh"),
+            Self::Gsd(_) => Advice::text("set target.gsd, or type ").set("target.gsd"),
+            Self::Delaunay(_) => {
+                "check the model: its points cannot be triangulated as they are".into()
+            }
+            Self::Refine(_) => Advice::text("ask for a coarser ")
+                .set("target.gsd")
+                .and(", or a larger surface.max_edge_factor"),
             Self::Cancelled(_) => return None,
         })
     }

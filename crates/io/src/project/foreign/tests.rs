@@ -103,7 +103,11 @@ fn metashapes_points_may_be_those_of_the_world_or_of_the_chunk() {
         .and_then(|project| project.read_scene())
         .unwrap_err();
     assert!(
-        error.hint().unwrap().contains("same coordinate system"),
+        error
+            .hint()
+            .unwrap()
+            .to_string()
+            .contains("same coordinate system"),
         "{error}"
     );
 }
@@ -180,7 +184,10 @@ fn binary_models_name_their_converter() {
         let folder = folder(&[(name, "x")]);
         for path in [folder.path().to_path_buf(), folder.path().join(name)] {
             let error = Project::open(&path, None).unwrap_err();
-            assert!(error.hint().unwrap().contains(converter), "{error}");
+            assert!(
+                error.hint().unwrap().to_string().contains(converter),
+                "{error}"
+            );
         }
     }
 }

@@ -144,7 +144,7 @@ impl<'a> Block<'a> {
     }
 
     /// Number of groups of lanes.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.keys.len()
     }
 
