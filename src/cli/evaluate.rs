@@ -188,6 +188,7 @@ fn measure(
     let table = cells.0.text();
     let how = EvaluationOptions {
         objective: &plan.stages.objective,
+        pilot: plan.stages.pilot.as_ref(),
         cells,
         baselines: arguments.baselines,
         so_far,

@@ -114,6 +114,7 @@ fn words(stage: Stage) -> &'static str {
         Stage::Visibility => "computing visibility",
         Stage::Confidence => "reading the images",
         Stage::Partners => "choosing matching partners",
+        Stage::Pilot => "matching thumbnails",
         Stage::Ranking => "ranking view clusters",
         Stage::Evaluate => "measuring depth maps",
         Stage::Undistort => "undistorting images",

@@ -1,20 +1,21 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
-use std::cell::LazyCell;
+use std::{cell::LazyCell, sync::Arc};
 
 use super::{
     Matcher, Memory, PlanError, Timings, UncutRanking, WorkPerMap,
     cached::{self, Cached},
     inputs::Inputs,
     step::Run,
-    steps::{self, ClustersStep, ShownStep, UnaryStep},
+    steps::{self, ClustersStep, PilotStep, ShownStep, UnaryStep},
 };
 use crate::{
     base::{large_pages, progress::Watcher},
     config::Settings,
-    decision::Tables,
+    decision::{CountedPlaces, PlacesRule, Tables},
     io::project::{ImageFaults, Project},
     method::{
+        confidence::Confidence,
         fulfilment::Model,
         geometry::Geometry,
         ranking::Objective,
@@ -132,6 +133,27 @@ impl Stages {
             candidates: &candidates,
         })?;
         large_pages::return_freed_memory();
+
+        let looks = matches!(inputs.confidence, Confidence::Photometric { .. });
+        let seen_in_thumbnails = match looks && inputs.pictures.have_images() {
+            true => Some(run.step(PilotStep {
+                inputs: &inputs,
+                clusters_file: &clusters_file,
+                clusters: &clusters,
+            })?),
+            false => None,
+        };
+        let (pilot_file, places) = seen_in_thumbnails.unzip();
+        let rule_of_places = PlacesRule {
+            surface: &seen.surface,
+            region: region.as_ref(),
+            objective: &objective,
+            half_worth: settings.ranking.half_worth,
+        };
+        let pilot = places.and_then(|places| {
+            let predicted = (&fulfilment, half.as_ref());
+            CountedPlaces::new(Arc::new(places), &clusters, predicted, &rule_of_places)
+        });
         let per_map = matcher.numbers.work;
         let work: Vec<_> = clusters
             .iter()
@@ -139,10 +161,10 @@ impl Stages {
             .collect();
 
         let factors = region.as_ref().map(|region| &region.factors[..]);
-        let file = &clusters_file.file;
+        let from = pilot_file.as_ref().unwrap_or(&clusters_file);
         let file = inputs
             .fingerprints
-            .ranking(settings, file, &objective, factors, &work);
+            .ranking(settings, &from.file, &objective, factors, &work);
         let triangles = seen.surface.triangles.len();
         let (ranking_file, known_ranking) = cached::read(file, |(), bytes| {
             cached::ranking::unpack(bytes, clusters.len(), triangles)
@@ -178,6 +200,7 @@ impl Stages {
                 clusters,
                 fulfilment,
                 half,
+                pilot,
                 work,
             },
             per_map,
@@ -189,6 +212,7 @@ impl Stages {
                 unary: unary_file,
                 agreement: agreement_file,
                 clusters: clusters_file,
+                pilot: pilot_file,
                 ranking: ranking_file,
                 made: None,
             },

@@ -17,10 +17,14 @@ use crate::{
         fulfilment::{self, Model},
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
+        pilot::{self, Places},
         region::Region,
         visibility::Shown,
     },
-    model::{cluster::Reach, scene::ViewIndex},
+    model::{
+        cluster::{Reach, ViewCluster},
+        scene::ViewIndex,
+    },
 };
 
 /// Returns the surface, and the candidate partners of each view within the gate, among pairs that
@@ -301,5 +305,42 @@ impl Step for ClustersStep<'_> {
         let worth = settings.ranking.half_worth;
         let half = fulfilment::half_size(model, &clusters, &fulfilment, worth, watcher)?;
         Ok((clusters, fulfilment, Some(half)))
+    }
+}
+
+/// The places on which the maps of the clusters in thumbnails agree.
+pub(super) struct PilotStep<'a> {
+    pub inputs: &'a Inputs<'a>,
+    pub clusters_file: &'a ResultFile,
+    pub clusters: &'a [ViewCluster],
+}
+
+impl Step for PilotStep<'_> {
+    const STAGE: Stage = Stage::Pilot;
+    type Facts = ();
+    type Output = Places;
+
+    fn file(&self) -> CacheFile {
+        let Inputs {
+            scene, pictures, ..
+        } = self.inputs;
+        self.inputs
+            .fingerprints
+            .pilot(scene, &self.clusters_file.file, pictures)
+    }
+
+    fn unpack(&self, (): (), bytes: &[u8]) -> Option<Places> {
+        cached::pilot::unpack(bytes, self.clusters)
+    }
+
+    fn compute(self, watcher: &dyn Watcher) -> Result<Places, PlanError> {
+        let Inputs {
+            scene,
+            points,
+            pictures,
+            ..
+        } = self.inputs;
+        let maps = pilot::maps(scene, points, self.clusters, pictures, watcher)?;
+        Ok(Places::new(self.clusters, &maps, watcher)?)
     }
 }

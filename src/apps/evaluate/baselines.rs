@@ -81,8 +81,6 @@ pub fn compare(
         .collect();
     let named = named(run, model, objective, true, watcher)?;
     let mut compared: Vec<Order> = named.iter().map(|(name, order)| one(name, order)).collect();
-    let ours = orders::greedy(&run.predicted, objective, watcher)?;
-    compared[0] = one("ours", &ours);
     compared.push(Order::new(
         "every n-th",
         &[every_nth(run, objective)],

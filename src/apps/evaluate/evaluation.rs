@@ -17,6 +17,7 @@ use super::{
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
+    decision::CountedPlaces,
     method::{fulfilment::Model, ranking::Objective},
     model::scene::ViewIndex,
 };
@@ -156,6 +157,8 @@ pub struct KeyView {
 /// Inputs of an evaluation besides the measured clusters.
 pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
+    /// Places of the plan's pilot.
+    pub pilot: Option<&'a CountedPlaces>,
     /// Which maps take part in which cells of their cloud.
     pub cells: (Incidence, CellSource),
     pub so_far: MeasuredProgress,
@@ -251,7 +254,15 @@ impl Evaluation {
         // The maps of the table are in the run's order.
         let order: Vec<u32> = (0..run.order.len() as u32).collect();
         let [all, agreeing] = Counted::BOTH.map(|counted| table.curve(&order, counted));
-        let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
+        let by_triangle = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
+        let predicted = match measure.pilot {
+            Some(pilot) => {
+                let predicted = (&run.predicted, None);
+                let counted = pilot.of_clusters(&run.clusters, predicted, &|_| None);
+                ReachCurve::new(&counted.table, &pilot.objective, &run.clusters, &run.order)
+            }
+            None => by_triangle.clone(),
+        };
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| {
             views
@@ -275,10 +286,10 @@ impl Evaluation {
                 .count(),
             quality: QualityRow::new(&run.pooled(), run.has_reference),
             reached: so_far,
-            predicted: predicted.total(),
+            predicted: by_triangle.total(),
             real: real.total(),
             kept: KeptWeight {
-                predicted: predicted.total_kept(),
+                predicted: by_triangle.total_kept(),
                 real: real.total_kept(),
             },
             half_size: half.map(|half| HalfSize::new(half, &real, objective)),

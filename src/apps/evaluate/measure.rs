@@ -6,13 +6,19 @@ use crate::{
     io::depthmaps::DepthMap,
     method::{
         fulfilment::Model,
+        pilot::Places,
         visibility::{NOTHING, front},
     },
-    model::{camera::Camera, scene::ViewIndex},
+    model::{
+        camera::Camera,
+        scene::{Scene, ViewIndex},
+    },
 };
 
 /// Largest error of a right measurement, in multiples of a_d.
 const RIGHT_WITHIN: f64 = 3.0;
+/// Relative difference of a depth to that of a place of the pilot.
+const PLACE_WITHIN: f64 = 0.02;
 /// Relative difference of reference depths beyond which they belong to two surfaces and are not
 /// interpolated.
 const SAME_SURFACE: f64 = 0.02;
@@ -81,6 +87,8 @@ pub struct MapMeasurement {
     /// Number of pixels of the visible part of each triangle.
     pub pixels: Vec<u32>,
     pub size: MapSize,
+    /// Places of the pilot on which the map agrees with it, ascending; empty without a pilot.
+    pub places: Vec<u32>,
     /// Ids of the key view and the partners, as recorded in the map's file.
     pub ids: Vec<u32>,
 }
@@ -93,6 +101,7 @@ pub fn measure(
     map: DepthMap,
     reference: Option<&DepthMap>,
     elsewhere: f64,
+    places: Option<&Places>,
 ) -> MapMeasurement {
     let camera = model.scene.camera_of(key);
     let size = MapSize::new(model, key, &map);
@@ -148,12 +157,30 @@ pub fn measure(
         .map(unmasked)
         .collect();
     MapMeasurement {
+        places: places.map_or_else(Vec::new, |places| agreed(places, model.scene, key, &map)),
         quality,
         shares,
         pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(),
         size,
         ids: map.ids,
     }
+}
+
+/// Returns the places of the pilot that the map measured. A place is as exact as a thumbnail.
+fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec<u32> {
+    let (camera, pose) = (scene.camera_of(key), &scene.view(key).cam_from_world);
+    let agrees = |place: u32| {
+        let x = pose.camera_from_world(&places.centres[place as usize]);
+        let at = (x.z > 0.0).then(|| camera.project(&x)).flatten();
+        let depth = at
+            .and_then(|at| map.pixel_at(camera, &at))
+            .and_then(|(column, row)| map.depth_at(column, row));
+        let tolerance = (PLACE_WITHIN * x.z).max(f64::from(places.sizes[place as usize]));
+        depth.is_some_and(|depth| (depth - x.z).abs() <= tolerance)
+    };
+    (0..places.centres.len() as u32)
+        .filter(|&place| agrees(place))
+        .collect()
 }
 
 /// A pixel of a depth map with its reference.

@@ -36,6 +36,7 @@ impl Evaluation {
         let cells = cells::incidence(stages, &measured, depth_maps, None, watcher)?;
         let options = EvaluationOptions {
             objective: &stages.objective,
+            pilot: stages.pilot.as_ref(),
             cells,
             so_far,
             clouds: None,

@@ -20,6 +20,7 @@ use crate::{
         error::{Advice, Hint},
         progress::{Cancelled, Stage, Watcher},
     },
+    decision::FinishedPart,
     io::{
         depthmaps::{self, DepthMapError, DepthMapFile, DepthMapSet},
         ply,
@@ -27,6 +28,7 @@ use crate::{
     method::{
         confidence::Confidence,
         fulfilment::{self, FulfilmentTable, Model},
+        pilot::Places,
         ranking::{Attempt, Objective},
     },
     model::{
@@ -51,6 +53,8 @@ pub struct MeasuredClusters {
     /// The same clusters with the partners that were really matched.
     pub matched: Vec<ViewCluster>,
     pub quality: Vec<Quality>,
+    /// Places of the pilot on which each map agrees with it, ascending.
+    pub places: Vec<Vec<u32>>,
     /// Fulfilment predicted by the plan's model.
     pub predicted: FulfilmentTable,
     /// Fulfilment predicted with f_conf = 1.
@@ -84,6 +88,8 @@ pub struct EvaluationInput<'a> {
     pub reference: Option<&'a Path>,
     /// a_d for pixels that show no triangle, scene units.
     pub accuracy: f64,
+    /// Places of the plan's pilot.
+    pub places: Option<&'a Places>,
     /// `ranking.half_worth` if the backend can match key views at half the size; `None` if the size
     /// of a map does not matter.
     pub half_worth: Option<f64>,
@@ -186,6 +192,15 @@ impl MeasuredClusters {
         row.into_iter().unzip()
     }
 
+    /// Returns what is measured of a view's map.
+    pub fn finished(&self, view: ViewIndex) -> Option<FinishedPart<'_>> {
+        let place = self
+            .clusters
+            .binary_search_by_key(&view, |cluster| cluster.key)
+            .ok()?;
+        Some((self.scales[place], &self.places[place]))
+    }
+
     /// Returns the measured curve of an order of the clusters.
     pub fn real_curve(&self, objective: &Objective, order: &[u32]) -> ReachCurve {
         ReachCurve::new(&self.real, objective, &self.clusters, order)
@@ -210,6 +225,7 @@ impl<'a> EvaluationInput<'a> {
             depth_maps,
             reference,
             accuracy,
+            places: stages.pilot.as_ref().map(|pilot| &*pilot.places),
             half_worth: stages
                 .mixes_sizes
                 .then_some(stages.settings.ranking.half_worth),
@@ -244,6 +260,7 @@ impl EvaluationInput<'_> {
             map,
             reference.as_ref(),
             self.accuracy,
+            self.places,
         )))
     }
 
@@ -296,6 +313,7 @@ impl EvaluationInput<'_> {
             has_reference: self.reference.is_some(),
             other_partners: other_partners.map(|c| c.key).collect(),
             quality: measured.iter().map(|m| m.quality).collect(),
+            places: measured.iter().map(|m| m.places.clone()).collect(),
             attempts: (0..clusters.len())
                 .map(|c| self.attempts(c, &clusters, &predicted, &nocp, measured))
                 .collect(),

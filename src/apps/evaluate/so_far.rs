@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::run::MeasuredClusters;
 use crate::{
+    decision::CountedPlaces,
     method::ranking::{Beliefs, Reached},
     model::scene::ViewIndex,
     plan::Stages,
@@ -27,6 +28,9 @@ pub struct MeasuredProgress {
 impl MeasuredProgress {
     /// Computes the progress. `stages`: those of the plan that the run's clusters belong to.
     pub fn new(stages: &Stages, run: &MeasuredClusters) -> Self {
+        if let Some(pilot) = &stages.pilot {
+            return Self::by_places(stages, pilot, run);
+        }
         let mut beliefs = Beliefs::new(
             &stages.scene,
             &stages.surface,
@@ -65,8 +69,30 @@ impl MeasuredProgress {
                 all.take((triangles, &believed));
             }
         }
-        let kept = so_far.kept_weight();
-        let reachable = all.kept_weight();
+        Self::of(&so_far, &all)
+    }
+
+    /// Computes the progress by the places of the pilot: measured where a map is finished, else as
+    /// the pilot shows them.
+    fn by_places(stages: &Stages, pilot: &CountedPlaces, run: &MeasuredClusters) -> Self {
+        let finished = |view| run.finished(view);
+        let so_far = pilot.of_clusters(&run.clusters, (&run.real, None), &finished);
+        let mut all = Reached::new(&pilot.objective);
+        let mut kept = Reached::new(&pilot.objective);
+        for finished in 0..run.clusters.len() {
+            kept.take(so_far.table.row(finished));
+            all.take(so_far.table.row(finished));
+        }
+        for (c, cluster) in stages.clusters.iter().enumerate() {
+            if run.finished(cluster.key).is_none() {
+                all.take(pilot.table.row(c));
+            }
+        }
+        Self::of(&kept, &all)
+    }
+
+    fn of(so_far: &Reached, all: &Reached) -> Self {
+        let (kept, reachable) = (so_far.kept_weight(), all.kept_weight());
         Self {
             kept,
             reachable,

@@ -79,8 +79,13 @@ fn with_ranking(
         None => None,
     };
     let work = stages.work_of(&clusters);
+    let pilot = stages
+        .pilot
+        .as_ref()
+        .map(|pilot| pilot.of_clusters(&clusters, (&fulfilment, half.as_ref()), &|_| None));
     let stages = Stages {
         tables: Tables {
+            pilot,
             clusters,
             fulfilment,
             half,

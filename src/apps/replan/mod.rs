@@ -234,9 +234,14 @@ fn with_finished(
     };
     let order = run.order.iter().map(map).collect();
     let work = stages.work_of(&clusters);
+    let pilot = stages.pilot.as_ref().map(|pilot| {
+        let predicted = (&fulfilment, half.as_ref());
+        pilot.of_clusters(&clusters, predicted, &|view| run.finished(view))
+    });
     Ok((
         Stages {
             tables: Tables {
+                pilot,
                 clusters,
                 fulfilment,
                 half,

@@ -173,6 +173,19 @@ impl<'a> Fingerprints<'a> {
         CacheFile::new(self.home, "viewrank/cache/clusters.table", inputs())
     }
 
+    /// The places of the pilot: the clusters, and the pictures that they are matched in.
+    pub fn pilot(&self, scene: &Scene, clusters: &CacheFile, pictures: &Pictures) -> CacheFile {
+        let inputs = || {
+            let mut hasher = self.of_results(&[clusters.inputs()?]);
+            for view in scene.view_indices() {
+                add(&mut hasher, &pictures.stamps(scene.name(view))?);
+            }
+            add(&mut hasher, &pictures.without_image());
+            Some(hasher)
+        };
+        CacheFile::new(self.home, "viewrank/cache/pilot.table", inputs())
+    }
+
     /// The ranking without finished depth maps, with what follows from it. `region`: factors on the
     /// weights of the triangles.
     pub fn ranking(

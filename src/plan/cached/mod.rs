@@ -10,6 +10,7 @@ pub(super) mod agreement;
 pub(super) mod candidates;
 pub(super) mod clusters;
 mod fingerprints;
+pub(super) mod pilot;
 pub(super) mod ranking;
 pub(super) mod shown;
 mod surface;
@@ -34,6 +35,8 @@ pub struct Cached {
     /// `None` if no pictures were compared.
     pub(super) agreement: Option<ResultFile>,
     pub(super) clusters: ResultFile,
+    /// `None` without a pilot.
+    pub(super) pilot: Option<ResultFile>,
     pub(super) ranking: ResultFile,
     /// The files of [`Plan::unwritten`], if made before the predictions were replaced.
     pub(super) made: Option<Vec<FileSet>>,
@@ -128,6 +131,10 @@ impl Plan {
             cached
                 .clusters
                 .set(|| Some(((), clusters::pack(&stages.tables)?))),
+            cached.pilot.as_ref().and_then(|file| {
+                let pilot = stages.pilot.as_ref();
+                file.set(|| Some(((), pilot::pack(&pilot?.places))))
+            }),
             ranking.set(|| Some(((), ranking::pack(&self.decision)))),
         ]
         .into_iter()
