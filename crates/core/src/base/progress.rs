@@ -12,6 +12,7 @@ pub enum Stage {
     Visibility,
     Confidence,
     Partners,
+    Pilot,
     Ranking,
     Evaluate,
     Undistort,

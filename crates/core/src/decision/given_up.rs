@@ -26,14 +26,15 @@ impl GivenUp {
         }: &UncutRanking,
         clusters: usize,
     ) -> Self {
-        let (objective, maps) = (&tables.objective, tables.maps());
-        let triangles = 0..objective.weights.len() as u32;
+        let counted = tables.counted();
+        let (objective, maps) = (counted.objective, counted.maps);
+        let items = 0..objective.weights.len() as u32;
         let mut reached = Reached::new(objective);
         ranking
             .maps()
             .take(clusters)
             .for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
-        let at_cut: Vec<(f32, f32)> = triangles
+        let at_cut: Vec<(f32, f32)> = items
             .clone()
             .map(|t| (reached.agreed(t), reached.best(t)))
             .collect();
@@ -46,11 +47,11 @@ impl GivenUp {
         }
         maps.release();
         let mut given_up = Self::default();
-        for t in triangles {
-            let (at, weight) = (t as usize, objective.weights[t as usize]);
-            let (all, (agreed, best)) = (reached.agreed(t), at_cut[at]);
+        for item in items {
+            let (at, weight) = (item as usize, objective.weights[item as usize]);
+            let (all, (agreed, best)) = (reached.agreed(item), at_cut[at]);
             let lost = (all - agreed).max(0.0);
-            *if border[at] {
+            *if border[counted.triangle(item) as usize] {
                 &mut given_up.border
             } else {
                 &mut given_up.inside

@@ -6,6 +6,7 @@
 
 mod band;
 mod border;
+mod counted;
 mod curve;
 mod cut;
 mod forecast;
@@ -22,6 +23,7 @@ use rayon::prelude::*;
 
 pub use self::{
     band::Band,
+    counted::{Counted, CountedPlaces, FinishedPart, PlacesRule, Predicted},
     curve::CurvePoint,
     cut::{Cut, CutLimit, DEFAULT_TARGET},
     forecast::Forecast,
@@ -148,8 +150,9 @@ pub fn decide(
         ),
     )?;
     // Band and what is given up take the clusters in their order, on one thread each.
+    let counted = tables.counted();
     let (fulfilment_bound, (reachable_band, given_up)) = rayon::join(
-        || ranking::most_of_any(cut.clusters, &tables.maps(), &tables.objective, ranking),
+        || ranking::most_of_any(cut.clusters, &counted.maps, counted.objective, ranking),
         || {
             rayon::join(
                 || Band::of_reachable(tables, ranking),
@@ -178,8 +181,8 @@ fn rank(
     order: &[(u32, MapScale)],
     watcher: &dyn Watcher,
 ) -> Result<Ranking, DecisionError> {
-    let maps = tables.maps();
-    let ranker = Ranker::new(&maps, &tables.objective)?;
+    let counted = tables.counted();
+    let ranker = Ranker::new(&counted.maps, counted.objective)?;
     if !options.has_half {
         return Ok(ranker.rank(order, 0.0, watcher)?);
     }

@@ -1,5 +1,6 @@
 //! The results of the stages that a decision reads.
 
+use super::CountedPlaces;
 use crate::{
     method::{
         confidence::{Agreement, Unary},
@@ -47,6 +48,8 @@ pub struct Tables {
     pub fulfilment: FulfilmentTable,
     /// The same at half the size; `None` where all maps have full size.
     pub half: Option<FulfilmentTable>,
+    /// The places of the pilot, which the ranking counts; `None` without pictures.
+    pub pilot: Option<CountedPlaces>,
     /// Work of each cluster's map at full and at half size, in Mpx matched with one partner (method
     /// 5.8).
     pub work: Vec<[f64; 2]>,

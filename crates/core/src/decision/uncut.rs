@@ -3,7 +3,7 @@
 
 use super::{Tables, border::border, reasons::Reasons};
 use crate::{
-    method::ranking::{self, Objective, Ranking},
+    method::ranking::{self, Ranking},
     model::reason::Reason,
 };
 
@@ -24,14 +24,10 @@ pub struct UncutRanking {
 impl UncutRanking {
     /// Computes all but the pixels, which only the clusters up to the cut need.
     pub fn new(tables: &Tables, ranking: Ranking) -> Self {
-        let by_area = Objective::by_area(
-            &tables.surface,
-            tables.region.as_ref(),
-            tables.objective.support,
-        );
+        let by_area = tables.counted_by_area();
         // The shares take the clusters in their order, on one thread.
         let (area_shares, (triangle_reasons, border)) = rayon::join(
-            || ranking::shares_by(&by_area, &ranking, &tables.maps()),
+            || ranking::shares_by(&by_area, &ranking, &tables.counted().maps),
             || {
                 let border = || {
                     border(

@@ -4,6 +4,7 @@ pub mod confidence;
 pub mod fulfilment;
 pub mod geometry;
 pub mod partners;
+pub mod pilot;
 pub mod ranking;
 pub mod region;
 pub mod surface;

@@ -36,6 +36,22 @@ impl Grey {
         [self.levels[0].width, self.levels[0].height]
     }
 
+    /// Samples the largest level bilinearly at a position whose first pixel has its centre at (0.5,
+    /// 0.5), clamped to the picture; rounded to a grey level.
+    pub fn at(&self, [x, y]: [f64; 2]) -> u8 {
+        let level = &self.levels[0];
+        let clamp = |at: f64, side: usize| (at - 0.5).clamp(0.0, (side - 1) as f64);
+        let (x, y) = (clamp(x, level.width), clamp(y, level.height));
+        let (left, top) = (x as usize, y as usize);
+        let (fx, fy) = (x - left as f64, y - top as f64);
+        let pixel = |column: usize, row: usize| {
+            let row = row.min(level.height - 1);
+            f64::from(level.pixels[row * level.width + column.min(level.width - 1)])
+        };
+        let across = |row| pixel(left, row) * (1.0 - fx) + pixel(left + 1, row) * fx;
+        (across(top) * (1.0 - fy) + across(top + 1) * fy).round() as u8
+    }
+
     pub fn levels(&self) -> usize {
         self.levels.len()
     }

@@ -1,0 +1,98 @@
+//! Keeps of each pilot map what other maps confirm.
+
+use rayon::prelude::*;
+
+use super::sweep::PilotMap;
+use crate::model::{cluster::ViewCluster, scene::ViewIndex};
+
+/// Relative difference of two depths that agree; with twice as much, clutter confirms itself.
+pub const AGREE_WITHIN: f64 = 0.015;
+/// The same in steps between planes: where the partners are near each other, [`AGREE_WITHIN`] is less
+/// than the sweep can tell.
+const PART_OF_A_PLANE: f64 = 0.25;
+/// Relative difference of the depths of neighbours on one surface.
+const SAME_SURFACE: f32 = 0.03;
+/// Neighbours, of eight, that must be on the same surface: single pixels are chance.
+const LEAST_NEIGHBOURS: usize = 3;
+
+impl PilotMap {
+    fn place(&self, pixel: usize) -> Option<nalgebra::Point3<f64>> {
+        let inverse = f64::from(self.inverse[pixel]);
+        if inverse <= 0.0 {
+            return None;
+        }
+        let (x, y) = ((pixel % self.width) as f64, (pixel / self.width) as f64);
+        let x = nalgebra::Vector3::new(
+            (x - self.centre[0]) / self.focal[0],
+            (y - self.centre[1]) / self.focal[1],
+            1.0,
+        ) / inverse;
+        Some((self.pose.rotation.inverse() * (x - self.pose.translation)).into())
+    }
+
+    /// Returns the places that the pixels with a depth show.
+    pub(super) fn places(&self) -> impl Iterator<Item = (usize, nalgebra::Point3<f64>)> {
+        (0..self.inverse.len()).filter_map(|pixel| Some((pixel, self.place(pixel)?)))
+    }
+
+    /// Returns the pixel that shows a place, and the depth of the place.
+    pub(super) fn pixel(&self, place: &nalgebra::Point3<f64>) -> Option<(usize, f64)> {
+        let size = [self.width, self.height];
+        super::thumbnail::pixel(&self.pose, self.focal, self.centre, size, place)
+    }
+
+    /// Returns whether the map has the depth of a place.
+    pub(super) fn agrees(&self, place: &nalgebra::Point3<f64>) -> bool {
+        self.pixel(place).is_some_and(|(pixel, z)| {
+            let inverse = f64::from(self.inverse[pixel]);
+            // The difference of the inverse depths, relative to that of the place.
+            let tolerance = AGREE_WITHIN.max(PART_OF_A_PLANE * self.step * z);
+            inverse > 0.0 && (inverse * z - 1.0).abs() < tolerance
+        })
+    }
+}
+
+/// Returns the maps with those depths that the map of a partner confirms, and that are not alone.
+/// `maps`: one per cluster, in the order of their key views.
+pub fn confirmed(clusters: &[ViewCluster], maps: &[Option<PilotMap>]) -> Vec<Option<PilotMap>> {
+    let map_of = |view: &ViewIndex| {
+        let place = clusters
+            .binary_search_by_key(view, |cluster| cluster.key)
+            .ok()?;
+        maps[place].as_ref()
+    };
+    let kept = clusters.par_iter().zip(maps).map(|(cluster, map)| {
+        let map = map.as_ref()?;
+        let others: Vec<&PilotMap> = cluster.partners.iter().filter_map(map_of).collect();
+        let mut is_confirmed = vec![false; map.inverse.len()];
+        for (pixel, place) in map.places() {
+            is_confirmed[pixel] = others.iter().any(|other| other.agrees(&place));
+        }
+        Some(without_specks(map, &is_confirmed))
+    });
+    kept.collect()
+}
+
+fn without_specks(map: &PilotMap, is_confirmed: &[bool]) -> PilotMap {
+    let (width, height) = (map.width as isize, map.height as isize);
+    let kept = |pixel: usize| {
+        let own = map.inverse[pixel];
+        let (x, y) = (pixel as isize % width, pixel as isize / width);
+        let around = (0..9).map(|i| (x + i % 3 - 1, y + i / 3 - 1));
+        let beside = around.filter(|&(column, row)| {
+            let inside = (0..width).contains(&column) && (0..height).contains(&row);
+            let other = (row * width + column) as usize;
+            inside
+                && other != pixel
+                && is_confirmed[other]
+                && (map.inverse[other] - own).abs() < SAME_SURFACE * own
+        });
+        is_confirmed[pixel] && beside.count() >= LEAST_NEIGHBOURS
+    };
+    let inverse =
+        (0..map.inverse.len()).map(|pixel| if kept(pixel) { map.inverse[pixel] } else { 0.0 });
+    PilotMap {
+        inverse: inverse.collect(),
+        ..map.clone()
+    }
+}

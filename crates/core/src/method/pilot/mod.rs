@@ -1,0 +1,263 @@
+//! The pilot (method 4): all views are matched once, in thumbnails, before anything is ranked.
+//!
+//! A pilot map shows what no prediction does: a dense surface where there are no sparse points, which
+//! map takes part where, and where pictures do not match. [`PilotMap`]s come from a plane sweep
+//! against the planned partners ([`sweep`]); only what other maps confirm is kept ([`confirm`]); and
+//! the [`Places`] on which they agree are what the ranking counts.
+
+mod aggregate;
+mod confirm;
+mod places;
+mod sweep;
+mod thumbnail;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use self::sweep::{Planes, Scratch};
+pub use self::{places::Places, sweep::PilotMap, thumbnail::Thumbnail};
+use super::confidence::Pictures;
+use crate::{
+    base::progress::{Cancelled, Stage, Watcher},
+    model::{
+        cluster::ViewCluster,
+        scene::{Scene, ViewIndex, ViewPoints},
+    },
+};
+
+/// Matches each cluster in thumbnails, and keeps the depths that other maps confirm. A cluster
+/// without a thumbnail, or without sparse points, has no map.
+pub fn maps(
+    scene: &Scene,
+    points: &ViewPoints,
+    clusters: &[ViewCluster],
+    pictures: &dyn Pictures,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Option<PilotMap>>, Cancelled> {
+    let mut wanted = vec![false; scene.views.len()];
+    for cluster in clusters {
+        let views = cluster.partners.iter().chain([&cluster.key]);
+        views.for_each(|view| wanted[view.index()] = true);
+    }
+    let thumbnail = |view: ViewIndex| {
+        watcher.check()?;
+        let is_wanted = wanted[view.index()];
+        Ok(is_wanted
+            .then(|| Thumbnail::of(scene, view, pictures))
+            .flatten())
+    };
+    let views: Vec<ViewIndex> = scene.view_indices().collect();
+    let thumbnails = views.par_iter().map(|&view| thumbnail(view));
+    let thumbnails: Vec<Option<Thumbnail>> = thumbnails.collect::<Result<_, Cancelled>>()?;
+    let done = AtomicU64::new(0);
+    watcher.progress(Stage::Pilot, 0, clusters.len() as u64);
+    let matched = clusters
+        .par_iter()
+        .map_init(Scratch::default, |scratch, cluster| {
+            watcher.check()?;
+            let map = map(scene, points, cluster, &thumbnails, scratch);
+            let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+            watcher.progress(Stage::Pilot, done, clusters.len() as u64);
+            Ok(map)
+        });
+    let matched: Vec<Option<PilotMap>> = matched.collect::<Result<_, Cancelled>>()?;
+    watcher.check()?;
+    Ok(confirm::confirmed(clusters, &matched))
+}
+
+/// Share of the sparse points that may be outside the searched depths, at each end.
+const OUTSIDE: f64 = 0.01;
+/// Factors by which the searched depths are wider than those of the sparse points.
+const WIDER: [f64; 2] = [0.75, 1.6];
+
+fn map(
+    scene: &Scene,
+    points: &ViewPoints,
+    cluster: &ViewCluster,
+    thumbnails: &[Option<Thumbnail>],
+    scratch: &mut Scratch,
+) -> Option<PilotMap> {
+    let key = thumbnails[cluster.key.index()].as_ref()?;
+    let of_partner = |view: &ViewIndex| thumbnails[view.index()].as_ref();
+    let partners: Vec<&Thumbnail> = cluster.partners.iter().filter_map(of_partner).collect();
+    if partners.is_empty() {
+        return None;
+    }
+    // What the partners observe counts too: the view itself may observe little of what it shows.
+    let views = cluster.partners.iter().chain([&cluster.key]);
+    let mut observed: Vec<_> = views
+        .flat_map(|&view| points.observed_by(view).iter().copied())
+        .collect();
+    observed.sort_unstable();
+    observed.dedup();
+    let depth = |point: Point3<f64>| key.pixel(&point).map(|(_, z)| z);
+    let depths = observed
+        .iter()
+        .filter_map(|point| depth(scene.points[point.index()]));
+    let mut depths: Vec<f64> = depths.collect();
+    if depths.is_empty() {
+        return None;
+    }
+    depths.sort_by(f64::total_cmp);
+    let at = |share: f64| depths[(share * (depths.len() - 1) as f64).round() as usize];
+    let range = [WIDER[0] * at(OUTSIDE), WIDER[1] * at(1.0 - OUTSIDE)];
+    let planes = Planes::new(key, &partners, range);
+    Some(sweep::sweep(key, &partners, planes, scratch))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Rotation3, Vector3};
+
+    use super::*;
+    use crate::{
+        base::progress::NoWatcher,
+        method::confidence::{Grey, Mask, PictureError},
+        model::{
+            camera::{Camera, CameraModel},
+            scene::{CameraIndex, PointIndex, Pose, View},
+        },
+    };
+
+    /// Pictures of a ground with texture at z = 10, and of a wall 3 in front of it where x > 1.
+    struct Stage;
+
+    /// Depth of what a view shows at a pixel, and its grey level.
+    fn shown(scene: &Scene, view: ViewIndex, x: f64, y: f64) -> (f64, u8) {
+        let ray = scene.camera_of(view).ray(&[x, y].into()).unwrap();
+        let centre = scene.view(view).cam_from_world.centre();
+        let at = |z: f64| centre + ray.into_inner() * (z / ray.z);
+        let (z, place) = if at(7.0).x > 1.0 {
+            (7.0, at(7.0))
+        } else {
+            (10.0, at(10.0))
+        };
+        let wave = |f: f64, g: f64| (f * place.x + g * place.y).sin();
+        let level =
+            128.0 + 30.0 * (wave(9.0, 4.0) + wave(-5.0, 11.0) + wave(17.0, 13.0) * wave(3.0, -2.0));
+        (z, level as u8)
+    }
+
+    impl Pictures for Stage {
+        fn have_images(&self) -> bool {
+            true
+        }
+
+        fn grey(
+            &self,
+            scene: &Scene,
+            view: ViewIndex,
+            _: f64,
+        ) -> Result<Option<(Grey, Option<Mask>)>, PictureError> {
+            let pixels = (0..120).flat_map(|y| (0..160).map(move |x| (x, y)));
+            let level = |(x, y)| shown(scene, view, f64::from(x) + 0.5, f64::from(y) + 0.5).1;
+            Ok(Some((
+                Grey::new(160, 120, pixels.map(level).collect()),
+                None,
+            )))
+        }
+
+        fn mask(&self, _: &Scene, _: ViewIndex) -> Result<Option<Mask>, PictureError> {
+            Ok(None)
+        }
+    }
+
+    fn scene() -> (Scene, Vec<ViewCluster>) {
+        let view = |i: u32| View {
+            name: format!("{i}"),
+            image_id: i,
+            file_position: i,
+            camera: CameraIndex(0),
+            cam_from_world: Pose {
+                rotation: Rotation3::identity(),
+                translation: Vector3::new(-0.5 * f64::from(i), -0.3 * f64::from(i % 2), 0.0),
+            },
+        };
+        let camera = Camera::new(
+            1,
+            CameraModel::Pinhole,
+            160,
+            120,
+            vec![140.0, 140.0, 80.0, 60.0],
+        );
+        let points: Vec<Point3<f64>> = vec![[-1.0, 0.0, 10.0].into(), [1.5, 0.5, 7.0].into()];
+        let scene = Scene {
+            cameras: vec![camera.unwrap()],
+            views: (0..4).map(view).collect(),
+            track_offsets: (0..=points.len()).map(|point| 4 * point).collect(),
+            track_views: (0..8).map(|i| ViewIndex(i % 4)).collect(),
+            points,
+            ..Scene::default()
+        };
+        let partners = |key: u32| (0..4).filter(|&view| view != key).map(ViewIndex).collect();
+        let cluster = |key| ViewCluster {
+            key: ViewIndex(key),
+            partners: partners(key),
+        };
+        (scene, (0..4).map(cluster).collect())
+    }
+
+    #[test]
+    fn maps_show_the_ground_and_the_wall() {
+        let (scene, clusters) = scene();
+        let maps = maps(&scene, &scene.view_points(), &clusters, &Stage, &NoWatcher).unwrap();
+        for (cluster, map) in clusters.iter().zip(&maps) {
+            let map = map.as_ref().unwrap();
+            let (mut right, mut wrong) = (0, 0);
+            for (pixel, &inverse) in map.inverse.iter().enumerate().filter(|(_, v)| **v > 0.0) {
+                let (x, y) = ((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5);
+                let truth = shown(&scene, cluster.key, x, y).0;
+                *(if (truth * f64::from(inverse) - 1.0).abs() < 0.02 {
+                    &mut right
+                } else {
+                    &mut wrong
+                }) += 1;
+            }
+            assert!(
+                right > 160 * 120 / 2 && wrong < right / 50,
+                "{right} right, {wrong} wrong"
+            );
+        }
+        let places = Places::new(&clusters, &maps, &NoWatcher).unwrap();
+        assert!(places.centres.len() > 500);
+        let near =
+            |place: &&Point3<f64>| (place.z - 10.0).abs() < 0.3 || (place.z - 7.0).abs() < 0.3;
+        let on_surface = places.centres.iter().filter(near).count();
+        assert!(
+            on_surface * 100 > places.centres.len() * 97,
+            "{on_surface} of {}",
+            places.centres.len()
+        );
+        // Most of what view 1 shows is in the maps of its neighbours too.
+        assert!(
+            places
+                .weights
+                .iter()
+                .filter(|&&weight| weight == 1.0)
+                .count()
+                * 2
+                > places.centres.len()
+        );
+        let row = places.of_view(ViewIndex(1));
+        assert!(row.windows(2).all(|two| two[0] < two[1]) && row.len() * 2 > places.centres.len());
+    }
+
+    #[test]
+    fn a_view_without_points_or_partners_has_no_map() {
+        let (mut scene, mut clusters) = scene();
+        clusters[2].partners.clear();
+        scene.points.clear();
+        scene.track_views.clear();
+        scene.track_offsets = vec![0];
+        let found = maps(&scene, &scene.view_points(), &clusters, &Stage, &NoWatcher).unwrap();
+        assert_eq!(found, [None, None, None, None]);
+        assert!(
+            Places::new(&clusters, &found, &NoWatcher)
+                .unwrap()
+                .is_empty()
+        );
+        let _ = PointIndex(0);
+    }
+}
