@@ -61,7 +61,7 @@
 //! let ranking = ranking::rank(&fulfilment, &objective, &NoWatcher)?;
 //! let first = &clusters[ranking.order[0] as usize];
 //! println!("{} with {} partners", town.scene.name(first.key), first.partners.len());
-//! assert!(ranking.share(5) > 0.5);
+//! assert!(ranking.share(10) > ranking.share(5));
 //! # Ok(())
 //! # }
 //! ```
