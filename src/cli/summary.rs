@@ -68,6 +68,9 @@ pub struct Summary<'a> {
     /// Weight of triangles in the shares.
     #[serde(skip)]
     weight: TriangleWeight,
+    /// Thumbnails were matched, and the share counts the places on which they agree.
+    #[serde(skip)]
+    counts_places: bool,
     /// Use of the images, for a backend that matches none.
     #[serde(skip)]
     use_of_views: Option<&'static str>,
@@ -124,6 +127,7 @@ impl<'a> Summary<'a> {
             },
             manifest,
             weight: plan.stages.settings.ranking.weight,
+            counts_places: plan.stages.pilot.is_some(),
             use_of_views: backends::by_name(plan.stages.backend)
                 .ok()
                 .and_then(|backend| backend.use_of_views),
@@ -238,6 +242,12 @@ impl<'a> Summary<'a> {
 
     /// Words for the weight of the share.
     fn weight(&self) -> &'static str {
+        if self.counts_places && self.weight != TriangleWeight::Area {
+            return match self.region {
+                Some(_) => " inside the region, by the places on which thumbnails agree",
+                None => ", by the places on which thumbnails agree",
+            };
+        }
         match self.weight {
             TriangleWeight::Pixels if self.region.is_some() => " inside the region, by pixels",
             TriangleWeight::Area if self.region.is_some() => " inside the region, by area",

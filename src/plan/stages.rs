@@ -148,6 +148,7 @@ impl Stages {
             surface: &seen.surface,
             region: region.as_ref(),
             objective: &objective,
+            weight: settings.ranking.weight,
             half_worth: settings.ranking.half_worth,
         };
         let pilot = places.and_then(|places| {

@@ -88,7 +88,7 @@ pub struct MapMeasurement {
     pub pixels: Vec<u32>,
     pub size: MapSize,
     /// Places of the pilot on which the map agrees with it, ascending; empty without a pilot.
-    pub places: Vec<u32>,
+    pub places: Vec<(u32, f32)>,
     /// Ids of the key view and the partners, as recorded in the map's file.
     pub ids: Vec<u32>,
 }
@@ -167,20 +167,19 @@ pub fn measure(
 }
 
 /// Returns the places of the pilot that the map measured. A place is as exact as a thumbnail.
-fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec<u32> {
+fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec<(u32, f32)> {
     let (camera, pose) = (scene.camera_of(key), &scene.view(key).cam_from_world);
-    let agrees = |place: u32| {
+    let part = |place: u32| {
         let x = pose.camera_from_world(&places.centres[place as usize]);
         let at = (x.z > 0.0).then(|| camera.project(&x)).flatten();
         let depth = at
             .and_then(|at| map.pixel_at(camera, &at))
             .and_then(|(column, row)| map.depth_at(column, row));
         let tolerance = (PLACE_WITHIN * x.z).max(f64::from(places.sizes[place as usize]));
-        depth.is_some_and(|depth| (depth - x.z).abs() <= tolerance)
+        let agrees = depth.is_some_and(|depth| (depth - x.z).abs() <= tolerance);
+        agrees.then(|| (place, places.worth(place, camera, x.z)))
     };
-    (0..places.centres.len() as u32)
-        .filter(|&place| agrees(place))
-        .collect()
+    (0..places.centres.len() as u32).filter_map(part).collect()
 }
 
 /// A pixel of a depth map with its reference.

@@ -11,7 +11,7 @@ use crate::{
     method::{
         fulfilment::FulfilmentTable,
         pilot::Places,
-        ranking::{Maps, Objective, Reached},
+        ranking::{Maps, Objective, Reached, TriangleWeight},
         region::Region,
         surface::Surface,
     },
@@ -25,7 +25,7 @@ use crate::{
 /// that add no place, and counts surface of which the pilot shows nothing.
 const PREDICTED: f64 = 0.02;
 
-/// What the ranking counts with a pilot (method 4): the places, followed by the triangles, with the
+/// What the ranking counts with a pilot (method 5.9): the places, followed by the triangles, with the
 /// part that each cluster of a plan has in them.
 #[derive(Clone, Debug)]
 pub struct CountedPlaces {
@@ -37,8 +37,8 @@ pub struct CountedPlaces {
     pub objective: Objective,
     /// The same by area.
     by_area: Objective,
-    /// By cluster, f of places and triangles: 1 at the places in which its map takes part, by the
-    /// pilot or, where the cluster is finished, as measured.
+    /// By cluster, f of places and triangles: [`Places::worth`] at the places in which its map takes
+    /// part, by the pilot or, where the cluster is finished, as measured.
     pub table: FulfilmentTable,
     /// The same at half the size; `None` where all maps have full size.
     half: Option<FulfilmentTable>,
@@ -46,8 +46,9 @@ pub struct CountedPlaces {
     half_worth: f32,
 }
 
-/// A finished map: its size, and the places on which it agrees with the pilot.
-pub type FinishedPart<'a> = (MapScale, &'a [u32]);
+/// A finished map: its size, and the places on which it agrees with the pilot, with their f at full
+/// size.
+pub type FinishedPart<'a> = (MapScale, &'a [(u32, f32)]);
 
 /// What a ranking counts.
 #[derive(Clone, Copy)]
@@ -75,8 +76,9 @@ impl Counted<'_> {
 pub struct PlacesRule<'a> {
     pub surface: &'a Surface,
     pub region: Option<&'a Region>,
-    /// The objective by triangle.
+    /// The objective by triangle, and what it weighs.
     pub objective: &'a Objective,
+    pub weight: TriangleWeight,
     /// f of a map at half the size.
     pub half_worth: f64,
 }
@@ -127,7 +129,11 @@ impl CountedPlaces {
             weighed.inside = by.inside;
             weighed
         };
-        let objective = weigh(rule.objective, &|_| 1.0, kept);
+        let of_place = |place: usize| match rule.weight {
+            TriangleWeight::Area => size(place).powi(2),
+            _ => 1.0,
+        };
+        let objective = weigh(rule.objective, &of_place, kept);
         if kept == 0.0
             || objective.weights[..nearest.len()]
                 .iter()
@@ -170,7 +176,7 @@ impl CountedPlaces {
             let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
             places
                 .iter()
-                .map(|&place| (place, worth))
+                .map(|&(place, f)| (place, f * worth))
                 .chain(triangles)
                 .collect::<Vec<_>>()
         };

@@ -41,14 +41,13 @@ impl PilotMap {
         super::thumbnail::pixel(&self.pose, self.focal, self.centre, size, place)
     }
 
-    /// Returns whether the map has the depth of a place.
-    pub(super) fn agrees(&self, place: &nalgebra::Point3<f64>) -> bool {
-        self.pixel(place).is_some_and(|(pixel, z)| {
-            let inverse = f64::from(self.inverse[pixel]);
-            // The difference of the inverse depths, relative to that of the place.
-            let tolerance = AGREE_WITHIN.max(PART_OF_A_PLANE * self.step * z);
-            inverse > 0.0 && (inverse * z - 1.0).abs() < tolerance
-        })
+    /// Returns the depth of a place if the map has it.
+    pub(super) fn agrees(&self, place: &nalgebra::Point3<f64>) -> Option<f64> {
+        let (pixel, z) = self.pixel(place)?;
+        let inverse = f64::from(self.inverse[pixel]);
+        // The difference of the inverse depths, relative to that of the place.
+        let tolerance = AGREE_WITHIN.max(PART_OF_A_PLANE * self.step * z);
+        (inverse > 0.0 && (inverse * z - 1.0).abs() < tolerance).then_some(z)
     }
 }
 
@@ -66,7 +65,7 @@ pub fn confirmed(clusters: &[ViewCluster], maps: &[Option<PilotMap>]) -> Vec<Opt
         let others: Vec<&PilotMap> = cluster.partners.iter().filter_map(map_of).collect();
         let mut is_confirmed = vec![false; map.inverse.len()];
         for (pixel, place) in map.places() {
-            is_confirmed[pixel] = others.iter().any(|other| other.agrees(&place));
+            is_confirmed[pixel] = others.iter().any(|other| other.agrees(&place).is_some());
         }
         Some(without_specks(map, &is_confirmed))
     });

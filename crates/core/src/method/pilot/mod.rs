@@ -1,4 +1,4 @@
-//! The pilot (method 4): all views are matched once, in thumbnails, before anything is ranked.
+//! The pilot (method 5.9): all views are matched once, in thumbnails, before anything is ranked.
 //!
 //! A pilot map shows what no prediction does: a dense surface where there are no sparse points, which
 //! map takes part where, and where pictures do not match. [`PilotMap`]s come from a plane sweep

@@ -5,11 +5,11 @@ use std::collections::HashSet;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::sweep::PilotMap;
+use super::{sweep::PilotMap, thumbnail::LONG_SIDE};
 use crate::{
     base::progress::{Cancelled, Watcher},
     method::target::GSD_MARGIN,
-    model::{cluster::ViewCluster, scene::ViewIndex},
+    model::{camera::Camera, cluster::ViewCluster, scene::ViewIndex},
 };
 
 /// Only every second row and column gives places: those between are in the same cells.
@@ -36,8 +36,9 @@ pub struct Places {
     pub weights: Vec<f64>,
     /// Key views of the maps, ascending.
     pub views: Vec<ViewIndex>,
-    /// For each of them, the places on which its map agrees with others, ascending.
-    pub parts: Vec<Vec<u32>>,
+    /// For each of them, the places on which its map agrees with others, ascending, with
+    /// [`Self::worth`].
+    pub parts: Vec<Vec<(u32, f32)>>,
 }
 
 impl Places {
@@ -54,30 +55,32 @@ impl Places {
         let taking_part = candidates.par_iter().map(|candidate| {
             let own = candidate.map;
             let others = overlapping[own as usize].iter().copied().chain([own]);
-            let agrees = |map: &u32| {
-                let map = maps[*map as usize].as_ref();
-                map.is_some_and(|map| map.agrees(&candidate.place))
+            let agrees = |map: u32| {
+                let of_map = maps[map as usize].as_ref()?;
+                let z = of_map.agrees(&candidate.place)?;
+                Some((map, z / of_map.focal[0]))
             };
-            others.filter(agrees).collect::<Vec<u32>>()
+            others.filter_map(agrees).collect::<Vec<(u32, f64)>>()
         });
-        let taking_part: Vec<Vec<u32>> = taking_part.collect();
+        let taking_part: Vec<Vec<(u32, f64)>> = taking_part.collect();
         watcher.check()?;
         let mut places = Self {
             views: clusters.iter().map(|cluster| cluster.key).collect(),
             parts: vec![Vec::new(); maps.len()],
             ..Self::default()
         };
-        for (candidate, of_place) in candidates.iter().zip(&taking_part) {
+        for (candidate, of_place) in candidates.iter().zip(taking_part) {
             if of_place.len() < 2 {
                 continue;
             }
             let index = places.centres.len() as u32;
-            of_place
-                .iter()
-                .for_each(|&map| places.parts[map as usize].push(index));
+            let is_sure = of_place.len() >= SURE;
+            for (map, gsd) in of_place {
+                let worth = worth(candidate.size, gsd);
+                places.parts[map as usize].push((index, worth));
+            }
             places.centres.push(candidate.place);
             places.sizes.push(candidate.size);
-            let is_sure = of_place.len() >= SURE;
             places
                 .weights
                 .push(if is_sure { 1.0 } else { UNSURE_WEIGHT });
@@ -86,16 +89,28 @@ impl Places {
     }
 
     /// Returns the places in which the map of a view takes part.
-    pub fn of_view(&self, view: ViewIndex) -> &[u32] {
+    pub fn of_view(&self, view: ViewIndex) -> &[(u32, f32)] {
         match self.views.binary_search(&view) {
             Ok(place) => &self.parts[place],
             Err(_) => &[],
         }
     }
 
+    /// Returns the part of a place's cell that a map of this camera fills with points at a depth, 0
+    /// to 1: less where its pixels are larger than the cell.
+    pub fn worth(&self, place: u32, camera: &Camera, depth: f64) -> f32 {
+        let thumbnail = LONG_SIDE / f64::from(camera.width.max(camera.height));
+        let gsd = depth / (camera.mean_focal_length() * thumbnail);
+        worth(self.sizes[place as usize], gsd)
+    }
+
     pub fn is_empty(&self) -> bool {
         self.centres.is_empty()
     }
+}
+
+fn worth(size: f32, gsd: f64) -> f32 {
+    (EDGE * f64::from(size) / gsd).powi(2).min(1.0) as f32
 }
 
 /// A point of a cell that is not yet taken.

@@ -19,6 +19,7 @@ use crate::{
 const BESIDE: usize = 2;
 const WINDOW: usize = 2 * BESIDE + 1;
 const PIXELS: f32 = (WINDOW * WINDOW) as f32;
+const PART: f32 = 1.0 / PIXELS;
 /// Partners whose correlation counts.
 const BEST: usize = 3;
 /// Variance that noise has, square grey levels.
@@ -334,7 +335,9 @@ fn warp_rows(
             let (cu, cv) = (u.max(0.0).min(most_x), v.max(0.0).min(most_y));
             inside[x] = if cu == u && cv == v { 1.0 } else { 0.0 };
             let (left, top) = (cu as i32, cv as i32);
-            at[x] = top as u32 * partner_width + left as u32;
+            at[x] = (top as u32)
+                .wrapping_mul(partner_width)
+                .wrapping_add(left as u32);
             right[x] = cu - left as f32;
             down[x] = cv - top as f32;
         }
@@ -396,11 +399,15 @@ fn correlate((width, height): (usize, usize), scratch: &mut Scratch) {
             &scratch.inverse_deviation[pixels.clone()],
             &scratch.inside[pixels],
         );
-        let rows: [&[f32]; WINDOW] = std::array::from_fn(|i| &ring[3 * i * width..][..3 * width]);
+        // Slices of the width, so that the loop needs no checks and is compiled for vectors.
+        let rows = |kind: usize| -> [&[f32]; WINDOW] {
+            std::array::from_fn(|i| &ring[(3 * i + kind) * width..][..width])
+        };
+        let kinds = [rows(0), rows(1), rows(2)];
         for x in 0..width {
             let total = |kind: usize| {
-                let of = |row: &[f32]| row[kind * width + x];
-                (of(rows[0]) + of(rows[1]) + of(rows[2]) + of(rows[3]) + of(rows[4])) / PIXELS
+                let of = &kinds[kind];
+                (of[0][x] + of[1][x] + of[2][x] + of[3][x] + of[4][x]) * PART
             };
             let (sum, squares, products) = (total(0), total(1), total(2));
             let variance = (squares - sum * sum).max(0.0);

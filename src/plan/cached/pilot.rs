@@ -1,0 +1,84 @@
+//! The places on which pilot maps agree.
+
+use nalgebra::Point3;
+
+use crate::{
+    base::{
+        packed::{Packed, Packer, Unpacker},
+        rows::Offsets,
+    },
+    method::pilot::Places,
+    model::{cluster::ViewCluster, scene::ViewIndex},
+};
+
+pub(super) fn pack(places: &Places) -> Packed {
+    let mut packer = Packer::default();
+    let views: Vec<u32> = places.views.iter().map(|view| view.0).collect();
+    let lengths: Vec<u32> = places.parts.iter().map(|part| part.len() as u32).collect();
+    let centres: Vec<f64> = places
+        .centres
+        .iter()
+        .flat_map(|centre| centre.coords.data.0[0])
+        .collect();
+    packer.list(&views);
+    packer.list(&lengths);
+    let (parts, worths): (Vec<u32>, Vec<f32>) = places.parts.iter().flatten().copied().unzip();
+    packer.list(&parts);
+    packer.list(&worths);
+    packer.list(&centres);
+    packer.list(&places.sizes);
+    packer.list(&places.weights);
+    packer.finish()
+}
+
+/// Unpacks the places of these clusters.
+pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
+    let mut lists = Unpacker::new(bytes);
+    let (views, lengths, parts) = (
+        lists.list::<u32>()?,
+        lists.list::<u32>()?,
+        lists.list::<u32>()?,
+    );
+    let worths = lists.list::<f32>()?;
+    let (centres, sizes, weights) = (
+        lists.list::<f64>()?,
+        lists.list::<f32>()?,
+        lists.list::<f64>()?,
+    );
+    let number = sizes.len();
+    let offsets = Offsets::from_lengths(lengths.iter().map(|&length| length as usize));
+    let is_whole = lists.is_at_end()
+        && lengths.len() == views.len()
+        && offsets.entries() == parts.len()
+        && worths.len() == parts.len()
+        && centres.len() == 3 * number
+        && weights.len() == number;
+    let of_clusters = clusters
+        .iter()
+        .map(|cluster| cluster.key.0)
+        .eq(views.iter().copied());
+    let is_possible = centres.iter().all(|x| x.is_finite())
+        && sizes.iter().all(|&size| size.is_finite() && size > 0.0)
+        && worths.iter().all(|worth| (0.0..=1.0).contains(worth))
+        && weights.iter().all(|weight| (0.0..=1.0).contains(weight));
+    if !(is_whole && of_clusters && is_possible) {
+        return None;
+    }
+    let part = |view: usize| {
+        let part = &parts[offsets.row(view)];
+        let ascends = part.is_sorted_by(|a, b| a < b);
+        let fits = part.last().is_none_or(|&last| (last as usize) < number);
+        let with_worth = part
+            .iter()
+            .copied()
+            .zip(worths[offsets.row(view)].iter().copied());
+        (ascends && fits).then(|| with_worth.collect::<Vec<(u32, f32)>>())
+    };
+    Some(Places {
+        parts: (0..views.len()).map(part).collect::<Option<_>>()?,
+        views: views.into_iter().map(ViewIndex).collect(),
+        centres: centres.chunks_exact(3).map(Point3::from_slice).collect(),
+        sizes,
+        weights,
+    })
+}
