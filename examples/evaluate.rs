@@ -7,14 +7,7 @@
 
 use std::{env, error::Error, path::PathBuf};
 
-use viewrank::{
-    NoWatcher,
-    evaluate::{
-        Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredProgress,
-        MeasuredSurface,
-    },
-    replan,
-};
+use viewrank::{NoWatcher, evaluate::Evaluation, replan};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<PathBuf> = env::args_os().skip(1).map(PathBuf::from).collect();
@@ -24,29 +17,15 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // The manifest has no tables, so they are computed again with its settings.
     let (_, plan, _) = replan::as_written(project, &NoWatcher)?;
-    let clusters: Vec<_> = plan.chosen().cloned().collect();
-
     // Without reference depth maps, every depth counts as correct.
-    let input = EvaluationInput::new(&plan.stages, &clusters, depth_maps, None);
-    let measured = MeasuredClusters::new(&input, &NoWatcher)?;
-
-    let so_far = MeasuredProgress::new(&plan.stages, &measured);
-    let options = EvaluationOptions {
-        objective: &plan.stages.objective,
-        so_far,
-        clouds: None,
-        half: None,
-        baselines: false,
-    };
-    let model = plan.stages.model();
-    let surface = MeasuredSurface::new(&model, &measured);
-    let evaluation = Evaluation::new(&model, &measured, &surface, &options, &NoWatcher)?;
-    let kept = evaluation.kept;
-    println!(
-        "fulfilment kept by fusion: {:.1} %, forecast {:.1} %",
-        100.0 * kept.real,
-        100.0 * kept.predicted
-    );
+    let evaluation = Evaluation::of_plan(&plan, depth_maps, None, false, &NoWatcher)?;
+    let ours = &evaluation.cells.all.orders[0];
+    for (maps, share) in ours.curve.iter().enumerate() {
+        println!(
+            "{maps} depth maps: {:.1} % of the cells of their cloud",
+            100.0 * share
+        );
+    }
     println!(
         "completeness {:.3}, {} clusters without a depth map",
         evaluation.quality.completeness,

@@ -196,8 +196,13 @@ impl Finished {
         let model = stages.model();
         let reached = MeasuredSurface::new(&model, &run);
         let so_far = MeasuredProgress::new(stages, &run);
+        let cells = told(evaluate::cells::incidence(
+            stages, &run, &maps, None, &NoWatcher,
+        ));
         let options = EvaluationOptions {
             objective: &stages.objective,
+            pilot: stages.pilot.as_ref(),
+            cells: cells.expect("maps that were just read"),
             baselines: false,
             so_far,
             clouds: None,

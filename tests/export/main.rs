@@ -309,6 +309,7 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
     assert!(
         !viewrank_core::base::error::Hint::hint(&foreign)
             .unwrap()
+            .to_string()
             .contains("colmap"),
         "COLMAP does not read that model"
     );
@@ -326,7 +327,9 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
         let error = fixture
             .try_export(backend, &ExportOptions::default())
             .unwrap_err();
-        let hint = viewrank_core::base::error::Hint::hint(&error).unwrap();
+        let hint = viewrank_core::base::error::Hint::hint(&error)
+            .unwrap()
+            .to_string();
         assert!(
             error.to_string().contains("SIMPLE_RADIAL")
                 && hint.contains("viewrank undistort /nowhere")

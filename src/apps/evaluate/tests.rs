@@ -166,6 +166,7 @@ impl Fixture {
             depth_maps: maps,
             reference,
             accuracy: GSD,
+            places: None,
             half_worth: None,
         };
         MeasuredClusters::new(&task, &NoWatcher)
@@ -198,7 +199,7 @@ fn masks_limit_what_a_map_shows() {
     let shares = |town: &Fixture| {
         let path = maps.path().join(format!("{}.npy", town.scene.name(key)));
         let map = depthmaps::read(&path, DepthMapFormat::Npy, PixelBound::LARGEST).unwrap();
-        measure(&town.model(), key, map, None, GSD).shares
+        measure(&town.model(), key, map, None, GSD, None).shares
     };
     let without = shares(&town);
     // Of three triangles of the table, one is excluded, one in part, one not at all.
@@ -380,8 +381,19 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     let model = town.model();
     let reached = MeasuredSurface::new(&model, &run);
     let so_far = MeasuredProgress::default();
+    // Three maps agree in two of five cells.
+    let table = maps.path().join("cells.tsv");
+    let key = |&c: &u32| model.scene.name(run.clusters[c as usize].key);
+    let names: Vec<&str> = run.order.iter().map(key).collect();
+    std::fs::write(&table, names.join("\t") + "\n5\t2\t7\n").unwrap();
+    let cells = (
+        cells::Incidence::read(&table, 2).unwrap(),
+        cells::CellSource::Maps,
+    );
     let how = EvaluationOptions {
         objective: &objective,
+        pilot: None,
+        cells,
         baselines: true,
         so_far,
         clouds: None,
@@ -426,12 +438,11 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     );
     let page = page(&evaluation, "a <town>");
     assert!(page.contains("a &lt;town&gt;") && page.ends_with("</body></html>\n"));
-    let plots = if page.contains("over matching pairs") {
-        2
-    } else {
-        1
-    };
-    assert!(page.matches("<polyline").count() == plots * (1 + evaluation.orders.len()));
+    assert_eq!(evaluation.curve.real[..4], [0.0, 0.0, 1.0, 1.0]);
+    assert_eq!(
+        page.matches("<polyline").count(),
+        1 + evaluation.cells.all.orders.len()
+    );
     assert!(
         !page.contains("http://")
             || page.matches("http://").count() == page.matches("http://www.w3.org").count()

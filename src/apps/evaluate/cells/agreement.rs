@@ -20,8 +20,6 @@ use crate::{
 
 /// Relative difference of two depths that agree: the default of OpenMVS, COLMAP and PatchmatchNet.
 const AGREE_WITHIN: f64 = 0.01;
-/// Maps of a point.
-const LEAST_MAPS: usize = 2;
 /// Depths that are held at once; of more, every second, third, ... row and column counts.
 const MOST_DEPTHS: u64 = 1 << 28;
 /// Places of a map at which it is looked whether another shows the same, along each axis.
@@ -32,6 +30,14 @@ pub struct Agreement<'a> {
     maps: Vec<Thinned<'a>>,
     /// For each map, those that show some of its places.
     others: Vec<Vec<u32>>,
+    /// Maps of a point that is kept.
+    support: usize,
+}
+
+/// A point on which maps agree, with the maps and the pixels that made it.
+struct AgreedPoint {
+    mean: Point3<f64>,
+    joined: Vec<(u32, usize)>,
 }
 
 /// Every n-th row and column of a depth map.
@@ -47,6 +53,7 @@ impl<'a> Agreement<'a> {
         scene: &'a Scene,
         views: &[ViewIndex],
         maps: &DepthMapSet,
+        support: u32,
         watcher: &dyn Watcher,
     ) -> Result<Self, EvaluateError> {
         let file = |view: &ViewIndex| maps.maps.iter().find(|map| map.view == *view);
@@ -72,16 +79,12 @@ impl<'a> Agreement<'a> {
         Ok(Self {
             others: others.collect(),
             maps,
+            support: support as usize,
         })
     }
 
-    /// Returns the point of a pixel, with the maps and pixels that join it.
-    fn point(
-        &self,
-        own: usize,
-        pixel: usize,
-        used: &[Vec<bool>],
-    ) -> Option<(Point3<f64>, Vec<(u32, usize)>)> {
+    /// Returns the point of a pixel; `None` if it is used, or too few maps agree.
+    fn point(&self, own: usize, pixel: usize, used: &[Vec<bool>]) -> Option<AgreedPoint> {
         let map = &self.maps[own];
         if used[own][pixel] {
             return None;
@@ -97,7 +100,10 @@ impl<'a> Agreement<'a> {
                 joined.push((other, pixel));
             }
         }
-        (joined.len() >= LEAST_MAPS).then(|| (Point3::from(sum / joined.len() as f64), joined))
+        (joined.len() >= self.support).then(|| AgreedPoint {
+            mean: Point3::from(sum / joined.len() as f64),
+            joined,
+        })
     }
 }
 
@@ -186,11 +192,11 @@ impl FusedPoints for Agreement<'_> {
                 .filter_map(|pixel| self.point(own, pixel, &used))
                 .collect();
             let mut part = CloudPart::default();
-            for (point, joined) in points {
+            for AgreedPoint { mean, joined } in points {
                 joined
                     .iter()
                     .for_each(|&(map, pixel)| used[map as usize][pixel] = true);
-                part.push(point, joined.into_iter().map(|(map, _)| map));
+                part.push(mean, joined.into_iter().map(|(map, _)| map));
             }
             take(&part);
         }

@@ -7,19 +7,18 @@ use crate::base::{
     input::{self, FileKind},
 };
 
-/// Maps that must take part in a cell: the fusion keeps no point of fewer.
-pub const LEAST_MAPS: u32 = 2;
-
 /// Which maps take part in which cells.
 ///
 /// As a file: the names of the maps, separated by tabs; then for each row the number of cells, the
 /// number of those that are sure, and the maps as a hexadecimal number, whose lowest bit is the
 /// first map.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Incidence {
     /// Names of the key views of the maps.
     names: Vec<String>,
     rows: Vec<Row>,
+    /// Maps that must take part in a cell: the fusion keeps no point of fewer (m, method 5.2).
+    support: u32,
     /// For each map, the rows in which it takes part, ascending.
     rows_of: Vec<Vec<u32>>,
 }
@@ -86,7 +85,7 @@ impl Hint for IncidenceError {
 }
 
 impl Incidence {
-    pub fn new(names: Vec<String>, rows: Vec<Row>) -> Self {
+    pub fn new(names: Vec<String>, rows: Vec<Row>, support: u32) -> Self {
         let mut rows_of = vec![Vec::new(); names.len()];
         for (number, row) in (0..).zip(&rows) {
             row.maps
@@ -96,8 +95,13 @@ impl Incidence {
         Self {
             names,
             rows,
+            support,
             rows_of,
         }
+    }
+
+    pub(super) fn support(&self) -> u32 {
+        self.support
     }
 
     pub fn names(&self) -> &[String] {
@@ -133,7 +137,7 @@ impl Incidence {
         for &map in order {
             for &row in self.rows_of(map) {
                 taken[row as usize] += 1;
-                if taken[row as usize] == LEAST_MAPS {
+                if taken[row as usize] == self.support {
                     covered += counted.of(&self.rows[row as usize]);
                 }
             }
@@ -147,21 +151,21 @@ impl Incidence {
         self.curve(maps, counted).last().copied().unwrap_or(0.0)
     }
 
-    /// Reads a table.
-    pub fn read(path: &Path) -> Result<Self, IncidenceError> {
+    /// Reads a table. `support`: maps that fusion wants.
+    pub fn read(path: &Path, support: u32) -> Result<Self, IncidenceError> {
         let text =
             input::read_text(path, FileKind::State).map_err(|source| IncidenceError::Io {
                 path: path.into(),
                 source,
             })?;
-        Self::parse(&text).map_err(|(line, what)| IncidenceError::Line {
+        Self::parse(&text, support).map_err(|(line, what)| IncidenceError::Line {
             path: path.into(),
             line,
             what,
         })
     }
 
-    fn parse(text: &str) -> Result<Self, (usize, &'static str)> {
+    fn parse(text: &str, support: u32) -> Result<Self, (usize, &'static str)> {
         let mut lines = text.lines();
         let head = lines
             .next()
@@ -169,7 +173,7 @@ impl Incidence {
         let names: Vec<String> = head.split('\t').map(unescaped).collect();
         let row = |(line, text): (usize, &str)| row(text, names.len()).map_err(|what| (line, what));
         let rows = (2..).zip(lines).map(row).collect::<Result<_, _>>()?;
-        Ok(Self::new(names, rows))
+        Ok(Self::new(names, rows, support))
     }
 
     /// Returns the table as text.
@@ -262,6 +266,7 @@ mod tests {
         Incidence::new(
             ["a", "b\t\\t", "c", "d", "e", "f"].map(String::from).into(),
             rows,
+            2,
         )
     }
 
@@ -269,7 +274,7 @@ mod tests {
     fn a_table_is_read_as_it_was_written() {
         let text = table().text();
         assert_eq!(text.lines().nth(3), Some("1\t0\t28"));
-        assert_eq!(Incidence::parse(&text), Ok(table()));
+        assert_eq!(Incidence::parse(&text, 2), Ok(table()));
         for (damaged, line) in [
             ("", 1),
             ("a\n1\t0", 2),
@@ -278,7 +283,7 @@ mod tests {
             ("a\n1\t2\t1", 2),
         ] {
             assert_eq!(
-                Incidence::parse(damaged).unwrap_err().0,
+                Incidence::parse(damaged, 2).unwrap_err().0,
                 line,
                 "{damaged:?}"
             );

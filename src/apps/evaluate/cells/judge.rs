@@ -214,7 +214,7 @@ mod tests {
             agreeing: 0,
         };
         let names = (0..10).map(|name| name.to_string()).collect();
-        let table = Incidence::new(names, (0..5).map(row).collect());
+        let table = Incidence::new(names, (0..5).map(row).collect(), 2);
         let ours = vec![("ours", vec![1, 6, 0, 5, 2, 7, 3, 8, 4, 9])];
         let judged = CellOrders::new(&table, Counted::All, &ours);
         let [ours, spread, .., oracle] = &judged.orders[..] else {

@@ -116,15 +116,16 @@ pub fn incidence(
         .collect();
     let maps = depthmaps::find(depth_maps, &stages.scene)?;
     let gsd = PlaceGsd::new(stages);
+    let support = stages.objective.support;
     let names = || views.iter().map(|&view| stages.scene.name(view).to_owned());
     if let Some((path, points)) = fused::find(&stages.scene, &views, &maps, cloud)? {
         let places = Places::of(&points, &gsd, stages, watcher)?;
-        let table = places.incidence(&points, names().collect())?;
+        let table = places.incidence(&points, names().collect(), support)?;
         return Ok((table, CellSource::Cloud(path)));
     }
-    let points = agreement::Agreement::new(&stages.scene, &views, &maps, watcher)?;
+    let points = agreement::Agreement::new(&stages.scene, &views, &maps, support, watcher)?;
     let places = Places::of(&points, &gsd, stages, watcher)?;
-    let table = places.incidence(&points, names().collect())?;
+    let table = places.incidence(&points, names().collect(), support)?;
     Ok((table, CellSource::Maps))
 }
 
@@ -135,7 +136,7 @@ pub fn judge_plan(
     watcher: &dyn Watcher,
 ) -> Result<CellsEvaluation, EvaluateError> {
     let stages = &plan.stages;
-    let incidence = Incidence::read(table)?;
+    let incidence = Incidence::read(table, stages.objective.support)?;
     let known: BTreeSet<&str> = incidence.names().iter().map(String::as_str).collect();
     let is_known = |cluster: &ViewCluster| known.contains(stages.scene.name(cluster.key));
     let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());

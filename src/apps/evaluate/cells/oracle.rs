@@ -1,8 +1,8 @@
 //! The best choice of maps, known only afterwards.
 
-use super::incidence::{Counted, Incidence, LEAST_MAPS};
+use super::incidence::{Counted, Incidence};
 
-/// Credits for a cell with one of the two maps that it needs: no single one is best everywhere.
+/// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
 const CREDITS: [f64; 2] = [0.2, 1.0 / 3.0];
 
 /// Returns greedy orders by the real cells, one for each credit.
@@ -15,9 +15,10 @@ pub fn orders(table: &Incidence, counted: Counted) -> Vec<Vec<u32>> {
 
 /// The map next that adds most cells; ties by index.
 fn greedy(table: &Incidence, counted: Counted, credit: f64) -> Vec<u32> {
-    let value = |taken: u32| match taken {
-        0 => credit,
-        1 => 1.0 - credit,
+    let value = |taken: u32| match table.support().checked_sub(taken + 1) {
+        Some(0) if taken == 0 => 1.0,
+        Some(0) => 1.0 - credit,
+        Some(1) => credit,
         _ => 0.0,
     };
     let mut taken = vec![0; table.rows().len()];
@@ -65,7 +66,7 @@ fn exchanged(table: &Incidence, counted: Counted, mut chosen: Vec<u32>) -> f64 {
         // What each map adds to the choice without this one.
         let gain = |map: u32| -> f64 {
             let rows = table.rows_of(map).iter();
-            rows.filter(|&&row| taken[row as usize] == LEAST_MAPS - 1)
+            rows.filter(|&&row| taken[row as usize] + 1 == table.support())
                 .map(|&row| weight(row))
                 .sum()
         };
@@ -122,7 +123,7 @@ mod tests {
             agreeing: cells,
         };
         let names = (0..5).map(|name| name.to_string()).collect();
-        let table = Incidence::new(names, rows.map(row).into());
+        let table = Incidence::new(names, rows.map(row).into(), 2);
         let orders = orders(&table, Counted::All);
         assert_eq!(best_of(&table, Counted::All, &orders, 3), 12.0 / 17.0);
         assert_eq!(best_of(&table, Counted::All, &orders, 0), 0.0);

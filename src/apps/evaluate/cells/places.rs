@@ -91,6 +91,7 @@ impl Places {
         &self,
         cloud: &dyn FusedPoints,
         names: Vec<String>,
+        support: u32,
     ) -> Result<Incidence, EvaluateError> {
         let words = names.len().div_ceil(64);
         let mut maps = vec![0u64; words * self.centres.len()];
@@ -120,7 +121,7 @@ impl Places {
             agreeing,
         };
         let rows = rows.into_iter().map(row).collect();
-        Ok(Incidence::new(names, rows))
+        Ok(Incidence::new(names, rows, support))
     }
 
     /// Calls `take` with each cell whose centre is within its 2 `g_d` of the point.

@@ -18,6 +18,9 @@ const LEAST_STEP: usize = 2;
 const MOST_PIXELS: usize = 1 << 22;
 /// Edge of a cell, in wanted GSDs of the thumbnails.
 const EDGE: f64 = 2.0;
+/// Pixels of a map, in wanted GSDs of the place, from which it leaves cells without a point: a point
+/// counts within 2 g_d of a cell's centre.
+const REACH: f64 = 4.0;
 /// Maps that agree on a sure place.
 const SURE: usize = 3;
 /// Weight of a place on which two maps agree: half of those are chance.
@@ -96,8 +99,8 @@ impl Places {
         }
     }
 
-    /// Returns the part of a place's cell that a map of this camera fills with points at a depth, 0
-    /// to 1: less where its pixels are larger than the cell.
+    /// Returns the share of cells like that of a place in which a map of this camera has a point, 0 to
+    /// 1: less than 1 where its pixels are larger than their reach.
     pub fn worth(&self, place: u32, camera: &Camera, depth: f64) -> f32 {
         let thumbnail = LONG_SIDE / f64::from(camera.width.max(camera.height));
         let gsd = depth / (camera.mean_focal_length() * thumbnail);
@@ -110,7 +113,7 @@ impl Places {
 }
 
 fn worth(size: f32, gsd: f64) -> f32 {
-    (EDGE * f64::from(size) / gsd).powi(2).min(1.0) as f32
+    (REACH * f64::from(size) / gsd).powi(2).min(1.0) as f32
 }
 
 /// A point of a cell that is not yet taken.
