@@ -134,8 +134,11 @@ impl Stages {
         })?;
         large_pages::return_freed_memory();
 
-        let looks = matches!(inputs.confidence, Confidence::Photometric { .. });
-        let seen_in_thumbnails = match looks && inputs.pictures.have_images() {
+        // Where fusion keeps what a single map shows, how well it shows it is all that counts.
+        let is_agreement_wanted = objective.support > 1;
+        let has_pictures = matches!(inputs.confidence, Confidence::Photometric { .. })
+            && inputs.pictures.have_images();
+        let seen_in_thumbnails = match has_pictures && is_agreement_wanted {
             true => Some(run.step(PilotStep {
                 inputs: &inputs,
                 clusters_file: &clusters_file,
