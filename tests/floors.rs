@@ -12,7 +12,7 @@ const FLOORS: [&str; 8] = [
     "base", "config", "plan", "backends", "show", "apps", "daemon", "cli",
 ];
 /// The sections of the method, from the ground up.
-const SECTIONS: [&str; 10] = [
+const SECTIONS: [&str; 11] = [
     "surface",
     "visibility",
     "region",
@@ -21,6 +21,7 @@ const SECTIONS: [&str; 10] = [
     "confidence",
     "fulfilment",
     "partners",
+    "pilot",
     "ranking",
     "synthetic",
 ];

@@ -77,9 +77,9 @@ def main():
 
 
 def refuse_other_pictures(planned):
-    """Ends where a picture is not the one that was planned with: its partners and its camera may no longer be right."""
+    """Ends where the file of a picture has another length than when the plan was made: its partners and its camera may no longer be right."""
     for name, length in planned.items():
-        with contextlib.suppress(FileNotFoundError):  # said by the program
+        with contextlib.suppress(OSError):  # said by the program
             if (HERE / "images" / name).stat().st_size != length:
                 sys.exit(f"error: {ascii(name)}: the picture has changed since the plan: plan again")
 

@@ -407,8 +407,7 @@ fn text(e: &Evaluation, out: &Path) -> Vec<String> {
     }
     lines.extend(e.cells.lines());
     lines.push(String::new());
-    lines
-        .push("share predicted, by fulfilment, and real, of the cells that these maps give".into());
+    lines.push("share predicted, and real, of the cells that these maps give".into());
     lines.push("predicted share   key views   pairs   real share   three maps agree".into());
     for gap in e
         .gap

@@ -18,8 +18,11 @@ use super::{
 use crate::{
     base::{column::TableError, progress::Watcher},
     decision::CountedPlaces,
-    method::{fulfilment::Model, ranking::Objective},
-    model::scene::ViewIndex,
+    method::{
+        fulfilment::{FulfilmentTable, Model},
+        ranking::Objective,
+    },
+    model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
 /// Everything that finished depth maps say about the view clusters that they were made for.
@@ -208,7 +211,7 @@ impl Evaluation {
                 )
             }
             [Some(_), _] => format!("All {maps} depth maps were needed."),
-            _ => "These depth maps give no point on which two of them agree.".into(),
+            _ => "These depth maps give no point that fusion keeps.".into(),
         }
     }
 
@@ -257,9 +260,12 @@ impl Evaluation {
         let by_triangle = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let predicted = match measure.pilot {
             Some(pilot) => {
-                let predicted = (&run.predicted, None);
-                let counted = pilot.of_clusters(&run.clusters, predicted, &|_| None);
-                ReachCurve::new(&counted.table, &pilot.objective, &run.clusters, &run.order)
+                let row = |(c, cluster): (usize, &ViewCluster)| {
+                    let places = pilot.places.of_view(cluster.key);
+                    pilot.row(places, run.scales[c], run.predicted.row(c))
+                };
+                let counted = FulfilmentTable::new(run.clusters.iter().enumerate().map(row));
+                ReachCurve::new(&counted, &pilot.objective, &run.clusters, &run.order)
             }
             None => by_triangle.clone(),
         };

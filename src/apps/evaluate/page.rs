@@ -184,7 +184,7 @@ fn line(
 
 fn gap_table(e: &Evaluation) -> String {
     let mut html = String::from(
-        "<section><h2>Prediction</h2>\n<p>Predicted: by fulfilment; real: share of the cells of the cloud that these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>three agree</th><th>gap, points</th></tr>\n",
+        "<section><h2>Prediction</h2>\n<p>Predicted by the plan; real: share of the cells of the cloud that these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>three agree</th><th>gap, points</th></tr>\n",
     );
     // Shares that the same depth maps reach are one row.
     for same in e.gap.chunk_by(|one, next| one.clusters == next.clusters) {

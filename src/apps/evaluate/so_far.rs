@@ -8,7 +8,7 @@ use super::run::MeasuredClusters;
 use crate::{
     decision::CountedPlaces,
     method::ranking::{Beliefs, Reached},
-    model::scene::ViewIndex,
+    model::{cluster::MapScale, scene::ViewIndex},
     plan::Stages,
 };
 
@@ -75,13 +75,20 @@ impl MeasuredProgress {
     /// Computes the progress by the places of the pilot: measured where a map is finished, else as
     /// the pilot shows them.
     fn by_places(stages: &Stages, pilot: &CountedPlaces, run: &MeasuredClusters) -> Self {
-        let finished = |view| run.finished(view);
-        let so_far = pilot.of_clusters(&run.clusters, (&run.real, None), &finished);
         let mut all = Reached::new(&pilot.objective);
         let mut kept = Reached::new(&pilot.objective);
-        for finished in 0..run.clusters.len() {
-            kept.take(so_far.table.row(finished));
-            all.take(so_far.table.row(finished));
+        for (finished, cluster) in run.clusters.iter().enumerate() {
+            let size = run.scales[finished];
+            let real = run.real.row(finished);
+            let row = pilot.row(&run.places[finished], size, real);
+            let (items, values): (Vec<u32>, Vec<f32>) = row.into_iter().unzip();
+            kept.take((&items, &values));
+            // At full size a map at half the size would give what the pilot shows.
+            let at_full = match size {
+                MapScale::Full => row_of(pilot, &run.places[finished], real),
+                MapScale::Half => row_of(pilot, pilot.places.of_view(cluster.key), real),
+            };
+            all.take((&at_full.0, &at_full.1));
         }
         for (c, cluster) in stages.clusters.iter().enumerate() {
             if run.finished(cluster.key).is_none() {
@@ -99,4 +106,13 @@ impl MeasuredProgress {
             share: (reachable > 0.0).then(|| kept / reachable),
         }
     }
+}
+
+/// Returns the row of a map at full size.
+fn row_of(
+    pilot: &CountedPlaces,
+    places: &[(u32, f32)],
+    real: (&[u32], &[f32]),
+) -> (Vec<u32>, Vec<f32>) {
+    pilot.row(places, MapScale::Full, real).into_iter().unzip()
 }

@@ -153,6 +153,24 @@ impl CountedPlaces {
         Some(counted.of_clusters(clusters, predicted, &|_| None))
     }
 
+    /// Returns a row of the table: places with their f at full size, for a map of this size, and f of
+    /// triangles.
+    pub fn row(
+        &self,
+        places: &[(u32, f32)],
+        size: MapScale,
+        (triangles, values): (&[u32], &[f32]),
+    ) -> Vec<(u32, f32)> {
+        let worth = match size {
+            MapScale::Full => 1.0,
+            MapScale::Half => self.half_worth,
+        };
+        let first = self.nearest.len() as u32;
+        let places = places.iter().map(|&(place, f)| (place, f * worth));
+        let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
+        places.chain(triangles).collect()
+    }
+
     /// Returns the same with the parts of other clusters. `finished` returns what is measured of a
     /// view.
     pub fn of_clusters<'f>(
@@ -161,24 +179,12 @@ impl CountedPlaces {
         (full, half): Predicted,
         finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
     ) -> Self {
-        let first = self.nearest.len() as u32;
         let row = |(c, cluster): (usize, &ViewCluster), size, predicted: &FulfilmentTable| {
-            let worth = if size == MapScale::Full {
-                1.0
-            } else {
-                self.half_worth
-            };
             let places = match finished(cluster.key) {
                 Some((scale, places)) if scale == size => places,
                 _ => self.places.of_view(cluster.key),
             };
-            let (triangles, values) = predicted.row(c);
-            let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
-            places
-                .iter()
-                .map(|&(place, f)| (place, f * worth))
-                .chain(triangles)
-                .collect::<Vec<_>>()
+            self.row(places, size, predicted.row(c))
         };
         let table = |size, predicted| {
             FulfilmentTable::new(

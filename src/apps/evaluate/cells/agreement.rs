@@ -7,7 +7,7 @@
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 
-use super::{CloudPart, FusedPoints};
+use super::{CloudPart, FusedPoints, TakePart};
 use crate::{
     apps::evaluate::EvaluateError,
     base::progress::{Stage, Watcher},
@@ -161,9 +161,11 @@ fn thinned(map: DepthMap, most: u64) -> DepthMap {
     if step == 1 {
         return map;
     }
-    let rows = (step / 2..map.height).step_by(step as usize);
+    // At least one of each.
+    let middle = |side: u32| (step / 2).min(side - 1);
+    let rows = (middle(map.height)..map.height).step_by(step as usize);
     let columns = |row: u32| {
-        (step / 2..map.width)
+        (middle(map.width)..map.width)
             .step_by(step as usize)
             .map(move |column| (row, column))
     };
@@ -180,7 +182,7 @@ fn thinned(map: DepthMap, most: u64) -> DepthMap {
 }
 
 impl FusedPoints for Agreement<'_> {
-    fn for_each_part(&self, take: &mut dyn FnMut(&CloudPart)) -> Result<(), EvaluateError> {
+    fn for_each_part(&self, take: &mut TakePart) -> Result<(), EvaluateError> {
         let mut used: Vec<Vec<bool>> = self
             .maps
             .iter()
@@ -188,17 +190,22 @@ impl FusedPoints for Agreement<'_> {
             .collect();
         for own in 0..self.maps.len() {
             let pixels = (0..self.maps[own].map.depth.len()).into_par_iter();
-            let points: Vec<_> = pixels
+            let points: Vec<AgreedPoint> = pixels
                 .filter_map(|pixel| self.point(own, pixel, &used))
                 .collect();
             let mut part = CloudPart::default();
-            for AgreedPoint { mean, joined } in points {
+            for AgreedPoint { mean, mut joined } in points {
+                // Several pixels of this map may fall into one of a coarser map: the first has it.
+                joined.retain(|&(map, pixel)| !used[map as usize][pixel]);
+                if joined.len() < self.support {
+                    continue;
+                }
                 joined
                     .iter()
                     .for_each(|&(map, pixel)| used[map as usize][pixel] = true);
                 part.push(mean, joined.into_iter().map(|(map, _)| map));
             }
-            take(&part);
+            take(&part)?;
         }
         Ok(())
     }

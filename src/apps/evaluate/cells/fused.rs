@@ -10,7 +10,7 @@ use std::{
 
 use nalgebra::Point3;
 
-use super::{CloudPart, FusedPoints};
+use super::{CloudPart, FusedPoints, TakePart};
 use crate::{
     apps::evaluate::EvaluateError,
     base::{
@@ -64,6 +64,8 @@ pub struct FusedCloud {
     views: PointViews,
     /// Map of each image of the program; `None` for one that is not evaluated.
     map_of: Vec<Option<u32>>,
+    /// Maps of a point that counts: of fewer that are evaluated, no choice of them gives it.
+    support: usize,
 }
 
 enum PointViews {
@@ -79,15 +81,16 @@ pub fn find(
     scene: &Scene,
     keys: &[ViewIndex],
     maps: &DepthMapSet,
+    support: u32,
     asked: Option<&Path>,
 ) -> Result<Option<(PathBuf, FusedCloud)>, EvaluateError> {
     if let Some(path) = asked {
-        let cloud = FusedCloud::read(path, scene, keys)?;
+        let cloud = FusedCloud::read(path, scene, keys, support)?;
         return Ok(cloud.map(|cloud| (path.to_path_buf(), cloud)));
     }
     for path in usual_places(maps) {
         if is_newer(&path, maps)
-            && let Ok(Some(cloud)) = FusedCloud::read(&path, scene, keys)
+            && let Ok(Some(cloud)) = FusedCloud::read(&path, scene, keys, support)
         {
             return Ok(Some((path, cloud)));
         }
@@ -126,6 +129,7 @@ impl FusedCloud {
         path: &Path,
         scene: &Scene,
         keys: &[ViewIndex],
+        support: u32,
     ) -> Result<Option<Self>, FusedCloudError> {
         let read = |path: &Path| {
             input::read(path, FileKind::Mesh).map_err(|source| FusedCloudError::Io {
@@ -135,9 +139,7 @@ impl FusedCloud {
         };
         let of_view: HashMap<ViewIndex, u32> = keys.iter().copied().zip(0..).collect();
         let map = |view: Option<ViewIndex>| view.and_then(|view| of_view.get(&view).copied());
-        let mut beside = path.as_os_str().to_owned();
-        beside.push(".vis");
-        let (mvs, vis) = (path.with_extension("mvs"), PathBuf::from(beside));
+        let (mvs, vis) = (path.with_extension("mvs"), beside(path));
         let (views, map_of) = if vis.is_file() {
             let mut by_id: Vec<ViewIndex> = scene.view_indices().collect();
             by_id.sort_by_key(|&view| scene.view(view).image_id);
@@ -168,27 +170,31 @@ impl FusedCloud {
             bytes: read(path)?,
             views,
             map_of,
+            support: support as usize,
         };
         Ok(Some(cloud))
     }
 
-    /// Returns the maps of a point, each once.
-    fn maps<'a>(&'a self, images: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
-        images
-            .iter()
-            .filter_map(|&image| self.map_of.get(image as usize).copied().flatten())
+    /// Collects the maps of a point, ascending, each once.
+    fn maps(&self, images: &[u32], maps: &mut Vec<u32>) {
+        let map = |&image: &u32| self.map_of.get(image as usize).copied().flatten();
+        maps.clear();
+        maps.extend(images.iter().filter_map(map));
+        maps.sort_unstable();
+        maps.dedup();
     }
 }
 
 impl FusedPoints for FusedCloud {
-    fn for_each_part(&self, take: &mut dyn FnMut(&CloudPart)) -> Result<(), EvaluateError> {
-        let mut part = CloudPart::default();
+    fn for_each_part(&self, take: &mut TakePart) -> Result<(), EvaluateError> {
+        let (mut part, mut maps, mut taken) = (CloudPart::default(), Vec::new(), Ok(()));
         let mut push = |point: Point3<f64>, images: &[u32]| {
-            if point.coords.iter().all(|x| x.is_finite()) {
-                part.push(point, self.maps(images));
+            self.maps(images, &mut maps);
+            if maps.len() >= self.support && point.coords.iter().all(|x| x.is_finite()) {
+                part.push(point, maps.iter().copied());
             }
-            if part.points.len() == AT_ONCE {
-                take(&part);
+            if part.points.len() == AT_ONCE && taken.is_ok() {
+                taken = take(&part);
                 part.clear();
             }
         };
@@ -201,18 +207,36 @@ impl FusedPoints for FusedCloud {
                 ply::read_with_lists(&self.bytes, "view_indices", &mut push).map_err(ply)?;
             }
             PointViews::Beside(bytes) => {
-                let mut lists = Lists { bytes, at: 8 };
-                let mut images = Vec::new();
+                let (mut lists, mut images) = (Lists { bytes, at: 8 }, Vec::new());
                 ply::read_with_lists(&self.bytes, "", |point, _| {
                     lists.next(&mut images);
                     push(point, &images);
                 })
                 .map_err(ply)?;
+                if lists.at != bytes.len() {
+                    return Err(self.other_views().into());
+                }
             }
         }
-        take(&part);
-        Ok(())
+        taken?;
+        take(&part)
     }
+}
+
+impl FusedCloud {
+    fn other_views(&self) -> FusedCloudError {
+        FusedCloudError::Views {
+            path: beside(&self.path),
+            what: "it has not one list of images for each point of the cloud".into(),
+        }
+    }
+}
+
+/// Path of COLMAP's `.vis` of a cloud.
+fn beside(cloud: &Path) -> PathBuf {
+    let mut path = cloud.as_os_str().to_owned();
+    path.push(".vis");
+    path.into()
 }
 
 /// The lists of a `.vis`: u64 number of points, and for each u32 number of images and u32 indices.
@@ -223,15 +247,19 @@ struct Lists<'a> {
 
 impl Lists<'_> {
     fn number(&mut self) -> Option<u32> {
-        let word = self.bytes.get(self.at..self.at + 4)?;
+        let word = self.bytes.get(self.at..)?.get(..4)?;
         self.at += 4;
         Some(u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
     }
 
-    /// Reads the next list; empty at the end of a file that is too short.
+    /// Reads the next list. Where the file is too short, the list is empty, and the end is beyond
+    /// that of the file.
     fn next(&mut self, images: &mut Vec<u32>) {
         images.clear();
-        let count = self.number().unwrap_or(0);
+        let Some(count) = self.number() else {
+            self.at = usize::MAX;
+            return;
+        };
         images.extend((0..count).map_while(|_| self.number()));
     }
 }

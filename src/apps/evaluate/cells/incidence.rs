@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_is_covered_by_two_of_its_maps() {
+    fn a_cell_is_covered_by_as_many_of_its_maps_as_fusion_wants() {
         let table = table();
         assert_eq!(
             table.curve(&[2, 1, 0, 3], Counted::All),

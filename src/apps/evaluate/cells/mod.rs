@@ -41,8 +41,11 @@ use crate::{
 /// Points of a fused cloud in a fixed order, some at a time: positions, and for each the maps that
 /// agree on it, as indices into the list of maps that the source was made for.
 trait FusedPoints {
-    fn for_each_part(&self, take: &mut dyn FnMut(&CloudPart)) -> Result<(), EvaluateError>;
+    fn for_each_part(&self, take: &mut TakePart) -> Result<(), EvaluateError>;
 }
+
+/// Receives the points; an error ends them.
+type TakePart<'a> = dyn FnMut(&CloudPart) -> Result<(), EvaluateError> + 'a;
 
 /// Some points of a fused cloud.
 #[derive(Clone, Debug, Default)]
@@ -118,14 +121,14 @@ pub fn incidence(
     let gsd = PlaceGsd::new(stages);
     let support = stages.objective.support;
     let names = || views.iter().map(|&view| stages.scene.name(view).to_owned());
-    if let Some((path, points)) = fused::find(&stages.scene, &views, &maps, cloud)? {
+    if let Some((path, points)) = fused::find(&stages.scene, &views, &maps, support, cloud)? {
         let places = Places::of(&points, &gsd, stages, watcher)?;
-        let table = places.incidence(&points, names().collect(), support)?;
+        let table = places.incidence(&points, names().collect(), support, watcher)?;
         return Ok((table, CellSource::Cloud(path)));
     }
     let points = agreement::Agreement::new(&stages.scene, &views, &maps, support, watcher)?;
     let places = Places::of(&points, &gsd, stages, watcher)?;
-    let table = places.incidence(&points, names().collect(), support)?;
+    let table = places.incidence(&points, names().collect(), support, watcher)?;
     Ok((table, CellSource::Maps))
 }
 

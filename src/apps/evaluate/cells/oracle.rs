@@ -5,6 +5,9 @@ use super::incidence::{Counted, Incidence};
 /// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
 const CREDITS: [f64; 2] = [0.2, 1.0 / 3.0];
 
+/// Entries of the table that exchanges of single maps look at: a second or two.
+const MOST_STEPS: usize = 1_000_000_000;
+
 /// Returns greedy orders by the real cells, one for each credit.
 pub fn orders(table: &Incidence, counted: Counted) -> Vec<Vec<u32>> {
     CREDITS
@@ -57,9 +60,15 @@ fn exchanged(table: &Incidence, counted: Counted, mut chosen: Vec<u32>) -> f64 {
             .for_each(|&row| taken[row as usize] += 1);
     }
     let usable = table.usable();
-    let mut place = 0;
-    let mut unchanged = 0;
-    while unchanged < chosen.len() {
+    let entries: usize = usable.iter().map(|&map| table.rows_of(map).len()).sum();
+    let mut is_chosen = vec![false; table.names().len()];
+    chosen
+        .iter()
+        .for_each(|&map| is_chosen[map as usize] = true);
+    let (mut place, mut unchanged) = (0, 0);
+    let mut left = MOST_STEPS / entries.max(1);
+    while unchanged < chosen.len() && left > 0 {
+        left -= 1;
         let out = chosen[place];
         let rows = table.rows_of(out);
         rows.iter().for_each(|&row| taken[row as usize] -= 1);
@@ -74,7 +83,7 @@ fn exchanged(table: &Incidence, counted: Counted, mut chosen: Vec<u32>) -> f64 {
         let others: Vec<u32> = usable
             .iter()
             .copied()
-            .filter(|map| *map == out || !chosen.contains(map))
+            .filter(|&map| map == out || !is_chosen[map as usize])
             .collect();
         let best = others[first_largest(others.iter().map(|&map| gain(map)))];
         let (enters, is_better) = if gain(best) > own {
@@ -83,6 +92,8 @@ fn exchanged(table: &Incidence, counted: Counted, mut chosen: Vec<u32>) -> f64 {
             (out, false)
         };
         chosen[place] = enters;
+        is_chosen[out as usize] = false;
+        is_chosen[enters as usize] = true;
         table
             .rows_of(enters)
             .iter()

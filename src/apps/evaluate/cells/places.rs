@@ -41,12 +41,8 @@ impl Places {
     ) -> Result<Self, EvaluateError> {
         let mut cubes: HashMap<Cube, u32> = HashMap::new();
         let mut centres = Vec::new();
-        let mut stopped = Ok(());
         cloud.for_each_part(&mut |part| {
-            stopped = watcher.check();
-            if stopped.is_err() {
-                return;
-            }
+            watcher.check()?;
             let octaves: Vec<Option<i16>> = part
                 .points
                 .par_iter()
@@ -61,8 +57,8 @@ impl Places {
                         centres.len() as u32 - 1
                     });
             }
+            Ok(())
         })?;
-        stopped?;
         let inside = inside(&centres, stages);
         let number = inside.iter().filter(|&&inside| inside).count();
         let step = number.div_ceil(MOST_CELLS).max(1);
@@ -92,11 +88,13 @@ impl Places {
         cloud: &dyn FusedPoints,
         names: Vec<String>,
         support: u32,
+        watcher: &dyn Watcher,
     ) -> Result<Incidence, EvaluateError> {
         let words = names.len().div_ceil(64);
         let mut maps = vec![0u64; words * self.centres.len()];
         let mut agreeing = vec![false; self.centres.len()];
         cloud.for_each_part(&mut |part: &CloudPart| {
+            watcher.check()?;
             for (point, of_point) in part.iter() {
                 self.near(point, |cell| {
                     let row = &mut maps[words * cell..words * (cell + 1)];
@@ -106,6 +104,7 @@ impl Places {
                     agreeing[cell] |= of_point.len() >= AGREEING;
                 });
             }
+            Ok(())
         })?;
         let mut rows: BTreeMap<&[u64], [u32; 2]> = BTreeMap::new();
         for (row, &agreeing) in maps.chunks_exact(words.max(1)).zip(&agreeing) {

@@ -44,10 +44,15 @@ impl PilotMap {
     /// Returns the depth of a place if the map has it.
     pub(super) fn agrees(&self, place: &nalgebra::Point3<f64>) -> Option<f64> {
         let (pixel, z) = self.pixel(place)?;
+        self.has_depth(pixel, z).then_some(z)
+    }
+
+    /// Returns whether a pixel has this depth.
+    pub(super) fn has_depth(&self, pixel: usize, z: f64) -> bool {
         let inverse = f64::from(self.inverse[pixel]);
         // The difference of the inverse depths, relative to that of the place.
         let tolerance = AGREE_WITHIN.max(PART_OF_A_PLANE * self.step * z);
-        (inverse > 0.0 && (inverse * z - 1.0).abs() < tolerance).then_some(z)
+        inverse > 0.0 && (inverse * z - 1.0).abs() < tolerance
     }
 }
 

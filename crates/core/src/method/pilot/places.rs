@@ -25,15 +25,15 @@ const REACH: f64 = 4.0;
 const SURE: usize = 3;
 /// Weight of a place on which two maps agree: half of those are chance.
 const UNSURE_WEIGHT: f64 = 0.5;
-/// Places of a map at which it is looked whether another shows the same, along each axis.
-const PROBES: usize = 8;
+/// Places of a map at which it is looked whether another shows the same.
+const PROBES: usize = 64;
 
 /// Cells of the scene on which at least two pilot maps agree.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Places {
     /// A point of each cell, world coordinates.
     pub centres: Vec<Point3<f64>>,
-    /// Half the edge of the cell, scene units.
+    /// Wanted GSD there, in pixels of the thumbnails: half the edge of the cell, scene units.
     pub sizes: Vec<f32>,
     /// How much the place counts: less where only two maps agree.
     pub weights: Vec<f64>,
@@ -52,43 +52,35 @@ impl Places {
         watcher: &dyn Watcher,
     ) -> Result<Self, Cancelled> {
         let overlapping = overlapping(maps);
-        watcher.check()?;
-        let candidates = candidates(maps, &overlapping);
-        watcher.check()?;
-        let taking_part = candidates.par_iter().map(|candidate| {
-            let own = candidate.map;
-            let others = overlapping[own as usize].iter().copied().chain([own]);
-            let agrees = |map: u32| {
-                let of_map = maps[map as usize].as_ref()?;
-                let z = of_map.agrees(&candidate.place)?;
-                Some((map, z / of_map.focal[0]))
-            };
-            others.filter_map(agrees).collect::<Vec<(u32, f64)>>()
-        });
-        let taking_part: Vec<Vec<(u32, f64)>> = taking_part.collect();
-        watcher.check()?;
+        let pixels: usize = maps.iter().flatten().map(|map| map.inverse.len()).sum();
+        let step = (pixels as f64 / MOST_PIXELS as f64).sqrt().ceil() as usize;
         let mut places = Self {
             views: clusters.iter().map(|cluster| cluster.key).collect(),
             parts: vec![Vec::new(); maps.len()],
             ..Self::default()
         };
-        for (candidate, of_place) in candidates.iter().zip(taking_part) {
-            if of_place.len() < 2 {
-                continue;
+        let mut taken = HashSet::new();
+        for (own, others) in overlapping.iter().enumerate() {
+            watcher.check()?;
+            for found in agreed(maps, own, others, step.max(LEAST_STEP)) {
+                if taken.insert(found.cell()) {
+                    places.push(&found);
+                }
             }
-            let index = places.centres.len() as u32;
-            let is_sure = of_place.len() >= SURE;
-            for (map, gsd) in of_place {
-                let worth = worth(candidate.size, gsd);
-                places.parts[map as usize].push((index, worth));
-            }
-            places.centres.push(candidate.place);
-            places.sizes.push(candidate.size);
-            places
-                .weights
-                .push(if is_sure { 1.0 } else { UNSURE_WEIGHT });
         }
         Ok(places)
+    }
+
+    fn push(&mut self, found: &Agreed) {
+        let index = self.centres.len() as u32;
+        let size = f64::from(found.octave).exp2() as f32;
+        for &(map, gsd) in &found.maps {
+            self.parts[map as usize].push((index, worth(size, gsd)));
+        }
+        let is_sure = found.maps.len() >= SURE;
+        self.centres.push(found.place);
+        self.sizes.push(size);
+        self.weights.push(if is_sure { 1.0 } else { UNSURE_WEIGHT });
     }
 
     /// Returns the places in which the map of a view takes part.
@@ -116,64 +108,71 @@ fn worth(size: f32, gsd: f64) -> f32 {
     (REACH * f64::from(size) / gsd).powi(2).min(1.0) as f32
 }
 
-/// A point of a cell that is not yet taken.
-struct Candidate {
-    map: u32,
+/// A place on which at least two maps agree.
+struct Agreed {
     place: Point3<f64>,
-    size: f32,
+    /// Wanted GSD there, as the exponent of a power of two.
+    octave: i32,
+    /// The maps that agree, with their GSD.
+    maps: Vec<(u32, f64)>,
 }
 
-/// Returns a point of each cell, the first in the order of maps and pixels.
-fn candidates(maps: &[Option<PilotMap>], overlapping: &[Vec<u32>]) -> Vec<Candidate> {
-    let pixels: usize = maps.iter().flatten().map(|map| map.inverse.len()).sum();
-    let step = (pixels as f64 / MOST_PIXELS as f64).sqrt().ceil() as usize;
-    let step = step.max(LEAST_STEP);
-    let of_map = |(own, map): (usize, &Option<PilotMap>)| {
-        let Some(map) = map else {
-            return Vec::new();
-        };
-        let is_thinned = |pixel: usize| {
-            let (x, y) = (pixel % map.width, pixel / map.width);
-            x % step == step / 2 && y % step == step / 2
-        };
-        let found = map.places().filter(|(pixel, _)| is_thinned(*pixel));
-        let with_octave = found.filter_map(|(_, place)| {
-            let others = overlapping[own].iter().copied().chain([own as u32]);
-            let gsd = |other: u32| {
-                let other = maps[other as usize].as_ref()?;
-                other.pixel(&place).map(|(_, z)| z / other.focal[0])
-            };
-            let finest = others.filter_map(gsd).min_by(f64::total_cmp)?;
-            Some((place, (GSD_MARGIN * finest).log2().round() as i32))
-        });
-        with_octave.collect()
+impl Agreed {
+    fn cell(&self) -> (i32, [i64; 3]) {
+        let edge = EDGE * f64::from(self.octave).exp2();
+        (
+            self.octave,
+            [0, 1, 2].map(|axis| (self.place[axis] / edge).floor() as i64),
+        )
+    }
+}
+
+/// Returns the places of every `step`-th pixel of a map on which it agrees with others.
+fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) -> Vec<Agreed> {
+    let Some(map) = &maps[own] else {
+        return Vec::new();
     };
-    let found: Vec<Vec<(Point3<f64>, i32)>> = maps.par_iter().enumerate().map(of_map).collect();
-    let mut taken = HashSet::new();
-    let mut candidates = Vec::new();
-    for (map, places) in (0..).zip(found) {
-        for (place, octave) in places {
-            let edge = EDGE * f64::from(octave).exp2();
-            let cell = [0, 1, 2].map(|axis| (place[axis] / edge).floor() as i64);
-            if taken.insert((octave, cell)) {
-                let size = (edge / EDGE) as f32;
-                candidates.push(Candidate { map, place, size });
+    let is_thinned = |pixel: usize| {
+        let (x, y) = (pixel % map.width, pixel / map.width);
+        x % step == step / 2 && y % step == step / 2
+    };
+    let places: Vec<Point3<f64>> = map
+        .places()
+        .filter(|(pixel, _)| is_thinned(*pixel))
+        .map(|(_, place)| place)
+        .collect();
+    let look = |place: &Point3<f64>| {
+        let (mut finest, mut agreeing) = (f64::INFINITY, Vec::new());
+        for other in others.iter().copied().chain([own as u32]) {
+            let Some(of_map) = &maps[other as usize] else {
+                continue;
+            };
+            let Some((pixel, z)) = of_map.pixel(place) else {
+                continue;
+            };
+            let gsd = z / of_map.focal[0];
+            finest = finest.min(gsd);
+            if of_map.has_depth(pixel, z) {
+                agreeing.push((other, gsd));
             }
         }
-    }
-    candidates
+        let octave = (GSD_MARGIN * finest).log2().round();
+        (agreeing.len() >= 2 && octave.is_finite()).then(|| Agreed {
+            place: *place,
+            octave: octave as i32,
+            maps: agreeing,
+        })
+    };
+    places.par_iter().filter_map(look).collect()
 }
 
 /// Returns for each map the others that show some of its places.
 fn overlapping(maps: &[Option<PilotMap>]) -> Vec<Vec<u32>> {
     let probes = |map: &PilotMap| -> Vec<Point3<f64>> {
-        let [across, down] = [map.width, map.height].map(|side| (side / PROBES).max(1));
-        let is_probe = |pixel: usize| {
-            let (x, y) = (pixel % map.width, pixel / map.width);
-            x % across == across / 2 && y % down == down / 2
-        };
-        let places = map.places().filter(|(pixel, _)| is_probe(*pixel));
-        places.map(|(_, place)| place).collect()
+        // Of those that have a depth, however few.
+        let places: Vec<Point3<f64>> = map.places().map(|(_, place)| place).collect();
+        let step = (places.len() / PROBES).max(1);
+        places.into_iter().step_by(step).collect()
     };
     let of_map = |(own, map): (usize, &Option<PilotMap>)| {
         let probes = map.as_ref().map(probes).unwrap_or_default();
