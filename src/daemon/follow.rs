@@ -403,11 +403,11 @@ struct TargetForecast {
 impl TargetForecast {
     fn new(plan: &Plan, order: &[(u32, MapScale)], cut: usize, target: f64) -> Self {
         let counted = plan.stages.counted();
-        let (maps, clusters) = (counted.maps, &plan.stages.clusters);
+        let ((objective, maps), clusters) = (counted.kept, &plan.stages.clusters);
         let rows = order
             .iter()
             .map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));
-        let curve = ReachCurve::of_rows(counted.objective, rows);
+        let curve = ReachCurve::of_rows(objective, rows);
         let (done, total) = (plan.decision.finished, plan.decision.ranking.reachable);
         let reached = curve
             .clusters_for(target * total)

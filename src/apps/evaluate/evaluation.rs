@@ -262,10 +262,10 @@ impl Evaluation {
             Some(pilot) => {
                 let row = |(c, cluster): (usize, &ViewCluster)| {
                     let places = pilot.places.of_view(cluster.key);
-                    pilot.row(places, run.scales[c], run.predicted.row(c))
+                    pilot.kept_row(places, run.scales[c], run.predicted.row(c))
                 };
                 let counted = FulfilmentTable::new(run.clusters.iter().enumerate().map(row));
-                ReachCurve::new(&counted, &pilot.objective, &run.clusters, &run.order)
+                ReachCurve::new(&counted, &pilot.kept.objective, &run.clusters, &run.order)
             }
             None => by_triangle.clone(),
         };

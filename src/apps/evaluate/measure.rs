@@ -177,7 +177,7 @@ fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec
             .and_then(|(column, row)| map.depth_at(column, row));
         let tolerance = (PLACE_WITHIN * x.z).max(f64::from(places.sizes[place as usize]));
         let agrees = depth.is_some_and(|depth| (depth - x.z).abs() <= tolerance);
-        agrees.then(|| (place, places.worth(place, camera, x.z)))
+        agrees.then(|| (place, places.density(place, camera, x.z)))
     };
     (0..places.centres.len() as u32).filter_map(part).collect()
 }

@@ -75,12 +75,12 @@ impl MeasuredProgress {
     /// Computes the progress by the places of the pilot: measured where a map is finished, else as
     /// the pilot shows them.
     fn by_places(stages: &Stages, pilot: &CountedPlaces, run: &MeasuredClusters) -> Self {
-        let mut all = Reached::new(&pilot.objective);
-        let mut kept = Reached::new(&pilot.objective);
+        let mut all = Reached::new(&pilot.kept.objective);
+        let mut kept = Reached::new(&pilot.kept.objective);
         for (finished, cluster) in run.clusters.iter().enumerate() {
             let size = run.scales[finished];
             let real = run.real.row(finished);
-            let row = pilot.row(&run.places[finished], size, real);
+            let row = pilot.kept_row(&run.places[finished], size, real);
             let (items, values): (Vec<u32>, Vec<f32>) = row.into_iter().unzip();
             kept.take((&items, &values));
             // At full size a map at half the size would give what the pilot shows.
@@ -92,7 +92,7 @@ impl MeasuredProgress {
         }
         for (c, cluster) in stages.clusters.iter().enumerate() {
             if run.finished(cluster.key).is_none() {
-                all.take(pilot.table.row(c));
+                all.take(pilot.kept.table.row(c));
             }
         }
         Self::of(&kept, &all)
@@ -114,5 +114,8 @@ fn row_of(
     places: &[(u32, f32)],
     real: (&[u32], &[f32]),
 ) -> (Vec<u32>, Vec<f32>) {
-    pilot.row(places, MapScale::Full, real).into_iter().unzip()
+    pilot
+        .kept_row(places, MapScale::Full, real)
+        .into_iter()
+        .unzip()
 }

@@ -22,9 +22,9 @@ pub(super) fn pack(places: &Places) -> Packed {
         .collect();
     packer.list(&views);
     packer.list(&lengths);
-    let (parts, worths): (Vec<u32>, Vec<f32>) = places.parts.iter().flatten().copied().unzip();
+    let (parts, densities): (Vec<u32>, Vec<f32>) = places.parts.iter().flatten().copied().unzip();
     packer.list(&parts);
-    packer.list(&worths);
+    packer.list(&densities);
     packer.list(&centres);
     packer.list(&places.sizes);
     packer.list(&places.weights);
@@ -39,7 +39,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         lists.list::<u32>()?,
         lists.list::<u32>()?,
     );
-    let worths = lists.list::<f32>()?;
+    let densities = lists.list::<f32>()?;
     let (centres, sizes, weights) = (
         lists.list::<f64>()?,
         lists.list::<f32>()?,
@@ -50,7 +50,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
     let is_whole = lists.is_at_end()
         && lengths.len() == views.len()
         && offsets.entries() == parts.len()
-        && worths.len() == parts.len()
+        && densities.len() == parts.len()
         && centres.len() == 3 * number
         && weights.len() == number;
     let of_clusters = clusters
@@ -59,7 +59,9 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         .eq(views.iter().copied());
     let is_possible = centres.iter().all(|x| x.is_finite())
         && sizes.iter().all(|&size| size.is_finite() && size > 0.0)
-        && worths.iter().all(|worth| (0.0..=1.0).contains(worth))
+        && densities
+            .iter()
+            .all(|density| density.is_finite() && *density > 0.0)
         && weights.iter().all(|weight| (0.0..=1.0).contains(weight));
     if !(is_whole && of_clusters && is_possible) {
         return None;
@@ -68,11 +70,11 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         let part = &parts[offsets.row(view)];
         let ascends = part.is_sorted_by(|a, b| a < b);
         let fits = part.last().is_none_or(|&last| (last as usize) < number);
-        let with_worth = part
+        let with_density = part
             .iter()
             .copied()
-            .zip(worths[offsets.row(view)].iter().copied());
-        (ascends && fits).then(|| with_worth.collect::<Vec<(u32, f32)>>())
+            .zip(densities[offsets.row(view)].iter().copied());
+        (ascends && fits).then(|| with_density.collect::<Vec<(u32, f32)>>())
     };
     Some(Places {
         parts: (0..views.len()).map(part).collect::<Option<_>>()?,

@@ -11,7 +11,7 @@ use crate::{
     method::{
         fulfilment::FulfilmentTable,
         pilot::Places,
-        ranking::{Maps, Objective, Reached, TriangleWeight},
+        ranking::{Maps, Objective, Ranking, Reached, TriangleWeight},
         region::Region,
         surface::Surface,
     },
@@ -32,33 +32,64 @@ pub struct CountedPlaces {
     pub places: Arc<Places>,
     /// Triangle nearest to each place.
     nearest: Arc<Vec<u32>>,
-    /// Weights of places and triangles; they add up to the weight that fusion keeps of the surface of
-    /// all clusters, as far as that is predicted by triangle.
-    pub objective: Objective,
-    /// The same by area.
+    /// What decides on the order.
+    order: CountedBy,
+    /// What fusion is expected to keep: shares, area, and what is given up.
+    pub kept: CountedBy,
+    /// Weights of the latter by area.
     by_area: Objective,
-    /// By cluster, f of places and triangles: [`Places::worth`] at the places in which its map takes
-    /// part, by the pilot or, where the cluster is finished, as measured.
-    pub table: FulfilmentTable,
-    /// The same at half the size; `None` where all maps have full size.
-    half: Option<FulfilmentTable>,
     /// f of places in a map at half the size.
     half_worth: f32,
 }
 
-/// A finished map: its size, and the places on which it agrees with the pilot, with their f at full
-/// size.
+/// Weights of places and triangles, and f of them by cluster, in the places in which its map takes
+/// part, by the pilot or, where the cluster is finished, as measured.
+#[derive(Clone, Debug)]
+pub struct CountedBy {
+    /// Weights that add up to what fusion keeps of the surface of all clusters, as far as that is
+    /// predicted by triangle.
+    pub objective: Objective,
+    pub table: FulfilmentTable,
+    /// f at half the size; `None` where all maps have full size.
+    half: Option<FulfilmentTable>,
+}
+
+/// Cells of a place that a map fills, in pixels per wanted pixel: a place counts for the *order* as
+/// soon as the map has a point within 2 g_d of each; *kept* are as many cells as have one inside.
+const FILLED_FOR_ORDER: f32 = 16.0;
+const FILLED: f32 = 4.0;
+
+/// A finished map: its size, and the places on which it agrees with the pilot, with
+/// [`Places::density`].
 pub type FinishedPart<'a> = (MapScale, &'a [(u32, f32)]);
 
 /// What a ranking counts.
 #[derive(Clone, Copy)]
 pub struct Counted<'a> {
+    /// What decides on the order.
     pub objective: &'a Objective,
     pub maps: Maps<'a>,
+    /// What fusion is expected to keep.
+    pub kept: (&'a Objective, Maps<'a>),
     pilot: Option<&'a CountedPlaces>,
 }
 
 impl Counted<'_> {
+    /// Replaces what a ranking keeps by its order with what fusion is expected to keep.
+    pub(super) fn expect(&self, ranking: &mut Ranking) {
+        if self.pilot.is_none() {
+            return;
+        }
+        let (objective, maps) = self.kept;
+        let mut reached = Reached::new(objective);
+        let kept = ranking.maps().map(|(cluster, scale)| {
+            reached.take(maps.row_at(cluster, scale));
+            reached.kept_weight()
+        });
+        ranking.kept = kept.collect();
+        ranking.reachable = Reached::by_all(&maps, objective).kept_weight();
+    }
+
     /// Returns the triangle of an item, or that nearest to a place.
     pub fn triangle(&self, item: u32) -> u32 {
         let Some(pilot) = self.pilot else {
@@ -116,7 +147,7 @@ impl CountedPlaces {
                 let factors = rule.region.map(|region| &region.factors);
                 factors.map_or(1.0, |factors| f64::from(factors[nearest[place] as usize]))
             };
-            let weight = |place| places.weights[place] * of_place(place) * factor(place);
+            let weight = |place| of_place(place) * factor(place);
             let raw = (0..nearest.len()).map(weight).collect();
             let mut weighed = Objective::weighing(raw, by.support);
             weighed
@@ -129,44 +160,60 @@ impl CountedPlaces {
             weighed.inside = by.inside;
             weighed
         };
-        let of_place = |place: usize| match rule.weight {
+        let by_setting = |place: usize| match rule.weight {
             TriangleWeight::Area => size(place).powi(2),
             _ => 1.0,
         };
-        let objective = weigh(rule.objective, &of_place, kept);
+        let sure = |place: usize| places.weights[place] * by_setting(place);
+        let [order, expected] = [&sure as &dyn Fn(usize) -> f64, &by_setting]
+            .map(|of_place| weigh(rule.objective, of_place, kept));
         if kept == 0.0
-            || objective.weights[..nearest.len()]
+            || order.weights[..nearest.len()]
                 .iter()
                 .all(|&weight| weight == 0.0)
         {
             return None;
         }
-        let counted = Self {
-            by_area: weigh(&by_area, &|place| size(place).powi(2), 1.0),
+        let by = |objective| CountedBy {
             objective,
-            nearest: Arc::new(nearest),
-            places,
             table: FulfilmentTable::default(),
             half: None,
+        };
+        let counted = Self {
+            by_area: weigh(&by_area, &|place| size(place).powi(2), 1.0),
+            order: by(order),
+            kept: by(expected),
+            nearest: Arc::new(nearest),
+            places,
             half_worth: rule.half_worth as f32,
         };
         Some(counted.of_clusters(clusters, predicted, &|_| None))
     }
 
-    /// Returns a row of the table: places with their f at full size, for a map of this size, and f of
-    /// triangles.
-    pub fn row(
+    /// Returns a row of what is kept: a map of this size, with its places and f of triangles.
+    pub fn kept_row(
+        &self,
+        places: &[(u32, f32)],
+        size: MapScale,
+        predicted: (&[u32], &[f32]),
+    ) -> Vec<(u32, f32)> {
+        self.row(places, size, predicted, FILLED)
+    }
+
+    fn row(
         &self,
         places: &[(u32, f32)],
         size: MapScale,
         (triangles, values): (&[u32], &[f32]),
+        filled: f32,
     ) -> Vec<(u32, f32)> {
         let worth = match size {
             MapScale::Full => 1.0,
             MapScale::Half => self.half_worth,
         };
         let first = self.nearest.len() as u32;
-        let places = places.iter().map(|&(place, f)| (place, f * worth));
+        let f = |density: f32| worth * (filled * density).min(1.0);
+        let places = places.iter().map(|&(place, density)| (place, f(density)));
         let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
         places.chain(triangles).collect()
     }
@@ -179,25 +226,39 @@ impl CountedPlaces {
         (full, half): Predicted,
         finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
     ) -> Self {
-        let row = |(c, cluster): (usize, &ViewCluster), size, predicted: &FulfilmentTable| {
-            let places = match finished(cluster.key) {
-                Some((scale, places)) if scale == size => places,
-                _ => self.places.of_view(cluster.key),
+        let row =
+            |(c, cluster): (usize, &ViewCluster), size, predicted: &FulfilmentTable, filled| {
+                let places = match finished(cluster.key) {
+                    Some((scale, places)) if scale == size => places,
+                    _ => self.places.of_view(cluster.key),
+                };
+                self.row(places, size, predicted.row(c), filled)
             };
-            self.row(places, size, predicted.row(c))
+        let table = |size, predicted, filled| {
+            let clusters = clusters.iter().enumerate();
+            FulfilmentTable::new(clusters.map(|of| row(of, size, predicted, filled)))
         };
-        let table = |size, predicted| {
-            FulfilmentTable::new(
-                clusters
-                    .iter()
-                    .enumerate()
-                    .map(|of| row(of, size, predicted)),
-            )
+        let counted = |by: &CountedBy, filled| CountedBy {
+            objective: by.objective.clone(),
+            table: table(MapScale::Full, full, filled),
+            half: half.map(|half| table(MapScale::Half, half, filled)),
         };
         Self {
-            table: table(MapScale::Full, full),
-            half: half.map(|half| table(MapScale::Half, half)),
-            ..self.clone()
+            places: self.places.clone(),
+            nearest: self.nearest.clone(),
+            order: counted(&self.order, FILLED_FOR_ORDER),
+            kept: counted(&self.kept, FILLED),
+            by_area: self.by_area.clone(),
+            half_worth: self.half_worth,
+        }
+    }
+}
+
+impl CountedBy {
+    fn maps<'a>(&'a self, work: &'a [[f64; 2]]) -> Maps<'a> {
+        match &self.half {
+            None => Maps::full_size(&self.table),
+            Some(half) => Maps::two_sizes(&self.table, half, work),
         }
     }
 }
@@ -205,20 +266,19 @@ impl CountedPlaces {
 impl Tables {
     /// Returns what the ranking counts.
     pub fn counted(&self) -> Counted<'_> {
-        let Some(pilot) = &self.pilot else {
-            return Counted {
+        match &self.pilot {
+            None => Counted {
                 objective: &self.objective,
                 maps: self.maps(),
+                kept: (&self.objective, self.maps()),
                 pilot: None,
-            };
-        };
-        Counted {
-            objective: &pilot.objective,
-            maps: match &pilot.half {
-                None => Maps::full_size(&pilot.table),
-                Some(half) => Maps::two_sizes(&pilot.table, half, &self.work),
             },
-            pilot: Some(pilot),
+            Some(pilot) => Counted {
+                objective: &pilot.order.objective,
+                maps: pilot.order.maps(&self.work),
+                kept: (&pilot.kept.objective, pilot.kept.maps(&self.work)),
+                pilot: Some(pilot),
+            },
         }
     }
 

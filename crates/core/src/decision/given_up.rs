@@ -27,7 +27,7 @@ impl GivenUp {
         clusters: usize,
     ) -> Self {
         let counted = tables.counted();
-        let (objective, maps) = (counted.objective, counted.maps);
+        let (objective, maps) = counted.kept;
         let items = 0..objective.weights.len() as u32;
         let mut reached = Reached::new(objective);
         ranking

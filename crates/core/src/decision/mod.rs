@@ -184,13 +184,16 @@ fn rank(
     let counted = tables.counted();
     let ranker = Ranker::new(&counted.maps, counted.objective)?;
     if !options.has_half {
-        return Ok(ranker.rank(order, 0.0, watcher)?);
+        let mut ranking = ranker.rank(order, 0.0, watcher)?;
+        counted.expect(&mut ranking);
+        return Ok(ranking);
     }
     let prices = ranker.prices();
     let ranked = AtomicU64::new(0);
     watcher.progress(Stage::Ranking, 0, prices.len() as u64);
     let one = |&price: &f64| {
-        let ranking = ranker.rank(order, price, &Unseen(watcher))?;
+        let mut ranking = ranker.rank(order, price, &Unseen(watcher))?;
+        counted.expect(&mut ranking);
         let merit = merit(tables, options, &ranking, order.len())?;
         watcher.progress(
             Stage::Ranking,

@@ -27,7 +27,7 @@ impl UncutRanking {
         let by_area = tables.counted_by_area();
         // The shares take the clusters in their order, on one thread.
         let (area_shares, (triangle_reasons, border)) = rayon::join(
-            || ranking::shares_by(&by_area, &ranking, &tables.counted().maps),
+            || ranking::shares_by(&by_area, &ranking, &tables.counted().kept.1),
             || {
                 let border = || {
                     border(

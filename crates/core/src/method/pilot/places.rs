@@ -18,9 +18,6 @@ const LEAST_STEP: usize = 2;
 const MOST_PIXELS: usize = 1 << 22;
 /// Edge of a cell, in wanted GSDs of the thumbnails.
 const EDGE: f64 = 2.0;
-/// Pixels of a map, in wanted GSDs of the place, from which it leaves cells without a point: a point
-/// counts within 2 g_d of a cell's centre.
-const REACH: f64 = 4.0;
 /// Maps that agree on a sure place.
 const SURE: usize = 3;
 /// Weight of a place on which two maps agree: half of those are chance.
@@ -40,7 +37,7 @@ pub struct Places {
     /// Key views of the maps, ascending.
     pub views: Vec<ViewIndex>,
     /// For each of them, the places on which its map agrees with others, ascending, with
-    /// [`Self::worth`].
+    /// [`Self::density`].
     pub parts: Vec<Vec<(u32, f32)>>,
 }
 
@@ -75,7 +72,7 @@ impl Places {
         let index = self.centres.len() as u32;
         let size = f64::from(found.octave).exp2() as f32;
         for &(map, gsd) in &found.maps {
-            self.parts[map as usize].push((index, worth(size, gsd)));
+            self.parts[map as usize].push((index, density(size, gsd)));
         }
         let is_sure = found.maps.len() >= SURE;
         self.centres.push(found.place);
@@ -91,12 +88,11 @@ impl Places {
         }
     }
 
-    /// Returns the share of cells like that of a place in which a map of this camera has a point, 0 to
-    /// 1: less than 1 where its pixels are larger than their reach.
-    pub fn worth(&self, place: u32, camera: &Camera, depth: f64) -> f32 {
+    /// Returns the pixels of a map of this camera at a depth, per wanted pixel of a place.
+    pub fn density(&self, place: u32, camera: &Camera, depth: f64) -> f32 {
         let thumbnail = LONG_SIDE / f64::from(camera.width.max(camera.height));
         let gsd = depth / (camera.mean_focal_length() * thumbnail);
-        worth(self.sizes[place as usize], gsd)
+        density(self.sizes[place as usize], gsd)
     }
 
     pub fn is_empty(&self) -> bool {
@@ -104,8 +100,8 @@ impl Places {
     }
 }
 
-fn worth(size: f32, gsd: f64) -> f32 {
-    (REACH * f64::from(size) / gsd).powi(2).min(1.0) as f32
+fn density(size: f32, gsd: f64) -> f32 {
+    (f64::from(size) / gsd).powi(2) as f32
 }
 
 /// A place on which at least two maps agree.
@@ -157,7 +153,7 @@ fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) ->
             }
         }
         let octave = (GSD_MARGIN * finest).log2().round();
-        (agreeing.len() >= 2 && octave.is_finite()).then(|| Agreed {
+        (agreeing.len() >= 2 && octave.is_finite()).then_some(Agreed {
             place: *place,
             octave: octave as i32,
             maps: agreeing,
