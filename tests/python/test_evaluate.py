@@ -64,7 +64,7 @@ def test_orders_are_judged_by_the_cells_of_the_cloud(matched, viewrank):
     for first in range(len(maps) + 1):
         mask = (1 << first) - 1
         for column, kind in enumerate(("all", "agreeing")):
-            share = sum(row[column] for row in rows if (row[2] & mask).bit_count() >= 2) / made[kind]["cells"]
+            share = sum(row[column] for row in rows if (row[2] & mask).bit_count() >= evaluation["support"]) / made[kind]["cells"]
             assert made[kind]["orders"][0]["curve"][first] == pytest.approx(share, abs=1e-9), "the maps of the table are in the plan's order"
     assert all(ours <= best + 1e-9 for ours, best in zip(made["all"]["orders"][0]["covered"], made["all"]["orders"][-1]["covered"]))
     # The kept table alone says the same.

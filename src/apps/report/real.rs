@@ -15,6 +15,7 @@ use crate::{
         depthmaps::{self, DepthMapError},
         project::Project,
     },
+    method::fulfilment::FulfilmentTable,
     model::cluster::ViewCluster,
     plan::Plan,
 };
@@ -106,7 +107,7 @@ impl Real {
         folder: &Path,
     ) -> Self {
         let model = plan.stages.model();
-        let curve = ReachCurve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
+        let curve = counted(plan, run);
         let so_far = MeasuredProgress::new(&plan.stages, run);
         let rank = |&c: &u32| {
             1 + clusters
@@ -131,6 +132,17 @@ impl Real {
             triangles: bytes(&shades),
         }
     }
+}
+
+/// Returns the measured curve of what the plan's shares count.
+fn counted(plan: &Plan, run: &MeasuredClusters) -> ReachCurve {
+    let Some(pilot) = &plan.stages.pilot else {
+        return run.real_curve(&plan.stages.objective, &run.order);
+    };
+    let row = |c: usize| pilot.kept_row(&run.places[c], run.scales[c], run.real.row(c));
+    let measured = FulfilmentTable::new((0..run.clusters.len()).map(row));
+    let objective = &pilot.kept.objective;
+    ReachCurve::new(&measured, objective, &run.clusters, &run.order)
 }
 
 /// Returns the folders that may hold depth maps, that of the plan's backend first.

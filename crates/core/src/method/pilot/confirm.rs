@@ -5,11 +5,13 @@ use rayon::prelude::*;
 use super::sweep::PilotMap;
 use crate::model::{cluster::ViewCluster, scene::ViewIndex};
 
-/// Relative difference of two depths that agree; with twice as much, clutter confirms itself.
+/// Relative difference of two depths that agree; with more, clutter confirms itself.
 pub const AGREE_WITHIN: f64 = 0.015;
 /// The same in steps between planes: where the partners are near each other, [`AGREE_WITHIN`] is less
 /// than the sweep can tell.
 const PART_OF_A_PLANE: f64 = 0.25;
+/// But no more than this: far behind the sparse points everything would agree.
+const MOST_WITHIN: f64 = 0.03;
 /// Relative difference of the depths of neighbours on one surface.
 const SAME_SURFACE: f32 = 0.03;
 /// Neighbours, of eight, that must be on the same surface: single pixels are chance.
@@ -51,7 +53,7 @@ impl PilotMap {
     pub(super) fn has_depth(&self, pixel: usize, z: f64) -> bool {
         let inverse = f64::from(self.inverse[pixel]);
         // The difference of the inverse depths, relative to that of the place.
-        let tolerance = AGREE_WITHIN.max(PART_OF_A_PLANE * self.step * z);
+        let tolerance = (PART_OF_A_PLANE * self.step * z).clamp(AGREE_WITHIN, MOST_WITHIN);
         inverse > 0.0 && (inverse * z - 1.0).abs() < tolerance
     }
 }

@@ -88,6 +88,9 @@ struct Sums {
     /// its product with the key picture.
     ring: Vec<f32>,
     product: Vec<f32>,
+    /// Of a row of pixels: the same over whole windows, and the correlation.
+    means: Vec<f32>,
+    correlation: Vec<f32>,
 }
 
 impl Planes {
@@ -227,6 +230,8 @@ impl Scratch {
         self.best.iter_mut().for_each(|best| sized(best, pixels));
         sized(&mut self.sums.ring, 3 * WINDOW * width);
         sized(&mut self.sums.product, wide);
+        sized(&mut self.sums.means, 3 * width);
+        sized(&mut self.sums.correlation, width);
         sized(&mut self.row.right, width);
         sized(&mut self.row.down, width);
         self.row.at.resize(width, 0);
@@ -371,7 +376,12 @@ fn warp_rows(
 #[inline(always)]
 fn correlate((width, height): (usize, usize), scratch: &mut Scratch) {
     let (wide, high) = (width + 2 * BESIDE, height + 2 * BESIDE);
-    let Sums { ring, product } = &mut scratch.sums;
+    let Sums {
+        ring,
+        product,
+        means,
+        correlation,
+    } = &mut scratch.sums;
     let product = &mut product[..wide];
     for y in 0..high {
         let warped = &scratch.warped[y * wide..(y + 1) * wide];
@@ -388,36 +398,63 @@ fn correlate((width, height): (usize, usize), scratch: &mut Scratch) {
             continue;
         };
         let pixels = row * width..(row + 1) * width;
-        let [first, second, third] = &mut scratch.best;
-        let (first, second, third) = (
-            &mut first[pixels.clone()],
-            &mut second[pixels.clone()],
-            &mut third[pixels.clone()],
-        );
-        let (mean, deviation, inside) = (
+        for (kind, mean) in means.chunks_exact_mut(width).enumerate() {
+            let rows = std::array::from_fn(|i| &ring[(3 * i + kind) * width..][..width]);
+            down(rows, mean);
+        }
+        let (sums, rest) = means.split_at(width);
+        let (squares, products) = rest.split_at(width);
+        let of_key = (
             &scratch.mean[pixels.clone()],
             &scratch.inverse_deviation[pixels.clone()],
-            &scratch.inside[pixels],
         );
-        // Slices of the width, so that the loop needs no checks and is compiled for vectors.
-        let rows = |kind: usize| -> [&[f32]; WINDOW] {
-            std::array::from_fn(|i| &ring[(3 * i + kind) * width..][..width])
-        };
-        let kinds = [rows(0), rows(1), rows(2)];
-        for x in 0..width {
-            let total = |kind: usize| {
-                let of = &kinds[kind];
-                (of[0][x] + of[1][x] + of[2][x] + of[3][x] + of[4][x]) * PART
-            };
-            let (sum, squares, products) = (total(0), total(1), total(2));
-            let variance = (squares - sum * sum).max(0.0);
-            let covariance = products - sum * mean[x];
-            let correlation =
-                (covariance * deviation[x] / (variance + NOISE).sqrt() * inside[x]).max(0.0);
-            let (best, next) = (first[x].max(correlation), first[x].min(correlation));
-            let (better, last) = (second[x].max(next), second[x].min(next));
-            (first[x], second[x], third[x]) = (best, better, third[x].max(last));
+        let inside = &scratch.inside[pixels.clone()];
+        correlations((sums, squares, products), of_key, inside, correlation);
+        let [first, second, third] = &mut scratch.best;
+        let next = &mut correlation[..width];
+        for best in [first, second, third] {
+            keep_larger(&mut best[pixels.clone()], next);
         }
+    }
+}
+
+// Each loop below has few slices: with more, the compiler would not prove that they are apart, and
+// not use vectors.
+
+/// Means over the rows of a window of sums over its columns.
+#[inline(always)]
+fn down(rows: [&[f32]; WINDOW], means: &mut [f32]) {
+    let width = means.len();
+    let rows = rows.map(|row| &row[..width]);
+    for x in 0..width {
+        means[x] = (rows[0][x] + rows[1][x] + rows[2][x] + rows[3][x] + rows[4][x]) * PART;
+    }
+}
+
+/// Correlation by the means of the partner, of its square, and of its product with the key picture.
+#[inline(always)]
+fn correlations(
+    (sums, squares, products): (&[f32], &[f32], &[f32]),
+    (mean, deviation): (&[f32], &[f32]),
+    inside: &[f32],
+    correlation: &mut [f32],
+) {
+    let width = correlation.len();
+    let [sums, squares, products] = [sums, squares, products].map(|of| &of[..width]);
+    let [mean, deviation, inside] = [mean, deviation, inside].map(|of| &of[..width]);
+    for x in 0..width {
+        let variance = (squares[x] - sums[x] * sums[x]).max(0.0);
+        let covariance = products[x] - sums[x] * mean[x];
+        let found = covariance * deviation[x] / (variance + NOISE).sqrt() * inside[x];
+        correlation[x] = found.max(0.0);
+    }
+}
+
+/// Keeps the larger of two numbers in `best`, and the smaller in `next`.
+#[inline(always)]
+fn keep_larger(best: &mut [f32], next: &mut [f32]) {
+    for (best, next) in best.iter_mut().zip(next) {
+        (*best, *next) = (best.max(*next), best.min(*next));
     }
 }
 
