@@ -68,7 +68,7 @@ fn main() {
         camera: CameraIndex(0),
         cam_from_world: Pose {
             rotation: Rotation3::identity(),
-            translation: Vector3::new(-1.0 * f64::from(i % 4), -1.0 * f64::from(i / 4), 0.0),
+            translation: Vector3::new(-f64::from(i % 4), -f64::from(i / 4), 0.0),
         },
     };
     let camera = Camera::new(
