@@ -344,7 +344,7 @@ impl<'a> Summary<'a> {
                 grouped(self.finished)
             ),
         };
-        Some(format!("{which} really reach {reached:.1} % of that."))
+        Some(format!("{which} reach about {reached:.1} % of that."))
     }
 
     /// Formats a few points of the curve.
