@@ -76,7 +76,7 @@ enum PointViews {
 }
 
 /// Returns the cloud that names its maps: `asked`, or one at the program's own place that is newer
-/// than all maps. `None` if there is none, or if the one that was asked for does not name its maps.
+/// than all maps; `None` without such a cloud.
 pub fn find(
     scene: &Scene,
     keys: &[ViewIndex],

@@ -21,7 +21,7 @@ const OFFSETS: [f64; 2] = [0.0, 0.5];
 /// Number of random orders.
 const RANDOM_SEEDS: u64 = 10;
 
-/// How much of the fused cloud of all maps the first maps of some orders give.
+/// Orders compared by the part of the fused cloud that their first maps give.
 #[derive(Clone, Debug, Serialize)]
 pub struct CellsEvaluation {
     pub source: CellSource,
@@ -83,11 +83,6 @@ impl CellsEvaluation {
             all: orders(Counted::All),
             agreeing: orders(Counted::Agreeing),
         }
-    }
-
-    /// Returns the smallest number of first maps of our order that cover a share of the cells.
-    pub fn enough(&self, share: f64) -> Option<usize> {
-        least(&self.all.ours().curve, share)
     }
 
     /// The two kinds of cells, each with its name.

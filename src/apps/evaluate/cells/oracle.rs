@@ -42,8 +42,8 @@ fn greedy(table: &Incidence, counted: Counted, credit: f64) -> Vec<u32> {
     order
 }
 
-/// Returns the share that so many maps cover at best, found by exchanging single maps of the best
-/// greedy choice until no exchange helps.
+/// Returns the largest share found for this number of maps: single maps of the greedy choices are
+/// exchanged until no exchange helps.
 pub fn best_of(table: &Incidence, counted: Counted, orders: &[Vec<u32>], number: usize) -> f64 {
     let choices = orders.iter().map(|order| &order[..number.min(order.len())]);
     let covered = choices.map(|choice| exchanged(table, counted, choice.to_vec()));

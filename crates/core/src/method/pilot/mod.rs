@@ -117,7 +117,7 @@ mod tests {
         method::confidence::{Grey, Mask, PictureError},
         model::{
             camera::{Camera, CameraModel},
-            scene::{CameraIndex, PointIndex, Pose, View},
+            scene::{CameraIndex, Pose, View},
         },
     };
 
@@ -258,6 +258,5 @@ mod tests {
                 .unwrap()
                 .is_empty()
         );
-        let _ = PointIndex(0);
     }
 }
