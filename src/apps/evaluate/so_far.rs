@@ -19,7 +19,7 @@ pub struct MeasuredProgress {
     /// Weight that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
     /// Weight that fusion keeps of all clusters of the plan at full size, 0 to 1: measured if
-    /// finished, else predicted in the light of failures (method 5.4).
+    /// finished, else as the pilot shows it (method 5.9) or predicted in the light of failures (5.4).
     pub reachable: f64,
     /// `kept` over `reachable`; null where nothing can be kept.
     pub share: Option<f64>,
@@ -80,13 +80,15 @@ impl MeasuredProgress {
         for (finished, cluster) in run.clusters.iter().enumerate() {
             let size = run.scales[finished];
             let real = run.real.row(finished);
-            let row = pilot.kept_row(&run.places[finished], size, real);
-            let (items, values): (Vec<u32>, Vec<f32>) = row.into_iter().unzip();
-            kept.take((&items, &values));
+            let row = |places: &[(u32, f32)], size| -> (Vec<u32>, Vec<f32>) {
+                pilot.kept_row(places, size, real).into_iter().unzip()
+            };
+            let measured = row(&run.places[finished], size);
+            kept.take((&measured.0, &measured.1));
             // At full size a map at half the size would give what the pilot shows.
             let at_full = match size {
-                MapScale::Full => row_of(pilot, &run.places[finished], real),
-                MapScale::Half => row_of(pilot, pilot.places.of_view(cluster.key), real),
+                MapScale::Full => measured,
+                MapScale::Half => row(pilot.places.of_view(cluster.key), MapScale::Full),
             };
             all.take((&at_full.0, &at_full.1));
         }
@@ -106,16 +108,4 @@ impl MeasuredProgress {
             share: (reachable > 0.0).then(|| kept / reachable),
         }
     }
-}
-
-/// Returns the row of a map at full size.
-fn row_of(
-    pilot: &CountedPlaces,
-    places: &[(u32, f32)],
-    real: (&[u32], &[f32]),
-) -> (Vec<u32>, Vec<f32>) {
-    pilot
-        .kept_row(places, MapScale::Full, real)
-        .into_iter()
-        .unzip()
 }

@@ -227,7 +227,7 @@ impl FusedCloud {
     fn other_views(&self) -> FusedCloudError {
         FusedCloudError::Views {
             path: beside(&self.path),
-            what: "it has not one list of images for each point of the cloud".into(),
+            what: "the number of lists of images is not that of the points of the cloud".into(),
         }
     }
 }

@@ -1,12 +1,13 @@
 //! Keeps of each pilot map what other maps confirm.
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::sweep::PilotMap;
 use crate::model::{cluster::ViewCluster, scene::ViewIndex};
 
 /// Relative difference of two depths that agree; with more, clutter confirms itself.
-pub const AGREE_WITHIN: f64 = 0.015;
+const AGREE_WITHIN: f64 = 0.015;
 /// The same in steps between planes: where the partners are near each other, [`AGREE_WITHIN`] is less
 /// than the sweep can tell.
 const PART_OF_A_PLANE: f64 = 0.25;
@@ -18,35 +19,20 @@ const SAME_SURFACE: f32 = 0.03;
 const LEAST_NEIGHBOURS: usize = 3;
 
 impl PilotMap {
-    fn place(&self, pixel: usize) -> Option<nalgebra::Point3<f64>> {
-        let inverse = f64::from(self.inverse[pixel]);
-        if inverse <= 0.0 {
-            return None;
-        }
-        let (x, y) = ((pixel % self.width) as f64, (pixel / self.width) as f64);
-        let x = nalgebra::Vector3::new(
-            (x - self.centre[0]) / self.focal[0],
-            (y - self.centre[1]) / self.focal[1],
-            1.0,
-        ) / inverse;
-        Some((self.pose.rotation.inverse() * (x - self.pose.translation)).into())
-    }
-
     /// Returns the places that the pixels with a depth show.
-    pub(super) fn places(&self) -> impl Iterator<Item = (usize, nalgebra::Point3<f64>)> {
-        (0..self.inverse.len()).filter_map(|pixel| Some((pixel, self.place(pixel)?)))
+    pub(super) fn places(&self) -> impl Iterator<Item = (usize, Point3<f64>)> {
+        let depths = self
+            .inverse
+            .iter()
+            .enumerate()
+            .filter(|(_, inverse)| **inverse > 0.0);
+        depths.map(|(pixel, &inverse)| (pixel, self.camera.place(pixel, f64::from(inverse))))
     }
 
-    /// Returns the pixel that shows a place, and the depth of the place.
-    pub(super) fn pixel(&self, place: &nalgebra::Point3<f64>) -> Option<(usize, f64)> {
-        let size = [self.width, self.height];
-        super::thumbnail::pixel(&self.pose, self.focal, self.centre, size, place)
-    }
-
-    /// Returns the depth of a place if the map has it.
-    pub(super) fn agrees(&self, place: &nalgebra::Point3<f64>) -> Option<f64> {
-        let (pixel, z) = self.pixel(place)?;
-        self.has_depth(pixel, z).then_some(z)
+    /// Returns whether the map has the depth of a place.
+    fn agrees(&self, place: &Point3<f64>) -> bool {
+        let shown = self.camera.pixel(place);
+        shown.is_some_and(|(pixel, z)| self.has_depth(pixel, z))
     }
 
     /// Returns whether a pixel has this depth.
@@ -72,7 +58,7 @@ pub fn confirmed(clusters: &[ViewCluster], maps: &[Option<PilotMap>]) -> Vec<Opt
         let others: Vec<&PilotMap> = cluster.partners.iter().filter_map(map_of).collect();
         let mut is_confirmed = vec![false; map.inverse.len()];
         for (pixel, place) in map.places() {
-            is_confirmed[pixel] = others.iter().any(|other| other.agrees(&place).is_some());
+            is_confirmed[pixel] = others.iter().any(|other| other.agrees(&place));
         }
         Some(without_specks(map, &is_confirmed))
     });
@@ -80,7 +66,7 @@ pub fn confirmed(clusters: &[ViewCluster], maps: &[Option<PilotMap>]) -> Vec<Opt
 }
 
 fn without_specks(map: &PilotMap, is_confirmed: &[bool]) -> PilotMap {
-    let (width, height) = (map.width as isize, map.height as isize);
+    let (width, height) = (map.camera.width as isize, map.camera.height as isize);
     let kept = |pixel: usize| {
         let own = map.inverse[pixel];
         let (x, y) = (pixel as isize % width, pixel as isize / width);

@@ -7,6 +7,7 @@
 
 mod aggregate;
 mod confirm;
+mod pinhole;
 mod places;
 mod sweep;
 mod thumbnail;
@@ -16,8 +17,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use self::sweep::{Planes, Scratch};
-pub use self::{places::Places, sweep::PilotMap, thumbnail::Thumbnail};
+pub use self::{pinhole::Pinhole, places::Places, sweep::PilotMap};
+use self::{
+    sweep::{Planes, Scratch},
+    thumbnail::Thumbnail,
+};
 use super::confidence::Pictures;
 use crate::{
     base::progress::{Cancelled, Stage, Watcher},
@@ -92,7 +96,7 @@ fn map(
         .collect();
     observed.sort_unstable();
     observed.dedup();
-    let depth = |point: Point3<f64>| key.pixel(&point).map(|(_, z)| z);
+    let depth = |point: Point3<f64>| key.camera.pixel(&point).map(|(_, z)| z);
     let depths = observed
         .iter()
         .filter_map(|point| depth(scene.points[point.index()]));
@@ -253,10 +257,7 @@ mod tests {
         scene.track_offsets = vec![0];
         let found = maps(&scene, &scene.view_points(), &clusters, &Stage, &NoWatcher).unwrap();
         assert_eq!(found, [None, None, None, None]);
-        assert!(
-            Places::new(&clusters, &found, &NoWatcher)
-                .unwrap()
-                .is_empty()
-        );
+        let places = Places::new(&clusters, &found, &NoWatcher).unwrap();
+        assert!(places.centres.is_empty());
     }
 }

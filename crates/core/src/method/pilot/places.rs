@@ -94,10 +94,6 @@ impl Places {
         let gsd = depth / (camera.mean_focal_length() * thumbnail);
         density(self.sizes[place as usize], gsd)
     }
-
-    pub fn is_empty(&self) -> bool {
-        self.centres.is_empty()
-    }
 }
 
 fn density(size: f32, gsd: f64) -> f32 {
@@ -129,7 +125,7 @@ fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) ->
         return Vec::new();
     };
     let is_thinned = |pixel: usize| {
-        let (x, y) = (pixel % map.width, pixel / map.width);
+        let (x, y) = (pixel % map.camera.width, pixel / map.camera.width);
         x % step == step / 2 && y % step == step / 2
     };
     let places: Vec<Point3<f64>> = map
@@ -143,10 +139,10 @@ fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) ->
             let Some(of_map) = &maps[other as usize] else {
                 continue;
             };
-            let Some((pixel, z)) = of_map.pixel(place) else {
+            let Some((pixel, z)) = of_map.camera.pixel(place) else {
                 continue;
             };
-            let gsd = z / of_map.focal[0];
+            let gsd = z / of_map.camera.focal[0];
             finest = finest.min(gsd);
             if of_map.has_depth(pixel, z) {
                 agreeing.push((other, gsd));
@@ -174,9 +170,11 @@ fn overlapping(maps: &[Option<PilotMap>]) -> Vec<Vec<u32>> {
         let probes = map.as_ref().map(probes).unwrap_or_default();
         let shows_some = |&other: &u32| {
             other as usize != own
-                && maps[other as usize]
-                    .as_ref()
-                    .is_some_and(|other| probes.iter().any(|place| other.pixel(place).is_some()))
+                && maps[other as usize].as_ref().is_some_and(|other| {
+                    probes
+                        .iter()
+                        .any(|place| other.camera.pixel(place).is_some())
+                })
         };
         (0..maps.len() as u32).filter(shows_some).collect()
     };

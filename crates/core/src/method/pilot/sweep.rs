@@ -8,12 +8,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     aggregate::{Aggregation, Volume},
+    pinhole::Pinhole,
     thumbnail::Thumbnail,
 };
-use crate::{
-    base::vector::{Kernel, vectorised},
-    model::scene::Pose,
-};
+use crate::base::vector::{Kernel, vectorised};
 
 /// Pixels of a window beside its middle.
 const BESIDE: usize = 2;
@@ -41,12 +39,7 @@ pub struct Planes {
 /// Depth map of a thumbnail.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PilotMap {
-    pub width: usize,
-    pub height: usize,
-    /// Focal lengths and principal point, pixels; the centre of the first pixel is (0, 0).
-    pub focal: [f64; 2],
-    pub centre: [f64; 2],
-    pub pose: Pose,
+    pub camera: Pinhole,
     /// Step between planes, in inverse depth.
     pub step: f64,
     /// 1 / z, per scene unit, row by row; 0 for no depth.
@@ -103,8 +96,8 @@ impl Planes {
             for i in 0..9 {
                 let share = |i: usize| [0.2, 0.5, 0.8][i];
                 let (x, y) = (
-                    share(i % 3) * key.width as f64,
-                    share(i / 3) * key.height as f64,
+                    share(i % 3) * key.camera.width as f64,
+                    share(i / 3) * key.camera.height as f64,
                 );
                 let [a, b] = ends.map(|inverse| warp.position(x, y, inverse));
                 shifts.extend(a.zip(b).map(|(a, b)| (a - b).norm()));
@@ -130,12 +123,16 @@ struct Warp {
 
 impl Warp {
     fn new(key: &Thumbnail, partner: &Thumbnail) -> Self {
-        let between = partner.pose.rotation * key.pose.rotation.inverse();
-        let shift = partner.pose.translation - between * key.pose.translation;
-        let rays = key.matrix().try_inverse().unwrap_or_else(Matrix3::identity);
+        let between = partner.camera.pose.rotation * key.camera.pose.rotation.inverse();
+        let shift = partner.camera.pose.translation - between * key.camera.pose.translation;
+        let rays = key
+            .camera
+            .matrix()
+            .try_inverse()
+            .unwrap_or_else(Matrix3::identity);
         Self {
-            rotation: partner.matrix() * between.matrix() * rays,
-            shift: partner.matrix() * shift,
+            rotation: partner.camera.matrix() * between.matrix() * rays,
+            shift: partner.camera.matrix() * shift,
         }
     }
 
@@ -175,8 +172,8 @@ pub fn sweep(
     }
     let volume = Volume {
         costs: &scratch.costs,
-        width: key.width,
-        height: key.height,
+        width: key.camera.width,
+        height: key.camera.height,
         planes: planes.count,
     };
     scratch.aggregation.run(volume);
@@ -189,11 +186,7 @@ pub fn sweep(
         })
     });
     PilotMap {
-        width: key.width,
-        height: key.height,
-        focal: key.focal,
-        centre: key.centre,
-        pose: key.pose,
+        camera: key.camera.clone(),
         step: planes.step,
         inverse: inverse.collect(),
     }
@@ -216,7 +209,7 @@ fn winner(sums: &[u16]) -> Option<f64> {
 
 impl Scratch {
     fn prepare(&mut self, key: &Thumbnail, planes: usize) {
-        let (width, height) = (key.width, key.height);
+        let (width, height) = (key.camera.width, key.camera.height);
         let (wide, high, pixels) = (width + 2 * BESIDE, height + 2 * BESIDE, width * height);
         let sized = |list: &mut Vec<f32>, length: usize| {
             list.clear();
@@ -287,7 +280,7 @@ impl Kernel for Compare<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let (width, height) = (self.key.width, self.key.height);
+        let (width, height) = (self.key.camera.width, self.key.camera.height);
         let scratch = self.scratch;
         warp_rows(
             self.warp,
@@ -311,7 +304,8 @@ fn warp_rows(
 ) {
     let wide = width + 2 * BESIDE;
     let (rotation, shift) = (&warp.rotation, warp.shift * inverse);
-    let [most_x, most_y] = [partner.width, partner.height].map(|side| (side - 1) as f32);
+    let [most_x, most_y] =
+        [partner.camera.width, partner.camera.height].map(|side| (side - 1) as f32);
     let across = [0, 1, 2].map(|axis| rotation[(axis, 0)] as f32);
     let Row {
         at,
@@ -325,7 +319,7 @@ fn warp_rows(
         &mut down[..width],
         &mut quad[..width],
     );
-    let partner_width = partner.width as u32;
+    let partner_width = partner.camera.width as u32;
     for y in 0..height {
         let start = [0, 1, 2].map(|axis| {
             (rotation[(axis, 1)] * y as f64 + rotation[(axis, 2)] + shift[axis]) as f32

@@ -1,12 +1,14 @@
 //! A small picture of a view, taken by an ideal pinhole camera.
 
-use nalgebra::{Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3};
+
+use super::pinhole::Pinhole;
 
 use crate::{
     method::confidence::{Pictures, SPACING},
     model::{
         camera::{Camera, CameraModel},
-        scene::{Pose, Scene, ViewIndex},
+        scene::{Scene, ViewIndex},
     },
 };
 
@@ -17,12 +19,7 @@ pub const LONG_SIDE: f64 = 160.0;
 /// A small grey picture.
 #[derive(Clone, Debug)]
 pub struct Thumbnail {
-    pub width: usize,
-    pub height: usize,
-    /// Focal lengths and principal point, pixels; the centre of the first pixel is (0, 0).
-    pub focal: [f64; 2],
-    pub centre: [f64; 2],
-    pub pose: Pose,
+    pub camera: Pinhole,
     /// Grey levels, 0 to 255, row by row.
     pub grey: Vec<u8>,
     /// The four neighbours of each pixel in one word, so that a sample is one load: the pixel
@@ -50,11 +47,13 @@ impl Thumbnail {
         let (focal, centre) = camera.pinhole_part();
         let [width, height] = size.map(|side| side as usize);
         let mut thumbnail = Self {
-            width,
-            height,
-            focal: [focal.x * sx, focal.y * sy],
-            centre: [centre.x * sx - 0.5, centre.y * sy - 0.5],
-            pose: scene.view(view).cam_from_world,
+            camera: Pinhole {
+                width,
+                height,
+                focal: [focal.x * sx, focal.y * sy],
+                centre: [centre.x * sx - 0.5, centre.y * sy - 0.5],
+                pose: scene.view(view).cam_from_world,
+            },
             grey: Vec::with_capacity(width * height),
             quads: Vec::new(),
             allowed: Vec::new(),
@@ -77,7 +76,7 @@ impl Thumbnail {
     }
 
     fn pixels(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (width, height) = (self.width, self.height);
+        let (width, height) = (self.camera.width, self.camera.height);
         (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)))
     }
 
@@ -88,54 +87,9 @@ impl Thumbnail {
             return plain;
         }
         camera
-            .project(&Point3::from(self.ray(x, y)))
+            .project(&Point3::from(self.camera.ray(x, y)))
             .unwrap_or(plain)
     }
-
-    /// Returns the direction of a pixel in camera coordinates, with z = 1.
-    pub fn ray(&self, x: usize, y: usize) -> Vector3<f64> {
-        let at = [x, y].map(|at| at as f64);
-        Vector3::new(
-            (at[0] - self.centre[0]) / self.focal[0],
-            (at[1] - self.centre[1]) / self.focal[1],
-            1.0,
-        )
-    }
-
-    /// Returns the pixel that shows a place of the world, and the depth of the place; `None` outside
-    /// the picture.
-    pub fn pixel(&self, place: &Point3<f64>) -> Option<(usize, f64)> {
-        pixel(
-            &self.pose,
-            self.focal,
-            self.centre,
-            [self.width, self.height],
-            place,
-        )
-    }
-
-    pub(super) fn matrix(&self) -> Matrix3<f64> {
-        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
-        Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
-    }
-}
-
-/// Returns the pixel nearest to the projection of a place, and the depth of the place.
-pub(super) fn pixel(
-    pose: &Pose,
-    focal: [f64; 2],
-    centre: [f64; 2],
-    size: [usize; 2],
-    place: &Point3<f64>,
-) -> Option<(usize, f64)> {
-    let x = pose.camera_from_world(place);
-    if x.z <= 0.0 {
-        return None;
-    }
-    let column = focal[0] * x.x / x.z + centre[0] + 0.5;
-    let row = focal[1] * x.y / x.z + centre[1] + 0.5;
-    let inside = column >= 0.0 && row >= 0.0 && column < size[0] as f64 && row < size[1] as f64;
-    inside.then(|| (row as usize * size[0] + column as usize, x.z))
 }
 
 fn quads(grey: &[u8], width: usize, height: usize) -> Vec<u32> {
