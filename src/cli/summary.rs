@@ -520,6 +520,17 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
             grouped(missing)
         ));
     }
+    let twins = plan.stages.twins.len();
+    if twins > 0 {
+        let (image, is) = match twins {
+            1 => ("image", "is"),
+            _ => ("images", "are"),
+        };
+        notes.push(format!(
+            "{} {image} from the place of a sharper one {is} set aside.",
+            grouped(twins)
+        ));
+    }
     if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
         notes.push("Of two sizes, full size alone gives most within these limits.".into());
     }

@@ -7,7 +7,7 @@ use super::{
     cached::{self, Cached},
     inputs::Inputs,
     step::Run,
-    steps::{self, ClustersStep, PilotStep, ShownStep, UnaryStep},
+    steps::{self, ClustersStep, PilotStep, ShownStep, TwinsStep, UnaryStep},
 };
 use crate::{
     base::{large_pages, progress::Watcher},
@@ -15,7 +15,7 @@ use crate::{
     decision::{CountedPlaces, PlacesRule, Tables},
     io::project::{ImageFaults, Project},
     method::{
-        confidence::Confidence,
+        confidence::{Confidence, Sharpness},
         fulfilment::Model,
         geometry::Geometry,
         ranking::Objective,
@@ -80,8 +80,9 @@ impl Stages {
         let mut memory =
             Memory::before_surface(&inputs.scene, &mut inputs.settings, pixels, watcher)?;
 
+        let (twins_file, twins) = run.step(TwinsStep { inputs: &inputs })?;
         let ((surface_file, seen), (candidates_file, candidates)) =
-            steps::surface_and_candidates(&inputs, &mut memory, &mut run)?;
+            steps::surface_and_candidates(&inputs, &twins, &mut memory, &mut run)?;
         memory.before_partners(&inputs.scene, &seen.surface, &seen.visibility)?;
 
         let (shown_file, shown) = run.step(ShownStep {
@@ -153,6 +154,7 @@ impl Stages {
             objective: &objective,
             weight: settings.ranking.weight,
             half_worth: settings.ranking.half_worth,
+            sharpness: Sharpness::new(&inputs.scene, &agreement.detail),
         };
         let pilot = places.and_then(|places| {
             let predicted = (&fulfilment, half.as_ref());
@@ -196,6 +198,7 @@ impl Stages {
                 region,
                 target,
                 without_image,
+                twins,
                 candidates,
                 unary,
                 agreement,
@@ -210,6 +213,7 @@ impl Stages {
             per_map,
             known_ranking,
             cached: Cached {
+                twins: twins_file,
                 surface: surface_file,
                 shown: shown_file,
                 candidates: candidates_file,

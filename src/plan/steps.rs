@@ -19,6 +19,7 @@ use crate::{
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
         pilot::{self, Places},
         region::Region,
+        twins::{self, Twin},
         visibility::Shown,
     },
     model::{
@@ -27,10 +28,52 @@ use crate::{
     },
 };
 
+/// The views that are set aside because a sharper one shows the same from the same place.
+pub(super) struct TwinsStep<'a> {
+    pub inputs: &'a Inputs<'a>,
+}
+
+impl Step for TwinsStep<'_> {
+    const STAGE: Stage = Stage::Read;
+    /// Pairs of the view set aside and the sharper one.
+    type Facts = Vec<[u32; 2]>;
+    type Output = Vec<Twin>;
+
+    fn file(&self) -> CacheFile {
+        self.inputs.fingerprints.twins(self.inputs)
+    }
+
+    fn unpack(&self, facts: Self::Facts, _: &[u8]) -> Option<Vec<Twin>> {
+        let views = self.inputs.scene.views.len() as u32;
+        let twin = |[view, sharper]: [u32; 2]| {
+            let [view, sharper] = [view, sharper].map(ViewIndex);
+            (view.0.max(sharper.0) < views).then_some(Twin { view, sharper })
+        };
+        facts.into_iter().map(twin).collect()
+    }
+
+    fn compute(self, watcher: &dyn Watcher) -> Result<Vec<Twin>, PlanError> {
+        let Inputs {
+            scene,
+            points,
+            pictures,
+            settings,
+            without_image,
+            ..
+        } = self.inputs;
+        let seen = (
+            pictures as &dyn confidence::Pictures,
+            settings.image_scale(),
+        );
+        Ok(twins::twins(scene, points, without_image, seen, watcher)?)
+    }
+}
+
 /// Returns the surface, and the candidate partners of each view within the gate, among pairs that
-/// the backend can match and that have images.
+/// the backend can match, that have images and are not set aside.
 pub(super) fn surface_and_candidates(
     inputs: &Inputs,
+    twins: &[Twin],
     memory: &mut Memory,
     run: &mut Run,
 ) -> Result<(Filed<VisibleSurface>, Filed<Candidates>), PlanError> {
@@ -46,15 +89,18 @@ pub(super) fn surface_and_candidates(
     let program = reach.map(|_| inputs.matcher.name);
     let file = inputs
         .fingerprints
-        .candidates(settings, program, &gate, without_image);
+        .candidates(settings, program, &gate, (without_image, twins));
     let (file, known) = cached::read(file, |(), bytes| {
         cached::candidates::unpack(bytes, scene.views.len())
     });
-    let lacks_image = |view: &ViewIndex| without_image.binary_search(view).is_ok();
+    let takes_no_part = |view: &ViewIndex| {
+        without_image.binary_search(view).is_ok()
+            || twins.binary_search_by_key(view, |twin| twin.view).is_ok()
+    };
     let refusals_of = |key| -> Refuses {
         let reach = reach.map(|rule| rule(scene, points, key, settings.image_scale()));
         Box::new(move |pair| {
-            [pair.key, pair.partner].iter().any(lacks_image)
+            [pair.key, pair.partner].iter().any(takes_no_part)
                 || reach.as_ref().is_some_and(|reach| reach.refuses(pair))
         })
     };

@@ -4,7 +4,10 @@ use super::{Band, Cut, Decision, FinishedMaps, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     config::{Settings, SurfaceChoice},
-    method::{confidence::Confidence, surface::SurfaceKind},
+    method::{
+        confidence::{Confidence, Sharpness},
+        surface::SurfaceKind,
+    },
 };
 
 /// Share of the observations of a table that may contradict it.
@@ -32,6 +35,7 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
         .map(|warning| warning.text.clone())
         .collect();
     warnings.extend(stages.picture_warnings.iter().cloned());
+    warnings.extend(blurred(stages));
     warnings.extend(unlikely_gsd(stages.image_gsd, &stages.settings));
     warnings.extend(no_utm_coordinates(stages));
     warnings.extend(no_3d_surface(stages));
@@ -211,6 +215,25 @@ fn contradictions(stages: &Stages) -> Option<String> {
             share * 100.0
         )
     })
+}
+
+fn blurred(stages: &Stages) -> Option<String> {
+    let sharpness = Sharpness::new(&stages.scene, &stages.agreement.detail);
+    let blurred: Vec<&str> = sharpness
+        .blurred()
+        .map(|view| stages.scene.name(view))
+        .collect();
+    let named = blurred.iter().take(NAMED).copied();
+    let named = named.collect::<Vec<_>>().join(", ");
+    let more = blurred.len().saturating_sub(NAMED);
+    match blurred.len() {
+        0 => None,
+        1 => Some(format!("{named} is blurred: less of it will match")),
+        _ if more == 0 => Some(format!("{named} are blurred: less of them will match")),
+        _ => Some(format!(
+            "{named} and {more} more images are blurred: less of them will match"
+        )),
+    }
 }
 
 fn tiled(stages: &Stages) -> Option<String> {

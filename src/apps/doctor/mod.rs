@@ -6,6 +6,7 @@ mod links;
 mod masks;
 mod model;
 mod partners;
+mod pictures;
 mod sense;
 #[cfg(test)]
 mod tests;
@@ -195,6 +196,7 @@ fn scene_findings(inputs: &Inputs) -> (Vec<Finding>, bool) {
     }
     findings.extend(sense::of_images(inputs));
     findings.extend(masks::findings(inputs));
+    findings.extend(pictures::findings(inputs));
     findings.extend(traps(inputs));
     (findings, is_sound)
 }

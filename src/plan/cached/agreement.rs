@@ -24,7 +24,7 @@ const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 /// Raised when the same input gives another table: by other samples, another comparison, or another
 /// rule of a program's reach. Not the version of the program: comparing takes longer than all the
 /// rest.
-const VERSION: &str = "agreement 7";
+const VERSION: &str = "agreement 8";
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
 
@@ -35,6 +35,8 @@ struct Facts {
     /// Views whose picture is damaged or has the wrong aspect ratio, ascending.
     rejected: Vec<ViewIndex>,
     warnings: Vec<String>,
+    /// By view, what the two finest bands of its picture hold.
+    detail: Vec<[f64; 2]>,
 }
 
 /// Returns the cache of the table. `program`: the one whose reach limits it.
@@ -82,6 +84,7 @@ pub(super) fn set(file: &ResultFile, agreement: &Agreement) -> Option<FileSet> {
         without: agreement.not_compared().map(|view| view.0).collect(),
         rejected: agreement.rejected.clone(),
         warnings: agreement.warnings.clone(),
+        detail: agreement.detail.clone(),
     };
     Some(file.file.file(&facts, vec![agreement.values.clone()]))
 }
@@ -125,18 +128,25 @@ fn table<'p>(
         left -= block.len();
     }
     let Some(Facts {
-        rejected, warnings, ..
+        rejected,
+        warnings,
+        detail,
+        ..
     }) = open.checked()
     else {
         return Ok(None);
     };
     let is_without = |view: &ViewIndex| without.get(view.index()).is_some_and(|&without| without);
+    if detail.len() != without.len() || !detail.iter().flatten().all(|band| *band >= 0.0) {
+        return Ok(None);
+    }
     if !rejected.is_sorted_by(|a, b| a < b) || !rejected.iter().all(is_without) {
         return Ok(None);
     }
     table.values = Arc::new(values.finish()?);
     table.rejected = rejected;
     table.warnings = warnings;
+    table.detail = detail;
     Ok(Some(table))
 }
 

@@ -14,12 +14,13 @@ use crate::{
     io::{cache::CacheFile, pictures::Pictures, project::Project},
     method::{
         confidence::Confidence, fulfilment::FulfilmentRule, ranking::Objective, target::Target,
+        twins::Twin,
     },
     model::{
         cluster::Gate,
         scene::{Scene, ViewIndex},
     },
-    plan::Memory,
+    plan::{Memory, inputs::Inputs},
 };
 
 /// Changes with every change of the program, also one that should not change a result.
@@ -73,13 +74,30 @@ impl<'a> Fingerprints<'a> {
         CacheFile::new(self.home, "viewrank/cache/surface.table", hasher)
     }
 
+    /// The views that are set aside: the scene, and the pictures that are compared.
+    pub fn twins(&self, inputs: &Inputs) -> CacheFile {
+        let hasher = || {
+            let mut hasher = self.of_scene();
+            add(
+                &mut hasher,
+                &(inputs.settings.image_scale(), &inputs.without_image),
+            );
+            for view in inputs.scene.view_indices() {
+                let name = inputs.scene.name(view);
+                add(&mut hasher, &inputs.pictures.stamps(name)?[0]);
+            }
+            Some(hasher)
+        };
+        CacheFile::new(self.home, "viewrank/cache/twins.table", hasher())
+    }
+
     /// The candidates. `program`: the one whose rule refuses pairs.
     pub fn candidates(
         &self,
         settings: &Settings,
         program: Option<&str>,
         gate: &Gate,
-        without_image: &[ViewIndex],
+        (without_image, twins): (&[ViewIndex], &[Twin]),
     ) -> CacheFile {
         let mut hasher = self.of_scene();
         let PartnerSettings { k, candidates, .. } = settings.partners;
@@ -92,6 +110,7 @@ impl<'a> Fingerprints<'a> {
                 program,
                 settings.image_scale(),
                 without_image,
+                twins.iter().map(|twin| twin.view).collect::<Vec<_>>(),
             ),
         );
         CacheFile::new(self.home, "viewrank/cache/candidates.table", Some(hasher))

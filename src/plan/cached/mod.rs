@@ -28,6 +28,7 @@ use crate::{
 /// The files of the stages.
 #[derive(Clone, Debug)]
 pub struct Cached {
+    pub(super) twins: ResultFile,
     pub(super) surface: ResultFile,
     pub(super) shown: ResultFile,
     pub(super) candidates: ResultFile,
@@ -117,7 +118,14 @@ impl Plan {
             is_kept: cached.ranking.is_kept && self.decision.pixels.len() <= known,
             ..cached.ranking.clone()
         };
+        let twins = || {
+            let twins = stages.twins.iter();
+            twins
+                .map(|twin| [twin.view.0, twin.sharper.0])
+                .collect::<Vec<_>>()
+        };
         [
+            cached.twins.set(|| Some((twins(), Packed::default()))),
             cached
                 .surface
                 .set(|| surface::pack(&stages.surface, &stages.surface_stats, &stages.visibility)),

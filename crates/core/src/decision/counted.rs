@@ -9,6 +9,7 @@ use super::Tables;
 use crate::{
     base::kd_tree::KdTree,
     method::{
+        confidence::Sharpness,
         fulfilment::FulfilmentTable,
         pilot::Places,
         ranking::{Maps, Objective, Ranking, Reached, TriangleWeight},
@@ -40,6 +41,7 @@ pub struct CountedPlaces {
     by_area: Objective,
     /// f of places in a map at half the size.
     half_worth: f32,
+    sharpness: Sharpness,
 }
 
 /// Weights of places and triangles, and f of them by cluster, in the places in which its map takes
@@ -58,6 +60,10 @@ pub struct CountedBy {
 /// soon as the map has a point within 2 g_d of each; *kept* are as many cells as have one inside.
 const FILLED_FOR_ORDER: f32 = 16.0;
 const FILLED: f32 = 4.0;
+
+/// Power of a picture's sharpness by which a map counts for the order: it decides between maps that
+/// give about the same.
+const SHARPNESS_FOR_ORDER: f64 = 0.25;
 
 /// A finished map: its size, and the places on which it agrees with the pilot, with
 /// [`Places::density`].
@@ -112,6 +118,7 @@ pub struct PlacesRule<'a> {
     pub weight: TriangleWeight,
     /// f of a map at half the size.
     pub half_worth: f64,
+    pub sharpness: Sharpness,
 }
 
 /// Fulfilment of the triangles by the clusters of a plan, at full and at half size.
@@ -186,6 +193,7 @@ impl CountedPlaces {
             nearest: Arc::new(nearest),
             places,
             half_worth: rule.half_worth as f32,
+            sharpness: rule.sharpness.clone(),
         };
         Some(counted.of_clusters(clusters, predicted, &|_| None))
     }
@@ -226,30 +234,36 @@ impl CountedPlaces {
         (full, half): Predicted,
         finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
     ) -> Self {
-        let row =
-            |(c, cluster): (usize, &ViewCluster), size, predicted: &FulfilmentTable, filled| {
-                let places = match finished(cluster.key) {
-                    Some((scale, places)) if scale == size => places,
-                    _ => self.places.of_view(cluster.key),
-                };
-                self.row(places, size, predicted.row(c), filled)
+        let row = |(c, cluster): (usize, &ViewCluster),
+                   size,
+                   predicted: &FulfilmentTable,
+                   (filled, power): (f32, f64)| {
+            let places = match finished(cluster.key) {
+                Some((scale, places)) if scale == size => places,
+                _ => self.places.of_view(cluster.key),
             };
-        let table = |size, predicted, filled| {
-            let clusters = clusters.iter().enumerate();
-            FulfilmentTable::new(clusters.map(|of| row(of, size, predicted, filled)))
+            let factor = self.sharpness.of(cluster.key).powf(power) as f32;
+            let mut row = self.row(places, size, predicted.row(c), filled);
+            row.iter_mut().for_each(|(_, f)| *f *= factor);
+            row
         };
-        let counted = |by: &CountedBy, filled| CountedBy {
+        let table = |size, predicted, by| {
+            let clusters = clusters.iter().enumerate();
+            FulfilmentTable::new(clusters.map(|of| row(of, size, predicted, by)))
+        };
+        let counted = |by: &CountedBy, filled, power| CountedBy {
             objective: by.objective.clone(),
-            table: table(MapScale::Full, full, filled),
-            half: half.map(|half| table(MapScale::Half, half, filled)),
+            table: table(MapScale::Full, full, (filled, power)),
+            half: half.map(|half| table(MapScale::Half, half, (filled, power))),
         };
         Self {
             places: self.places.clone(),
             nearest: self.nearest.clone(),
-            order: counted(&self.order, FILLED_FOR_ORDER),
-            kept: counted(&self.kept, FILLED),
+            order: counted(&self.order, FILLED_FOR_ORDER, SHARPNESS_FOR_ORDER),
+            kept: counted(&self.kept, FILLED, 0.0),
             by_area: self.by_area.clone(),
             half_worth: self.half_worth,
+            sharpness: self.sharpness.clone(),
         }
     }
 }

@@ -13,6 +13,7 @@ use crate::{
         fulfilment::{self, ByTriangle, Fulfilment, FulfilmentTable, Model},
         partners::Candidates,
         region::Region,
+        twins::Twin,
     },
     model::{cluster::ViewCluster, reason::Reason, scene::ViewIndex},
 };
@@ -44,6 +45,7 @@ pub struct Reasons<'a> {
     viewers: &'a [u32],
     candidates: &'a Candidates,
     without_image: &'a [ViewIndex],
+    twins: &'a [Twin],
     clusters: &'a [ViewCluster],
     fulfilment: &'a FulfilmentTable,
     region: Option<&'a Region>,
@@ -57,6 +59,7 @@ impl<'a> Reasons<'a> {
             viewers: &tables.shown.views,
             candidates: &tables.candidates,
             without_image: &tables.without_image,
+            twins: &tables.twins,
             clusters: &tables.clusters,
             fulfilment: &tables.fulfilment,
             region: tables.region.as_ref(),
@@ -117,9 +120,16 @@ impl<'a> Reasons<'a> {
             .unwrap_or(Reason::NoSharedPoints)
     }
 
+    fn is_set_aside(&self, view: ViewIndex) -> bool {
+        let place = self.twins.binary_search_by_key(&view, |twin| twin.view);
+        place.is_ok()
+    }
+
     fn no_cluster(&self, view: ViewIndex) -> Reason {
         if self.without_image.binary_search(&view).is_ok() {
             Reason::NoImage
+        } else if self.is_set_aside(view) {
+            Reason::TwinOfSharperView
         } else if self.model.visibility.triangles_seen_by(view).is_empty() {
             Reason::Hidden
         } else {

@@ -10,6 +10,7 @@ use crate::{
         region::Region,
         surface::Surface,
         target::Target,
+        twins::Twin,
         visibility::{Shown, Visibility},
     },
     model::{
@@ -33,6 +34,9 @@ pub struct Tables {
     /// Views whose image is missing, unreadable or rejected ([`Agreement::rejected`]), ascending:
     /// neither key views nor partners.
     pub without_image: Vec<ViewIndex>,
+    /// Views that are set aside for a sharper one from the same place, ascending: neither key views
+    /// nor partners.
+    pub twins: Vec<Twin>,
     pub candidates: Candidates,
     /// Unary confidence of each row of `visibility`.
     pub unary: Unary,

@@ -10,4 +10,5 @@ pub mod region;
 pub mod surface;
 pub mod synthetic;
 pub mod target;
+pub mod twins;
 pub mod visibility;

@@ -30,11 +30,13 @@ pub enum Reason {
     OutsideRegion,
     /// Its image is not there, or cannot be read.
     NoImage,
+    /// Another view shows the same from the same place, and sharper.
+    TwinOfSharperView,
 }
 
 impl Reason {
     /// The reasons in the order of their numbers in files, from 1; 0 stands for no reason.
-    pub const NUMBERED: [Self; 11] = [
+    pub const NUMBERED: [Self; 12] = [
         Self::NoSharedPoints,
         Self::RotationOnly,
         Self::DuplicateOfBetterView,
@@ -46,6 +48,7 @@ impl Reason {
         Self::NoGainLeft,
         Self::OutsideRegion,
         Self::NoImage,
+        Self::TwinOfSharperView,
     ];
 
     /// Returns the number of a reason, from 1; 0 for `None`.
@@ -82,6 +85,7 @@ impl Reason {
             Self::NotMatchable => "the backend cannot match the available pairs",
             Self::OutsideRegion => "all that it could give is outside the region",
             Self::NoImage => "its image is missing, cannot be read or is not of this view",
+            Self::TwinOfSharperView => "a sharper view shows the same from the same place",
             Self::NoGainLeft => "its gain is zero or below the cut",
         }
     }

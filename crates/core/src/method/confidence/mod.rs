@@ -17,7 +17,7 @@ pub use mask::Mask;
 pub use nearby::nearby;
 pub use photometric::{
     Agreement, Grey, NO_AGREEMENT, PairAgreement, Photometric, ProgramReach, ReachOfPartner,
-    SPACING, SampleRoom,
+    SPACING, SampleRoom, Sharpness,
 };
 pub use pictures::{
     ALL_COUNTS, NOT_COMPARED, NOT_PLANNED, PictureError, PictureFault, Pictures, picture_warnings,

@@ -29,14 +29,23 @@ pub struct SampleRoom {
     pub views_at_once: usize,
 }
 
-/// Returns [`STACK`] samples for each row of visibility, and the faults of the views without
-/// samples, by view.
+/// What is taken from the pictures.
+pub(super) struct Sampled {
+    /// [`STACK`] samples for each row of visibility.
+    pub samples: Column<i8>,
+    /// By view, [`Grey::detail`](super::Grey::detail); zeros without a picture.
+    pub detail: Vec<[f64; 2]>,
+    /// Faults of the views without samples, by view.
+    pub faults: Vec<PictureFault>,
+}
+
+/// Samples all pictures.
 pub(super) fn samples(
     geometry: &Geometry,
     pictures: &dyn Pictures,
     room: SampleRoom,
     watcher: &dyn Watcher,
-) -> Result<(Column<i8>, Vec<PictureFault>), TableError> {
+) -> Result<Sampled, TableError> {
     let Geometry {
         scene, visibility, ..
     } = *geometry;
@@ -49,7 +58,10 @@ pub(super) fn samples(
         let sampled = pictures
             .grey(scene, view, geometry.image_scale)
             .map(|picture| {
-                picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref()))
+                picture.map(|(grey, mask)| {
+                    let stacks = stacks(geometry, &spacing, view, &grey, mask.as_ref());
+                    (stacks, grey.detail())
+                })
             });
         let sampled = sampled.unwrap_or_else(|failure| {
             failures
@@ -64,12 +76,14 @@ pub(super) fn samples(
             total,
         );
         Ok(sampled.unwrap_or_else(|| {
-            vec![stacks::NOT_SEEN; visibility.triangles_seen_by(view).len() * STACK]
+            let rows = visibility.triangles_seen_by(view).len();
+            (vec![stacks::NOT_SEEN; rows * STACK], [0.0; 2])
         }))
     };
     let mut samples = ColumnBuilder::new(room.keep)?;
     samples.reserve(visibility.triangles.len() * STACK);
     let views = visibility.views();
+    let mut detail = Vec::with_capacity(views.len());
     column::in_order(
         &views,
         room.views_at_once,
@@ -77,9 +91,10 @@ pub(super) fn samples(
         |(), &view| of_view(view),
         |_, taken| {
             visibility.triangles.release();
-            taken
-                .into_iter()
-                .try_for_each(|samples_of_view| samples.extend(&samples_of_view))?;
+            for (samples_of_view, detail_of_view) in taken {
+                samples.extend(&samples_of_view)?;
+                detail.push(detail_of_view);
+            }
             // Else the next batch comes on top of what the allocator holds back of this one.
             large_pages::return_freed_memory();
             Ok(())
@@ -87,7 +102,11 @@ pub(super) fn samples(
     )?;
     let mut faults = failures.into_inner().unwrap_or_default();
     faults.sort_by_key(|(view, _)| *view);
-    Ok((samples.finish()?, faults))
+    Ok(Sampled {
+        samples: samples.finish()?,
+        detail,
+        faults,
+    })
 }
 
 /// Returns the agreement of the key view with each partner, by partner, then row of the key view; 0

@@ -7,12 +7,13 @@
 
 mod compare;
 mod grey;
+mod sharpness;
 mod stacks;
 
 use std::sync::Arc;
 
-use self::compare::{compared, samples};
-pub use self::{compare::SampleRoom, grey::Grey, stacks::SPACING};
+use self::compare::{Sampled, compared, samples};
+pub use self::{compare::SampleRoom, grey::Grey, sharpness::Sharpness, stacks::SPACING};
 use super::pictures::{NOT_COMPARED, NOT_PLANNED, PictureError, Pictures, picture_warnings};
 use crate::{
     base::{
@@ -94,6 +95,8 @@ pub struct Agreement {
     pub rejected: Vec<ViewIndex>,
     /// Warnings of unusable pictures.
     pub warnings: Vec<String>,
+    /// By view, [`Grey::detail`] of its picture; zeros without one.
+    pub detail: Vec<[f64; 2]>,
 }
 
 /// Agreement of a pair, or the reason for its absence.
@@ -141,7 +144,11 @@ impl Agreement {
         room: SampleRoom,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let (samples, faults) = samples(geometry, pictures, room, watcher)?;
+        let Sampled {
+            samples,
+            detail,
+            faults,
+        } = samples(geometry, pictures, room, watcher)?;
         let mut without = vec![!pictures.have_images(); geometry.scene.views.len()];
         faults
             .iter()
@@ -178,6 +185,7 @@ impl Agreement {
                 .warnings
                 .push("the project has no image folder: no pictures were compared".into());
         }
+        table.detail = detail;
         table.rejected = rejected.into_iter().map(|(view, _)| view).collect();
         Ok(table)
     }

@@ -1,0 +1,277 @@
+//! Twins (method 4): views that show the same from nearly one place, as photographs taken twice,
+//! bursts and brackets do.
+//!
+//! Two maps of one place are wrong together, and no depth follows from comparing their pictures. So
+//! the sharpest of such views takes part for all of them, and the others are set aside: neither key
+//! views nor partners.
+
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+
+use super::confidence::{Pictures, SPACING};
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    model::scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+};
+
+/// Largest distance of twins over the depth of what they show: half a degree, a tenth of what
+/// partners need.
+const MOST_BASELINE: f64 = 0.01;
+/// Share of the points of each that the other shows, at least.
+const LEAST_OVERLAP: f64 = 0.9;
+/// Largest ratio of their ground sampling distances: beyond, the finer view shows more.
+const MOST_SCALE: f64 = std::f64::consts::SQRT_2;
+/// Observed points of a view that are looked at.
+const SAMPLES: usize = 128;
+
+/// A view that is set aside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Twin {
+    pub view: ViewIndex,
+    /// The view that takes part for it.
+    pub sharper: ViewIndex,
+}
+
+/// Finds the views to set aside, ascending. `without_image`, ascending, takes no part anyway. With
+/// pictures the sharpest view of a place remains, without them that which observes most points;
+/// ties go to the first.
+pub fn twins(
+    scene: &Scene,
+    points: &ViewPoints,
+    without_image: &[ViewIndex],
+    (pictures, image_scale): (&dyn Pictures, f64),
+    watcher: &dyn Watcher,
+) -> Result<Vec<Twin>, Cancelled> {
+    let pairs = pairs(scene, points, without_image);
+    let mut views: Vec<ViewIndex> = pairs.iter().flatten().copied().collect();
+    views.sort_unstable();
+    views.dedup();
+    let rank = |&view: &ViewIndex| {
+        watcher.check()?;
+        // At the size at which it is matched, not half of it.
+        let grey = pictures.grey(scene, view, SPACING * image_scale);
+        let detail = grey
+            .ok()
+            .flatten()
+            .map_or(0.0, |(grey, _)| grey.detail()[0]);
+        Ok((detail, points.observed_by(view).len(), view))
+    };
+    let mut ranked: Vec<(f64, usize, ViewIndex)> = views
+        .par_iter()
+        .map(rank)
+        .collect::<Result<_, Cancelled>>()?;
+    ranked.sort_by(|a, b| {
+        let better = b.0.total_cmp(&a.0).then(b.1.cmp(&a.1));
+        better.then(a.2.cmp(&b.2))
+    });
+    Ok(set_aside(&pairs, ranked.into_iter().map(|(.., view)| view)))
+}
+
+/// Goes through the views, best first: each is set aside if a better one that remains is its twin.
+fn set_aside(pairs: &[[ViewIndex; 2]], best_first: impl Iterator<Item = ViewIndex>) -> Vec<Twin> {
+    let mut both_ways: Vec<[ViewIndex; 2]> =
+        pairs.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
+    both_ways.sort_unstable();
+    let twins_of = |view: ViewIndex| {
+        let start = both_ways.partition_point(|pair| pair[0] < view);
+        both_ways[start..]
+            .iter()
+            .take_while(move |pair| pair[0] == view)
+    };
+    // By view that remains, its place among the best.
+    let mut remain: HashMap<ViewIndex, usize> = HashMap::new();
+    let mut aside = Vec::new();
+    for (place, view) in best_first.enumerate() {
+        let better = twins_of(view).map(|pair| pair[1]);
+        let remaining = better.filter_map(|twin| Some((*remain.get(&twin)?, twin)));
+        match remaining.min() {
+            Some((_, sharper)) => aside.push(Twin { view, sharper }),
+            None => {
+                remain.insert(view, place);
+            }
+        }
+    }
+    aside.sort_unstable();
+    aside
+}
+
+/// A view with the depth of what it shows.
+struct Placed {
+    view: ViewIndex,
+    centre: [f64; 3],
+    /// Lower quartile: what is near moves most.
+    depth: f64,
+    sample: Vec<PointIndex>,
+}
+
+/// Returns all pairs of twins.
+fn pairs(scene: &Scene, points: &ViewPoints, without_image: &[ViewIndex]) -> Vec<[ViewIndex; 2]> {
+    let views: Vec<ViewIndex> = scene.view_indices().collect();
+    let placed = views.par_iter().filter_map(|&view| {
+        let has_image = without_image.binary_search(&view).is_err();
+        has_image
+            .then(|| Placed::new(scene, points, view))
+            .flatten()
+    });
+    let mut placed: Vec<Placed> = placed.collect();
+    placed.sort_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
+    let near = |(i, a): (usize, &Placed)| -> Vec<[ViewIndex; 2]> {
+        let within = |b: &&Placed| b.centre[0] - a.centre[0] <= MOST_BASELINE * a.depth;
+        let after = placed[i + 1..].iter().take_while(within);
+        let twins = after.filter(|b| are_twins(scene, a, b));
+        twins.map(|b| [a.view, b.view]).collect()
+    };
+    placed.par_iter().enumerate().flat_map_iter(near).collect()
+}
+
+impl Placed {
+    fn new(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Option<Self> {
+        let observed = points.observed_by(view);
+        let step = observed.len().div_ceil(SAMPLES).max(1);
+        let sample: Vec<PointIndex> = observed.iter().copied().step_by(step).collect();
+        let (pose, camera) = (&scene.view(view).cam_from_world, scene.camera_of(view));
+        let depth = |point: &PointIndex| {
+            camera.depth(&pose.camera_from_world(&scene.points[point.index()]))
+        };
+        let mut depths: Vec<f64> = sample.iter().map(depth).filter(|&z| z > 0.0).collect();
+        depths.sort_by(f64::total_cmp);
+        Some(Self {
+            view,
+            centre: pose.centre().coords.data.0[0],
+            depth: *depths.get(depths.len() / 4)?,
+            sample,
+        })
+    }
+
+    fn gsd(&self, scene: &Scene) -> f64 {
+        self.depth / scene.camera_of(self.view).mean_focal_length()
+    }
+}
+
+fn are_twins(scene: &Scene, a: &Placed, b: &Placed) -> bool {
+    let baseline = (0..3).map(|axis| (a.centre[axis] - b.centre[axis]).powi(2));
+    let baseline = baseline.sum::<f64>().sqrt();
+    let scale = (a.gsd(scene) / b.gsd(scene)).ln().abs();
+    baseline <= MOST_BASELINE * a.depth.min(b.depth)
+        && scale <= MOST_SCALE.ln()
+        && shows_points_of(scene, a.view, b)
+        && shows_points_of(scene, b.view, a)
+}
+
+fn shows_points_of(scene: &Scene, view: ViewIndex, other: &Placed) -> bool {
+    let (pose, camera) = (&scene.view(view).cam_from_world, scene.camera_of(view));
+    let is_shown = |point: &&PointIndex| {
+        let x_cam = pose.camera_from_world(&scene.points[point.index()]);
+        let pixel = camera.project(&x_cam);
+        pixel.is_some_and(|pixel| camera.contains(&pixel))
+    };
+    let shown = other.sample.iter().filter(is_shown).count();
+    shown as f64 >= LEAST_OVERLAP * other.sample.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, Rotation3, Vector3};
+
+    use super::*;
+    use crate::{
+        base::progress::NoWatcher,
+        method::confidence::{Grey, Mask, PictureError},
+        model::{
+            camera::{Camera, CameraModel},
+            scene::{CameraIndex, Pose, View},
+        },
+    };
+
+    /// Checkerboards whose contrast is the view's entry; none without entries.
+    struct Boards(Vec<u8>);
+
+    impl Pictures for Boards {
+        fn have_images(&self) -> bool {
+            !self.0.is_empty()
+        }
+
+        fn grey(
+            &self,
+            _: &Scene,
+            view: ViewIndex,
+            _: f64,
+        ) -> Result<Option<(Grey, Option<Mask>)>, PictureError> {
+            let level = |i: usize| self.0[view.index()] * ((i % 64 + i / 64) % 2) as u8;
+            let grey = Grey::new(64, 64, (0..64 * 64).map(level).collect());
+            Ok((!self.0.is_empty()).then_some((grey, None)))
+        }
+
+        fn mask(&self, _: &Scene, _: ViewIndex) -> Result<Option<Mask>, PictureError> {
+            Ok(None)
+        }
+    }
+
+    /// Views at these x, with the given focal lengths, of a wall at z = 10 whose points all observe.
+    fn scene(views: &[(f64, f64)]) -> Scene {
+        let camera = |&(_, focal): &(f64, f64)| {
+            let params = vec![focal, focal, 80.0, 60.0];
+            Camera::new(1, CameraModel::Pinhole, 160, 120, params).unwrap()
+        };
+        let view = |(i, &(x, _)): (usize, &(f64, f64))| View {
+            name: format!("{i}"),
+            image_id: i as u32,
+            file_position: i as u32,
+            camera: CameraIndex(i as u32),
+            cam_from_world: Pose {
+                rotation: Rotation3::identity(),
+                translation: Vector3::new(-x, 0.0, 0.0),
+            },
+        };
+        let at = |i: u32| Point3::new(f64::from(i % 10) - 4.5, f64::from(i / 10) - 3.0, 10.0);
+        let points: Vec<_> = (0..70).map(at).collect();
+        let track = || (0..views.len() as u32).map(ViewIndex);
+        Scene {
+            cameras: views.iter().map(camera).collect(),
+            views: views.iter().enumerate().map(view).collect(),
+            track_offsets: (0..=points.len())
+                .map(|point| views.len() * point)
+                .collect(),
+            track_views: points.iter().flat_map(|_| track()).collect(),
+            points,
+            ..Scene::default()
+        }
+    }
+
+    fn found(scene: &Scene, contrasts: &[u8], without_image: &[u32]) -> Vec<(u32, u32)> {
+        let without: Vec<ViewIndex> = without_image.iter().copied().map(ViewIndex).collect();
+        let boards = Boards(contrasts.to_vec());
+        let points = scene.view_points();
+        let twins = twins(scene, &points, &without, (&boards, 1.0), &NoWatcher).unwrap();
+        twins
+            .iter()
+            .map(|twin| (twin.view.0, twin.sharper.0))
+            .collect()
+    }
+
+    #[test]
+    fn the_sharpest_view_of_a_place_takes_part_for_all() {
+        let scene = scene(&[(0.0, 100.0), (1.0, 100.0), (0.02, 100.0), (0.05, 100.0)]);
+        assert_eq!(found(&scene, &[50, 9, 80, 60], &[]), [(0, 2), (3, 2)]);
+        // Equal pictures, or none: the first.
+        assert_eq!(found(&scene, &[50; 4], &[]), [(2, 0), (3, 0)]);
+        assert_eq!(found(&scene, &[], &[]), [(2, 0), (3, 0)]);
+        // A view whose image is missing takes no part for others.
+        assert_eq!(found(&scene, &[50, 9, 80, 60], &[2]), [(0, 3)]);
+    }
+
+    #[test]
+    fn a_slow_walk_keeps_a_view_at_every_hundredth_of_the_depth() {
+        let steps: Vec<_> = (0..9).map(|i| (0.06 * f64::from(i), 100.0)).collect();
+        let aside = found(&scene(&steps), &[], &[]);
+        assert_eq!(aside, [(1, 0), (3, 2), (5, 4), (7, 6)]);
+    }
+
+    #[test]
+    fn views_with_another_field_of_view_or_scale_are_no_twins() {
+        // The tele lens shows less of the wall, and shows it finer.
+        assert_eq!(found(&scene(&[(0.0, 100.0), (0.0, 180.0)]), &[], &[]), []);
+        assert_eq!(found(&scene(&[(0.0, 100.0), (0.2, 100.0)]), &[], &[]), []);
+    }
+}

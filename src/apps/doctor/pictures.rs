@@ -1,0 +1,64 @@
+//! Pictures that add little: blurred ones, and those taken again from the same place.
+
+use rayon::prelude::*;
+
+use super::{Finding, Inputs, Severity};
+use crate::{
+    base::progress::NoWatcher,
+    io::pictures::Pictures,
+    method::{
+        confidence::{self, Sharpness},
+        twins::{self, Twin},
+    },
+    model::scene::ViewIndex,
+};
+
+pub fn findings(inputs: &Inputs) -> Vec<Finding> {
+    [blurred, twins]
+        .iter()
+        .filter_map(|check| check(inputs))
+        .collect()
+}
+
+/// Reports images that are less sharp than the others of their camera.
+fn blurred(inputs: &Inputs) -> Option<Finding> {
+    let pictures = Pictures::new(inputs.project);
+    let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
+    let detail = |&view: &ViewIndex| {
+        let grey = pictures.grey(inputs.scene, view, 1.0).ok().flatten();
+        grey.map_or([0.0; 2], |(grey, _)| grey.detail())
+    };
+    let detail: Vec<[f64; 2]> = views.par_iter().map(detail).collect();
+    let blurred: Vec<ViewIndex> = Sharpness::new(inputs.scene, &detail).blurred().collect();
+    (!blurred.is_empty()).then(|| {
+        let of = format!("{} of {} images", blurred.len(), views.len());
+        let are = if blurred.len() == 1 { "is" } else { "are" };
+        let what = format!("{of} {are} blurred, compared with the others of the same camera");
+        let cure = "leave them out where others show the same; less of them will match";
+        Finding::new(Severity::Warning, "blurred-images", what, cure)
+            .of_views(inputs.named(blurred))
+    })
+}
+
+/// Reports images that show the same from the same place as a sharper one.
+fn twins(inputs: &Inputs) -> Option<Finding> {
+    let (scene, faults) = (inputs.scene, inputs.images);
+    let seen = (
+        &Pictures::new(inputs.project) as &dyn confidence::Pictures,
+        1.0,
+    );
+    let without_image = faults.without_image(scene.views.len());
+    let twins = twins::twins(scene, inputs.points, &without_image, seen, &NoWatcher).ok()?;
+    (!twins.is_empty()).then(|| {
+        let of = format!("{} of {} images", twins.len(), scene.views.len());
+        let show = if twins.len() == 1 { "shows" } else { "show" };
+        let what = format!("{of} {show} the same from the same place as a sharper one");
+        let finding = |twin: &Twin| {
+            let sharper = format!("{} is sharper", scene.name(twin.sharper));
+            inputs.view_finding(twin.view, sharper)
+        };
+        let cure = "nothing to do: plans use the sharper ones alone";
+        Finding::new(Severity::Note, "twin-images", what, cure)
+            .of_views(twins.iter().map(finding).collect())
+    })
+}
