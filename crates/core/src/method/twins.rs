@@ -198,9 +198,11 @@ mod tests {
             view: ViewIndex,
             _: f64,
         ) -> Result<Option<(Grey, Option<Mask>)>, PictureError> {
-            let level = |i: usize| self.0[view.index()] * ((i % 64 + i / 64) % 2) as u8;
-            let grey = Grey::new(64, 64, (0..64 * 64).map(level).collect());
-            Ok((!self.0.is_empty()).then_some((grey, None)))
+            let of_contrast = |&contrast: &u8| {
+                let level = |i: usize| contrast * ((i % 64 + i / 64) % 2) as u8;
+                (Grey::new(64, 64, (0..64 * 64).map(level).collect()), None)
+            };
+            Ok(self.0.get(view.index()).map(of_contrast))
         }
 
         fn mask(&self, _: &Scene, _: ViewIndex) -> Result<Option<Mask>, PictureError> {
