@@ -9,7 +9,7 @@ latency  from the last byte of a model written to the start of planning, beyond 
 soak     2,000 changes over 50 projects, of which some go and come back and some have depth maps: memory, threads, descriptors and watches
          after the first 100 and after all. Wanted: no growth (of memory at most a tenth).
 
-Ends with 1 where something is not as wanted. Needs Linux and Python, nothing else. The long form of the kill test: VIEWRANK_KILLS=3000 cargo test --test daemon_kill.
+Ends with 1 where something is not as wanted. Needs Linux and Python, nothing else. The long form of the kill test: VIEWRANK_KILLS=3000 cargo test --test slow daemon_kill::.
 """
 
 import argparse

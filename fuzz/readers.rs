@@ -1,4 +1,4 @@
-//! Shared code of the fuzz targets and of `tests/fuzz_readers.rs`: replaces one file of a small
+//! Shared code of the fuzz targets and of `tests/slow/fuzz_readers.rs`: replaces one file of a small
 //! valid model by the fuzzer's bytes, and checks that a model that can be read is consistent and
 //! round-trips.
 

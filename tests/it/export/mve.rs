@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use viewrank::MapScale;
 use viewrank_io::depthmaps;
 
-use crate::{Files, Fixture, numbers};
+use super::{Files, Fixture, numbers};
 
 /// Cameras that are there and the references of each feature, as load_photosynther_bundle reads.
 fn bundle(text: &str) -> (Vec<bool>, Vec<Vec<usize>>) {

@@ -6,7 +6,7 @@ use viewrank::backends::{BackendError, ExportOptions};
 use viewrank_core::{base::error::Hint, model::scene::ViewIndex};
 use viewrank_io::formats::openmvs::{Mvs, Vertex, VertexView};
 
-use crate::{Files, Fixture};
+use super::{Files, Fixture};
 
 fn cluster(files: &Files, rank: usize) -> Mvs {
     Mvs::read(files.bytes(&format!("clusters/{rank:04}.mvs"))).unwrap()
@@ -206,7 +206,7 @@ fn shifted_cameras_are_where_they_were() {
         assert!(off < 1e-6, "{}: {off}", files.0.record.backend);
     };
     let files = fixture.export("mvsnet");
-    let cam: Vec<f64> = crate::mvsnet::first_camera(&files)
+    let cam: Vec<f64> = super::mvsnet::first_camera(&files)
         .lines()
         .skip(1)
         .take(3)

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use viewrank::backends::{ExportOptions, References};
 use viewrank_io::formats::colmap_bin;
 
-use crate::Fixture;
+use super::Fixture;
 
 #[test]
 fn nerfstudio_all_splits_needed() {
@@ -130,7 +130,7 @@ fn trap_3dgs_basename_collision() {
     assert!(fixture.export("splat").says("for the same image"));
 }
 
-fn model(files: &crate::Files) -> viewrank_io::formats::colmap::ColmapModel<'static> {
+fn model(files: &super::Files) -> viewrank_io::formats::colmap::ColmapModel<'static> {
     let leak = |name: &str| -> &'static [u8] { Vec::leak(files.bytes(name).to_vec()) };
     let bytes = viewrank_io::formats::Bytes {
         cameras: leak("sparse/0/cameras.bin"),

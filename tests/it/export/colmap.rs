@@ -9,7 +9,7 @@ use viewrank_core::model::{
     scene::CameraIndex,
 };
 
-use crate::{Files, Fixture};
+use super::{Files, Fixture};
 
 /// The problems that patch match reads from a list: pairs of lines; `#` comments and empty lines
 /// vanish.

@@ -17,7 +17,7 @@ use viewrank_io::{
     output::Disk,
 };
 
-use crate::{eventually, make_pipe, options, root, with_daemon};
+use super::{eventually, make_pipe, options, root, with_daemon};
 
 fn town() -> Scene {
     let camera = Camera::new(

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::{Fixture, mvsnet, numbers};
+use super::{Fixture, mvsnet, numbers};
 
 #[test]
 fn acm_partner_must_be_problem() {
@@ -93,7 +93,7 @@ fn acm_double_range_relaxation() {
     let fixture = Fixture::new(3);
     let depths = |dialect: &str| {
         numbers(
-            crate::mvsnet::first_camera(&fixture.export(dialect))
+            super::mvsnet::first_camera(&fixture.export(dialect))
                 .lines()
                 .nth(11)
                 .unwrap(),

@@ -12,7 +12,7 @@ use viewrank_io::{
     project::{Project, ProjectKind},
 };
 
-use crate::{counts, formats, read};
+use super::{counts, formats, read};
 
 #[test]
 fn sure_orientations_round_trip() {

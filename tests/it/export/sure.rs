@@ -4,7 +4,7 @@ use viewrank::{MapScale, backends::ExportOptions};
 use viewrank_core::base::error::Hint;
 use viewrank_io::formats::sure;
 
-use crate::Fixture;
+use super::Fixture;
 
 #[test]
 fn pair_files_are_those_of_the_method() {
@@ -164,7 +164,7 @@ fn ori(text: &str, key: &str) -> Vec<f64> {
         .skip(1);
     after
         .take_while(|line| !line.starts_with('$'))
-        .flat_map(crate::numbers)
+        .flat_map(super::numbers)
         .collect()
 }
 

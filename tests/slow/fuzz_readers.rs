@@ -1,13 +1,13 @@
 //! The fuzz targets on stable Rust: valid files, changed at random. A short run by default;
 //! VIEWRANK_FUZZ_SECONDS is the time per target, VIEWRANK_FUZZ_TARGET one of them.
 
-#[path = "../fuzz/readers.rs"]
+#[path = "../../fuzz/readers.rs"]
 mod readers;
 
-#[path = "../fuzz/inputs.rs"]
+#[path = "../../fuzz/inputs.rs"]
 mod inputs;
 
-#[path = "../fuzz/apps.rs"]
+#[path = "../../fuzz/apps.rs"]
 mod apps;
 
 use std::{

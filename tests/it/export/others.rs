@@ -7,7 +7,7 @@ use serde_json::Value;
 use viewrank::backends::{BackendError, ExportOptions};
 use viewrank_core::model::{cluster::MapScale, scene::ViewIndex};
 
-use crate::{Fixture, numbers, table};
+use super::{Fixture, numbers, table};
 
 // Gipuma
 

@@ -3,7 +3,7 @@
 use viewrank::MapScale;
 use viewrank_core::model::scene::{CameraIndex, ViewIndex};
 
-use crate::{Files, Fixture, numbers, table};
+use super::{Files, Fixture, numbers, table};
 
 /// Key view, partners and scores, as PatchmatchNet and cascade read: line by line.
 fn pairs_by_line(text: &str) -> Vec<(usize, Vec<(usize, f64)>)> {

@@ -1,6 +1,6 @@
 //! PMVS2: its option reader and the reader of vis.dat, by position.
 
-use crate::{Fixture, numbers};
+use super::{Fixture, numbers};
 
 /// `name value`, where timages and oimages hold a counted list.
 fn options(text: &str) -> (Vec<usize>, Vec<usize>, Vec<String>) {

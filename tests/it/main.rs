@@ -1,0 +1,22 @@
+//! Tests of the library and of the program on whole projects, one module for each promise.
+//! `tests/slow/` has those that take longer.
+
+mod attacks;
+mod bombs;
+mod cells;
+mod confidence;
+mod daemon_loop;
+mod export;
+mod floors;
+mod kept;
+mod output;
+mod plan;
+mod readers;
+mod readers_foreign;
+mod readers_hostile;
+mod region;
+mod replan;
+mod round_trips;
+mod schema;
+mod train;
+mod windows;
