@@ -19,4 +19,5 @@ mod replan;
 mod round_trips;
 mod schema;
 mod train;
+mod twins;
 mod windows;
