@@ -37,8 +37,8 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         project = Path(folder) / "valley"
         shutil.copytree(ROOT / "fixtures/valley", project, ignore=shutil.ignore_patterns("viewrank"))
-        for command in ("plan", "report"):
-            subprocess.run([options.viewrank.resolve(), command, project, "--quiet"], check=True)
+        for command in (["plan", "--backend", "openmvs"], ["report"]):
+            subprocess.run([options.viewrank.resolve(), *command, project, "--quiet"], check=True)
         page = project / "viewrank/report.html"
         (OUT / "fill.svg").write_text(fill(read(page)))
         (OUT / "method.svg").write_text(method())

@@ -212,8 +212,8 @@ const ADVICE: [(&str, &[&str]); 4] = [
         ],
     ),
     (
-        "everything is said already; --quiet says less",
-        &["--verbose", "--debug", "-v"],
+        "viewrank plan --verbose says most; --quiet says less",
+        &["--debug", "-v"],
     ),
 ];
 

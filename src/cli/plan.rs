@@ -172,6 +172,9 @@ pub struct Arguments {
     /// No progress and no summary; warnings and errors only
     #[arg(long, short, help_heading = "Output")]
     quiet: bool,
+    /// A summary with all shares and bounds
+    #[arg(long, conflicts_with = "quiet", help_heading = "Output")]
+    verbose: bool,
     /// Format of the summary on stdout
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
@@ -548,7 +551,7 @@ fn report(
     let summary = Summary::new(project, plan, files, arguments.dry_run, next);
     match arguments.format {
         Format::Json => return print_json(&summary),
-        Format::Text if !arguments.quiet => print(summary.text())?,
+        Format::Text if !arguments.quiet => print(summary.text(arguments.verbose))?,
         Format::Text => {}
     }
     // What the error will say is no warning as well.

@@ -134,12 +134,13 @@ impl<'a> Summary<'a> {
         }
     }
 
-    pub fn text(&self) -> Vec<String> {
+    /// Returns the lines of the summary; all of them if `is_verbose`.
+    pub fn text(&self, is_verbose: bool) -> Vec<String> {
         let parts = [
             self.found(),
-            self.advice(),
+            self.advice(is_verbose),
             self.curve(),
-            self.worth(),
+            self.worth(is_verbose),
             self.where_to_look(),
         ];
         parts.join(&String::new())
@@ -170,146 +171,126 @@ impl<'a> Summary<'a> {
         lines
     }
 
-    fn advice(&self) -> Vec<String> {
-        let [maps, all] = [self.cut.clusters, self.forecast.all_maps].map(grouped);
-        let [pairs, all_pairs] = [self.cut.pairs, self.forecast.all_pairs].map(grouped);
-        let what = match self.use_of_views {
-            Some(verb) => format!("{verb} {maps} of {all} images"),
-            None if self.is_finished() => {
-                format!("All depth maps of the plan are finished, {maps} of {all}")
-            }
-            None if self.forecast.maps_at_half > 0 => {
-                let [full, half] = [
-                    self.forecast.maps - self.forecast.maps_at_half,
-                    self.forecast.maps_at_half,
-                ]
-                .map(grouped);
-                let work = 100.0 * self.forecast.work;
-                let maps = match self.forecast.maps - self.forecast.maps_at_half {
-                    0 => format!("{half} of {all} depth maps, at half size"),
-                    _ => format!(
-                        "{maps} of {all} depth maps, {full} at full and {half} at half size"
-                    ),
-                };
-                format!("Compute {maps}, {work:.0} % of the work")
-            }
-            None => format!(
-                "Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"
-            ),
+    fn advice(&self, is_verbose: bool) -> Vec<String> {
+        let band = match self.is_finished() {
+            true => String::new(),
+            false => format!(" (likely {})", self.cut.share_band),
         };
-        let (all_maps, expected) = match self.is_finished() {
-            true => (format!("all {all}"), None),
-            false => (
-                "all of them".into(),
-                Some(format!(
-                    "Measured, it will likely be {}.",
-                    self.cut.share_band
-                )),
-            ),
-        };
-        let (share, weight) = (self.cut.share * 100.0, self.weight());
+        let share = whole_percent(self.cut.share);
         let mut lines = vec![
-            format!("{what}:"),
-            format!("{share:.1} % of what {all_maps} together would give{weight}."),
+            format!("{}:", self.what()),
+            format!("{share} of {}{band}.", self.whole()),
         ];
-        lines.extend(self.area().into_iter().chain(expected));
-        lines.extend(self.certificate());
         lines.extend(
             [self.given_up(), self.beyond_gate(), self.done()]
                 .into_iter()
                 .flatten(),
         );
+        if is_verbose {
+            lines.extend(self.other_shares());
+        }
         lines
     }
 
-    /// Share of the fused area, unless it is the headline's.
-    fn area(&self) -> Option<String> {
-        let cluster = self
-            .cut
-            .clusters
-            .checked_sub(1)
-            .and_then(|last| self.manifest.clusters.get(last));
-        match cluster {
-            Some(cluster) if self.weight != TriangleWeight::Area && self.use_of_views.is_none() => {
-                Some(format!(
-                    "The fused cloud will cover {:.0} % of the area of theirs.",
-                    100.0 * cluster.area
-                ))
+    /// What to compute.
+    fn what(&self) -> String {
+        let [maps, all] = [self.cut.clusters, self.forecast.all_maps].map(grouped);
+        let [pairs, all_pairs] = [self.cut.pairs, self.forecast.all_pairs].map(grouped);
+        if let Some(verb) = self.use_of_views {
+            return format!("{verb} {maps} of {all} images");
+        }
+        if self.is_finished() {
+            return format!("All depth maps of the plan are finished, {maps} of {all}");
+        }
+        if self.forecast.maps_at_half == 0 {
+            return format!(
+                "Compute {maps} of {all} depth maps ({pairs} of {all_pairs} image pairs)"
+            );
+        }
+        let [full, half] = [
+            self.forecast.maps - self.forecast.maps_at_half,
+            self.forecast.maps_at_half,
+        ];
+        let work = 100.0 * self.forecast.work;
+        match full {
+            0 => {
+                format!("Compute {maps} of {all} depth maps, at half size, {work:.0} % of the work")
             }
-            _ => None,
+            _ => format!(
+                "Compute {maps} of {all} depth maps, {full} at full and {half} at half size, {work:.0} % of the work"
+            ),
         }
     }
 
-    /// Words for the weight of the share.
-    fn weight(&self) -> &'static str {
-        if self.counts_places && self.weight != TriangleWeight::Area {
-            return match self.region {
-                Some(_) => " inside the region, by the places on which thumbnails agree",
-                None => ", by the places on which thumbnails agree",
-            };
-        }
-        match self.weight {
-            TriangleWeight::Pixels if self.region.is_some() => " inside the region, by pixels",
-            TriangleWeight::Area if self.region.is_some() => " inside the region, by area",
-            TriangleWeight::Count if self.region.is_some() => " inside the region, by triangles",
-            TriangleWeight::Pixels => ", by the pixels that show it",
-            TriangleWeight::Area => ", by its area",
-            TriangleWeight::Count => ", by triangles",
+    /// The denominator of the share.
+    fn whole(&self) -> String {
+        let all = grouped(self.forecast.all_maps);
+        let inside = match self.region {
+            Some(_) => " inside the region",
+            None => "",
+        };
+        match self.use_of_views {
+            Some(_) => format!("what all {all} show{inside}"),
+            None => format!("the cloud of all {all}{inside}"),
         }
     }
 
-    /// Formats the share of the target that all depth maps reach, and the proven bound on any
-    /// better choice of equal length (method 5.2).
-    fn certificate(&self) -> Vec<String> {
+    /// The share in other weights, what all depth maps give of what is wanted, and the proven bound
+    /// on any other choice of equal length (method 5.2).
+    fn other_shares(&self) -> Vec<String> {
         let Cut {
             reachable,
             reachable_band,
             fulfilment,
+            given_up,
             ..
         } = self.cut;
-        let all = format!(
-            "All together give {:.0} % of what is wanted (likely {reachable_band}).",
-            100.0 * reachable
-        );
-        let alike = if self.forecast.maps_at_half > 0 {
-            "work"
-        } else {
-            "length"
+        let counted = match self.weight {
+            _ if self.counts_places => "the places on which thumbnails agree",
+            TriangleWeight::Pixels => "the pixels that show the surface",
+            TriangleWeight::Area => "the area of the surface",
+            TriangleWeight::Count => "triangles",
         };
-        let bound = || {
-            format!(
+        let mut lines = vec![format!("The share counts {counted}.")];
+        let last = self.cut.clusters.checked_sub(1);
+        let last = last.and_then(|last| self.manifest.clusters.get(last));
+        lines.extend(last.map(|last| format!("By area it is {}.", whole_percent(last.area))));
+        if given_up.single_map > 0.0 {
+            lines.push(format!(
+                "Planned once, but kept only if two agree: {:.1} %.",
+                100.0 * given_up.single_map / reachable
+            ));
+        }
+        lines.push(format!(
+            "All together give {} of what is wanted (likely {reachable_band}).",
+            whole_percent(reachable)
+        ));
+        if fulfilment > 0.0 {
+            let alike = match self.forecast.maps_at_half {
+                0 => "length",
+                _ => "work",
+            };
+            lines.push(format!(
                 "No choice of the same {alike} is {} better.",
                 self.cut.more_of_others()
-            )
-        };
-        [Some(all), (fulfilment > 0.0).then(bound)]
-            .into_iter()
-            .flatten()
-            .collect()
+            ));
+        }
+        lines
     }
 
     /// Formats the areas that the cut gives up (method 5.3), as shares of what all depth maps give.
     fn given_up(&self) -> Option<String> {
         let Cut {
             reachable,
-            given_up:
-                GivenUp {
-                    border,
-                    inside,
-                    single_map,
-                },
+            given_up: GivenUp { border, inside, .. },
             ..
         } = self.cut;
         if border + inside <= 0.0 {
             return None;
         }
         let share = |weight: f64| format!("{:.1} %", 100.0 * weight / reachable);
-        let alone = match single_map > 0.0 {
-            true => format!("; {} of it has one map only", share(single_map)),
-            false => String::new(),
-        };
         Some(format!(
-            "Given up: {} at the border, {} inside{alone}.",
+            "Left out: {} at the border, {} inside.",
             share(border),
             share(inside)
         ))
@@ -344,7 +325,7 @@ impl<'a> Summary<'a> {
                 grouped(self.finished)
             ),
         };
-        Some(format!("{which} reach about {reached:.1} % of that."))
+        Some(format!("{which} give about {reached:.0} % of that cloud."))
     }
 
     /// Formats a few points of the curve.
@@ -369,7 +350,7 @@ impl<'a> Summary<'a> {
         })];
         for length in lengths {
             let pairs: usize = clusters[..length].iter().map(|c| c.partners.len()).sum();
-            let quality = clusters[length - 1].share * 100.0;
+            let quality = whole_percent(clusters[length - 1].share);
             let rest = self.forecast.all_maps.saturating_sub(length);
             let mark = match length {
                 _ if length == clusters.len() && rest > 0 => {
@@ -386,7 +367,7 @@ impl<'a> Summary<'a> {
                 (false, _) => String::new(),
             };
             lines.push(format!(
-                "  {:>10}{pairs}  {quality:>5.1} %{mark}",
+                "  {:>10}{pairs}  {quality:>7}{mark}",
                 grouped(length)
             ));
         }
@@ -419,7 +400,7 @@ impl<'a> Summary<'a> {
     }
 
     /// Formats whether planning is worth its time (method 5.6).
-    fn worth(&self) -> Vec<String> {
+    fn worth(&self, is_verbose: bool) -> Vec<String> {
         let planning = self.timings.total();
         let time = match (self.speed_up, self.forecast.seconds) {
             (Some(speed_up), Some(_)) if speed_up < 1.0 => {
@@ -440,7 +421,7 @@ impl<'a> Summary<'a> {
                 return vec![format!("Planning took {planning:.1} s.")];
             }
             _ => match self.forecast.break_even(planning) {
-                Some(seconds) if planning >= 0.05 => {
+                Some(seconds) if is_verbose && planning >= 0.05 => {
                     format!(
                         "It pays if a depth map takes more than {} s.",
                         rounded(seconds)
@@ -477,6 +458,15 @@ impl<'a> Summary<'a> {
                 format!("Next: {}", self.next),
             ],
         }
+    }
+}
+
+/// Formats a share without decimals, but not as all while something is missing.
+fn whole_percent(share: f64) -> String {
+    let percent = 100.0 * share;
+    match percent {
+        _ if percent >= 99.5 && percent < 99.95 => format!("{percent:.1} %"),
+        _ => format!("{percent:.0} %"),
     }
 }
 

@@ -22,7 +22,9 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
 
 /// Reports images that are less sharp than the others of their camera.
 fn blurred(inputs: &Inputs) -> Option<Finding> {
-    let pictures = Pictures::new(inputs.project);
+    // What is left of a damaged image says nothing of its sharpness.
+    let without_image = inputs.images.without_image(inputs.scene.views.len());
+    let pictures = Pictures::new(inputs.project).without(&without_image);
     let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
     let detail = |&view: &ViewIndex| {
         let grey = pictures.grey(inputs.scene, view, 1.0).ok().flatten();

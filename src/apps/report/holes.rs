@@ -71,12 +71,13 @@ impl Hole {
             _ if views < needed as usize => {
                 format!("too few views: {} of the {needed} needed", count(views))
             }
-            Reason::TooCoarse => {
+            Reason::TooCoarse if gsd_ratio >= 1.05 => {
                 format!(
-                    "too coarse: the closest view is {:.1} times too far away",
-                    gsd_ratio.max(1.0)
+                    "too coarse: the closest view is {:.0} % too far away",
+                    100.0 * (gsd_ratio - 1.0)
                 )
             }
+            Reason::TooCoarse => "too coarse: the closest views see it too obliquely".into(),
             _ if angle_deg < WIDE_DEG => {
                 format!(
                     "angle: its {} are within {angle_deg:.0}° of each other",

@@ -133,7 +133,8 @@ function percent(share, digits = 1) {
 // Share added by a cluster at its rank, with more digits where it is small. None where another map has to confirm it first.
 function gainText(rank) {
   const share = shareAt(rank) - shareAt(rank - 1);
-  return `+${percent(share, share >= 0.001 || share <= 0 ? 2 : 4)}`;
+  // Of the first map, nothing counts until another agrees.
+  return share > 0 ? `+${percent(share, share >= 0.001 ? 1 : 4)}` : 'with others';
 }
 
 function short(number) {
