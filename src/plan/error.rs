@@ -128,7 +128,7 @@ impl Hint for PlanError {
                 " or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
             ),
             Self::Memory {
-                stage: memory::PICTURES,
+                stage: memory::PICTURES | memory::PILOT,
                 with_picture,
                 ..
             } => allow(*with_picture)

@@ -18,6 +18,7 @@ use crate::{
         confidence::{Confidence, Sharpness},
         fulfilment::Model,
         geometry::Geometry,
+        pilot::Thumbnails,
         ranking::Objective,
         region::Region,
         surface::{Surface, SurfaceStats},
@@ -119,7 +120,9 @@ impl Stages {
             mask_bytes: &|| *mask_bytes,
         })?;
         let room = || memory.before_pictures(&geometry, *mask_bytes);
-        let compared = steps::agreement(&inputs, &geometry, &candidates, room, &mut run)?;
+        let thumbnails = Thumbnails::new(inputs.scene.views.len());
+        let compared =
+            steps::agreement(&inputs, &geometry, &candidates, room, &thumbnails, &mut run)?;
         let (agreement_file, agreement) = compared.unzip();
         let agreement = agreement.unwrap_or_default();
         picture_warnings.extend(agreement.warnings.iter().cloned());
@@ -144,6 +147,8 @@ impl Stages {
                 inputs: &inputs,
                 clusters_file: &clusters_file,
                 clusters: &clusters,
+                thumbnails,
+                memory: &mut memory,
             })?),
             false => None,
         };

@@ -17,7 +17,7 @@ use crate::{
         fulfilment::{self, Model},
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
-        pilot::{self, Places},
+        pilot::{self, Places, Thumbnails},
         region::Region,
         twins::{self, Twin},
         visibility::Shown,
@@ -252,12 +252,13 @@ impl Step for UnaryStep<'_> {
 }
 
 /// Compares the pictures of candidate pairs, within what the backend can match of each, if
-/// confidence is photometric.
+/// confidence is photometric; thumbnails are taken of those that are read.
 pub(super) fn agreement(
     inputs: &Inputs,
     geometry: &Geometry,
     candidates: &Candidates,
     room: impl FnOnce() -> Result<SampleRoom, PlanError>,
+    thumbnails: &Thumbnails,
     run: &mut Run,
 ) -> Result<Option<Filed<Agreement>>, PlanError> {
     let Inputs {
@@ -291,8 +292,9 @@ pub(super) fn agreement(
             match cached::agreement::read(file, geometry, partners)? {
                 (file, Some(agreement)) => (file, agreement),
                 (file, None) => {
+                    let pictures = thumbnails.beside(pictures);
                     let agreement =
-                        Agreement::new(geometry, pictures, partners, &reach, room()?, watcher)?;
+                        Agreement::new(geometry, &pictures, partners, &reach, room()?, watcher)?;
                     (file, agreement)
                 }
             },
@@ -359,6 +361,9 @@ pub(super) struct PilotStep<'a> {
     pub inputs: &'a Inputs<'a>,
     pub clusters_file: &'a ResultFile,
     pub clusters: &'a [ViewCluster],
+    /// Those that were taken while pictures were compared.
+    pub thumbnails: Thumbnails,
+    pub memory: &'a mut Memory,
 }
 
 impl Step for PilotStep<'_> {
@@ -384,9 +389,15 @@ impl Step for PilotStep<'_> {
             scene,
             points,
             pictures,
+            settings,
             ..
         } = self.inputs;
-        let maps = pilot::maps(scene, points, self.clusters, pictures, watcher)?;
+        self.memory.before_pilot(scene)?;
+        let seen = (
+            pictures as &dyn confidence::Pictures,
+            settings.image_scale(),
+        );
+        let maps = pilot::maps(scene, points, self.clusters, self.thumbnails, seen, watcher)?;
         Ok(Places::new(self.clusters, &maps, watcher)?)
     }
 }

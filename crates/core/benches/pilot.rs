@@ -104,7 +104,10 @@ fn main() {
         .unwrap();
     one.install(|| {
         let start = Instant::now();
-        let maps = pilot::maps(&scene, &points, &clusters, &Ground, &NoWatcher).unwrap();
+        let thumbnails = pilot::Thumbnails::new(scene.views.len());
+        let pictures = (&Ground as &dyn Pictures, 1.0);
+        let maps = pilot::maps(&scene, &points, &clusters, thumbnails, pictures, &NoWatcher);
+        let maps = maps.unwrap();
         let matched = start.elapsed();
         let places = pilot::Places::new(&clusters, &maps, &NoWatcher).unwrap();
         let counted = start.elapsed() - matched;

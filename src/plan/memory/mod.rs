@@ -31,6 +31,7 @@ use crate::{
         confidence::SampleRoom,
         fulfilment::FulfilmentTable,
         geometry::Geometry,
+        pilot,
         surface::{
             Surface, SurfaceError,
             refine::{MAX_TRIANGLES, RefineError, TRIANGLE_BYTES},
@@ -44,6 +45,8 @@ use crate::{
 pub(super) const SURFACE: &str = "surface";
 /// The stage that needs less memory without pictures.
 pub(super) const PICTURES: &str = "comparison of pictures";
+/// The stage that needs none without pictures.
+pub(super) const PILOT: &str = "pilot";
 /// The stage that needs less memory with smaller masks.
 pub(super) const MASKS: &str = "reading of masks";
 const MODEL: &str = "model with its surface";
@@ -89,6 +92,8 @@ pub struct Memory {
     pub confidence: u64,
     /// Partners, fulfilment and ranking.
     pub partners: u64,
+    /// Thumbnails and their maps; 0 if none are matched.
+    pub pilot: u64,
     /// Tables on disk; 0 if they fit in memory.
     pub disk: u64,
     #[serde(skip)]
@@ -251,6 +256,15 @@ impl Memory {
         self.check_limit("fulfilment table", self.partners)
     }
 
+    /// Forecasts the pilot: thumbnails and maps of all views, and the costs of the planes of one view
+    /// per thread.
+    pub(super) fn before_pilot(&mut self, scene: &Scene) -> Result<(), PlanError> {
+        let threads = rayon::current_num_threads() as u64;
+        let [of_all, of_one] = pilot::bytes(scene);
+        self.pilot = self.tables + of_all + threads * of_one.max(self.basis.picture);
+        self.check_limit(PILOT, self.pilot)
+    }
+
     /// Forecasts the reading of masks; returns the number of views per batch, at least 1.
     /// `of_mask`: bytes for the largest one.
     pub(super) fn before_masks(
@@ -396,6 +410,7 @@ impl Memory {
             .max(self.visibility)
             .max(self.confidence)
             .max(self.partners)
+            .max(self.pilot)
     }
 }
 

@@ -17,27 +17,35 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-pub use self::{pinhole::Pinhole, places::Places, sweep::PilotMap};
+pub use self::{
+    pinhole::Pinhole,
+    places::Places,
+    sweep::PilotMap,
+    thumbnail::{PicturesWithThumbnails, Thumbnails},
+};
 use self::{
-    sweep::{Planes, Scratch},
+    sweep::{MOST_PLANES, Planes, Scratch},
     thumbnail::Thumbnail,
 };
 use super::confidence::Pictures;
 use crate::{
     base::progress::{Cancelled, Stage, Watcher},
     model::{
+        camera::Camera,
         cluster::ViewCluster,
-        scene::{Scene, ViewIndex, ViewPoints},
+        scene::{Scene, View, ViewIndex, ViewPoints},
     },
 };
 
 /// Matches each cluster in thumbnails, and keeps the depths that other maps confirm. A cluster
-/// without a thumbnail, or without sparse points, has no map.
+/// without a thumbnail, or without sparse points, has no map. Thumbnails that are missing are made
+/// of `pictures`, which are read for matching at `image_scale`.
 pub fn maps(
     scene: &Scene,
     points: &ViewPoints,
     clusters: &[ViewCluster],
-    pictures: &dyn Pictures,
+    thumbnails: Thumbnails,
+    (pictures, image_scale): (&dyn Pictures, f64),
     watcher: &dyn Watcher,
 ) -> Result<Vec<Option<PilotMap>>, Cancelled> {
     let mut wanted = vec![false; scene.views.len()];
@@ -45,16 +53,15 @@ pub fn maps(
         let views = cluster.partners.iter().chain([&cluster.key]);
         views.for_each(|view| wanted[view.index()] = true);
     }
-    let thumbnail = |view: ViewIndex| {
+    let wanted: Vec<ViewIndex> = scene
+        .view_indices()
+        .filter(|view| wanted[view.index()])
+        .collect();
+    wanted.par_iter().try_for_each(|&view| {
         watcher.check()?;
-        let is_wanted = wanted[view.index()];
-        Ok(is_wanted
-            .then(|| Thumbnail::of(scene, view, pictures))
-            .flatten())
-    };
-    let views: Vec<ViewIndex> = scene.view_indices().collect();
-    let thumbnails = views.par_iter().map(|&view| thumbnail(view));
-    let thumbnails: Vec<Option<Thumbnail>> = thumbnails.collect::<Result<_, Cancelled>>()?;
+        thumbnails.read(scene, view, (pictures, image_scale));
+        Ok(())
+    })?;
     let done = AtomicU64::new(0);
     watcher.progress(Stage::Pilot, 0, clusters.len() as u64);
     let matched = clusters
@@ -68,7 +75,29 @@ pub fn maps(
         });
     let matched: Vec<Option<PilotMap>> = matched.collect::<Result<_, Cancelled>>()?;
     watcher.check()?;
+    // No longer needed, and larger than the maps.
+    drop(thumbnails);
     Ok(confirm::confirmed(clusters, &matched))
+}
+
+/// Bytes per pixel of a thumbnail, with its quads and mask, and of its map before it is confirmed.
+const VIEW_PIXEL: u64 = 1 + 4 + 1 + 4;
+/// Bytes per pixel while a view is matched: costs of the planes and their sums, and rows of floats.
+const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60;
+
+/// Returns the memory of the thumbnails and maps of all views, and of one view that is being
+/// matched, bytes.
+pub fn bytes(scene: &Scene) -> [u64; 2] {
+    let pixels = |camera: &Camera| {
+        let [width, height] = thumbnail::size(camera).map(|side| side as u64);
+        width * height
+    };
+    let of_view = |view: &View| pixels(&scene.cameras[view.camera.index()]);
+    let most = scene.cameras.iter().map(pixels).max().unwrap_or_default();
+    [
+        VIEW_PIXEL * scene.views.iter().map(of_view).sum::<u64>(),
+        SWEPT_PIXEL * most,
+    ]
 }
 
 /// Share of the sparse points that may be outside the searched depths, at each end.
@@ -80,12 +109,14 @@ fn map(
     scene: &Scene,
     points: &ViewPoints,
     cluster: &ViewCluster,
-    thumbnails: &[Option<Thumbnail>],
+    thumbnails: &Thumbnails,
     scratch: &mut Scratch,
 ) -> Option<PilotMap> {
-    let key = thumbnails[cluster.key.index()].as_ref()?;
-    let of_partner = |view: &ViewIndex| thumbnails[view.index()].as_ref();
-    let partners: Vec<&Thumbnail> = cluster.partners.iter().filter_map(of_partner).collect();
+    let key = thumbnails.of_view(cluster.key)?;
+    let partners = cluster.partners.iter();
+    let partners: Vec<&Thumbnail> = partners
+        .filter_map(|&view| thumbnails.of_view(view))
+        .collect();
     if partners.is_empty() {
         return None;
     }
@@ -120,8 +151,8 @@ mod tests {
         base::progress::NoWatcher,
         method::confidence::{Grey, Mask, PictureError},
         model::{
-            camera::{Camera, CameraModel},
-            scene::{CameraIndex, Pose, View},
+            camera::CameraModel,
+            scene::{CameraIndex, Pose},
         },
     };
 
@@ -203,10 +234,27 @@ mod tests {
         (scene, (0..4).map(cluster).collect())
     }
 
+    fn matched(scene: &Scene, clusters: &[ViewCluster]) -> Vec<Option<PilotMap>> {
+        let thumbnails = Thumbnails::new(scene.views.len());
+        // One is there already, as after a comparison of the pictures.
+        let beside = thumbnails.beside(&Stage);
+        beside.grey(scene, ViewIndex(1), 1.0).unwrap();
+        let points = scene.view_points();
+        maps(
+            scene,
+            &points,
+            clusters,
+            thumbnails,
+            (&Stage, 1.0),
+            &NoWatcher,
+        )
+        .unwrap()
+    }
+
     #[test]
     fn maps_show_the_ground_and_the_wall() {
         let (scene, clusters) = scene();
-        let maps = maps(&scene, &scene.view_points(), &clusters, &Stage, &NoWatcher).unwrap();
+        let maps = matched(&scene, &clusters);
         for (cluster, map) in clusters.iter().zip(&maps) {
             let map = map.as_ref().unwrap();
             let (mut right, mut wrong) = (0, 0);
@@ -255,7 +303,7 @@ mod tests {
         scene.points.clear();
         scene.track_views.clear();
         scene.track_offsets = vec![0];
-        let found = maps(&scene, &scene.view_points(), &clusters, &Stage, &NoWatcher).unwrap();
+        let found = matched(&scene, &clusters);
         assert_eq!(found, [None, None, None, None]);
         let places = Places::new(&clusters, &found, &NoWatcher).unwrap();
         assert!(places.centres.is_empty());

@@ -26,7 +26,7 @@ const NOISE: f32 = 4.0;
 const WORST: f32 = 64.0;
 /// Numbers of planes, whatever the range of depths.
 const LEAST_PLANES: f64 = 24.0;
-const MOST_PLANES: f64 = 128.0;
+pub(super) const MOST_PLANES: f64 = 128.0;
 
 /// Inverse depths to search: `first + step d`, d = 0, ..., `count - 1`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -36,11 +36,18 @@ impl Grey {
         [self.levels[0].width, self.levels[0].height]
     }
 
-    /// Samples the largest level bilinearly at a position whose first pixel has its centre at (0.5,
-    /// 0.5), clamped to the picture; rounded to a grey level.
-    pub fn at(&self, [x, y]: [f64; 2]) -> u8 {
-        let level = &self.levels[0];
-        let clamp = |at: f64, side: usize| (at - 0.5).clamp(0.0, (side - 1) as f64);
+    /// Returns the smallest level whose longer side has at least `side` pixels, else the largest.
+    pub fn level_of(&self, side: f64) -> usize {
+        let is_enough = |level: &Level| level.width.max(level.height) as f64 >= side;
+        self.levels.iter().rposition(is_enough).unwrap_or_default()
+    }
+
+    /// Samples a level bilinearly at a position in shares of the picture's width and height, clamped
+    /// to the picture; rounded to a grey level.
+    pub fn at(&self, level: usize, [x, y]: [f64; 2]) -> u8 {
+        let level = &self.levels[level];
+        let clamp =
+            |share: f64, side: usize| (share * side as f64 - 0.5).clamp(0.0, (side - 1) as f64);
         let (x, y) = (clamp(x, level.width), clamp(y, level.height));
         let (left, top) = (x as usize, y as usize);
         let (fx, fy) = (x - left as f64, y - top as f64);
