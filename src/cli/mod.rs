@@ -15,6 +15,7 @@ mod export;
 mod inspect;
 mod log;
 mod next;
+mod pilot;
 mod plan;
 mod predict;
 mod progress;
@@ -180,6 +181,7 @@ struct Arguments {
 #[allow(clippy::large_enum_variant)]
 enum Command {
     Plan(plan::Arguments),
+    Pilot(pilot::Arguments),
     Run(run::Arguments),
     Evaluate(evaluate::Arguments),
     Train(train::Arguments),
@@ -218,6 +220,7 @@ pub fn run_with(arguments: impl IntoIterator<Item = OsString>) -> Exit {
 fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
     match arguments::parse(arguments.into_iter().collect())?.command {
         Command::Plan(arguments) => plan::run(&arguments),
+        Command::Pilot(arguments) => pilot::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),

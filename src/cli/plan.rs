@@ -128,6 +128,10 @@ pub struct Arguments {
     /// Don't place the model on earth by the GPS positions in its images
     #[arg(long, help_heading = "Method")]
     no_gps: bool,
+    /// Rank by these small depth maps of the backend, which viewrank pilot prepares, in place of
+    /// viewrank's own
+    #[arg(long, value_name = "DIR", help_heading = "Method")]
+    pilot: Option<PathBuf>,
     /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and
     /// re-rank the rest by their measured quality
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), help_heading = "Method")]
@@ -382,6 +386,7 @@ impl Arguments {
             self.mesh_as_is.then_some(true),
         );
         typed.set("--images", "images", self.images.as_ref().map(path));
+        typed.set("--pilot", "pilot.maps", self.pilot.as_ref().map(path));
         typed.set("--no-gps", "frame.gps", self.no_gps.then_some(false));
         typed.set("--backend", "backends", self.backend.clone());
         typed.set("--seed", "seed", self.seed);

@@ -465,7 +465,7 @@ impl<'a> Summary<'a> {
 fn whole_percent(share: f64) -> String {
     let percent = 100.0 * share;
     match percent {
-        _ if percent >= 99.5 && percent < 99.95 => format!("{percent:.1} %"),
+        percent if (99.5..99.95).contains(&percent) => format!("{percent:.1} %"),
         _ => format!("{percent:.0} %"),
     }
 }

@@ -76,6 +76,7 @@ pub struct Settings {
     pub visibility: VisibilitySettings,
     pub partners: PartnerSettings,
     pub confidence: ConfidenceSettings,
+    pub pilot: PilotSettings,
     pub ranking: RankingSettings,
     pub cut: CutSettings,
     pub forecast: ForecastSettings,
@@ -108,6 +109,15 @@ impl Settings {
     pub fn image_scale(&self) -> f64 {
         self.image_scale.unwrap_or(1.0)
     }
+}
+
+/// The pilot (method 5.9): all views matched small, before any is ranked.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PilotSettings {
+    /// Folder of small depth maps of the backend, in place of viewrank's own. Unset: thumbnails are
+    /// matched.
+    pub maps: Option<PathBuf>,
 }
 
 /// Georeference of the model. Unset: from the files of OpenSfM or OpenDroneMap, or recognised from

@@ -11,7 +11,7 @@ use crate::{
     },
     config::UnknownBackend,
     decision::DecisionError,
-    io::project::ProjectError,
+    io::{depthmaps::DepthMapError, project::ProjectError},
     method::{region::RegionError, surface::SurfaceError},
 };
 
@@ -65,6 +65,9 @@ pub enum PlanError {
         most: u64,
         with_picture: u64,
     },
+    /// The folder of `pilot.maps`.
+    #[error("the pilot: {0}")]
+    PilotMaps(#[from] DepthMapError),
     #[error(transparent)]
     Disk(#[from] DiskError),
     #[error(transparent)]
@@ -120,6 +123,10 @@ impl Hint for PlanError {
             Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
             Self::Decision(error) => return error.hint(),
+            Self::PilotMaps(_) => {
+                Advice::text("give the folder of finished small maps (viewrank pilot makes their list): ")
+                    .set("pilot.maps")
+            }
             Self::Memory {
                 stage: memory::SURFACE,
                 with_picture,

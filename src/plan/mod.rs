@@ -14,6 +14,7 @@ mod georeference;
 mod inputs;
 mod memory;
 mod mesh;
+mod pilot_maps;
 mod region;
 mod stages;
 mod step;

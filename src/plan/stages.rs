@@ -6,6 +6,7 @@ use super::{
     Matcher, Memory, PlanError, Timings, UncutRanking, WorkPerMap,
     cached::{self, Cached},
     inputs::Inputs,
+    pilot_maps::PilotMaps,
     step::Run,
     steps::{self, ClustersStep, PilotStep, ShownStep, TwinsStep, UnaryStep},
 };
@@ -142,11 +143,15 @@ impl Stages {
         let is_agreement_wanted = objective.support > 1;
         let has_pictures = matches!(inputs.confidence, Confidence::Photometric { .. })
             && inputs.pictures.have_images();
-        let seen_in_thumbnails = match has_pictures && is_agreement_wanted {
+        let made = settings.pilot.maps.as_deref();
+        let made = made.map(|folder| PilotMaps::find(folder, &inputs.scene));
+        let made = made.transpose()?;
+        let seen_in_thumbnails = match (has_pictures || made.is_some()) && is_agreement_wanted {
             true => Some(run.step(PilotStep {
                 inputs: &inputs,
                 clusters_file: &clusters_file,
                 clusters: &clusters,
+                made: made.as_ref(),
                 thumbnails,
                 memory: &mut memory,
             })?),

@@ -4,6 +4,7 @@ use super::{
     Memory, PlanError, PlanningNumbers,
     cached::{self, Filed, ResultFile, clusters::CachedClusters},
     inputs::Inputs,
+    pilot_maps::PilotMaps,
     step::{Run, Step},
     visible_surface::VisibleSurface,
 };
@@ -361,6 +362,8 @@ pub(super) struct PilotStep<'a> {
     pub inputs: &'a Inputs<'a>,
     pub clusters_file: &'a ResultFile,
     pub clusters: &'a [ViewCluster],
+    /// Maps of the program, which take the place of own ones.
+    pub made: Option<&'a PilotMaps>,
     /// Those that were taken while pictures were compared.
     pub thumbnails: Thumbnails,
     pub memory: &'a mut Memory,
@@ -377,7 +380,7 @@ impl Step for PilotStep<'_> {
         } = self.inputs;
         self.inputs
             .fingerprints
-            .pilot(scene, &self.clusters_file.file, pictures)
+            .pilot(scene, &self.clusters_file.file, pictures, self.made)
     }
 
     fn unpack(&self, (): (), bytes: &[u8]) -> Option<Places> {
@@ -397,7 +400,12 @@ impl Step for PilotStep<'_> {
             pictures as &dyn confidence::Pictures,
             settings.image_scale(),
         );
-        let maps = pilot::maps(scene, points, self.clusters, self.thumbnails, seen, watcher)?;
+        let made = match self.made {
+            Some(made) => made.read(scene, self.clusters, watcher)?,
+            None => vec![None; self.clusters.len()],
+        };
+        let scene = (scene, points);
+        let maps = pilot::maps(scene, self.clusters, made, self.thumbnails, seen, watcher)?;
         Ok(Places::new(self.clusters, &maps, watcher)?)
     }
 }

@@ -10,6 +10,7 @@ mod export;
 mod floors;
 mod kept;
 mod output;
+mod pilot;
 mod plan;
 mod readers;
 mod readers_foreign;

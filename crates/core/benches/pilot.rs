@@ -106,7 +106,14 @@ fn main() {
         let start = Instant::now();
         let thumbnails = pilot::Thumbnails::new(scene.views.len());
         let pictures = (&Ground as &dyn Pictures, 1.0);
-        let maps = pilot::maps(&scene, &points, &clusters, thumbnails, pictures, &NoWatcher);
+        let maps = pilot::maps(
+            (&scene, &points),
+            &clusters,
+            vec![None; clusters.len()],
+            thumbnails,
+            pictures,
+            &NoWatcher,
+        );
         let maps = maps.unwrap();
         let matched = start.elapsed();
         let places = pilot::Places::new(&clusters, &maps, &NoWatcher).unwrap();

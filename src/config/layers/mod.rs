@@ -359,7 +359,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
 /// Converts a value of `file`; relative paths are resolved against its folder.
 fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     let names_file = |text: &&str| match key {
-        "surface.mesh" | "images" => true,
+        "surface.mesh" | "images" | "pilot.maps" => true,
         "region" => RegionChoice::is_file(text),
         _ => false,
     };

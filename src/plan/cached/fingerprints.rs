@@ -20,7 +20,7 @@ use crate::{
         cluster::Gate,
         scene::{Scene, ViewIndex},
     },
-    plan::{Memory, inputs::Inputs},
+    plan::{Memory, inputs::Inputs, pilot_maps::PilotMaps},
 };
 
 /// Changes with every change of the program, also one that should not change a result.
@@ -193,13 +193,23 @@ impl<'a> Fingerprints<'a> {
     }
 
     /// The places of the pilot: the clusters, and the pictures that they are matched in.
-    pub fn pilot(&self, scene: &Scene, clusters: &CacheFile, pictures: &Pictures) -> CacheFile {
+    /// `made`: maps of the program in place of own ones.
+    pub fn pilot(
+        &self,
+        scene: &Scene,
+        clusters: &CacheFile,
+        pictures: &Pictures,
+        made: Option<&PilotMaps>,
+    ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
             for view in scene.view_indices() {
                 add(&mut hasher, &pictures.stamps(scene.name(view))?);
             }
             add(&mut hasher, &pictures.without_image());
+            if let Some(made) = made {
+                add(&mut hasher, &made.hashes()?);
+            }
             Some(hasher)
         };
         CacheFile::new(self.home, "viewrank/cache/pilot.table", inputs())

@@ -39,17 +39,22 @@ use crate::{
 
 /// Matches each cluster in thumbnails, and keeps the depths that other maps confirm. A cluster
 /// without a thumbnail, or without sparse points, has no map. Thumbnails that are missing are made
-/// of `pictures`, which are read for matching at `image_scale`.
+/// of `pictures`, which are read for matching at `image_scale`. Nothing is matched where a map is
+/// `made` already, one for each cluster.
 pub fn maps(
-    scene: &Scene,
-    points: &ViewPoints,
+    (scene, points): (&Scene, &ViewPoints),
     clusters: &[ViewCluster],
+    made: Vec<Option<PilotMap>>,
     thumbnails: Thumbnails,
     (pictures, image_scale): (&dyn Pictures, f64),
     watcher: &dyn Watcher,
 ) -> Result<Vec<Option<PilotMap>>, Cancelled> {
     let mut wanted = vec![false; scene.views.len()];
-    for cluster in clusters {
+    let unmatched = clusters
+        .iter()
+        .zip(&made)
+        .filter(|(_, made)| made.is_none());
+    for (cluster, _) in unmatched {
         let views = cluster.partners.iter().chain([&cluster.key]);
         views.for_each(|view| wanted[view.index()] = true);
     }
@@ -64,15 +69,18 @@ pub fn maps(
     })?;
     let done = AtomicU64::new(0);
     watcher.progress(Stage::Pilot, 0, clusters.len() as u64);
-    let matched = clusters
-        .par_iter()
-        .map_init(Scratch::default, |scratch, cluster| {
-            watcher.check()?;
-            let map = map(scene, points, cluster, &thumbnails, scratch);
-            let done = 1 + done.fetch_add(1, Ordering::Relaxed);
-            watcher.progress(Stage::Pilot, done, clusters.len() as u64);
-            Ok(map)
-        });
+    let matched =
+        clusters
+            .par_iter()
+            .zip(made)
+            .map_init(Scratch::default, |scratch, (cluster, made)| {
+                watcher.check()?;
+                let match_it = || map(scene, points, cluster, &thumbnails, scratch);
+                let map = made.or_else(match_it);
+                let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+                watcher.progress(Stage::Pilot, done, clusters.len() as u64);
+                Ok(map)
+            });
     let matched: Vec<Option<PilotMap>> = matched.collect::<Result<_, Cancelled>>()?;
     watcher.check()?;
     // No longer needed, and larger than the maps.
@@ -159,6 +167,28 @@ mod tests {
     /// Pictures of a ground with texture at z = 10, and of a wall 3 in front of it where x > 1.
     struct Stage;
 
+    /// A project without photographs.
+    struct NoPictures;
+
+    impl Pictures for NoPictures {
+        fn have_images(&self) -> bool {
+            false
+        }
+
+        fn grey(
+            &self,
+            _: &Scene,
+            _: ViewIndex,
+            _: f64,
+        ) -> Result<Option<(Grey, Option<Mask>)>, PictureError> {
+            Ok(None)
+        }
+
+        fn mask(&self, _: &Scene, _: ViewIndex) -> Result<Option<Mask>, PictureError> {
+            Ok(None)
+        }
+    }
+
     /// Depth of what a view shows at a pixel, and its grey level.
     fn shown(scene: &Scene, view: ViewIndex, x: f64, y: f64) -> (f64, u8) {
         let ray = scene.camera_of(view).ray(&[x, y].into()).unwrap();
@@ -239,16 +269,9 @@ mod tests {
         // One is there already, as after a comparison of the pictures.
         let beside = thumbnails.beside(&Stage);
         beside.grey(scene, ViewIndex(1), 1.0).unwrap();
-        let points = scene.view_points();
-        maps(
-            scene,
-            &points,
-            clusters,
-            thumbnails,
-            (&Stage, 1.0),
-            &NoWatcher,
-        )
-        .unwrap()
+        let made = vec![None; clusters.len()];
+        let scene = (scene, &scene.view_points());
+        maps(scene, clusters, made, thumbnails, (&Stage, 1.0), &NoWatcher).unwrap()
     }
 
     #[test]
@@ -294,6 +317,36 @@ mod tests {
         );
         let row = places.of_view(ViewIndex(1));
         assert!(row.windows(2).all(|two| two[0] < two[1]) && row.len() * 2 > places.centres.len());
+    }
+
+    #[test]
+    fn maps_of_a_program_take_the_place_of_own_ones() {
+        let (scene, clusters) = scene();
+        let of_cluster = |cluster: &ViewCluster| {
+            let z = |at: nalgebra::Point2<f64>| shown(&scene, cluster.key, at.x, at.y).0;
+            let depth = |at: nalgebra::Point2<f64>| (at.x < 100.0).then(|| z(at));
+            PilotMap::made_by_program(&scene, cluster.key, depth)
+        };
+        let maps = maps(
+            (&scene, &scene.view_points()),
+            &clusters,
+            clusters.iter().map(of_cluster).collect(),
+            Thumbnails::new(scene.views.len()),
+            (&NoPictures, 1.0),
+            &NoWatcher,
+        );
+        for (cluster, map) in clusters.iter().zip(maps.unwrap()) {
+            let inverse = map.unwrap().inverse;
+            let kept = inverse.iter().enumerate().filter(|(_, v)| **v > 0.0);
+            let right = |(pixel, inverse): &(usize, &f32)| {
+                let (x, y) = ((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5);
+                let truth = shown(&scene, cluster.key, x, y).0;
+                x < 100.0 && (truth * f64::from(**inverse) - 1.0).abs() < 1e-5
+            };
+            let count = kept.clone().count();
+            assert!(count > 90 * 120 / 2, "{count}");
+            assert!(kept.filter(right).count() == count);
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use nalgebra::{Point2, Point3};
 
-use super::pinhole::Pinhole;
+use super::{pinhole::Pinhole, sweep::PilotMap};
 
 use crate::{
     method::confidence::{Grey, Mask, PictureError, Pictures},
@@ -107,58 +107,40 @@ pub struct Thumbnail {
 impl Thumbnail {
     /// Reduces the picture of a view; `None` if it is no perspective picture.
     fn of(scene: &Scene, view: ViewIndex, grey: &Grey, mask: Option<&Mask>) -> Option<Self> {
-        let camera = scene.camera_of(view);
-        if camera.model() == CameraModel::Equirectangular {
-            return None;
-        }
-        let [width, height] = size(camera);
-        let [sx, sy] = [
-            width as f64 / f64::from(camera.width),
-            height as f64 / f64::from(camera.height),
-        ];
-        let (focal, centre) = camera.pinhole_part();
-        let mut thumbnail = Self {
-            camera: Pinhole {
-                width,
-                height,
-                focal: [focal.x * sx, focal.y * sy],
-                centre: [centre.x * sx - 0.5, centre.y * sy - 0.5],
-                pose: scene.view(view).cam_from_world,
-            },
-            grey: Vec::with_capacity(width * height),
-            quads: Vec::new(),
-            allowed: Vec::new(),
-        };
+        let camera = pinhole(scene, view)?;
         let level = grey.level_of(LONG_SIDE);
-        for (x, y) in thumbnail.pixels() {
-            let at = thumbnail.in_picture(camera, x, y, [sx, sy]);
-            let share = [
-                at.x / f64::from(camera.width),
-                at.y / f64::from(camera.height),
-            ];
-            thumbnail.grey.push(grey.at(level, share));
-            if let Some(mask) = mask {
-                thumbnail.allowed.push(mask.allows(share[0], share[1]));
-            }
+        let (mut levels, mut allowed) = (Vec::new(), Vec::new());
+        for [x, y] in shown(&camera, scene.camera_of(view)) {
+            let camera = scene.camera_of(view);
+            let share = [x / f64::from(camera.width), y / f64::from(camera.height)];
+            levels.push(grey.at(level, share));
+            allowed.extend(mask.map(|mask| mask.allows(share[0], share[1])));
         }
-        thumbnail.quads = quads(&thumbnail.grey, width, height);
-        Some(thumbnail)
+        Some(Self {
+            quads: quads(&levels, camera.width, camera.height),
+            camera,
+            grey: levels,
+            allowed,
+        })
     }
+}
 
-    fn pixels(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (width, height) = (self.camera.width, self.camera.height);
-        (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)))
-    }
-
-    /// Returns the position in the view's picture that a pixel shows.
-    fn in_picture(&self, camera: &Camera, x: usize, y: usize, scale: [f64; 2]) -> Point2<f64> {
-        let plain = Point2::new((x as f64 + 0.5) / scale[0], (y as f64 + 0.5) / scale[1]);
-        if camera.is_pinhole() {
-            return plain;
-        }
-        camera
-            .project(&Point3::from(self.camera.ray(x, y)))
-            .unwrap_or(plain)
+impl PilotMap {
+    /// Makes the map of a view from one that a program has made. `depth` returns the depth at a
+    /// position in the view's image, pixels. `None` if the view is no perspective picture.
+    pub fn made_by_program(
+        scene: &Scene,
+        view: ViewIndex,
+        depth: impl Fn(Point2<f64>) -> Option<f64>,
+    ) -> Option<Self> {
+        let camera = pinhole(scene, view)?;
+        let inverse = shown(&camera, scene.camera_of(view));
+        let inverse = inverse.map(|at| depth(at.into()).map_or(0.0, |z| (1.0 / z) as f32));
+        Some(Self {
+            inverse: inverse.collect(),
+            camera,
+            step: 0.0,
+        })
     }
 }
 
@@ -166,6 +148,51 @@ impl Thumbnail {
 pub fn size(camera: &Camera) -> [usize; 2] {
     let scale = LONG_SIDE / f64::from(camera.width.max(camera.height));
     [camera.width, camera.height].map(|side| (f64::from(side) * scale).round().max(8.0) as usize)
+}
+
+/// Returns the ideal camera of a view's thumbnail; `None` if it takes no perspective pictures.
+fn pinhole(scene: &Scene, view: ViewIndex) -> Option<Pinhole> {
+    let camera = scene.camera_of(view);
+    if camera.model() == CameraModel::Equirectangular {
+        return None;
+    }
+    let [width, height] = size(camera);
+    let [sx, sy] = scale(camera);
+    let (focal, centre) = camera.pinhole_part();
+    Some(Pinhole {
+        width,
+        height,
+        focal: [focal.x * sx, focal.y * sy],
+        centre: [centre.x * sx - 0.5, centre.y * sy - 0.5],
+        pose: scene.view(view).cam_from_world,
+    })
+}
+
+/// Returns the pixels of the thumbnail per pixel of the camera, along x and y.
+fn scale(camera: &Camera) -> [f64; 2] {
+    let [width, height] = size(camera).map(|side| side as f64);
+    [
+        width / f64::from(camera.width),
+        height / f64::from(camera.height),
+    ]
+}
+
+/// Returns the position in the view's picture, pixels, that each pixel of a thumbnail shows.
+fn shown<'a>(
+    thumbnail: &'a Pinhole,
+    camera: &'a Camera,
+) -> impl Iterator<Item = [f64; 2]> + use<'a> {
+    let [sx, sy] = scale(camera);
+    let (width, height) = (thumbnail.width, thumbnail.height);
+    let pixels = (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
+    pixels.map(move |(x, y)| {
+        let plain = [(x as f64 + 0.5) / sx, (y as f64 + 0.5) / sy];
+        if camera.is_pinhole() {
+            return plain;
+        }
+        let ray = Point3::from(thumbnail.ray(x, y));
+        camera.project(&ray).map_or(plain, |at| [at.x, at.y])
+    })
 }
 
 fn quads(grey: &[u8], width: usize, height: usize) -> Vec<u32> {
