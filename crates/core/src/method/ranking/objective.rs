@@ -100,7 +100,15 @@ impl Objective {
 
     /// Returns the guarantee of the greedy order: its minimum share of the best set's f_o, 1 -
     /// exp(-g), where the gains of single clusters add up to at least g times the gain of all of
-    /// them together (proof in method 5.2).
+    /// them together (method 5.2; Das, Kempe 2011).
+    ///
+    /// Proof of g = 2x / (1 + x), x = e / (m - 1), at one triangle whose m largest f are l_1 <= ...
+    /// <= l_m: let r(z) be the number of them below z. If the m-th largest rises from l_1 to z, at
+    /// least r(z) added clusters reach z, so the rise is at most the sum over the added f of the
+    /// integral of 1 / r(z) from l_1 to f. The sum of the m largest rises by at most the sum of the
+    /// f - l_1. A cluster alone adds (1 - x) (min(f, l_2) - l_1) + x (f - l_1), over 1 + e, and its
+    /// part of the bound is (1 - x) times that integral + x (f - l_1), over 1 + e. Beyond l_2, r is
+    /// at least 2, so the ratio is at least x / ((1 - x) / 2 + x) = g.
     pub fn guarantee(&self) -> f64 {
         let credit = match self.support {
             1 => 1.0,
