@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a project's first depth maps do to the forecast of the rest (benches/PREDICTOR.md).
+"""What a project's first depth maps do to the forecast of the rest (docs/benchmarks.md).
 
     adapt.py FOLDER... [--viewrank target/release/viewrank] [--maps rules/k5/ours] [--backend sgm] [--first 5]
 

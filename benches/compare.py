@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measures what the order of viewrank saves on the sets of benches/sets.py, and writes the tables of docs/benchmarks.md.
+"""Measures what the order of viewrank saves on the sets of benches/sets.py (docs/benchmarks.md).
 
     python3 benches/compare.py SET... [--out target/compare] [--viewrank target/release/viewrank] [-k 5]
     python3 benches/compare.py --all

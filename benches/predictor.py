@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How good the confidence is where nothing was fitted to it: one command, one table (benches/PREDICTOR.md).
+"""How good the confidence is where nothing was fitted to it: one command, one table (docs/benchmarks.md).
 
     predictor.py FOLDER... [--viewrank target/release/viewrank] [--maps rules/k5/ours] [--backend sgm]
 

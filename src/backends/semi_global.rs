@@ -10,7 +10,7 @@ use crate::{
     },
 };
 
-/// Ranks best by real curves (`integrations/sgm/RESULTS.md`).
+/// Ranks best by real curves (`docs/benchmarks.md`).
 pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
     min_matches: 2,
     p0: 0.9,

@@ -15,7 +15,7 @@ use crate::{
 };
 
 /// It works on a polar grid around the epipole, so an epipole in the image or a large scale ratio
-/// matters less than for a matcher that rectifies (tables in `integrations/sgm/README.md`).
+/// matters less than for a matcher that rectifies (`docs/benchmarks.md`).
 const NUMBERS: PlanningNumbers = PlanningNumbers {
     gate: Gate {
         min_shared_points: 8,
