@@ -1,6 +1,11 @@
-//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. AliceVision reads no lists of
-//! views or partners: each cluster becomes a scene file in which the key view shares landmarks with
-//! its partners only, and the key view is named by its position.
+//! AliceVision and Meshroom (ca8300f, read, not run). AliceVision reads no lists of views or
+//! partners: each cluster becomes a scene file in which the key view shares landmarks with its
+//! partners only, and the key view is named by its position among the views with pose, by ascending
+//! id.
+//!
+//! Rotations are in column order, the principal point is an offset from the image centre. Pixel
+//! centres are taken to be integers, as in OpenMVG; if that is wrong, all is half a pixel off. The
+//! filtering takes counts that it finds in its output folder for its own, so it gets an empty one.
 
 use std::{fmt::Write, path::Path};
 

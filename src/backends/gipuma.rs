@@ -1,5 +1,5 @@
-//! Gipuma: `docs/backends.md` 6. One call per key view; the first image is the key view, the others
-//! its partners.
+//! Gipuma (f16dbfd, read; it needs CUDA). One call per key view; the first image is the key view,
+//! the others its partners. `fusibile` joins all folders of `results/`.
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,

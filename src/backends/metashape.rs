@@ -1,5 +1,6 @@
-//! Metashape: `docs/backends.md` 9, from the vendor's reference; not run. A script that finds
-//! cameras by label and makes depth maps of the key views, with key views and partners enabled.
+//! Metashape, from the vendor's Python reference of 2.x; not run. A script that finds cameras by
+//! label and makes depth maps of the key views, with key views and partners enabled: that disabled
+//! cameras are never partners is an assumption.
 
 use serde_json::json;
 

@@ -1,6 +1,11 @@
-//! MicMac: `docs/backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and
-//! MMByP; `ImSec/` names the secondary images of each master for Malt GeomImage, one call per key
-//! view. Orientations stay those of the user's own `Ori-` folder.
+//! MicMac (f8fe432, read, not run). `pairs.xml` is a pair file for C3DC, PIMs and MMByP, undirected
+//! and without order; `ImSec/` names the secondary images of each master for Malt GeomImage, one
+//! call per key view. Orientations stay those of the user's own `Ori-` folder.
+//!
+//! With `Master=AUTO` Malt takes its pattern of images for the master's name and puts it into a
+//! shell command without quotes. C3DC and PIMs overwrite `ImSec` unless `ExpImSec=false`; a missing
+//! one is silent. `MMLastNuage.xml` is there before the map is matched, so a map counts once
+//! `viewrank.recipe` is beside it.
 
 use std::collections::BTreeMap;
 

@@ -1,6 +1,11 @@
-//! MVE's dmrecon: `docs/backends.md` 5. It reads no partner lists but selects by shared features,
-//! so each cluster gets a bundle in which only its partners share features with the key view. The
-//! views share one scene; `run.sh` installs one bundle after the other.
+//! MVE's dmrecon (bf2279f, run). It reads no partner lists but selects by shared features,
+//! greedily, so each cluster gets a bundle in which only its partners share features with the key
+//! view. The views share one scene; `run.sh` installs one bundle after the other.
+//!
+//! With fewer partners than `local-neighbors` a map is empty, with exit code 0. Ids count from 0,
+//! key views first; existing maps are skipped; lists of views (`-l`) run in parallel, so each call
+//! has one (`-m`). `depth-L` maps hold the length of the ray. `scene2pset -F` takes the maps of one
+//! level, so two sizes make two clouds, of which `fssrecon` makes one surface.
 
 use std::path::Path;
 

@@ -1,5 +1,11 @@
-//! PMVS2: `docs/backends.md` 4. Key views are `timages`, other partners `oimages`, the partner
-//! lists `vis.dat`.
+//! PMVS2 (101c2ee, run): key views are `timages`, whose patches are kept, other partners `oimages`,
+//! which are matched only, the partner lists `vis.dat`.
+//!
+//! Rows of `vis.dat` count by position; their first number is thrown away. Partner lists are
+//! directed: for each patch PMVS2 takes the best of a row, at most twice `minImageNum`, which is 3
+//! (2 with one partner). An image in both lists loses its partners, lists have no comments, unknown
+//! options end the program, and `-1 a b` excludes b. Which pixel convention it assumes is not
+//! known; matrices are as in COLMAP's own export.
 
 use std::path::Path;
 

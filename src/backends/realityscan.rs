@@ -1,5 +1,5 @@
-//! RealityScan (RealityCapture): `docs/backends.md` 10, from the vendor's pages; not run. An XMP
-//! side file next to an image can exclude it from meshing; nothing else is configurable.
+//! RealityScan (RealityCapture), from the vendor's pages; not run. An XMP side file next to an
+//! image can exclude it from meshing; nothing else is configurable.
 
 use std::collections::HashMap;
 

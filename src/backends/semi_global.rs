@@ -1,5 +1,5 @@
 //! What semi-global matchers share: numbers measured with the one of this repository (`sgm`), which
-//! plans for SURE take too (`docs/backends.md` 12), and the lists of pairs (method 6).
+//! plans for SURE take too (`sure.rs`), and the lists of pairs (method 6).
 
 use super::{BackendError, Selection};
 use crate::{

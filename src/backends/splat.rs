@@ -1,6 +1,10 @@
-//! Gaussian splatting and NeRF: `docs/backends.md` 13. They know no partners, only which images
-//! train: a reduced COLMAP model with nothing else beside it, and the lists of those programs that
-//! read lists.
+//! Gaussian splatting and NeRF (read; models loaded by pycolmap 4.2 and COLMAP 3.8, no training).
+//! They know no partners, only which images train: a reduced COLMAP model with nothing else beside
+//! it, and the lists of those programs that read lists.
+//!
+//! gaussian-splatting takes all images of `sparse/0`, PINHOLE only, and cuts names at folders and
+//! the first dot; gsplat holds out every `--test_every`-th image by name; brush takes the largest
+//! model in the folder; nerfstudio requires all of its lists.
 
 use std::collections::HashMap;
 

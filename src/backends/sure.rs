@@ -1,5 +1,10 @@
-//! SURE (nFrames): `docs/backends.md` 12. Closed; the files follow the vendor's public pages and
-//! three public writers of `.ori`.
+//! SURE (nFrames), not run: closed. The files follow the vendor's public pages and three public
+//! writers of `.ori`, one of which calls SURE 1.2.
+//!
+//! No public file names pairs, so exact partners need one project per cluster, and SURE may still
+//! reject some by angle or overlap. In `.ori`, x = K [R | -R C] X: R is COLMAP's, the "translation
+//! vector" is the camera centre, and the centre of the first pixel is (0, 0). Focal length and
+//! pixel size are not used. Black pixels are invalid.
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
