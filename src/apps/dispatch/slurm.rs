@@ -4,6 +4,14 @@
 //! priorities are. Beyond the largest index that the queue accepts, further arrays follow, each
 //! after the previous one. Jobs are identified by their names, which hold the project, the list of
 //! the tasks and the array's first rank: no state is kept between calls.
+//!
+//! Run with SLURM 22.05 (Debian 12), hence: a single job with `--nice` needs backfill, which
+//! `sched/builtin` lacks. The fusion depends on `afterany`, since with `afterok` it never runs once
+//! a task has failed or was cancelled. Results are judged by files: `sbatch --wait` returns 0 for
+//! tasks that failed to launch, accounting is not always there, and a finished task is listed only
+//! for `MinJobAge`. Missing ranks are submitted again, since a requeued task waits two minutes;
+//! `--requeue` is for lost nodes, with `--open-mode=append`, since a restart truncates the log. A
+//! script is copied to a spool folder, so paths are absolute.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
