@@ -14,8 +14,10 @@ use crate::{
             MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
         },
         replan,
+        report::folders_of_maps,
     },
     io::{
+        depthmaps,
         output::{Contents, Disk, FileSet, refuse_to_leave},
         project::Project,
     },
@@ -42,7 +44,8 @@ pub struct Arguments {
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
-    /// Folder of the finished depth maps
+    /// Folder of the finished depth maps [default: where the plan's program writes them, unless
+    /// cells.tsv is there already]
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     depth_maps: Option<PathBuf>,
     /// Folder of reference depth maps, such as those with all partners [default: every depth counts
@@ -116,8 +119,25 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
         (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
         (_, _, Some(folder)) => measure(arguments, &project, &plan, folder, &progress),
-        (None, None, None) => judge(arguments, &project, &plan, &progress),
+        (None, None, None) => match found_maps(arguments, &project, &plan) {
+            Some(folder) => measure(arguments, &project, &plan, &folder, &progress),
+            None => judge(arguments, &project, &plan, &progress),
+        },
     }
+}
+
+/// Returns the folder with depth maps of the plan, if there is no table to judge by.
+fn found_maps(arguments: &Arguments, project: &Project, plan: &Plan) -> Option<PathBuf> {
+    if arguments.cells.is_some() || kept_cells(project).is_file() {
+        return None;
+    }
+    folders_of_maps(plan, project)
+        .into_iter()
+        .find(|folder| depthmaps::find(folder, &plan.stages.scene).is_ok())
+}
+
+fn kept_cells(project: &Project) -> PathBuf {
+    project.output_folder().join("evaluation").join(CELLS)
 }
 
 /// Judges the order of the plan by a table of an earlier evaluation.
@@ -127,11 +147,11 @@ fn judge(
     plan: &Plan,
     progress: &Progress,
 ) -> Result<(), Failure> {
-    let kept = || project.output_folder().join("evaluation").join(CELLS);
+    let kept = || kept_cells(project);
     let path = arguments.cells.clone().unwrap_or_else(kept);
     if arguments.cells.is_none() && !path.is_file() {
         let hint = "name the folder of the finished depth maps with --depth-maps";
-        let message = format!("nothing to evaluate: there is no {}", path.display());
+        let message = "nothing to evaluate: no finished depth maps were found";
         return Err(Failure::new(Exit::Usage, message, Some(hint.into())));
     }
     let judged = evaluate::cells::judge_plan(plan, &path, progress)?;

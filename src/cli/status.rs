@@ -13,6 +13,7 @@ use crate::{
     },
     daemon::{
         Line,
+        follow::Progress,
         phase::{Phase, ProjectStatus},
         read_status, status_file,
     },
@@ -45,7 +46,18 @@ pub struct Arguments {
 const FOLLOW: Duration = Duration::from_millis(500);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let root = watched_root(&arguments.root)?;
+    let root = match watched_root(&arguments.root) {
+        // A project that `viewrank run` or a queue works on needs no daemon.
+        Err(NoStatus::NotWatched(project)) if !arguments.follow => {
+            let progress = Progress::read(&project);
+            let progress = progress.ok_or(NoStatus::NotWatched(project))?;
+            return match arguments.json || arguments.format == Format::Json {
+                true => print_json(&progress),
+                false => print(unwatched(&progress)),
+            };
+        }
+        root => root?,
+    };
     let mut last = None;
     loop {
         let line = read_status(&root).filter(|line| last.as_ref() != Some(line));
@@ -98,13 +110,6 @@ impl Hint for NoStatus {
             Self::NotFound(_) => {
                 "name the folder that was given to viewrank watch, or a project below it".into()
             }
-            Self::NotWatched(folder) if folder.join("viewrank/progress.json").is_file() => {
-                let project = command_path(folder);
-                format!(
-                    "what its depth maps give: viewrank report {project}; to have it watched: viewrank watch {project}"
-                )
-                .into()
-            }
             Self::NotWatched(folder) => {
                 format!("start one: viewrank watch {}", command_path(folder)).into()
             }
@@ -113,6 +118,25 @@ impl Hint for NoStatus {
             }
         })
     }
+}
+
+/// What is finished of a project that no daemon watches.
+fn unwatched(progress: &Progress) -> Vec<String> {
+    let Progress { done, clusters, .. } = progress;
+    let share = match progress.share {
+        Some(share) => format!(
+            ": about {:.0} % of the cloud of all, of {:.0} % wanted",
+            100.0 * share,
+            100.0 * progress.target
+        ),
+        None => String::new(),
+    };
+    let mut lines = vec![format!(
+        "{done} of {clusters} planned depth maps are finished{share}."
+    )];
+    lines.extend(progress.note.clone());
+    lines.push("No daemon watches the project: this is how things stood at its last map.".into());
+    lines
 }
 
 fn as_json(root: &Path, line: &Line) -> serde_json::Value {

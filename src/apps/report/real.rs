@@ -60,7 +60,7 @@ impl Real {
         let clusters = in_order(plan);
         let (of_project, folders) = match &asked.depth_maps {
             Some(folder) => (false, vec![folder.clone()]),
-            None => (true, folders_of(plan, project)),
+            None => (true, folders_of_maps(plan, project)),
         };
         let mut left_out = Vec::new();
         for folder in &folders {
@@ -146,7 +146,7 @@ fn counted(plan: &Plan, run: &MeasuredClusters) -> ReachCurve {
 }
 
 /// Returns the folders that may hold depth maps, that of the plan's backend first.
-fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
+pub fn folders_of_maps(plan: &Plan, project: &Project) -> Vec<PathBuf> {
     let own = depthmaps::folder_of(
         &project.home,
         project.dense_workspace.as_deref(),

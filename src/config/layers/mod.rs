@@ -110,6 +110,12 @@ impl fmt::Display for SettingLocation {
     }
 }
 
+impl Source {
+    fn is_option(&self) -> bool {
+        matches!(self, Self::Written(SettingLocation::Option(_)))
+    }
+}
+
 impl fmt::Display for Source {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
@@ -528,13 +534,21 @@ pub enum ConfigError {
         key: String,
         value: String,
     },
-    #[error("{from}: {key} = {value}: {why}")]
+    #[error("{}", wrong_value(from, key, value, why))]
     Value {
         from: Source,
         key: String,
         value: String,
         why: String,
     },
+}
+
+/// Who types an option need not know the setting's key.
+fn wrong_value(from: &Source, key: &str, value: &str, why: &str) -> String {
+    match from.is_option() {
+        true => format!("{from} {value}: {why}"),
+        false => format!("{from}: {key} = {value}: {why}"),
+    }
 }
 
 impl Hint for ConfigError {
@@ -554,7 +568,8 @@ impl Hint for ConfigError {
                                        units of the model"
                 .into(),
             Self::Backend { error, .. } => return error.hint(),
-            Self::Value { key, .. } => match keys().iter().find(|known| known.name == *key) {
+            Self::Value { from, key, .. } => match keys().iter().find(|known| known.name == *key) {
+                Some(known) if from.is_option() => format!("{from}: {}", known.doc).into(),
                 Some(known) => format!("{key}: {}", known.doc).into(),
                 None => "run viewrank config to list all settings".into(),
             },
