@@ -406,6 +406,7 @@ impl Step for PilotStep<'_> {
         };
         let scene = (scene, points);
         let maps = pilot::maps(scene, self.clusters, made, self.thumbnails, seen, watcher)?;
-        Ok(Places::new(self.clusters, &maps, watcher)?)
+        let smaller = pilot::smaller(&self.inputs.scene, settings.image_scale());
+        Ok(Places::new(self.clusters, &maps, smaller, watcher)?)
     }
 }

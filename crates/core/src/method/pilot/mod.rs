@@ -88,6 +88,14 @@ pub fn maps(
     Ok(confirm::confirmed(clusters, &matched))
 }
 
+/// Returns the size of the thumbnails over that of images matched at `image_scale`, for the largest
+/// camera of the scene.
+pub fn smaller(scene: &Scene, image_scale: f64) -> f64 {
+    let sides = scene.cameras.iter();
+    let side = sides.map(|camera| camera.width.max(camera.height)).max();
+    thumbnail::LONG_SIDE / (f64::from(side.unwrap_or(1)) * image_scale)
+}
+
 /// Bytes per pixel of a thumbnail, with its quads and mask, and of its map before it is confirmed.
 const VIEW_PIXEL: u64 = 1 + 4 + 1 + 4;
 /// Bytes per pixel while a view is matched: costs of the planes and their sums, and rows of floats.
@@ -295,7 +303,7 @@ mod tests {
                 "{right} right, {wrong} wrong"
             );
         }
-        let places = Places::new(&clusters, &maps, &NoWatcher).unwrap();
+        let places = Places::new(&clusters, &maps, 1.0, &NoWatcher).unwrap();
         assert!(places.centres.len() > 500);
         let near =
             |place: &&Point3<f64>| (place.z - 10.0).abs() < 0.3 || (place.z - 7.0).abs() < 0.3;
@@ -358,7 +366,7 @@ mod tests {
         scene.track_offsets = vec![0];
         let found = matched(&scene, &clusters);
         assert_eq!(found, [None, None, None, None]);
-        let places = Places::new(&clusters, &found, &NoWatcher).unwrap();
+        let places = Places::new(&clusters, &found, 1.0, &NoWatcher).unwrap();
         assert!(places.centres.is_empty());
     }
 }

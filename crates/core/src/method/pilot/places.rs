@@ -30,7 +30,8 @@ const PROBES: usize = 64;
 pub struct Places {
     /// A point of each cell, world coordinates.
     pub centres: Vec<Point3<f64>>,
-    /// Wanted GSD there, in pixels of the thumbnails: half the edge of the cell, scene units.
+    /// Wanted GSD there, in pixels of the thumbnails: half the edge of the cells in which the cloud
+    /// of the matched maps is measured (method 8), brought to the thumbnails' size; scene units.
     pub sizes: Vec<f32>,
     /// How much the place counts: less where only two maps agree.
     pub weights: Vec<f64>,
@@ -42,10 +43,12 @@ pub struct Places {
 }
 
 impl Places {
-    /// Finds the places of confirmed maps, one per cluster.
+    /// Finds the places of confirmed maps, one per cluster. `smaller`: size of the thumbnails over
+    /// that of the matched images.
     pub fn new(
         clusters: &[ViewCluster],
         maps: &[Option<PilotMap>],
+        smaller: f64,
         watcher: &dyn Watcher,
     ) -> Result<Self, Cancelled> {
         let overlapping = overlapping(maps);
@@ -61,16 +64,17 @@ impl Places {
             watcher.check()?;
             for found in agreed(maps, own, others, step.max(LEAST_STEP)) {
                 if taken.insert(found.cell()) {
-                    places.push(&found);
+                    places.push(&found, smaller);
                 }
             }
         }
         Ok(places)
     }
 
-    fn push(&mut self, found: &Agreed) {
+    fn push(&mut self, found: &Agreed, smaller: f64) {
         let index = self.centres.len() as u32;
-        let size = f64::from(found.octave).exp2() as f32;
+        let measured = octave(found.finest * smaller);
+        let size = (f64::from(measured).exp2() / smaller) as f32;
         for &(map, gsd) in &found.maps {
             self.parts[map as usize].push((index, density(size, gsd)));
         }
@@ -96,6 +100,11 @@ impl Places {
     }
 }
 
+/// Returns the wanted GSD where this is the finest, as the exponent of a power of two.
+fn octave(finest: f64) -> i32 {
+    (GSD_MARGIN * finest).log2().round() as i32
+}
+
 fn density(size: f32, gsd: f64) -> f32 {
     (f64::from(size) / gsd).powi(2) as f32
 }
@@ -103,17 +112,18 @@ fn density(size: f32, gsd: f64) -> f32 {
 /// A place on which at least two maps agree.
 struct Agreed {
     place: Point3<f64>,
-    /// Wanted GSD there, as the exponent of a power of two.
-    octave: i32,
+    /// Finest GSD of the thumbnails that show it, scene units.
+    finest: f64,
     /// The maps that agree, with their GSD.
     maps: Vec<(u32, f64)>,
 }
 
 impl Agreed {
     fn cell(&self) -> (i32, [i64; 3]) {
-        let edge = EDGE * f64::from(self.octave).exp2();
+        let octave = octave(self.finest);
+        let edge = EDGE * f64::from(octave).exp2();
         (
-            self.octave,
+            octave,
             [0, 1, 2].map(|axis| (self.place[axis] / edge).floor() as i64),
         )
     }
@@ -148,10 +158,9 @@ fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) ->
                 agreeing.push((other, gsd));
             }
         }
-        let octave = (GSD_MARGIN * finest).log2().round();
-        (agreeing.len() >= 2 && octave.is_finite()).then_some(Agreed {
+        (agreeing.len() >= 2 && finest > 0.0 && finest.is_finite()).then_some(Agreed {
             place: *place,
-            octave: octave as i32,
+            finest,
             maps: agreeing,
         })
     };
