@@ -25,8 +25,8 @@ const LEAST_SIDE: f64 = 160.0;
 /// Prepare small depth maps of all views, made by the MVS program itself, for a plan to rank by.
 ///
 /// Writes the program's input files at an eighth of its size (never below 160 pixels) to
-/// PROJECT/viewrank/pilot. Worth it where pictures are hard to match (white walls, gloss), since
-/// the program's own small maps show best where it succeeds; elsewhere plan is as good without.
+/// PROJECT/viewrank/pilot. For programs that succeed elsewhere than viewrank's own thumbnails do,
+/// which a plan ranks by otherwise; with OpenMVS, plans were no better for it (docs/benchmarks.md).
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
