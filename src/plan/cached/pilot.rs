@@ -27,6 +27,7 @@ pub(super) fn pack(places: &Places) -> Packed {
     packer.list(&densities);
     packer.list(&centres);
     packer.list(&places.sizes);
+    packer.list(&places.measured_area);
     packer.list(&places.weights);
     packer.finish()
 }
@@ -40,11 +41,9 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         lists.list::<u32>()?,
     );
     let densities = lists.list::<f32>()?;
-    let (centres, sizes, weights) = (
-        lists.list::<f64>()?,
-        lists.list::<f32>()?,
-        lists.list::<f64>()?,
-    );
+    let centres = lists.list::<f64>()?;
+    let (sizes, measured_area) = (lists.list::<f32>()?, lists.list::<f32>()?);
+    let weights = lists.list::<f64>()?;
     let number = sizes.len();
     let offsets = Offsets::from_lengths(lengths.iter().map(|&length| length as usize));
     let is_whole = lists.is_at_end()
@@ -52,13 +51,16 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         && offsets.entries() == parts.len()
         && densities.len() == parts.len()
         && centres.len() == 3 * number
+        && measured_area.len() == number
         && weights.len() == number;
     let of_clusters = clusters
         .iter()
         .map(|cluster| cluster.key.0)
         .eq(views.iter().copied());
     let is_possible = centres.iter().all(|x| x.is_finite())
-        && sizes.iter().all(|&size| size.is_finite() && size > 0.0)
+        && [&sizes, &measured_area]
+            .iter()
+            .all(|list| list.iter().all(|&size| size.is_finite() && size > 0.0))
         && densities
             .iter()
             .all(|density| density.is_finite() && *density > 0.0)
@@ -81,6 +83,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         views: views.into_iter().map(ViewIndex).collect(),
         centres: centres.chunks_exact(3).map(Point3::from_slice).collect(),
         sizes,
+        measured_area,
         weights,
     })
 }

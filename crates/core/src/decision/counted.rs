@@ -57,10 +57,18 @@ pub struct CountedBy {
 }
 
 /// Cells of a place that a map fills, in pixels per wanted pixel: a place counts for the *order* as
-/// soon as the map has a point within 2 g_d of each; *kept* are as many cells as have one inside, by
-/// the clouds of seven sets somewhat fewer than the four pixels of each.
+/// soon as the map has a point within 2 g_d of each.
 const FILLED_FOR_ORDER: f32 = 16.0;
+/// *Kept* are as many cells, of those in which a cloud is measured, as have a point inside; by the
+/// clouds of seven sets somewhat fewer than the four pixels of each.
 const FILLED: f32 = 3.0;
+
+/// What a row is made for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum For {
+    Order,
+    Kept,
+}
 
 /// Power of a picture's sharpness by which a map counts for the order: it decides between maps that
 /// give about the same.
@@ -206,7 +214,7 @@ impl CountedPlaces {
         size: MapScale,
         predicted: (&[u32], &[f32]),
     ) -> Vec<(u32, f32)> {
-        self.row(places, size, predicted, FILLED)
+        self.row(places, size, predicted, For::Kept)
     }
 
     fn row(
@@ -214,15 +222,19 @@ impl CountedPlaces {
         places: &[(u32, f32)],
         size: MapScale,
         (triangles, values): (&[u32], &[f32]),
-        filled: f32,
+        what_for: For,
     ) -> Vec<(u32, f32)> {
         let worth = match size {
             MapScale::Full => 1.0,
             MapScale::Half => self.half_worth,
         };
         let first = self.nearest.len() as u32;
-        let f = |density: f32| worth * (filled * density).min(1.0);
-        let places = places.iter().map(|&(place, density)| (place, f(density)));
+        let filled = |place: u32, density: f32| match what_for {
+            For::Order => FILLED_FOR_ORDER * density,
+            For::Kept => FILLED * density * self.places.measured_area[place as usize],
+        };
+        let f = |&(place, density)| (place, worth * filled(place, density).min(1.0));
+        let places = places.iter().map(f);
         let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
         places.chain(triangles).collect()
     }
@@ -235,33 +247,34 @@ impl CountedPlaces {
         (full, half): Predicted,
         finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
     ) -> Self {
-        let row = |(c, cluster): (usize, &ViewCluster),
-                   size,
-                   predicted: &FulfilmentTable,
-                   (filled, power): (f32, f64)| {
-            let places = match finished(cluster.key) {
-                Some((scale, places)) if scale == size => places,
-                _ => self.places.of_view(cluster.key),
+        let row =
+            |(c, cluster): (usize, &ViewCluster), size, predicted: &FulfilmentTable, what_for| {
+                let places = match finished(cluster.key) {
+                    Some((scale, places)) if scale == size => places,
+                    _ => self.places.of_view(cluster.key),
+                };
+                let mut row = self.row(places, size, predicted.row(c), what_for);
+                if what_for == For::Order {
+                    let sharpness = self.sharpness.of(cluster.key);
+                    let factor = sharpness.powf(SHARPNESS_FOR_ORDER) as f32;
+                    row.iter_mut().for_each(|(_, f)| *f *= factor);
+                }
+                row
             };
-            let factor = self.sharpness.of(cluster.key).powf(power) as f32;
-            let mut row = self.row(places, size, predicted.row(c), filled);
-            row.iter_mut().for_each(|(_, f)| *f *= factor);
-            row
-        };
-        let table = |size, predicted, by| {
+        let table = |size, predicted, what_for| {
             let clusters = clusters.iter().enumerate();
-            FulfilmentTable::new(clusters.map(|of| row(of, size, predicted, by)))
+            FulfilmentTable::new(clusters.map(|of| row(of, size, predicted, what_for)))
         };
-        let counted = |by: &CountedBy, filled, power| CountedBy {
+        let counted = |by: &CountedBy, what_for| CountedBy {
             objective: by.objective.clone(),
-            table: table(MapScale::Full, full, (filled, power)),
-            half: half.map(|half| table(MapScale::Half, half, (filled, power))),
+            table: table(MapScale::Full, full, what_for),
+            half: half.map(|half| table(MapScale::Half, half, what_for)),
         };
         Self {
             places: self.places.clone(),
             nearest: self.nearest.clone(),
-            order: counted(&self.order, FILLED_FOR_ORDER, SHARPNESS_FOR_ORDER),
-            kept: counted(&self.kept, FILLED, 0.0),
+            order: counted(&self.order, For::Order),
+            kept: counted(&self.kept, For::Kept),
             by_area: self.by_area.clone(),
             half_worth: self.half_worth,
             sharpness: self.sharpness.clone(),

@@ -30,9 +30,12 @@ const PROBES: usize = 64;
 pub struct Places {
     /// A point of each cell, world coordinates.
     pub centres: Vec<Point3<f64>>,
-    /// Wanted GSD there, in pixels of the thumbnails: half the edge of the cells in which the cloud
-    /// of the matched maps is measured (method 8), brought to the thumbnails' size; scene units.
+    /// Wanted GSD there, in pixels of the thumbnails: half the edge of the cell, scene units.
     pub sizes: Vec<f32>,
+    /// Area of the cells in which the cloud of the matched maps is measured (method 8), brought to
+    /// the size of the thumbnails, over that of the place's cell: GSDs are rounded to powers of two
+    /// at either size.
+    pub measured_area: Vec<f32>,
     /// How much the place counts: less where only two maps agree.
     pub weights: Vec<f64>,
     /// Key views of the maps, ascending.
@@ -73,8 +76,10 @@ impl Places {
 
     fn push(&mut self, found: &Agreed, smaller: f64) {
         let index = self.centres.len() as u32;
-        let measured = octave(found.finest * smaller);
-        let size = (f64::from(measured).exp2() / smaller) as f32;
+        let size = f64::from(octave(found.finest)).exp2();
+        let measured = f64::from(octave(found.finest * smaller)).exp2() / smaller;
+        self.measured_area.push((measured / size).powi(2) as f32);
+        let size = size as f32;
         for &(map, gsd) in &found.maps {
             self.parts[map as usize].push((index, density(size, gsd)));
         }
