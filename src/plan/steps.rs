@@ -36,21 +36,15 @@ pub(super) struct TwinsStep<'a> {
 
 impl Step for TwinsStep<'_> {
     const STAGE: Stage = Stage::Read;
-    /// Pairs of the view set aside and the sharper one.
-    type Facts = Vec<[u32; 2]>;
+    type Facts = ();
     type Output = Vec<Twin>;
 
     fn file(&self) -> CacheFile {
         self.inputs.fingerprints.twins(self.inputs)
     }
 
-    fn unpack(&self, facts: Self::Facts, _: &[u8]) -> Option<Vec<Twin>> {
-        let views = self.inputs.scene.views.len() as u32;
-        let twin = |[view, sharper]: [u32; 2]| {
-            let [view, sharper] = [view, sharper].map(ViewIndex);
-            (view.0.max(sharper.0) < views).then_some(Twin { view, sharper })
-        };
-        facts.into_iter().map(twin).collect()
+    fn unpack(&self, (): (), bytes: &[u8]) -> Option<Vec<Twin>> {
+        cached::twins::unpack(bytes, self.inputs.scene.views.len())
     }
 
     fn compute(self, watcher: &dyn Watcher) -> Result<Vec<Twin>, PlanError> {

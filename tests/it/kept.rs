@@ -29,7 +29,8 @@ use viewrank_io::{
 };
 
 /// All stages, in the order of the plan.
-const ALL: [&str; 6] = [
+const ALL: [&str; 7] = [
+    "twins",
     "surface",
     "shown",
     "candidates",
@@ -37,8 +38,8 @@ const ALL: [&str; 6] = [
     "clusters",
     "ranking",
 ];
-/// Settings that no plan reads, or that name a folder which the tests lack.
-const NO_PART_OF_A_PLAN: [&str; 2] = ["on_target", "images"];
+/// Settings that no plan reads, or that name a folder which the tests lack (pilot.rs has small maps).
+const NO_PART_OF_A_PLAN: [&str; 3] = ["on_target", "images", "pilot.maps"];
 
 fn town() -> Scene {
     let camera = Camera::new(

@@ -14,6 +14,7 @@ use viewrank_core::{
 };
 use viewrank_io::{
     formats::{colmap::ColmapModel, colmap_bin},
+    output::Disk,
     project::Project,
 };
 
@@ -108,6 +109,14 @@ fn what_the_small_maps_do_not_show_is_not_counted() {
         keys.map(centre).sum::<f64>() / 3.0
     };
     assert!(first(&plan) < -5.0, "{}", first(&plan));
+    // Other maps in the same folder are another pilot.
+    for set in plan.unwritten() {
+        set.write(&Disk::REAL).unwrap();
+    }
+    write_maps(&predicted, &maps, |_, place| place.x > 0.0);
+    let other = self::plan(project.path(), Some(&maps)).unwrap();
+    let places = &other.stages.pilot.as_ref().unwrap().places;
+    assert!(places.centres.iter().all(|place| place.x > -0.5));
 }
 
 #[test]

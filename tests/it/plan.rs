@@ -180,6 +180,7 @@ fn the_same_bytes_on_one_thread_and_on_sixteen() {
         let times = [
             "timings.json",
             "agreement.table",
+            "twins.table",
             "clusters.table",
             "ranking.table",
         ];

@@ -278,7 +278,8 @@ fn auto_says_what_it_takes_and_is_the_same_on_any_number_of_threads() {
     ]);
     let summary = String::from_utf8(summary.stdout).unwrap();
     assert!(
-        summary.contains("\nRegion: auto, the box -") && summary.contains(" inside the region, "),
+        summary.contains("\nRegion: auto, the box -")
+            && summary.contains(" inside the region (likely "),
         "{summary}"
     );
     assert!(

@@ -14,6 +14,7 @@ pub(super) mod pilot;
 pub(super) mod ranking;
 pub(super) mod shown;
 mod surface;
+pub(super) mod twins;
 pub(super) mod unary;
 
 use serde::{Serialize, de::DeserializeOwned};
@@ -118,14 +119,8 @@ impl Plan {
             is_kept: cached.ranking.is_kept && self.decision.pixels.len() <= known,
             ..cached.ranking.clone()
         };
-        let twins = || {
-            let twins = stages.twins.iter();
-            twins
-                .map(|twin| [twin.view.0, twin.sharper.0])
-                .collect::<Vec<_>>()
-        };
         [
-            cached.twins.set(|| Some((twins(), Packed::default()))),
+            cached.twins.set(|| Some(((), twins::pack(&stages.twins)))),
             cached
                 .surface
                 .set(|| surface::pack(&stages.surface, &stages.surface_stats, &stages.visibility)),
