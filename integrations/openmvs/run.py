@@ -42,11 +42,14 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 FILLED_LEAST = 0.01  # share of pixels with a depth below which a map counts as empty
 NO_POSE = 0xFFFFFFFF  # DensifyPointCloud passes over such images and does not load them
+# Kinds of .dmap by their first letters: bytes of the head, and bytes per pixel of the planes of depths, normals, confidences and views. OpenMVS v2.0 to v2.4.0 writes DR, in
+# floats; develop of 2026 D2, with depths as halves and confidences as bytes. It reads only maps of the kind that it writes.
+KINDS = {b"DR": (28, (4, 12, 4, 4)), b"D2": (32, (2, 4, 1, 4))}
 UNFINISHED = HERE / "unfinished"  # viewrank looks for no depth maps in a folder of this name
 
-# Options of DensifyPointCloud v2.3.0. Those of the cloud are read behind ComputeDepthMaps in Scene::DenseReconstruction (SceneDensify.cpp) and where main() writes or
+# Options of DensifyPointCloud v2.3.0 and develop of 2026. Those of the cloud are read behind ComputeDepthMaps in Scene::DenseReconstruction (SceneDensify.cpp) and where main() writes or
 # filters a cloud. All others may change a map: resolutions, iterations, neighbours and region of interest choose what is matched, and postprocess-dmaps filters the map before it is saved.
-OF_THE_CLOUD = {"number-views-fuse", "fusion-filter", "estimate-colors", "estimate-normals", "estimate-scale", "filter-point-cloud", "export-number-views", "crop-to-roi", "roi-border", "archive-type"}
+OF_THE_CLOUD = {"number-views-fuse", "fusion-filter", "estimate-colors", "estimate-normals", "estimate-scale", "filter-point-cloud", "export-number-views", "fusion-prior-weight", "fusion-recycle-dropped", "crop-to-roi", "roi-border", "archive-type"}
 OF_THE_MACHINE = {"max-threads", "cuda-device", "process-priority", "verbosity"}
 # fusion-mode and the files are what run.py is for; remove-dmaps would take the maps away.
 OF_RUN_PY = {"working-folder", "input-file", "output-file", "view-neighbors-file", "fusion-mode", "remove-dmaps"}
@@ -244,7 +247,7 @@ class Densify:
         return self.run(folder, row["scene"], f"{folder.name}.mvs", options)
 
     def fuse(self, folder, scene, output, agree):
-        # Branch develop keeps only what five maps agree on unless told otherwise.
+        # v2.4.0 and develop would take filter 2, which joins five pixels or none: few of those that the plan foretells, from few maps.
         ours = {"fusion-filter": "0" if agree in ("0", "1") else "1"} if "--fusion-filter" in self.known else {}
         kept = {"view-neighbors-file": "fuse.txt", "number-views": "0", "geometric-iters": "0", "postprocess-dmaps": "0"}
         return self.run(folder, scene, output, {**self.common, "number-views-fuse": agree, **ours, **self.users, **kept})
@@ -285,8 +288,15 @@ def compute(row, program, report):
     with workplace(f"{row['id']:04d}") as folder:
         done = program.make_map(folder, row)
         made = folder / map_of(row).name
-        result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **check(row, made)}
+        try:
+            found = check(row, made)
+        except Newer as error:
+            if not map_of(row).exists():  # for a viewrank that reads it
+                made.replace(map_of(row))
+            sys.exit(f"error: {made.name}: {error}\nhint: use a newer viewrank, or OpenMVS v2.0 to v2.4.0")
+        result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **found}
         if not result["problems"]:
+            report.refuse_other_kinds(row, result["kind"])
             write_whole(folder / "row.json", result)
             report.settle(row)
             return
@@ -330,6 +340,8 @@ def check(row, path):
         return {"problems": ["no depth map"], "partner_ids": [], "filled": 0.0}
     try:
         found = read_map(path)
+    except Newer:
+        raise
     except (OSError, struct.error, ValueError) as error:
         return {"problems": [f"unreadable depth map: {error}"], "partner_ids": [], "filled": 0.0}
     problems = []
@@ -343,7 +355,12 @@ def check(row, path):
         problems.append(f"depth range {found['range'][0]:g} to {found['range'][1]:g}, but the sparse points have {least:g} to {greatest:g}")
     if found["filled"] < FILLED_LEAST:
         problems.append(f"only {100 * found['filled']:.1f} % of the pixels have a depth")
-    return {"problems": problems, "scale": row.get("scale", 1), "partner_ids": partners, "filled": round(found["filled"], 4), "range": found["range"], "size": found["size"]}
+    own = {name: found[name] for name in ("kind", "range", "size")}
+    return {"problems": problems, "scale": row.get("scale", 1), "partner_ids": partners, "filled": round(found["filled"], 4), **own}
+
+
+class Newer(ValueError):
+    """A map of a kind that came after this script."""
 
 
 def read_map(path):
@@ -353,18 +370,26 @@ def read_map(path):
         width, height = head["size"]
         filled = 0
         for _ in range(height):
-            filled += sum(1 for depth in memoryview(file.read(4 * width)).cast("f") if depth > 0)
+            if head["kind"] == "DR":
+                filled += sum(1 for depth in memoryview(file.read(4 * width)).cast("f") if depth > 0)
+            else:  # bits of a half that is above 0 and finite
+                filled += sum(1 for half in memoryview(file.read(2 * width)).cast("H") if 0 < half < 0x7C00)
     return {**head, "filled": filled / max(1, width * height)}
 
 
 def read_head(file):
     """Head of a .dmap that is whole; ValueError and struct.error otherwise."""
     head = file.read(28)
-    if head[:2] != b"DR":
-        raise ValueError("it does not begin with DR")
-    # Planes behind each other: depths, then as the bits say normals, confidences and indices of views.
-    planes = sum(size for bit, size in ((1, 4), (2, 12), (4, 4), (8, 4)) if head[2] & bit)
+    kind, bits = head[:2], head[2] if len(head) > 2 else 1
+    # Each bit of the type of DR is a plane; D2 also has bits that say how it was made.
+    if kind not in KINDS and any(kind) or kind == b"DR" and bits > 15:
+        raise Newer(f"a depth map of kind {ascii(kind)[2:-1]} and type {bits}, which is newer than this run.py")
+    if kind not in KINDS:
+        raise ValueError("it does not begin with DR or D2")
+    length, widths = KINDS[kind]
+    planes = sum(width for bit, width in zip((1, 2, 4, 8), widths) if bits & bit)
     width, height, least, greatest = struct.unpack_from("<2I2f", head, 12)
+    file.read(length - 28)
     (length,) = struct.unpack("<H", file.read(2))
     file.read(length)
     (count,) = struct.unpack("<I", file.read(4))
@@ -374,7 +399,12 @@ def read_head(file):
     file.read(21 * 8)
     if file.tell() + planes * width * height > os.fstat(file.fileno()).st_size:
         raise ValueError("cut off")
-    return {"ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height]}
+    return {"kind": kind.decode(), "ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height]}
+
+
+def kind_of(path):
+    with open(path, "rb") as file:
+        return file.read(2).decode("ascii", "replace")
 
 
 def enlarged(path, size):
@@ -394,17 +424,28 @@ def enlarged(path, size):
     k = [k[0] * sx, k[1] * sx, (k[2] + 0.5) * sx - 0.5, k[3], k[4] * sy, (k[5] + 0.5) * sy - 0.5, *k[6:]]
     struct.pack_into("<9d", before, start - 168, *k)
     parts, at = [bytes(before)], 0
-    for bit, words in ((1, 1), (2, 3), (4, 1), (8, 1)):
+    for bit, pixel in zip((1, 2, 4, 8), KINDS[bytes(before[:2])][1]):
         if before[2] & bit:
-            plane = memoryview(planes)[at : at + 4 * words * width * height]
+            plane = planes[at : at + pixel * width * height]
             at += len(plane)
-            taken = [words * x + word for x in columns for word in range(words)]
-            lines = (array.array("f" if bit == 4 else "I", plane[4 * words * width * y : 4 * words * width * (y + 1)].tobytes()) for y in range(height))
-            lines = [array.array(line.typecode, [line[x] for x in taken]) for line in lines]
             if bit == 4:
-                lines = [array.array("f", [max(0.0, 1 - 4 * (1 - c)) if c > 0 else c for c in line]) for line in lines]
-            parts += [lines[y].tobytes() for y in rows]
+                plane = of_doubled_deviation(plane, before)
+            unit, words = ({1: "B", 2: "H"}.get(pixel, "I"), max(1, pixel // 4))
+            taken = [words * x + word for x in columns for word in range(words)]
+            lines = (array.array(unit, plane[pixel * width * y : pixel * width * (y + 1)]) for y in range(height))
+            lines = [array.array(unit, [line[x] for x in taken]).tobytes() for line in lines]
+            parts += [lines[y] for y in rows]
     return b"".join(parts)
+
+
+def of_doubled_deviation(plane, head):
+    """The plane of confidences c with 1 - 4 (1 - c) in their place."""
+    lowered = lambda c: max(0.0, 1 - 4 * (1 - c)) if c > 0 else c
+    if head[:2] == b"DR":
+        return array.array("f", map(lowered, array.array("f", plane))).tobytes()
+    (greatest,) = struct.unpack_from("<f", head, 28)
+    unit = greatest / 255 if greatest > 0 else 1
+    return plane.translate(bytes(min(255, round(lowered(byte * unit) / unit)) for byte in range(256)))
 
 
 def is_whole(path):
@@ -433,6 +474,7 @@ class Report:
         self.options = options
         self.fusion = None
         self.single = False
+        self.kind = None  # that the program writes
 
     def has(self, row, digest):
         """Was it tried, with this scene and these options? The row of the map that is there counts where the last try was another."""
@@ -444,6 +486,17 @@ class Report:
     def is_good(self, row, digest):
         """Is its map there, whole and as planned?"""
         return self.has(row, digest) and not self.rows[row["key"]]["problems"] and is_whole(map_of(row))
+
+    def refuse_other_kinds(self, row, kind):
+        """Ends where the first map of this run is of another kind than those that are there: the program could not fuse these."""
+        others = {} if self.kind else {kind_of(path): path for path in HERE.glob("depth*.dmap") if re.fullmatch(r"depth\d+\.dmap", path.name) and path != map_of(row)}
+        self.kind = kind
+        for other, path in others.items():
+            if other != kind:
+                sys.exit(
+                    f"error: this DensifyPointCloud writes maps of kind {kind} and reads no others, but {path.name} is of kind {ascii(other)[1:-1]}\n"
+                    f"hint: name the version that made it with --densify, or move the depth*.dmap away to compute all of them again"
+                )
 
     def settle(self, row):
         """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between."""
@@ -505,6 +558,10 @@ def fuse(run, program, report):
     rows = run["clusters"]
     there = {i for i, row in enumerate(rows) if report.is_good(row, digest_of(row, program))}
     problems = []
+    kinds = sorted({kind_of(map_of(rows[i])) for i in there})
+    if len(kinds) > 1:
+        print(f"nothing is fused: maps of the kinds {' and '.join(kinds)}, and OpenMVS reads only those of the kind that it writes: move the others away", flush=True)
+        return False
     while there:
         agree = program.users.get("number-views-fuse") or str(min(run["maps_per_point"], len(there)))
         done, points = fuse_maps(run, there, agree, program)
@@ -512,7 +569,7 @@ def fuse(run, program, report):
             break
         unread = re.search(r"failed reloading image '.*?/(images/.+)'", done.stdout)
         broken = {i for i in there if unread and f"images/{rows[i]['key']}" == unread[1]}
-        problems += [f"{rows[i]['key']}: its image cannot be read" for i in broken] or [last_words(done)]
+        problems += [f"{rows[i]['key']}: its image cannot be read" for i in broken] or [f"{last_words(done)} (the maps are of kind {kinds[0]}: OpenMVS reads only maps of the kind that it writes)"]
         there = there - broken if broken else set()
     if not there:
         print("; ".join([*problems, "nothing is fused" if problems else "nothing to fuse"]), flush=True)

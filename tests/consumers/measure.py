@@ -100,14 +100,15 @@ def read_mvei(path):
 def read_dmap(path):
     """Depths of OpenMVS, and the name of the image with the ids of the key view and its partners."""
     data = path.read_bytes()
-    assert data[:2] == b"DR" and data[2] & 1
+    head, depth, unit = {b"DR": (28, "<f4", 1.0), b"D2": (32, "<f2", 2.0 ** struct.unpack_from("b", data, 3)[0])}[data[:2]]
+    assert data[2] & 1
     width, height = struct.unpack_from("<2I", data, 12)
-    length = struct.unpack_from("<H", data, 28)[0]
-    image = data[30 : 30 + length].decode()
-    count = struct.unpack_from("<I", data, 30 + length)[0]
-    ids = struct.unpack_from(f"<{count}I", data, 34 + length)
-    start = 34 + length + 4 * count + 21 * 8
-    return np.frombuffer(data, "<f4", width * height, start).reshape(height, width), image, ids
+    length = struct.unpack_from("<H", data, head)[0]
+    image = data[head + 2 : head + 2 + length].decode()
+    count = struct.unpack_from("<I", data, head + 2 + length)[0]
+    ids = struct.unpack_from(f"<{count}I", data, head + 6 + length)
+    start = head + 6 + length + 4 * count + 21 * 8
+    return np.frombuffer(data, depth, width * height, start).reshape(height, width).astype(np.float32) * np.float32(unit), image, ids
 
 
 def read_ply(path):

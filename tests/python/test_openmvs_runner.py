@@ -66,9 +66,11 @@ elif not (here / "images").is_dir() or list(here.glob("*.dmap")):
     sys.exit("no images, or maps that OpenMVS would keep")
 for made in json.loads((home / "made.json").read_text()).get(scene, []):
     ids, (least, greatest), depth = made["ids"], made["range"], made["depth"] + int(options.get("iters", 0))
-    head = b"DR" + bytes([3, 0]) + struct.pack("<4I2f", 4, 4, 4, 4, least, greatest)
+    kind = made.get("kind", "DR")
+    # D2: an exponent and the value of a confidence of 255 in the head, halves, normals of two shorts.
+    head = kind.encode() + bytes([3, 0 if kind == "DR" else 3]) + struct.pack("<4I2f", 4, 4, 4, 4, least, greatest) + (b"" if kind == "DR" else struct.pack("<f", 1))
     head += struct.pack("<H", 1) + b"a" + struct.pack(f"<I{{len(ids)}}I", len(ids), *ids) + bytes(21 * 8)
-    planes = struct.pack("<16f", *[depth] * 16) + bytes(16 * 12)
+    planes = struct.pack("<16f", *[depth] * 16) + bytes(16 * 12) if kind == "DR" else struct.pack("<16e", *[depth / 8] * 16) + bytes(16 * 4)
     (here / f"depth{{ids[0]:04d}}.dmap").write_bytes(head + planes[: made.get("bytes")])
     if made.get("kill"):
         os.kill(os.getppid(), made["kill"])

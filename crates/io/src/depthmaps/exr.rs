@@ -2,6 +2,7 @@
 //! uncompressed or deflated (AliceVision: `zips`); distances from the camera's centre, -1 for none.
 //! See "OpenEXR File Layout".
 
+use half::f16;
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 use viewrank_core::base::{large_pages, pixels::PixelBound};
 
@@ -86,7 +87,7 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
             *z = if sample == 4 {
                 f32::from_le_bytes([value[0], value[1], value[2], value[3]])
             } else {
-                half(u16::from_le_bytes([value[0], value[1]]))
+                f16::from_le_bytes([value[0], value[1]]).to_f32()
             };
         }
     }
@@ -177,15 +178,4 @@ fn unpacked(stored: &[u8], length: usize) -> Result<Vec<u8>, String> {
     Ok((0..length)
         .map(|i| if i % 2 == 0 { even[i / 2] } else { odd[i / 2] })
         .collect())
-}
-
-/// A float of 16 bits: sign, 5 bits of exponent, 10 of mantissa.
-fn half(bits: u16) -> f32 {
-    let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
-    let size = match exponent {
-        0 => mantissa * (-24f32).exp2(),
-        31 => return f32::NAN,
-        _ => (1024.0 + mantissa) * ((exponent - 25) as f32).exp2(),
-    };
-    if bits >> 15 == 1 { -size } else { size }
 }

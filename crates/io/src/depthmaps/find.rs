@@ -20,9 +20,10 @@ const DMAP_HEADER: u64 = 1 << 17;
 const COLMAP: &str = "stereo/depth_maps";
 /// Programs with a depth map folder of their own name: in the project, in viewrank's output folder
 /// or in `export`.
-const BY_NAME: [&str; 9] = [
+const BY_NAME: [&str; 10] = [
     "sgm",
     "openmvs",
+    "pairs",
     "mvsnet",
     "patchmatchnet",
     "acmm",
@@ -499,6 +500,7 @@ fn dmap_header(path: &Path) -> Result<openmvs::Header, DepthMapError> {
         .take(DMAP_HEADER)
         .read_to_end(&mut bytes)
         .map_err(io)?;
+    super::check_kind(path, DepthMapFormat::OpenMvs, &bytes)?;
     openmvs::header(&bytes).map_err(|(byte, what)| DepthMapError::Format {
         path: path.into(),
         byte,

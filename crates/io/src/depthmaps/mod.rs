@@ -236,6 +236,8 @@ pub enum DepthMapError {
         byte: usize,
         what: String,
     },
+    #[error("{path}: {kind}, which is newer than this viewrank")]
+    Newer { path: PathBuf, kind: String },
     #[error("{path}: still being matched, or failed: there is no {}", file.display())]
     Unmatched { path: PathBuf, file: PathBuf },
     #[error("no depth maps of the plan's views in {0}")]
@@ -264,7 +266,10 @@ impl Hint for DepthMapError {
         let hint = match self {
             Self::Io { .. } => "check that the file exists and is readable",
             Self::Format { .. } => {
-                "compute this depth map again, or remove it: it is damaged, still being written, or of a kind that is not read"
+                "compute this depth map again, or remove it: it is damaged or still being written"
+            }
+            Self::Newer { .. } => {
+                "use a newer viewrank, or compute the depth maps with a version of the program that this viewrank knows (docs/programs.md)"
             }
             Self::Unmatched { .. } => {
                 "let the run.sh of the export end: it marks each view that is finished"
@@ -288,6 +293,7 @@ impl Hint for DepthMapError {
         match self {
             Self::Io { path, .. }
             | Self::Format { path, .. }
+            | Self::Newer { path, .. }
             | Self::Unmatched { path, .. }
             | Self::None(path)
             | Self::Names { path, .. }
@@ -327,10 +333,22 @@ pub fn read(
             bound.file_bytes(),
         )
     };
+    check_kind(path, format, &bytes)?;
     parse(&bytes, format, bound, &beside).map_err(|(byte, what)| DepthMapError::Format {
         path: path.into(),
         byte,
         what,
+    })
+}
+
+/// Refuses a map of a kind that came after this program: it is as good as any other.
+fn check_kind(path: &Path, format: DepthMapFormat, bytes: &[u8]) -> Result<(), DepthMapError> {
+    let newer = (format == DepthMapFormat::OpenMvs).then(|| openmvs::newer(bytes));
+    newer.flatten().map_or(Ok(()), |kind| {
+        Err(DepthMapError::Newer {
+            path: path.into(),
+            kind,
+        })
     })
 }
 
@@ -418,28 +436,31 @@ fn pixels(width: u32, height: u32, bound: PixelBound) -> Parsed<usize> {
     }
 }
 
-/// Reads `width` x `height` little-endian f32 from `start`; checks the size before it allocates.
-fn floats(
+/// Returns `width` x `height` values of N bytes each from `start`; checks that they are there.
+fn plane<const N: usize>(
     bytes: &[u8],
     start: usize,
     (width, height): (u32, u32),
     bound: PixelBound,
-) -> Parsed<Vec<f32>> {
-    let pixels = pixels(width, height, bound)?;
-    let left = bytes.len().saturating_sub(start);
-    if left < pixels * 4 {
-        return Err((
+) -> Parsed<impl Iterator<Item = [u8; N]>> {
+    let needed = pixels(width, height, bound)? * N;
+    let values = bytes.get(start..).unwrap_or_default();
+    match values.get(..needed) {
+        Some(values) => Ok(values.as_chunks().0.iter().copied()),
+        None => Err((
             start,
             format!(
-                "{width} x {height} pixels need {} bytes, {left} are left",
-                pixels * 4
+                "{width} x {height} pixels need {needed} bytes, {} are left",
+                values.len()
             ),
-        ));
+        )),
     }
-    let data = &bytes[start..start + pixels * 4];
-    Ok(data
-        .chunks_exact(4)
-        .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+}
+
+/// Reads `width` x `height` little-endian f32 from `start`.
+fn floats(bytes: &[u8], start: usize, size: (u32, u32), bound: PixelBound) -> Parsed<Vec<f32>> {
+    Ok(plane(bytes, start, size, bound)?
+        .map(f32::from_le_bytes)
         .collect())
 }
 

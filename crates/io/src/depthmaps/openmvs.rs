@@ -1,30 +1,97 @@
-//! OpenMVS's `depthNNNN.dmap`: header, image path, ids (key view first, then the partners used), K
-//! R C, depth plane. The planes after it (normals, confidence, views) are ignored.
+//! OpenMVS's `depthNNNN.dmap`, little-endian: header, image path, ids (key view first, then the
+//! partners used), K R C, depth plane. The planes after it (normals, confidence, views) are
+//! ignored.
+//!
+//! Two kinds, told apart by their first two letters: `DR` (v2.0 to v2.4.0) has depths of f32, `D2`
+//! (develop since 2026) halves of depth / 2^exponent, and 4 bytes more in its header. OpenMVS reads
+//! maps of its own kind only.
 
+use half::f16;
+use nom::{
+    IResult, Parser,
+    bytes::complete::take,
+    combinator::verify,
+    multi::{length_data, many},
+    number::complete::{le_u16, le_u32},
+};
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
+use super::{DepthMap, DepthMapFormat, Parsed, floats, plane};
 
-/// Fixed part of the header: magic, type, image and depth size, depth range.
-const FIXED: usize = 28;
+/// Letters, type, exponent, width and height of the image.
+const BEFORE_THE_SIZE: usize = 12;
+/// Least and greatest depth, which viewrank does not need; f32 each.
+const RANGE: usize = 8;
+/// Value of a confidence of 255 in `D2`, f32.
+const CONFIDENCE: usize = 4;
 /// K, R and C in f64.
 const MATRICES: usize = (9 + 9 + 3) * 8;
 /// Largest plausible number of ids; OpenMVS uses 12 partners by default.
 const MOST_IDS: u32 = 4096;
+/// Bits of the type: a depth plane; all planes of `DR`.
+const HAS_DEPTH: u8 = 1;
+const PLANES_OF_DR: u8 = 0b1111;
+
+/// Kind of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// `DR`: depths are f32.
+    Floats,
+    /// `D2`: depths are halves, to be multiplied by two to the power of `exponent`.
+    Halves { exponent: i8 },
+}
+
+impl Kind {
+    fn of(bytes: &[u8]) -> Option<Self> {
+        match bytes {
+            [b'D', b'R', ..] => Some(Self::Floats),
+            [b'D', b'2', rest @ ..] => Some(Self::Halves {
+                exponent: rest.get(1).map_or(0, |byte| byte.cast_signed()),
+            }),
+            _ => None,
+        }
+    }
+}
+
+/// Describes a map of a kind that this program does not know: other letters, or other planes than
+/// those that `DR` ever had. More bits of the type of `D2` are flags, such as that of confidences
+/// that were adjusted.
+pub(super) fn newer(bytes: &[u8]) -> Option<String> {
+    let letters = bytes.get(..2).filter(|letters| *letters != [0, 0])?;
+    let planes = bytes.get(2).copied().unwrap_or(HAS_DEPTH);
+    match Kind::of(bytes) {
+        None => Some(format!("a depth map of kind `{}`", letters.escape_ascii())),
+        Some(Kind::Floats) if planes & !PLANES_OF_DR != 0 => {
+            Some(format!("a depth map of kind `DR` and type {planes}"))
+        }
+        Some(_) => None,
+    }
+}
 
 pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     let header = header(bytes)?;
+    let size = (header.width, header.height);
+    let depth = match header.kind {
+        Kind::Floats => floats(bytes, header.length, size, bound)?,
+        Kind::Halves { exponent } => {
+            let unit = 2f64.powi(exponent.into());
+            plane::<2>(bytes, header.length, size, bound)?
+                .map(|half| (f16::from_le_bytes(half).to_f64() * unit) as f32)
+                .collect()
+        }
+    };
     Ok(DepthMap {
         format: DepthMapFormat::OpenMvs,
         width: header.width,
         height: header.height,
-        depth: floats(bytes, header.length, (header.width, header.height), bound)?,
+        depth,
         ids: header.ids,
     })
 }
 
 /// Everything before the depth plane.
 pub(super) struct Header {
+    kind: Kind,
     pub width: u32,
     pub height: u32,
     /// Path of the image, relative to the map's folder.
@@ -35,37 +102,46 @@ pub(super) struct Header {
 }
 
 pub(super) fn header(bytes: &[u8]) -> Parsed<Header> {
-    if bytes.len() < FIXED + 2 || &bytes[..2] != b"DR" {
-        return Err((0, "not a .dmap file, expected `DR`".into()));
-    }
-    if bytes[2] & 1 == 0 {
+    let kind = Kind::of(bytes).ok_or((0, "not a .dmap file, expected `DR` or `D2`".to_string()))?;
+    if bytes.get(2).is_some_and(|planes| planes & HAS_DEPTH == 0) {
         return Err((2, "the file has no depth plane".into()));
     }
-    let (width, height) = (u32_at(bytes, 12)?, u32_at(bytes, 16)?);
-    let name_length = usize::from(u16::from_le_bytes([bytes[FIXED], bytes[FIXED + 1]]));
-    let name_end = FIXED + 2 + name_length;
-    let name = bytes.get(FIXED + 2..name_end).ok_or_else(|| {
-        (
-            FIXED,
-            "unexpected end of file in the image path".to_string(),
-        )
+    let (rest, (width, height, image, ids)) = fields(kind, bytes).map_err(|error| {
+        let left = match error {
+            nom::Err::Error(error) | nom::Err::Failure(error) => error.input.len(),
+            nom::Err::Incomplete(_) => 0,
+        };
+        let what = format!("the header ends too early, or names more than {MOST_IDS} views");
+        (bytes.len() - left, what)
     })?;
-    let count = u32_at(bytes, name_end)?;
-    if count > MOST_IDS {
-        return Err((
-            name_end,
-            format!("{count} ids of views, at most {MOST_IDS} are plausible"),
-        ));
-    }
-    let ids = (0..count as usize)
-        .map(|i| u32_at(bytes, name_end + 4 + 4 * i))
-        .collect::<Parsed<Vec<u32>>>()?;
-    let length = name_end + 4 + 4 * ids.len() + MATRICES;
     Ok(Header {
+        kind,
         width,
         height,
-        image: String::from_utf8_lossy(name).into_owned(),
+        image: String::from_utf8_lossy(image).into_owned(),
         ids,
-        length,
+        length: bytes.len() - rest.len(),
     })
+}
+
+/// Width, height, path of the image, and ids.
+type Fields<'a> = (u32, u32, &'a [u8], Vec<u32>);
+
+fn fields(kind: Kind, bytes: &[u8]) -> IResult<&[u8], Fields<'_>> {
+    let behind_the_size = match kind {
+        Kind::Floats => RANGE,
+        Kind::Halves { .. } => RANGE + CONFIDENCE,
+    };
+    let is_plausible = |count: &u32| *count <= MOST_IDS;
+    let (rest, (_, width, height, _, image, count)) = (
+        take(BEFORE_THE_SIZE),
+        le_u32,
+        le_u32,
+        take(behind_the_size),
+        length_data(le_u16),
+        verify(le_u32, is_plausible),
+    )
+        .parse(bytes)?;
+    let (rest, (ids, _)) = (many(count as usize, le_u32), take(MATRICES)).parse(rest)?;
+    Ok((rest, (width, height, image, ids)))
 }

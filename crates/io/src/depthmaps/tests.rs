@@ -2,6 +2,7 @@
 //! and on corrupted bytes.
 
 mod bounds;
+mod dmap;
 
 use std::path::PathBuf;
 

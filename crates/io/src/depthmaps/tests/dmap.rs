@@ -1,0 +1,208 @@
+//! OpenMVS's maps of the kind `D2`, written here after the description of the format: halves are
+//! made from their bits, not by the library that reads them.
+
+use super::*;
+
+/// A `D2` map as OpenMVS's develop of 2026 writes it.
+#[derive(Clone, Debug)]
+struct D2 {
+    kind: u8,
+    exponent: i8,
+    size: [u32; 2],
+    /// Bits of the depths divided by 2^exponent.
+    halves: Vec<u16>,
+    ids: Vec<u32>,
+    name: &'static str,
+}
+
+impl D2 {
+    /// 2 x 2 pixels: none, 1.0, 1.5 and the largest half, 65504, times eight.
+    fn small() -> Self {
+        Self {
+            kind: 0b1111,
+            exponent: 3,
+            size: [2, 2],
+            halves: vec![0, 0x3C00, 0x3E00, 0x7BFF],
+            ids: vec![40, 43, 39],
+            name: "images/IMG_9395.jpg",
+        }
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        let mut bytes = b"D2".to_vec();
+        bytes.extend([self.kind, self.exponent.cast_unsigned()]);
+        for length in self.size.map(|side| side * 4).into_iter().chain(self.size) {
+            bytes.extend(length.to_le_bytes());
+        }
+        bytes.extend(floats_le(&[0.5, 99.0, 1.0]));
+        bytes.extend((self.name.len() as u16).to_le_bytes());
+        bytes.extend(self.name.bytes());
+        bytes.extend((self.ids.len() as u32).to_le_bytes());
+        bytes.extend(self.ids.iter().flat_map(|id| id.to_le_bytes()));
+        bytes.extend([0; 21 * 8]);
+        bytes.extend(self.halves.iter().flat_map(|half| half.to_le_bytes()));
+        // Normals, confidences and views.
+        let pixels = self.halves.len();
+        for (bit, width) in [(1, 4), (2, 1), (3, 4)] {
+            let there = usize::from(self.kind >> bit & 1);
+            bytes.extend(vec![0xA5; width * there * pixels]);
+        }
+        bytes
+    }
+}
+
+/// Value of a half: sign, 5 bits of exponent, 10 of mantissa.
+fn value(half: u16) -> f64 {
+    let (sign, exponent, mantissa) = (half >> 15, i32::from(half >> 10 & 31), half & 1023);
+    let size = match exponent {
+        0 => f64::from(mantissa) * 2f64.powi(-24),
+        31 => f64::NAN,
+        _ => f64::from(1024 + mantissa) * 2f64.powi(exponent - 25),
+    };
+    if sign == 1 { -size } else { size }
+}
+
+/// Reads bytes as a file of the name in a folder, within the bound.
+fn read_bytes(bytes: &[u8], bound: PixelBound) -> Result<DepthMap, DepthMapError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("depth0040.dmap");
+    std::fs::write(&path, bytes).unwrap();
+    read(&path, DepthMapFormat::OpenMvs, bound)
+}
+
+#[test]
+fn depths_of_the_new_kind_are_halves_times_a_power_of_two() {
+    let map = parse(&D2::small().bytes(), DepthMapFormat::OpenMvs).unwrap();
+    assert_eq!((map.width, map.height), (2, 2));
+    assert_eq!(map.ids, [40, 43, 39]);
+    assert_eq!(map.depth, [0.0, 8.0, 12.0, 524_032.0]);
+    let without = D2 {
+        kind: 1,
+        exponent: -10,
+        halves: vec![0x3C00, 0x0001, 0x8000, 0xBC00],
+        ..D2::small()
+    };
+    let map = parse(&without.bytes(), DepthMapFormat::OpenMvs).unwrap();
+    assert_eq!(map.depth, [1.0 / 1024.0, 2f32.powi(-34), 0.0, 0.0]);
+}
+
+#[test]
+fn unknown_bits_of_the_new_kind_are_no_planes() {
+    let flagged = D2 {
+        kind: 0b1001_1111,
+        ..D2::small()
+    };
+    assert_eq!(
+        parse(&flagged.bytes(), DepthMapFormat::OpenMvs),
+        parse(&D2::small().bytes(), DepthMapFormat::OpenMvs)
+    );
+}
+
+#[test]
+fn a_map_of_an_unknown_kind_is_newer_and_not_damaged() {
+    let mut of_other_letters = D2::small().bytes();
+    of_other_letters[1] = b'3';
+    let mut with_other_planes = std::fs::read(fixture("depth0040.dmap")).unwrap();
+    with_other_planes[2] |= 1 << 4;
+    for (bytes, kind) in [
+        (of_other_letters.clone(), "a depth map of kind `D3`"),
+        (b"\xFFX".to_vec(), "a depth map of kind `\\xffX`"),
+        (with_other_planes, "a depth map of kind `DR` and type 23"),
+    ] {
+        let error = read_bytes(&bytes, PixelBound::LARGEST).unwrap_err();
+        let DepthMapError::Newer { kind: found, .. } = &error else {
+            panic!("{error}");
+        };
+        assert_eq!(found, kind);
+        assert!(
+            error
+                .hint()
+                .unwrap()
+                .to_string()
+                .starts_with("use a newer viewrank")
+        );
+    }
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("depth0001.dmap"), of_other_letters).unwrap();
+    let found = list(folder.path(), &scene(&["IMG_9395.jpg"])).unwrap();
+    assert!(matches!(
+        &found.unreadable[..],
+        [(_, DepthMapError::Newer { .. })]
+    ));
+    // Not yet written.
+    for bytes in [&b""[..], b"D", b"\0\0\0\0"] {
+        let error = read_bytes(bytes, PixelBound::LARGEST).unwrap_err();
+        assert!(matches!(error, DepthMapError::Format { .. }), "{error}");
+    }
+}
+
+#[test]
+fn maps_of_both_kinds_are_found_by_the_image_in_them() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("depth0040.dmap"), D2::small().bytes()).unwrap();
+    let set = list(folder.path(), &scene(&["IMG_9395.jpg"])).unwrap();
+    assert_eq!(found(&set), [(0, DepthMapFormat::OpenMvs)]);
+    let ids = ids_of(&folder.path().join("depth0040.dmap")).unwrap();
+    assert_eq!(ids, [40, 43, 39]);
+}
+
+#[test]
+fn hostile_maps_of_the_new_kind_are_refused() {
+    let with = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = D2::small().bytes();
+        change(&mut bytes);
+        parse(&bytes, DepthMapFormat::OpenMvs).unwrap_err().1
+    };
+    let put =
+        |at: usize, value: &[u8]| with(&|bytes| bytes[at..at + value.len()].copy_from_slice(value));
+    let ids = 32 + 2 + D2::small().name.len();
+    assert!(put(12, &[0xFF; 8]).starts_with("4294967295 x 4294967295 pixels, at most"));
+    assert!(put(12, &[0; 4]).contains("no pixels"));
+    assert!(put(12, &1000u32.to_le_bytes()).contains("need 4000 bytes"));
+    assert!(put(32, &[0xFF; 2]).starts_with("the header ends too early"));
+    assert!(put(ids, &[0xFF; 4]).starts_with("the header ends too early"));
+    assert!(put(2, &[0b1110]).contains("no depth plane"));
+    for length in 0..ids + 4 + 12 + 168 + 8 {
+        assert!(
+            !with(&|bytes| bytes.truncate(length)).is_empty(),
+            "{length}"
+        );
+    }
+    let camera = PixelBound::new(3);
+    let error = read_bytes(&D2::small().bytes(), camera).unwrap_err();
+    assert!(
+        error
+            .to_string()
+            .ends_with("2 x 2 pixels, at most 3 are read here")
+    );
+}
+
+proptest! {
+    #[test]
+    fn every_half_and_exponent_is_read_as_its_value(
+        bits in proptest::collection::vec(any::<u16>(), 6),
+        exponent: i8,
+        kind in any::<u8>().prop_map(|kind| kind | 1),
+        ids in proptest::collection::vec(any::<u32>(), 0..20),
+    ) {
+        let map = D2 { kind, exponent, size: [3, 2], halves: bits.clone(), ids: ids.clone(), name: "a" };
+        let read = parse(&map.bytes(), DepthMapFormat::OpenMvs).unwrap();
+        let expected: Vec<f32> = bits
+            .iter()
+            .map(|&half| (value(half) * 2f64.powi(exponent.into())) as f32)
+            .map(|z| if z > 0.0 && z.is_finite() { z } else { 0.0 })
+            .collect();
+        prop_assert_eq!(read.depth, expected);
+        prop_assert_eq!(read.ids, ids);
+    }
+
+    #[test]
+    fn no_damage_to_a_map_of_the_new_kind_is_a_panic(at in 0usize..300, byte: u8, keep in 0usize..300) {
+        let mut bytes = D2::small().bytes();
+        let at = at % bytes.len();
+        bytes[at] = byte;
+        let _ = parse(&bytes, DepthMapFormat::OpenMvs);
+        bytes.truncate(keep);
+        let _ = parse(&bytes, DepthMapFormat::OpenMvs);
+    }
+}
