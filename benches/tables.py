@@ -19,6 +19,7 @@ SETS = {
     "statue": "a bust in a hall, rendered",
     "room": "an interior with white walls, rendered",
     "valley": "nadir and oblique, rendered",
+    "kitchen": "hand-held frames, 7-Scenes",
 }
 ORDERS = ("ours", "every n-th", "maxpts", "farthest view", "random", "oracle")
 KINDS = {"all": "all", "agreeing": "three agree"}
