@@ -16,7 +16,7 @@ use viewrank::{
 use crate::failure::Failure;
 
 /// Keywords and the settings that they set; the program has an option `--KEYWORD` for each.
-const KEYWORDS: [(&str, &str); 18] = [
+const KEYWORDS: [(&str, &str); 19] = [
     ("mesh_as_is", "surface.mesh_as_is"),
     ("max_memory", "max_memory"),
     ("confidence", "confidence.source"),
@@ -29,6 +29,7 @@ const KEYWORDS: [(&str, &str); 18] = [
     ("points", "cut.points"),
     ("region", "region"),
     ("mesh", "surface.mesh"),
+    ("pilot", "pilot.maps"),
     ("seed", "seed"),
     ("time", "cut.time"),
     ("gsd", "target.gsd"),
@@ -107,7 +108,7 @@ fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
                 Err(_) => Some(absolute(&value.extract::<PathBuf>()?)),
             }
         }
-        ("surface.mesh", _) => Some(absolute(&value.extract::<PathBuf>()?)),
+        ("surface.mesh" | "pilot.maps", _) => Some(absolute(&value.extract::<PathBuf>()?)),
         ("backends", _) if value.is_instance_of::<PyString>() => {
             return Ok(Value::Array(vec![value.extract::<String>()?.into()]));
         }

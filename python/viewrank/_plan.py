@@ -343,6 +343,7 @@ def plan(
     up: Optional[Sequence[float]] = None,
     mesh: Optional[PathLike] = None,
     mesh_as_is: Optional[bool] = None,
+    pilot: Optional[PathLike] = None,
     seed: Optional[int] = None,
     max_memory: Union[int, str, None] = None,
     settings: Optional[Mapping[str, Any]] = None,
@@ -387,6 +388,8 @@ def plan(
         Kind of surface.
     up : sequence of 3 float, optional
         Up direction of a terrain surface, world coordinates.
+    pilot
+        Folder of small depth maps of all views that the program made (``viewrank pilot``), to rank by.
     mesh, mesh_as_is
         PLY file to use as surface; True for `mesh_as_is` skips simplification and refinement.
     seed : int, optional
@@ -442,6 +445,7 @@ def plan(
         "up": up,
         "mesh": mesh,
         "mesh_as_is": mesh_as_is,
+        "pilot": pilot,
         "seed": seed,
         "max_memory": max_memory,
         "settings": None if settings is None else dict(settings),

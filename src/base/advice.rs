@@ -3,9 +3,10 @@
 use viewrank_core::base::error::Advice;
 
 /// Settings whose option has not the name of their key.
-const OPTIONS: [(&str, &str); 9] = [
+const OPTIONS: [(&str, &str); 10] = [
     ("target.gsd", "--gsd"),
     ("surface.mesh", "--mesh"),
+    ("pilot.maps", "--pilot"),
     ("confidence.source", "--confidence"),
     ("max_memory", "--max-memory"),
     ("backends", "--backend"),

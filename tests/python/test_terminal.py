@@ -129,6 +129,7 @@ def calls(subcommand, project, maps, matcher, forged):
     out = ["--out", project.parent / f"out{forged}"]
     every = {
         "plan": [["--budget", "3"], ["--backend", "openmvs", "--report"], ["--dry-run", "--format", "json"], ["--finished", maps, "--backend", "sgm"]],
+        "pilot": [[], ["--backend", "openmvs"], out],
         "run": [["--backend", "openmvs", "--program", matcher], ["--backend", "colmap", "--program", matcher, "--format", "json"], ["--backend", "mve"]],
         "evaluate": [["--depth-maps", maps], ["--depth-maps", maps, "--format", "json"], ["--depth-maps", maps, "--baselines"], ["--compare", project]],
         "train": [["--depth-maps", maps], ["--depth-maps", maps, "--format", "json"]],
