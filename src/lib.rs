@@ -82,6 +82,6 @@ pub use model::{
 };
 pub use plan::{
     CurvePoint, Cut, Decision, FinishedMaps, Forecast, Matcher, Plan, PlanError, PlanningNumbers,
-    Stages, Timings, ViewStatus, WorkPerMap,
+    Stages, Timings, ViewStatus, WorkPerMap, metres_per_unit,
 };
 pub use show::{files, manifest, pictures, tables};

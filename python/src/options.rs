@@ -11,6 +11,7 @@ use toml::Value;
 use viewrank::{
     Advice, Settings, backends,
     config::{CommandLineSettings, Configuration, Files, RegionChoice, user_file},
+    metres_per_unit,
 };
 
 use crate::failure::Failure;
@@ -60,7 +61,9 @@ pub fn load(root: &Path, typed: CommandLineSettings) -> Result<Settings, Failure
         root: None,
         project: Some(root.join("viewrank.toml")),
     };
-    Ok(Configuration::load(&files, typed, backends::canonical_name)?.settings)
+    let metres = |settings: &Settings| metres_per_unit(root, settings);
+    let lookup = backends::canonical_name;
+    Ok(Configuration::load_for(&files, typed, lookup, &metres)?.settings)
 }
 
 /// Takes the keywords of `plan()`, and a dictionary `settings` of other settings by key.

@@ -1,10 +1,10 @@
-//! Plans a project for the backend that its settings name.
+//! Plans a project for the backend that its settings name, and finds the images that it takes.
 
 use crate::{
-    backends::planned_for,
+    backends::{Backend, planned_for},
     base::progress::Watcher,
     config::Settings,
-    io::project::Project,
+    io::project::{Project, ProjectError},
     model::scene::Scene,
     plan::{Plan, PlanError, Timings},
 };
@@ -17,6 +17,33 @@ pub fn plan(
     watcher: &dyn Watcher,
 ) -> Result<Plan, PlanError> {
     Plan::new(project, settings, &planned_for(project, settings)?, watcher)
+}
+
+/// Returns the undistorted workspace of the project, if the backend needs that: the cameras of the
+/// project's model are distorted, and those of the workspace are not and have the same poses.
+pub fn undistorted_workspace(
+    project: &Project,
+    backend: &Backend,
+) -> Result<Option<Project>, ProjectError> {
+    let dense = project.dense_workspace.as_ref();
+    let Some(dense) = dense.filter(|dense| !backend.takes_distorted && **dense != project.root)
+    else {
+        return Ok(None);
+    };
+    let is_pinhole = |scene: &Scene| {
+        scene
+            .view_indices()
+            .all(|view| scene.camera_of(view).is_pinhole())
+    };
+    let scene = project.read_scene()?;
+    if is_pinhole(&scene) {
+        return Ok(None);
+    }
+    let Ok(workspace) = Project::open(dense, None) else {
+        return Ok(None);
+    };
+    let fits = |there: Scene| is_pinhole(&there) && there.has_same_views(&scene);
+    Ok(workspace.read_scene().is_ok_and(fits).then_some(workspace))
 }
 
 /// Like [`plan`], for a scene of the project that is already read.

@@ -93,13 +93,24 @@ impl Selection<'_> {
             ));
         };
         let views = self.views();
-        if !views.is_empty() && self.image_faults.among(&views).missing.len() == views.len() {
-            return Err(needs(
+        let faults = self.image_faults.among(&views);
+        if views.is_empty() || faults.missing.len() + faults.unreadable.len() < views.len() {
+            return Ok(folder);
+        }
+        Err(match faults.unreadable.first() {
+            None => needs(
                 format!("the images, and none of them is in {}", folder.display()),
                 folder,
-            ));
-        }
-        Ok(folder)
+            ),
+            Some((view, why)) => needs(
+                format!(
+                    "the images, and none of those in {} can be read: {} is {why}",
+                    folder.display(),
+                    self.scene.name(*view)
+                ),
+                folder,
+            ),
+        })
     }
 
     /// Returns the folder of the images for a command that runs in any folder; if unknown, a shell

@@ -7,6 +7,7 @@ use crate::{
     config::{CommandLineSettings, Configuration, Files, Key, Settings, Source, keys, user_file},
     io::project::ProjectError,
     model::scene::Units,
+    plan::metres_per_unit,
 };
 use clap::Args;
 use serde_json::{Value, json};
@@ -56,16 +57,17 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage
 /// error.
 pub fn load(project: Option<&Path>, typed: CommandLineSettings) -> Result<Configuration, Failure> {
-    let project = project.map(|folder| folder.join("viewrank.toml"));
     let files = Files {
         user: user_file(),
         root: None,
-        project,
+        project: project.map(|folder| folder.join("viewrank.toml")),
     };
-    Ok(Configuration::load(
+    let metres = |settings: &Settings| metres_per_unit(project?, settings);
+    Ok(Configuration::load_for(
         &files,
         typed,
         backends::canonical_name,
+        &metres,
     )?)
 }
 

@@ -4,7 +4,8 @@ use std::{collections::BTreeMap, path::PathBuf};
 
 use crate::{
     io::project::{ModelFormat, ModelLocation, Project, ProjectKind},
-    model::scene::{Scene, Units},
+    model::scene::{ModelWarning, Scene, Units},
+    plan,
 };
 use clap::Args;
 use serde::Serialize;
@@ -50,6 +51,8 @@ struct Inspection {
     median_gsd: Option<f64>,
     /// `metric`, `relative`, or null if unknown.
     units: Option<Units>,
+    /// Metres in a scene unit; null if unknown.
+    metres_per_unit: Option<f64>,
     sub_models: Vec<SubModel>,
     warnings: Vec<String>,
 }
@@ -66,9 +69,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.model, arguments.sub_model.as_deref())?;
     let settings = config::load(Some(&project.root), Default::default())?.settings;
     let project = project.with_images(settings.images.as_deref());
+    let scene = project.read_scene()?;
+    let place = plan::georeference(&project, &scene, &settings.frame);
+    let metres = plan::metres(settings.units, &place);
     let inspection = Inspection {
-        units: settings.units,
-        ..inspect(&project, &project.read_scene()?)
+        units: settings
+            .units
+            .or((metres == Some(1.0)).then_some(Units::Metric)),
+        metres_per_unit: metres,
+        ..inspect(&project, &scene)
     };
     match arguments.format {
         Format::Text => print(inspection.text()),
@@ -83,7 +92,7 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
         .iter()
         .for_each(|camera| *camera_models.entry(camera.model().name()).or_insert(0) += 1);
     let sub_model = |model: &ModelLocation, used| SubModel {
-        name: model.name(),
+        name: model.name.clone(),
         path: model.path.clone(),
         registered: if used {
             scene.views.len() as u64
@@ -114,15 +123,12 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
             .filter(|_| project.model.format.has_pixels()),
         median_gsd: scene.median_gsd(),
         units: None,
+        metres_per_unit: None,
         sub_models: [sub_model(&project.model, true)]
             .into_iter()
             .chain(others)
             .collect(),
-        warnings: scene
-            .warnings
-            .iter()
-            .map(|warning| warning.text.clone())
-            .collect(),
+        warnings: scene.warnings.iter().map(ModelWarning::words).collect(),
     }
 }
 
@@ -136,11 +142,14 @@ impl Inspection {
             .join(", ");
         let number =
             |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
-        let units = match self.units {
-            Some(Units::Metric) => "metres (units = \"metric\" in the settings)",
-            Some(Units::Relative) => "relative: lengths are in units of the model",
-            None => {
-                "unknown: lengths are in units of the model; if these are metres, set units = \"metric\""
+        let units = match (self.units, self.metres_per_unit) {
+            (Some(Units::Metric), _) => "metres".into(),
+            (Some(Units::Relative), _) => "relative: lengths are in units of the model".into(),
+            (None, Some(metres)) => {
+                format!("of the model: {metres:.6} m each, by the GPS positions of the images")
+            }
+            (None, None) => {
+                "unknown: lengths are in units of the model; if these are metres, set units = \"metric\"".into()
             }
         };
         let images = self
@@ -173,7 +182,7 @@ impl Inspection {
                 "median GSD",
                 format!("{} units per pixel", number(self.median_gsd, 6)),
             ),
-            ("units", units.into()),
+            ("units", units),
         ];
         let sub_models = self.sub_models.iter().filter(|_| self.sub_models.len() > 1);
         rows.extend(sub_models.map(|m| {

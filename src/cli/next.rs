@@ -1,5 +1,7 @@
 //! The command that `viewrank plan` names last.
 
+use std::path::Path;
+
 use crate::{
     backends,
     base::shell::{command_path, command_word, one_after_other},
@@ -70,9 +72,17 @@ pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<Strin
             )
         }
         (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {
-            let dense = command_path(&project.home.join("dense"));
-            let plan = format!("viewrank plan {dense} --backend {}", plan.stages.backend);
-            one_after_other(&format!("viewrank undistort {root}"), &plan)
+            let plan_of = |dense: &Path| {
+                let dense = command_path(dense);
+                format!("viewrank plan {dense} --backend {}", plan.stages.backend)
+            };
+            match &project.dense_workspace {
+                Some(dense) => plan_of(dense),
+                None => one_after_other(
+                    &format!("viewrank undistort {root}"),
+                    &plan_of(&project.home.join("dense")),
+                ),
+            }
         }
         (None, None) => format!(
             "viewrank export {} --backend {}",

@@ -12,6 +12,7 @@ use crate::{
         replan::{EarlierPlan, MapFolder, replan},
         report::DepthMapFolders,
     },
+    backends,
     base::{
         error::{Advice, Hint},
         progress::{Stage, Watcher},
@@ -34,8 +35,8 @@ use crate::{
 use clap::Args;
 
 use super::{
-    Exit, Failure, Format, config, next, print, print_json, progress::Progress, summary::Summary,
-    use_threads, warn,
+    Exit, Failure, Format, config, next, note, print, print_json, progress::Progress,
+    summary::Summary, use_threads, warn,
 };
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
@@ -190,6 +191,22 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         output::refuse_to_replace(path)?;
     }
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
+    let settings = config::load(Some(&project.root), arguments.typed())?.settings;
+    let project = project.with_images(settings.images.as_deref());
+    let (backend, _) = backends::chosen(&project, &settings)?;
+    let project = match planning::undistorted_workspace(&project, backend)? {
+        Some(workspace) => {
+            if !arguments.quiet {
+                let place = workspace.root.display();
+                note(&format!(
+                    "{} needs undistorted images: planning {place}",
+                    backend.name
+                ));
+            }
+            workspace
+        }
+        None => project,
+    };
     let project = match &arguments.out {
         Some(out) => {
             refuse_nested(out)?;
@@ -197,8 +214,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         None => project,
     };
-    let settings = config::load(Some(&project.root), arguments.typed())?.settings;
-    let project = project.with_images(settings.images.as_deref());
     refuse_missing_images(&project)?;
     refuse_other_plan(&project)?;
     if !arguments.dry_run {
@@ -430,11 +445,11 @@ impl Arguments {
 
 /// A folder holds one plan; that of another sub-model is not overwritten.
 fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
-    let planned = planned_model(project);
+    let planned = planned_model(project).map(|model| project.root.join(model));
     let other = project
         .other_models
         .iter()
-        .find(|model| Some(model.name()) == planned);
+        .find(|model| Some(&model.path) == planned.as_ref());
     let Some(other) = other else { return Ok(()) };
     let manifest = project.output_folder().join("manifest.json");
     let own = match project.model.path.is_dir() {
@@ -446,8 +461,8 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
         format!(
             "{} is the plan of sub-model {}, which one of {} would replace",
             manifest.display(),
-            other.name(),
-            project.model.name()
+            other.name,
+            project.model.name
         ),
         format!(
             "to have both: {own} (with a viewrank.toml of its own); to have the new one instead: remove {}",

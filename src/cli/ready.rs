@@ -26,6 +26,7 @@ pub fn check(
     program: Option<&Path>,
 ) -> Result<(), Failure> {
     let image_faults = project.image_faults(&scene);
+    let has_images = project.images.is_some() && image_faults.is_any_readable(scene.views.len());
     let scene = undistort::with_undistorted_cameras(scene);
     let mut views = scene.view_indices();
     let (Some(key), Some(partner)) = (views.next(), views.next()) else {
@@ -48,7 +49,7 @@ pub fn check(
     };
     let export = match backend.export(&selection, &Default::default()) {
         Ok(export) => export,
-        Err(error) if project.images.is_none() => return Err(error.into()),
+        Err(error) if !has_images => return Err(error.into()),
         // Of this cluster alone, perhaps.
         Err(_) => return Ok(()),
     };

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     apps::{
         dispatch::{Dispatch, Task, Tools, local::ScriptResult},
-        undistort,
+        planning, undistort,
     },
     backends::{self, Backend, Selection, place},
     base::{platform, shell::command_path},
@@ -177,12 +177,25 @@ enum Ended {
     Stopped,
 }
 
-/// Undistorts the images; returns their project.
+/// Finds the workspace of undistorted images of another program, else undistorts the images;
+/// returns their project.
 fn undistorted(
     arguments: &Arguments,
     project: Project,
     backend: &Backend,
 ) -> Result<PathBuf, Failure> {
+    // Its own may be of earlier images.
+    if !project.has_undistorted_workspace()
+        && let Some(workspace) = planning::undistorted_workspace(&project, backend)?
+    {
+        note(&format!(
+            "{} needs undistorted images: {}",
+            backend.name,
+            workspace.root.display()
+        ));
+        Dispatch::refuse_if_at_work(&workspace)?;
+        return Ok(workspace.root);
+    }
     let dense = project.root.join("dense");
     if let Ok(earlier) = Project::open(&dense, None) {
         Dispatch::refuse_if_at_work(&earlier)?;

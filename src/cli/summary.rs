@@ -26,6 +26,8 @@ pub struct Summary<'a> {
     project: String,
     backend: &'a str,
     units: Units,
+    /// Metres in a scene unit; null if unknown.
+    metres_per_unit: Option<f64>,
     views: usize,
     points: usize,
     triangles: usize,
@@ -90,6 +92,7 @@ impl<'a> Summary<'a> {
             project: project.home.display().to_string(),
             backend: plan.stages.backend,
             units: manifest.units,
+            metres_per_unit: plan.stages.metres,
             views: plan.stages.scene.views.len(),
             points: plan.stages.scene.points.len(),
             triangles: plan.stages.surface.triangles.len(),
@@ -147,10 +150,9 @@ impl<'a> Summary<'a> {
     }
 
     fn found(&self) -> Vec<String> {
-        let length = if self.units == Units::Metric {
-            "m"
-        } else {
-            "units"
+        let (unit, metres) = match self.metres_per_unit {
+            Some(metres) => ("m", metres),
+            None => ("units", 1.0),
         };
         let [views, points, triangles] = [self.views, self.points, self.triangles].map(grouped);
         let on_disk = |size| {
@@ -160,12 +162,13 @@ impl<'a> Summary<'a> {
             "{views} views, {points} sparse points; a surface of {triangles} triangles."
         )];
         lines.extend(self.memory.on_disk().map(on_disk));
-        lines.push(format!("Wanted: {} {length} per pixel.", rounded(self.gsd)));
+        let gsd = rounded(self.gsd * metres);
+        lines.push(format!("Wanted: {gsd} {unit} per pixel."));
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
         let region = self
             .region
-            .map(|region| region.words(self.weight))
+            .map(|region| region.words(self.weight, self.metres_per_unit))
             .unwrap_or_default();
         lines.extend(region.lines().map(String::from));
         lines

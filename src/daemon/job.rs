@@ -42,7 +42,7 @@ use crate::{
         output::{self, Disk},
         project::{Project, ProjectError},
     },
-    plan::{EmptyPlan, Plan, PlanError},
+    plan::{EmptyPlan, Plan, PlanError, metres_per_unit},
     show::{
         files,
         manifest::{RecordedPlan, WrittenPlanError, warnings_with},
@@ -415,7 +415,9 @@ impl PlanJob {
         };
         let loaded = match may_enter(project, &own, self.options.follow_links) {
             true => {
-                Configuration::load(&files, self.options.typed.clone(), backends::canonical_name)
+                let typed = self.options.typed.clone();
+                let metres = |settings: &Settings| metres_per_unit(project, settings);
+                Configuration::load_for(&files, typed, backends::canonical_name, &metres)
                     .map_err(|error| (error.to_string(), failed(error)))
             }
             false => {

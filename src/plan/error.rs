@@ -27,6 +27,12 @@ pub enum PlanError {
         folder: std::path::PathBuf,
         name: String,
     },
+    #[error("{}: {what}", model.display())]
+    NoObservations {
+        model: std::path::PathBuf,
+        what: String,
+        cure: Option<String>,
+    },
     #[error(
         "cannot derive the ground sampling distance: no view observes a sparse point in front of it"
     )]
@@ -114,9 +120,11 @@ impl Hint for PlanError {
                     .set("images")
                     .and(" or in viewrank.toml")
             }
-            Self::NoScale => Advice::text("set ")
-                .set("target.gsd")
-                .and(", or give a model with points"),
+            Self::NoObservations { cure, .. } => match cure {
+                Some(cure) => cure.clone().into(),
+                None => "export the model again, with its sparse points and their tracks".into(),
+            },
+            Self::NoScale => Advice::text("look for wrong poses: ").run("doctor"),
             Self::Surface(error) => return error.hint(),
             Self::Mesh(error) => return error.hint(),
             Self::RegionFile(error) => return error.hint(),
@@ -184,7 +192,9 @@ impl Hint for PlanError {
     fn path(&self) -> Option<&Path> {
         match self {
             Self::Project(error) => error.path(),
-            Self::NoViews(path) | Self::OtherImages { folder: path, .. } => Some(path),
+            Self::NoViews(path)
+            | Self::NoObservations { model: path, .. }
+            | Self::OtherImages { folder: path, .. } => Some(path),
             Self::Surface(error) => error.path(),
             Self::Region(error) => error.path(),
             Self::Disk(error) => error.path(),

@@ -8,9 +8,9 @@ use serde::Deserialize;
 
 use crate::{
     base::input::{self, FileKind},
-    config::FrameSettings,
+    config::{FrameSettings, Settings},
     io::{
-        formats::exif,
+        formats::{blocks, exif},
         project::{ModelFormat, Project},
     },
     model::{
@@ -28,6 +28,14 @@ pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) 
         }
         known => known,
     }
+}
+
+/// Metres in a unit of the model of a project, by its place on earth; `None` if unknown.
+pub fn metres_per_unit(root: &Path, settings: &Settings) -> Option<f64> {
+    let project = Project::open_or_planned(root, None).ok()?;
+    let project = project.with_images(settings.images.as_deref());
+    let scene = project.read_scene().ok()?;
+    georeference(&project, &scene, &settings.frame).metres_per_unit()
 }
 
 /// Most images whose positions are read.
@@ -65,11 +73,26 @@ fn from_settings(settings: &FrameSettings) -> Option<Georeference> {
     })
 }
 
-/// Reads the files that OpenSfM and OpenDroneMap write next to their models.
+/// Bytes at the start of a block in which its reference system is defined.
+const BLOCK_HEAD: u64 = 1 << 20;
+
+/// Reads the files that OpenSfM and OpenDroneMap write next to their models, and the reference
+/// system of a block.
 fn from_files(project: &Project) -> Option<Georeference> {
-    if project.model.format != ModelFormat::OpenSfm {
-        return None;
+    match project.model.format {
+        ModelFormat::OpenSfm => of_opensfm(project),
+        ModelFormat::Blocks => {
+            let start =
+                input::read_start(&project.model.path, FileKind::Sparse, BLOCK_HEAD).ok()?;
+            let zone = Zone::of_reference_system(&blocks::reference_system(&start)?)?;
+            let offset = [0.0; 2];
+            Some(Georeference::Utm { zone, offset })
+        }
+        _ => None,
     }
+}
+
+fn of_opensfm(project: &Project) -> Option<Georeference> {
     let folder = project.model.path.parent()?;
     // OpenDroneMap keeps the model under this name when it moves it to map coordinates.
     if folder.join("reconstruction.topocentric.json").is_file() {
@@ -103,7 +126,7 @@ struct Reconstruction {
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
-    serde_json::from_slice(&input::read(path, FileKind::Sparse).ok()?).ok()
+    serde_json::from_str(&input::read_text(path, FileKind::Sparse).ok()?).ok()
 }
 
 /// Parses `coords.txt`: a line like `WGS84 UTM 15N`, then the offset of the model's coordinates.

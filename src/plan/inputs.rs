@@ -15,8 +15,8 @@ use crate::{
     },
     model::{
         cluster::MapScale,
-        georeference::MapFrame,
-        scene::{Scene, Units, ViewIndex, ViewPoints},
+        georeference::{Georeference, MapFrame},
+        scene::{Scene, Units, ViewIndex, ViewPoints, WarningKind},
     },
 };
 
@@ -30,6 +30,10 @@ pub(super) struct Inputs<'a> {
     /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
     /// points.
     pub image_gsd: Option<f64>,
+    /// Place of the model on earth.
+    pub place: Georeference,
+    /// Metres in a scene unit; `None` if unknown.
+    pub metres: Option<f64>,
     pub image_faults: ImageFaults,
     /// Pixels of the largest image; 0 without images.
     pub most_pixels: u64,
@@ -52,20 +56,27 @@ impl<'a> Inputs<'a> {
         matcher: &'a Matcher,
         timings: &mut Timings,
     ) -> Result<Self, PlanError> {
+        let given_units = settings.units;
         let source = settings
             .confidence
             .source
             .in_force(project.images.is_some());
-        let (points, fingerprints, image_gsd, mut settings, region) =
+        let (points, fingerprints, image_gsd, mut settings, place, region) =
             timings.time(Stage::Read, || {
                 let (points, fingerprints) = rayon::join(
                     || scene.view_points(),
                     || Fingerprints::new(project, &scene),
                 );
                 let image_gsd = scene.median_gsd_of(&points);
-                let settings = in_force(project, settings, (&scene, image_gsd), matcher, source)?;
-                let region = shape(project, &scene, &settings)?;
-                Ok::<_, PlanError>((points, fingerprints, image_gsd, settings, region))
+                let mut settings =
+                    in_force(project, settings, (&scene, image_gsd), matcher, source)?;
+                let place = georeference(project, &scene, &settings.frame);
+                settings.units.get_or_insert(match place.metres_per_unit() {
+                    Some(1.0) => Units::Metric,
+                    _ => Units::Relative,
+                });
+                let region = shape(&place, &scene, &settings)?;
+                Ok::<_, PlanError>((points, fingerprints, image_gsd, settings, place, region))
             })?;
         refuse_other_images(project, &scene, &settings)?;
         let image_faults = project.image_faults(&scene);
@@ -85,6 +96,8 @@ impl<'a> Inputs<'a> {
             scene,
             points,
             image_gsd,
+            metres: metres(given_units, &place),
+            place,
             image_faults,
             most_pixels,
             without_image,
@@ -137,8 +150,10 @@ fn in_force(
     if scene.views.is_empty() {
         return Err(PlanError::NoViews(project.model.path.clone()));
     }
+    if scene.observations() == 0 {
+        return Err(no_observations(project, scene));
+    }
     let mut all = settings.clone();
-    all.units.get_or_insert(Units::Relative);
     all.image_scale
         .get_or_insert_with(|| matcher.image_scale(scene));
     let gsd = match all.target.gsd {
@@ -168,19 +183,42 @@ fn in_force(
     Ok(all)
 }
 
+/// The error of a model without points or tracks, with what its reader says of that.
+fn no_observations(project: &Project, scene: &Scene) -> PlanError {
+    let said = scene
+        .warnings
+        .iter()
+        .find(|warning| warning.kind == WarningKind::NoPoints);
+    PlanError::NoObservations {
+        model: project.model.path.clone(),
+        what: said.map_or("no view observes a sparse point".into(), |said| {
+            said.text.clone()
+        }),
+        cure: said.and_then(|said| said.cure.clone()),
+    }
+}
+
+/// Metres in a scene unit, by the user's word or the place of the model on earth.
+pub fn metres(units: Option<Units>, place: &Georeference) -> Option<f64> {
+    match units {
+        Some(Units::Metric) => Some(1.0),
+        Some(Units::Relative) => None,
+        None => place.metres_per_unit(),
+    }
+}
+
 /// Reads the region of the settings, before the surface is built.
 fn shape(
-    project: &Project,
+    place: &Georeference,
     scene: &Scene,
     settings: &Settings,
 ) -> Result<Option<RegionShape>, PlanError> {
     let Some(choice) = &settings.region else {
         return Ok(None);
     };
-    let place = georeference(project, scene, &settings.frame);
     Ok(Some(region::read(
         choice,
-        &place,
+        place,
         &MapFrame::new(scene, settings.surface.up),
     )?))
 }

@@ -27,10 +27,11 @@ pub use decision::{decide, decide_as};
 pub use empty::EmptyPlan;
 pub use error::PlanError;
 pub use finished::{FinishedMaps, OutdatedMap, PlannedView, PlannedViews};
-pub use georeference::georeference;
+pub use georeference::{georeference, metres_per_unit};
+pub use inputs::metres;
 pub use memory::Memory;
 pub use mesh::MeshError;
-pub use region::RegionFileError;
+pub use region::{GroundSummary, RegionFileError, photographed_ground};
 pub use stages::Stages;
 pub use timings::Timings;
 pub use viewrank_core::decision::{

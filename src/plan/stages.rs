@@ -3,7 +3,7 @@
 use std::{cell::LazyCell, sync::Arc};
 
 use super::{
-    Matcher, Memory, PlanError, Timings, UncutRanking, WorkPerMap,
+    GroundSummary, Matcher, Memory, PlanError, Timings, UncutRanking, WorkPerMap,
     cached::{self, Cached},
     inputs::Inputs,
     pilot_maps::PilotMaps,
@@ -21,13 +21,14 @@ use crate::{
         geometry::Geometry,
         pilot::Thumbnails,
         ranking::Objective,
-        region::Region,
+        region::{Ground, Region},
         surface::{Surface, SurfaceStats},
         target::Target,
         visibility::Shown,
     },
     model::{
         cluster::{MapScale, ViewCluster},
+        georeference::Georeference,
         scene::Scene,
     },
 };
@@ -48,6 +49,13 @@ pub struct Stages {
     /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
     /// points.
     pub image_gsd: Option<f64>,
+    /// Place of the model on earth.
+    pub place: Georeference,
+    /// Metres in a scene unit; `None` if unknown.
+    pub metres: Option<f64>,
+    /// The area of the region on the map; `None` without a region, and of one that is a part of
+    /// the surface.
+    pub ground: Option<Ground>,
     pub surface_stats: SurfaceStats,
     /// A sentence for each picture or mask that cannot be used.
     pub picture_warnings: Vec<String>,
@@ -92,7 +100,7 @@ impl Stages {
             surface_file: &surface_file,
             seen: &seen,
         })?;
-        let region = steps::region(&mut inputs, &seen, &shown, &mut run)?;
+        let (region, ground) = steps::region(&mut inputs, &seen, &shown, &mut run)?.unzip();
         let inputs = inputs;
         let settings = &inputs.settings;
         let target = Target::new(&shown, &settings.target, seen.gsd, settings.image_scale());
@@ -196,6 +204,9 @@ impl Stages {
             refused_half,
             backend: matcher.name,
             image_gsd: inputs.image_gsd,
+            place: inputs.place,
+            metres: inputs.metres,
+            ground: ground.flatten(),
             image_faults: inputs.image_faults,
             settings: inputs.settings,
             surface_stats: seen.stats,
@@ -236,6 +247,12 @@ impl Stages {
             },
             memory,
         })
+    }
+
+    /// The area of the region in numbers.
+    pub fn ground_summary(&self) -> Option<GroundSummary> {
+        let ground = self.ground.as_ref()?;
+        Some(GroundSummary::new(ground, true))
     }
 
     /// Returns the work of each cluster's map at full and at half size.

@@ -19,12 +19,13 @@ use crate::{
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
         pilot::{self, Places, Thumbnails},
-        region::Region,
+        region::{Ground, Photographed, Region},
         twins::{self, Twin},
         visibility::Shown,
     },
     model::{
         cluster::{Reach, ViewCluster},
+        georeference::MapFrame,
         scene::ViewIndex,
     },
 };
@@ -157,23 +158,29 @@ impl Step for ShownStep<'_> {
     }
 }
 
-/// Lays the region of the settings over the surface.
+/// Lays the region of the settings over the surface, and counts the photographs of its area.
 pub(super) fn region(
     inputs: &mut Inputs,
     seen: &VisibleSurface,
     shown: &Shown,
     run: &mut Run,
-) -> Result<Option<Region>, PlanError> {
+) -> Result<Option<(Region, Option<Ground>)>, PlanError> {
     let Some(region) = inputs.region.take() else {
         return Ok(None);
     };
     let watcher = run.watcher;
     run.timings.time(Stage::Visibility, || {
-        Ok(Some(region.lay_over(
-            &seen.surface,
-            &shown.pixels,
-            watcher,
-        )?))
+        let frame = MapFrame::new(&inputs.scene, inputs.settings.surface.up);
+        let photographed = Photographed {
+            scene: &inputs.scene,
+            without_image: &inputs.without_image,
+            gsd: seen.gsd * inputs.settings.image_scale(),
+            surface: Some((&seen.surface, shown)),
+        };
+        let footprint = region.footprint(&frame);
+        let ground = footprint.and_then(|area| Ground::new(&area, &photographed, &frame));
+        let laid_over = region.lay_over(&seen.surface, &shown.pixels, watcher)?;
+        Ok(Some((laid_over, ground)))
     })
 }
 

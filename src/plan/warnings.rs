@@ -1,6 +1,6 @@
 //! Warnings that the user should read before relying on a plan.
 
-use super::{Band, Cut, Decision, FinishedMaps, Stages};
+use super::{Band, Cut, Decision, FinishedMaps, GroundSummary, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     config::{Settings, SurfaceChoice},
@@ -8,6 +8,7 @@ use crate::{
         confidence::{Confidence, Sharpness},
         surface::SurfaceKind,
     },
+    model::scene::ModelWarning,
 };
 
 /// Share of the observations of a table that may contradict it.
@@ -28,14 +29,11 @@ const NAMED: usize = 3;
 
 pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -> Vec<String> {
     let Decision { ranking, cut, .. } = decision;
-    let mut warnings: Vec<String> = stages
-        .scene
-        .warnings
-        .iter()
-        .map(|warning| warning.text.clone())
-        .collect();
+    let of_model = &stages.scene.warnings;
+    let mut warnings: Vec<String> = of_model.iter().map(ModelWarning::words).collect();
     warnings.extend(stages.picture_warnings.iter().cloned());
     warnings.extend(blurred(stages));
+    warnings.extend(missed(stages));
     warnings.extend(unlikely_gsd(stages.image_gsd, &stages.settings));
     warnings.extend(no_utm_coordinates(stages));
     warnings.extend(no_3d_surface(stages));
@@ -50,6 +48,15 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(finished.unreadable.iter().cloned());
     warnings.extend(tiled(stages));
     warnings
+}
+
+/// Warns of a region of which the photographs miss a part.
+fn missed(stages: &Stages) -> Option<String> {
+    let ground = stages
+        .ground_summary()
+        .filter(GroundSummary::is_incomplete)?;
+    let missed = ground.missed("the region");
+    Some(format!("{missed} viewrank report plans images for that"))
 }
 
 /// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely

@@ -17,7 +17,7 @@ use crate::{
         project::{Project, ProjectError},
     },
     model::georeference::Georeference,
-    plan::{self, EmptyPlan, Plan, PlannedViews},
+    plan::{EmptyPlan, Plan, PlannedViews},
     show::{
         manifest::{self, FingerprintError, Manifest},
         pictures::{FulfilmentCurve, curve_svg, surface_ply, views_file, views_geojson},
@@ -146,7 +146,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         error => Err(error),
     })?;
     let records = exports.iter().map(|export| export.record.clone()).collect();
-    let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
+    let place = plan.stages.place;
     // Fingerprint and surface take one thread each.
     let (manifest, (surface, views)) = rayon::join(
         || Manifest::new(plan, project, records),

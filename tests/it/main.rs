@@ -9,6 +9,7 @@ mod daemon_loop;
 mod export;
 mod floors;
 mod kept;
+mod one_door;
 mod output;
 mod pilot;
 mod plan;

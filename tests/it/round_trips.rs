@@ -171,11 +171,7 @@ fn project() -> Project {
         root: "/nowhere".into(),
         home: "/nowhere".into(),
         kind: ProjectKind::BareModel,
-        model: ModelLocation {
-            format: ModelFormat::OpenMvs,
-            path: "/nowhere/scene.mvs".into(),
-            registered: 0,
-        },
+        model: ModelLocation::new(ModelFormat::OpenMvs, "/nowhere/scene.mvs"),
         model_is_named: false,
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),

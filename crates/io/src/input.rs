@@ -146,9 +146,20 @@ pub fn read(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
     read_all(open(path)?, kind)
 }
 
-/// Reads a UTF-8 text file whole, up to the limit of its kind.
+/// The mark at the start of a UTF-8 file that some editors of Windows write.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// The bytes of a text file without its byte order mark.
+pub fn without_mark(mut bytes: Vec<u8>) -> Vec<u8> {
+    if bytes.starts_with(BYTE_ORDER_MARK) {
+        bytes.drain(..BYTE_ORDER_MARK.len());
+    }
+    bytes
+}
+
+/// Reads a UTF-8 text file whole, up to the limit of its kind, without its byte order mark.
 pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
-    String::from_utf8(read(path, kind)?)
+    String::from_utf8(without_mark(read(path, kind)?))
         .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
 }
 

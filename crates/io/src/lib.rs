@@ -8,6 +8,7 @@ pub mod depthmaps;
 pub mod formats;
 pub mod image;
 pub mod input;
+pub mod mistaken;
 pub mod output;
 pub mod packed;
 pub mod paths;

@@ -27,8 +27,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Pictures {
     images: Option<ImageFolder>,
-    /// As COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be
-    /// used.
+    /// As COLMAP's `mask_path`: `NAME.png` for the image NAME, or that with `.png` in place of its
+    /// extension; black where the image may not be used.
     masks: Vec<PathBuf>,
     project: PathBuf,
     /// Views whose image is not read, ascending.
@@ -259,18 +259,38 @@ impl Pictures {
             .find(|path| path.exists() && !path.is_dir())
     }
 
-    /// `NAME.png` in each folder; for a PNG image also its own name.
+    /// The masks that an image may have in each folder: `a.jpg.png` or `a.png` for `a.jpg`, and the
+    /// same for the name of its file if that is another.
     fn mask_files(&self, name: &str) -> impl Iterator<Item = PathBuf> {
-        let is_png = name.to_ascii_lowercase().ends_with(".png");
-        let names = [Some(format!("{name}.png")), is_png.then(|| name.to_owned())];
-        self.masks.iter().flat_map(move |folder| {
-            names
-                .clone()
-                .into_iter()
-                .flatten()
-                .map(|name| folder.join(name))
-        })
+        let file = self
+            .images
+            .as_ref()
+            .and_then(|images| images.other_name(name));
+        let names: Vec<String> = [Some(name), file]
+            .into_iter()
+            .flatten()
+            .flat_map(masks_of)
+            .collect();
+        self.masks
+            .iter()
+            .flat_map(move |folder| names.clone().into_iter().map(|name| folder.join(name)))
     }
+}
+
+/// Names of the masks of an image, as COLMAP looks for them; an image that is PNG may have one of
+/// its own name.
+fn masks_of(name: &str) -> impl Iterator<Item = String> {
+    let stem = match name.rsplit_once('.') {
+        Some((stem, extension)) if !extension.contains('/') => stem,
+        _ => name,
+    };
+    let is_png = name.to_ascii_lowercase().ends_with(".png");
+    let own = if is_png {
+        name.to_owned()
+    } else {
+        format!("{stem}.png")
+    };
+    [format!("{name}.png"), own].into_iter()
 }
 
 impl confidence::Pictures for Pictures {

@@ -8,6 +8,8 @@
 use nalgebra::Point3;
 use viewrank_core::model::mesh::Mesh;
 
+use crate::mistaken;
+
 /// Error in a PLY file, with its position.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlyError {
@@ -181,6 +183,9 @@ fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
             line,
             what: what.into(),
         };
+        if let Some(mistaken) = mistaken::by_start(bytes).filter(|_| line == 1) {
+            return Err(fail(&format!("the file is {}", mistaken.what)));
+        }
         let rest = &bytes[at..];
         let end = rest
             .iter()

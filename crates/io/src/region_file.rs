@@ -18,8 +18,11 @@ use viewrank_core::{
     model::mesh::Mesh,
 };
 
-use crate::input::{self, FileKind};
-use crate::ply::{self, PlyError};
+use crate::{
+    input::{self, FileKind},
+    mistaken::{self, Mistaken},
+    ply::{self, PlyError},
+};
 
 /// Largest magnitude of a coordinate; no survey has larger ones, and their products stay finite.
 const LARGEST: f64 = 1e12;
@@ -45,6 +48,8 @@ pub enum RegionFault {
     Read(#[from] io::Error),
     #[error("it is neither GeoJSON nor PLY nor six numbers")]
     Unknown,
+    #[error("it is {}", .0.what)]
+    Mistaken(Mistaken),
     #[error(transparent)]
     Json(#[from] serde_json::Error),
     #[error("{0}")]
@@ -84,6 +89,10 @@ pub fn parse(bytes: &[u8]) -> Result<RegionFile, RegionFault> {
         }
         _ => Err(RegionFault::Unknown),
     }
+    .map_err(|fault| match (fault, mistaken::by_start(bytes)) {
+        (RegionFault::Unknown, Some(mistaken)) => RegionFault::Mistaken(mistaken),
+        (fault, _) => fault,
+    })
 }
 
 /// Reads six finite numbers, separated by commas or blanks; `None` where there are others.

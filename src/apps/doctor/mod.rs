@@ -7,6 +7,7 @@ mod masks;
 mod model;
 mod partners;
 mod pictures;
+mod region;
 mod sense;
 #[cfg(test)]
 mod tests;
@@ -194,6 +195,7 @@ fn scene_findings(inputs: &Inputs) -> (Vec<Finding>, bool) {
         findings.extend(partners::findings(inputs));
         findings.extend(links::findings(inputs));
     }
+    findings.extend(region::findings(inputs));
     findings.extend(sense::of_images(inputs));
     findings.extend(masks::findings(inputs));
     findings.extend(pictures::findings(inputs));

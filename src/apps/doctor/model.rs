@@ -29,6 +29,11 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
                 "model-not-as-it-should-be",
                 "write the model again with the program that made it",
             ),
+            WarningKind::NoPoints => (
+                Severity::Error,
+                "no-points",
+                "export the model with its sparse points",
+            ),
             WarningKind::Guessed => (
                 Severity::Warning,
                 "guessed-sizes",
@@ -40,6 +45,7 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
                 "no action needed; this is how the format is read",
             ),
         };
+        let cure = warning.cure.as_deref().unwrap_or(cure);
         Finding::new(severity, check, &warning.text, cure)
     };
     inputs.scene.warnings.iter().map(finding).collect()

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::{
     bytes,
-    flight::{self, Flight},
+    flight::{self, BareGround, Flight, bare_ground},
     history::History,
     holes::{FAR, Hole, holes},
     ranking::RankingData,
@@ -31,13 +31,14 @@ use crate::{
     },
     config::ForecastSettings,
     io::project::Project,
+    method::region::Ground,
     model::{
         cluster::Gate,
         georeference::{Georeference, MapFrame},
         reason::Reason,
-        scene::{Units, ViewIndex},
+        scene::ViewIndex,
     },
-    plan::{self, Band, Cut, GivenUp, Plan},
+    plan::{Band, Cut, GivenUp, Plan},
     show::{
         manifest::RegionSummary,
         pictures::{RAMP, footprints},
@@ -55,7 +56,8 @@ pub struct Contents {
     title: String,
     tool: &'static str,
     backend: &'static str,
-    metric: bool,
+    /// Metres in a scene unit; null if unknown.
+    metres: Option<f64>,
     gsd: f64,
     /// Partners wanted per key view, k.
     wanted_partners: u32,
@@ -110,6 +112,41 @@ pub struct Contents {
 struct Corners {
     low: [f64; 3],
     high: [f64; 3],
+}
+
+impl Corners {
+    /// A box around the subject, and around the region on the map.
+    fn shown_first(plan: &Plan, frame: &MapFrame) -> Option<Self> {
+        let Subject {
+            mut low, mut high, ..
+        } = Subject::new(plan, frame)?;
+        let rings = plan.stages.ground.iter().flat_map(|ground| &ground.rings);
+        for place in rings.flatten() {
+            for axis in 0..2 {
+                low[axis] = low[axis].min(place[axis]);
+                high[axis] = high[axis].max(place[axis]);
+            }
+        }
+        Some(Self { low, high })
+    }
+}
+
+/// The outline of the region on the map, at the height of the ground: f32, 3 per corner, a list for
+/// each ring.
+fn outline(plan: &Plan, frame: &MapFrame) -> Vec<String> {
+    let ring = |ground: &Ground, ring: &Vec<[f64; 2]>| {
+        let corners: Vec<Point3<f64>> = ring.iter().map(|at| ground.plane.at(*at)).collect();
+        bytes(&in_frame(frame, corners.iter()))
+    };
+    let ground = plan.stages.ground.iter();
+    ground
+        .flat_map(|ground| {
+            ground
+                .rings
+                .iter()
+                .map(move |corners| ring(ground, corners))
+        })
+        .collect()
 }
 
 #[derive(Serialize)]
@@ -168,6 +205,8 @@ struct RegionData {
     inside: String,
     /// Border on the drawn surface: u32, 2 vertices per edge.
     border: String,
+    /// Rings on the map: f32, 3 per corner.
+    outline: Vec<String>,
 }
 
 #[derive(Serialize)]
@@ -199,15 +238,25 @@ impl Contents {
             None => BTreeMap::new(),
         };
         let holes = holes(plan, HOLES);
-        let flight = flight::flight(plan, &holes.largest, watcher)?;
+        let mut flight = flight::flight(plan, &holes.largest, watcher)?;
         let needed = plan.stages.settings.coverage.min_cameras;
-        let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
+        let (place, metres) = (plan.stages.place, plan.stages.metres);
         let summary = RegionSummary::from_plan(plan);
+        let of_surface = holes.largest.iter();
+        let mut listed: Vec<HoleData> = of_surface
+            .map(|hole| HoleData::new(hole, &frame, &place, needed))
+            .collect();
+        let for_holes = flight.waypoints.len();
+        if let Some(bare) = bare_ground(plan, &frame, needed, listed.len()) {
+            listed.push(HoleData::of_ground(&bare, &frame, &place, needed));
+            flight = flight.and_then(&bare);
+        }
+        let missing: Vec<String> = listed.iter().map(|hole| hole.missing.clone()).collect();
         Ok(Self {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
             backend: plan.stages.backend,
-            metric: plan.stages.settings.units == Some(Units::Metric),
+            metres: plan.stages.metres,
             gsd: plan.stages.settings.target.gsd.unwrap_or_default(),
             wanted_partners: plan.stages.settings.partners.k,
             points: plan.stages.scene.points.len(),
@@ -230,7 +279,8 @@ impl Contents {
             region: summary
                 .zip(plan.stages.region.as_ref())
                 .map(|(summary, region)| RegionData {
-                    words: summary.words(plan.stages.settings.ranking.weight),
+                    words: summary.words(plan.stages.settings.ranking.weight, metres),
+                    outline: outline(plan, &frame),
                     inside: bytes(
                         &surface
                             .original
@@ -241,15 +291,10 @@ impl Contents {
                     border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
                 }),
             surface: SurfaceData::new(plan, &surface, &frame),
-            subject: Subject::new(plan, &frame)
-                .map(|Subject { low, high, .. }| Corners { low, high }),
-            holes: holes
-                .largest
-                .iter()
-                .map(|hole| HoleData::new(hole, &frame, &place, needed))
-                .collect(),
-            flight: FlightData::new(&flight, &frame),
-            flight_files: flight::files(&flight, &holes.largest, &frame, &place, needed),
+            subject: Corners::shown_first(plan, &frame),
+            holes: listed,
+            flight: FlightData::new(&flight, for_holes, &frame),
+            flight_files: flight::files(&flight, &missing, &frame, &place, metres),
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,
@@ -506,6 +551,9 @@ struct FlightData {
     /// overlap, 0 to 1.
     heights: Vec<f64>,
     overlaps: Vec<f64>,
+    /// Number of them that are for holes of the surface, the first ones; the others are for ground
+    /// without any.
+    for_holes: usize,
     /// Part of the holes' weight that fusion is expected to keep with them, and with images from
     /// all candidate poses; 0 to 1.
     filled: f64,
@@ -515,7 +563,7 @@ struct FlightData {
 }
 
 impl FlightData {
-    fn new(flight: &Flight, frame: &MapFrame) -> Self {
+    fn new(flight: &Flight, for_holes: usize, frame: &MapFrame) -> Self {
         let all = || flight.waypoints.iter();
         let directions: Vec<f32> = all()
             .flat_map(|w| frame.direction(&w.direction))
@@ -527,6 +575,7 @@ impl FlightData {
             holes: all().map(|w| w.hole).collect(),
             heights: all().map(|w| w.height).collect(),
             overlaps: all().map(|w| w.overlap).collect(),
+            for_holes,
             filled: flight.filled,
             of_holes: flight.of_holes.clone(),
             fillable: flight.fillable,
@@ -552,6 +601,19 @@ impl HoleData {
             advice: hole.advice(needed),
             centre: frame.local(centre),
             place,
+        }
+    }
+
+    fn of_ground(bare: &BareGround, frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
+        let at = place.geodetic(&bare.centre);
+        Self {
+            area: bare.area,
+            triangles: 0,
+            reason: Reason::number(Some(Reason::TooFewCameras)).into(),
+            missing: format!("no surface: fewer photographs show it than the {needed} needed"),
+            advice: "images of it, with more overlap",
+            centre: frame.local(&bare.centre),
+            place: at.map(|at| [at.latitude, at.longitude]),
         }
     }
 }

@@ -148,6 +148,18 @@ impl Configuration {
         typed: CommandLineSettings,
         backend: BackendLookup,
     ) -> Result<Self, ConfigError> {
+        Self::load_for(files, typed, backend, &|_| None)
+    }
+
+    /// As [`Self::load`]; `metres` returns how many are in a unit of the model, if that is known. It
+    /// is called with the settings that are no lengths, if there is a length with a unit and no
+    /// setting `units`.
+    pub fn load_for(
+        files: &Files,
+        typed: CommandLineSettings,
+        backend: BackendLookup,
+        metres: &dyn Fn(&Settings) -> Option<f64>,
+    ) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         for file in [&files.root, &files.project].into_iter().flatten() {
             let project = read(file)?;
@@ -155,7 +167,16 @@ impl Configuration {
             entries.extend(project);
         }
         entries.extend(typed.0);
-        convert_lengths(&mut entries)?;
+        let is_measured = |entry: &Entry| is_length(entry) && entry.value.is_str();
+        let has_units = entries.iter().any(|entry| entry.key == "units");
+        let of_model = match entries.iter().any(is_measured) && !has_units {
+            true => {
+                let others = entries.iter().filter(|entry| !is_measured(entry)).cloned();
+                metres(&Self::over_defaults(others.collect(), backend)?.settings)
+            }
+            false => None,
+        };
+        convert_lengths(&mut entries, of_model)?;
         Self::over_defaults(entries, backend)
     }
 
@@ -257,15 +278,20 @@ const METRES: [(&str, f64); 5] = [
     ("m", 1.0),
 ];
 
-/// Replaces lengths with a unit ("2cm") by numbers, metres, where a unit of the model is a metre;
-/// the last of `units` holds.
-fn convert_lengths(entries: &mut [Entry]) -> Result<(), ConfigError> {
+fn is_length(entry: &Entry) -> bool {
+    keys()
+        .iter()
+        .any(|key| key.name == entry.key && key.is_length())
+}
+
+/// Replaces lengths with a unit ("2cm") by numbers, in units of the model, where these are known:
+/// metres, if the last of `units` says so, else `of_model` metres each.
+fn convert_lengths(entries: &mut [Entry], of_model: Option<f64>) -> Result<(), ConfigError> {
     let units = entries.iter().rev().find(|entry| entry.key == "units");
     let is_metric = units.is_some_and(|entry| entry.value.as_str() == Some("metric"));
+    let metres_per_unit = if is_metric { Some(1.0) } else { of_model };
     for entry in entries {
-        let is_length = keys()
-            .iter()
-            .any(|key| key.name == entry.key && key.is_length());
+        let is_length = is_length(entry);
         let Some(text) = entry.value.as_str().filter(|_| is_length) else {
             continue;
         };
@@ -287,20 +313,22 @@ fn convert_lengths(entries: &mut [Entry]) -> Result<(), ConfigError> {
             .trim()
             .parse()
             .map_err(|_| refuse("must be a number, in metres also with mm, cm or m"))?;
-        if unit.is_some() && !is_metric {
-            return Err(ConfigError::NotMetric {
-                place: entry.place.clone(),
-                key: entry.key.clone(),
-                value: text.into(),
-            });
-        }
+        let not_metric = || ConfigError::NotMetric {
+            place: entry.place.clone(),
+            key: entry.key.clone(),
+            value: text.into(),
+        };
+        let per_unit = match unit {
+            Some(_) => metres_per_unit.ok_or_else(not_metric)?,
+            None => 1.0,
+        };
         // 2 cm are 0.02, not 0.02 plus the rounding of the product.
         let length = if metres < 1.0 {
             number / (1.0 / metres).round()
         } else {
             number * metres
         };
-        entry.value = length.into();
+        entry.value = (length / per_unit).into();
     }
     Ok(())
 }
@@ -564,8 +592,8 @@ impl Hint for ConfigError {
                 Some(path) => format!("set it in {}, or on the command line", path.display()).into(),
                 None => "set it on the command line".into(),
             },
-            Self::NotMetric { .. } => "write units = \"metric\" into viewrank.toml if a unit of the model is a metre, else give the number in \
-                                       units of the model"
+            Self::NotMetric { .. } => "write units = \"metric\" into viewrank.toml if a unit of the model is a metre (or georeference it), else \
+                                       give the number in units of the model"
                 .into(),
             Self::Backend { error, .. } => return error.hint(),
             Self::Value { from, key, .. } => match keys().iter().find(|known| known.name == *key) {

@@ -262,6 +262,38 @@ fn lengths_have_units_where_the_model_is_metric() {
 }
 
 #[test]
+fn lengths_with_a_unit_are_those_of_a_model_whose_scale_is_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let of_model = |text: &str, typed: &str| {
+        fs::write(folder.path().join("viewrank.toml"), text).unwrap();
+        let files = Files {
+            project: Some(folder.path().join("viewrank.toml")),
+            ..Files::default()
+        };
+        let mut lengths = CommandLineSettings::default();
+        lengths.set("--gsd", "target.gsd", Some(typed));
+        let metres = |settings: &Settings| (!settings.frame.gps).then_some(0.5);
+        Configuration::load_for(&files, lengths, canonical_name, &metres)
+    };
+    let gsd = |text: &str, typed: &str| of_model(text, typed).unwrap().settings.target.gsd;
+    assert_eq!(gsd("frame.gps = false", "5cm"), Some(0.1));
+    assert_eq!(gsd("frame.gps = false", "0.05"), Some(0.05));
+    assert_eq!(
+        gsd("frame.gps = false\nunits = \"metric\"", "5cm"),
+        Some(0.05)
+    );
+    for text in [
+        "frame.gps = true",
+        "frame.gps = false\nunits = \"relative\"",
+    ] {
+        assert!(matches!(
+            of_model(text, "5cm"),
+            Err(ConfigError::NotMetric { .. })
+        ));
+    }
+}
+
+#[test]
 fn a_watched_folder_s_settings_are_below_those_of_its_projects() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str, text: &str| {

@@ -1,6 +1,10 @@
 //! Reads the region of the settings (method 5.7).
 
+mod ground;
+
 use std::path::PathBuf;
+
+pub use ground::{GroundSummary, photographed_ground};
 
 use crate::{
     base::error::{Advice, Hint},
@@ -40,6 +44,7 @@ impl Hint for RegionFileError {
             Self::Shape { fault, .. } => return fault.hint(),
         };
         let hint = match fault {
+            RegionFault::Mistaken(mistaken) => mistaken.cure,
             RegionFault::Read(_) => "check that the file exists and is readable",
             RegionFault::Collection(_) => {
                 "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"

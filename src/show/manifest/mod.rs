@@ -15,7 +15,9 @@ use serde::{Deserialize, Serialize};
 pub use fingerprint::{FingerprintError, fingerprint};
 pub use region::RegionSummary;
 pub(crate) use written::{FILE, RecordedPlan, read_own};
-pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model, validate};
+pub use written::{
+    WrittenPlan, WrittenPlanError, planned_backend, planned_ground, planned_model, validate,
+};
 
 use crate::{
     backends::ExportRecord,
@@ -284,19 +286,9 @@ impl Manifest {
 
 impl Input {
     fn new(plan: &Plan, project: &Project) -> Result<Self, FingerprintError> {
-        let model = project
-            .model
-            .path
-            .strip_prefix(&project.root)
-            .unwrap_or(&project.model.path);
-        let model = if model.as_os_str().is_empty() {
-            ".".into()
-        } else {
-            model.to_string_lossy().replace('\\', "/")
-        };
         Ok(Self {
             format: project.model.format.name().into(),
-            model,
+            model: project.model_path(),
             fingerprint: fingerprint(project, &plan.stages.scene, &plan.stages.settings)?,
             views: plan.stages.scene.views.len(),
             points: plan.stages.scene.points.len(),

@@ -1,13 +1,17 @@
 //! The region of a plan, in the manifest and in words.
 
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use crate::{config::TriangleWeight, method::region::RegionKind, plan::Plan};
+use crate::{
+    config::TriangleWeight,
+    method::region::RegionKind,
+    plan::{GroundSummary, Plan},
+};
 
 /// Part of the scene that the plan is for (method 5.7); shares, fulfilment and cut are those
 /// inside.
-#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RegionSummary {
     /// "polygons", "box", "mesh", or "auto": the box around the places with the most pixels per
     /// area.
@@ -23,6 +27,9 @@ pub struct RegionSummary {
     pub share_of_area: f64,
     /// Share inside of the weight that the whole surface would have without a region, 0 to 1.
     pub share_of_weight: f64,
+    /// Its area on the map; null for `auto`, and for polygons that cannot be drawn there.
+    #[serde(default)]
+    pub ground: Option<GroundSummary>,
 }
 
 impl RegionSummary {
@@ -41,12 +48,13 @@ impl RegionSummary {
             area,
             share_of_area: if whole > 0.0 { area / whole } else { 0.0 },
             share_of_weight: plan.stages.objective.inside,
+            ground: plan.stages.ground_summary(),
         })
     }
 
-    /// Returns a description of one or two lines; for `auto` and a box it includes the corners as
+    /// Returns a description of a few lines; for `auto` and a box it includes the corners as
     /// `--region` takes them.
-    pub fn words(&self, weight: TriangleWeight) -> String {
+    pub fn words(&self, weight: TriangleWeight, metres: Option<f64>) -> String {
         let corners = self.bounds.map(|x| short(x, &self.bounds)).join(",");
         let what = match self.kind {
             RegionKind::Polygons => "polygons".into(),
@@ -55,14 +63,21 @@ impl RegionSummary {
             RegionKind::Auto => format!("auto, the box {corners}"),
         };
         let [area, weighed] = [self.share_of_area, self.share_of_weight].map(|share| 100.0 * share);
-        match weight {
+        let of_all = match weight {
             TriangleWeight::Pixels => {
-                format!(
-                    "Region: {what}.\nIt has {weighed:.1} % of the pixels and {area:.1} % of the surface."
-                )
+                format!("It has {weighed:.1} % of the pixels and {area:.1} % of the surface.")
             }
-            _ => format!("Region: {what}.\nIt has {area:.1} % of the surface."),
-        }
+            _ => format!("It has {area:.1} % of the surface."),
+        };
+        let ground = self
+            .ground
+            .map(|ground| [ground.covered("It", metres), ground.missed("it")]);
+        [format!("Region: {what}.")]
+            .into_iter()
+            .chain(ground.into_iter().flatten())
+            .chain([of_all])
+            .collect::<Vec<_>>()
+            .join("\n")
     }
 }
 
@@ -89,8 +104,9 @@ mod tests {
                 area: 1.0,
                 share_of_area: 0.01,
                 share_of_weight: 0.5,
+                ground: None,
             };
-            summary.words(TriangleWeight::Pixels)
+            summary.words(TriangleWeight::Pixels, None)
         };
         assert!(
             words([-2.40123, -1.0, 0.9, -1.8, -0.8, 1.61])

@@ -8,7 +8,7 @@ use std::{
 
 use serde::Deserialize;
 
-use super::{FingerprintError, VERSION, ViewEntry, check::check, fingerprint};
+use super::{FingerprintError, RegionSummary, VERSION, ViewEntry, check::check, fingerprint};
 use crate::{
     backends::ExportRecord,
     base::{
@@ -24,7 +24,7 @@ use crate::{
         cluster::{MapScale, RankedCluster},
         scene::{Scene, ViewIndex},
     },
-    plan::{Cut, OutdatedMap, Plan},
+    plan::{Cut, GroundSummary, OutdatedMap, Plan},
 };
 
 /// A written ranking with its project and scene.
@@ -67,6 +67,8 @@ pub(crate) struct RecordedPlan {
     pub cut: Cut,
     pub exports: Vec<ExportRecord>,
     pub warnings: Vec<String>,
+    #[serde(default)]
+    region: Option<RegionSummary>,
     /// Path of the manifest.
     #[serde(skip)]
     path: PathBuf,
@@ -129,9 +131,16 @@ pub fn planned_backend(project: &Project) -> Option<String> {
         .map(|recorded| recorded.backend)
 }
 
-/// Returns the name of the sub-model that the project's plan is for; `None` without a plan.
+/// Returns the path, relative to the project, of the model that its plan is for; `None` without a
+/// plan.
 pub fn planned_model(project: &Project) -> Option<String> {
-    RecordedPlan::read(project).ok()?.model_name()
+    Some(RecordedPlan::read(project).ok()?.input.model)
+}
+
+/// Returns what the photographs show of the region that the project's plan is for; `None` without a
+/// plan or a region.
+pub fn planned_ground(project: &Project) -> Option<GroundSummary> {
+    RecordedPlan::read(project).ok()?.region?.ground
 }
 
 impl WrittenPlan {
@@ -195,11 +204,10 @@ impl RecordedPlan {
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
         let any_model = Project::open_or_planned(root, None)?;
         let recorded = Self::read(&any_model)?;
-        let project = match recorded.model_name() {
-            Some(name) if any_model.model.name() != name => {
-                Project::open_or_planned(root, Some(&name))?
-            }
-            _ => any_model,
+        let planned = &recorded.input.model;
+        let project = match any_model.model_path() == *planned {
+            true => any_model,
+            false => Project::open_or_planned(root, Some(planned))?,
         };
         let project = project.with_images(recorded.settings.images.as_deref());
         Ok((project, recorded))
@@ -239,13 +247,6 @@ impl RecordedPlan {
 }
 
 impl RecordedPlan {
-    /// Name of the planned sub-model.
-    fn model_name(&self) -> Option<String> {
-        Path::new(&self.input.model)
-            .file_name()
-            .map(|name| name.to_string_lossy().into_owned())
-    }
-
     /// Returns the whole ranking, best first, with indices of views.
     pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
         let view = |name: &String| {

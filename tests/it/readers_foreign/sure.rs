@@ -74,7 +74,7 @@ fn a_huge_cloud_of_a_sure_project_is_thinned() {
         .collect();
     let read = || {
         let mut foreign = oriented();
-        cloud::add_cloud(&mut foreign, &grid);
+        cloud::add_cloud(&mut foreign.model, &grid);
         foreign.scene().unwrap()
     };
     let scene = read();
@@ -101,7 +101,7 @@ fn a_huge_cloud_of_a_sure_project_is_thinned() {
             .all(|x| (column(x) - 1.0 / 3.0).abs() < 0.01)
     );
     let mut few = oriented();
-    cloud::add_cloud(&mut few, &grid[..9]);
+    cloud::add_cloud(&mut few.model, &grid[..9]);
     assert_eq!(few.scene().unwrap().points, grid[..9]);
 }
 

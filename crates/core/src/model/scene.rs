@@ -130,6 +130,8 @@ pub struct ModelWarning {
     pub kind: WarningKind,
     /// A sentence for users.
     pub text: String,
+    /// The remedy, if the reader knows a better one than those of the kind.
+    pub cure: Option<String>,
 }
 
 impl ModelWarning {
@@ -137,6 +139,22 @@ impl ModelWarning {
         Self {
             kind,
             text: text.into(),
+            cure: None,
+        }
+    }
+
+    pub fn with_cure(self, cure: impl Into<String>) -> Self {
+        Self {
+            cure: Some(cure.into()),
+            ..self
+        }
+    }
+
+    /// The sentence with its remedy.
+    pub fn words(&self) -> String {
+        match &self.cure {
+            Some(cure) => format!("{}: {cure}", self.text),
+            None => self.text.clone(),
         }
     }
 }
@@ -146,6 +164,8 @@ impl ModelWarning {
 pub enum WarningKind {
     /// Data is missing, superfluous or contradictory.
     Damaged,
+    /// The model has views, but no sparse points.
+    NoPoints,
     /// The format doesn't store something, or the reader ignores it.
     Format,
     /// The project has other models, which were not read.

@@ -5,7 +5,7 @@
 //! BlocksExchange/SpatialReferenceSystems/SRS    Id, Definition
 //! BlocksExchange/Block                          SRSId
 //!   Photogroups/Photogroup    ImageDimensions, FocalLengthPixels (or FocalLength and SensorSize), CameraOrientation, PrincipalPoint, Distortion
-//!     Photo                   Id, ImagePath, Pose: Rotation M_00..M_22, Center
+//!     Photo                   Id, ImagePath, Component, Pose: Rotation M_00..M_22, Center
 //!   TiePoints/TiePoint        Position, Color, Measurement: PhotoId, x, y
 //! ```
 //!
@@ -16,60 +16,90 @@
 use std::collections::HashMap;
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank_core::model::{
-    camera::{Camera, CameraModel},
-    scene::WarningKind,
-};
+use viewrank_core::model::camera::{Camera, CameraModel};
 
 use super::{
     Fault, Place, Problem,
     colmap::StoredPose,
-    foreign::{ForeignModel, camera, pose_with_centre, shift},
+    foreign::{ForeignModel, camera, largest_component, pose_with_centre, shift},
     xml::{Element, Xml},
 };
 
-/// Reads the first block that has images.
+/// Reads the block with most images, of that the component with most.
 pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     let mut xml = Xml::in_root(bytes, "BlocksExchange", "<BlocksExchange>")?;
-    let mut block = Block::default();
-    let mut blocks = 0;
+    let mut systems = HashMap::new();
+    let mut largest = Block::default();
+    let mut others = Vec::new();
     while let Some(entered) = xml.enter()? {
         match &*entered.name {
-            "SpatialReferenceSystems" => {
-                while let Some(system) = xml.enter()? {
-                    let system = xml.whole(system)?;
-                    let text = |name| {
-                        system
-                            .child(name)
-                            .map(|child| child.text().to_owned())
-                            .unwrap_or_default()
-                    };
-                    block.systems.insert(text("Id"), text("Definition"));
-                }
-            }
+            "SpatialReferenceSystems" => systems = read_systems(&mut xml)?,
             "Block" => {
-                blocks += 1;
-                if block.foreign.model.images.is_empty() {
-                    block.read(&mut xml)?
-                } else {
-                    xml.skip()?
+                let mut block = Block {
+                    systems: systems.clone(),
+                    ..Block::default()
+                };
+                block.read(&mut xml)?;
+                if block.images() > largest.images() {
+                    std::mem::swap(&mut block, &mut largest);
+                }
+                if block.images() > 0 {
+                    others.push((block.name.clone(), block.images()));
                 }
             }
             _ => xml.skip()?,
         }
     }
-    if blocks > 1 {
-        block.foreign.warn(
-            WarningKind::OtherModels,
-            "only the first block with images is read",
-        );
+    let mut foreign = largest.into_largest_component();
+    foreign.warn_of_others("blocks", &others);
+    Ok(foreign)
+}
+
+/// Definition of the reference system of the first block, such as "EPSG:32633" or its WKT, from the
+/// beginning of a file.
+pub fn reference_system(start: &[u8]) -> Option<String> {
+    let end = start.iter().rposition(|&byte| byte == b'>')?;
+    let mut xml = Xml::in_root(&start[..=end], "BlocksExchange", "").ok()?;
+    let mut systems = HashMap::new();
+    while let Some(entered) = xml.enter().ok()? {
+        match &*entered.name {
+            "SpatialReferenceSystems" => systems = read_systems(&mut xml).ok()?,
+            "Block" => {
+                while let Some(entered) = xml.enter().ok()? {
+                    if entered.name == "SRSId" {
+                        return systems.remove(xml.whole(entered).ok()?.text());
+                    }
+                    xml.skip().ok()?;
+                }
+            }
+            _ => xml.skip().ok()?,
+        }
     }
-    Ok(block.foreign)
+    None
+}
+
+/// Definitions of reference systems, by id.
+fn read_systems(xml: &mut Xml) -> Result<HashMap<String, String>, Fault> {
+    let mut systems = HashMap::new();
+    while let Some(system) = xml.enter()? {
+        let system = xml.whole(system)?;
+        let text = |name| {
+            system
+                .child(name)
+                .map(|child| child.text().to_owned())
+                .unwrap_or_default()
+        };
+        systems.insert(text("Id"), text("Definition"));
+    }
+    Ok(systems)
 }
 
 #[derive(Default)]
 struct Block {
+    name: String,
     foreign: ForeignModel,
+    /// Component of each image, as in the file; empty where none is given.
+    components: Vec<String>,
     /// Definition of each reference system, by id.
     systems: HashMap<String, String>,
     /// Position in the model of each photo, by id.
@@ -81,6 +111,7 @@ impl Block {
     fn read(&mut self, xml: &mut Xml) -> Result<(), Fault> {
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
+                "Name" => self.name = xml.whole(entered)?.text().to_owned(),
                 "SRSId" => self.check_system(&xml.whole(entered)?)?,
                 "Photogroups" => {
                     while let Some(entered) = xml.enter()? {
@@ -105,6 +136,20 @@ impl Block {
             }
         }
         Ok(())
+    }
+
+    fn images(&self) -> usize {
+        self.foreign.model.images.len()
+    }
+
+    /// The model without the images of all components but the one with most: their poses are in
+    /// coordinates of their own.
+    fn into_largest_component(self) -> ForeignModel {
+        let (mut foreign, components) = (self.foreign, self.components);
+        let (largest, others) = largest_component(components.iter().map(String::as_str));
+        foreign.keep_images(|image| components[image] == largest);
+        foreign.warn_of_others("components", &others);
+        foreign
     }
 
     /// Fails for a geographic system: degrees are no lengths.
@@ -190,6 +235,9 @@ impl Block {
             pose,
             photo.at(),
         );
+        let component = photo.child("Component");
+        self.components
+            .push(component.map_or(String::new(), |id| id.text().to_owned()));
         Ok(())
     }
 
@@ -460,6 +508,16 @@ mod tests {
     fn what_cannot_be_read_is_named() {
         let focal = "<FocalLengthPixels>100</FocalLengthPixels>";
         let said = |text: &str| read(text.as_bytes()).unwrap_err().to_string();
+        let whole = file("EPSG:32633", focal);
+        assert_eq!(
+            reference_system(whole.as_bytes()).as_deref(),
+            Some("EPSG:32633")
+        );
+        assert_eq!(
+            reference_system(&whole.as_bytes()[..900]).as_deref(),
+            Some("EPSG:32633")
+        );
+        assert_eq!(reference_system(&whole.as_bytes()[..20]), None);
         assert!(said(&file("EPSG:4326+5773", focal)).contains("longitude"));
         assert!(
             said(&file(

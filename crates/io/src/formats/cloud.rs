@@ -1,16 +1,19 @@
-//! Points without tracks, from a PLY file beside a model that has cameras only: observations are
-//! the projections.
+//! Observations that a model lacks, by projection: of points without tracks, of the points of a PLY
+//! file beside a model that has cameras only, and of tracks whose images list no 2D points.
 
-use std::collections::HashMap;
+use std::{borrow::Cow, collections::HashMap};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
 use viewrank_core::model::{
     camera::Camera,
-    scene::{Pose, WarningKind},
+    scene::{ModelWarning, Pose, WarningKind},
 };
 
-use super::{Place, foreign::ForeignModel};
+use super::{
+    Place,
+    colmap::{ColmapModel, ColmapPoint, Point2d, TrackElement},
+};
 
 /// Largest number of points used from a cloud without tracks, and largest number of observations
 /// made from them.
@@ -19,64 +22,235 @@ const CLOUD_OBSERVATIONS: usize = 20_000_000;
 /// Number of points sampled to estimate how many views a point projects into.
 const CLOUD_SAMPLE: usize = 1 << 12;
 
-/// Mean number of views into which a point projects, estimated from some of the points.
-pub fn views_per_point(foreign: &ForeignModel, points: &[Point3<f64>]) -> f64 {
-    let sample = thinned(points, CLOUD_SAMPLE);
-    let observed: usize = tracks(foreign, &sample).iter().map(Vec::len).sum();
-    observed as f64 / sample.len().max(1) as f64
+/// Poses and cameras of the images of a model, by position; `None` if the model lacks one.
+struct Projection<'a> {
+    views: Vec<Option<(Pose, &'a Camera)>>,
 }
 
-/// The views into which each point projects, and where.
-fn tracks(foreign: &ForeignModel, points: &[&Point3<f64>]) -> Vec<Vec<(usize, [f64; 2])>> {
-    let cameras: HashMap<u32, Camera> = foreign
-        .model
-        .cameras
-        .iter()
-        .map(|c| (c.id, c.clone()))
-        .collect();
-    let poses = foreign.model.images.iter().map(|image| {
-        Some((
-            image.cam_from_world.pose().ok()?,
-            cameras.get(&image.camera_id)?,
-        ))
-    });
-    let poses: Vec<_> = poses.collect();
-    let seen_by = |x: &&Point3<f64>| -> Vec<(usize, [f64; 2])> {
+impl<'a> Projection<'a> {
+    fn new(model: &'a ColmapModel) -> Self {
+        let cameras: HashMap<u32, &Camera> = model.cameras.iter().map(|c| (c.id, c)).collect();
+        let view = |image: &super::colmap::ColmapImage| {
+            let camera = cameras.get(&image.camera_id)?;
+            Some((image.cam_from_world.pose().ok()?, *camera))
+        };
+        Self {
+            views: model.images.iter().map(view).collect(),
+        }
+    }
+
+    /// The pixel of a point in an image, inside or not.
+    fn pixel(&self, image: usize, x: &Point3<f64>) -> Option<[f64; 2]> {
+        let (pose, camera) = self.views[image].as_ref()?;
+        let pixel = camera.project_beyond_field(&pose.camera_from_world(x))?;
+        Some(pixel.into())
+    }
+
+    /// The images into which a point projects, and where.
+    fn seen_by(&self, x: &Point3<f64>) -> Vec<(usize, [f64; 2])> {
         let pixel = |(pose, camera): &(Pose, &Camera)| {
             camera
                 .project(&pose.camera_from_world(x))
                 .filter(|pixel| camera.contains(pixel))
         };
-        let views = poses.iter().enumerate();
+        let views = self.views.iter().enumerate();
         views
             .filter_map(|(n, view)| view.as_ref().and_then(pixel).map(|p| (n, [p.x, p.y])))
             .collect()
+    }
+}
+
+/// Mean number of views into which a point projects, estimated from some of the points.
+pub fn views_per_point(model: &ColmapModel, points: &[Point3<f64>]) -> f64 {
+    let projection = Projection::new(model);
+    let sample = thinned(points.len(), CLOUD_SAMPLE);
+    let seen = sample
+        .par_iter()
+        .map(|&p| projection.seen_by(&points[p]).len());
+    seen.sum::<usize>() as f64 / sample.len().max(1) as f64
+}
+
+/// Adds points without tracks to a model that has none.
+pub fn add_cloud(model: &mut ColmapModel, points: &[Point3<f64>]) {
+    let used = used(model, points);
+    let point = |(n, &p): (usize, &usize)| ColmapPoint {
+        id: n as u64 + 1,
+        xyz: points[p].into(),
+        colour: [255; 3],
+        error: -1.0,
+        track: Cow::Borrowed(&[]),
+        at: Place::File,
     };
-    points.par_iter().map(seen_by).collect()
+    model.points = used.iter().enumerate().map(point).collect();
+    observe(
+        model,
+        "the points of the PLY file have no tracks",
+        points.len(),
+    );
 }
 
-/// Adds points without tracks: all views into which a point projects are taken to observe it, even
-/// if it is hidden there; pixels are the projections. A huge cloud is subsampled, in the same way
-/// at each reading.
-pub fn add_cloud(foreign: &mut ForeignModel, points: &[Point3<f64>]) {
-    let most = CLOUD_OBSERVATIONS / (views_per_point(foreign, points) as usize).max(1);
-    let used = thinned(points, most.min(CLOUD_POINTS));
-    let tracks = tracks(foreign, &used);
-    for (n, (x, track)) in used.iter().zip(tracks).enumerate() {
-        foreign.add_point(n as u64 + 1, (**x).into(), [255; 3], track, Place::File);
+/// Indices of the points that are used of a cloud: of very many some, the same at each reading.
+fn used(model: &ColmapModel, points: &[Point3<f64>]) -> Vec<usize> {
+    let most = CLOUD_OBSERVATIONS / (views_per_point(model, points) as usize).max(1);
+    thinned(points.len(), most.min(CLOUD_POINTS))
+}
+
+/// Gives all points the tracks of the images into which they project; hidden ones count, too.
+/// `why`: begins the warning; `all`: points of the cloud that these were chosen from.
+fn observe(model: &mut ColmapModel, why: &str, all: usize) {
+    let projection = Projection::new(model);
+    let points = model.points.par_iter();
+    let tracks: Vec<Vec<(usize, [f64; 2])>> = points
+        .map(|point| projection.seen_by(&point.xyz.into()))
+        .collect();
+    model
+        .images
+        .iter_mut()
+        .for_each(|image| image.points2d = Cow::Owned(Vec::new()));
+    let images = &mut model.images;
+    for (point, track) in model.points.iter_mut().zip(tracks) {
+        let element = |(image, pixel): (usize, [f64; 2])| {
+            let image = &mut images[image];
+            let points2d = image.points2d.to_mut();
+            points2d.push(Point2d::new(pixel, Some(point.id)));
+            TrackElement::new(image.id, points2d.len() as u32 - 1)
+        };
+        point.track = Cow::Owned(track.into_iter().map(element).collect());
     }
-    let text = "the points of the PLY file have no tracks: every view into which a point projects counts as observing it";
-    foreign.warn(WarningKind::Format, text);
-    if used.len() < points.len() {
-        let (all, used) = (points.len(), used.len());
-        let text = format!("the PLY file has {all} points, of which a random {used} are used");
-        foreign.warn(WarningKind::Format, text);
+    warn(
+        model,
+        format!("{why}: every view into which a point projects counts as observing it"),
+    );
+    let used = model.points.len();
+    if used < all {
+        let text = format!("the cloud has {all} points, of which a random {used} are used");
+        warn(model, text);
     }
 }
 
-/// Chooses about `most` points by a hash of their index: with a fixed stride, only some lines of a
-/// grid would remain.
-fn thinned(points: &[Point3<f64>], most: usize) -> Vec<&Point3<f64>> {
+/// Completes the observations of a model with points: 2D points that tracks name, but no image
+/// lists, are placed at the projections; tracks are made of the images' lists if no point has one;
+/// points that no two images observe are observed by all into which they project.
+pub fn complete(model: &mut ColmapModel) {
+    place_2d_points(model);
+    if model.points.iter().all(|point| point.track.is_empty()) {
+        follow_lists(model);
+    }
+    if !has_tracks(model) && !model.points.is_empty() && model.images.len() > 1 {
+        let why = match model.points.iter().any(|point| !point.track.is_empty()) {
+            true => "no point is observed by two images",
+            false => "the points have no tracks",
+        };
+        let positions: Vec<Point3<f64>> = model.points.iter().map(|p| p.xyz.into()).collect();
+        let used = used(model, &positions);
+        let mut points: Vec<Option<ColmapPoint>> = std::mem::take(&mut model.points)
+            .into_iter()
+            .map(Some)
+            .collect();
+        model.points = used.iter().filter_map(|&p| points[p].take()).collect();
+        observe(model, why, positions.len());
+    }
+}
+
+/// Returns whether any point is observed by two images.
+pub fn has_tracks(model: &ColmapModel) -> bool {
+    let by_two = |point: &ColmapPoint| {
+        let first = point.track.first().map(TrackElement::image);
+        point.track.iter().any(|t| Some(t.image()) != first)
+    };
+    model.points.iter().any(by_two)
+}
+
+/// Gives images without 2D points those that tracks name, at the projections of the points.
+fn place_2d_points(model: &mut ColmapModel) {
+    let positions: HashMap<u32, usize> = (0..model.images.len())
+        .filter(|&n| model.images[n].points2d.is_empty())
+        .map(|n| (model.images[n].id, n))
+        .collect();
+    let names_one = |point: &ColmapPoint| {
+        let mut images = point.track.iter().map(TrackElement::image);
+        images.any(|image| positions.contains_key(&image))
+    };
+    if positions.is_empty() || !model.points.iter().any(names_one) {
+        return;
+    }
+    let mut placed: Vec<Vec<Point2d>> = vec![Vec::new(); model.images.len()];
+    let projection = Projection::new(model);
+    let track = |point: &ColmapPoint, placed: &mut [Vec<Point2d>]| {
+        let x = Point3::from(point.xyz);
+        let mut track = Vec::with_capacity(point.track.len());
+        for element in point.track.iter() {
+            let Some(&image) = positions.get(&element.image()) else {
+                track.push(*element);
+                continue;
+            };
+            if let Some(pixel) = projection.pixel(image, &x) {
+                placed[image].push(Point2d::new(pixel, Some(point.id)));
+                let index = placed[image].len() as u32 - 1;
+                track.push(TrackElement::new(element.image(), index));
+            }
+        }
+        track
+    };
+    let tracks: Vec<Option<Vec<TrackElement>>> = model
+        .points
+        .iter()
+        .map(|point| names_one(point).then(|| track(point, &mut placed)))
+        .collect();
+    let filled = placed.iter().filter(|points| !points.is_empty()).count();
+    for (point, track) in model.points.iter_mut().zip(tracks) {
+        if let Some(track) = track {
+            point.track = Cow::Owned(track);
+        }
+    }
+    for (image, points2d) in model.images.iter_mut().zip(placed) {
+        if !points2d.is_empty() {
+            image.points2d = Cow::Owned(points2d);
+        }
+    }
+    let all = model.images.len();
+    let text = format!(
+        "{filled} of {all} images list no 2D points, but tracks name some: they are placed at the projections of the points"
+    );
+    model
+        .warnings
+        .push(ModelWarning::new(WarningKind::Damaged, text));
+}
+
+/// Makes the tracks of points without any from the images' lists of 2D points.
+fn follow_lists(model: &mut ColmapModel) {
+    let positions: HashMap<u64, usize> = (0..model.points.len())
+        .map(|n| (model.points[n].id, n))
+        .collect();
+    let mut tracks: Vec<Vec<TrackElement>> = vec![Vec::new(); model.points.len()];
+    for image in &model.images {
+        for (index, point2d) in image.points2d.iter().enumerate() {
+            if let Some(&point) = point2d.point().and_then(|id| positions.get(&id)) {
+                tracks[point].push(TrackElement::new(image.id, index as u32));
+            }
+        }
+    }
+    if tracks.iter().all(Vec::is_empty) {
+        return;
+    }
+    for (point, track) in model.points.iter_mut().zip(tracks) {
+        point.track = Cow::Owned(track);
+    }
+    let text = "the points have no tracks: they are made of the images' lists of 2D points";
+    model
+        .warnings
+        .push(ModelWarning::new(WarningKind::Damaged, text));
+}
+
+fn warn(model: &mut ColmapModel, text: String) {
+    model
+        .warnings
+        .push(ModelWarning::new(WarningKind::Format, text));
+}
+
+/// Chooses about `most` of a number of points by a hash of their index: with a fixed stride, only
+/// some lines of a grid would remain.
+fn thinned(all: usize, most: usize) -> Vec<usize> {
     // SplitMix64.
     let hash = |n: usize| {
         let z = (n as u64)
@@ -86,12 +260,8 @@ fn thinned(points: &[Point3<f64>], most: usize) -> Vec<&Point3<f64>> {
         let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ (z >> 31)
     };
-    let limit = most as f64 / points.len() as f64 * u64::MAX as f64;
-    let all = points.len() <= most;
-    points
-        .iter()
-        .enumerate()
-        .filter(|(n, _)| all || (hash(*n) as f64) < limit)
-        .map(|(_, x)| x)
+    let limit = most as f64 / all as f64 * u64::MAX as f64;
+    (0..all)
+        .filter(|&n| all <= most || (hash(n) as f64) < limit)
         .collect()
 }

@@ -174,7 +174,9 @@ fn camera(reader: &mut Reader) -> Result<Camera, Fault> {
         "the camera parameters",
         nom::multi::count(le_f64, model.parameter_count()),
     )?;
-    Camera::new(id, model, width, height, params).map_err(|error| fault(error.into()))
+    Camera::new(id, model, width, height, params)
+        .map(Camera::without_zero_distortion)
+        .map_err(|error| fault(error.into()))
 }
 
 fn pose(input: &[u8]) -> IResult<&[u8], StoredPose> {

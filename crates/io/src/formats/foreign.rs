@@ -1,22 +1,29 @@
 //! Shared code of the readers of other programs' formats: each builds a model in COLMAP's
 //! conventions, which is then checked and converted to a scene like a COLMAP model.
 
-use std::borrow::Cow;
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, HashSet},
+};
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use viewrank_core::model::{
-    camera::{Camera, CameraError, CameraModel},
+    camera::{Camera, CameraError},
     scene::{ModelWarning, Scene, WarningKind},
 };
 
 use super::{
     Fault, Place, Problem,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, StoredPose, TrackElement},
+    name_parts,
 };
 
 /// Largest deviation of a rotation matrix from orthonormality (Frobenius norm of R Rᵀ - I); some
 /// programs print six digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// Models that a warning names.
+const NAMED: usize = 3;
 
 /// A model in COLMAP's conventions, with the additional data of its format.
 #[derive(Clone, Debug, Default)]
@@ -82,6 +89,41 @@ impl ForeignModel {
         });
     }
 
+    /// Leaves out the images of some positions, and their observations.
+    pub(super) fn keep_images(&mut self, is_kept: impl Fn(usize) -> bool) {
+        let images = std::mem::take(&mut self.model.images)
+            .into_iter()
+            .enumerate();
+        let (kept, left): (Vec<_>, Vec<_>) = images.partition(|(n, _)| is_kept(*n));
+        let left: HashSet<u32> = left.iter().map(|(_, image)| image.id).collect();
+        self.model.images = kept.into_iter().map(|(_, image)| image).collect();
+        for point in &mut self.model.points {
+            let track = point.track.to_mut();
+            track.retain(|element| !left.contains(&element.image()));
+        }
+    }
+
+    /// Says which of several models in a file is read: the one with most images. `names`: those of
+    /// the others, with their numbers of images.
+    pub(super) fn warn_of_others(&mut self, what: &str, others: &[(String, usize)]) {
+        if others.is_empty() {
+            return;
+        }
+        let named: Vec<String> = others
+            .iter()
+            .take(NAMED)
+            .map(|(name, images)| format!("{name} ({images} images)"))
+            .collect();
+        let more = if others.len() > NAMED { ", ..." } else { "" };
+        let used = self.model.images.len();
+        let text = format!(
+            "of {} {what} the one with most images ({used}) is read; left out: {}{more}",
+            others.len() + 1,
+            named.join(", ")
+        );
+        self.warn(WarningKind::OtherModels, text);
+    }
+
     /// Warns of guessed image sizes, for formats that don't store them.
     pub(super) fn warn_of_guessed_sizes(&mut self, guessed: usize) {
         if guessed > 0 {
@@ -97,8 +139,9 @@ impl ForeignModel {
         self.model.warnings.push(ModelWarning::new(kind, text));
     }
 
-    /// Makes absolute names relative to their common folder, which becomes the image folder. Those
-    /// of Windows count, too (`C:\photos\a.jpg`).
+    /// Writes names with `/` and without `.` and `..`, and makes absolute ones, or those that lead
+    /// out of the folder of the model, relative to their common folder, which becomes the image
+    /// folder. Paths of Windows count, too (`C:\photos\a.jpg`).
     pub fn shorten_names(&mut self) {
         let mut drive = false;
         let all = self
@@ -107,10 +150,16 @@ impl ForeignModel {
             .iter_mut()
             .map(|image| image.name.to_mut())
             .chain(&mut self.unregistered);
-        for name in all.filter(|name| is_of_windows(name)) {
-            drive = !name.starts_with('\\');
-            let slash = if drive { "/" } else { "" };
-            *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
+        for name in all {
+            if is_of_windows(name) {
+                drive = !name.starts_with('\\');
+                let slash = if drive { "/" } else { "" };
+                *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
+            } else if !name.starts_with('/')
+                && let Some(parts) = name_parts(name)
+            {
+                *name = parts.join("/");
+            }
         }
         let names = || {
             self.model
@@ -119,7 +168,11 @@ impl ForeignModel {
                 .map(|image| &*image.name)
                 .chain(self.unregistered.iter().map(String::as_str))
         };
-        if !names().any(|name| name.starts_with('/')) {
+        let is_absolute = |name: &str| name.starts_with('/');
+        let leads_out = |name: &str| is_absolute(name) || name.starts_with("../");
+        // What leads further than to the parent stays, and is refused.
+        let leads_away = |name: &str| !is_absolute(name) && name_parts(name).is_none();
+        if !names().any(leads_out) || names().any(leads_away) {
             return;
         }
         let folder = |name: &str| name.rfind('/').map_or(0, |end| end + 1);
@@ -154,6 +207,22 @@ impl ForeignModel {
             common
         });
     }
+}
+
+/// The component of most images, ties by name, and the others with their numbers of images.
+pub(super) fn largest_component<'a>(
+    of_images: impl Iterator<Item = &'a str>,
+) -> (String, Vec<(String, usize)>) {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    of_images.for_each(|component| *counts.entry(component).or_default() += 1);
+    let largest = counts.iter().rev().max_by_key(|(_, images)| **images);
+    let largest = largest.map_or("", |(component, _)| *component).to_owned();
+    let others = counts
+        .into_iter()
+        .filter(|(component, _)| **component != largest)
+        .map(|(component, images)| (format!("component {component}"), images));
+    let others = others.collect();
+    (largest, others)
 }
 
 /// Most folders of a moved image's path that still hold.
@@ -228,41 +297,14 @@ pub(super) fn shift(pixel: [f64; 2]) -> [f64; 2] {
     pixel.map(|c| c + 0.5)
 }
 
-/// Returns the camera, as a pinhole camera if its distortion is zero, or the fault. Programs that
-/// undistort images write models with zero distortion, but some backends take pinhole cameras only.
+/// Returns the camera, as a pinhole camera if its distortion is zero, or the fault.
 pub(super) fn camera(
     camera: Result<Camera, CameraError>,
     what: impl FnOnce() -> String,
 ) -> Result<Camera, Fault> {
     camera
-        .and_then(simplified)
+        .map(Camera::without_zero_distortion)
         .map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
-}
-
-fn simplified(camera: Camera) -> Result<Camera, CameraError> {
-    use CameraModel::{FullOpenCv, OpenCv, Radial, SimpleRadial};
-    let size = (u64::from(camera.width), u64::from(camera.height));
-    match (camera.model(), camera.params()) {
-        (SimpleRadial | Radial, &[f, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
-            Camera::new(
-                camera.id,
-                CameraModel::Pinhole,
-                size.0,
-                size.1,
-                vec![f, f, cx, cy],
-            )
-        }
-        (OpenCv | FullOpenCv, &[fx, fy, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
-            Camera::new(
-                camera.id,
-                CameraModel::Pinhole,
-                size.0,
-                size.1,
-                vec![fx, fy, cx, cy],
-            )
-        }
-        _ => Ok(camera),
-    }
 }
 
 /// Returns the width and height of an image by name, for formats that don't store them.
@@ -328,8 +370,16 @@ mod tests {
             of("me/a.jpg you/b.jpg", "/home/")
         );
         assert_eq!(
-            shortened(&[r"back\slash.jpg", "c/d.jpg"]),
-            (r"back\slash.jpg c/d.jpg".into(), None)
+            shortened(&[r"back\slash.jpg", "./c/x/../d.jpg"]),
+            ("back/slash.jpg c/d.jpg".into(), None)
+        );
+        assert_eq!(
+            shortened(&["../photos/1/a.jpg", r"..\photos\b.jpg"]),
+            of("1/a.jpg b.jpg", "../photos/")
+        );
+        assert_eq!(
+            shortened(&["../../photos/a.jpg", "../b.jpg"]),
+            ("../../photos/a.jpg ../b.jpg".into(), None)
         );
         assert_eq!(
             last_parts(r"D:\p\a.jpg"),

@@ -3,9 +3,9 @@
 //! ```text
 //! document version
 //!   chunk (transform)
-//!     sensors/sensor id type    resolution, calibration: f cx cy b1 b2 k1..k4 p1..p4
-//!     components/component id   transform: rotation, translation, scale
-//!     cameras (group)/camera id label sensor_id component_id    transform: 16 numbers, camera to chunk
+//!     sensors/sensor id type master_id    resolution, calibration: f cx cy b1 b2 k1..k4 p1..p4; rotation, location: slave to master
+//!     components/component id             transform: rotation, translation, scale
+//!     cameras (group label)/camera id label sensor_id component_id master_id enabled    transform: 16 numbers, camera to chunk
 //! ```
 //!
 //! Camera axes and pixels are as in COLMAP. cx and cy are relative to the image centre; beside fx
@@ -24,7 +24,7 @@ use viewrank_core::model::{
 use super::{
     Fault, Problem, check_images,
     colmap::StoredPose,
-    foreign::{ForeignModel, camera, pose_with_centre},
+    foreign::{ForeignModel, camera, largest_component, pose_with_centre},
     xml::{Element, Xml},
 };
 
@@ -40,46 +40,66 @@ pub enum Frame {
 /// Largest error in pixels that leaving out a term of the distortion may cause.
 const NEGLIGIBLE_PX: f64 = 0.5;
 
-/// Reads cameras and poses of the first chunk that has any. `spelled` completes labels, which may
-/// lack the extension of the image.
+/// Reads cameras and poses of the chunk with most aligned cameras, of that the component with most.
+/// `spelled` completes labels, which may lack the extension of the image.
 pub fn read(
     bytes: &[u8],
     frame: Frame,
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<ForeignModel, Fault> {
     let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
-    let mut foreign = ForeignModel::default();
-    let mut chunks = 0;
+    let mut largest = Chunk::default();
+    let mut others = Vec::new();
     while let Some(entered) = xml.enter()? {
-        if entered.name != "chunk" || !foreign.model.images.is_empty() {
-            chunks += usize::from(entered.name == "chunk");
+        if entered.name != "chunk" {
             xml.skip()?;
             continue;
         }
-        chunks += 1;
-        foreign = Chunk::read(&mut xml)?.model(frame, spelled)?;
+        let mut chunk = Chunk::read(&entered, &mut xml)?;
+        if chunk.aligned() > largest.aligned() {
+            std::mem::swap(&mut chunk, &mut largest);
+        }
+        if chunk.aligned() > 0 {
+            others.push((format!("chunk {}", chunk.label), chunk.aligned()));
+        }
     }
-    if chunks > 1 {
-        foreign.warn(
-            WarningKind::OtherModels,
-            "only the first chunk with aligned cameras is read",
-        );
-    }
+    let mut foreign = largest.model(frame, spelled)?;
+    foreign.warn_of_others("chunks", &others);
     Ok(foreign)
 }
 
 #[derive(Default)]
 struct Chunk {
+    label: String,
     /// By id as in the file.
     sensors: HashMap<String, (u32, Element)>,
     components: HashMap<String, Similarity>,
     transform: Option<Similarity>,
-    cameras: Vec<Element>,
+    cameras: Vec<ChunkCamera>,
+}
+
+struct ChunkCamera {
+    /// Label of its group.
+    group: Option<String>,
+    element: Element,
+}
+
+impl ChunkCamera {
+    fn label(&self) -> &str {
+        self.element.attribute("label").unwrap_or_default()
+    }
+
+    fn is_enabled(&self) -> bool {
+        !matches!(self.element.attribute("enabled"), Some("false" | "0"))
+    }
 }
 
 impl Chunk {
-    fn read(xml: &mut Xml) -> Result<Self, Fault> {
-        let mut chunk = Self::default();
+    fn read(entered: &Element, xml: &mut Xml) -> Result<Self, Fault> {
+        let mut chunk = Self {
+            label: entered.attribute("label").unwrap_or_default().to_owned(),
+            ..Self::default()
+        };
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
                 "sensors" => {
@@ -101,7 +121,7 @@ impl Chunk {
                     }
                 }
                 "transform" => chunk.transform = Some(Similarity::read(&xml.whole(entered)?)?),
-                "cameras" => chunk.read_cameras(xml)?,
+                "cameras" => chunk.read_cameras(None, xml)?,
                 _ => xml.skip()?,
             }
         }
@@ -109,70 +129,186 @@ impl Chunk {
     }
 
     /// Cameras, some of them in groups.
-    fn read_cameras(&mut self, xml: &mut Xml) -> Result<(), Fault> {
+    fn read_cameras(&mut self, group: Option<&str>, xml: &mut Xml) -> Result<(), Fault> {
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
                 "camera" => {
-                    self.cameras.push(xml.whole(entered)?);
+                    self.cameras.push(ChunkCamera {
+                        group: group.map(str::to_owned),
+                        element: xml.whole(entered)?,
+                    });
                     check_images(self.cameras.len())?;
                 }
-                "group" => self.read_cameras(xml)?,
+                "group" => self.read_cameras(entered.attribute("label"), xml)?,
                 _ => xml.skip()?,
             }
         }
         Ok(())
     }
 
+    /// Number of enabled cameras that have a pose or a master.
+    fn aligned(&self) -> usize {
+        let is_aligned = |camera: &&ChunkCamera| {
+            let element = &camera.element;
+            let placed = element.child("transform").is_some();
+            camera.is_enabled() && (placed || element.attribute("master_id").is_some())
+        };
+        self.cameras.iter().filter(is_aligned).count()
+    }
+
     fn model(&self, frame: Frame, spelled: &dyn Fn(&str) -> String) -> Result<ForeignModel, Fault> {
         let mut foreign = ForeignModel::default();
+        let by_id: HashMap<&str, &ChunkCamera> = self
+            .cameras
+            .iter()
+            .filter_map(|camera| Some((camera.element.attribute("id")?, camera)))
+            .collect();
+        let mut labels: HashMap<&str, usize> = HashMap::new();
+        for camera in &self.cameras {
+            *labels.entry(camera.label()).or_default() += 1;
+        }
         let mut used = HashSet::new();
-        let mut of_rigs = 0;
-        for (n, element) in (1..).zip(&self.cameras) {
-            let label = element.attribute("label").unwrap_or_default();
+        let (mut components, mut disabled) = (Vec::new(), Vec::new());
+        for (n, camera) in (1..).zip(&self.cameras) {
+            let (label, element) = (camera.label(), &camera.element);
             let what = || format!("camera {n}, {label:?}");
-            let name = spelled(&label.replace('\\', "/"));
-            let Some(transform) = element.child("transform") else {
-                of_rigs += usize::from(element.attribute("master_id").is_some());
+            let name = match labels[label] {
+                1 => spelled(&label.replace('\\', "/")),
+                _ => spelled(&self.name_apart(camera)),
+            };
+            if !camera.is_enabled() {
+                disabled.push(name);
+                continue;
+            }
+            let placement = self.placement(camera, &by_id);
+            let Some(placement) = placement.map_err(|fault| fault.in_record(what))? else {
                 foreign.unregistered.push(name);
                 continue;
             };
-            let sensor = self.sensors.get(&id_of(element, "sensor_id"));
-            let (id, sensor) = sensor.ok_or_else(|| {
-                let found = format!("sensor_id {:?}", id_of(element, "sensor_id"));
-                Fault::new(
-                    "",
-                    element.at(),
-                    Problem::Syntax {
-                        expected: "the id of a sensor",
-                        found,
-                    },
-                )
-                .in_record(what)
-            })?;
+            let (id, sensor) = self.sensor(element).map_err(|f| f.in_record(what))?;
             if used.insert(*id) {
                 let camera = lens(sensor, *id, &mut foreign)
                     .map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
                 foreign.model.cameras.push(camera);
             }
-            let component = self.components.get(&id_of(element, "component_id"));
-            let world = component
+            let component = id_of(placement.component_of, "component_id");
+            let world = self
+                .components
+                .get(&component)
                 .or(self.transform.as_ref())
                 .filter(|_| frame == Frame::World);
-            let pose = pose(
-                &transform.numbers().map_err(|fault| fault.in_record(what))?,
-                world,
-            );
+            let pose = placement.pose(world);
             let pose =
-                pose.map_err(|problem| Fault::new("", transform.at(), problem).in_record(what))?;
+                pose.map_err(|problem| Fault::new("", element.at(), problem).in_record(what))?;
             foreign.add_image(n, name, *id, pose, element.at());
+            components.push(component);
         }
-        if of_rigs > 0 {
+        let (largest, others) = largest_component(components.iter().map(String::as_str));
+        foreign.keep_images(|image| components[image] == largest);
+        foreign.warn_of_others("components", &others);
+        if let Some(first) = disabled.first() {
             let text = format!(
-                "{of_rigs} images of further cameras of a rig have no pose of their own and are left out"
+                "{} disabled cameras are left out, e.g. {first}",
+                disabled.len()
             );
             foreign.warn(WarningKind::Format, text);
         }
         Ok(foreign)
+    }
+
+    /// A name for one of several cameras of a label: as if its group, or its sensor, were the folder
+    /// of its image.
+    fn name_apart(&self, camera: &ChunkCamera) -> String {
+        let of_sensor = || {
+            let (_, sensor) = self.sensor(&camera.element).ok()?;
+            sensor.attribute("label")
+        };
+        let folder = camera.group.as_deref().or_else(of_sensor);
+        format!("{}/{}", folder.unwrap_or_default(), camera.label())
+    }
+
+    fn sensor(&self, camera: &Element) -> Result<&(u32, Element), Fault> {
+        let id = id_of(camera, "sensor_id");
+        self.sensors.get(&id).ok_or_else(|| {
+            let problem = Problem::Syntax {
+                expected: "the id of a sensor",
+                found: format!("sensor_id {id:?}"),
+            };
+            Fault::new("", camera.at(), problem)
+        })
+    }
+
+    /// The placement of a camera in the chunk: its own, or by that of its master in a rig; `None`
+    /// if it is not aligned.
+    fn placement<'a>(
+        &'a self,
+        camera: &'a ChunkCamera,
+        by_id: &HashMap<&str, &'a ChunkCamera>,
+    ) -> Result<Option<Placement<'a>>, Fault> {
+        if let Some(transform) = camera.element.child("transform") {
+            return Ok(Some(Placement::read(transform, &camera.element)?));
+        }
+        let master = camera.element.attribute("master_id");
+        let master = master.and_then(|id| by_id.get(id));
+        let Some((master, transform)) =
+            master.and_then(|master| Some((master, master.element.child("transform")?)))
+        else {
+            return Ok(None);
+        };
+        let (_, sensor) = self.sensor(&camera.element)?;
+        let rotation = sensor.child("rotation").map(Element::numbers::<9>);
+        let location = sensor.child("location").map(Element::numbers::<3>);
+        let rotation = rotation.transpose()?.map(|r| Matrix3::from_row_slice(&r));
+        let location = location.transpose()?.map(Vector3::from);
+        let of_master = Placement::read(transform, &master.element)?;
+        Ok(Some(of_master.followed_by(
+            rotation.unwrap_or_else(Matrix3::identity),
+            location.unwrap_or_default(),
+        )))
+    }
+}
+
+/// Rotation and centre of a camera, from its axes to the chunk's.
+struct Placement<'a> {
+    rotation: Matrix3<f64>,
+    centre: Vector3<f64>,
+    /// The camera in whose component it is.
+    component_of: &'a Element,
+}
+
+impl<'a> Placement<'a> {
+    /// Reads a 4 x 4 matrix, row by row.
+    fn read(transform: &Element, component_of: &'a Element) -> Result<Self, Fault> {
+        let numbers = transform.numbers::<16>()?;
+        let m = |row: usize, column: usize| numbers[4 * row + column];
+        Ok(Self {
+            rotation: Matrix3::from_fn(m),
+            centre: Vector3::from_fn(|row, _| m(row, 3)),
+            component_of,
+        })
+    }
+
+    /// The placement of a slave, whose axes and centre are given in those of this camera.
+    fn followed_by(self, rotation: Matrix3<f64>, location: Vector3<f64>) -> Self {
+        Self {
+            centre: self.rotation * location + self.centre,
+            rotation: self.rotation * rotation,
+            ..self
+        }
+    }
+
+    fn pose(&self, world: Option<&Similarity>) -> Result<StoredPose, Problem> {
+        let (mut rotation, mut centre) = (self.rotation, self.centre);
+        if let Some(Similarity {
+            rotation: turn,
+            translation,
+            scale,
+        }) = world
+        {
+            rotation = turn * rotation;
+            centre = turn * centre * *scale + translation;
+        }
+        pose_with_centre(rotation.transpose(), centre)
     }
 }
 
@@ -205,23 +341,6 @@ impl Similarity {
             scale: transform.number("scale")?.unwrap_or(1.0),
         })
     }
-}
-
-/// The pose of a camera from its transform to the chunk, a 4 x 4 matrix.
-fn pose(to_chunk: &[f64; 16], world: Option<&Similarity>) -> Result<StoredPose, Problem> {
-    let m = |row: usize, column: usize| to_chunk[4 * row + column];
-    let mut rotation = Matrix3::from_fn(m);
-    let mut centre = Vector3::from_fn(|row, _| m(row, 3));
-    if let Some(Similarity {
-        rotation: turn,
-        translation,
-        scale,
-    }) = world
-    {
-        rotation = turn * rotation;
-        centre = turn * centre * *scale + translation;
-    }
-    pose_with_centre(rotation.transpose(), centre)
 }
 
 fn lens(sensor: &Element, id: u32, foreign: &mut ForeignModel) -> Result<Camera, Fault> {

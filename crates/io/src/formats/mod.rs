@@ -23,7 +23,10 @@ pub mod transforms;
 mod words;
 pub(super) mod xml;
 
-use std::fmt;
+use std::{
+    fmt,
+    path::{Component, Path},
+};
 
 use viewrank_core::model::camera::CameraError;
 
@@ -195,21 +198,37 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     if name.contains('\0') {
         return refuse("contains a zero byte");
     }
-    if name.starts_with('/') {
+    if name.starts_with(SEPARATORS) {
         return refuse("is an absolute path");
     }
-    let mut depth = 0i64;
-    for part in name.split('/') {
+    match name_parts(name) {
+        Some(_) => Ok(()),
+        None => refuse("is outside the parent of the image folder"),
+    }
+}
+
+/// Separators in image names: models made on Windows have its own.
+pub const SEPARATORS: [char; 2] = ['/', '\\'];
+
+/// The folders and the file of an image name, without `.`; `..` is resolved, but for one at the
+/// start. `None` for a name that leads out of the parent of its folder, or to a drive.
+pub fn name_parts(name: &str) -> Option<Vec<&str>> {
+    let mut parts: Vec<&str> = Vec::new();
+    for part in name.split(SEPARATORS) {
         match part {
-            ".." => depth -= 1,
             "" | "." => {}
-            _ => depth += 1,
-        }
-        if depth < -1 {
-            return refuse("is outside the parent of the image folder");
+            ".." if parts.last().is_some_and(|above| *above != "..") => _ = parts.pop(),
+            ".." if parts.is_empty() => parts.push(part),
+            _ if Path::new(part)
+                .components()
+                .eq([Component::Normal(part.as_ref())]) =>
+            {
+                parts.push(part)
+            }
+            _ => return None,
         }
     }
-    Ok(())
+    Some(parts)
 }
 
 #[cfg(test)]
@@ -234,6 +253,8 @@ mod tests {
             "../../etc/passwd",
             "a/../../../b",
             "..//../x",
+            r"..\..\x",
+            r"\\server\x",
             "a\0b",
         ] {
             assert!(check_name(name).is_err(), "{name}");

@@ -9,8 +9,8 @@
 //! Quaternions are world to camera, axes as in COLMAP, C is the camera centre. Pixels are relative
 //! to the image centre (VisualSFM) or corner (COLMAP, OpenMVG); a negative one in the file means
 //! the former. The distortion r applies to *measured* pixels; to first order it is SIMPLE_RADIAL
-//! with k = -r, which is how COLMAP writes it. The file doesn't store image sizes. Only the first
-//! model of a file is read.
+//! with k = -r, which is how COLMAP writes it. The file doesn't store image sizes. Of several
+//! models of a file the one with most cameras is read.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use viewrank_core::model::{
@@ -42,11 +42,45 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
     let mut words = Words::new(nvm);
     let head = words.line().and_then(|line| line.strip_prefix(b"NVM_V3"));
     let fixed = head.ok_or_else(|| Words::new(nvm).unexpected("NVM_V3"))?;
+    let (mut largest, mut position) = (model(&mut words)?, 1);
+    let mut others = Vec::new();
+    // What follows the models, a list of PLY files, may say anything.
+    for n in 2.. {
+        let Ok(mut next) = model(&mut words) else {
+            break;
+        };
+        if next.cameras.is_empty() {
+            break;
+        }
+        let mut left = n;
+        if next.cameras.len() > largest.cameras.len() {
+            std::mem::swap(&mut next, &mut largest);
+            std::mem::swap(&mut left, &mut position);
+        }
+        others.push((format!("model {left}"), next.cameras.len()));
+    }
+    let mut foreign = assemble(&largest.cameras, &largest.points, size_of)?;
+    if !fixed.trim_ascii().is_empty() {
+        foreign.warn(
+            WarningKind::Format,
+            "FixedK of the NVM file is ignored in favour of the focal length of each camera",
+        );
+    }
+    foreign.warn_of_others("models of the NVM file", &others);
+    Ok(foreign)
+}
+
+struct NvmModel {
+    cameras: Vec<NvmCamera>,
+    points: Vec<NvmPoint>,
+}
+
+fn model(words: &mut Words) -> Result<NvmModel, Fault> {
     let count = words.count("cameras", 22)?;
     check_images(count)?;
     words.line();
     let each =
-        |n| nvm_camera(&mut words).map_err(|fault| fault.in_record(|| format!("camera {}", n + 1)));
+        |n| nvm_camera(words).map_err(|fault| fault.in_record(|| format!("camera {}", n + 1)));
     let cameras = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
     let count = if words.at_end() {
         0
@@ -54,24 +88,10 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
         words.count("points", 14)?
     };
     let each = |n| {
-        point(&mut words, cameras.len())
-            .map_err(|fault| fault.in_record(|| format!("point {}", n + 1)))
+        point(words, cameras.len()).map_err(|fault| fault.in_record(|| format!("point {}", n + 1)))
     };
     let points = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
-    let mut foreign = assemble(&cameras, &points, size_of)?;
-    if !fixed.trim_ascii().is_empty() {
-        foreign.warn(
-            WarningKind::Format,
-            "FixedK of the NVM file is ignored in favour of the focal length of each camera",
-        );
-    }
-    if words.number::<u64>("").is_ok_and(|more| more > 0) {
-        foreign.warn(
-            WarningKind::OtherModels,
-            "only the first of several models of the NVM file is read",
-        );
-    }
-    Ok(foreign)
+    Ok(NvmModel { cameras, points })
 }
 
 fn nvm_camera(words: &mut Words) -> Result<NvmCamera, Fault> {

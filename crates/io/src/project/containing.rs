@@ -36,7 +36,14 @@ pub fn containing(path: &Path) -> Option<PathBuf> {
         }
         "sparse" | "images" => project_above(&part, part.parent()?),
         _ if part.parent().is_some_and(|above| above.ends_with("sparse")) => {
-            project_above(&part, part.parent()?.parent()?)
+            let above = part.parent()?.parent()?;
+            let is_of_program = discover::FOLDERS_OF_PROGRAMS
+                .iter()
+                .any(|name| above.file_name().is_some_and(|own| own == *name));
+            let project = above.parent().filter(|_| is_of_program);
+            project
+                .and_then(|project| project_above(&part, project))
+                .or_else(|| project_above(&part, above))
         }
         _ => None,
     };

@@ -9,9 +9,12 @@ use std::{
 };
 
 use super::{
-    ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
+    ModelContents, ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
+    complete::cloud_beside,
     files::{self, REQUIRED, colmap_file, read},
-    folder, foreign, images, stamps,
+    folder, foreign,
+    image_files::slashes,
+    images, stamps,
 };
 use crate::{formats::colmap_text, input};
 
@@ -25,25 +28,13 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         return Err(ProjectError::NotFound(path.into()));
     }
     let named = path.is_file().then(|| foreign::model_file(path)).flatten();
-    let colmap = match named {
-        Some(_) => Ok(Vec::new()),
+    let found = match named {
+        Some(model) => vec![foreign::examined(root, model)],
         // Only what is beside a file is meant by it.
-        None if path.is_file() => colmap_models_here(root),
-        None => colmap_models(root),
+        None if path.is_file() => models_in(root, vec![root.into()])?.into_models()?,
+        None => models(root)?,
     };
-    let found = match colmap {
-        Ok(models) if models.is_empty() => match named {
-            Some(model) => vec![model],
-            None => foreign_or_dense(root)?,
-        },
-        // An incomplete COLMAP model doesn't prevent using another program's model.
-        Err(error) => foreign_or_dense(root)
-            .ok()
-            .filter(|models| !models.is_empty())
-            .ok_or(error)?,
-        Ok(models) => models,
-    };
-    let (model, other_models) = choose(path, found, wanted)?;
+    let (model, other_models) = choose(path, root, found, wanted)?;
     let model_stamps = stamps(root, &model);
     let dense_workspace = dense_workspace(root, &model);
     let kind = match model.format {
@@ -61,7 +52,7 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         }
         _ => foreign::read(root, &model)
             .ok()
-            .and_then(|read| images::find_by_names(root, &model.path, &read)),
+            .and_then(|(read, _)| images::find_by_names(root, &model.path, &read)),
     };
     let model_is_named = wanted.is_some();
     Ok(Project {
@@ -77,48 +68,124 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     })
 }
 
-/// Finds the COLMAP models in a folder, in `sparse` and in the sub-folders of `sparse`; if there
-/// are none, in the folder's own sub-folders.
-fn colmap_models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
-    match (
-        colmap_models_here(root),
-        colmap_models_among(&sub_folders(root)),
-    ) {
-        (Ok(models), second) if models.is_empty() => second,
-        (Err(error), Ok(models)) if models.is_empty() => Err(error),
-        (Err(_), Ok(models)) => Ok(models),
-        (first, _) => first,
-    }
+/// The models found in some folders, and the first incomplete one, which is an error only if no
+/// other is complete anywhere.
+#[derive(Default)]
+struct Found {
+    models: Vec<ModelLocation>,
+    incomplete: Option<ProjectError>,
 }
 
-fn colmap_models_here(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
-    colmap_models_among(&[vec![root.into()], with_sub_folders(&root.join("sparse"))].concat())
-}
-
-/// Finds the models of other programs; if there are none, those of the dense workspace (which is
-/// made from another model).
-fn foreign_or_dense(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
-    let models = foreign::models(root);
-    if models.is_empty() {
-        colmap_models_among(&with_sub_folders(&root.join("dense/sparse")))
-    } else {
-        Ok(models)
-    }
-}
-
-/// Finds the COLMAP models among `folders`. An incomplete model is an error only if no other is
-/// complete.
-fn colmap_models_among(folders: &[PathBuf]) -> Result<Vec<ModelLocation>, ProjectError> {
-    let (mut models, mut incomplete) = (Vec::new(), None);
-    for folder in folders {
-        match colmap_model(folder) {
-            Ok(model) => models.extend(model),
-            Err(error) => _ = incomplete.get_or_insert(error),
+impl Found {
+    fn into_models(self) -> Result<Vec<ModelLocation>, ProjectError> {
+        match self.incomplete {
+            Some(error) if self.models.is_empty() => Err(error),
+            _ => Ok(self.models),
         }
     }
-    incomplete
-        .filter(|_| models.is_empty())
-        .map_or(Ok(models), Err)
+
+    /// These models, or those of the next places if there are none.
+    fn or(self, next: impl FnOnce() -> Result<Self, ProjectError>) -> Result<Self, ProjectError> {
+        if !self.models.is_empty() {
+            return Ok(self);
+        }
+        let next = next()?;
+        Ok(Self {
+            models: next.models,
+            incomplete: self.incomplete.or(next.incomplete),
+        })
+    }
+}
+
+/// Finds the models of a project: in the places where programs keep them; if there are none, in the
+/// folders below; if there are none, in dense workspaces, whose model is made from another one.
+fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
+    let own: Vec<PathBuf> = FOLDERS_OF_PROGRAMS
+        .iter()
+        .flat_map(|folder| with_sparse(&root.join(folder)))
+        .collect();
+    let found = models_in(root, own)?
+        .or(|| models_in(root, sub_folders(root)))?
+        .or(|| models_below(root))?;
+    if found.incomplete.is_some() {
+        return found.into_models();
+    }
+    let dense = || {
+        let folders = with_sub_folders(&root.join(DENSE));
+        let folders = folders.iter().flat_map(|folder| with_sparse(folder));
+        models_in(root, folders.collect())
+    };
+    found.or(dense)?.into_models()
+}
+
+/// Folders of a project that programs name: COLMAP's own is the project, nerfstudio has a `colmap`,
+/// the scripts of 3D Gaussian Splatting have a `distorted`.
+pub(super) const FOLDERS_OF_PROGRAMS: [&str; 3] = ["", "colmap", "distorted"];
+/// Folder of the dense workspaces of a project.
+const DENSE: &str = "dense";
+/// Most folders that are searched for models.
+const MOST_FOLDERS: usize = 1000;
+
+/// Finds the models further below a project, two folders deep, in the only folder that has any.
+fn models_below(root: &Path) -> Result<Found, ProjectError> {
+    let is_searched = |folder: &&PathBuf| {
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        !name.starts_with('.') && !["viewrank", DENSE].contains(&&*name)
+    };
+    let children = sub_folders(root);
+    let (mut below, mut found) = (Vec::new(), Found::default());
+    for child in children.iter().filter(is_searched).take(MOST_FOLDERS) {
+        let inner = sub_folders(child).into_iter().take(MOST_FOLDERS);
+        let folders: Vec<PathBuf> = [child.clone()].into_iter().chain(inner).collect();
+        let folders = folders.iter().flat_map(|folder| with_sparse(folder));
+        let there = models_in(child, folders.collect())?;
+        if !there.models.is_empty() {
+            below.push(child.clone());
+        }
+        found.models.extend(there.models);
+        found.incomplete = found.incomplete.or(there.incomplete);
+    }
+    match below.len() {
+        0 | 1 => Ok(found),
+        _ => Err(ProjectError::SeveralProjects {
+            path: root.into(),
+            below,
+        }),
+    }
+}
+
+/// Finds the COLMAP models in some folders, and the models of other programs in one. These are read
+/// only if none of COLMAP's has tracks, for they come after it.
+fn models_in(root: &Path, folders: Vec<PathBuf>) -> Result<Found, ProjectError> {
+    let mut found = Found::default();
+    let mut known = HashSet::new();
+    for folder in folders.iter().filter(|folder| known.insert(*folder)) {
+        match colmap_model(folder) {
+            Ok(model) => found.models.extend(model),
+            Err(error) => _ = found.incomplete.get_or_insert(error),
+        }
+    }
+    let are_poor = |models: &[ModelLocation]| {
+        let richest = models.iter().map(|model| model.contents).max();
+        richest < Some(ModelContents::Tracks)
+    };
+    let others = foreign::listed(root).into_iter();
+    match are_poor(&found.models) {
+        true => found
+            .models
+            .extend(others.map(|model| foreign::examined(root, model))),
+        false => found.models.extend(others),
+    }
+    Ok(found)
+}
+
+/// The folder, its `sparse`, and the folders in that.
+fn with_sparse(folder: &Path) -> Vec<PathBuf> {
+    [
+        vec![folder.into()],
+        with_sub_folders(&folder.join("sparse")),
+    ]
+    .concat()
 }
 
 fn with_sub_folders(folder: &Path) -> Vec<PathBuf> {
@@ -138,38 +205,37 @@ fn sub_folders(folder: &Path) -> Vec<PathBuf> {
     folders
 }
 
-/// Finds the model of a folder; prefers binary to text, like COLMAP.
+/// Finds the model of a folder; prefers binary to text, like COLMAP. The points may be in a PLY file
+/// instead.
 fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
     let mut incomplete = None;
     for format in [ModelFormat::ColmapBinary, ModelFormat::ColmapText] {
-        let missing: Vec<PathBuf> = REQUIRED
-            .map(|stem| colmap_file(folder, stem, format))
+        let model = ModelLocation::new(format, folder);
+        let missing: Vec<&str> = REQUIRED
             .into_iter()
-            .filter(|path| !path.is_file())
+            .filter(|stem| !colmap_file(folder, stem, format).is_file())
             .collect();
-        if missing.is_empty() {
-            let registered = registered(&colmap_file(folder, "images", format), format);
+        if missing.is_empty() || missing == ["points3D"] && cloud_beside(&model).is_some() {
             return Ok(Some(ModelLocation {
-                format,
-                path: folder.into(),
-                registered,
+                registered: registered(&colmap_file(folder, "images", format), format),
+                contents: files::contents(&model),
+                ..model
             }));
         }
         if missing.len() < REQUIRED.len() {
-            incomplete.get_or_insert(missing);
+            incomplete.get_or_insert((missing, format));
         }
     }
     match incomplete {
         None => Ok(None),
-        Some(missing) => {
-            let names: Vec<_> = missing
-                .iter()
-                .filter_map(|path| path.file_name())
-                .map(|n| n.to_string_lossy())
-                .collect();
+        Some((missing, format)) => {
+            let names = missing.iter().filter_map(|stem| {
+                let path = colmap_file(folder, stem, format);
+                Some(path.file_name()?.to_string_lossy().into_owned())
+            });
             Err(ProjectError::IncompleteModel {
                 folder: folder.into(),
-                missing: names.join(", "),
+                missing: names.collect::<Vec<_>>().join(", "),
             })
         }
     }
@@ -195,53 +261,82 @@ fn registered(images: &Path, format: ModelFormat) -> u64 {
 /// Chooses a model; returns it and the others.
 fn choose(
     path: &Path,
+    root: &Path,
     mut models: Vec<ModelLocation>,
     wanted: Option<&str>,
 ) -> Result<(ModelLocation, Vec<ModelLocation>), ProjectError> {
+    name_apart(&mut models, root);
     models.sort_by_cached_key(order);
-    let position = match wanted {
-        None => 0,
-        Some(wanted) => models
-            .iter()
-            .position(|model| model.name() == wanted)
-            .unwrap_or(models.len()),
-    };
     if models.is_empty() {
-        let root = if path.is_file() {
-            path.parent().unwrap_or(Path::new("."))
-        } else {
-            path
-        };
-        if let Some(error) = foreign::in_binary(root) {
+        let other = foreign::in_binary(root).or_else(|| foreign::mistaken(root));
+        if let Some(error) = other {
             return Err(error);
         }
-        let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, sparse/*, */ and dense/sparse";
+        let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, colmap and distorted, and two folders below";
         let looked_for = format!("{colmap}; {}", foreign::SEARCHED_PATHS);
         return Err(ProjectError::NoModel {
             path: path.into(),
             looked_for,
         });
     }
-    if position == models.len() {
-        let present = models
-            .iter()
-            .map(ModelLocation::name)
-            .collect::<Vec<_>>()
-            .join(", ");
-        let wanted = wanted.unwrap_or_default().into();
-        return Err(ProjectError::NoSuchModel {
-            path: path.into(),
-            wanted,
-            present,
-        });
-    }
+    let position = match wanted {
+        None => 0,
+        Some(wanted) => {
+            let position =
+                |is_meant: &dyn Fn(&ModelLocation) -> bool| models.iter().position(is_meant);
+            position(&|model| model.path == root.join(wanted))
+                .or_else(|| position(&|model| model.name == wanted))
+                .or_else(|| position(&|model| model.path.ends_with(wanted)))
+                .ok_or_else(|| ProjectError::NoSuchModel {
+                    path: path.into(),
+                    wanted: wanted.into(),
+                    present: names(&models).join(", "),
+                })?
+        }
+    };
     let model = models.remove(position);
+    let model = match model.registered {
+        0 if !model.format.is_colmap() => foreign::examined(root, model),
+        _ => model,
+    };
     Ok((model, models))
 }
 
-/// Sort key: most registered images first, then by name.
-fn order(model: &ModelLocation) -> (Reverse<u64>, (u64, String)) {
-    (Reverse(model.registered), by_number(&model.name()))
+fn names(models: &[ModelLocation]) -> Vec<String> {
+    models.iter().map(|model| model.name.clone()).collect()
+}
+
+/// Adds to the names that several models have the folders above them.
+fn name_apart(models: &mut [ModelLocation], root: &Path) {
+    let names = names(models);
+    for model in models {
+        if names.iter().filter(|name| **name == model.name).count() > 1
+            && let Ok(path) = model.path.strip_prefix(root)
+            && !path.as_os_str().is_empty()
+        {
+            model.name = slashes(path);
+        }
+    }
+}
+
+/// Sort key: the richest first; COLMAP's before those of other programs; most registered images
+/// first; in the folder itself before those below; by name.
+type Order = (
+    Reverse<ModelContents>,
+    bool,
+    Reverse<u64>,
+    usize,
+    (u64, String),
+);
+
+fn order(model: &ModelLocation) -> Order {
+    (
+        Reverse(model.contents),
+        !model.format.is_colmap(),
+        Reverse(model.registered),
+        model.path.components().count(),
+        by_number(&model.name),
+    )
 }
 
 /// Returns whether this is the model that is used by default.
@@ -277,12 +372,9 @@ fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
 
 /// Dense workspaces below `dense` (folders with `stereo`), the one with the model's name first.
 pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
-    let dense = root.join("dense");
-    let mut folders = [
-        vec![dense.join(model.name()), dense.clone()],
-        sub_folders(&dense),
-    ]
-    .concat();
+    let dense = root.join(DENSE);
+    let name = model.path.file_name().unwrap_or_default();
+    let mut folders = [vec![dense.join(name), dense.clone()], sub_folders(&dense)].concat();
     let mut known = HashSet::new();
     folders.retain(|folder| folder.join("stereo").is_dir() && known.insert(folder.clone()));
     folders
@@ -293,7 +385,7 @@ pub(super) fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet
     match model.format.is_colmap() {
         true => files::image_names(model),
         false => {
-            let images = foreign::read(root, model).ok()?.model.images;
+            let images = foreign::read(root, model).ok()?.0.model.images;
             Some(
                 images
                     .into_iter()

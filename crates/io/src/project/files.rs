@@ -7,9 +7,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use viewrank_core::model::scene::Scene;
-
-use super::{ModelFormat, ModelLocation, ProjectError, images::PROBED};
+use super::{
+    ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside, images::PROBED,
+};
 use crate::{
     formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
     input::{self, FileKind},
@@ -26,8 +26,19 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
         source,
     };
     let file = input::open(path).map_err(fail)?;
-    input::read_large(&file, FileKind::Sparse).map_err(fail)
+    let bytes = input::read_large(&file, FileKind::Sparse).map_err(fail)?;
+    let is_binary = path
+        .extension()
+        .is_some_and(|extension| BINARY.iter().any(|binary| extension == *binary));
+    Ok(if is_binary {
+        bytes
+    } else {
+        input::without_mark(bytes)
+    })
 }
+
+/// Extensions of model files that are not text.
+const BINARY: [&str; 3] = ["bin", "mvs", "ply"];
 
 /// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be
 /// read.
@@ -60,11 +71,6 @@ const BEFORE_NAME: i64 = 4 + 7 * 8 + 4;
 const LONGEST_NAME: u64 = 4096;
 
 fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
-    let number = |file: &mut BufReader<File>| {
-        let mut bytes = [0; 8];
-        file.read_exact(&mut bytes)
-            .map(|()| u64::from_le_bytes(bytes))
-    };
     let count = number(&mut file)?;
     let mut names = Vec::new();
     for _ in 0..count.min(PROBED as u64) {
@@ -90,6 +96,7 @@ fn names_in_text(file: BufReader<File>) -> Vec<String> {
         .take(SEARCHED)
         .lines()
         .map_while(Result::ok)
+        .map(|line| line.trim_start_matches('\u{feff}').to_owned())
         .filter(|line| !line.starts_with('#'));
     let heads = lines.step_by(2).take(PROBED);
     // ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; names may have blanks.
@@ -114,6 +121,9 @@ pub struct ColmapFiles {
     frames: Option<Vec<u8>>,
 }
 
+/// `points3D.bin` without points, for models whose points are in a PLY file only.
+const NO_POINTS: [u8; 8] = [0; 8];
+
 impl ColmapFiles {
     pub(super) fn open(model: &ModelLocation) -> Result<Self, ProjectError> {
         let path = |stem| colmap_file(&model.path, stem, model.format);
@@ -122,7 +132,12 @@ impl ColmapFiles {
             path.is_file().then(|| read(&path)).transpose()
         };
         let [cameras, images, points3d] = REQUIRED.map(path);
-        let (images, points3d) = rayon::join(|| read(&images), || read(&points3d));
+        let points = || match points3d.is_file() || cloud_beside(model).is_none() {
+            true => read(&points3d),
+            false if model.format == ModelFormat::ColmapText => Ok(Vec::new()),
+            false => Ok(NO_POINTS.to_vec()),
+        };
+        let (images, points3d) = rayon::join(|| read(&images), points);
         Ok(Self {
             folder: model.path.clone(),
             format: model.format,
@@ -151,11 +166,7 @@ impl ColmapFiles {
         model.map_err(|fault| self.locate(fault))
     }
 
-    pub(super) fn scene(&self) -> Result<Scene, ProjectError> {
-        self.model()?.scene().map_err(|fault| self.locate(fault))
-    }
-
-    fn locate(&self, fault: Fault) -> ProjectError {
+    pub(super) fn locate(&self, fault: Fault) -> ProjectError {
         ProjectError::Fault {
             path: colmap_file(&self.folder, fault.file, self.format),
             fault,
@@ -163,11 +174,83 @@ impl ColmapFiles {
     }
 }
 
-/// The existing files of a COLMAP model.
+/// The existing files of a COLMAP model, and the PLY file of its points if it has none of its own.
 pub(super) fn all(model: &ModelLocation) -> Vec<PathBuf> {
     let files = ["cameras", "images", "points3D", "rigs", "frames"]
         .map(|stem| colmap_file(&model.path, stem, model.format));
-    files.into_iter().filter(|path| path.is_file()).collect()
+    let cloud = match own_contents(model) {
+        ModelContents::Poses => cloud_beside(model),
+        _ => None,
+    };
+    files
+        .into_iter()
+        .filter(|path| path.is_file())
+        .chain(cloud)
+        .collect()
+}
+
+/// What a COLMAP model has, by the beginning of its file of points and the files beside it.
+pub(super) fn contents(model: &ModelLocation) -> ModelContents {
+    match own_contents(model) {
+        ModelContents::Poses if cloud_beside(model).is_some() => ModelContents::Points,
+        own => own,
+    }
+}
+
+/// Points that are looked at for tracks.
+const LOOKED_AT: u64 = 256;
+
+fn own_contents(model: &ModelLocation) -> ModelContents {
+    let path = colmap_file(&model.path, "points3D", model.format);
+    let Ok(file) = input::open(&path).map(BufReader::new) else {
+        return ModelContents::Poses;
+    };
+    let longest = match model.format {
+        ModelFormat::ColmapText => longest_track_in_text(file),
+        _ => longest_track_in_binary(file).unwrap_or_default(),
+    };
+    match longest {
+        None => ModelContents::Poses,
+        Some(0 | 1) => ModelContents::Points,
+        Some(_) => ModelContents::Tracks,
+    }
+}
+
+/// Elements of the longest track among the first points; `None` without points.
+fn longest_track_in_binary(mut file: BufReader<File>) -> io::Result<Option<u64>> {
+    /// Bytes of a record before its track: id, position, colour, error.
+    const BEFORE_TRACK: i64 = 8 + 3 * 8 + 3 + 8;
+    const ELEMENT: u64 = 8;
+    let count = number(&mut file)?;
+    let mut longest = None;
+    for _ in 0..count.min(LOOKED_AT) {
+        file.seek_relative(BEFORE_TRACK)?;
+        let length = number(&mut file)?;
+        longest = longest.max(Some(length));
+        let bytes = i64::try_from(length.saturating_mul(ELEMENT));
+        file.seek_relative(bytes.map_err(|_| io::ErrorKind::InvalidData)?)?;
+    }
+    Ok(longest)
+}
+
+fn longest_track_in_text(file: BufReader<File>) -> Option<u64> {
+    /// Id, position, colour and error.
+    const BEFORE_TRACK: usize = 8;
+    let lines = file.take(SEARCHED).lines().map_while(Result::ok);
+    lines
+        .filter(|line| !line.trim().is_empty() && !line.starts_with('#'))
+        .take(LOOKED_AT as usize)
+        .map(|line| {
+            let words = line.split_ascii_whitespace().count();
+            (words.saturating_sub(BEFORE_TRACK) / 2) as u64
+        })
+        .max()
+}
+
+fn number(file: &mut BufReader<File>) -> io::Result<u64> {
+    let mut bytes = [0; 8];
+    file.read_exact(&mut bytes)?;
+    Ok(u64::from_le_bytes(bytes))
 }
 
 /// Path of a file of a COLMAP model.

@@ -11,7 +11,10 @@ use std::{
 use viewrank_core::model::scene::Scene;
 use walkdir::{DirEntry, WalkDir};
 
-use super::image_files::{is_image, slashes};
+use super::{
+    image_files::{MOST_ENTRIES, is_image, slashes},
+    names::{Names, folded, last, stem},
+};
 use crate::{
     input::{self, FileKind},
     output::Contents,
@@ -19,6 +22,8 @@ use crate::{
 
 /// Name of a folder of masks: in the project, beside its image folder or in that.
 pub const MASKS: &str = "masks";
+/// Usual name of the folder of images.
+const IMAGES: &str = "images";
 /// Depth below a folder to which other folders of images are searched.
 const DEPTH: usize = 2;
 /// Most folders that are searched.
@@ -59,8 +64,13 @@ impl ImageFolder {
 
     /// Path of an image's file, whether it exists or not.
     pub fn file(&self, name: &str) -> PathBuf {
-        let other = self.others.get().and_then(|others| others.get(name));
-        self.path.join(other.map_or(name, String::as_str))
+        self.path.join(self.other_name(name).unwrap_or(name))
+    }
+
+    /// Path in the folder of an image that is there under another name.
+    pub fn other_name(&self, name: &str) -> Option<&str> {
+        let others = self.others.get()?;
+        others.get(name).map(String::as_str)
     }
 
     /// An image among the files of an export.
@@ -81,20 +91,19 @@ impl ImageFolder {
             .map(|(name, other)| (name.as_str(), other.as_str()))
     }
 
-    /// Finds the files of images that are not in the folder under their names: in other case, with
-    /// another extension of images, or in another sub-folder if only one has a file of that name.
+    /// Finds the files of images that are not in the folder under their names: spelled otherwise,
+    /// or in another sub-folder if only one has a file of that name. No file is that of two images.
     pub(super) fn resolve(&self, scene: &Scene) {
         let is_missing = |name: &&str| !self.path.join(name).exists();
-        let missing: Vec<&str> = scene
+        let (missing, there): (Vec<&str>, Vec<&str>) = scene
             .views
             .iter()
             .map(|view| &*view.name)
-            .filter(is_missing)
-            .collect();
+            .partition(is_missing);
         _ = self.others.set(if missing.is_empty() {
             BTreeMap::new()
         } else {
-            Index::new(&self.path).resolve(&missing)
+            others(&self.path, &missing, &there)
         });
     }
 }
@@ -119,66 +128,65 @@ impl AsRef<Path> for ImageFolder {
     }
 }
 
-/// The images below a folder by simplified names; `None` where several have the same.
-struct Index {
-    by_path: HashMap<String, Option<String>>,
-    by_name: HashMap<String, Option<String>>,
-}
-
-impl Index {
-    fn new(folder: &Path) -> Self {
-        let mut index = Self {
-            by_path: HashMap::new(),
-            by_name: HashMap::new(),
-        };
-        let files = WalkDir::new(folder)
-            .follow_links(true)
-            .sort_by_file_name()
-            .into_iter();
-        let files = files
-            .filter_entry(|entry| entry.depth() == 0 || !is_skipped(entry))
-            .filter_map(Result::ok);
-        for entry in files.filter(|entry| entry.file_type().is_file() && is_image(entry.path())) {
-            let Ok(path) = entry.path().strip_prefix(folder) else {
-                continue;
-            };
-            let path = slashes(path);
-            let note = |of: &mut HashMap<String, Option<String>>, key: String| {
-                of.entry(key)
-                    .and_modify(|known| *known = None)
-                    .or_insert_with(|| Some(path.clone()));
-            };
-            note(&mut index.by_path, simplified(&path));
-            note(&mut index.by_name, simplified(last(&path)));
-        }
-        index
+/// Paths in a folder of images that are `missing` under their names, by name. `taken`: names of the
+/// other images.
+fn others(folder: &Path, missing: &[&str], taken: &[&str]) -> BTreeMap<String, String> {
+    let names = Names::new();
+    let mut found: BTreeMap<&str, String> = BTreeMap::new();
+    for name in missing {
+        found.extend(names.locate(folder, name).map(|file| (*name, file)));
     }
-
-    fn resolve(&self, missing: &[&str]) -> BTreeMap<String, String> {
-        let by_path = |name: &str| self.by_path.get(&simplified(name)).cloned().flatten();
-        let by_name = |name: &str| self.by_name.get(&simplified(last(name))).cloned().flatten();
-        // Images of one name in several folders of the model are told apart by their folders alone.
-        let mut sharing: HashMap<String, usize> = HashMap::new();
-        missing
-            .iter()
-            .for_each(|name| *sharing.entry(simplified(last(name))).or_default() += 1);
-        let found = |name: &&str| {
-            let alone = sharing.get(&simplified(last(name))) == Some(&1);
-            let file = by_path(name).or_else(|| by_name(name).filter(|_| alone))?;
-            Some(((*name).to_owned(), file))
-        };
-        missing.iter().filter_map(found).collect()
+    let moved: Vec<&str> = missing
+        .iter()
+        .copied()
+        .filter(|name| !found.contains_key(name))
+        .collect();
+    if !moved.is_empty() {
+        found.extend(in_other_folders(folder, &moved));
     }
+    let mut uses: HashMap<String, usize> = HashMap::new();
+    let files = found.values().map(String::as_str);
+    for file in files.chain(taken.iter().copied()) {
+        *uses.entry(file.to_owned()).or_default() += 1;
+    }
+    found
+        .into_iter()
+        .filter(|(_, file)| uses[file] == 1)
+        .map(|(name, file)| (name.to_owned(), file))
+        .collect()
 }
 
-fn last(path: &str) -> &str {
-    path.rsplit('/').next().unwrap_or(path)
-}
-
-/// A name in lower case without its extension.
-fn simplified(name: &str) -> String {
-    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-    stem.trim_start_matches("./").to_lowercase()
+/// Paths of images whose file is in another sub-folder, if there is only one of that name. Images
+/// of one name in several folders of the model are told apart by their folders alone.
+fn in_other_folders<'a>(folder: &Path, missing: &[&'a str]) -> BTreeMap<&'a str, String> {
+    let key = |name: &str| folded(stem(last(name)));
+    let mut wanted: HashMap<String, Vec<&str>> = HashMap::new();
+    for name in missing {
+        wanted.entry(key(name)).or_default().push(*name);
+    }
+    let mut files: HashMap<String, Option<String>> = HashMap::new();
+    let entries = WalkDir::new(folder)
+        .follow_links(true)
+        .sort_by_file_name()
+        .into_iter()
+        .filter_entry(|entry| entry.depth() == 0 || !is_skipped(entry))
+        .take(MOST_ENTRIES)
+        .filter_map(Result::ok);
+    for entry in entries.filter(|entry| entry.file_type().is_file() && is_image(entry.path())) {
+        let Ok(path) = entry.path().strip_prefix(folder) else {
+            continue;
+        };
+        let path = slashes(path);
+        let of_name = files.entry(key(&path));
+        of_name
+            .and_modify(|file| *file = None)
+            .or_insert(Some(path));
+    }
+    let only = |(key, names): (String, Vec<&'a str>)| match names[..] {
+        [name] => Some((name, files.get(&key)?.clone()?)),
+        _ => None,
+    };
+    wanted.into_iter().filter_map(only).collect()
 }
 
 fn is_skipped(entry: &DirEntry) -> bool {
@@ -190,30 +198,38 @@ fn is_skipped(entry: &DirEntry) -> bool {
         && (name.starts_with('.') || is_reduced || NOT_SEARCHED.contains(&&*name))
 }
 
-/// Existing folders to which the model's image names may be relative, best first: the nearest
-/// `images`, the image path in the model's `project.ini`, the project folder and the model's
-/// folder.
+/// Existing folders to which the model's image names may be relative, best first: the usual places,
+/// then reduced copies of the images.
 pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
-    let up = |levels: usize| {
-        model
-            .ancestors()
-            .nth(levels)
-            .map(|folder| folder.join("images"))
-    };
-    let named = [
-        up(0),
-        up(1),
-        up(2),
-        Some(root.join("images")),
-        colmap_image_path(model),
-    ];
+    [usual(root, model), reduced(root, model)].concat()
+}
+
+/// The nearest `images`, the image path in the model's `project.ini`, the project folder and the
+/// model's folder, where they exist.
+fn usual(root: &Path, model: &Path) -> Vec<PathBuf> {
     let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
-    named
-        .into_iter()
+    around(root, model)
+        .map(|above| Some(above.join(IMAGES)))
+        .chain([colmap_image_path(model)])
         .chain(bare)
         .flatten()
         .filter(|folder| folder.is_dir())
         .collect()
+}
+
+/// Folders of reduced copies of the images (`images_2`), the nearest first, of those the largest.
+fn reduced(root: &Path, model: &Path) -> Vec<PathBuf> {
+    let names = Names::new();
+    let of = |above: &Path| -> Vec<PathBuf> {
+        let reduced = names.reduced_in(above, IMAGES).into_iter();
+        reduced.map(|name| above.join(name)).collect()
+    };
+    around(root, model).flat_map(of).collect()
+}
+
+/// Folders in which the images of a model usually have theirs.
+fn around<'a>(root: &'a Path, model: &'a Path) -> impl Iterator<Item = &'a Path> {
+    model.ancestors().take(3).chain([root])
 }
 
 /// `image_path` of the `project.ini` that COLMAP writes next to a model.
@@ -228,88 +244,95 @@ fn colmap_image_path(model: &Path) -> Option<PathBuf> {
     Some(model.join(value.trim()))
 }
 
-/// Finds the image folder: the first usual place that holds one of the `names`, else the folder
-/// below the project, or next to the model's folder, that holds most of them, else the usual place
-/// that exists. `named`: the folder that the model names.
+/// Finds the image folder: the first usual place that holds one of the `names`; else, of the usual
+/// places and the folders below the project, the one that holds most of them, under their names if
+/// any is, else spelled otherwise; else a reduced copy; else the usual place that exists, where the
+/// user should put them. `named`: the folder that the model names.
 pub(super) fn find(
     root: &Path,
     model: &Path,
     named: Option<PathBuf>,
     names: &[String],
 ) -> Option<ImageFolder> {
-    let is_own = |folder: &Path| folder == root || model.starts_with(folder);
-    let usual: Vec<PathBuf> = named.into_iter().chain(candidates(root, model)).collect();
+    let usual: Vec<PathBuf> = named.into_iter().chain(usual(root, model)).collect();
     let holds_one = |folder: &&PathBuf| names.iter().any(|name| folder.join(name).is_file());
     if let Some(folder) = usual.iter().find(holds_one) {
         return Some(ImageFolder::new(folder));
     }
-    let searched = searched(root, names).map(|path| ImageFolder {
-        is_searched: true,
-        ..ImageFolder::new(path)
-    });
-    let by_place = || {
-        usual
-            .iter()
-            .find(|folder| !is_own(folder))
-            .map(ImageFolder::new)
+    let is_own = |folder: &Path| folder == root || model.starts_with(folder);
+    let search = Names::new();
+    let below = match names.is_empty() {
+        true => Vec::new(),
+        false => folders_below(root),
     };
-    // If no folder has any of the images, names the usual one, where the user should put them.
-    searched.or_else(by_place)
+    let found = [
+        usual.iter().chain(&below).cloned().collect(),
+        reduced(root, model),
+    ]
+    .iter()
+    .find_map(|folders: &Vec<PathBuf>| holding_most(folders, names, &search));
+    let by_place = || usual.iter().find(|folder| !is_own(folder)).cloned();
+    let path = found.or_else(by_place)?;
+    Some(ImageFolder {
+        is_searched: !usual.contains(&path),
+        ..ImageFolder::new(path)
+    })
 }
 
-/// The folder with most of the images, in any spelling; of equal ones the first by path.
-fn searched(root: &Path, names: &[String]) -> Option<PathBuf> {
-    if names.is_empty() {
-        return None;
+/// Returns whether a folder holds any of the names, in any spelling.
+pub(super) fn holds_any(folder: &Path, names: &[String]) -> bool {
+    Held::new(folder, names, &Names::new()) > Held::default()
+}
+
+/// The first of the folders that hold most of the names; `None` if none holds any.
+fn holding_most(folders: &[PathBuf], names: &[String], search: &Names) -> Option<PathBuf> {
+    let mut best = (Held::default(), None);
+    for folder in folders {
+        let held = Held::new(folder, names, search);
+        if held > best.0 {
+            best = (held, Some(folder));
+        }
     }
-    let folders = WalkDir::new(root)
+    best.1.cloned()
+}
+
+/// The folders below the project that may hold its images, itself first.
+fn folders_below(root: &Path) -> Vec<PathBuf> {
+    let entries = WalkDir::new(root)
         .max_depth(DEPTH)
         .follow_links(false)
         .sort_by_file_name()
         .into_iter();
-    let folders = folders
+    let entries = entries
         .filter_entry(|entry| entry.depth() == 0 || !is_skipped(entry))
+        .take(MOST_ENTRIES)
         .filter_map(Result::ok);
-    let folders = folders
+    entries
         .filter(|entry| entry.file_type().is_dir())
         .map(DirEntry::into_path)
-        .take(MOST_FOLDERS);
-    let held = |folder: &Path| {
-        let exact = names
-            .iter()
-            .filter(|name| folder.join(name).is_file())
-            .count();
-        if exact > 0 {
-            exact
-        } else {
-            spelled_otherwise(folder, names)
-        }
-    };
-    let mut best: Option<(usize, PathBuf)> = None;
-    for folder in folders {
-        let count = held(&folder);
-        if count > best.as_ref().map_or(0, |(most, _)| *most) {
-            best = Some((count, folder));
-        }
-    }
-    best.map(|(_, folder)| folder)
+        .take(MOST_FOLDERS)
+        .collect()
 }
 
-/// Number of names that have a file directly in the folder but for case and extension.
-fn spelled_otherwise(folder: &Path, names: &[String]) -> usize {
-    let files = std::fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .filter_map(Result::ok)
-        .map(|entry| entry.path());
-    let there: Vec<String> = files
-        .filter(|path| is_image(path))
-        .filter_map(|path| Some(simplified(path.file_name()?.to_str()?)))
-        .collect();
-    names
-        .iter()
-        .filter(|name| there.contains(&simplified(last(name))))
-        .count()
+/// Number of names of which a folder holds the file, in order of significance.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+struct Held {
+    in_any_spelling: usize,
+    exactly: usize,
+    /// Without the folders in the name.
+    by_last_part: usize,
+}
+
+impl Held {
+    fn new(folder: &Path, names: &[String], search: &Names) -> Self {
+        let count =
+            |holds: &dyn Fn(&String) -> bool| names.iter().filter(|name| holds(name)).count();
+        Self {
+            in_any_spelling: count(&|name| search.locate(folder, name).is_some()),
+            exactly: count(&|name| folder.join(name).is_file()),
+            by_last_part: count(&|name| search.locate(folder, last(name)).is_some()),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -365,10 +388,32 @@ mod tests {
         let results = [
             "viewrank/openmvs/a.jpg",
             "dense/images/a.jpg",
-            "images_4/a.jpg",
             ".trash/a.jpg",
         ];
         assert_eq!(found(&results, &two), None);
+        let reduced = ["images_4/a.png", "images_2/a.png", "viewrank/images/a.jpg"];
+        assert_eq!(found(&reduced, &two), Some(("images_2".into(), true)));
+    }
+
+    #[test]
+    fn a_folder_of_folders_is_told_from_those_below() {
+        let names = ["seq1/0.jpg", "seq2/0.jpg", "seq1/1.jpg"];
+        let files = ["seq1/0.png", "seq2/0.png", "seq1/1.png"];
+        let below = files.map(|file| format!("photos/{file}"));
+        assert_eq!(found(&files, &names), Some(("".into(), false)));
+        assert_eq!(
+            found(&below.each_ref().map(String::as_str), &names),
+            Some(("photos".into(), true))
+        );
+    }
+
+    #[test]
+    fn no_file_is_that_of_two_images() {
+        let folder = folder_with(&["a.jpg", "b.png"]);
+        let found = |missing: &[&str], taken: &[&str]| others(folder.path(), missing, taken);
+        assert_eq!(found(&["A.jpg"], &["a.jpg"]), BTreeMap::new());
+        assert_eq!(found(&["b.jpg", "b.tif"], &[]), BTreeMap::new());
+        assert_eq!(found(&["b.jpg"], &["a.jpg"]).len(), 1);
     }
 
     #[test]
@@ -384,7 +429,7 @@ mod tests {
         let names = [
             "a.jpg", "b.jpg", "c.jpg", "x/d.jpg", "p/e.jpg", "q/e.jpg", "f.jpg",
         ];
-        let others = Index::new(folder.path()).resolve(&names);
+        let others = others(folder.path(), &names, &[]);
         let others: Vec<_> = others
             .iter()
             .map(|(name, file)| (name.as_str(), file.as_str()))

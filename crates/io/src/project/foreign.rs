@@ -7,7 +7,12 @@ use std::{
 
 use viewrank_core::model::scene::WarningKind;
 
-use super::{ModelFormat, ModelLocation, ProjectError, files, folder, images::ImageSearch};
+use super::{
+    ModelContents, ModelFormat, ModelLocation, ProjectError,
+    complete::{cloud_beside, vertices},
+    files, folder,
+    images::ImageSearch,
+};
 use crate::{
     formats::{
         Fault, Place, Problem, alicevision, blocks, bundler, cloud,
@@ -18,7 +23,7 @@ use crate::{
         opensfm, sure, transforms,
     },
     input::{self, FileKind},
-    ply,
+    mistaken,
 };
 
 /// Model files in a project folder, in order of preference.
@@ -75,8 +80,25 @@ pub(super) fn in_binary(root: &Path) -> Option<ProjectError> {
     })
 }
 
-/// Finds the models of other programs in a folder.
-pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
+/// Extensions of model files, of which some are recognised by what is in them.
+const MODEL_EXTENSIONS: [&str; 7] = ["xml", "json", "sfm", "mvs", "nvm", "out", "ori"];
+
+/// The fault of a folder without any model, if a file that could be one is of another kind.
+pub(super) fn mistaken(root: &Path) -> Option<ProjectError> {
+    let names = file_names(root);
+    let could_be_one = |name: &&String| {
+        let extension = name.rsplit_once('.').map(|(_, extension)| extension);
+        extension.is_some_and(|extension| MODEL_EXTENSIONS.contains(&extension))
+    };
+    names.iter().filter(could_be_one).find_map(|name| {
+        let path = root.join(name);
+        let mistaken = mistaken::of_file(&path)?;
+        Some(ProjectError::Mistaken { path, mistaken })
+    })
+}
+
+/// Finds the models of other programs in a folder, without reading them.
+pub(super) fn listed(root: &Path) -> Vec<ModelLocation> {
     let files = file_names(root);
     let mut models: Vec<ModelLocation> = Vec::new();
     for (pattern, format) in MODEL_PATHS {
@@ -90,7 +112,7 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
         };
         for path in found.into_iter().filter(|path| path.is_file()) {
             if models.iter().all(|model| model.path != path) {
-                models.push(location(root, format, path));
+                models.push(ModelLocation::new(format, path));
             }
         }
     }
@@ -99,7 +121,7 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
         .filter(|name| name.ends_with(".xml"))
         .map(|name| root.join(name))
     {
-        models.extend(xml_format(&path).map(|format| location(root, format, path)));
+        models.extend(xml_format(&path).map(|format| ModelLocation::new(format, path)));
     }
     let of_micmac = files
         .iter()
@@ -109,7 +131,7 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
         .chain([root.into()])
         .filter(|folder| !oriented_by_micmac(folder).is_empty())
     {
-        models.push(location(root, ModelFormat::MicMac, folder));
+        models.push(ModelLocation::new(ModelFormat::MicMac, folder));
     }
     let ori = [root.join("ori"), root.into()]
         .into_iter()
@@ -117,7 +139,7 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
     if let Some(folder) = ori {
         // NVM and Bundler files next to orientations are their sparse cloud.
         models.retain(|model| !matches!(model.format, ModelFormat::Nvm | ModelFormat::Bundler));
-        models.push(location(root, ModelFormat::Sure, folder));
+        models.push(ModelLocation::new(ModelFormat::Sure, folder));
     }
     models
 }
@@ -133,10 +155,10 @@ pub(super) fn model_file(path: &Path) -> Option<ModelLocation> {
         "xml" => xml_format(path)?,
         "sfm" => ModelFormat::AliceVision,
         "json" => json_format(path)?,
-        "ori" => return Some(location(root, ModelFormat::Sure, root.into())),
+        "ori" => return Some(ModelLocation::new(ModelFormat::Sure, root)),
         _ => return None,
     };
-    Some(location(root, format, path.into()))
+    Some(ModelLocation::new(format, path))
 }
 
 fn json_format(path: &Path) -> Option<ModelFormat> {
@@ -146,7 +168,11 @@ fn json_format(path: &Path) -> Option<ModelFormat> {
     let head = head(path)?;
     if head.contains("\"sfm_data_version\"") {
         Some(ModelFormat::OpenMvg)
-    } else if head.trim_start().starts_with('[') {
+    } else if head
+        .trim_start_matches('\u{feff}')
+        .trim_start()
+        .starts_with('[')
+    {
         Some(ModelFormat::OpenSfm)
     } else {
         head.contains("\"version\"")
@@ -172,23 +198,33 @@ fn head(path: &Path) -> Option<String> {
     Some(String::from_utf8_lossy(&head).into_owned())
 }
 
-fn location(root: &Path, format: ModelFormat, path: PathBuf) -> ModelLocation {
-    let mut model = ModelLocation {
-        format,
-        path,
-        registered: 0,
+/// Reads what the model has; nothing if it cannot be read, which reading it again says.
+pub(super) fn examined(root: &Path, model: ModelLocation) -> ModelLocation {
+    let Ok((foreign, cloud)) = read(root, &model) else {
+        return model;
     };
-    model.registered = read(root, &model).map_or(0, |foreign| foreign.model.images.len() as u64);
-    model
+    let contents = match foreign.model.points.is_empty() {
+        _ if cloud::has_tracks(&foreign.model) => ModelContents::Tracks,
+        true if cloud.is_none() => ModelContents::Poses,
+        _ => ModelContents::Points,
+    };
+    ModelLocation {
+        registered: foreign.model.images.len() as u64,
+        contents,
+        ..model
+    }
 }
 
-fn file_names(folder: &Path) -> Vec<String> {
+/// Names of the files and folders in a folder, sorted, without hidden ones: macOS writes `._a.nvm`
+/// beside `a.nvm`.
+pub(super) fn file_names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder)
         .into_iter()
         .flatten()
         .filter_map(Result::ok);
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.file_name().into_string().ok())
+        .filter(|name| !name.starts_with('.'))
         .collect();
     names.sort_unstable();
     names
@@ -211,38 +247,39 @@ fn oriented_by_micmac(folder: &Path) -> Vec<(String, PathBuf)> {
     file_names(folder).iter().filter_map(image).collect()
 }
 
-/// The existing files of the model.
+/// The existing files of the model, and the PLY file of its points if it has no tracks of its own.
 pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
-    let beside = match model.format {
-        ModelFormat::Bundler => bundler_list(&model.path),
-        ModelFormat::OpenSfm => Some(model.path.with_file_name("tracks.csv")),
-        ModelFormat::Metashape | ModelFormat::Blocks | ModelFormat::Transforms => {
-            cloud_beside(&model.path)
-        }
-        ModelFormat::MicMac => {
-            let files = file_names(&model.path)
-                .into_iter()
-                .filter(|name| name.ends_with(".xml"));
-            return files
-                .map(|name| model.path.join(name))
-                .chain(cloud_beside(&model.path))
-                .collect();
-        }
+    let own = match model.format {
+        ModelFormat::MicMac => file_names(&model.path)
+            .iter()
+            .filter(|name| name.ends_with(".xml"))
+            .map(|name| model.path.join(name))
+            .collect(),
         ModelFormat::Sure => {
-            let cloud = sure_cloud(root).map(|(path, _)| path);
+            let cloud = sure_cloud(&model.path).map(|(path, _)| path);
             return orientations(&model.path).into_iter().chain(cloud).collect();
         }
-        _ => None,
+        ModelFormat::Bundler => [model.path.clone()]
+            .into_iter()
+            .chain(bundler_list(&model.path))
+            .collect(),
+        ModelFormat::OpenSfm => vec![model.path.clone(), model.path.with_file_name("tracks.csv")],
+        _ => vec![model.path.clone()],
     };
-    [Some(model.path.clone()), beside]
-        .into_iter()
-        .flatten()
-        .filter(|path| path.is_file())
-        .collect()
+    let cloud = match model.contents {
+        ModelContents::Tracks => None,
+        _ => read(root, model).ok().and_then(|(_, cloud)| cloud),
+    };
+    let own = own.into_iter().filter(|path: &PathBuf| path.is_file());
+    own.chain(cloud).collect()
 }
 
-/// Reads the model; its image sizes come from the image files for formats that don't store them.
-pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, ProjectError> {
+/// Reads the model, and finds the PLY file of its points if it has none of its own; image sizes come
+/// from the image files for formats that don't store them.
+pub(super) fn read(
+    root: &Path,
+    model: &ModelLocation,
+) -> Result<(ForeignModel, Option<PathBuf>), ProjectError> {
     let search = ImageSearch::new(folder::candidates(root, &model.path));
     let size_of = |name: &str| search.size_of(name);
     let spelled = |name: &str| search.spelled(name);
@@ -254,21 +291,20 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
     if model.format == ModelFormat::Sure {
         return read_sure(root, path);
     }
+    let cloud = || cloud_beside(model);
     if model.format == ModelFormat::MicMac {
-        return read_micmac(path);
+        return Ok((read_micmac(path)?, cloud()));
     }
     let bytes = files::read(path)?;
     let mut foreign = match model.format {
         ModelFormat::Transforms => {
-            let (mut foreign, cloud) =
+            let (foreign, named) =
                 transforms::read(&bytes, &size_of, &spelled).map_err(|fault| at(path, fault))?;
-            let named = cloud
-                .map(|cloud| path.with_file_name(cloud.replace('\\', "/")))
-                .filter(|cloud| cloud.is_file());
-            if let Some(cloud) = named {
-                cloud::add_cloud(&mut foreign, &vertices(&cloud)?);
-            }
-            foreign
+            let named = named.map(|cloud| path.with_file_name(cloud.replace('\\', "/")));
+            return Ok((
+                foreign,
+                named.filter(|cloud| cloud.is_file()).or_else(cloud),
+            ));
         }
         ModelFormat::Bundler => {
             let list = bundler_list(path).ok_or_else(|| ProjectError::NoImageList(path.clone()))?;
@@ -295,11 +331,11 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
                 |frame| metashape::read(&bytes, frame, &spelled).map_err(|fault| at(path, fault));
             let (world, chunk) = (read(Frame::World)?, read(Frame::Chunk)?);
             // Points may be exported in either; they are where the cameras look.
-            let points = cloud_beside(path)
+            let points = cloud()
                 .map(|cloud| vertices(&cloud))
                 .transpose()?
                 .unwrap_or_default();
-            let seen = |model| cloud::views_per_point(model, &points);
+            let seen = |foreign: &ForeignModel| cloud::views_per_point(&foreign.model, &points);
             if seen(&chunk) > seen(&world) {
                 chunk
             } else {
@@ -320,14 +356,10 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
             .map_err(|fault| at(path, fault))?,
     };
     foreign.shorten_names();
-    if foreign.model.points.is_empty() {
-        add_cloud_beside(&mut foreign, path)?;
-    }
-    Ok(foreign)
+    Ok((foreign, cloud()))
 }
 
-/// Reads an `Ori-` folder of MicMac, with the points of a PLY file in the folder of the images
-/// (`AperiCloud`).
+/// Reads an `Ori-` folder of MicMac; the points are in a PLY file beside it (`AperiCloud`).
 fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
     let mut foreign = ForeignModel::default();
     let mut calibrations: Vec<String> = Vec::new();
@@ -358,39 +390,7 @@ fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
         }
         foreign.add_image(n, image, camera_id, oriented.cam_from_world, Place::File);
     }
-    add_cloud_beside(&mut foreign, folder)?;
     Ok(foreign)
-}
-
-/// Gives a model without points those of a PLY file beside it.
-fn add_cloud_beside(foreign: &mut ForeignModel, model: &Path) -> Result<(), ProjectError> {
-    let Some(path) = cloud_beside(model) else {
-        let text = "no points: export the tie points or a cloud as PLY, in the coordinates of the cameras, into the folder of the model";
-        foreign.warn(WarningKind::Damaged, text);
-        return Ok(());
-    };
-    let points = vertices(&path)?;
-    let has_both = !points.is_empty() && !foreign.model.images.is_empty();
-    if has_both && cloud::views_per_point(foreign, &points) == 0.0 {
-        let what =
-            "no point lies before any camera: points and cameras are in different coordinates"
-                .into();
-        let hint =
-            "export both in the same coordinate system, such as Metashape's Local Coordinates";
-        let fault = Fault::new("", Place::File, Problem::Unsupported { what, hint });
-        return Err(ProjectError::Fault { path, fault });
-    }
-    cloud::add_cloud(foreign, &points);
-    Ok(())
-}
-
-/// The first PLY file in the folder of a model.
-fn cloud_beside(model: &Path) -> Option<PathBuf> {
-    let folder = model.parent()?;
-    file_names(folder)
-        .iter()
-        .find(|name| name.ends_with(".ply"))
-        .map(|name| folder.join(name))
 }
 
 /// The views beside a bundle of MVE, by their `meta.ini` and undistorted image.
@@ -408,15 +408,6 @@ fn mve_views(bundle: &Path) -> Vec<mve::View> {
         .filter(|name| name.ends_with(".mve"))
         .filter_map(view)
         .collect()
-}
-
-/// The vertices of a PLY file.
-fn vertices(path: &Path) -> Result<Vec<nalgebra::Point3<f64>>, ProjectError> {
-    let cloud = ply::read(&files::read(path)?).map_err(|error| ProjectError::Fault {
-        fault: Fault::new("", Place::File, Problem::Json(error.to_string())),
-        path: path.into(),
-    })?;
-    Ok(cloud.vertices)
 }
 
 /// Finds the image list of a bundle file: `list.rd.txt` for `*.rd.out`, `X.list.txt` for
@@ -445,9 +436,12 @@ fn bundler_list(bundle: &Path) -> Option<PathBuf> {
     lists.into_iter().flatten().find(|path| path.is_file())
 }
 
-/// Finds the sparse cloud of a SURE project: NVM, Bundler or PLY.
-fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
-    let names = file_names(root);
+/// Finds the sparse cloud of orientations in a folder of SURE, in it or in that above its `ori`:
+/// NVM, Bundler or PLY.
+fn sure_cloud(folder: &Path) -> Option<(PathBuf, ModelFormat)> {
+    let above = folder.parent().filter(|_| folder.ends_with("ori"));
+    let project = above.unwrap_or(folder);
+    let names = file_names(project);
     let endings = [
         (".nvm", ModelFormat::Nvm),
         (".out", ModelFormat::Bundler),
@@ -457,16 +451,15 @@ fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
         names
             .iter()
             .find(|name| name.ends_with(ending))
-            .map(|name| root.join(name))
+            .map(|name| project.join(name))
     };
     endings
         .into_iter()
         .find_map(|(ending, format)| Some((first(ending)?, format)))
 }
 
-/// Reads oriented images, and points from an NVM or Bundler file (with tracks) or a PLY file
-/// (without).
-fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
+/// Reads oriented images, with the tracks of an NVM or Bundler file, or finds a PLY file of points.
+fn read_sure(root: &Path, folder: &Path) -> Result<(ForeignModel, Option<PathBuf>), ProjectError> {
     let mut oriented = Vec::new();
     for (n, path) in orientations(folder).iter().enumerate() {
         let found = sure::read(&files::read(path)?, n as u32 + 1);
@@ -477,33 +470,19 @@ fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
     }
     let search = ImageSearch::new(folder::candidates(root, folder));
     let mut foreign = sure::model(oriented, |name| search.spelled(name));
-    match sure_cloud(root) {
-        None => {
-            let text = "no points: copy a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; if only the \
-                        height of the ground is known, make a ground.ply with integrations/sure/ground.py";
-            foreign.warn(WarningKind::Damaged, text)
-        }
-        Some((path, ModelFormat::Sure)) => cloud::add_cloud(&mut foreign, &vertices(&path)?),
-        Some((path, format)) => {
-            let cloud = read(
-                root,
-                &ModelLocation {
-                    format,
-                    path: path.clone(),
-                    registered: 0,
-                },
-            )?;
-            foreign
-                .model
-                .warnings
-                .extend(cloud.model.warnings.iter().cloned());
-            sure::add_tracks(&mut foreign, &cloud).map_err(|problem| ProjectError::Fault {
-                fault: Fault::new("", Place::File, problem),
-                path,
-            })?;
-        }
-    }
-    Ok(foreign)
+    let (path, format) = match sure_cloud(folder) {
+        None => return Ok((foreign, None)),
+        Some((path, ModelFormat::Sure)) => return Ok((foreign, Some(path))),
+        Some(with_tracks) => with_tracks,
+    };
+    let (tracks, _) = read(root, &ModelLocation::new(format, &path))?;
+    let warnings = tracks.model.warnings.iter().cloned();
+    foreign.model.warnings.extend(warnings);
+    sure::add_tracks(&mut foreign, &tracks).map_err(|problem| ProjectError::Fault {
+        fault: Fault::new("", Place::File, problem),
+        path,
+    })?;
+    Ok((foreign, None))
 }
 
 #[cfg(test)]

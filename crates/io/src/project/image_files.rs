@@ -9,7 +9,7 @@ pub(super) const EXTENSIONS: [&str; 10] = [
     "jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2",
 ];
 /// Most files and folders that are looked through: a project's settings may name any folder.
-const MOST_ENTRIES: usize = 500_000;
+pub(super) const MOST_ENTRIES: usize = 500_000;
 
 /// Returns the images in a folder and its sub-folders whose path, relative to it, `is_wanted`;
 /// sorted. Links to folders are not followed: they may lead anywhere.
@@ -37,8 +37,13 @@ pub fn images_below(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<Str
     wanted
 }
 
-/// True for names of image files.
+/// True for names of image files; hidden ones are none (`._a.jpg`, which macOS writes beside
+/// `a.jpg`).
 pub fn is_image(path: &Path) -> bool {
+    let is_hidden = |name: &std::ffi::OsStr| name.as_encoded_bytes().starts_with(b".");
+    if path.file_name().is_none_or(is_hidden) {
+        return false;
+    }
     let extension = path
         .extension()
         .map(|e| e.to_string_lossy().to_ascii_lowercase());

@@ -12,13 +12,10 @@ use image::ImageFormat;
 use rayon::prelude::*;
 use viewrank_core::model::scene::{Scene, ViewIndex};
 
-use super::{
-    ImageFolder, MASKS, Project, folder,
-    image_files::{EXTENSIONS, images_below},
-};
+use super::{ImageFolder, MASKS, Project, folder, image_files::images_below, names::Names};
 use crate::{
     formats::foreign::{ForeignModel, last_parts},
-    input, picture,
+    input, mistaken, picture,
 };
 
 /// Number of image names that are tried on a candidate for the image folder.
@@ -30,11 +27,12 @@ pub(super) fn find_by_names(
     model: &Path,
     foreign: &ForeignModel,
 ) -> Option<ImageFolder> {
-    let named = foreign
-        .image_folder
-        .as_ref()
-        .map(|folder| root.join(folder))
-        .filter(|folder| folder.is_dir());
+    let named = foreign.image_folder.as_ref().and_then(|folder| {
+        let above = model.parent().into_iter().chain([root]);
+        above
+            .map(|above| above.join(folder))
+            .find(|folder| folder.is_dir())
+    });
     let names: Vec<String> = foreign
         .model
         .images
@@ -42,11 +40,9 @@ pub(super) fn find_by_names(
         .take(PROBED)
         .map(|image| image.name.to_string())
         .collect();
-    folder::find(root, model, named, &names).filter(|found| {
-        found.is_searched
-            || found.ends_with("images")
-            || names.iter().any(|name| found.join(name).is_file())
-    })
+    // The folder of the model alone says nothing.
+    folder::find(root, model, named, &names)
+        .filter(|found| found.ends_with("images") || folder::holds_any(found, &names))
 }
 
 /// Most names that are looked for in vain: each takes up to a hundred calls of the system, and a
@@ -56,6 +52,7 @@ const MOST_MISSING: usize = 10_000;
 /// Looks for the images of a model in some folders.
 pub(super) struct ImageSearch {
     folders: Vec<PathBuf>,
+    names: Names,
     missing: Cell<usize>,
 }
 
@@ -63,37 +60,36 @@ impl ImageSearch {
     pub fn new(folders: Vec<PathBuf>) -> Self {
         Self {
             folders,
+            names: Names::new(),
             missing: Cell::new(0),
         }
     }
 
-    /// Returns `name` if that image exists; otherwise `name` with the extension of an image that
-    /// exists, if any.
+    /// Returns the path of the image that is meant by a name, relative to its folder; the name
+    /// itself if there is none.
     pub fn spelled(&self, name: &str) -> String {
-        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-        let others = EXTENSIONS.iter().flat_map(|e| {
-            [
-                format!("{stem}.{e}"),
-                format!("{stem}.{}", e.to_uppercase()),
-            ]
-        });
-        let exists = |name: &String| {
+        let located = || {
             self.folders
                 .iter()
-                .any(|folder| folder.join(name).is_file())
+                .find_map(|folder| self.names.locate(folder, name))
         };
-        let look = || std::iter::once(name.to_owned()).chain(others).find(exists);
-        self.unless_most_are_missing(look)
+        self.unless_most_are_missing(located)
             .unwrap_or_else(|| name.into())
     }
 
     /// Returns width and height by the header of the image, or of that in a folder with the last
     /// parts of its path.
     pub fn size_of(&self, name: &str) -> Option<(u32, u32)> {
+        let in_folder = |folder: &PathBuf, name: &str| {
+            size_by_header(&folder.join(name)).or_else(|| {
+                let file = self.names.locate(folder, name)?;
+                size_by_header(&folder.join(file))
+            })
+        };
         let in_folders = |name: &String| {
             self.folders
                 .iter()
-                .find_map(|folder| size_by_header(&folder.join(name)))
+                .find_map(|folder| in_folder(folder, name))
         };
         self.unless_most_are_missing(|| last_parts(name).iter().find_map(in_folders))
     }
@@ -336,7 +332,11 @@ pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let mut file = BufReader::with_capacity(TAIL as usize, file);
     let can_be_checked = ImageFormat::from_path(path).is_ok_and(|format| format.reading_enabled());
     match dimensions(&mut file, length) {
-        None if can_be_checked => Err(Unread::Broken("not an image")),
+        None => match mistaken::of_file(path) {
+            Some(mistaken) => Err(Unread::Broken(mistaken.what)),
+            None if can_be_checked => Err(Unread::Broken("not an image")),
+            None => Ok(None),
+        },
         Some(_) if is_truncated(&mut file, length).unwrap_or(false) => {
             Err(Unread::Broken("truncated"))
         }

@@ -1,5 +1,6 @@
 //! Projects: folders with a sparse model, and where their images and dense workspace are.
 
+mod complete;
 mod containing;
 mod create;
 mod discover;
@@ -9,6 +10,7 @@ mod folder;
 mod foreign;
 mod image_files;
 mod images;
+mod names;
 
 use std::{
     collections::HashSet,
@@ -32,6 +34,7 @@ pub use images::{ImageFaults, Unread, probe};
 use crate::shell::{command_path, command_word};
 use crate::{
     formats::{Fault, colmap::ColmapModel},
+    mistaken::{self, Mistaken},
     output::Disk,
 };
 
@@ -101,24 +104,44 @@ impl ModelFormat {
     }
 }
 
+/// What a model has for a plan to start from, poorest first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ModelContents {
+    /// Views without sparse points, or unknown.
+    Poses,
+    /// Sparse points without tracks, in the model or in a PLY file beside it.
+    Points,
+    /// Sparse points that several views observe.
+    Tracks,
+}
+
 /// Location of a sparse model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelLocation {
     pub format: ModelFormat,
     /// Folder of a COLMAP model; the file of other formats.
     pub path: PathBuf,
-    /// Number of registered images according to a quick check of the file; 0 if that fails.
+    /// Number of registered images according to a quick check of the file; 0 if that fails or was
+    /// not needed.
     pub registered: u64,
+    pub contents: ModelContents,
+    /// Name as passed to `--model`: that of the folder or file, with the folders above it if several
+    /// models of the project have the same.
+    pub name: String,
 }
 
 impl ModelLocation {
-    /// Name of the folder or file, as passed to `--model`.
-    pub fn name(&self) -> String {
-        self.path
-            .file_name()
-            .unwrap_or(self.path.as_os_str())
-            .to_string_lossy()
-            .into_owned()
+    /// A model that is not examined.
+    pub fn new(format: ModelFormat, path: impl Into<PathBuf>) -> Self {
+        let path = path.into();
+        let name = path.file_name().unwrap_or(path.as_os_str());
+        Self {
+            format,
+            registered: 0,
+            contents: ModelContents::Poses,
+            name: name.to_string_lossy().into_owned(),
+            path,
+        }
     }
 }
 
@@ -168,8 +191,9 @@ pub fn undistorted_set(batch: usize) -> String {
 }
 
 impl Project {
-    /// Opens a project folder, a model folder or a model file. Of several sub-models it takes the
-    /// one named by `model`, or the one with the most registered images, ties by name.
+    /// Opens a project folder, a model folder or a model file. Of several models it takes the one
+    /// named by `model`, or the richest: with tracks before points, COLMAP's before those of other
+    /// programs, with most registered images, ties by depth of the folder, then by name.
     ///
     /// # Errors
     /// If there is no complete model, or no sub-model of that name.
@@ -218,7 +242,20 @@ impl Project {
         let root = command_path(&self.home);
         match discover::is_first(&self.model, &self.other_models) {
             true => root,
-            false => format!("{root} --model {}", command_word(&self.model.name())),
+            false => format!("{root} --model {}", command_word(&self.model.name)),
+        }
+    }
+
+    /// Path of the model relative to the project, as `--model` takes it; "." is the project itself.
+    pub fn model_path(&self) -> String {
+        self.path_of(&self.model)
+    }
+
+    fn path_of(&self, model: &ModelLocation) -> String {
+        let path = &model.path;
+        match path.strip_prefix(&self.root).unwrap_or(path) {
+            own if own.as_os_str().is_empty() => ".".into(),
+            path => path.to_string_lossy().replace('\\', "/"),
         }
     }
 
@@ -243,18 +280,7 @@ impl Project {
 
     /// Reads the model, and adds the images of the image folder that it lacks to `unregistered`.
     pub fn read_scene(&self) -> Result<Scene, ProjectError> {
-        let mut scene = match self.model.format {
-            ModelFormat::ColmapBinary | ModelFormat::ColmapText => self.colmap_files()?.scene()?,
-            _ => {
-                let fault = |fault| ProjectError::Fault {
-                    path: self.model.path.clone(),
-                    fault,
-                };
-                foreign::read(&self.root, &self.model)?
-                    .scene()
-                    .map_err(fault)?
-            }
-        };
+        let mut scene = self.scene_of_files().map_err(ProjectError::explained)?;
         let others = self.sub_model_warning(scene.views.len());
         scene
             .warnings
@@ -280,6 +306,31 @@ impl Project {
             scene.unregistered.dedup();
         }
         Ok(scene)
+    }
+
+    fn scene_of_files(&self) -> Result<Scene, ProjectError> {
+        if self.model.format.is_colmap() {
+            let files = self.colmap_files()?;
+            let model = self.completed_colmap(&files)?;
+            return model.scene().map_err(|fault| files.locate(fault));
+        }
+        let (mut foreign, cloud) = foreign::read(&self.root, &self.model)?;
+        foreign.model = complete::completed(foreign.model, &self.model, cloud)?;
+        foreign.scene().map_err(|fault| ProjectError::Fault {
+            path: self.model.path.clone(),
+            fault,
+        })
+    }
+
+    fn completed_colmap<'a>(
+        &self,
+        files: &'a ColmapFiles,
+    ) -> Result<ColmapModel<'a>, ProjectError> {
+        let mut model = files.model()?;
+        if let Some(images) = &self.images {
+            separate_names(&mut model, images);
+        }
+        complete::completed(model, &self.model, complete::cloud_beside(&self.model))
     }
 
     /// Checks the image files of the scene; finds no faults without an image folder.
@@ -329,17 +380,19 @@ impl Project {
     /// Returns whether the folder of a binary COLMAP model also has a text model with other images
     /// or poses, or one that cannot be read.
     pub fn has_other_text_model(&self, scene: &Scene) -> bool {
-        let location = ModelLocation {
-            format: ModelFormat::ColmapText,
-            ..self.model.clone()
+        let text = Self {
+            model: ModelLocation {
+                format: ModelFormat::ColmapText,
+                ..self.model.clone()
+            },
+            ..self.clone()
         };
         if self.model.format != ModelFormat::ColmapBinary
             || !self.model.path.join("images.txt").is_file()
         {
             return false;
         }
-        ColmapFiles::open(&location)
-            .and_then(|files| files.scene())
+        text.scene_of_files()
             .map_or(true, |text| !text.has_same_views(scene))
     }
 
@@ -352,7 +405,7 @@ impl Project {
     ) -> Result<T, ProjectError> {
         Ok(match self.model.format {
             ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
-                use_model(&self.colmap_files()?.model()?)
+                use_model(&self.completed_colmap(&self.colmap_files()?)?)
             }
             _ => use_model(&ColmapModel::from_scene(scene)),
         })
@@ -401,13 +454,16 @@ impl Project {
 
     /// Names the model that is used, and the others.
     fn sub_model_warning(&self, registered: usize) -> Option<String> {
-        let others = self
-            .other_models
-            .iter()
-            .map(|m| format!("{} ({} images)", m.name(), m.registered));
-        let others: Vec<String> = others.collect();
+        let words = |model: &ModelLocation| {
+            let path = self.path_of(model);
+            match model.registered {
+                0 => path,
+                registered => format!("{path} ({registered} images)"),
+            }
+        };
+        let others: Vec<String> = self.other_models.iter().map(words).collect();
         (!others.is_empty() && !self.model_is_named).then(|| {
-            let used = self.model.name();
+            let used = self.model_path();
             let how = match self.model.path.is_dir() {
                 true => format!(
                     "`viewrank plan {}` plans another one",
@@ -416,10 +472,23 @@ impl Project {
                 false => "choose another one with --model".into(),
             };
             format!(
-                "of several sub-models {used} ({registered} images) is used; not used: {}; {how}",
+                "of several models {used} ({registered} images) is used; not used: {}; {how}",
                 others.join(", ")
             )
         })
+    }
+}
+
+/// Takes backslashes in names for separators, as of a model made on Windows, where a file says so.
+fn separate_names(model: &mut ColmapModel, images: &Path) {
+    for image in &mut model.images {
+        let separated = image.name.replace('\\', "/");
+        if separated != image.name
+            && images.join(&separated).is_file()
+            && !images.join(&*image.name).is_file()
+        {
+            image.name = separated.into();
+        }
     }
 }
 
@@ -453,6 +522,8 @@ pub enum ProjectError {
     NotFound(PathBuf),
     #[error("no sparse model under {path}; looked for {looked_for}")]
     NoModel { path: PathBuf, looked_for: String },
+    #[error("no sparse model in {path} itself, but in several folders below it")]
+    SeveralProjects { path: PathBuf, below: Vec<PathBuf> },
     #[error("incomplete COLMAP model in {folder}: {missing} missing")]
     IncompleteModel { folder: PathBuf, missing: String },
     #[error("no sub-model {wanted:?} in {path}, only {present}")]
@@ -465,10 +536,25 @@ pub enum ProjectError {
     Io { path: PathBuf, source: io::Error },
     #[error("{path}, {fault}")]
     Fault { path: PathBuf, fault: Fault },
+    #[error("{path} is {}", mistaken.what)]
+    Mistaken { path: PathBuf, mistaken: Mistaken },
     #[error("the model {0} has changed since it was read")]
     ModelChanged(PathBuf),
     #[error("no image list (list.txt) for {0} in its folder or the one above")]
     NoImageList(PathBuf),
+}
+
+impl ProjectError {
+    /// The same error, or that the file at fault is of another kind.
+    fn explained(self) -> Self {
+        match self {
+            Self::Fault { path, fault } => match mistaken::of_file(&path) {
+                Some(mistaken) => Self::Mistaken { path, mistaken },
+                None => Self::Fault { path, fault },
+            },
+            error => error,
+        }
+    }
 }
 
 impl Hint for ProjectError {
@@ -484,12 +570,19 @@ impl Hint for ProjectError {
                     .into()
             }
             Self::NoModel { .. } => "name a folder that contains `sparse`, or the folder of the model itself".into(),
+            Self::SeveralProjects { below, .. } => {
+                let named = below.iter().take(3).map(|folder| command_path(folder));
+                let more = if below.len() > 3 { ", ..." } else { "" };
+                let named: Vec<String> = named.collect();
+                format!("name one of them: {}{more}", named.join(", ")).into()
+            }
             Self::IncompleteModel { .. } => {
                 "export the model again, with cameras, images and points3D in one format, binary or text".into()
             }
             Self::NoSuchModel { .. } => Advice::text("pass one of these names to ").set("model").and(", or omit it"),
             Self::Io { .. } => "check that the file exists and is readable".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
+            Self::Mistaken { mistaken, .. } => mistaken.cure.into(),
             Self::ModelChanged(_) => "once the model is complete, read it and plan again; nothing was written".into(),
             Self::NoImageList(_) => "copy Bundler's image list there: one line per camera with the image name".into(),
         })
@@ -503,9 +596,11 @@ impl Hint for ProjectError {
         match self {
             Self::NotFound(path) | Self::ModelChanged(path) | Self::NoImageList(path) => Some(path),
             Self::NoModel { path, .. }
+            | Self::SeveralProjects { path, .. }
             | Self::IncompleteModel { folder: path, .. }
             | Self::NoSuchModel { path, .. }
             | Self::Io { path, .. }
+            | Self::Mistaken { path, .. }
             | Self::Fault { path, .. } => Some(path),
         }
     }

@@ -130,11 +130,7 @@ fn healthy() -> Scene {
 /// A project in a folder of its own, without images.
 fn project(format: ModelFormat) -> (TempDir, Project) {
     let folder = tempfile::tempdir().unwrap();
-    let model = ModelLocation {
-        format,
-        path: folder.path().join("sparse/0"),
-        registered: 25,
-    };
+    let model = ModelLocation::new(format, folder.path().join("sparse/0"));
     fs::create_dir_all(&model.path).unwrap();
     let project = Project {
         home: folder.path().into(),

@@ -45,12 +45,12 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
     let Some(camera) = usual_camera(plan) else {
         return Vec::new();
     };
-    let focal = plan.stages.scene.cameras[camera.index()].mean_focal_length();
+    let lens = &plan.stages.scene.cameras[camera.index()];
     let mut all: Vec<Candidate> = Vec::new();
     for (number, hole) in holes.iter().enumerate() {
         let gsd = f64::from(plan.stages.target.gsd[hole.deepest as usize]);
-        let distance = gsd * focal * plan.stages.settings.image_scale() / GSD_MARGIN;
-        let step = distance * STEP_DEG.to_radians().tan();
+        let distance = distance(plan, gsd, lens);
+        let step = step(distance);
         for (place, normal) in places(&plan.stages.surface, hole, step) {
             for direction in directions(&normal, &frame.axes[2]) {
                 let centre = place + direction * distance;
@@ -86,9 +86,19 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
     all
 }
 
+/// Distance from which a camera reaches a ground sampling distance, scene units.
+pub fn distance(plan: &Plan, gsd: f64, camera: &Camera) -> f64 {
+    gsd * camera.mean_focal_length() * plan.stages.settings.image_scale() / GSD_MARGIN
+}
+
+/// Distance between neighbouring candidates at a distance from what they look at.
+pub fn step(distance: f64) -> f64 {
+    distance * STEP_DEG.to_radians().tan()
+}
+
 /// Returns the camera with the most views, the first one in a tie; `None` if it has no valid focal
 /// length.
-fn usual_camera(plan: &Plan) -> Option<CameraIndex> {
+pub fn usual_camera(plan: &Plan) -> Option<CameraIndex> {
     let mut views = vec![0usize; plan.stages.scene.cameras.len()];
     plan.stages
         .scene

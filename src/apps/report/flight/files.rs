@@ -5,20 +5,20 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use super::{super::holes::Hole, Flight, Waypoint};
+use super::{Flight, Waypoint};
 use crate::{
     model::georeference::{Geodetic, Georeference, MapFrame},
     show::pictures::views_file,
 };
 
-/// File names below the plan's folder, with their text; none without waypoints. `needed`: cameras
-/// that must see a place.
+/// File names below the plan's folder, with their text; none without waypoints. `missing`: what
+/// each hole lacks; `metres`: in a scene unit, if known.
 pub fn files(
     flight: &Flight,
-    holes: &[Hole],
+    missing: &[String],
     frame: &MapFrame,
     place: &Georeference,
-    needed: u32,
+    metres: Option<f64>,
 ) -> Vec<(&'static str, String)> {
     if flight.waypoints.is_empty() {
         return Vec::new();
@@ -27,7 +27,7 @@ pub fn files(
     let all: Vec<Described> = flight
         .waypoints
         .iter()
-        .map(|w| Described::new(w, holes, frame, place, needed))
+        .map(|w| Described::new(w, missing, frame, place, metres.unwrap_or(1.0)))
         .collect();
     match is_local {
         true => vec![
@@ -52,19 +52,21 @@ struct Described<'a> {
     heading: f64,
     /// Above the horizon, degrees; -90 straight down.
     pitch: f64,
-    missing: String,
+    /// Above the surface, and from what it looks at: metres where these are known.
+    height: f64,
+    distance: f64,
+    missing: &'a str,
 }
 
 impl<'a> Described<'a> {
     fn new(
         waypoint: &'a Waypoint,
-        holes: &[Hole],
+        missing: &'a [String],
         frame: &MapFrame,
         place: &Georeference,
-        needed: u32,
+        per_unit: f64,
     ) -> Self {
         let ahead = waypoint.centre + waypoint.direction * waypoint.distance;
-        let missing = holes[waypoint.hole].missing(needed);
         let (position, [east, north, up]) =
             match (place.geodetic(&waypoint.centre), place.geodetic(&ahead)) {
                 (Some(from), Some(to)) => (
@@ -82,7 +84,9 @@ impl<'a> Described<'a> {
             position,
             heading,
             pitch: up.atan2(east.hypot(north)).to_degrees(),
-            missing,
+            height: per_unit * waypoint.height,
+            distance: per_unit * waypoint.distance,
+            missing: &missing[waypoint.hole],
         }
     }
 
@@ -90,7 +94,7 @@ impl<'a> Described<'a> {
         json!({
             "name": format!("{number}"), "rank": self.waypoint.rank, "hole": self.waypoint.hole + 1, "missing": self.missing,
             "heading_deg": rounded(self.heading, 1), "pitch_deg": rounded(self.pitch, 1),
-            "height_above_surface": rounded(self.waypoint.height, 3), "distance": rounded(self.waypoint.distance, 3),
+            "height_above_surface": rounded(self.height, 3), "distance": rounded(self.distance, 3),
             "overlap": rounded(self.waypoint.overlap, 2),
         })
     }
@@ -139,7 +143,7 @@ fn kml(all: &[Described]) -> String {
             w.missing,
             w.heading,
             w.pitch,
-            w.waypoint.height,
+            w.height,
             w.heading,
             90.0 + w.pitch,
             position(w)
@@ -164,7 +168,7 @@ fn csv(all: &[Described]) -> String {
             text,
             "{},{longitude:.9},{latitude:.9},{height:.3},{:.2},{:.1},{:.1},{:.2},{},\"{}\",{}",
             i + 1,
-            w.waypoint.height,
+            w.height,
             w.heading,
             w.pitch,
             w.waypoint.overlap,

@@ -3,6 +3,7 @@
 //!
 //! There are no pictures of planned images yet: success is predicted from geometry alone.
 
+mod bare;
 mod candidates;
 mod choice;
 mod files;
@@ -16,6 +17,7 @@ use crate::{
     plan::Plan,
 };
 
+pub use bare::{BareGround, bare_ground};
 pub use files::files;
 
 /// An image to take.
@@ -60,6 +62,20 @@ pub fn flight(plan: &Plan, holes: &[Hole], watcher: &dyn Watcher) -> Result<Flig
     let mut flight = choice::choose(plan, holes, &poses, &frame, watcher)?;
     flight.waypoints = in_flying_order(flight.waypoints);
     Ok(flight)
+}
+
+impl Flight {
+    /// Appends the images of bare ground, which is the last of the listed holes.
+    pub fn and_then(mut self, bare: &BareGround) -> Self {
+        let before = self.waypoints.len();
+        self.waypoints
+            .extend(bare.waypoints.iter().map(|waypoint| Waypoint {
+                rank: before + waypoint.rank,
+                ..waypoint.clone()
+            }));
+        self.of_holes.push(bare.covered);
+        self
+    }
 }
 
 /// Returns the waypoints ordered so that each is followed by the nearest one left.

@@ -59,6 +59,7 @@ surface.count = surface.triangles.length / 3;
 if (data.region) {
   data.region.inside = decode(data.region.inside, Uint8Array);
   data.region.border = decode(data.region.border, Uint32Array);
+  data.region.outline = data.region.outline.map(ring => decode(ring, Float32Array));
 }
 const COUNTED = surface.count ? surface.first.length / surface.count : 0;
 const clusters = ranking.keys.length;
@@ -166,7 +167,9 @@ function rounded(number) {
 // Follows "what all depth maps give".
 const inRegion = data.region ? ' inside the region' : '';
 
-const unit = data.metric ? 'm' : 'units';
+// Lengths of the scene are shown in metres where these are known.
+const unit = data.metres ? 'm' : 'units';
+const perUnit = data.metres || 1;
 
 // Creates an element; `onclick` is a listener, other attributes are text.
 function make(tag, attributes = {}, ...children) {

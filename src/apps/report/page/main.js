@@ -117,7 +117,7 @@ function setUpColours() {
 }
 
 function drawHoles() {
-  const area = size => `${rounded(size)} ${unit}²`;
+  const area = size => `${rounded(size * perUnit ** 2)} ${unit}²`;
   const whole = data.region ? 'region' : 'surface';
   const share = data.area > 0 ? percent(data.holes_area / data.area) : percent(0);
   const background = `more than ${data.far} times the usual camera distance of sparse points away from every camera`;
@@ -149,14 +149,16 @@ function fillText(hole, i) {
     const [low, high] = [Math.min(...values), Math.max(...values)].map(value => digits === 0 ? `${Math.round(100 * value)}` : rounded(value));
     return low === high ? low : `${low} to ${high}`;
   };
-  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w]))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; they fill ${percent(filled, 0)} of it`;
+  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w] * perUnit))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; they fill ${percent(filled, 0)} of it`;
 }
 
 function flightText() {
   if (!flight.count) return [];
-  const { filled, fillable } = data.flight, files = 'viewrank/flight';
-  return [make('p', {}, make('b', {}, `${counted(flight.count, 'image')} to take`), ` (green rings on the map) would fill ${percent(filled, 0)} of these holes, by weight`,
-    `; with every pose tried, ${percent(fillable, 0)}. Predicted from geometry: texture that nothing can match stays a hole. Waypoints with direction, height and overlap: ${files}.`)];
+  const { filled, fillable, for_holes: forHoles } = data.flight, forGround = flight.count - forHoles, files = 'viewrank/flight';
+  const ofHoles = `${percent(filled, 0)} of the holes in the surface, by weight; with every pose tried, ${percent(fillable, 0)}. Predicted from geometry: texture that nothing can match stays a hole`;
+  const ofGround = `${counted(forGround, 'image')} straight down over the part of the region without surface`;
+  const what = !forHoles ? `: ${ofGround}` : ` would fill ${forGround ? `(the first ${grouped.format(forHoles)}) ` : ''}${ofHoles}${forGround ? `; ${ofGround}` : ''}`;
+  return [make('p', {}, make('b', {}, `${counted(flight.count, 'image')} to take`), ` (green rings on the map)${what}. Waypoints with direction, height and overlap: ${files}.`)];
 }
 
 function showHole(hole) {
@@ -183,7 +185,7 @@ function drawFacts() {
   byId('title').textContent = data.title;
   const left = data.unregistered.length ? `, ${counted(data.unregistered.length, 'image')} without a pose` : '';
   byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
-    + ` planned for the backend ${data.backend}, ${rounded(data.gsd)} ${unit} per pixel wanted`;
+    + ` planned for the backend ${data.backend}, ${rounded(data.gsd * perUnit)} ${unit} per pixel wanted`;
   if (data.region) byId('facts').after(make('p', {}, data.region.words));
   byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn with fewer triangles than in the plan. ' : ''}`
     + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have thumbnails. ` : '')

@@ -279,10 +279,16 @@ class Scene {
   // The border of the region.
   drawBorder() {
     if (!data.region) return;
-    const { context } = this, lines = new Path2D(), { border } = data.region;
-    for (let end = 0; end < border.length; end++) {
-      const [x, y] = this.camera.screen(surface.vertices, 3 * border[end], this.width, this.height);
-      if (end % 2) lines.lineTo(x, y); else lines.moveTo(x, y);
+    const { context } = this, lines = new Path2D(), { border, outline } = data.region;
+    const line = (points, at, isFirst) => {
+      const [x, y] = this.camera.screen(points, 3 * at, this.width, this.height);
+      if (isFirst) lines.moveTo(x, y); else lines.lineTo(x, y);
+    };
+    // From above, the outline is all of the border, also where there is no surface.
+    if (this.turns || !outline.length) border.forEach((vertex, end) => line(surface.vertices, vertex, end % 2 === 0));
+    for (const ring of outline) {
+      for (let corner = 0; corner < ring.length / 3; corner++) line(ring, corner, corner === 0);
+      lines.closePath();
     }
     for (const [colour, width] of [['#fff', 3], [BORDER, 1.5]]) {
       context.strokeStyle = colour;
@@ -335,8 +341,8 @@ class Scene {
   }
 
   drawScale() {
-    const { context } = this, wanted = 110 / this.camera.scale, power = 10 ** Math.floor(Math.log10(wanted));
-    const length = [5, 2, 1].map(m => m * power).find(l => l <= wanted) || power, px = length * this.camera.scale;
+    const { context } = this, scale = this.camera.scale / perUnit, wanted = 110 / scale, power = 10 ** Math.floor(Math.log10(wanted));
+    const length = [5, 2, 1].map(m => m * power).find(l => l <= wanted) || power, px = length * scale;
     context.fillStyle = theme.card;
     context.globalAlpha = 0.75;
     context.fillRect(6, this.height - 34, px + 12, 28);

@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{
-    Outline, RegionError, RegionProperties, ShapeError, TriangleSamples,
+    GroundPlane, Outline, RegionError, RegionProperties, ShapeError, TriangleSamples,
     columns::{Columns, Rectangle},
     in_parts,
     polygon::PreparedPolygon,
@@ -208,6 +208,24 @@ impl MapAreas {
             };
             sampled(|[u, v]| self.at(self.projection.wrapped(at(u, v)), looked_at))
         })
+    }
+
+    /// Returns whether a place counts: it is in an area of positive weight.
+    pub fn counts(&self, place: &Point3<f64>, looked_at: &mut u64) -> bool {
+        let at = self.projection.wrapped(self.projection.project(place));
+        self.at(at, looked_at)
+            .is_some_and(|properties| properties.weight > 0.0)
+    }
+
+    /// Rings of all areas on the map of a plane; `None` if a position is not on it.
+    pub fn on_the_map(&self, plane: &GroundPlane) -> Option<Vec<Vec<[f64; 2]>>> {
+        let place = |at: &[f64; 2]| {
+            plane.invert(*at, |point| {
+                self.projection.beside(*at, self.projection.project(point))
+            })
+        };
+        let rings = self.rings.iter().flatten();
+        rings.map(|ring| ring.iter().map(place).collect()).collect()
     }
 
     pub fn outside(&self, surface: &Surface) -> RegionError {

@@ -8,6 +8,7 @@ mod areas;
 mod columns;
 mod densest;
 mod error;
+mod ground;
 mod polygon;
 mod solid;
 
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use areas::{Area, Areas, Coordinates, Polygon};
 pub use error::{RegionError, ShapeError};
+pub use ground::{Footprint, Ground, GroundCell, GroundPlane, Photographed};
 pub use solid::OpenMesh;
 
 use self::{areas::MapAreas, solid::Solid};
@@ -143,6 +145,17 @@ impl RegionShape {
         Self::Box(ordered(corners))
     }
 
+    /// Returns the part of the map that the region covers; `None` for `auto`, which is a part of the
+    /// surface.
+    pub fn footprint(&self, frame: &MapFrame) -> Option<Footprint<'_>> {
+        match self {
+            Self::Areas(areas) => Some(Footprint::Areas(areas)),
+            Self::Solid(_, hull) => Some(Footprint::Hull(hull.clone())),
+            Self::Box(corners) => Some(Footprint::Hull(frame.hull(&box_corners(corners)))),
+            Self::Auto => None,
+        }
+    }
+
     /// Projects the region onto a surface. `pixels`: number per triangle, over all views; for
     /// `auto` only.
     ///
@@ -196,12 +209,17 @@ fn boxed(
     let sampled = in_parts(surface, watcher, |t, _| solid_sample(surface, t, inside))?;
     let outside = || RegionError::outside_box(&corners, &bounds(surface, |_| true));
     let found = region(kind, surface, sampled, outside)?;
-    let corner = |i: usize| Point3::from([0, 1, 2].map(|axis| corners[axis + 3 * (i >> axis & 1)]));
     Ok(Region {
         bounds: corners,
-        outline: Outline::Hull((0..8).map(corner).collect()),
+        outline: Outline::Hull(box_corners(&corners)),
         ..found
     })
+}
+
+/// The eight corners of a box.
+fn box_corners(corners: &[f64; 6]) -> Vec<Point3<f64>> {
+    let corner = |i: usize| Point3::from([0, 1, 2].map(|axis| corners[axis + 3 * (i >> axis & 1)]));
+    (0..8).map(corner).collect()
 }
 
 /// Builds a region from the samples of its triangles, with the bounds of those inside and an empty

@@ -292,6 +292,34 @@ impl Camera {
         (width * own_height / (height * own_width) - 1.0).abs() <= rounding.min(LARGEST_ROUNDING)
     }
 
+    /// The camera as PINHOLE if its model is that with distortion and the distortion is zero, as in
+    /// models of images that a program has undistorted; many backends take pinhole cameras only.
+    pub fn without_zero_distortion(self) -> Self {
+        use CameraModel::{
+            Division, Eucm, Fov, FullOpenCv, OpenCv, Pinhole, Radial, SimpleDivision, SimpleRadial,
+        };
+        let are_zero = |parameters: &[f64]| parameters.iter().all(|&p| p == 0.0);
+        let params = match (self.model, &self.params[..]) {
+            (SimpleRadial | Radial | SimpleDivision, &[f, cx, cy, ref k @ ..]) if are_zero(k) => {
+                vec![f, f, cx, cy]
+            }
+            (OpenCv | FullOpenCv | Fov | Division, &[fx, fy, cx, cy, ref k @ ..])
+                if are_zero(k) =>
+            {
+                vec![fx, fy, cx, cy]
+            }
+            // Without alpha, beta has no effect.
+            (Eucm, [intrinsics @ .., alpha, _]) if *alpha == 0.0 => intrinsics.to_vec(),
+            _ => return self,
+        };
+        Self {
+            lens: Lens::new(Pinhole, &params),
+            model: Pinhole,
+            params,
+            ..self
+        }
+    }
+
     /// Returns whether the model is PINHOLE or SIMPLE_PINHOLE, without distortion.
     pub fn is_pinhole(&self) -> bool {
         matches!(

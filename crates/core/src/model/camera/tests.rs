@@ -53,6 +53,45 @@ fn models_have_colmaps_numbers_and_names() {
 }
 
 #[test]
+fn zero_distortion_is_none_where_the_model_is_a_pinhole_with_distortion() {
+    let points = [[0.0, 0.0, 1.0], [0.3, -0.2, 1.0], [-2.0, 1.5, 4.0]].map(Point3::from);
+    let mut pinholes = Vec::new();
+    for camera in cameras() {
+        let distorted = camera.clone().without_zero_distortion();
+        assert_eq!(distorted, camera, "{}", camera.model().name());
+        let intrinsics = camera.model().focal_length_count() + 2;
+        let mut params = camera.params().to_vec();
+        if camera.model() != CameraModel::Equirectangular {
+            params[intrinsics..].fill(0.0);
+        }
+        let zero = Camera::new(1, camera.model(), 1000, 750, params).unwrap();
+        let plain = zero.clone().without_zero_distortion();
+        for point in &points {
+            let [with, without] = [&zero, &plain].map(|camera| camera.project(point).unwrap());
+            assert!((with - without).norm() < 1e-9, "{}", camera.model().name());
+        }
+        if plain != zero {
+            assert_eq!((plain.width, plain.height), (1000, 750));
+            pinholes.push(camera.model().name());
+        }
+        assert_eq!(plain.is_pinhole(), plain != zero || zero.is_pinhole());
+    }
+    assert_eq!(
+        pinholes,
+        [
+            "SIMPLE_RADIAL",
+            "RADIAL",
+            "OPENCV",
+            "FULL_OPENCV",
+            "FOV",
+            "SIMPLE_DIVISION",
+            "DIVISION",
+            "EUCM"
+        ]
+    );
+}
+
+#[test]
 fn projections_agree_with_pycolmap() {
     let path = concat!(
         env!("CARGO_MANIFEST_DIR"),

@@ -136,6 +136,25 @@ impl Zone {
         (1..=60).contains(&number).then_some(Self { number, north })
     }
 
+    /// The zone of a reference system, by its EPSG code (WGS 84, ETRS89 or NAD 83) or its name in a
+    /// definition: "EPSG:32633", "WGS 84 / UTM zone 33N".
+    pub fn of_reference_system(definition: &str) -> Option<Self> {
+        let definition = definition.trim().to_ascii_uppercase();
+        if let Some(code) = definition.strip_prefix("EPSG:") {
+            let code: u32 = code.split('+').next()?.trim().parse().ok()?;
+            let north = match code / 100 {
+                326 | 258 | 269 => true,
+                327 => false,
+                _ => return None,
+            };
+            let number = (code % 100) as u8;
+            return (1..=60).contains(&number).then_some(Self { number, north });
+        }
+        let (_, zone) = definition.split_once("UTM ZONE ")?;
+        let end = zone.find(['N', 'S'])?;
+        Self::parse(&zone[..=end])
+    }
+
     /// Longitude of the central meridian, degrees.
     fn meridian(self) -> f64 {
         6.0 * f64::from(self.number) - 183.0
@@ -145,6 +164,28 @@ impl Zone {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn zones_are_those_of_reference_systems() {
+        let zone = |text| Zone::of_reference_system(text);
+        for text in [
+            "EPSG:32633",
+            "epsg:25833+5773",
+            "PROJCS[\"WGS 84 / UTM zone 33N\",...",
+        ] {
+            assert_eq!(zone(text), Zone::parse("33N"), "{text}");
+        }
+        assert_eq!(zone("EPSG:32718"), Zone::parse("18S"));
+        for text in [
+            "EPSG:4326",
+            "EPSG:32661",
+            "EPSG:2154",
+            "Local",
+            "UTM zone N",
+        ] {
+            assert_eq!(zone(text), None, "{text}");
+        }
+    }
 
     #[test]
     fn ecef_coordinates_round_trip() {

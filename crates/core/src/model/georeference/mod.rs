@@ -113,6 +113,15 @@ impl Georeference {
         }
     }
 
+    /// Metres in a unit of the model; `None` for `Local`.
+    pub fn metres_per_unit(&self) -> Option<f64> {
+        match self {
+            Self::Local => None,
+            Self::Fitted { axes, .. } => Some(axes.determinant().abs().cbrt()),
+            Self::Ecef | Self::EastNorthUp { .. } | Self::Utm { .. } => Some(1.0),
+        }
+    }
+
     /// Describes the coordinates for users.
     pub fn words(&self) -> &'static str {
         match self {

@@ -180,7 +180,9 @@ fn camera(mut line: Line) -> Result<Camera, Fault> {
     while !line.at_end() {
         params.push(line.number("a camera parameter")?);
     }
-    Camera::new(id, model, width, height, params).map_err(|error| line.fault(error.into()))
+    Camera::new(id, model, width, height, params)
+        .map(Camera::without_zero_distortion)
+        .map_err(|error| line.fault(error.into()))
 }
 
 /// Pairs the two lines of each image. The second may be empty, so blank lines and comments are not

@@ -1,0 +1,381 @@
+//! The area of a region on the map, and what of it the photographs show, also where there is no
+//! surface: the ground is a plane through the sparse points there.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+
+use super::{LOOKED_AT, areas::MapAreas, columns::Rectangle, polygon::crosses};
+use crate::{
+    method::{surface::Surface, visibility::Shown},
+    model::{
+        georeference::MapFrame,
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// Cells of the grid around a region.
+const CELLS: f64 = 16_384.0;
+/// Fewest cells inside, for which the grid is made finer, and the most by which each side is.
+const LEAST_INSIDE: f64 = 4096.0;
+const FINEST: f64 = 8.0;
+/// Points that a plane is fitted to.
+const FITTED: usize = 100_000;
+/// Multiple of the median distance from the first plane at which points are left out of the second.
+const OUTLIER: f64 = 4.0;
+/// Steepest slope of a plane; a scene that rises more is a façade, and level ground before it.
+const STEEPEST: f64 = 1.0;
+/// Resolution, as a multiple of the wanted ground sampling distance, down to which a photograph
+/// shows a place: without a limit, an oblique one shows all up to the horizon.
+const COARSEST: f64 = 4.0;
+
+/// A plane through the sparse points, as a height above the map.
+#[derive(Clone, Copy, Debug)]
+pub struct GroundPlane {
+    frame: MapFrame,
+    /// Height at the frame's origin and its rise along the two axes of the map.
+    height: f64,
+    slope: [f64; 2],
+    /// Largest distance of a point from the origin along an axis of the map.
+    reach: f64,
+}
+
+impl GroundPlane {
+    /// Fits a plane by least squares, a second time without outliers; `None` without points.
+    pub fn new(frame: &MapFrame, points: &[Point3<f64>]) -> Option<Self> {
+        let step = points.len().div_ceil(FITTED).max(1);
+        let places: Vec<[f64; 3]> = points
+            .iter()
+            .step_by(step)
+            .map(|point| frame.local(point))
+            .collect();
+        let reach = places
+            .iter()
+            .flat_map(|[x, y, _]| [x.abs(), y.abs()])
+            .fold(0.0, f64::max);
+        let rough = fitted(&places)?;
+        let off = |[x, y, z]: &[f64; 3]| (z - rough[0] - rough[1] * x - rough[2] * y).abs();
+        let mut distances: Vec<f64> = places.iter().map(off).collect();
+        let middle = distances.len() / 2;
+        let most = OUTLIER * *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let near: Vec<[f64; 3]> = places.iter().filter(|p| off(p) <= most).copied().collect();
+        let [height, x, y] = fitted(&near)?;
+        Some(Self {
+            frame: *frame,
+            height,
+            slope: [x, y],
+            reach,
+        })
+    }
+
+    /// The place on the ground, world coordinates, at a position on the map.
+    pub fn at(&self, [x, y]: [f64; 2]) -> Point3<f64> {
+        let z = self.height + self.slope[0] * x + self.slope[1] * y;
+        let [right, ahead, up] = self.frame.axes;
+        self.frame.origin + right * x + ahead * y + up * z
+    }
+
+    /// Up, a unit vector in world coordinates.
+    pub fn up(&self) -> Vector3<f64> {
+        self.frame.axes[2]
+    }
+
+    /// The position on the map that `project` takes to `wanted`, by Newton's method; `None` if that
+    /// does not converge.
+    pub(super) fn invert(
+        &self,
+        wanted: [f64; 2],
+        project: impl Fn(&Point3<f64>) -> [f64; 2],
+    ) -> Option<[f64; 2]> {
+        const STEPS: usize = 20;
+        let step = 0.01 * self.reach;
+        let mut at = [0.0; 2];
+        for _ in 0..STEPS {
+            let here = project(&self.at(at));
+            let [along_x, along_y] = [[at[0] + step, at[1]], [at[0], at[1] + step]].map(|beside| {
+                let there = project(&self.at(beside));
+                [0, 1].map(|axis| (there[axis] - here[axis]) / step)
+            });
+            let missing = [0, 1].map(|axis| wanted[axis] - here[axis]);
+            let determinant = along_x[0] * along_y[1] - along_y[0] * along_x[1];
+            let change = [
+                (missing[0] * along_y[1] - along_y[0] * missing[1]) / determinant,
+                (along_x[0] * missing[1] - missing[0] * along_x[1]) / determinant,
+            ];
+            at = [at[0] + change[0], at[1] + change[1]];
+            if !(at[0].is_finite() && at[1].is_finite()) {
+                return None;
+            }
+            if change[0].abs().max(change[1].abs()) < 1e-9 * self.reach {
+                return Some(at);
+            }
+        }
+        None
+    }
+}
+
+/// Height at the origin and slopes of the plane nearest to some places; level if they do not
+/// determine a plane, or a steep one.
+fn fitted(places: &[[f64; 3]]) -> Option<[f64; 3]> {
+    let count = places.len() as f64;
+    let sum = |of: &dyn Fn(&[f64; 3]) -> f64| places.iter().map(of).sum::<f64>();
+    let (x, y, z) = (sum(&|p| p[0]), sum(&|p| p[1]), sum(&|p| p[2]));
+    let (xx, xy, yy) = (
+        sum(&|p| p[0] * p[0]),
+        sum(&|p| p[0] * p[1]),
+        sum(&|p| p[1] * p[1]),
+    );
+    let right = Vector3::new(z, sum(&|p| p[0] * p[2]), sum(&|p| p[1] * p[2]));
+    let level = [z / count, 0.0, 0.0];
+    if places.is_empty() || !level[0].is_finite() {
+        return None;
+    }
+    let plane = Matrix3::new(count, x, y, x, xx, xy, y, xy, yy)
+        .try_inverse()
+        .map(|inverse| inverse * right);
+    Some(match plane {
+        Some(plane) if plane.y.hypot(plane.z) <= STEEPEST => plane.into(),
+        _ => level,
+    })
+}
+
+/// The part of the map that a region covers.
+#[derive(Clone, Debug)]
+pub enum Footprint<'a> {
+    Areas(&'a MapAreas),
+    /// Corners of a convex polygon, world coordinates.
+    Hull(Vec<Point3<f64>>),
+}
+
+impl Footprint<'_> {
+    /// Rings on the map, not closed; `None` if a position has none.
+    fn rings(&self, plane: &GroundPlane) -> Option<Vec<Vec<[f64; 2]>>> {
+        match self {
+            Self::Areas(areas) => areas.on_the_map(plane),
+            Self::Hull(corners) => {
+                let flat = |corner| {
+                    let [x, y, _] = plane.frame.local(corner);
+                    [x, y]
+                };
+                Some(vec![corners.iter().map(flat).collect()])
+            }
+        }
+    }
+
+    fn contains(&self, rings: &[Vec<[f64; 2]>], place: [f64; 2], plane: &GroundPlane) -> bool {
+        match self {
+            Self::Areas(areas) => areas.counts(&plane.at(place), &mut 0),
+            Self::Hull(_) => {
+                let ring = &rings[0];
+                let edges = (0..ring.len()).map(|i| [ring[i], ring[(i + 1) % ring.len()]]);
+                edges.filter(|edge| crosses(*edge, place)).count() % 2 == 1
+            }
+        }
+    }
+
+    /// Edges that a query may look at.
+    fn edges(&self, rings: &[Vec<[f64; 2]>]) -> u64 {
+        rings.iter().map(|ring| ring.len() as u64).sum()
+    }
+}
+
+/// A square of a region on the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroundCell {
+    /// Its centre on the map.
+    pub place: [f64; 2],
+    /// Photographs that show it.
+    pub views: u32,
+    pub has_surface: bool,
+}
+
+/// The area of a region on the map.
+#[derive(Clone, Debug)]
+pub struct Ground {
+    pub plane: GroundPlane,
+    /// Side of a cell, scene units.
+    pub side: f64,
+    /// The cells inside, row by row.
+    pub cells: Vec<GroundCell>,
+    /// Outline on the map: rings, not closed.
+    pub rings: Vec<Vec<[f64; 2]>>,
+}
+
+/// What the photographs show of a scene.
+#[derive(Clone, Copy)]
+pub struct Photographed<'a> {
+    pub scene: &'a Scene,
+    /// Views without an image, ascending.
+    pub without_image: &'a [ViewIndex],
+    /// Wanted ground sampling distance, scene units per pixel of the model's images.
+    pub gsd: f64,
+    /// The surface, and how many views show its triangles, where that is known.
+    pub surface: Option<(&'a Surface, &'a Shown)>,
+}
+
+impl Ground {
+    /// Divides a region into cells, and counts the photographs of each: on the surface those that
+    /// see it, beside it those into which the ground projects. `None` if the region cannot be drawn
+    /// on the map.
+    pub fn new(
+        footprint: &Footprint,
+        photographed: &Photographed,
+        frame: &MapFrame,
+    ) -> Option<Self> {
+        let plane = GroundPlane::new(frame, &photographed.scene.points)?;
+        let rings = footprint.rings(&plane)?;
+        let bounds = Rectangle::around(rings.iter().flatten());
+        let inside = |grid: &Grid| -> Vec<[f64; 2]> {
+            let cells = 0..grid.columns * grid.rows;
+            cells
+                .into_par_iter()
+                .map(|cell| grid.centre(cell))
+                .filter(|place| footprint.contains(&rings, *place, &plane))
+                .collect()
+        };
+        let mut grid = Grid::new(&bounds, CELLS)?;
+        // A comb of a million teeth would take minutes.
+        if footprint.edges(&rings).saturating_mul(CELLS as u64) > 100 * LOOKED_AT[0] {
+            return None;
+        }
+        let mut places = inside(&grid);
+        let finer = (LEAST_INSIDE / places.len().max(1) as f64).min(FINEST * FINEST);
+        if finer > 1.0 {
+            grid = Grid::new(&bounds, CELLS * finer)?;
+            places = inside(&grid);
+        }
+        let on_surface = photographed
+            .surface
+            .map_or_else(Vec::new, |(surface, shown)| {
+                grid.views_of(surface, shown, frame)
+            });
+        let cell = |&place: &[f64; 2]| {
+            let seen = on_surface.get(grid.cell(place)).copied().unwrap_or(0);
+            GroundCell {
+                place,
+                has_surface: seen > 0,
+                views: match seen {
+                    0 => photographed.views_of(&plane.at(place)),
+                    seen => seen,
+                },
+            }
+        };
+        let cells: Vec<GroundCell> = places.par_iter().map(cell).collect();
+        (!cells.is_empty()).then_some(Self {
+            plane,
+            side: grid.side,
+            cells,
+            rings,
+        })
+    }
+
+    /// Square scene units.
+    pub fn area(&self) -> f64 {
+        self.cells.len() as f64 * self.side * self.side
+    }
+
+    /// Share of the area whose cells are so, 0 to 1.
+    pub fn share(&self, is_so: impl Fn(&GroundCell) -> bool) -> f64 {
+        let so = self.cells.iter().filter(|cell| is_so(cell)).count();
+        so as f64 / self.cells.len() as f64
+    }
+}
+
+impl Photographed<'_> {
+    /// Photographs into which a place projects, fine enough.
+    fn views_of(&self, place: &Point3<f64>) -> u32 {
+        let shows = |view: &ViewIndex| {
+            let camera = self.scene.camera_of(*view);
+            let x = self
+                .scene
+                .view(*view)
+                .cam_from_world
+                .camera_from_world(place);
+            camera.depth(&x) / camera.mean_focal_length() <= COARSEST * self.gsd
+                && camera
+                    .project(&x)
+                    .is_some_and(|pixel| camera.contains(&pixel))
+        };
+        let has_image = |view: &ViewIndex| self.without_image.binary_search(view).is_err();
+        let views = self.scene.view_indices();
+        views.filter(has_image).filter(shows).count() as u32
+    }
+}
+
+/// A grid of squares on the map.
+struct Grid {
+    low: [f64; 2],
+    side: f64,
+    columns: usize,
+    rows: usize,
+}
+
+impl Grid {
+    fn new(bounds: &Rectangle, cells: f64) -> Option<Self> {
+        let [width, height] = [0, 1].map(|axis| bounds.high[axis] - bounds.low[axis]);
+        // A sliver is no longer than all cells in one row.
+        let side = (width * height / cells)
+            .sqrt()
+            .max(width.max(height) / cells);
+        let count = |length: f64| ((length / side).ceil() as usize).max(1);
+        (side > 0.0 && side.is_finite()).then(|| Self {
+            low: bounds.low,
+            side,
+            columns: count(width),
+            rows: count(height),
+        })
+    }
+
+    fn centre(&self, cell: usize) -> [f64; 2] {
+        let at = [cell % self.columns, cell / self.columns];
+        [0, 1].map(|axis| self.low[axis] + (at[axis] as f64 + 0.5) * self.side)
+    }
+
+    /// The cell of a position inside the grid.
+    fn cell(&self, place: [f64; 2]) -> usize {
+        let [column, row] =
+            [0, 1].map(|axis| ((place[axis] - self.low[axis]) / self.side) as usize);
+        row * self.columns + column
+    }
+
+    /// By cell: the views that see the surface at its centre, the most of several layers.
+    fn views_of(&self, surface: &Surface, shown: &Shown, frame: &MapFrame) -> Vec<u32> {
+        let flat: Vec<[f64; 2]> = surface
+            .vertices
+            .par_iter()
+            .map(|vertex| frame.local(vertex))
+            .map(|[x, y, _]| [x, y])
+            .collect();
+        let mut views = vec![0; self.columns * self.rows];
+        for (corners, &seen) in surface.triangles.iter().zip(&shown.views) {
+            let corners = corners.map(|corner| flat[corner as usize]);
+            if seen > 0 {
+                self.for_each_inside(corners, |cell| views[cell] = views[cell].max(seen));
+            }
+        }
+        views
+    }
+
+    /// Calls `each` with the cells whose centres are in a triangle.
+    fn for_each_inside(&self, corners: [[f64; 2]; 3], mut each: impl FnMut(usize)) {
+        let bounds = Rectangle::around(&corners);
+        let range = |axis: usize, count: usize| {
+            let at = |x: f64| (x - self.low[axis]) / self.side - 0.5;
+            let (first, last) = (at(bounds.low[axis]).ceil(), at(bounds.high[axis]).floor());
+            (first.max(0.0) as usize)..((last + 1.0).clamp(0.0, count as f64) as usize)
+        };
+        let [a, b, c] = corners;
+        let edges = [[a, b], [b, c], [c, a]];
+        for row in range(1, self.rows) {
+            for column in range(0, self.columns) {
+                let cell = row * self.columns + column;
+                let centre = self.centre(cell);
+                if edges.iter().filter(|edge| crosses(**edge, centre)).count() == 1 {
+                    each(cell);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

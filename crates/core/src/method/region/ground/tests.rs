@@ -1,0 +1,162 @@
+use nalgebra::{Matrix3, Rotation3};
+
+use super::*;
+use crate::{
+    method::surface::SurfaceKind,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{CameraIndex, Pose, View},
+    },
+};
+
+/// Two photographs from a height of 10, each of 10 by 10 units of the ground, at x = 0 and 5, and
+/// points on level ground.
+fn flight() -> Scene {
+    let down = Rotation3::from_matrix_unchecked(Matrix3::new(
+        1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0,
+    ));
+    let view = |(n, x): (u32, f64)| View {
+        name: format!("{n}.jpg"),
+        image_id: n,
+        file_position: n,
+        camera: CameraIndex(0),
+        cam_from_world: Pose {
+            rotation: down,
+            translation: -(down * Vector3::new(x, 0.0, 10.0)),
+        },
+    };
+    let params = vec![100.0, 100.0, 50.0, 50.0];
+    let point = |i: i32| Point3::new(f64::from(i % 7), f64::from(i / 7) - 3.0, 0.0);
+    Scene {
+        cameras: vec![Camera::new(1, CameraModel::Pinhole, 100, 100, params).unwrap()],
+        views: [(0, 0.0), (1, 5.0)].map(view).into(),
+        points: (0..49).map(point).collect(),
+        ..Scene::default()
+    }
+}
+
+fn rectangle(low: [f64; 2], high: [f64; 2]) -> Footprint<'static> {
+    let corner = |x: usize, y: usize| Point3::new([low, high][x][0], [low, high][y][1], 3.0);
+    Footprint::Hull(
+        [(0, 0), (1, 0), (1, 1), (0, 1)]
+            .map(|(x, y)| corner(x, y))
+            .into(),
+    )
+}
+
+fn photographed<'a>(scene: &'a Scene, without_image: &'a [ViewIndex]) -> Photographed<'a> {
+    Photographed {
+        scene,
+        without_image,
+        gsd: 0.1,
+        surface: None,
+    }
+}
+
+#[test]
+fn photographs_are_counted_all_over_the_region() {
+    let scene = flight();
+    let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
+    let region = rectangle([-5.0, -5.0], [25.0, 5.0]);
+    let ground = Ground::new(&region, &photographed(&scene, &[]), &frame).unwrap();
+    assert!((ground.area() - 300.0).abs() < 6.0, "{}", ground.area());
+    let share = |views: u32| ground.share(|cell| cell.views == views);
+    let expected = [1.0 / 2.0, 1.0 / 3.0, 1.0 / 6.0];
+    for (views, expected) in (0..).zip(expected) {
+        assert!(
+            (share(views) - expected).abs() < 0.02,
+            "{views}: {}",
+            share(views)
+        );
+    }
+    assert_eq!(ground.share(|cell| cell.has_surface), 0.0);
+    let first_only = Ground::new(&region, &photographed(&scene, &[ViewIndex(1)]), &frame).unwrap();
+    assert!((first_only.share(|cell| cell.views == 0) - 2.0 / 3.0).abs() < 0.02);
+}
+
+#[test]
+fn a_place_seen_too_coarsely_is_not_photographed() {
+    let scene = flight();
+    let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
+    let region = rectangle([-5.0, -5.0], [10.0, 5.0]);
+    let wanted = |gsd| {
+        let photographed = Photographed {
+            gsd,
+            ..photographed(&scene, &[])
+        };
+        let ground = Ground::new(&region, &photographed, &frame).unwrap();
+        ground.share(|cell| cell.views == 0)
+    };
+    assert_eq!(wanted(0.1 / COARSEST * 1.01), 0.0);
+    assert_eq!(wanted(0.1 / COARSEST * 0.99), 1.0);
+}
+
+#[test]
+fn the_surface_counts_where_a_view_shows_it() {
+    let scene = flight();
+    let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
+    let corners = [[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]];
+    let surface = Surface {
+        kind: SurfaceKind::Terrain,
+        vertices: corners.map(|[x, y]| Point3::new(x, y, 1.0)).into(),
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+    };
+    let shown = Shown {
+        views: vec![7, 0],
+        ..Shown::default()
+    };
+    let photographed = Photographed {
+        surface: Some((&surface, &shown)),
+        ..photographed(&scene, &[])
+    };
+    let region = rectangle([-5.0, -5.0], [5.0, 5.0]);
+    let ground = Ground::new(&region, &photographed, &frame).unwrap();
+    assert!((ground.share(|cell| cell.has_surface) - 0.5).abs() < 0.02);
+    let below = |cell: &&GroundCell| {
+        let world = ground.plane.at(cell.place);
+        world.x > world.y + 0.2
+    };
+    assert!(
+        ground
+            .cells
+            .iter()
+            .filter(below)
+            .all(|cell| cell.views == 7)
+    );
+}
+
+#[test]
+fn a_plane_follows_the_slope_and_not_the_outliers() {
+    let frame = MapFrame {
+        origin: Point3::new(1.0, 2.0, 3.0),
+        axes: [Vector3::x(), Vector3::y(), Vector3::z()],
+    };
+    let slope = |x: f64, y: f64| Point3::new(x, y, 5.0 + 0.1 * x - 0.3 * y);
+    let mut points: Vec<Point3<f64>> = (0..400)
+        .map(|i| slope(f64::from(i % 20), f64::from(i / 20)))
+        .collect();
+    points.extend((0..20).map(|i| Point3::new(f64::from(i), 3.0, 900.0)));
+    let plane = GroundPlane::new(&frame, &points).unwrap();
+    for [x, y] in [[0.0, 0.0], [15.0, -40.0]] {
+        let expected = slope(x + 1.0, y + 2.0);
+        assert!((plane.at([x, y]) - expected).norm() < 1e-6);
+    }
+    assert!(GroundPlane::new(&frame, &[]).is_none());
+    let one = GroundPlane::new(&frame, &points[..1]).unwrap();
+    assert_eq!(one.at([3.0, 3.0]).z, points[0].z);
+}
+
+#[test]
+fn a_position_is_found_on_the_map_by_what_projects_to_it() {
+    let scene = flight();
+    let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
+    let plane = GroundPlane::new(&frame, &scene.points).unwrap();
+    // As of longitudes, whose meridians converge.
+    let project = |p: &Point3<f64>| [21.0 + 1e-5 * p.x * (1.0 + 1e-4 * p.y), 52.0 + 9e-6 * p.y];
+    for wanted in [[3.0, 2.0], [-80.0, 60.0]] {
+        let found = plane.invert(project(&plane.at(wanted)), project).unwrap();
+        let off = (found[0] - wanted[0]).hypot(found[1] - wanted[1]);
+        assert!(off < 1e-6, "{found:?}");
+    }
+    assert_eq!(plane.invert([f64::NAN, 0.0], project), None);
+}

@@ -1,0 +1,91 @@
+//! Files that are not what their names say: pointers in the place of large files, pages of web
+//! servers, archives, text in another encoding.
+
+use std::path::Path;
+
+use crate::input::{self, FileKind};
+
+/// A file of another kind than its name says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mistaken {
+    /// What it is.
+    pub what: &'static str,
+    /// What to do.
+    pub cure: &'static str,
+}
+
+/// Bytes that tell.
+const START: u64 = 512;
+
+const UNPACK: &str = "unpack it";
+const AS_UTF8: &str = "save it again as UTF-8";
+/// First bytes, what they are, and what to do.
+const KINDS: [(&[u8], &str, &str); 11] = [
+    (
+        b"version https://git-lfs.github.com/spec/",
+        "a Git LFS pointer, not the file itself",
+        "fetch the file: git lfs pull",
+    ),
+    (
+        b"/annex/objects/",
+        "a git-annex pointer, not the file itself",
+        "fetch the file: git annex get",
+    ),
+    (b"\xff\xfe", "text in UTF-16", AS_UTF8),
+    (b"\xfe\xff", "text in UTF-16", AS_UTF8),
+    (b"PK\x03\x04", "a ZIP archive", UNPACK),
+    (b"\x1f\x8b\x08", "a gzip archive", UNPACK),
+    (b"BZh", "a bzip2 archive", UNPACK),
+    (b"\xfd7zXZ\0", "an xz archive", UNPACK),
+    (b"\x28\xb5\x2f\xfd", "a Zstandard archive", UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", UNPACK),
+    (b"Rar!\x1a\x07", "a RAR archive", UNPACK),
+];
+/// First bytes of a web page, in lower case.
+const PAGES: [&[u8]; 2] = [b"<!doctype html", b"<html"];
+
+/// What a file is, by its first bytes, if its reader does not know them. Numbers of a binary model
+/// may look like any of these, so only a file that could not be read is judged by them.
+pub fn by_start(start: &[u8]) -> Option<Mistaken> {
+    let text = start.trim_ascii_start();
+    if PAGES.iter().any(|page| {
+        text.get(..page.len())
+            .is_some_and(|head| head.eq_ignore_ascii_case(page))
+    }) {
+        return Some(Mistaken {
+            what: "a web page, not the file itself",
+            cure: "download the file again, from the address of the file itself",
+        });
+    }
+    let known = KINDS.iter().find(|(head, ..)| start.starts_with(head));
+    known.map(|&(_, what, cure)| Mistaken { what, cure })
+}
+
+/// What the file at this path is; `None` if that cannot be said.
+pub fn of_file(path: &Path) -> Option<Mistaken> {
+    by_start(&input::read_start(path, FileKind::Sparse, START).ok()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_named_for_what_they_are() {
+        let what = |bytes: &[u8]| by_start(bytes).map(|mistaken| mistaken.what);
+        let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
+        assert!(what(pointer).unwrap().contains("Git LFS"));
+        assert!(what(b"\n<!DOCTYPE HTML><p>").unwrap().contains("web page"));
+        assert!(what(b"\xff\xfe#\0 \0").unwrap().contains("UTF-16"));
+        assert!(what(b"PK\x03\x04\x14\0").unwrap().contains("ZIP"));
+        for known in [
+            &b"\xff\xd8\xff\xe0"[..],
+            b"\x89PNG",
+            b"NVM_V3",
+            b"# Camera list",
+            b"<",
+        ] {
+            assert_eq!(what(known), None);
+        }
+    }
+}

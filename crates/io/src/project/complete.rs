@@ -1,0 +1,96 @@
+//! Completes models of which programs wrote a part: points of a PLY file beside the cameras,
+//! observations by projection.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point3;
+use viewrank_core::model::scene::{ModelWarning, WarningKind};
+
+use super::{ModelFormat, ModelLocation, ProjectError, files, foreign::file_names};
+use crate::{
+    formats::{Fault, Place, Problem, cloud, colmap::ColmapModel},
+    ply,
+};
+
+/// Completes a model; `cloud`: the PLY file of its points, if it has none of its own.
+pub(super) fn completed<'a>(
+    mut model: ColmapModel<'a>,
+    location: &ModelLocation,
+    cloud: Option<PathBuf>,
+) -> Result<ColmapModel<'a>, ProjectError> {
+    if model.images.is_empty() {
+        return Ok(model);
+    }
+    if !model.points.is_empty() {
+        cloud::complete(&mut model);
+        return Ok(model);
+    }
+    let (path, points) = match cloud {
+        Some(path) => (Some(path.clone()), vertices(&path)?),
+        None => (None, Vec::new()),
+    };
+    match path.filter(|_| !points.is_empty()) {
+        None => model.warnings.push(no_points(location)),
+        Some(path) if cloud::views_per_point(&model, &points) == 0.0 => {
+            return Err(other_coordinates(path));
+        }
+        Some(_) => cloud::add_cloud(&mut model, &points),
+    }
+    Ok(model)
+}
+
+/// The first PLY file in the folder of a model.
+pub(super) fn cloud_beside(location: &ModelLocation) -> Option<PathBuf> {
+    let folder = match location.format.is_colmap() {
+        true => &*location.path,
+        false => location.path.parent()?,
+    };
+    file_names(folder)
+        .iter()
+        .find(|name| name.to_ascii_lowercase().ends_with(".ply"))
+        .map(|name| folder.join(name))
+}
+
+/// The vertices of a PLY file.
+pub(super) fn vertices(path: &Path) -> Result<Vec<Point3<f64>>, ProjectError> {
+    let cloud = ply::read(&files::read(path)?).map_err(|error| ProjectError::Fault {
+        fault: Fault::new("", Place::File, Problem::Json(error.to_string())),
+        path: path.into(),
+    })?;
+    Ok(cloud.vertices)
+}
+
+fn other_coordinates(path: PathBuf) -> ProjectError {
+    let what =
+        "no point projects into any image: points and cameras are in different coordinates".into();
+    let hint = "export both in the same coordinate system, such as Metashape's Local Coordinates";
+    let problem = Problem::Unsupported { what, hint };
+    ProjectError::Fault {
+        path,
+        fault: Fault::new("", Place::File, problem),
+    }
+}
+
+/// Says how the program that wrote a model without points gives them.
+fn no_points(location: &ModelLocation) -> ModelWarning {
+    let cure = match location.format {
+        ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
+            "triangulate them (colmap point_triangulator), or copy a PLY cloud in the coordinates of the cameras into the folder of the model"
+        }
+        ModelFormat::AliceVision => {
+            "cameras.sfm of Meshroom's StructureFromMotion has poses only: convert the sfm.abc beside it (aliceVision_convertSfMFormat --input sfm.abc \
+             --output sfm.sfm, or a node ConvertSfMFormat)"
+        }
+        ModelFormat::OpenMvg => {
+            "convert the model with its structure: openMVG_main_ConvertSfM_DataFormat -V -I -E -S"
+        }
+        ModelFormat::Sure => {
+            "copy a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; if only the height of the ground is known, \
+             make a ground.ply with integrations/sure/ground.py"
+        }
+        _ => {
+            "export the tie points or a cloud as PLY, in the coordinates of the cameras, into the folder of the model"
+        }
+    };
+    ModelWarning::new(WarningKind::NoPoints, "the model has no points").with_cure(cure)
+}

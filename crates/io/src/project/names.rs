@@ -1,0 +1,218 @@
+//! Finds the files that a model names, as another system may have spelled them: with separators of
+//! Windows, in other case, in another Unicode form, with another extension of images.
+
+use std::{
+    cell::{Cell, RefCell},
+    collections::HashMap,
+    path::{Path, PathBuf},
+    rc::Rc,
+};
+
+use unicode_normalization::UnicodeNormalization;
+
+use super::image_files::is_image;
+use crate::formats::{SEPARATORS, name_parts};
+
+/// Most entries of folders that are listed for names: a stranger's model may name any folder.
+const MOST_ENTRIES: usize = 1_000_000;
+
+/// Looks up names in folders, and keeps their listings.
+pub(super) struct Names {
+    listings: RefCell<HashMap<PathBuf, Rc<Listing>>>,
+    left: Cell<usize>,
+}
+
+/// The folders and images in a folder, by folded names.
+#[derive(Default)]
+struct Listing {
+    folders: HashMap<String, Vec<String>>,
+    /// By name without extension.
+    images: HashMap<String, Vec<String>>,
+}
+
+impl Names {
+    pub fn new() -> Self {
+        Self {
+            listings: RefCell::default(),
+            left: Cell::new(MOST_ENTRIES),
+        }
+    }
+
+    /// Path relative to `folder` of the file that is meant by a name: the file of this very name,
+    /// else the only one that fits.
+    pub fn locate(&self, folder: &Path, name: &str) -> Option<String> {
+        let parts = name_parts(name)?;
+        if folder.join(name).is_file() {
+            return Some(name.to_owned());
+        }
+        let (file, folders) = parts.split_last()?;
+        let (mut at, mut path) = (folder.to_path_buf(), String::new());
+        for part in folders {
+            let there = match *part {
+                ".." => Some((*part).to_owned()),
+                part => self.folder_in(&at, part),
+            }?;
+            at.push(&there);
+            path += &there;
+            path.push('/');
+        }
+        let file = match at.join(file).is_file() {
+            true => (*file).to_owned(),
+            false => self.listing(&at).only_image(file)?,
+        };
+        Some(path + &file)
+    }
+
+    /// Name of the folder in `parent` that is meant by a name: this very one, else the only one
+    /// that differs in case or Unicode form, else the largest of reduced copies (`images_2`).
+    pub fn folder_in(&self, parent: &Path, name: &str) -> Option<String> {
+        if parent.join(name).is_dir() {
+            return Some(name.to_owned());
+        }
+        let listing = self.listing(parent);
+        match listing.folders.get(&folded(name)).map(Vec::as_slice) {
+            Some([only]) => Some(only.clone()),
+            Some(_) => None,
+            None => self.reduced_in(parent, name).into_iter().next(),
+        }
+    }
+
+    /// Names of the folders in `parent` with reduced copies of the images of a folder (`images_2`,
+    /// `images_4`), the largest first.
+    pub fn reduced_in(&self, parent: &Path, name: &str) -> Vec<String> {
+        let listing = self.listing(parent);
+        let own = folded(name);
+        let factor = |other: &String| {
+            let factor = other.strip_prefix(&own)?.strip_prefix('_')?;
+            factor.parse::<u32>().ok()
+        };
+        let mut reduced: Vec<(u32, &String)> = listing
+            .folders
+            .iter()
+            .filter_map(|(folded, names)| Some((factor(folded)?, names.first()?)))
+            .collect();
+        reduced.sort_unstable();
+        reduced.into_iter().map(|(_, name)| name.clone()).collect()
+    }
+
+    fn listing(&self, folder: &Path) -> Rc<Listing> {
+        if let Some(known) = self.listings.borrow().get(folder) {
+            return known.clone();
+        }
+        let mut listing = Listing::default();
+        let entries = std::fs::read_dir(folder).into_iter().flatten();
+        for entry in entries.filter_map(Result::ok).take(self.left.get()) {
+            self.left.set(self.left.get() - 1);
+            let Ok(name) = entry.file_name().into_string() else {
+                continue;
+            };
+            let path = entry.path();
+            let (of, key) = match path.is_dir() {
+                true => (&mut listing.folders, folded(&name)),
+                false if is_image(&path) => (&mut listing.images, folded(stem(&name))),
+                false => continue,
+            };
+            of.entry(key).or_default().push(name);
+        }
+        listing.images.values_mut().for_each(|names| names.sort());
+        let listing = Rc::new(listing);
+        self.listings
+            .borrow_mut()
+            .insert(folder.to_path_buf(), listing.clone());
+        listing
+    }
+}
+
+impl Listing {
+    /// The only image that fits a name, which may lack an extension or have that of another format;
+    /// of several, the only one with the extension of the name.
+    fn only_image(&self, name: &str) -> Option<String> {
+        let fitting = [name, stem(name)]
+            .into_iter()
+            .find_map(|stem| self.images.get(&folded(stem)))?;
+        let same = folded(name);
+        match &fitting[..] {
+            [only] => Some(only.clone()),
+            several => {
+                let mut same = several.iter().filter(|file| folded(file) == same);
+                same.next().filter(|_| same.next().is_none()).cloned()
+            }
+        }
+    }
+}
+
+/// The last part of a name.
+pub(super) fn last(name: &str) -> &str {
+    name.rsplit(SEPARATORS).next().unwrap_or(name)
+}
+
+/// A file name without its extension.
+pub(super) fn stem(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// A name in lower case and one Unicode form: macOS decomposes characters, others compose them.
+pub(super) fn folded(name: &str) -> String {
+    name.nfc().flat_map(char::to_lowercase).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn located(files: &[&str], name: &str) -> Option<String> {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path().join("project");
+        for file in files {
+            let path = at.join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "image").unwrap();
+        }
+        Names::new().locate(&at, name)
+    }
+
+    fn assert_located(files: &[&str], name: &str, file: &str) {
+        assert_eq!(located(files, name).as_deref(), Some(file), "{name}");
+    }
+
+    #[test]
+    fn a_name_finds_the_only_file_that_fits() {
+        assert_located(&["cam1/a.jpg", "cam2/a.jpg"], "cam2/a.jpg", "cam2/a.jpg");
+        assert_located(&["Cam1/A.JPG", "cam2/a.jpg"], r"cam1\a.jpg", "Cam1/A.JPG");
+        assert_located(&["cam1/a.png"], "./cam0/../cam1/a.jpg", "cam1/a.png");
+        assert_located(&["a.v2.jpg", "a.png"], "a.v2", "a.v2.jpg");
+        assert_located(&["a.jpg", "a.png"], "A.png", "a.png");
+        assert_located(
+            &["../other/a.jpg", "b.jpg"],
+            "../other/A.jpg",
+            "../other/a.jpg",
+        );
+        assert_located(
+            &["images_8/a.jpg", "images_2/a.png"],
+            "images/a.jpg",
+            "images_2/a.png",
+        );
+        // e and an acute accent, as macOS writes them, for one character.
+        assert_located(
+            &["e\u{301}t\u{e9}/e\u{301}.jpg"],
+            "\u{e9}te\u{301}/\u{c9}.JPG",
+            "e\u{301}t\u{e9}/e\u{301}.jpg",
+        );
+    }
+
+    #[test]
+    fn a_name_that_fits_several_files_or_leads_away_finds_none() {
+        assert_eq!(located(&["a.png", "a.tif"], "a.jpg"), None);
+        assert_eq!(located(&["A.jpg", "a.JPG"], "a.Jpg"), None);
+        assert_eq!(located(&["._a.jpg", ".a.jpg"], "a.jpg"), None);
+        assert_eq!(located(&["b.jpg"], "a.jpg"), None);
+        let outside = ["../../../etc/a.jpg", r"..\..\a.jpg", "b/../../../a.jpg"];
+        for name in outside {
+            assert_eq!(
+                located(&["../../etc/a.jpg", "../../a.jpg"], name),
+                None,
+                "{name}"
+            );
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! The area of a region on the map, in numbers and in words.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::RegionFileError;
+use crate::{
+    config::Settings,
+    method::region::{Ground, Photographed},
+    model::{
+        georeference::{Georeference, MapFrame},
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// What the photographs show of the area of a region on the map (method 5.7).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct GroundSummary {
+    /// Square scene units.
+    pub area: f64,
+    /// Share with a surface that some photograph shows, 0 to 1; null where no surface was built.
+    pub surface: Option<f64>,
+    /// Share that no photograph shows, 0 to 1.
+    pub unseen: f64,
+    /// Share that a single photograph shows, 0 to 1.
+    pub seen_once: f64,
+}
+
+impl GroundSummary {
+    /// `has_surface`: a surface was laid over the region.
+    pub fn new(ground: &Ground, has_surface: bool) -> Self {
+        Self {
+            area: ground.area(),
+            surface: has_surface.then(|| ground.share(|cell| cell.has_surface)),
+            unseen: ground.share(|cell| cell.views == 0),
+            seen_once: ground.share(|cell| cell.views == 1),
+        }
+    }
+
+    /// Says how large the region is and how much of it has surface. `what`: the region, as the
+    /// subject; `metres`: in a scene unit, if known.
+    pub fn covered(&self, what: &str, metres: Option<f64>) -> String {
+        let area = square(self.area, metres);
+        match self.surface {
+            Some(share) => format!(
+                "{what} covers {area} on the map; {} has surface.",
+                percent(share)
+            ),
+            None => format!("{what} covers {area} on the map."),
+        }
+    }
+
+    /// Says how much of the region the photographs miss. `of`: the region, as the object.
+    pub fn missed(&self, of: &str) -> String {
+        match (self.unseen, self.seen_once) {
+            (0.0, 0.0) => format!("Two photographs or more show all of {of}."),
+            (unseen, once) => format!(
+                "No photograph shows {} of {of}, and only one shows {}.",
+                percent(unseen),
+                percent(once)
+            ),
+        }
+    }
+
+    /// Returns whether a part of the region was missed that is worth a warning.
+    pub fn is_incomplete(&self) -> bool {
+        self.unseen + self.seen_once > MISSED
+    }
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+/// Share of a region that no photograph, or a single one, shows, from which on it is a finding: its
+/// rim is always seen less.
+const MISSED: f64 = 0.01;
+
+/// Formats an area of square scene units, in hectares where it is large.
+fn square(area: f64, metres: Option<f64>) -> String {
+    match metres.map(|metres| area * metres * metres) {
+        Some(area) if area >= 100_000.0 => format!("{:.1} ha", area / 10_000.0),
+        Some(area) => format!("{} m²", significant(area)),
+        None => format!("{} square units", significant(area)),
+    }
+}
+
+/// Formats a number with three significant digits.
+fn significant(number: f64) -> String {
+    let places = (2.0 - number.log10().floor()).clamp(0.0, 9.0);
+    format!(
+        "{number:.0$}",
+        if places.is_nan() { 0 } else { places as usize }
+    )
+}
+
+/// Counts the photographs of the region of the settings, without a surface; `None` without a
+/// region.
+pub fn photographed_ground(
+    scene: &Scene,
+    place: &Georeference,
+    settings: &Settings,
+    without_image: &[ViewIndex],
+) -> Result<Option<GroundSummary>, RegionFileError> {
+    let (Some(choice), Some(gsd)) = (
+        &settings.region,
+        settings.target.gsd.or_else(|| scene.median_gsd()),
+    ) else {
+        return Ok(None);
+    };
+    let frame = MapFrame::new(scene, settings.surface.up);
+    let region = super::read(choice, place, &frame)?;
+    let photographed = Photographed {
+        scene,
+        without_image,
+        gsd,
+        surface: None,
+    };
+    let ground = region
+        .footprint(&frame)
+        .and_then(|area| Ground::new(&area, &photographed, &frame));
+    Ok(ground.map(|ground| GroundSummary::new(&ground, false)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_missed_part_of_the_area_is_said_in_metres_where_they_are_known() {
+        let ground = GroundSummary {
+            area: 384.0,
+            surface: Some(0.179),
+            unseen: 0.812,
+            seen_once: 0.004,
+        };
+        let covered = |metres| ground.covered("It", metres);
+        assert_eq!(
+            covered(Some(0.5)),
+            "It covers 96.0 m² on the map; 17.9 % has surface."
+        );
+        assert!(covered(None).contains("384 square units"));
+        assert!(covered(Some(100.0)).contains("384.0 ha"));
+        assert_eq!(
+            ground.missed("it"),
+            "No photograph shows 81.2 % of it, and only one shows 0.4 %."
+        );
+        let unbuilt = GroundSummary {
+            surface: None,
+            ..ground
+        };
+        assert_eq!(
+            unbuilt.covered("The region", Some(0.5)),
+            "The region covers 96.0 m² on the map."
+        );
+        assert!(ground.is_incomplete());
+        let whole = GroundSummary {
+            unseen: 0.0,
+            seen_once: 0.0,
+            ..ground
+        };
+        assert!(!whole.is_incomplete() && whole.missed("it").contains("all of it"));
+    }
+}

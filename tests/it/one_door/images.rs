@@ -1,0 +1,163 @@
+//! Images are found by whatever their names mean.
+
+use super::*;
+
+/// The files of the first views, relative to the image folder.
+fn files(folder: &Folder) -> Vec<Option<String>> {
+    let project = folder.open();
+    let scene = project.read_scene().unwrap();
+    let images = project.images.clone().unwrap();
+    let found = |view: &viewrank_core::model::scene::View| {
+        let file = images.file(&view.name);
+        let path = file.strip_prefix(folder.path()).unwrap();
+        file.is_file()
+            .then(|| path.to_str().unwrap().replace('\\', "/"))
+    };
+    scene.views.iter().map(found).collect()
+}
+
+fn assert_found(folder: &Folder, file: impl Fn(usize) -> String) {
+    let mut expected: Vec<_> = (0..9).map(|n| Some(file(n))).collect();
+    let mut found = files(folder);
+    found.sort();
+    expected.sort();
+    assert_eq!(found, expected);
+}
+
+fn renamed(name: impl Fn(usize) -> String) -> ColmapModel<'static> {
+    let mut scene = scene();
+    for (n, view) in scene.views.iter_mut().enumerate() {
+        view.name = name(n);
+    }
+    ColmapModel::from_scene(&scene)
+}
+
+#[test]
+fn another_extension_or_case_is_found_in_folders_too() {
+    let folder = Folder::new();
+    let of = |n: usize| format!("Seq{}/{n}.JPG", n % 2);
+    folder
+        .colmap("sparse/0", &renamed(of))
+        .pictures(&scene(), |name| {
+            format!("seq{0}/{1}.png", number(name) % 2, number(name))
+        });
+    assert_found(&folder, |n| format!("seq{}/{n}.png", n % 2));
+}
+
+fn number(name: &str) -> usize {
+    name.strip_prefix("view_")
+        .unwrap()
+        .strip_suffix(".png")
+        .unwrap()
+        .parse()
+        .unwrap()
+}
+
+#[test]
+fn separators_of_windows_are_separators_where_files_say_so() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &renamed(|n| format!("east\\view_{n}.png")))
+        .pictures(&scene(), |name| format!("images/east/{name}"));
+    assert_found(&folder, |n| format!("images/east/view_{n}.png"));
+    // A file that has a backslash in its name is meant by that.
+    #[cfg(unix)]
+    {
+        let literal = Folder::new();
+        literal
+            .colmap("sparse/0", &renamed(|n| format!("east\\view_{n}.png")))
+            .pictures(&scene(), |name| format!("images/east\\{name}"));
+        assert_eq!(names(&literal.read())[0], "east\\view_0.png");
+        assert_eq!(names(&folder.read())[0], "east/view_0.png");
+    }
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
+fn other_unicode_forms_are_the_same_name() {
+    let folder = Folder::new();
+    // As a model made on Linux and images copied from macOS.
+    folder
+        .colmap("sparse/0", &renamed(|n| format!("\u{e9}t\u{e9}_{n}.png")))
+        .pictures(&scene(), |name| {
+            format!("images/e\u{301}te\u{301}_{}.png", number(name))
+        });
+    assert_found(&folder, |n| format!("images/e\u{301}te\u{301}_{n}.png"));
+}
+
+#[test]
+fn reduced_copies_are_taken_where_there_is_nothing_else() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    for factor in [8, 2] {
+        folder.pictures(&scene(), |name| format!("images_{factor}/{name}"));
+    }
+    assert_found(&folder, |n| format!("images_2/view_{n}.png"));
+    folder.pictures(&scene(), |name| format!("photos/{name}"));
+    assert_found(&folder, |n| format!("photos/view_{n}.png"));
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    assert_found(&folder, |n| format!("images/view_{n}.png"));
+}
+
+#[test]
+fn files_that_macos_hides_are_no_images_and_no_models() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"))
+        .pictures(&scene(), |name| format!("images/._{name}"))
+        .write("._scene.nvm", "Mac OS X")
+        .write("sparse/0/._points.ply", "Mac OS X");
+    let scene = folder.read();
+    assert_eq!((scene.unregistered.len(), scene.warnings.len()), (0, 0));
+}
+
+#[test]
+fn a_name_leads_to_the_parent_of_its_folder_and_no_further() {
+    let frames: Vec<String> = (0..9)
+        .map(|n| {
+            format!(
+                r#"{{"file_path":"../photos/view_{n}.png","transform_matrix":[[1,0,0,{n}],[0,1,0,0],[0,0,1,9]]}}"#
+            )
+        })
+        .collect();
+    let json = |up: &str| {
+        let frames = frames.join(",").replace("../", up);
+        format!(r#"{{"w":100,"h":75,"fl_x":85,"frames":[{frames}]}}"#)
+    };
+    let folder = Folder::new();
+    folder
+        .pictures(&scene(), |name| format!("photos/{name}"))
+        .write("nerf/transforms.json", json("../"));
+    let project = Project::open(&folder.at("nerf"), None).unwrap();
+    assert_eq!(names(&project.read_scene().unwrap())[8], "view_8.png");
+    assert!(project.images.unwrap().file("view_8.png").is_file());
+    folder.write("nerf/transforms.json", json("../../"));
+    let error = Project::open(&folder.at("nerf"), None)
+        .unwrap()
+        .read_scene()
+        .unwrap_err();
+    assert!(error.to_string().contains("outside"), "{error}");
+}
+
+#[test]
+fn masks_are_named_as_by_colmap() {
+    use viewrank_core::model::scene::ViewIndex;
+    use viewrank_io::pictures::Pictures;
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &renamed(|n| format!("view_{n}.jpg")))
+        .pictures(&scene(), |name| {
+            format!("images/{}", name.replace(".png", ".JPG"))
+        })
+        .write("masks/view_0.jpg.png", "")
+        .write("masks/view_1.png", "")
+        .write("masks/view_2.JPG.png", "");
+    let project = folder.open();
+    let scene = project.read_scene().unwrap();
+    let pictures = Pictures::new(&project);
+    let has_mask = |view: u32| pictures.check_mask(&scene, ViewIndex(view)).is_some();
+    assert_eq!([0, 1, 2, 3].map(has_mask), [true, true, true, false]);
+    assert_eq!(pictures.stray_masks(&scene), Vec::<PathBuf>::new());
+}
