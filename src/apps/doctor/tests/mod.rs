@@ -596,7 +596,7 @@ fn images_that_cannot_be_read() {
     let views = &found(&findings, "unreadable-images").views;
     let expected = [
         ("n04.jpg", "empty"),
-        ("n05.jpg", "not an image"),
+        ("n05.jpg", "a web page, not the file itself"),
         ("n06.jpg", "truncated"),
         ("n07.jpg", "truncated"),
     ];
