@@ -70,6 +70,17 @@ pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
         .collect())
 }
 
+/// Reads the names of the images in `images.bin`, by ascending id: the order of COLMAP's own
+/// indices.
+pub fn names_by_id(images: &[u8]) -> Result<Vec<String>, Fault> {
+    let mut images = records("images", images, "image", 73, image, &mut Vec::new())?;
+    images.sort_by_key(|image| image.id);
+    Ok(images
+        .into_iter()
+        .map(|image| image.name.into_owned())
+        .collect())
+}
+
 /// Reads a whole file: the count, and that number of records of at least `smallest` bytes each.
 fn records<'a, T>(
     file: &'static str,

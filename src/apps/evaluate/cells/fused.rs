@@ -1,6 +1,6 @@
 //! Fused clouds whose files name the maps of each point: OpenMVS's PLY with `view_indices`, whose
 //! images are those of the `.mvs` beside it, and COLMAP's PLY with the `.vis` beside it, whose
-//! images are those of the workspace by ascending id.
+//! images are those of its workspace by ascending id. That of an export has a part of the images.
 
 use std::{
     collections::HashMap,
@@ -19,12 +19,15 @@ use crate::{
     },
     io::{
         depthmaps::DepthMapSet,
-        formats::openmvs::Mvs,
+        formats::{colmap_bin, openmvs::Mvs},
         ply::{self, PlyError},
     },
     model::scene::{Scene, ViewIndex},
 };
 
+/// Folders above a cloud of which one may be the workspace: an export has
+/// `stereo/viewrank/fused.ply`.
+const LEVELS_TO_WORKSPACE: usize = 3;
 /// Points that are handed on together.
 const AT_ONCE: usize = 1 << 16;
 
@@ -107,7 +110,7 @@ fn usual_places(maps: &DepthMapSet) -> Vec<PathBuf> {
     let workspace = folder.parent().and_then(Path::parent);
     let mut places = vec![folder.join("fused.ply"), folder.join("scene_dense.ply")];
     if let Some(workspace) = workspace {
-        let export = ["viewrank/colmap/fused.ply", "fused.ply"];
+        let export = ["stereo/viewrank/fused.ply", "fused.ply"];
         places.extend(export.map(|name| workspace.join(name)));
     }
     places
@@ -141,9 +144,14 @@ impl FusedCloud {
         let map = |view: Option<ViewIndex>| view.and_then(|view| of_view.get(&view).copied());
         let (mvs, vis) = (path.with_extension("mvs"), beside(path));
         let (views, map_of) = if vis.is_file() {
-            let mut by_id: Vec<ViewIndex> = scene.view_indices().collect();
-            by_id.sort_by_key(|&view| scene.view(view).image_id);
-            let map_of = by_id.iter().map(|&view| map(Some(view))).collect();
+            let map_of = match workspace_images(path)? {
+                Some(names) => names.iter().map(|name| map(scene.find(name))).collect(),
+                None => {
+                    let mut by_id: Vec<ViewIndex> = scene.view_indices().collect();
+                    by_id.sort_by_key(|&view| scene.view(view).image_id);
+                    by_id.iter().map(|&view| map(Some(view))).collect()
+                }
+            };
             (PointViews::Beside(read(&vis)?), map_of)
         } else if mvs.is_file() {
             let views = |what: String| FusedCloudError::Views {
@@ -230,6 +238,28 @@ impl FusedCloud {
             what: "the number of lists of images is not that of the points of the cloud".into(),
         }
     }
+}
+
+/// Returns the names of the images of COLMAP's workspace with this cloud, by ascending id; `None`
+/// for a cloud in none.
+fn workspace_images(cloud: &Path) -> Result<Option<Vec<String>>, FusedCloudError> {
+    let above = cloud.ancestors().skip(1).take(LEVELS_TO_WORKSPACE);
+    let models = above.map(|folder| folder.join("sparse/images.bin"));
+    let Some(path) = models.into_iter().find(|model| model.is_file()) else {
+        return Ok(None);
+    };
+    let bytes = input::open(&path)
+        .and_then(|file| input::read_large(&file, FileKind::Sparse))
+        .map_err(|source| FusedCloudError::Io {
+            path: path.clone(),
+            source,
+        })?;
+    colmap_bin::names_by_id(&bytes)
+        .map(Some)
+        .map_err(|fault| FusedCloudError::Views {
+            path,
+            what: fault.to_string(),
+        })
 }
 
 /// Path of COLMAP's `.vis` of a cloud.
