@@ -45,6 +45,7 @@ NO_POSE = 0xFFFFFFFF  # DensifyPointCloud passes over such images and does not l
 # Kinds of .dmap by their first letters: bytes of the head, and bytes per pixel of the planes of depths, normals, confidences and views. OpenMVS v2.0 to v2.4.0 writes DR, in
 # floats; develop of 2026 D2, with depths as halves and confidences as bytes. It reads only maps of the kind that it writes.
 KINDS = {b"DR": (28, (4, 12, 4, 4)), b"D2": (32, (2, 4, 1, 4))}
+KINDS_NOTED = HERE / "kinds.json"
 UNFINISHED = HERE / "unfinished"  # viewrank looks for no depth maps in a folder of this name
 
 # Options of DensifyPointCloud v2.3.0 and develop of 2026. Those of the cloud are read behind ComputeDepthMaps in Scene::DenseReconstruction (SceneDensify.cpp) and where main() writes or
@@ -65,6 +66,7 @@ def main():
     report = Report(program.options)
     if args.rank is not None:
         sys.exit(one(run["clusters"], args.rank, program, report))
+    program.refuse_other_kinds()
     clusters_until = stop_rule(args)
     for row in run["clusters"]:
         report.settle(row)
@@ -126,6 +128,7 @@ def one(clusters, rank, program, report):
     if row is None:
         sys.exit(f"error: --rank {rank}: the clusters have the ranks 1 to {len(clusters)}")
     report.single = True
+    program.refuse_other_kinds(map_of(row))
     compute(row, program, report)
     return 1 if report.rows[row["key"]]["problems"] else 0
 
@@ -221,6 +224,27 @@ class Densify:
         shaping = {name: self.users[name] for name in sorted(self.users) if name not in OF_THE_CLOUD | OF_THE_MACHINE}
         self.of_full_size = {**wanted, **shaping}
         self.options = in_words(self.of_full_size)
+        found = os.stat(self.program)
+        self.identity = f"{os.path.realpath(self.program)} {found.st_size} {found.st_mtime_ns}"
+        self.kinds = {}  # of the maps of each program that made one here
+        with contextlib.suppress(OSError, ValueError):
+            self.kinds = {str(name): kind for name, kind in json.loads(KINDS_NOTED.read_text(encoding="utf-8")).items()}
+
+    def note_kind(self, kind):
+        if self.kinds.get(self.identity) != kind:
+            self.kinds[self.identity] = kind
+            write_whole(KINDS_NOTED, self.kinds)
+
+    def refuse_other_kinds(self, but=None):
+        """Ends where a map is of another kind than those of this program, as far as that is known: it could not fuse it. `but`: a map that is to be replaced."""
+        own = self.kinds.get(self.identity)
+        for path in sorted(HERE.glob("depth*.dmap")):
+            other = kind_of(path) if own and path != but and re.fullmatch(r"depth\d+\.dmap", path.name) else own
+            if other != own:
+                sys.exit(
+                    f"error: {self.program} writes maps of kind {own} and reads no others, but {path.name} is of kind {ascii(other)[1:-1]}\n"
+                    f"hint: name the version that made it with --densify, or move the depth*.dmap away to compute all of them again"
+                )
 
     def options_of(self, row):
         """What shapes the map of a row, in words: the options of all with its own resolution."""
@@ -296,7 +320,8 @@ def compute(row, program, report):
             sys.exit(f"error: {made.name}: {error}\nhint: use a newer viewrank, or OpenMVS v2.0 to v2.4.0")
         result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **found}
         if not result["problems"]:
-            report.refuse_other_kinds(row, result["kind"])
+            program.note_kind(result["kind"])
+            program.refuse_other_kinds(map_of(row))
             write_whole(folder / "row.json", result)
             report.settle(row)
             return
@@ -474,7 +499,6 @@ class Report:
         self.options = options
         self.fusion = None
         self.single = False
-        self.kind = None  # that the program writes
 
     def has(self, row, digest):
         """Was it tried, with this scene and these options? The row of the map that is there counts where the last try was another."""
@@ -486,17 +510,6 @@ class Report:
     def is_good(self, row, digest):
         """Is its map there, whole and as planned?"""
         return self.has(row, digest) and not self.rows[row["key"]]["problems"] and is_whole(map_of(row))
-
-    def refuse_other_kinds(self, row, kind):
-        """Ends where the first map of this run is of another kind than those that are there: the program could not fuse these."""
-        others = {} if self.kind else {kind_of(path): path for path in HERE.glob("depth*.dmap") if re.fullmatch(r"depth\d+\.dmap", path.name) and path != map_of(row)}
-        self.kind = kind
-        for other, path in others.items():
-            if other != kind:
-                sys.exit(
-                    f"error: this DensifyPointCloud writes maps of kind {kind} and reads no others, but {path.name} is of kind {ascii(other)[1:-1]}\n"
-                    f"hint: name the version that made it with --densify, or move the depth*.dmap away to compute all of them again"
-                )
 
     def settle(self, row):
         """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between."""

@@ -741,10 +741,10 @@ fn failure(outcome: Outcome, stop: &AtomicBool, go_on: String) -> Failure {
 
 /// Returns the last line of a task's output that the task's script did not print itself.
 fn last_line(text: &str) -> &str {
-    let line = text
-        .lines()
-        .rfind(|line| !line.starts_with("rank "))
-        .map_or("it failed without a word", str::trim);
+    let mut lines = text.lines();
+    let error = lines.clone().rfind(|line| line.starts_with("error: "));
+    let line = error.or_else(|| lines.rfind(|line| !line.starts_with("rank ")));
+    let line = line.map_or("it failed without a word", str::trim);
     line.strip_prefix("error: ").unwrap_or(line)
 }
 

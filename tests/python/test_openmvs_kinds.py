@@ -50,17 +50,27 @@ def test_maps_of_two_kinds_are_not_mixed(folder, words):
     assert done.returncode == 1 and scenes(calls) == ["clusters/1.mvs"]
     assert "writes maps of kind D2" in done.stderr and "depth0010.dmap is of kind DR" in done.stderr
     assert maps(folder) == before
+    for again in (words, ["--stop-at", "0"]):
+        done, calls, _ = run(folder, *again)
+        assert done.returncode == 1 and "writes maps of kind D2" in done.stderr and not calls, "no other is computed for nothing"
+    (folder / "kinds.json").unlink()
     make(folder, **of_kind("DR"))
     assert run(folder)[0].returncode == 0
-    mixed = folder / "depth0012.dmap"
+
+
+def test_maps_of_two_kinds_are_not_fused(folder):
     make(folder, **of_kind("D2"))
-    (folder / "keep").mkdir()
+    run(folder)
+    path = folder / "depth0012.dmap"
+    path.unlink()
+    make(folder, **of_kind("DR"))
     for name in ("depth0010.dmap", "depth0011.dmap"):
-        (folder / name).rename(folder / "keep" / name)
-    mixed.unlink()
-    assert run(folder, "--rank", "3")[0].returncode == 0 and mixed.read_bytes()[:2] == b"D2"
+        (folder / name).rename(folder / f"away-{name}")
+    (folder / "kinds.json").unlink()
+    assert run(folder, "--rank", "3")[0].returncode == 0 and path.read_bytes()[:2] == b"DR"
     for name in ("depth0010.dmap", "depth0011.dmap"):
-        (folder / "keep" / name).rename(folder / name)
+        (folder / f"away-{name}").rename(folder / name)
+    (folder / "kinds.json").unlink()
     done, calls, _ = run(folder, "--stop-at", "0")
     assert done.returncode == 1 and not calls and "maps of the kinds D2 and DR" in done.stdout
 
