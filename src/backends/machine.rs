@@ -1,7 +1,7 @@
 //! Default backend: the one that the project is set up for, else an installed one.
 
 use std::{
-    env,
+    env, fmt,
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
@@ -60,7 +60,7 @@ pub fn by_default(project: &Project) -> (&'static Backend, Why) {
     if let Some(program) = densify() {
         return (&openmvs::BACKEND, Why::Installed(program));
     }
-    match colmap_with_cuda() {
+    match colmap_with_gpu() {
         Some(program) => (&colmap::BACKEND, Why::Installed(program)),
         None => (&sgm::BACKEND, Why::NothingElse),
     }
@@ -70,10 +70,47 @@ fn densify() -> Option<PathBuf> {
     installed("DENSIFY", "DensifyPointCloud")
 }
 
-/// Returns COLMAP if it can match: its dense stereo needs CUDA.
-fn colmap_with_cuda() -> Option<PathBuf> {
-    installed("COLMAP", "colmap")
-        .filter(|program| help(program).is_some_and(|help| help.contains("with CUDA")))
+/// Returns COLMAP if it can match: its dense stereo needs CUDA, or HIP since 4.2.
+fn colmap_with_gpu() -> Option<PathBuf> {
+    let can_match = |help: String| {
+        ["with CUDA", "with HIP"]
+            .iter()
+            .any(|gpu| help.contains(gpu))
+    };
+    installed("COLMAP", "colmap").filter(|program| help(program).is_some_and(can_match))
+}
+
+/// Version of a program: major, minor, patch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Version(pub [u32; 3]);
+
+impl fmt::Display for Version {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [major, minor, patch] = self.0;
+        write!(f, "{major}.{minor}.{patch}")
+    }
+}
+
+/// Returns the version of the COLMAP that would match; `None` if there is none, or it isn't a
+/// release.
+pub(super) fn colmap_version() -> Option<Version> {
+    release(&help(&installed("COLMAP", "colmap")?)?)
+}
+
+/// Parses the first line of `colmap help`: `COLMAP 3.8 -- ...`, `COLMAP 4.2.0 (Commit ...)`.
+fn release(help: &str) -> Option<Version> {
+    let word = help
+        .trim_start()
+        .strip_prefix("COLMAP ")?
+        .split_whitespace()
+        .next()?;
+    let mut parts = word.split('.').map(|part| part.parse().ok());
+    let version = [
+        parts.next()??,
+        parts.next()??,
+        parts.next().unwrap_or(Some(0))?,
+    ];
+    parts.next().is_none().then_some(Version(version))
 }
 
 /// Returns the Python that runs scripts: `PYTHON`, else `python3`.
@@ -91,7 +128,7 @@ fn installed(variable: &str, program: &str) -> Option<PathBuf> {
 pub fn can_match_here(backend: &Backend) -> bool {
     match backend.name {
         name if name == openmvs::BACKEND.name => densify().is_some(),
-        name if name == colmap::BACKEND.name => colmap_with_cuda().is_some(),
+        name if name == colmap::BACKEND.name => colmap_with_gpu().is_some(),
         name if name == sgm::BACKEND.name => import_error(&python()).is_none(),
         _ => false,
     }
@@ -106,7 +143,7 @@ pub struct Obstacle {
 /// Returns why the backend's program, or the Python that it needs, cannot match, as far as that can
 /// be known before the first map.
 pub fn obstacle(backend: &Backend, program: &Path, python: &Path) -> Option<Obstacle> {
-    if backend.name == colmap::BACKEND.name && help(program)?.contains("without CUDA") {
+    if backend.name == colmap::BACKEND.name && is_without_gpu(&help(program)?) {
         return Some(Obstacle {
             what: format!(
                 "{} was built without CUDA and cannot compute depth maps",
@@ -127,6 +164,14 @@ pub fn obstacle(backend: &Backend, program: &Path, python: &Path) -> Option<Obst
         ),
         cure: "pip install numpy opencv-python-headless, or name a Python that has them by the variable PYTHON",
     })
+}
+
+/// Reads from `colmap help` whether it was built without CUDA: the words of 3.8 to 4.1, and since
+/// 4.2.
+fn is_without_gpu(help: &str) -> bool {
+    ["without CUDA", "without GPU support"]
+        .iter()
+        .any(|words| help.contains(words))
 }
 
 /// Returns what `colmap help` prints, which says how it was built.
@@ -168,5 +213,45 @@ fn import_error(python: &Path) -> Option<String> {
             )
         }
         Err(error) => Some(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colmap_says_its_version_and_how_it_was_built() {
+        for (help, version, can_match) in [
+            (
+                "COLMAP 3.8 -- Structure-from-Motion and Multi-View Stereo\n              (Commit Unknown on Unknown without CUDA)\n",
+                Some([3, 8, 0]),
+                false,
+            ),
+            (
+                "COLMAP 4.1.1 (Commit 1e5b23f on 2026-07-17 with CUDA)",
+                Some([4, 1, 1]),
+                true,
+            ),
+            (
+                "COLMAP 4.2.0 (Commit be5e291 on 2026-08-31 without GPU support)",
+                Some([4, 2, 0]),
+                false,
+            ),
+            (
+                "COLMAP 4.2.1 (Commit 0000000 on 2026-10-01 with HIP)",
+                Some([4, 2, 1]),
+                true,
+            ),
+            (
+                "COLMAP 4.2.0.dev0 (Commit 5d968cf on 2026-08-08 with CUDA)",
+                None,
+                true,
+            ),
+            ("usage: something else", None, true),
+        ] {
+            assert_eq!(release(help), version.map(Version), "{help}");
+            assert_eq!(!is_without_gpu(help), can_match, "{help}");
+        }
     }
 }

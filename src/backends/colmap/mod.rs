@@ -1,4 +1,4 @@
-//! COLMAP's dense stereo, 3.8 to 4.x: `docs/backends.md` 1.
+//! COLMAP's dense stereo, 3.8 to 4.2: `docs/backends.md` 1.
 //!
 //! `stereo/patch-match.cfg` always runs through with the options at its head,
 //! `stereo/viewrank/run.sh` runs all steps. The difficulty is geometric consistency: it needs the
@@ -42,6 +42,7 @@ mod cfg;
 mod finished;
 mod script;
 mod traps;
+mod widths;
 
 /// Path of the cloud: `fused.ply` in the workspace itself may be the user's.
 const FUSED: &str = "stereo/viewrank/fused.ply";
@@ -240,7 +241,7 @@ impl Passes {
             false => self.last.len(),
         };
         record.runner = Some("stereo/viewrank/run.sh".into());
-        record.made_for = "COLMAP 3.8 to 4.x".into();
+        record.made_for = "COLMAP 3.8 to 4.2 (models and fusion run with 3.8 and 4.2.1)".into();
         record.way = format!(
             "refs {}, geometric {}",
             serde_json::to_value(self.refs)
@@ -272,7 +273,7 @@ impl Passes {
                     .push(format!("{key}: {why}, so no depth map"));
             }
         }
-        record.warnings.extend(mixed_widths(selection));
+        record.warnings.extend(widths::warning(selection));
         if self.geometric && self.refs == References::Keys {
             record.not_honoured.push(
                 "partners that are no key views take part in the photometric pass only".into(),
@@ -488,32 +489,6 @@ fn add_lists(mut lists: MapRecords, files: &mut FileSet, record: &mut ExportReco
         ));
     }
     files.add_text(finished::MAPS, lists.to_tsv());
-}
-
-/// Warns of key views with partners of several widths, as the images of different cameras have.
-fn mixed_widths(selection: &Selection) -> Option<String> {
-    let width = |view: &ViewIndex| selection.scene.camera_of(*view).width;
-    let is_mixed = |cluster: &&RankedCluster| {
-        cluster
-            .partners
-            .iter()
-            .any(|p| width(p) != width(&cluster.partners[0]))
-    };
-    let mixed: Vec<&str> = selection
-        .clusters
-        .iter()
-        .filter(is_mixed)
-        .map(|c| selection.scene.name(c.key))
-        .collect();
-    let (first, others) = mixed.split_first()?;
-    let others = if others.is_empty() {
-        String::new()
-    } else {
-        format!(" and {} more key views", others.len())
-    };
-    Some(format!(
-        "{first}{others}: the partners differ in width; COLMAP 4.0 and later may copy the narrower ones wrongly to the GPU"
-    ))
 }
 
 /// Returns, for each view, whether it observes a sparse point. COLMAP derives the depth range from

@@ -1,6 +1,6 @@
 //! Faults of a project that break COLMAP.
 
-use super::{cfg, finished};
+use super::{cfg, finished, widths};
 use crate::{
     backends::{ExaminedProject, Trap, selection},
     base::shell::command_path,
@@ -19,7 +19,7 @@ pub fn all(patient: &ExaminedProject) -> Vec<Trap> {
         points,
         blanks_in_text(patient),
         text_beside_binary(patient),
-        mixed_widths(patient),
+        widths::trap(patient),
     ];
     of_model
         .into_iter()
@@ -107,34 +107,5 @@ fn text_beside_binary(patient: &ExaminedProject) -> Option<Trap> {
             command_path(&model.path)
         ),
         views: Vec::new(),
-    })
-}
-
-/// COLMAP 4 copies the sources of a key view to the GPU as if all were as wide as the widest.
-fn mixed_widths(patient: &ExaminedProject) -> Option<Trap> {
-    let (scene, project) = (patient.scene, patient.project);
-    // These formats do not store image sizes, which are guessed without the images.
-    if matches!(
-        project.model.format,
-        ModelFormat::Bundler | ModelFormat::Nvm
-    ) && project.images.is_none()
-    {
-        return None;
-    }
-    let width = |v| scene.camera_of(v).width;
-    let widest = scene.view_indices().map(width).max()?;
-    let narrower: Vec<_> = scene
-        .view_indices()
-        .filter(|&v| width(v) < widest)
-        .collect();
-    (!narrower.is_empty()).then(|| Trap {
-        name: "colmap-4x-mixed-width-sources",
-        what: format!(
-            "{} images are narrower than the others ({widest} px); COLMAP 4.0 and later may copy the narrower of a key view's partners \
-             wrongly to the GPU",
-            narrower.len()
-        ),
-        cure: "use COLMAP 3.8 to 3.13 for patch_match_stereo, or undistort all images to one size".into(),
-        views: narrower,
     })
 }

@@ -365,25 +365,6 @@ fn colmap_key_view_without_points() {
 }
 
 #[test]
-fn colmap_4x_mixed_width_sources() {
-    let mut fixture = Fixture::new(3);
-    assert!(!fixture.export("colmap").says("differ in width"));
-    let wide = Camera::new(
-        8,
-        CameraModel::Pinhole,
-        800,
-        600,
-        vec![600.0, 600.0, 400.0, 300.0],
-    )
-    .unwrap();
-    fixture.scene.cameras.push(wide);
-    let partner = fixture.clusters[2].partners[1];
-    fixture.scene.views[partner.index()].camera = CameraIndex(1);
-    let files = fixture.export("colmap");
-    assert!(files.says("differ in width") && files.says(fixture.name(fixture.clusters[2].key)));
-}
-
-#[test]
 fn colmap_subfolder_dirs() {
     let mut fixture = Fixture::new(3);
     let matchable = fixture.matchable();

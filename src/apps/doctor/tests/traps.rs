@@ -91,35 +91,6 @@ fn a_view_without_points_stops_some_backends() {
     }
 }
 
-#[test]
-fn images_of_several_widths_and_colmap_4() {
-    let mut scene = healthy();
-    scene.cameras.push(
-        Camera::new(
-            2,
-            CameraModel::Pinhole,
-            900,
-            750,
-            vec![850.0, 850.0, 500.0, 375.0],
-        )
-        .unwrap(),
-    );
-    scene.views[4].camera = CameraIndex(1);
-    let findings = diagnose(&scene, "colmap", &Settings::default());
-    assert_eq!(
-        found(&findings, "colmap-4x-mixed-width-sources")
-            .views
-            .len(),
-        1
-    );
-    let guessed = traps_in(ModelFormat::Bundler, "colmap", &scene, |_, _| {});
-    assert_eq!(
-        guessed,
-        [],
-        "the format holds no sizes, and there are no images"
-    );
-}
-
 /// The traps of a project whose files `prepare` creates.
 fn traps_in(
     format: ModelFormat,
