@@ -1,11 +1,11 @@
 #!/bin/sh
-# Puts viewrank's scene in the place of ODM's own, and runs ODM.
+# Puts viewrank's scene in the place of the engine's own, and runs ODX; ENGINE=opendronemap/odm run.sh runs ODM.
 set -eu
 cd "$(dirname "$0")"
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
-# A link on the way to the folder that is replaced would lead out of the ODM project.
-project=${DATASETS:?folder of the ODM projects, whole path}/${NAME:?name of the ODM project}
+# A link on the way to the folder that is replaced would lead out of the project.
+project=${DATASETS:?folder of the projects, whole path}/${NAME:?name of the project}
 for folder in "$project/opensfm" "$project/opensfm/undistorted"; do
     if [ -L "$folder" ]; then
         refuse "$folder"

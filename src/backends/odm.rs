@@ -1,6 +1,7 @@
-//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an existing `openmvs/scene.mvs`;
-//! in ours each key view shares points with its partners only, and every other image is too poorly
-//! connected to be computed.
+//! ODX, the engine of WebODM since 2026, and OpenDroneMap's ODM, from which it comes:
+//! `docs/backends.md` 11. Read, not run. They keep an existing `openmvs/scene.mvs`; in ours each key
+//! view shares points with its partners only, and every other image is too poorly connected to be
+//! computed.
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
@@ -14,8 +15,10 @@ use crate::{
 };
 
 /// Environment variables that the commands need; unset, the commands fail and name them.
-const DATASETS: &str = "${DATASETS:?folder of the ODM projects, whole path}";
-const NAME: &str = "${NAME:?name of the ODM project}";
+const DATASETS: &str = "${DATASETS:?folder of the projects, whole path}";
+const NAME: &str = "${NAME:?name of the project}";
+/// Image of the engine: ODX unless the variable names another, such as `opendronemap/odm`.
+const ENGINE: &str = "${ENGINE:-webodm/odx}";
 const RUNNER_HEAD: &str = include_str!("../../integrations/odm/run_head.sh");
 
 pub static BACKEND: Backend = Backend {
@@ -25,7 +28,7 @@ pub static BACKEND: Backend = Backend {
         partners: Honours::Partly,
         key_subset: Honours::Yes,
         order: Honours::No,
-        fusion: "OpenMVS, as ODM calls it",
+        fusion: "OpenMVS, as ODX and ODM call it",
         notes: "two key views that are partners of each other share them; more than 5 partners (8 with CUDA) are cut; a partner of several key \
                 views is loaded for each of them",
     },
@@ -77,13 +80,13 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let skipped = there(
         "odm-existing-model-skips-stage",
         &dense,
-        "so that ODM skips the dense stage",
+        "so that ODX and ODM skip the dense stage",
         "rm",
     );
     let kept = there(
         "odm-existing-scene",
         &scene,
-        "and ODM takes it unless ours replaces it",
+        "and ODX and ODM take it unless ours replaces it",
         "put our scene.mvs over",
     );
     skipped.or(kept).into_iter().collect()
@@ -104,13 +107,15 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut record = ExportRecord::new(&BACKEND, selection, |v| {
         format!("depth{:04}.dmap", selection.scene.view(v).image_id)
     });
-    record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
-    record.way = "openmvs/scene.mvs in place of ODM's own".into();
+    record.made_for = "ODX (WebODM/ODX d947e6b of 2026) and ODM (32cfaac); read, not run".into();
+    record.way =
+        "openmvs/scene.mvs in place of the engine's own; ENGINE=opendronemap/odm runs ODM, not ODX"
+            .into();
     record.commands = vec![
         format!("rm -rf \"{DATASETS}/{NAME}/opensfm/undistorted/openmvs\""),
         format!("cp -rL openmvs \"{DATASETS}/{NAME}/opensfm/undistorted/\""),
         format!(
-            "docker run --rm -v \"{DATASETS}\":/datasets opendronemap/odm --project-path /datasets \"{NAME}\""
+            "docker run --rm -v \"{DATASETS}\":/datasets \"{ENGINE}\" --project-path /datasets \"{NAME}\""
         ),
     ];
     record.runner = Some("run.sh".into());
@@ -126,26 +131,28 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     ]);
     record.note_own_scale(selection);
     record.warnings.extend([
-        "ODM must be run the second time without any --rerun, which would delete the scene".into(),
+        "ODX and ODM must be run the second time without any --rerun, which would delete the scene".into(),
         "opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and old depth \
          maps are kept"
             .into(),
     ]);
     if selection.project.model.format != ModelFormat::OpenSfm {
         record.warnings.push(
-            "ODM takes the points as they are: the model must be in the coordinates of ODM's own reconstruction, as that in \
-             ODM_PROJECT/opensfm/undistorted is"
+            "ODX and ODM take the points as they are: the model must be in the coordinates of their own reconstruction, as that in \
+             opensfm/undistorted of their project is"
                 .into(),
         );
     }
     let ruined = |rounding| {
-        format!("{rounding}: the cloud would be ruined, and ODM's own coordinates are smaller")
+        format!(
+            "{rounding}: the cloud would be ruined, and the engine's own coordinates are smaller"
+        )
     };
     record
         .warnings
         .extend(selection::rounding(selection.scene).map(ruined));
     record.pixel_shift = -0.5;
-    record.fusion = "ODM's own options: number-views-fuse 2".into();
+    record.fusion = "options of ODX and ODM: number-views-fuse 2".into();
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
