@@ -1,4 +1,4 @@
-//! OpenMVS's DensifyPointCloud, v2.0 to v2.3 and branch develop: `docs/backends.md` 2.
+//! OpenMVS's DensifyPointCloud, v2.0 to v2.4 and branch develop: `docs/backends.md` 2.
 //!
 //! It reads no list of key views, and a list of neighbours sets the search range to 0.1 to 100
 //! units regardless of the scene. So each cluster becomes a scene of its own, in which only the key
@@ -257,7 +257,8 @@ fn record_of(selection: &Selection) -> ExportRecord {
     let mut record = ExportRecord::new(&BACKEND, selection, |v| {
         format!("depth{:04}.dmap", selection.scene.view(v).image_id)
     });
-    record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
+    record.made_for =
+        "OpenMVS v2.0 to v2.4 and develop (run with v2.3.0 and develop 36f303d)".into();
     record.way = "one scene per cluster".into();
     record.commands = vec!["python3 run.py".into()];
     record
@@ -335,14 +336,17 @@ fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
     (views, overlaps)
 }
 
-/// Options with which every partner is used regardless of OpenMVS's score, and no limit cuts a
-/// list.
+/// Options with which every partner is used regardless of OpenMVS's score, no limit cuts a list,
+/// and a fusion by the filter 2 of v2.4 and develop keeps what two maps agree on, as the plan
+/// counts: it asks for five pixels otherwise.
 fn dense_config(selection: &Selection) -> String {
     // OpenMVS filters neighbours beyond three quarters of the limit by angle and scale.
     let views = (selection.most_partners() * 4)
         .div_ceil(3)
         .max(FUSED_WITH * 4 / 3);
-    format!("View Min Score = 0\nView Min Score Ratio = 0\nMax Views = {views}\n")
+    format!(
+        "View Min Score = 0\nView Min Score Ratio = 0\nMax Views = {views}\nMin Pixels Fuse = {MAPS_PER_POINT}\n"
+    )
 }
 
 /// Resolution level 1, but neither below 640 nor above 2560 pixels: the defaults of
