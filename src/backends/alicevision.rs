@@ -12,8 +12,8 @@ use std::{fmt::Write, path::Path};
 use serde_json::{Value, json};
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, LastRun,
+    PATCH_MATCH, Selection,
     clusters::{ClusterScript, recipe},
     selection,
     strangers::list_links,
@@ -36,6 +36,8 @@ const SENSOR_MM: f64 = 36.0;
 pub static BACKEND: Backend = Backend {
     name: "alicevision",
     aliases: &["meshroom"],
+    program: "AliceVision",
+    last_run: LastRun::Never("read at ca8300f"),
     capabilities: Capabilities {
         partners: Honours::Yes,
         key_subset: Honours::Yes,

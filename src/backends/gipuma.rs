@@ -3,7 +3,7 @@
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PATCH_MATCH, Selection, Trap,
+    Honours, LastRun, PATCH_MATCH, Selection, Trap,
     clusters::{ClusterScript, recipe},
     pmvs, selection,
     strangers::list_links,
@@ -16,6 +16,8 @@ use crate::model::{
 pub static BACKEND: Backend = Backend {
     name: "gipuma",
     aliases: &["fusibile"],
+    program: "Gipuma",
+    last_run: LastRun::Never("read at f16dbfd"),
     capabilities: Capabilities {
         partners: Honours::Yes,
         key_subset: Honours::Yes,

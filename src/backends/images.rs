@@ -1,14 +1,16 @@
 //! A plain list of images, for any program with a choice of images.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    PlanningNumbers, References, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, LastRun,
+    PATCH_MATCH, PlanningNumbers, References, Selection,
 };
 use crate::model::{cluster::Gate, scene::ViewIndex};
 
 pub static BACKEND: Backend = Backend {
     name: "images",
     aliases: &["image", "list", "imagelist"],
+    program: "any program",
+    last_run: LastRun::Never("a list of images"),
     capabilities: Capabilities {
         partners: Honours::No,
         key_subset: Honours::Yes,

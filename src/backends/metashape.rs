@@ -6,13 +6,15 @@ use serde_json::json;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
+    Honours, LastRun, PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
 };
 use crate::io::output::Contents;
 
 pub static BACKEND: Backend = Backend {
     name: "metashape",
     aliases: &["photoscan", "agisoft"],
+    program: "Metashape",
+    last_run: LastRun::Never("documentation"),
     capabilities: Capabilities {
         partners: Honours::No,
         key_subset: Honours::Yes,

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PATCH_MATCH, Selection, Trap,
+    Honours, LastRun, PATCH_MATCH, Selection, Trap,
     clusters::{ClusterScript, recipe},
     strangers::list_links,
     sure::stem,
@@ -25,6 +25,8 @@ use crate::{
 pub static BACKEND: Backend = Backend {
     name: "micmac",
     aliases: &["mm3d"],
+    program: "MicMac",
+    last_run: LastRun::Never("read at f8fe432"),
     capabilities: Capabilities {
         partners: Honours::Yes,
         key_subset: Honours::Yes,

@@ -23,14 +23,15 @@ mod colmap;
 mod error;
 mod gipuma;
 mod images;
+mod listing;
 mod machine;
 mod metashape;
 mod micmac;
 mod mve;
-mod mvsnet;
 mod odm;
 mod openmvs;
 mod options;
+mod pairs;
 pub mod place;
 mod pmvs;
 mod realityscan;
@@ -47,6 +48,7 @@ mod workspace;
 
 pub(crate) use clusters::recipe;
 pub use error::BackendError;
+pub use listing::{FIRST_PAGE, LastRun, names};
 pub use machine::{Obstacle, Why, by_default, can_match_here, chosen, obstacle, python};
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
@@ -56,24 +58,26 @@ pub use strangers::with_refusal;
 pub use tiles::clusters_by_area;
 pub use traps::{ExaminedProject, Trap};
 
-/// Every backend, in the order in which `viewrank backends` lists them.
+/// Every backend, in the order in which `viewrank backends` lists them: those of the [first
+/// page](FIRST_PAGE), then the others.
 pub static BACKENDS: &[&Backend] = &[
-    &sure::BACKEND,
-    &sgm::BACKEND,
     &colmap::BACKEND,
     &openmvs::BACKEND,
-    &mvsnet::MVSNET,
-    &mvsnet::PATCHMATCHNET,
-    &mvsnet::ACMM,
+    &odm::BACKEND,
+    &metashape::BACKEND,
+    &splat::BACKEND,
+    &pairs::PAIRS,
+    &sgm::BACKEND,
+    &pairs::MVSNET,
+    &pairs::PATCHMATCHNET,
+    &pairs::ACMM,
+    &sure::BACKEND,
+    &mve::BACKEND,
     &pmvs::BACKEND,
     &gipuma::BACKEND,
-    &mve::BACKEND,
     &micmac::BACKEND,
     &alicevision::BACKEND,
-    &metashape::BACKEND,
     &realityscan::BACKEND,
-    &odm::BACKEND,
-    &splat::BACKEND,
     &images::BACKEND,
 ];
 
@@ -84,6 +88,9 @@ pub struct Backend {
     pub name: &'static str,
     /// Other names that users type, in lower case without blanks, `-` and `_`.
     pub aliases: &'static [&'static str],
+    /// The programs, for people.
+    pub program: &'static str,
+    pub last_run: LastRun,
     pub capabilities: Capabilities,
     pub planning: PlanningNumbers,
     /// Options of `viewrank export` that it accepts besides `--out`, as typed.
@@ -169,7 +176,7 @@ pub fn by_name(name: &str) -> Result<&'static Backend, UnknownBackend> {
         .ok_or_else(|| UnknownBackend {
             name: name.trim().into(),
             meant: nearest(name),
-            known: BACKENDS.iter().map(|b| b.name).collect(),
+            known: names(),
         })
 }
 
@@ -307,7 +314,9 @@ mod tests {
             );
             assert_eq!(plain(name), name);
         }
-        assert!(by_name("nothing").is_err_and(|e| e.hint().unwrap().to_string().contains("sure")));
+        assert!(
+            by_name("nothing").is_err_and(|e| e.hint().unwrap().to_string().contains("openmvs"))
+        );
     }
 
     #[test]
@@ -327,7 +336,8 @@ mod tests {
             ["openmvs", "colmap"]
         );
         let hint = |name: &str| by_name(name).err().unwrap().hint().unwrap().to_string();
-        assert!(hint("colmpa").starts_with("did you mean colmap? take one of sure, "));
-        assert!(hint("xyz").starts_with("take one of sure, "));
+        assert!(hint("colmpa").starts_with("did you mean colmap? take one of colmap, "));
+        assert!(hint("xyz").starts_with("take one of colmap, openmvs, "));
+        assert!(hint("xyz").ends_with("and 12 others (docs/programs.md)"));
     }
 }

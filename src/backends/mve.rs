@@ -11,7 +11,7 @@ use std::path::Path;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PATCH_MATCH, PlanningNumbers, Selection, Trap,
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     strangers::list_links,
 };
@@ -33,6 +33,12 @@ const LOCAL_NEIGHBOURS: usize = 2;
 pub static BACKEND: Backend = Backend {
     name: "mve",
     aliases: &["dmrecon"],
+    program: "MVE",
+    last_run: LastRun::At {
+        date: "2026-11-25",
+        version: "bf2279f",
+        what: "dmrecon, scene2pset, fssrecon",
+    },
     capabilities: Capabilities {
         partners: Honours::Partly,
         key_subset: Honours::Yes,

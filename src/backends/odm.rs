@@ -5,7 +5,7 @@
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, Selection, Trap, openmvs, selection,
+    Honours, LastRun, Selection, Trap, openmvs, selection,
     strangers::{list_links, with_refusal},
 };
 use crate::{
@@ -23,7 +23,9 @@ const RUNNER_HEAD: &str = include_str!("../../integrations/odm/run_head.sh");
 
 pub static BACKEND: Backend = Backend {
     name: "odm",
-    aliases: &["opendronemap", "webodm"],
+    aliases: &["odx", "webodm", "opendronemap"],
+    program: "ODX, ODM",
+    last_run: LastRun::Never("ODM read at 32cfaac, ODX in part at d947e6b"),
     capabilities: Capabilities {
         partners: Honours::Partly,
         key_subset: Honours::Yes,

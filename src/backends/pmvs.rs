@@ -11,7 +11,7 @@ use std::path::Path;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PATCH_MATCH, PlanningNumbers, Selection, Trap,
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, Trap,
 };
 use crate::{
     io::output::Contents,
@@ -27,6 +27,12 @@ const OPTIONS: &str = "option-viewrank";
 pub static BACKEND: Backend = Backend {
     name: "pmvs",
     aliases: &["pmvs2", "cmvs"],
+    program: "PMVS2, CMVS",
+    last_run: LastRun::At {
+        date: "2026-11-24",
+        version: "101c2ee",
+        what: "pmvs2",
+    },
     capabilities: Capabilities {
         partners: Honours::Partly,
         key_subset: Honours::Yes,

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, Selection, Trap,
+    Honours, LastRun, Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
 use crate::{
@@ -17,6 +17,8 @@ use crate::{
 pub static BACKEND: Backend = Backend {
     name: "realityscan",
     aliases: &["realitycapture"],
+    program: "RealityScan",
+    last_run: LastRun::Never("documentation"),
     capabilities: Capabilities {
         partners: Honours::No,
         key_subset: Honours::Partly,

@@ -13,7 +13,7 @@ use serde_json::json;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, Selection, Trap,
+    Honours, LastRun, Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
     workspace::add_workspace,
 };
@@ -38,6 +38,8 @@ pub static BACKEND: Backend = Backend {
         "nerf",
         "nerfstudio",
     ],
+    program: "Gaussian splats",
+    last_run: LastRun::Never("no training; its models are loaded by COLMAP 3.8 and 4.2.1"),
     capabilities: Capabilities {
         partners: Honours::No,
         key_subset: Honours::Yes,

@@ -8,7 +8,7 @@
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PlanningNumbers, Selection, Trap,
+    Honours, LastRun, PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     semi_global::{CONFIDENCE, PHOTOMETRIC, checked_name, lists_of_pairs},
     strangers::list_links,
@@ -51,6 +51,8 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
 pub static BACKEND: Backend = Backend {
     name: "sure",
     aliases: &["nframes"],
+    program: "SURE",
+    last_run: LastRun::Never("documentation, and programs that write its files"),
     capabilities: Capabilities {
         partners: Honours::Partly,
         key_subset: Honours::Yes,

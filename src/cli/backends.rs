@@ -24,11 +24,14 @@ pub struct Arguments {
 #[derive(Serialize)]
 struct Entry {
     name: &'static str,
+    program: &'static str,
     capabilities: Capabilities,
     planning: PlanningNumbers,
     options: &'static [&'static str],
     /// Sizes of depth maps that it can mix, over that of the plan (`ranking.scales`).
     scales: &'static [f64],
+    /// Newest version that was run on what viewrank writes, and when; or that none was.
+    run_here: String,
     #[serde(skip)]
     matches: bool,
 }
@@ -37,6 +40,7 @@ impl Entry {
     fn new(backend: &Backend) -> Self {
         Self {
             name: backend.name,
+            program: backend.program,
             capabilities: backend.capabilities,
             planning: backend.planning,
             options: backend.options,
@@ -45,6 +49,7 @@ impl Entry {
             } else {
                 &[1.0]
             },
+            run_here: backend.last_run.words(),
             matches: backend.use_of_views.is_none(),
         }
     }
@@ -60,6 +65,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Format::Text, None) => print(table(&entries)),
         (Format::Text, Some(_)) => print(entries.iter().flat_map(details)),
     }
+}
+
+/// Help of an option that takes names of backends.
+pub fn option_help(what: &str, default: &str) -> String {
+    format!("{what}: {} [default: {default}]", backends::names())
 }
 
 fn word(honours: Honours) -> &'static str {
@@ -140,6 +150,8 @@ fn details(entry: &Entry) -> Vec<String> {
             },
         );
     }
+    add("program", entry.program);
+    add("run here", &entry.run_here);
     add("fusion", c.fusion);
     add("notes", c.notes);
     let scale = match p.gate.max_scale_octaves {

@@ -31,8 +31,7 @@ pub struct Arguments {
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
-    /// Backends to write for [default: the plan's]
-    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', help = super::backends::option_help("Backends to write for", "the plan's"))]
     backend: Vec<String>,
     /// Take the first N view clusters, or P % of the number of registered views (of a plan of two
     /// sizes: of the work of all) [default: the plan's cut]

@@ -111,12 +111,14 @@ pub struct Arguments {
     /// Use the mesh as it is, neither simplified nor refined
     #[arg(long, requires = "mesh", help_heading = "Method")]
     mesh_as_is: bool,
-    /// Write for these backends; the plan is made for the first [default: as the project is set
-    /// up, else what is installed]
     #[arg(
         long,
         value_name = "NAME,...",
         value_delimiter = ',',
+        help = super::backends::option_help(
+            "Write for these backends; the plan is made for the first",
+            "as the project is set up, else what is installed",
+        ),
         help_heading = "Method"
     )]
     backend: Option<Vec<String>>,

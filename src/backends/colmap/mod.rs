@@ -25,7 +25,7 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
     record::{at_full_size, capped_scale},
     selection,
     workspace::add_workspace,
@@ -54,6 +54,12 @@ const BATCH: usize = 10;
 pub static BACKEND: Backend = Backend {
     name: "colmap",
     aliases: &[],
+    program: "COLMAP",
+    last_run: LastRun::At {
+        date: "2026-11-28",
+        version: "3.8, 4.2.1 (CPU)",
+        what: "models and fusion; patch_match_stereo never: it needs a GPU",
+    },
     capabilities: Capabilities {
         partners: Honours::Yes,
         key_subset: Honours::Yes,

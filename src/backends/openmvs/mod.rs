@@ -14,8 +14,8 @@ use serde::Serialize;
 use self::scene::Builder;
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale, selection,
-    strangers::list_links,
+    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale,
+    selection, strangers::list_links,
 };
 use crate::{
     base::shell::command_path,
@@ -90,6 +90,12 @@ pub(super) const PLANNING: PlanningNumbers = PlanningNumbers {
 pub static BACKEND: Backend = Backend {
     name: "openmvs",
     aliases: &["densifypointcloud"],
+    program: "OpenMVS",
+    last_run: LastRun::At {
+        date: "2026-11-28",
+        version: "v2.3.0, develop 36f303d of 2024 (CPU)",
+        what: "maps and fusion; v2.4.0 and develop of 2026 never",
+    },
     capabilities: Capabilities {
         partners: Honours::Yes,
         key_subset: Honours::Yes,

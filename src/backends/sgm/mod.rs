@@ -5,7 +5,7 @@ mod search;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, PlanningNumbers, Selection, TaskRunner, Trap, place,
+    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, place,
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
 };
 use crate::{
@@ -67,6 +67,12 @@ const MATCHER: [(&str, &str); 7] = [
 pub static BACKEND: Backend = Backend {
     name: "sgm",
     aliases: &[],
+    program: "sgm",
+    last_run: LastRun::At {
+        date: "2026-11-28",
+        version: "this repository's",
+        what: "maps and fusion",
+    },
     capabilities: Capabilities {
         partners: Honours::Yes,
         key_subset: Honours::Yes,

@@ -31,8 +31,8 @@ pub struct UnknownBackend {
     pub name: String,
     /// Nearest known name.
     pub meant: Option<&'static str>,
-    /// All known names.
-    pub known: Vec<&'static str>,
+    /// The known names, in words.
+    pub known: String,
 }
 
 impl Hint for UnknownBackend {
@@ -40,7 +40,7 @@ impl Hint for UnknownBackend {
         let meant = self
             .meant
             .map_or(String::new(), |name| format!("did you mean {name}? "));
-        Some(format!("{meant}take one of {}", self.known.join(", ")).into())
+        Some(format!("{meant}take one of {}", self.known).into())
     }
 
     fn is_usage(&self) -> bool {

@@ -229,7 +229,7 @@ fn backends_are_known_by_name() {
     assert_eq!(named.settings.backends, ["colmap", "alicevision"]);
     let (message, hint) = refused("\nbackends = [\"colmpa\"]");
     assert_eq!(message, "project.toml:2: no backend \"colmpa\"");
-    assert!(hint.starts_with("did you mean colmap? take one of sure, "));
+    assert!(hint.starts_with("did you mean colmap? take one of colmap, "));
 }
 
 #[test]

@@ -55,6 +55,27 @@ pub fn names_of(files: &Files, pairs: &[(usize, Vec<(usize, f64)>)]) -> Vec<(Str
 }
 
 #[test]
+fn pairs_have_the_files_of_mvsnet_and_tuples() {
+    let fixture = Fixture::new(4);
+    let (pairs, mvsnet) = (fixture.export("pairs"), fixture.export("mvsnet"));
+    let mut names = pairs.names();
+    names.retain(|name| *name != "tuples.txt");
+    assert_eq!(names, mvsnet.names());
+    for name in names.into_iter().filter(|name| name.ends_with(".txt")) {
+        assert_eq!(pairs.text(name), mvsnet.text(name), "{name}");
+    }
+    let views = table(pairs.text("view_names.txt"));
+    let tuple = |line: &&str| {
+        let mut words = line.split(' ');
+        assert_eq!(words.next(), Some("scene:0"));
+        let mut named = words.map(|id| views[&id.parse().unwrap()].clone());
+        (named.next().unwrap(), named.collect::<Vec<_>>())
+    };
+    let tuples: Vec<_> = pairs.lines("tuples.txt").iter().map(tuple).collect();
+    assert_eq!(tuples, fixture.named());
+}
+
+#[test]
 fn mvsnet_count_tokens() {
     let fixture = Fixture::new(4);
     for dialect in ["mvsnet", "patchmatchnet"] {

@@ -1,0 +1,140 @@
+//! The lists of partners, and of maps that fusion compares.
+
+use std::collections::BTreeSet;
+
+use super::{ACM_PARTNERS, dialects::Dialect};
+use crate::{
+    backends::{Selection, selection},
+    model::{
+        cluster::RankedCluster,
+        scene::{ViewIndex, ViewPoints},
+    },
+};
+
+/// Largest number of key views whose maps the fusion compares with one: its own lists hold every
+/// view that shares points, which takes long.
+const FUSED_WITH: usize = 24;
+
+/// Lists of views (positions in `views`) and of the number of points they share with each.
+pub(super) struct Lists<'a> {
+    pub views: &'a [ViewIndex],
+    /// Number of each view in the files: its image id, the same in each plan, so that old maps keep
+    /// their images; its position for programs that demand it.
+    pub numbers: Vec<u32>,
+    pub points: ViewPoints,
+    /// Partners of each view that gets a map, key views first.
+    pub rows: Vec<Vec<(u32, u32)>>,
+    /// For each key view those whose maps may confirm its depths: not only partners, since key
+    /// views are chosen to overlap little.
+    compared: Vec<Vec<(u32, u32)>>,
+}
+
+impl<'a> Lists<'a> {
+    pub fn new(dialect: &Dialect, selection: &Selection, views: &'a [ViewIndex]) -> Self {
+        let scene = selection.scene;
+        let points = scene.view_points();
+        let mut index = vec![u32::MAX; scene.views.len()];
+        (0..).zip(views).for_each(|(i, v)| index[v.index()] = i);
+        // ACMM drops partners with a score of 0.
+        let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
+            partners
+                .map(|p| (index[p.index()], shared[p.index()].max(1)))
+                .collect::<Vec<_>>()
+        };
+        let most_shared = |shared: &[u32], among: &[ViewIndex], most: usize| {
+            let mut others: Vec<_> = among
+                .iter()
+                .copied()
+                .filter(|v| shared[v.index()] > 0)
+                .collect();
+            others.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
+            scored(shared, &mut others.into_iter().take(most))
+        };
+        let keys = &views[..selection.clusters.len()];
+        let key_rows = |c: &RankedCluster| {
+            let shared = selection::shared_points(scene, &points, c.key);
+            (
+                scored(&shared, &mut c.partners.iter().copied()),
+                most_shared(&shared, keys, FUSED_WITH),
+            )
+        };
+        let other_row = |&view: &ViewIndex| {
+            most_shared(
+                &selection::shared_points(scene, &points, view),
+                views,
+                selection.most_partners(),
+            )
+        };
+        let (mut rows, compared): (Vec<_>, Vec<_>) =
+            selection.clusters.iter().map(key_rows).unzip();
+        if dialect.all_are_problems {
+            rows.extend(views[rows.len()..].iter().map(other_row));
+            rows.iter_mut().for_each(|row| row.truncate(ACM_PARTNERS));
+        }
+        let number = |(i, v): (u32, &ViewIndex)| {
+            if dialect.all_are_problems {
+                i
+            } else {
+                scene.view(*v).image_id
+            }
+        };
+        Self {
+            views,
+            numbers: (0..).zip(views).map(number).collect(),
+            points,
+            rows,
+            compared,
+        }
+    }
+
+    /// `pair.txt` with the lists of these key views (positions).
+    pub fn pairs(&self, keys: &[usize]) -> String {
+        self.text(
+            keys.iter()
+                .filter_map(|&i| Some((i, self.rows.get(i)?.clone())))
+                .collect(),
+        )
+    }
+
+    /// `tuples.txt`: for each key view a line of the scan and model (as MVSAnywhere names a scan with
+    /// a model of COLMAP), its id and those of its partners.
+    pub fn tuples(&self) -> String {
+        let tuple = |(key, row): (&u32, &Vec<(u32, u32)>)| {
+            let partners = row.iter().map(|(view, _)| self.numbers[*view as usize]);
+            let ids = std::iter::once(*key)
+                .chain(partners)
+                .map(|id| format!(" {id}"));
+            format!("scene:0{}\n", ids.collect::<String>())
+        };
+        self.numbers.iter().zip(&self.rows).map(tuple).collect()
+    }
+
+    /// `pair_fuse.txt`: for each of these key views those of them whose maps may confirm its
+    /// depths.
+    pub fn pairs_to_fuse(&self, keys: &[usize]) -> String {
+        let chosen: BTreeSet<usize> = keys.iter().copied().collect();
+        let among = |row: &[(u32, u32)]| {
+            row.iter()
+                .copied()
+                .filter(|(v, _)| chosen.contains(&(*v as usize)))
+                .collect()
+        };
+        self.text(
+            keys.iter()
+                .filter_map(|&i| Some((i, among(self.compared.get(i)?))))
+                .collect(),
+        )
+    }
+
+    fn text(&self, rows: Vec<(usize, Vec<(u32, u32)>)>) -> String {
+        let mut text = format!("{}\n", rows.len());
+        for (key, row) in rows {
+            text += &format!("{}\n{} ", self.numbers[key], row.len());
+            row.iter().for_each(|(view, score)| {
+                text += &format!("{} {score} ", self.numbers[*view as usize])
+            });
+            text.push('\n');
+        }
+        text
+    }
+}

@@ -1,0 +1,300 @@
+//! MVSNet and the programs that read its files, in one table ([`dialects`]): `docs/backends.md` 3 and
+//! 14. `pair.txt` lists the key views with their partners, `cams/` contains the cameras; the readers
+//! differ in the depth line of a camera and in which views they expect.
+
+use std::collections::BTreeSet;
+
+use self::{
+    dialects::{DepthLine, Dialect, Join},
+    lists::Lists,
+    sizes::{Words, at_another_size, sizes},
+};
+use super::{
+    BackendError, Export, ExportOptions, ExportRecord, PATCH_MATCH, Selection, selection,
+    strangers::{list_links, with_refusal},
+};
+use crate::{
+    io::output::{Contents, FileSet},
+    model::{
+        cluster::MapScale,
+        scene::{ViewIndex, ViewPoints},
+    },
+};
+
+mod dialects;
+mod lists;
+mod sizes;
+
+pub use dialects::{ACMM, MVSNET, PAIRS, PATCHMATCHNET};
+
+/// Number of planes between the least and the greatest depth.
+const PLANES: u32 = 192;
+/// Number of partners that must agree on a depth: one less than the plan's support, which includes
+/// the key view.
+const AGREEING: u32 = PATCH_MATCH.support - 1;
+/// Script with the commands of a program that joins by one of its own.
+const RUNNER: &str = "run.sh";
+/// Largest number of partners of ACMH, ACMM, ACMP and ACMMP, which use a 32-bit mask.
+const ACM_PARTNERS: usize = 32;
+
+impl Dialect {
+    fn export(
+        &self,
+        selection: &Selection,
+        options: &ExportOptions,
+    ) -> Result<Export, BackendError> {
+        let near = selection.near_origin();
+        let selection = &near.selection();
+        let views = selection.keys_first();
+        let lists = Lists::new(self, selection, &views);
+        let mut files = options.file_set(self.backend, selection);
+        let all: Vec<usize> = (0..views.len()).collect();
+        let (half, full): (Vec<usize>, Vec<usize>) =
+            all.iter().partition(|&&i| self.is_half(selection, i));
+        files.add_text("pair.txt", lists.pairs(&full));
+        files.add_text("pair_fuse.txt", lists.pairs_to_fuse(&all));
+        self.add_views(&mut files, "", selection, &lists, &all)?;
+        if !half.is_empty() {
+            self.add_half(&mut files, selection, &lists, &half)?;
+        }
+        files.add_text("view_names.txt", self.view_names(selection, &lists));
+        if self.tuples {
+            files.add_text("tuples.txt", lists.tuples());
+        }
+        let mut record = self.record(selection, &lists);
+        if let Some(Join {
+            script: (name, script),
+            ..
+        }) = self.join
+        {
+            files.add_text(
+                "sizes.txt",
+                sizes(selection, &lists, self.fused_at(selection)),
+            );
+            files.add(name, Contents::Script(script.as_bytes().to_vec()));
+            let keys: Vec<usize> = (0..selection.clusters.len()).collect();
+            self.add_views(&mut files, "fuse/", selection, &lists, &keys)?;
+            files.add(RUNNER, runner(&record.commands));
+            record.runner = Some(RUNNER.into());
+        }
+        record.moved(near.origin);
+        list_links(&mut files);
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+
+    /// Numbers and names: of all views where the number is the id of the image, since maps of
+    /// earlier plans may be there.
+    fn view_names(&self, selection: &Selection, lists: &Lists) -> String {
+        let scene = selection.scene;
+        let line = |number: u32, view| format!("{number}\t{}\n", scene.name(view));
+        match self.all_are_problems {
+            true => lists
+                .numbers
+                .iter()
+                .zip(lists.views)
+                .map(|(&number, &view)| line(number, view))
+                .collect(),
+            false => scene
+                .view_indices()
+                .map(|view| line(scene.view(view).image_id, view))
+                .collect(),
+        }
+    }
+
+    /// Adds `half/`, the same files for the key views (positions) that are matched at half the
+    /// size.
+    fn add_half(
+        &self,
+        files: &mut FileSet,
+        selection: &Selection,
+        lists: &Lists,
+        half: &[usize],
+    ) -> Result<(), BackendError> {
+        let clusters = half.iter().map(|&i| &selection.clusters[i]);
+        let members =
+            clusters.flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied()));
+        let members: BTreeSet<ViewIndex> = members.collect();
+        let members: Vec<usize> = (0..lists.views.len())
+            .filter(|&i| members.contains(&lists.views[i]))
+            .collect();
+        files.add_text("half/pair.txt", lists.pairs(half));
+        self.add_views(files, "half/", selection, lists, &members)
+    }
+
+    /// Returns whether the view of this position, key views first, gets a map of half the size.
+    fn is_half(&self, selection: &Selection, view: usize) -> bool {
+        self.backend.mixes_sizes
+            && selection
+                .clusters
+                .get(view)
+                .is_some_and(|c| c.scale == MapScale::Half)
+    }
+
+    /// Size in which maps of two sizes are joined: the largest that is planned.
+    fn fused_at(&self, selection: &Selection) -> MapScale {
+        let is_any_full = (0..selection.clusters.len()).any(|i| !self.is_half(selection, i));
+        if is_any_full {
+            MapScale::Full
+        } else {
+            MapScale::Half
+        }
+    }
+
+    /// Adds cameras and images of the views of these positions.
+    fn add_views(
+        &self,
+        files: &mut FileSet,
+        folder: &str,
+        selection: &Selection,
+        lists: &Lists,
+        positions: &[usize],
+    ) -> Result<(), BackendError> {
+        let images = selection.undistorted_images(self.backend.name)?;
+        for &at in positions {
+            let (i, view) = (lists.numbers[at], lists.views[at]);
+            files.add_text(
+                format!("{folder}cams/{i:08}_cam.txt"),
+                self.camera(selection, &lists.points, view)?,
+            );
+            files.add(
+                format!("{folder}images/{i:08}.jpg"),
+                images.link(selection.scene.name(view)),
+            );
+        }
+        Ok(())
+    }
+
+    /// Line 0 `extrinsic`, 1-4 world to camera, 6 `intrinsic`, 7-9 K, 11 depths; lines 5 and 10 are
+    /// empty.
+    fn camera(
+        &self,
+        selection: &Selection,
+        points: &ViewPoints,
+        view: ViewIndex,
+    ) -> Result<String, BackendError> {
+        let scene = selection.scene;
+        let pose = &scene.view(view).cam_from_world;
+        let row = |i: usize| {
+            let r = pose.rotation.matrix().row(i);
+            format!("{} {} {} {}\n", r[0], r[1], r[2], pose.translation[i])
+        };
+        let (f, c) = scene.camera_of(view).pinhole_part();
+        let depths =
+            self.depth_line(selection::depth_range(scene, points, view).ok_or_else(|| {
+                BackendError::Needs {
+                    backend: self.backend.name,
+                    what: format!(
+                        "a depth range, and {} observes no sparse point in front of it",
+                        scene.name(view)
+                    ),
+                    hint: "leave the view out of the model".into(),
+                }
+            })?);
+        Ok(format!(
+            "extrinsic\n{}{}{}0 0 0 1\n\nintrinsic\n{} 0 {}\n0 {} {}\n0 0 1\n\n{depths}\n",
+            row(0),
+            row(1),
+            row(2),
+            f.x,
+            c.x,
+            f.y,
+            c.y
+        ))
+    }
+
+    fn depth_line(&self, [least, greatest]: [f64; 2]) -> String {
+        // ACMM itself widens the range, by factors of 0.6 and 1.2.
+        let margin = if self.all_are_problems { 0.0 } else { 0.1 };
+        let (least, greatest) = (least * (1.0 - margin), greatest * (1.0 + margin));
+        match self.depths {
+            DepthLine::Interval => {
+                format!(
+                    "{least} {} {PLANES} {greatest}",
+                    (greatest - least) / f64::from(PLANES - 1)
+                )
+            }
+            DepthLine::Range => format!("{least} {greatest}"),
+        }
+    }
+
+    fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
+        let mut numbers = vec![0; selection.scene.views.len()];
+        lists
+            .views
+            .iter()
+            .zip(&lists.numbers)
+            .for_each(|(v, number)| numbers[v.index()] = *number);
+        let mut record =
+            ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
+        record.made_for = self.made_for.into();
+        record.way = format!("dialect {}", self.backend.name);
+        let at_half = (0..selection.clusters.len())
+            .filter(|&i| self.is_half(selection, i))
+            .count();
+        let words = |scale| Words::new(selection, lists, scale);
+        let sizes = [
+            (at_half < selection.clusters.len() || at_half == 0).then_some(MapScale::Full),
+            (at_half > 0).then_some(MapScale::Half),
+        ];
+        let of_each_size = sizes
+            .into_iter()
+            .flatten()
+            .zip(self.depth.into_iter().cycle());
+        record
+            .commands
+            .extend(of_each_size.map(|(scale, depth)| words(scale).fill(depth)));
+        let fused = words(self.fused_at(selection));
+        record.commands.extend(
+            self.join
+                .iter()
+                .flat_map(|join| join.commands)
+                .map(|command| fused.fill(command)),
+        );
+        if !self.depth.is_some_and(|depth| depth.contains("SIZE")) {
+            record.note_own_scale(selection);
+        }
+        record.other_maps = lists.rows.len() - selection.clusters.len();
+        record.fusion = format!(
+            "{AGREEING} agreeing view of pair_fuse.txt (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default): the plan asks for {} \
+             maps of a place",
+            AGREEING + 1
+        );
+        if self.join.is_some() {
+            record.fusion += "; the cloud is fuse/fused.ply";
+            record
+                .not_honoured
+                .extend(at_another_size(selection, lists));
+        }
+        if self.all_are_problems {
+            record
+                .not_honoured
+                .push("depth maps of key views only: every view of a cluster gets one".into());
+            record
+                .warnings
+                .push("ACMH takes the second GPU and fails where there is one only".into());
+            let cut = selection
+                .clusters
+                .iter()
+                .filter(|c| c.partners.len() > ACM_PARTNERS);
+            record.warnings.extend(cut.map(|c| {
+                format!(
+                    "{}: partners beyond the first {ACM_PARTNERS}",
+                    selection.scene.name(c.key)
+                )
+            }));
+        }
+        record
+    }
+}
+
+/// Returns `run.sh`, which makes all maps and joins them.
+fn runner(commands: &[String]) -> Contents {
+    let lines: String = commands
+        .iter()
+        .map(|command| format!("{command}\n"))
+        .collect();
+    Contents::Script(with_refusal(&format!("{RUNNER_HEAD}{lines}")).into_bytes())
+}
+
+const RUNNER_HEAD: &str = include_str!("../../../integrations/mvsnet/run_head.sh");

@@ -1,0 +1,124 @@
+//! Sizes of the images and maps of PatchmatchNet, and the words of commands that hold them.
+
+use super::{AGREEING, lists::Lists};
+use crate::{
+    backends::Selection,
+    model::{
+        camera::Camera,
+        cluster::{MapScale, RankedCluster},
+    },
+};
+
+/// Returns for each key view a line of its number, width and height of its map in the size in which
+/// maps are fused, and the same in the other size.
+pub(super) fn sizes(selection: &Selection, lists: &Lists, fused_at: MapScale) -> String {
+    let scales = match fused_at {
+        MapScale::Full => [MapScale::Full, MapScale::Half],
+        MapScale::Half => [MapScale::Half, MapScale::Full],
+    };
+    let longest = scales.map(|scale| longest(selection, lists, matched_scale(selection, scale)));
+    let line = |(number, cluster): (&u32, &RankedCluster)| {
+        let camera = selection.scene.camera_of(cluster.key);
+        let [[a, b], [c, d]] = longest.map(|longest| reduced(camera, longest));
+        format!("{number} {a} {b} {c} {d}\n")
+    };
+    lists
+        .numbers
+        .iter()
+        .zip(selection.clusters)
+        .map(line)
+        .collect()
+}
+
+/// Returns width and height of an image of the camera of which PatchmatchNet makes the longest side
+/// at most `longest`; it rounds down.
+fn reduced(camera: &Camera, longest: u32) -> [u32; 2] {
+    let scale = (f64::from(longest) / f64::from(camera.width.max(camera.height))).min(1.0);
+    [camera.width, camera.height].map(|side| (scale * f64::from(side)) as u32)
+}
+
+/// Matched size as a part of the image's.
+fn matched_scale(selection: &Selection, scale: MapScale) -> f64 {
+    selection.image_scale.min(1.0) * scale.factor()
+}
+
+/// Says how many key views are not matched at the planned size: the program reduces to one longest
+/// side, whatever the image had.
+pub(super) fn at_another_size(selection: &Selection, lists: &Lists) -> Option<String> {
+    let is_other = |cluster: &&RankedCluster| {
+        let (camera, scale) = (
+            selection.scene.camera_of(cluster.key),
+            matched_scale(selection, cluster.scale),
+        );
+        let side = camera.width.max(camera.height);
+        scale < 1.0
+            && longest(selection, lists, scale).min(side) != (f64::from(side) * scale) as u32
+    };
+    let other = selection.clusters.iter().filter(is_other).count();
+    (other > 0).then(|| {
+        let plural = if other == 1 { "" } else { "s" };
+        format!("planned size of {other} map{plural}: images are reduced to one longest side, so smaller ones are reduced less")
+    })
+}
+
+/// Returns the longest side of an image that is matched at this size, pixels.
+fn longest(selection: &Selection, lists: &Lists, scale: f64) -> u32 {
+    let cameras = lists
+        .views
+        .iter()
+        .map(|&view| selection.scene.camera_of(view));
+    (f64::from(
+        cameras
+            .map(|camera| camera.width.max(camera.height))
+            .max()
+            .unwrap_or(0),
+    ) * scale) as u32
+}
+
+/// The words of commands with their values.
+pub(super) struct Words([(&'static str, String); 7]);
+
+impl Words {
+    pub fn new(selection: &Selection, lists: &Lists, scale: MapScale) -> Self {
+        let size = matched_scale(selection, scale);
+        let sides = |side: fn(&Camera) -> u32| {
+            lists
+                .views
+                .iter()
+                .map(move |&v| side(selection.scene.camera_of(v)))
+        };
+        let scaled = |side: Option<u32>| (f64::from(side.unwrap_or(0)) * size) as u32;
+        let most = selection.most_partners();
+        let limit = || format!(" --image_max_dim {}", longest(selection, lists, size));
+        Self([
+            (
+                "INPUT",
+                if scale == MapScale::Half {
+                    "/half".into()
+                } else {
+                    String::new()
+                },
+            ),
+            ("VIEWS", (most + 1).to_string()),
+            ("PARTNERS", most.to_string()),
+            (
+                "WIDTH",
+                scaled(sides(|camera| camera.width).min()).to_string(),
+            ),
+            (
+                "HEIGHT",
+                scaled(sides(|camera| camera.height).min()).to_string(),
+            ),
+            ("AGREEING", AGREEING.to_string()),
+            ("SIZE", if size < 1.0 { limit() } else { String::new() }),
+        ])
+    }
+
+    pub fn fill(&self, command: &str) -> String {
+        self.0
+            .iter()
+            .fold(command.into(), |text: String, (word, with)| {
+                text.replace(word, with)
+            })
+    }
+}
