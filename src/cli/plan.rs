@@ -196,7 +196,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, _) = backends::chosen(&project, &settings)?;
-    let project = match planning::undistorted_workspace(&project, backend)? {
+    let (project, settings) = match planning::undistorted_workspace(&project, backend)? {
         Some(workspace) => {
             if !arguments.quiet {
                 let place = workspace.root.display();
@@ -205,9 +205,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
                     backend.name
                 ));
             }
-            workspace
+            // It has its images beside its model.
+            let images = None;
+            (workspace, Settings { images, ..settings })
         }
-        None => project,
+        None => (project, settings),
     };
     let project = match &arguments.out {
         Some(out) => {

@@ -8,6 +8,7 @@ mod confidence;
 mod daemon_loop;
 mod export;
 mod floors;
+mod ground;
 mod kept;
 mod one_door;
 mod output;

@@ -26,7 +26,7 @@ use viewrank_io::{
 };
 
 /// Nine views straight down, of 100 by 75 pixels.
-fn scene() -> Scene {
+pub fn scene() -> Scene {
     let params = vec![85.0, 85.0, 50.0, 37.5];
     let camera = Camera::new(1, CameraModel::Pinhole, 100, 75, params).unwrap();
     let mut scene = Town {
@@ -44,22 +44,22 @@ fn scene() -> Scene {
 }
 
 /// A folder of files to come.
-struct Folder(TempDir);
+pub struct Folder(TempDir);
 
 impl Folder {
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
 
-    fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         self.0.path()
     }
 
-    fn at(&self, name: &str) -> PathBuf {
+    pub fn at(&self, name: &str) -> PathBuf {
         self.path().join(name)
     }
 
-    fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> &Self {
+    pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> &Self {
         let path = self.at(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, bytes).unwrap();
@@ -67,7 +67,7 @@ impl Folder {
     }
 
     /// Pictures of the views under names of their own.
-    fn pictures(&self, scene: &Scene, name: impl Fn(&str) -> String) -> &Self {
+    pub fn pictures(&self, scene: &Scene, name: impl Fn(&str) -> String) -> &Self {
         let mut picture = std::io::Cursor::new(Vec::new());
         let grey = image::GrayImage::from_fn(100, 75, |x, y| image::Luma([(x * y) as u8]));
         grey.write_to(&mut picture, image::ImageFormat::Png)
@@ -79,7 +79,7 @@ impl Folder {
     }
 
     /// A binary COLMAP model.
-    fn colmap(&self, folder: &str, model: &ColmapModel) -> &Self {
+    pub fn colmap(&self, folder: &str, model: &ColmapModel) -> &Self {
         for (name, bytes) in colmap_bin::write(model) {
             self.write(&format!("{folder}/{name}"), bytes);
         }
@@ -117,7 +117,7 @@ impl Folder {
     }
 
     /// Plans without comparing pictures; exit code, stdout and stderr.
-    fn plan(&self, options: &[&str]) -> (i32, String, String) {
+    pub fn plan(&self, options: &[&str]) -> (i32, String, String) {
         let path = self.path().to_str().unwrap();
         let arguments = ["plan", path, "--confidence", "geometric"];
         said(&viewrank(&[&arguments, options].concat()))
@@ -125,7 +125,7 @@ impl Folder {
 }
 
 /// Runs the program with nobody's own settings.
-fn viewrank(arguments: &[&str]) -> Output {
+pub fn viewrank(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_viewrank"))
         .args(arguments)
         .env("XDG_CONFIG_HOME", env!("CARGO_TARGET_TMPDIR"))
@@ -133,7 +133,7 @@ fn viewrank(arguments: &[&str]) -> Output {
         .unwrap()
 }
 
-fn said(output: &Output) -> (i32, String, String) {
+pub fn said(output: &Output) -> (i32, String, String) {
     let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
     let code = output.status.code().unwrap();
     (code, text(&output.stdout), text(&output.stderr))

@@ -81,6 +81,19 @@ fn the_folders_of_other_programs_are_searched() {
 }
 
 #[test]
+fn models_in_binary_are_named_in_the_folders_of_their_programs() {
+    let said = |place: &str| {
+        let folder = Folder::new();
+        // OpenMVG's list of images, which has no poses.
+        let list = r#"{"sfm_data_version":"0.3","views":[],"intrinsics":[],"extrinsics":[]}"#;
+        folder.write(place, "").write("matches/sfm_data.json", list);
+        Project::open(folder.path(), None).unwrap_err().to_string()
+    };
+    assert!(said("MeshroomCache/StructureFromMotion/1a2b/sfm.abc").contains("Alembic"));
+    assert!(said("reconstruction/sfm_data.bin").contains("OpenMVG's binary"));
+}
+
+#[test]
 fn the_model_of_undistorted_images_comes_before_the_distorted_one_beside_it() {
     let folder = Folder::new();
     folder

@@ -31,7 +31,10 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     let found = match named {
         Some(model) => vec![foreign::examined(root, model)],
         // Only what is beside a file is meant by it.
-        None if path.is_file() => models_in(root, vec![root.into()])?.into_models()?,
+        None if path.is_file() => {
+            let here = [root.to_path_buf()];
+            models_in(root, &here, &here).into_models()?
+        }
         None => models(root)?,
     };
     let (model, other_models) = choose(path, root, found, wanted)?;
@@ -104,16 +107,16 @@ fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
         .iter()
         .flat_map(|folder| with_sparse(&root.join(folder)))
         .collect();
-    let found = models_in(root, own)?
-        .or(|| models_in(root, sub_folders(root)))?
+    let found = models_in(root, &own, &folders_of_other_programs(root))
+        .or(|| Ok(models_in(root, &sub_folders(root), &[])))?
         .or(|| models_below(root))?;
     if found.incomplete.is_some() {
         return found.into_models();
     }
     let dense = || {
-        let folders = with_sub_folders(&root.join(DENSE));
-        let folders = folders.iter().flat_map(|folder| with_sparse(folder));
-        models_in(root, folders.collect())
+        let workspaces = with_sub_folders(&root.join(DENSE));
+        let folders: Vec<PathBuf> = workspaces.iter().flat_map(|w| with_sparse(w)).collect();
+        Ok(models_in(root, &folders, &[]))
     };
     found.or(dense)?.into_models()
 }
@@ -121,10 +124,25 @@ fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
 /// Folders of a project that programs name: COLMAP's own is the project, nerfstudio has a `colmap`,
 /// the scripts of 3D Gaussian Splatting have a `distorted`.
 pub(super) const FOLDERS_OF_PROGRAMS: [&str; 3] = ["", "colmap", "distorted"];
+/// Folders of Meshroom's nodes that have models, each in a folder named by a hash.
+const NODES_OF_MESHROOM: [&str; 2] = ["StructureFromMotion", "ConvertSfMFormat"];
 /// Folder of the dense workspaces of a project.
 const DENSE: &str = "dense";
 /// Most folders that are searched for models.
 const MOST_FOLDERS: usize = 1000;
+
+/// The project, and the folders of Meshroom's nodes in it.
+fn folders_of_other_programs(root: &Path) -> Vec<PathBuf> {
+    let caches = [root.join("MeshroomCache"), root.to_path_buf()];
+    let nodes = caches
+        .iter()
+        .flat_map(|cache| NODES_OF_MESHROOM.map(|node| cache.join(node)));
+    [root.to_path_buf()]
+        .into_iter()
+        .chain(nodes.flat_map(|node| sub_folders(&node)))
+        .take(MOST_FOLDERS)
+        .collect()
+}
 
 /// Finds the models further below a project, two folders deep, in the only folder that has any.
 fn models_below(root: &Path) -> Result<Found, ProjectError> {
@@ -137,8 +155,8 @@ fn models_below(root: &Path) -> Result<Found, ProjectError> {
     for child in children.iter().filter(is_searched).take(MOST_FOLDERS) {
         let inner = sub_folders(child).into_iter().take(MOST_FOLDERS);
         let folders: Vec<PathBuf> = [child.clone()].into_iter().chain(inner).collect();
-        let folders = folders.iter().flat_map(|folder| with_sparse(folder));
-        let there = models_in(child, folders.collect())?;
+        let of_colmap: Vec<PathBuf> = folders.iter().flat_map(|f| with_sparse(f)).collect();
+        let there = models_in(root, &of_colmap, &folders);
         if !there.models.is_empty() {
             below.push(child.clone());
         }
@@ -154,29 +172,25 @@ fn models_below(root: &Path) -> Result<Found, ProjectError> {
     }
 }
 
-/// Finds the COLMAP models in some folders, and the models of other programs in one. These are read
-/// only if none of COLMAP's has tracks, for they come after it.
-fn models_in(root: &Path, folders: Vec<PathBuf>) -> Result<Found, ProjectError> {
+/// Finds the models of COLMAP in some folders, and those of other programs in some. The latter are
+/// read only if none of COLMAP's has tracks, for they come after it.
+fn models_in(root: &Path, of_colmap: &[PathBuf], of_others: &[PathBuf]) -> Found {
     let mut found = Found::default();
     let mut known = HashSet::new();
-    for folder in folders.iter().filter(|folder| known.insert(*folder)) {
+    for folder in of_colmap.iter().filter(|folder| known.insert(*folder)) {
         match colmap_model(folder) {
             Ok(model) => found.models.extend(model),
             Err(error) => _ = found.incomplete.get_or_insert(error),
         }
     }
-    let are_poor = |models: &[ModelLocation]| {
-        let richest = models.iter().map(|model| model.contents).max();
-        richest < Some(ModelContents::Tracks)
-    };
-    let others = foreign::listed(root).into_iter();
-    match are_poor(&found.models) {
-        true => found
-            .models
-            .extend(others.map(|model| foreign::examined(root, model))),
-        false => found.models.extend(others),
-    }
-    Ok(found)
+    let richest = found.models.iter().map(|model| model.contents).max();
+    let are_read = richest < Some(ModelContents::Tracks);
+    let others = of_others.iter().flat_map(|folder| foreign::listed(folder));
+    found.models.extend(others.map(|model| match are_read {
+        true => foreign::examined(root, model),
+        false => model,
+    }));
+    found
 }
 
 /// The folder, its `sparse`, and the folders in that.
@@ -267,11 +281,19 @@ fn choose(
 ) -> Result<(ModelLocation, Vec<ModelLocation>), ProjectError> {
     name_apart(&mut models, root);
     models.sort_by_cached_key(order);
-    if models.is_empty() {
-        let other = foreign::in_binary(root).or_else(|| foreign::mistaken(root));
-        if let Some(error) = other {
+    // A list of images without poses is none (OpenMVG's `matches/sfm_data.json`).
+    if models.iter().all(|model| model.registered == 0) {
+        let folders = || [folders_of_other_programs(root), sub_folders(root)].concat();
+        let binary = || {
+            folders()
+                .iter()
+                .find_map(|folder| foreign::in_binary(folder))
+        };
+        if let Some(error) = foreign::mistaken(root).or_else(binary) {
             return Err(error);
         }
+    }
+    if models.is_empty() {
         let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, colmap and distorted, and two folders below";
         let looked_for = format!("{colmap}; {}", foreign::SEARCHED_PATHS);
         return Err(ProjectError::NoModel {

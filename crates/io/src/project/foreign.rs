@@ -27,7 +27,7 @@ use crate::{
 };
 
 /// Model files in a project folder, in order of preference.
-const MODEL_PATHS: [(&str, ModelFormat); 12] = [
+const MODEL_PATHS: [(&str, ModelFormat); 13] = [
     ("scene.mvs", ModelFormat::OpenMvs),
     ("sfm_data.json", ModelFormat::OpenMvg),
     ("reconstruction.json", ModelFormat::OpenSfm),
@@ -40,6 +40,7 @@ const MODEL_PATHS: [(&str, ModelFormat); 12] = [
     ("*bundle.out", ModelFormat::Bundler),
     ("*.out", ModelFormat::Bundler),
     ("transforms.json", ModelFormat::Transforms),
+    ("transforms_train.json", ModelFormat::Transforms),
 ];
 
 /// Description of these files for the error without any model.

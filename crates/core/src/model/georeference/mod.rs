@@ -207,6 +207,28 @@ mod tests {
     }
 
     #[test]
+    fn the_scale_of_a_fitted_model_is_metres_in_a_unit() {
+        let origin = Geodetic {
+            latitude: 52.0,
+            longitude: 21.0,
+            height: 100.0,
+        };
+        let place = Georeference::east_north_up(origin);
+        // A model in units of 5 m.
+        let centres: Vec<Vector3<f64>> = (0..12)
+            .map(|i| Vector3::new(f64::from(i % 4), f64::from(i / 4), 0.1 * f64::from(i % 3)))
+            .collect();
+        let positions: Vec<Geodetic> = centres
+            .iter()
+            .map(|centre| place.geodetic(&Point3::from(centre * 5.0)).unwrap())
+            .collect();
+        let fitted = Georeference::fitted(&centres, &positions).unwrap();
+        assert!((fitted.metres_per_unit().unwrap() - 5.0).abs() < 1e-6);
+        assert_eq!(place.metres_per_unit(), Some(1.0));
+        assert_eq!(Georeference::Local.metres_per_unit(), None);
+    }
+
+    #[test]
     fn a_point_100_m_east_has_a_greater_longitude() {
         let frame = Georeference::east_north_up(Geodetic {
             latitude: 30.171208,

@@ -1,0 +1,174 @@
+//! What a surveyor asks of a region: did I miss something? In metres, where these are known.
+
+use std::fs;
+
+use serde_json::{Value, json};
+use viewrank_io::formats::colmap::ColmapModel;
+
+use crate::one_door::{Folder, said, scene, viewrank};
+
+const LATITUDE: f64 = 52.0;
+const LONGITUDE: f64 = 21.0;
+
+/// A flight over the square from -25 to 25 m, whose model is in metres east and north of a place.
+fn flight(settings: &str) -> Folder {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"))
+        .write("viewrank.toml", settings);
+    folder
+}
+
+fn georeferenced() -> Folder {
+    flight(&format!("frame.origin = [{LATITUDE}, {LONGITUDE}, 0]\n"))
+}
+
+/// GeoJSON of a rectangle, metres east and north.
+fn site(folder: &Folder, [west, south, east, north]: [f64; 4]) -> String {
+    let metre = 1.0 / 111_250.0;
+    let at = |x: f64, y: f64| {
+        let along = LATITUDE.to_radians().cos() * 111_320.0;
+        [LONGITUDE + x / along, LATITUDE + y * metre]
+    };
+    let ring = [
+        at(west, south),
+        at(east, south),
+        at(east, north),
+        at(west, north),
+        at(west, south),
+    ];
+    let geometry = json!({ "type": "Polygon", "coordinates": [ring] });
+    folder.write("site.geojson", geometry.to_string());
+    folder.at("site.geojson").to_str().unwrap().to_owned()
+}
+
+fn manifest(folder: &Folder) -> Value {
+    serde_json::from_slice(&fs::read(folder.at("viewrank/manifest.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn what_the_photographs_miss_of_a_region_is_said_first() {
+    let folder = georeferenced();
+    // A fifth of it was flown over.
+    let region = site(&folder, [-10.0, -10.0, 200.0, 10.0]);
+    let (code, stdout, stderr) = folder.plan(&["--region", &region, "--backend", "sgm"]);
+    assert_eq!(code, 0, "{stderr}");
+    let ground = &manifest(&folder)["region"]["ground"];
+    let number = |key: &str| ground[key].as_f64().unwrap();
+    assert!((number("area") - 4200.0).abs() < 42.0, "{ground}");
+    assert!((0.1..0.2).contains(&number("surface")), "{ground}");
+    assert!((0.7..0.85).contains(&number("unseen")), "{ground}");
+    let percent = format!("{:.1} %", 100.0 * number("unseen"));
+    assert!(
+        stdout.contains(&format!("No photograph shows {percent} of it")),
+        "{stdout}"
+    );
+    assert!(stdout.contains("m² on the map"), "{stdout}");
+    assert!(
+        stderr.contains(&format!("No photograph shows {percent} of the region")),
+        "{stderr}"
+    );
+    let (code, found, _) = said(&viewrank(&["doctor", folder.path().to_str().unwrap()]));
+    assert!(code == 3 && found.contains(&percent), "{found}");
+}
+
+#[test]
+fn a_region_within_the_flight_is_whole() {
+    let folder = georeferenced();
+    let region = site(&folder, [-10.0, -10.0, 10.0, 10.0]);
+    let (code, stdout, stderr) = folder.plan(&["--region", &region, "--backend", "sgm"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        stdout.contains("Two photographs or more show all of it"),
+        "{stdout}"
+    );
+    assert!(!stderr.contains("No photograph"), "{stderr}");
+    assert_eq!(manifest(&folder)["region"]["ground"]["unseen"], 0.0);
+}
+
+#[test]
+fn a_doctor_without_a_plan_counts_the_photographs_of_the_region() {
+    let folder = georeferenced();
+    let region = site(&folder, [-10.0, -10.0, 200.0, 10.0]);
+    let settings = fs::read_to_string(folder.at("viewrank.toml")).unwrap();
+    folder.write("viewrank.toml", format!("region = {region:?}\n{settings}"));
+    let (_, found, _) = said(&viewrank(&["doctor", folder.path().to_str().unwrap()]));
+    assert!(
+        found.contains("the region covers") && found.contains("No photograph"),
+        "{found}"
+    );
+}
+
+#[test]
+fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
+    let folder = georeferenced();
+    let region = site(&folder, [-10.0, -10.0, 90.0, 10.0]);
+    let (code, _, stderr) = folder.plan(&["--region", &region, "--backend", "sgm", "--report"]);
+    assert_eq!(code, 0, "{stderr}");
+    let flown = fs::read_to_string(folder.at("viewrank/flight/waypoints.geojson")).unwrap();
+    let flown: Value = serde_json::from_str(&flown).unwrap();
+    let straight_down: Vec<f64> = flown["features"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|waypoint| waypoint["properties"]["pitch_deg"] == -90.0)
+        .map(|waypoint| waypoint["geometry"]["coordinates"][0].as_f64().unwrap())
+        .collect();
+    let east = |metres: f64| LONGITUDE + metres / (LATITUDE.to_radians().cos() * 111_320.0);
+    let between = |low: f64, high: f64| {
+        let inside = straight_down
+            .iter()
+            .filter(|x| (east(low)..east(high)).contains(x));
+        inside.count()
+    };
+    // All over what was missed, and not over what was flown.
+    for west in [40.0, 55.0, 70.0] {
+        assert!(between(west, west + 15.0) >= 2, "{west}: {straight_down:?}");
+    }
+    assert_eq!(between(-15.0, 10.0), 0, "{straight_down:?}");
+    let page = fs::read_to_string(folder.at("viewrank/report.html")).unwrap();
+    let data = page
+        .split_once("<script id=\"data\" type=\"application/json\">")
+        .unwrap()
+        .1;
+    let data: Value = serde_json::from_str(data.split_once("</script>").unwrap().0).unwrap();
+    assert_eq!(data["metres"], 1.0);
+    assert_eq!(data["region"]["outline"].as_array().unwrap().len(), 1);
+    let high = data["subject"]["high"][0].as_f64().unwrap();
+    assert!((high - data["subject"]["low"][0].as_f64().unwrap()) > 95.0);
+    let bare = data["holes"].as_array().unwrap().last().unwrap();
+    assert!(
+        bare["missing"].as_str().unwrap().contains("no surface"),
+        "{bare}"
+    );
+}
+
+#[test]
+fn lengths_are_metres_where_the_model_has_a_place_on_earth() {
+    let plan = |folder: &Folder, options: &[&str]| {
+        let options = [&["--backend", "sgm", "--format", "json"], options].concat();
+        let (code, stdout, stderr) = folder.plan(&options);
+        let summary = serde_json::from_str::<Value>(&stdout).unwrap_or_default();
+        (code, summary, stderr)
+    };
+    let folder = georeferenced();
+    let (code, summary, stderr) = plan(&folder, &["--gsd", "60cm"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(
+        (&summary["gsd"], &summary["metres_per_unit"]),
+        (&json!(0.6), &json!(1.0))
+    );
+    assert_eq!(summary["units"], "metric");
+    // The user's word counts before all.
+    let relative = flight(&format!(
+        "units = \"relative\"\nframe.origin = [{LATITUDE}, {LONGITUDE}, 0]\n"
+    ));
+    let (code, _, stderr) = plan(&relative, &["--gsd", "60cm"]);
+    assert!(code == 2 && stderr.contains("unit of length"), "{stderr}");
+    let (code, _, stderr) = plan(&flight(""), &["--gsd", "60cm"]);
+    assert!(code == 2 && stderr.contains("unit of length"), "{stderr}");
+    let path = folder.path().to_str().unwrap();
+    let (_, inspected, _) = said(&viewrank(&["inspect", path]));
+    assert!(inspected.contains("metres"), "{inspected}");
+}
