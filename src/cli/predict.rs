@@ -10,13 +10,11 @@ use crate::{
     },
     io::{
         image::{Image, ImageError, drawn_size},
+        npy,
         output::{Contents, Disk, FileSet},
     },
     model::cluster::ViewCluster,
-    show::{
-        pictures::{confidence_picture, expected_success},
-        tables,
-    },
+    show::pictures::{confidence_picture, expected_success},
 };
 use clap::Args;
 use rayon::prelude::*;
@@ -96,7 +94,7 @@ fn predictions(project: &Path, arguments: &Arguments) -> Result<Vec<PredictionFi
         Ok((
             name.to_owned(),
             picture,
-            tables::array(&[height as usize, width as usize], raw),
+            npy::write(&[height as usize, width as usize], raw),
         ))
     };
     plan.chosen()

@@ -1,11 +1,13 @@
 //! The tables of a plan as NumPy files (method 6), to recompute, check or plot results.
 
-use npyz::{AutoSerialize, WriterBuilder};
 use serde_json::json;
 
 use crate::{
     base::rows::Offsets,
-    io::output::{Contents, FileSet},
+    io::{
+        npy,
+        output::{Contents, FileSet},
+    },
     method::confidence::Confidence,
     model::scene::ViewIndex,
     plan::Plan,
@@ -23,25 +25,25 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
         .collect();
     table(
         "vertices",
-        array(&[plan.stages.surface.vertices.len(), 3], vertices),
+        npy::write(&[plan.stages.surface.vertices.len(), 3], vertices),
     );
     table(
         "triangles",
-        array(
+        npy::write(
             &[plan.stages.surface.triangles.len(), 3],
             plan.stages.surface.triangles.iter().flatten().copied(),
         ),
     );
     table(
         "triangle_gsd",
-        array(
+        npy::write(
             &[plan.stages.target.gsd.len()],
             plan.stages.target.gsd.iter().copied(),
         ),
     );
     table(
         "weight",
-        array(
+        npy::write(
             &[plan.stages.objective.weights.len()],
             plan.stages.objective.weights.iter().copied(),
         ),
@@ -52,16 +54,16 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     );
     table(
         "visible",
-        array(&[plan.stages.visibility.triangles.len(), 2], visible),
+        npy::write(&[plan.stages.visibility.triangles.len(), 2], visible),
     );
     let (unary, seen) = (&plan.stages.unary, plan.stages.visibility.triangles.len());
     table(
         "unary",
-        array(&[seen], (0..seen).map(|row| unary.at(row).observed)),
+        npy::write(&[seen], (0..seen).map(|row| unary.at(row).observed)),
     );
     table(
         "allowed",
-        array(&[seen], (0..seen).map(|row| unary.at(row).allowed)),
+        npy::write(&[seen], (0..seen).map(|row| unary.at(row).allowed)),
     );
     if let Confidence::Photometric { .. } = plan.stages.rule.confidence {
         let agreement = &plan.stages.agreement;
@@ -69,7 +71,7 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
         table("agreement_offsets", offsets(&agreement.offsets));
         table(
             "agreement",
-            array(&[agreement.values.len()], agreement.values.iter().copied()),
+            npy::write(&[agreement.values.len()], agreement.values.iter().copied()),
         );
     }
     table("candidates", indices(&plan.stages.candidates.views));
@@ -104,25 +106,25 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     );
     table(
         "fulfilment",
-        array(&[plan.stages.fulfilment.triangles.len(), 2], fulfilment),
+        npy::write(&[plan.stages.fulfilment.triangles.len(), 2], fulfilment),
     );
     table(
         "fulfilment_value",
-        array(
+        npy::write(
             &[plan.stages.fulfilment.values.len()],
             plan.stages.fulfilment.values.iter().copied(),
         ),
     );
     table(
         "order",
-        array(
+        npy::write(
             &[plan.decision.ranking.order.len()],
             plan.decision.ranking.order.iter().copied(),
         ),
     );
     table(
         "gain",
-        array(
+        npy::write(
             &[plan.decision.ranking.gains.len()],
             plan.decision.ranking.gains.iter().copied(),
         ),
@@ -167,46 +169,16 @@ pub(crate) fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterato
 }
 
 pub(crate) fn indices(views: &[ViewIndex]) -> Vec<u8> {
-    array(&[views.len()], views.iter().map(|v| v.0))
+    npy::write(&[views.len()], views.iter().map(|v| v.0))
 }
 
 pub(crate) fn offsets(offsets: &[usize]) -> Vec<u8> {
-    array(&[offsets.len()], offsets.iter().map(|&o| o as u64))
-}
-
-/// Returns the bytes of a `.npy` file, row-major, little-endian.
-pub fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
-    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
-    let mut bytes = Vec::new();
-    let writer = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(&shape)
-        .writer(&mut bytes)
-        .begin_nd();
-    let mut writer = writer.expect("writing to memory does not fail");
-    writer
-        .extend(values)
-        .and_then(|()| writer.finish())
-        .expect("as many values as the shape says");
-    bytes
+    npy::write(&[offsets.len()], offsets.iter().map(|&o| o as u64))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numpy_reads_back_what_was_written() {
-        let bytes = array(&[2, 3], [1u32, 2, 3, 4, 5, 6]);
-        let file = npyz::NpyFile::new(&bytes[..]).expect("a NumPy file");
-        assert_eq!(file.shape(), [2, 3]);
-        assert_eq!(file.into_vec::<u32>().expect("u32"), [1, 2, 3, 4, 5, 6]);
-        assert_eq!(
-            bytes.len() % 64,
-            24,
-            "the header is padded, the data begin aligned"
-        );
-    }
 
     #[test]
     fn rows_of_a_table_are_numbered() {

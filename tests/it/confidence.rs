@@ -8,6 +8,7 @@ use std::{
 
 use serde_json::Value;
 use tempfile::TempDir;
+use viewrank_io::npy;
 
 /// A project folder of its own with the fixture's model and images.
 fn project() -> TempDir {
@@ -78,14 +79,9 @@ fn allowed(project: &Path, options: &[&str]) -> Vec<(u32, f32)> {
         &[options, &["--dump-tables", tables.to_str().unwrap()]].concat(),
     );
     let read = |name: &str| fs::read(tables.join(name)).unwrap();
-    let views: Vec<u32> = npyz::NpyFile::new(&read("visible.npy")[..])
-        .unwrap()
-        .into_vec()
-        .unwrap();
-    let values: Vec<f32> = npyz::NpyFile::new(&read("allowed.npy")[..])
-        .unwrap()
-        .into_vec()
-        .unwrap();
+    let (visible, allowed) = (read("visible.npy"), read("allowed.npy"));
+    let views: Vec<u32> = npy::read(&visible).unwrap().values().unwrap();
+    let values: Vec<f32> = npy::read(&allowed).unwrap().values().unwrap();
     views
         .chunks_exact(2)
         .map(|row| row[0])
@@ -429,7 +425,7 @@ fn predict_draws_the_key_views_of_a_plan() {
     assert_eq!(pictures.count(), chosen);
     let first = manifest["clusters"][0]["key"].as_str().unwrap();
     let array = fs::read(out.path().join(format!("{first}.npy"))).unwrap();
-    let values: Vec<f32> = npyz::NpyFile::new(&array[..]).unwrap().into_vec().unwrap();
+    let values: Vec<f32> = npy::read(&array).unwrap().values().unwrap();
     let known = || values.iter().filter(|v| !v.is_nan());
     assert!(
         known().all(|v| (0.0..=1.0).contains(v))

@@ -8,6 +8,7 @@ use std::{
 
 use serde_json::{Value, json};
 use tempfile::TempDir;
+use viewrank_io::npy;
 
 const LATITUDE: f64 = 52.5;
 const LONGITUDE: f64 = 13.4;
@@ -137,10 +138,8 @@ fn a_surveyors_polygons_weigh_what_is_inside() {
     }
     assert!(region["share_of_area"].as_f64().unwrap() < 0.5);
     assert_ne!(manifest["clusters"], whole["clusters"]);
-    let gsd: Vec<f32> = npyz::NpyFile::new(&fs::read(tables.join("triangle_gsd.npy")).unwrap()[..])
-        .unwrap()
-        .into_vec()
-        .unwrap();
+    let gsd = fs::read(tables.join("triangle_gsd.npy")).unwrap();
+    let gsd: Vec<f32> = npy::read(&gsd).unwrap().values().unwrap();
     assert!(gsd.contains(&0.011) && !gsd.iter().all(|&gsd| gsd == 0.011));
     let surface = fs::read(root.join("viewrank/surface.ply")).unwrap();
     assert!(surface.windows(21).any(|w| w == b"property float region"));

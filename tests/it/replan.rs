@@ -6,7 +6,6 @@ use std::{
 };
 
 use nalgebra::{Point2, Vector3};
-use npyz::WriterBuilder;
 use viewrank::{
     Plan, Settings,
     daemon::follow::{self, Progress},
@@ -32,6 +31,7 @@ use viewrank_core::{
 };
 use viewrank_io::{
     formats::{colmap::ColmapModel, colmap_bin},
+    npy,
     output::Disk,
     project::Project,
 };
@@ -181,15 +181,8 @@ fn depths(plan: &Plan, view: ViewIndex, keep: impl Fn(u32, u32) -> bool) -> Vec<
     front.iter().enumerate().map(depth).collect()
 }
 
-fn write_map(path: &Path, [width, height]: [u64; 2], depths: Vec<f32>) {
-    let mut bytes = Vec::new();
-    let options = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(&[height, width]);
-    let mut writer = options.writer(&mut bytes).begin_nd().unwrap();
-    writer.extend(depths).unwrap();
-    writer.finish().unwrap();
-    fs::write(path, bytes).unwrap();
+fn write_map(path: &Path, [width, height]: [usize; 2], depths: Vec<f32>) {
+    fs::write(path, npy::write(&[height, width], depths)).unwrap();
 }
 
 /// The plan matches all at one size; the maps of another plan had half of it.
@@ -200,10 +193,8 @@ fn finished_maps_at_half_the_size_stay_such_and_are_no_measure_of_what_can_be_re
     let full = planned.again();
     for key in planned.keys(0..3) {
         let path = planned.maps().join(format!("{key}.npy"));
-        let map = npyz::NpyFile::new(&*fs::read(&path).unwrap())
-            .unwrap()
-            .into_vec::<f32>()
-            .unwrap();
+        let bytes = fs::read(&path).unwrap();
+        let map = npy::read(&bytes).unwrap().values::<f32>().unwrap();
         let half = (0..150 * 200)
             .map(|at| map[2 * (at / 200) * 400 + 2 * (at % 200)])
             .collect();

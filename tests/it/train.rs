@@ -9,7 +9,7 @@ use std::{
 
 use serde_json::Value;
 use tempfile::TempDir;
-use viewrank::{Plan, Settings, tables};
+use viewrank::{Plan, Settings};
 use viewrank_core::{
     base::progress::NoWatcher,
     method::{
@@ -17,7 +17,7 @@ use viewrank_core::{
         visibility::{NOTHING, front},
     },
 };
-use viewrank_io::project::Project;
+use viewrank_io::{npy, project::Project};
 
 /// Size of the depth maps.
 const WIDTH: u32 = 200;
@@ -79,7 +79,7 @@ fn project() -> TempDir {
     for cluster in 0..plan.stages.clusters.len() {
         let depths = matched(&plan, cluster);
         let name = plan.stages.scene.name(plan.stages.clusters[cluster].key);
-        let array = tables::array(&[HEIGHT as usize, WIDTH as usize], depths);
+        let array = npy::write(&[HEIGHT as usize, WIDTH as usize], depths);
         fs::write(folder.path().join(format!("sgm/{name}.npy")), array).unwrap();
     }
     folder

@@ -8,6 +8,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+LONG = bool(os.environ.get("VIEWRANK_LONG"))
+
+
+def spread(items, most):
+    """Evenly spread items with the first and the last, `most` of them; all with VIEWRANK_LONG=1."""
+    items = list(items)
+    if LONG or len(items) <= most:
+        return items
+    return [items[round(i * (len(items) - 1) / (most - 1))] for i in range(most)]
 
 
 @pytest.fixture(scope="session")
@@ -21,6 +30,18 @@ def viewrank():
         return done
 
     return run
+
+
+@pytest.fixture(scope="session")
+def example():
+    """The path of a program of crates/*/examples, as `cargo test` and `cargo build --examples` leave it."""
+
+    def path(name):
+        program = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug/examples" / name
+        assert program.is_file(), f"no {program}: cargo build --examples"
+        return program
+
+    return path
 
 
 @pytest.fixture(scope="session")

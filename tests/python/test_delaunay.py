@@ -1,5 +1,4 @@
 """The triangulation against scipy's (Qhull) and CGAL's: the same sets of cells on the same points."""
-import json
 import shutil
 import subprocess
 from pathlib import Path
@@ -12,11 +11,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def ours():
-    command = ["cargo", "build", "--quiet", "--locked", "--bench", "delaunay", "--message-format", "json"]
-    messages = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
-    built = [json.loads(line) for line in messages.splitlines()]
-    return next(unit["executable"] for unit in built if unit.get("target", {}).get("kind") == ["bench"])
+def ours(example):
+    return example("delaunay")
 
 
 @pytest.fixture(scope="module")

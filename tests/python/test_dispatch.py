@@ -21,7 +21,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SGM = ROOT / "integrations/sgm/sgm.py"
 DAEMONS = [f"{folder}/{name}" for name in ("slurmctld", "slurmd") for folder in ("/usr/sbin", "/usr/local/sbin") if Path(folder, name).exists()]
-MAX_INDEX = 5  # of an array, so that eight ranks need two
+RANKS = 4
+MAX_INDEX = 2  # of an array, so that the ranks need two
 
 # Stands before sgm.py: notes each start, and waits while a file says so.
 FRONT = """
@@ -54,7 +55,7 @@ class Work:
         self.front.write_text(FRONT.format(folder=str(SGM.parent), program=str(SGM)))
 
     def dispatch(self, scheduler, *options):
-        done = self.viewrank("dispatch", self.project, "--scheduler", scheduler, "--backend", "sgm", "--program", self.front, "--budget", "8", "--format", "json", *options)
+        done = self.viewrank("dispatch", self.project, "--scheduler", scheduler, "--backend", "sgm", "--program", self.front, "--budget", RANKS, "--format", "json", *options)
         return json.loads(done.stdout)
 
     def script(self, name):
@@ -105,20 +106,20 @@ def work(tmp_path, viewrank, fixtures, monkeypatch):
 
 def test_a_plain_loop_computes_each_rank_once(work):
     report = work.dispatch("shell")
-    assert report["tasks"] == 8 and report["done"] == 0 and work.ranks() == []
+    assert report["tasks"] == RANKS and report["done"] == 0 and work.ranks() == []
     task = work.script("task.sh")
-    for rank in range(1, 9):
+    for rank in range(1, RANKS + 1):
         subprocess.run([task, str(rank)], check=True, cwd="/")
-    assert work.ranks() == list(range(1, 9))
+    assert work.ranks() == list(range(1, RANKS + 1))
     subprocess.run([work.script("fuse.sh")], check=True, cwd="/")
-    assert work.maps() == work.keys(8) == work.reported()
+    assert work.maps() == work.keys(RANKS) == work.reported()
     again = subprocess.run([task, "3"], check=True, capture_output=True, text=True)
     assert "is there" in again.stdout and "nothing new" in subprocess.run([work.script("fuse.sh")], capture_output=True, text=True).stdout
-    (work.project / "sgm/depth_maps" / work.keys(8)[0]).unlink()
-    for rank in range(1, 10):
+    (work.project / "sgm/depth_maps" / work.keys(RANKS)[0]).unlink()
+    for rank in range(1, RANKS + 2):
         subprocess.run([task, str(rank)], check=True)
-    assert len(work.ranks()) == 9, "only the lost map is made again, and a rank too many does no harm"
-    assert work.dispatch("shell")["done"] == 8
+    assert len(work.ranks()) == RANKS + 1, "only the lost map is made again, and a rank too many does no harm"
+    assert work.dispatch("shell")["done"] == RANKS
 
 
 def test_a_killed_task_is_done_again_and_a_reached_target_ends(work):
@@ -186,9 +187,9 @@ def test_a_target_beyond_the_plan_is_refused(work):
 @pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
 def test_gnu_parallel(work):
     work.dispatch("shell")
-    subprocess.run(["parallel", "--will-cite", "-q", "-j", "2", work.script("task.sh")], input="\n".join(map(str, range(1, 9))), text=True, check=True)
-    assert sorted(work.ranks()) == list(range(1, 9))
-    assert work.maps() == work.keys(8)
+    subprocess.run(["parallel", "--will-cite", "-q", "-j", "2", work.script("task.sh")], input="\n".join(map(str, range(1, RANKS + 1))), text=True, check=True)
+    assert sorted(work.ranks()) == list(range(1, RANKS + 1))
+    assert work.maps() == work.keys(RANKS)
 
 
 COLMAP = """#!/bin/sh
@@ -210,7 +211,7 @@ def test_colmap_maps_must_be_whole(work):
     program = work.folder / "colmap-program"
     program.write_text(COLMAP.format(folder=work.folder))
     program.chmod(0o755)
-    options = ("--scheduler", "shell", "--backend", "colmap", "--program", program, "--format", "json", "--budget", "8")
+    options = ("--scheduler", "shell", "--backend", "colmap", "--program", program, "--format", "json", "--budget", RANKS)
     tasks = json.loads(work.viewrank("dispatch", work.project, *options).stdout)["tasks"]
     task = work.project / "viewrank/dispatch/colmap/task.sh"
     (work.folder / "bytes").write_text("30")
@@ -335,15 +336,15 @@ def slurm(tmp_path_factory, monkeypatch):
 
 def test_slurm_in_rank_order_and_nothing_twice(work, slurm):
     report = work.dispatch("slurm", "--at-once", "1", "--memory", "500M")
-    assert report["ranks"] == list(range(1, 9)) and len(report["jobs"]) == 3, "two arrays and the fusion"
+    assert report["ranks"] == list(range(1, RANKS + 1)) and len(report["jobs"]) == 3, "two arrays and the fusion"
     work.process(1)
     during = work.dispatch("slurm", "--at-once", "1", "--memory", "500M")
     assert during["ranks"] == [] and during["jobs"] == [], "all are on their way"
     slurm.drained()
-    assert work.ranks() == list(range(1, 9))
-    assert work.maps() == work.keys(8) == work.reported()
+    assert work.ranks() == list(range(1, RANKS + 1))
+    assert work.maps() == work.keys(RANKS) == work.reported()
     after = work.dispatch("slurm")
-    assert after["done"] == 8 and after["jobs"] == []
+    assert after["done"] == RANKS and after["jobs"] == []
     work.viewrank("evaluate", work.project, "--depth-maps", work.project / "sgm", "--quiet")
 
 
@@ -353,12 +354,12 @@ def test_slurm_submits_a_killed_task_again(work, slurm):
     os.kill(work.process(2), signal.SIGKILL)
     work.release(2)
     slurm.drained()
-    assert sorted(work.ranks()) == list(range(1, 9)) and work.keys(8) != work.maps()
+    assert sorted(work.ranks()) == list(range(1, RANKS + 1)) and work.keys(RANKS) != work.maps()
     assert work.reported() == work.maps(), "what is there is joined"
     again = work.dispatch("slurm")
     assert again["ranks"] == [2]
     slurm.drained()
-    assert sorted(work.ranks()) == sorted([2, *range(1, 9)]) and work.maps() == work.keys(8) == work.reported()
+    assert sorted(work.ranks()) == sorted([2, *range(1, RANKS + 1)]) and work.maps() == work.keys(RANKS) == work.reported()
 
 
 def test_slurm_loses_a_node(work, slurm):
@@ -374,8 +375,8 @@ def test_slurm_loses_a_node(work, slurm):
     assert slurm.ask("scontrol", "update", f"JobId={job}", "StartTime=now") == ""
     work.release(1, 2)
     slurm.drained()
-    assert sorted(work.ranks()) == sorted([1, *range(1, 9)]), "only the lost one twice"
-    assert work.maps() == work.keys(8) == work.reported()
+    assert sorted(work.ranks()) == sorted([1, *range(1, RANKS + 1)]), "only the lost one twice"
+    assert work.maps() == work.keys(RANKS) == work.reported()
 
 
 def take_away(daemon, process):
@@ -428,4 +429,4 @@ def test_slurm_follows_a_new_plan(work, slurm):
     slurm.drained()
     work.dispatch("slurm")
     slurm.drained()
-    assert work.dispatch("slurm")["done"] == 8 and set(work.keys(8)) <= set(work.maps())
+    assert work.dispatch("slurm")["done"] == RANKS and set(work.keys(RANKS)) <= set(work.maps())

@@ -1,28 +1,23 @@
 """Every model is read as pycolmap reads it: the same counts, poses and reprojections."""
 import json
-import os
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
 
 # pycolmap cuts names of text models at the first blank and takes quaternions as they are; both are tested in Rust.
 OTHERWISE = {"names/txt", "txt_unnormalised_quaternion"}
 
 
 @pytest.fixture(scope="session")
-def read(tmp_path_factory):
-    """Returns names, poses, observations and pixels of a model as viewrank reads them (examples/scene.rs)."""
-    subprocess.run(["cargo", "build", "--locked", "--quiet", "--example", "scene"], cwd=ROOT, check=True)
-    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+def read(example, tmp_path_factory):
+    """Returns names, poses, observations and pixels of a model as viewrank reads them (crates/io/examples/scene.rs)."""
+    program = example("scene")
 
     def run(model):
         out = tmp_path_factory.mktemp("scene")
-        subprocess.run([target / "debug/examples/scene", model, out], check=True, capture_output=True)
+        subprocess.run([program, model, out], check=True, capture_output=True)
         arrays = [np.load(out / f"{name}.npy") for name in ("poses", "observations", "pixels")]
         return json.loads((out / "views.json").read_text()), *arrays
 

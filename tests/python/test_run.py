@@ -75,16 +75,16 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(run, valley):
 def test_maps_of_another_size_are_made_again(run, valley):
     """The backend cannot fuse them with the others."""
     sgm = (valley, "--backend", "sgm", "--no-report", "--budget")
-    run(*sgm, "12")
+    run(*sgm, "6")
     small = {path: path.read_bytes() for path in (valley / "sgm/depth_maps").glob("*.npy")}
     (valley / "viewrank.toml").write_text("image_scale = 0.35\n")
-    out, err = run(*sgm, "12")
-    assert "Computing 12 of 28 depth maps (--budget 12)" in out, "none of them is there already"
+    out, err = run(*sgm, "6")
+    assert "Computing 6 of 28 depth maps (--budget 6)" in out, "none of them is there already"
     assert re.search(r"\d+ depth maps that are there do not count for this plan: made again", err)
     large = {path: path.read_bytes() for path in (valley / "sgm/depth_maps").glob("*.npy")}
-    assert sum(large[path] != small.get(path) for path in large) == 12
-    result = json.loads(run(*sgm, "12", "--format", "json")[0])
-    assert (result["done"], result["tasks"]) == (12, 12), "and now they are"
+    assert sum(large[path] != small.get(path) for path in large) == 6
+    result = json.loads(run(*sgm, "6", "--format", "json")[0])
+    assert (result["done"], result["tasks"]) == (6, 6), "and now they are"
 
 
 def test_no_other_plan_is_made_while_maps_are_computed(run, viewrank, valley):

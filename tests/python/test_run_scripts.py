@@ -13,6 +13,9 @@ import pytest
 
 from conftest import ROOT
 
+# Of the stand-ins, without the modules that site adds: it starts in a third of the time.
+INTERPRETER = f"{sys.executable} -IS"
+
 
 @pytest.fixture(scope="session")
 def plans(viewrank, fixtures, tmp_path_factory):
@@ -33,7 +36,7 @@ class Work:
         self.bin = folder / "bin"
         self.bin.mkdir()
         for name, text in programs.items():
-            (self.bin / name).write_text(text.replace("PYTHON", sys.executable))
+            (self.bin / name).write_text(text.replace("PYTHON", INTERPRETER))
             (self.bin / name).chmod(0o755)
         self.said = self.export(4)
 

@@ -1,7 +1,7 @@
 //! Kills the daemon at random instants while projects change: its final outputs equal those of an
 //! undisturbed run, byte for byte.
 //!
-//! 300 kills by default; VIEWRANK_KILLS sets another number.
+//! 100 kills by default; VIEWRANK_KILLS sets another number.
 
 use std::{
     collections::BTreeMap,
@@ -12,14 +12,16 @@ use std::{
     time::{Duration, Instant, UNIX_EPOCH},
 };
 
-use npyz::WriterBuilder;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use viewrank_core::{
     method::synthetic::Town,
     model::camera::{Camera, CameraModel},
 };
-use viewrank_io::formats::{colmap::ColmapModel, colmap_bin};
+use viewrank_io::{
+    formats::{colmap::ColmapModel, colmap_bin},
+    npy,
+};
 
 const PROJECTS: [&str; 3] = ["a", "deep/b", "with blank/c"];
 /// A project with a constant model whose depth maps come and go.
@@ -71,17 +73,8 @@ fn put_maps(project: &Path, keys: &[String]) {
     let folder = project.join("sgm/depth_maps");
     fs::create_dir_all(&folder).expect("a folder");
     for (i, key) in keys.iter().enumerate() {
-        let mut bytes = Vec::new();
-        let mut writer = npyz::WriteOptions::new()
-            .default_dtype()
-            .shape(&[150, 200])
-            .writer(&mut bytes)
-            .begin_nd()
-            .expect("a header");
-        writer
-            .extend((0..150 * 200).map(|at| if at % 2 == 0 { 40.0f32 } else { 0.0 }))
-            .expect("depths");
-        writer.finish().expect("a map");
+        let depths = (0..150 * 200).map(|at| if at % 2 == 0 { 40.0f32 } else { 0.0 });
+        let bytes = npy::write(&[150, 200], depths);
         let path = folder.join(format!("{key}.npy"));
         fs::write(&path, bytes).expect("a file");
         // The time per pair is computed from these times.
@@ -311,7 +304,7 @@ fn a_daemon_killed_at_any_instant_ends_with_the_outputs_of_an_undisturbed_one() 
     let kills: u64 = std::env::var("VIEWRANK_KILLS")
         .ok()
         .and_then(|n| n.parse().ok())
-        .unwrap_or(300);
+        .unwrap_or(100);
     let mut scene = Scene::new(kills);
     let mut hits = Hits::default();
     (0..kills).for_each(|_| scene.kill_one(&mut hits));

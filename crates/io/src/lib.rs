@@ -9,6 +9,7 @@ pub mod formats;
 pub mod image;
 pub mod input;
 pub mod mistaken;
+pub mod npy;
 pub mod output;
 pub mod packed;
 pub mod paths;

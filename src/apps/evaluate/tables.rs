@@ -2,9 +2,9 @@
 
 use super::run::MeasuredClusters;
 use crate::{
-    io::output::FileSet,
+    io::{npy, output::FileSet},
     plan::Plan,
-    show::tables::{self, add_table, array, indices, offsets, rows},
+    show::tables::{self, add_table, indices, offsets, rows},
 };
 
 /// Adds the plan's tables and, for the clusters that were measured: `real.npy` (row, triangle) with
@@ -36,7 +36,7 @@ pub fn add(plan: &Plan, run: &MeasuredClusters, files: &mut FileSet) {
     );
     table(
         "real_order",
-        array(&[run.order.len()], run.order.iter().copied()),
+        npy::write(&[run.order.len()], run.order.iter().copied()),
     );
     let kinds = [
         ("real", &run.real),
@@ -47,11 +47,11 @@ pub fn add(plan: &Plan, run: &MeasuredClusters, files: &mut FileSet) {
     for (name, of) in kinds {
         table(
             name,
-            array(&[of.triangles.len(), 2], rows(&of.offsets, &of.triangles)),
+            npy::write(&[of.triangles.len(), 2], rows(&of.offsets, &of.triangles)),
         );
         table(
             &format!("{name}_value"),
-            array(&[of.values.len()], of.values.iter().copied()),
+            npy::write(&[of.values.len()], of.values.iter().copied()),
         );
     }
 }

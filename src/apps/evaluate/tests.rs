@@ -4,13 +4,15 @@
 use std::path::Path;
 
 use nalgebra::Point3;
-use npyz::WriterBuilder;
 
 use super::*;
 use crate::{
     base::{column::Storage, pixels::PixelBound, progress::NoWatcher},
     config::{TargetMode, TargetSettings},
-    io::depthmaps::{self, DepthMapError, DepthMapFormat},
+    io::{
+        depthmaps::{self, DepthMapError, DepthMapFormat},
+        npy,
+    },
     method::{
         confidence::{Confidence, NO_AGREEMENT, Unary},
         fulfilment::{FulfilmentRule, Model},
@@ -174,16 +176,7 @@ impl Fixture {
 }
 
 fn write_map(path: &Path, size: [u32; 2], depth: Vec<f32>) {
-    let shape = [u64::from(size[1]), u64::from(size[0])];
-    let mut bytes = Vec::new();
-    let mut writer = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(&shape)
-        .writer(&mut bytes)
-        .begin_nd()
-        .unwrap();
-    writer.extend(depth).unwrap();
-    writer.finish().unwrap();
+    let bytes = npy::write(&[size[1] as usize, size[0] as usize], depth);
     std::fs::write(path, bytes).unwrap();
 }
 

@@ -6,11 +6,10 @@
 //! row-major, and translation), observations (`observations.npy`: view, point id) and pixels
 //! (`pixels.npy`: measured x and y, projected x and y, NaN without a projection).
 
-use std::{env, error::Error, fs, fs::File, path::Path, time::Instant};
+use std::{env, error::Error, fs, path::Path, time::Instant};
 
-use npyz::{AutoSerialize, WriterBuilder};
 use viewrank_core::model::scene::{PointIndex, Scene};
-use viewrank_io::project::Project;
+use viewrank_io::{npy, project::Project};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = env::args().skip(1).collect();
@@ -66,17 +65,7 @@ fn write(scene: &Scene, folder: &Path) -> Result<(), Box<dyn Error>> {
     array(&folder.join("pixels.npy"), 4, pixels)
 }
 
-fn array<T: AutoSerialize>(
-    path: &Path,
-    columns: u64,
-    values: Vec<T>,
-) -> Result<(), Box<dyn Error>> {
-    let shape = [values.len() as u64 / columns, columns];
-    let mut writer = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(&shape)
-        .writer(File::create(path)?)
-        .begin_nd()?;
-    writer.extend(values)?;
-    Ok(writer.finish()?)
+fn array<T: npy::Value>(path: &Path, columns: usize, values: Vec<T>) -> Result<(), Box<dyn Error>> {
+    let shape = [values.len() / columns, columns];
+    Ok(fs::write(path, npy::write(&shape, values))?)
 }

@@ -1,6 +1,7 @@
-//! Our side of `benches/delaunay.py` and `tests/python/test_delaunay.py`.
+//! Triangulates points, for comparison with CGAL and Qhull (`benches/delaunay.py`,
+//! `tests/python/test_delaunay.py`).
 //!
-//! Usage: delaunay POINTS [CELLS]. Reads little-endian f64 triples; prints dimension, vertices,
+//! `delaunay POINTS [CELLS]` reads little-endian f64 triples; prints dimension, vertices,
 //! finite cells, all cells, seconds; writes the finite cells as little-endian u32 quadruples of
 //! indices of points.
 
@@ -10,15 +11,9 @@ use nalgebra::Point3;
 use viewrank_core::{base::progress::NoWatcher, method::surface::delaunay::Delaunay};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    // `cargo bench` adds options of its own.
-    let mut arguments = std::env::args()
-        .skip(1)
-        .filter(|argument| !argument.starts_with("--"));
+    let mut arguments = std::env::args().skip(1);
     let Some(path) = arguments.next() else {
-        eprintln!(
-            "usage: delaunay POINTS [CELLS]; benches/delaunay.py makes the points and compares with CGAL"
-        );
-        return Ok(());
+        return Err("usage: delaunay POINTS [CELLS]".into());
     };
     let coordinates: Vec<f64> = bytemuck::pod_collect_to_vec(&std::fs::read(path)?);
     let points: Vec<Point3<f64>> = coordinates
