@@ -17,6 +17,8 @@ use std::{
 use serde_json::Value;
 use tempfile::TempDir;
 
+use super::valley;
+
 /// A root with the precious file of somebody else beside it, and a project in it.
 struct Place {
     folder: TempDir,
@@ -25,21 +27,7 @@ struct Place {
 impl Place {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
-        for part in ["sparse", "images"] {
-            for entry in walkdir::WalkDir::new(fixture.join(part)) {
-                let entry = entry.unwrap();
-                let target = folder
-                    .path()
-                    .join("root/p")
-                    .join(entry.path().strip_prefix(&fixture).unwrap());
-                if entry.file_type().is_dir() {
-                    fs::create_dir_all(target).unwrap();
-                } else {
-                    fs::copy(entry.path(), target).unwrap();
-                }
-            }
-        }
+        valley::copy_to(&folder.path().join("root/p"));
         fs::write(folder.path().join("precious.txt"), "precious").unwrap();
         Self { folder }
     }

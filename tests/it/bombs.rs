@@ -14,6 +14,8 @@ use miniz_oxide::deflate::compress_to_vec_zlib;
 use serde_json::Value;
 use tempfile::TempDir;
 
+use super::valley;
+
 /// Address space, KiB, of which the program itself and its threads take a quarter.
 const MOST_MEMORY_KIB: u64 = 2 << 20;
 
@@ -26,14 +28,7 @@ impl Root {
     fn new(projects: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         for project in projects {
-            for part in ["sparse/0", "images"] {
-                let target = folder.path().join(project).join(part);
-                fs::create_dir_all(&target).unwrap();
-                for entry in fs::read_dir(fixture().join(part)).unwrap() {
-                    let entry = entry.unwrap();
-                    fs::copy(entry.path(), target.join(entry.file_name())).unwrap();
-                }
-            }
+            valley::copy_to(&folder.path().join(project));
         }
         Self { folder }
     }
@@ -57,10 +52,6 @@ impl Root {
         arguments.extend(options);
         viewrank(&arguments)
     }
-}
-
-fn fixture() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley")
 }
 
 fn text(path: &Path) -> &str {

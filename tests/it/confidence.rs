@@ -3,41 +3,13 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::Command,
 };
 
 use serde_json::Value;
-use tempfile::TempDir;
 use viewrank_io::npy;
 
-/// A project folder of its own with the fixture's model and images.
-fn project() -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
-    for part in ["sparse", "images"] {
-        for entry in walkdir::WalkDir::new(fixture.join(part)) {
-            let entry = entry.unwrap();
-            let target = folder
-                .path()
-                .join(entry.path().strip_prefix(&fixture).unwrap());
-            if entry.file_type().is_dir() {
-                fs::create_dir_all(target).unwrap();
-            } else {
-                fs::copy(entry.path(), target).unwrap();
-            }
-        }
-    }
-    folder
-}
-
-fn viewrank(arguments: &[&str]) -> Output {
-    let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Command::new(env!("CARGO_BIN_EXE_viewrank"))
-        .args(arguments)
-        .env("XDG_CONFIG_HOME", nowhere)
-        .output()
-        .unwrap()
-}
+use super::valley::{printed, project, viewrank};
 
 /// Plans with pictures and returns the manifest.
 fn plan(project: &Path, options: &[&str]) -> Value {
@@ -46,18 +18,13 @@ fn plan(project: &Path, options: &[&str]) -> Value {
     } else {
         &["--confidence", "photometric"]
     };
-    let output = viewrank(
+    printed(
         &[
             &["plan", project.to_str().unwrap(), "--quiet"],
             options,
             confidence,
         ]
         .concat(),
-    );
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
     );
     serde_json::from_slice(&fs::read(project.join("viewrank/manifest.json")).unwrap()).unwrap()
 }

@@ -3,13 +3,13 @@
 
 mod attacks;
 mod bombs;
+mod cache;
 mod cells;
 mod confidence;
 mod daemon_loop;
 mod export;
 mod floors;
 mod ground;
-mod kept;
 mod one_door;
 mod output;
 mod pilot;
@@ -23,4 +23,5 @@ mod round_trips;
 mod schema;
 mod train;
 mod twins;
+mod valley;
 mod windows;

@@ -4,55 +4,15 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
 };
 
 use serde_json::Value;
-use tempfile::TempDir;
 
-/// A project folder of its own with the fixture's model and images.
-fn project() -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    copy(&fixture().join("sparse"), &folder.path().join("sparse"));
-    copy(&fixture().join("images"), &folder.path().join("images"));
-    folder
-}
-
-fn fixture() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley")
-}
-
-fn copy(from: &Path, to: &Path) {
-    for entry in walkdir::WalkDir::new(from) {
-        let entry = entry.unwrap();
-        let target = to.join(entry.path().strip_prefix(from).unwrap());
-        if entry.file_type().is_dir() {
-            fs::create_dir_all(target).unwrap();
-        } else {
-            fs::copy(entry.path(), target).unwrap();
-        }
-    }
-}
-
-/// Runs the program with nobody's own settings.
-fn viewrank(arguments: &[&str]) -> Output {
-    let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Command::new(env!("CARGO_BIN_EXE_viewrank"))
-        .args(arguments)
-        .env("XDG_CONFIG_HOME", nowhere)
-        .output()
-        .unwrap()
-}
+use super::valley::{copy, printed, project, viewrank};
 
 /// Plans, and returns what was printed on stdout.
 fn plan(project: &Path, options: &[&str]) -> String {
-    let output = viewrank(&[&["plan", project.to_str().unwrap()], options].concat());
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    String::from_utf8(output.stdout).unwrap()
+    printed(&[&["plan", project.to_str().unwrap()], options].concat())
 }
 
 /// Exit code and stderr of a call that must fail.

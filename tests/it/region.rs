@@ -3,12 +3,13 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
 };
 
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use viewrank_io::npy;
+
+use super::valley::{copy, fixture, viewrank};
 
 const LATITUDE: f64 = 52.5;
 const LONGITUDE: f64 = 13.4;
@@ -18,23 +19,8 @@ const YARD: [f64; 4] = [-6.0, -6.0, 6.0, 5.0];
 /// The fixture's model alone: confidence without images is geometric, and a plan takes a second.
 fn project() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley/sparse/0");
-    let to = folder.path().join("sparse/0");
-    fs::create_dir_all(&to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
-    }
+    copy(&fixture().join("sparse"), &folder.path().join("sparse"));
     folder
-}
-
-fn viewrank(arguments: &[&str]) -> Output {
-    let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Command::new(env!("CARGO_BIN_EXE_viewrank"))
-        .args(arguments)
-        .env("XDG_CONFIG_HOME", nowhere)
-        .output()
-        .unwrap()
 }
 
 /// Plans and returns the manifest.

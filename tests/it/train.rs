@@ -1,11 +1,7 @@
 //! `viewrank train`: settings of the confidence from made-up depth maps of the fixture, which have
 //! a depth where pictures agree.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    process::{Command, Output},
-};
+use std::{fs, path::PathBuf};
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -19,50 +15,19 @@ use viewrank_core::{
 };
 use viewrank_io::{npy, project::Project};
 
+use super::valley::{self, printed, viewrank};
+
 /// Size of the depth maps.
 const WIDTH: u32 = 200;
 const HEIGHT: u32 = 150;
 /// Agreement (method 7.4) from which this matcher matches; 1 + 254 times the correlation.
 const MATCHES: u8 = 150;
 
-fn viewrank(arguments: &[&str]) -> Output {
-    let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    Command::new(env!("CARGO_BIN_EXE_viewrank"))
-        .args(arguments)
-        .env("XDG_CONFIG_HOME", nowhere)
-        .output()
-        .unwrap()
-}
-
-fn done(arguments: &[&str]) -> String {
-    let output = viewrank(arguments);
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    String::from_utf8(output.stdout).unwrap()
-}
-
 /// The fixture with depth maps in `sgm`, planned for that backend: a depth where the pictures of at
 /// least two partners agree.
 fn project() -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
-    for part in ["sparse", "images"] {
-        for entry in walkdir::WalkDir::new(fixture.join(part)) {
-            let entry = entry.unwrap();
-            let target = folder
-                .path()
-                .join(entry.path().strip_prefix(&fixture).unwrap());
-            if entry.file_type().is_dir() {
-                fs::create_dir_all(target).unwrap();
-            } else {
-                fs::copy(entry.path(), target).unwrap();
-            }
-        }
-    }
-    done(&[
+    let folder = valley::project();
+    printed(&[
         "plan",
         folder.path().to_str().unwrap(),
         "--backend",
@@ -125,7 +90,7 @@ fn what_was_learnt_is_a_settings_file_that_predicts_better() {
         "--out",
         out.to_str().unwrap(),
     ];
-    let fitted: Value = serde_json::from_str(&done(&train)).unwrap();
+    let fitted: Value = serde_json::from_str(&printed(&train)).unwrap();
     let numbers = &fitted["numbers"];
     let number = |name: &str| numbers[name].as_f64().unwrap();
     assert_eq!(numbers["min_matches"], 2);
@@ -142,7 +107,7 @@ fn what_was_learnt_is_a_settings_file_that_predicts_better() {
     assert!(fitted["triangles"].as_u64().unwrap() > 1000);
 
     fs::copy(&out, project.path().join("viewrank.toml")).unwrap();
-    done(&["plan", root, "--quiet"]);
+    printed(&["plan", root, "--quiet"]);
     let manifest = fs::read(project.path().join("viewrank/manifest.json")).unwrap();
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
     assert_eq!(
@@ -160,7 +125,7 @@ fn what_was_learnt_is_a_settings_file_that_predicts_better() {
 fn training_is_the_same_on_any_number_of_threads() {
     let project = project();
     let train = |threads| {
-        done(&[
+        printed(&[
             "train",
             project.path().to_str().unwrap(),
             "--depth-maps",

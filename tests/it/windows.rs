@@ -6,43 +6,10 @@ use std::{
     fs::{self, File},
     os::windows::{fs::OpenOptionsExt, process::CommandExt},
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::Command,
 };
 
-/// The program, with `arguments` and the settings of no user.
-fn viewrank(arguments: &[&str]) -> Output {
-    let nowhere = std::env::temp_dir().join("no settings");
-    Command::new(env!("CARGO_BIN_EXE_viewrank"))
-        .args(arguments)
-        .env("APPDATA", nowhere)
-        .output()
-        .unwrap()
-}
-
-fn done(arguments: &[&str]) -> String {
-    let output = viewrank(arguments);
-    assert!(
-        output.status.success(),
-        "{arguments:?}: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let (from, to) = (
-            entry.as_ref().unwrap().path(),
-            to.join(entry.unwrap().file_name()),
-        );
-        if from.is_dir() {
-            copy(&from, &to);
-        } else {
-            fs::copy(from, to).unwrap();
-        }
-    }
-}
+use super::valley::{self, printed, viewrank};
 
 /// A copy of fixtures/valley in a folder of a temporary one.
 struct Valley {
@@ -54,14 +21,7 @@ impl Valley {
     fn new(folder: &str) -> Self {
         let root = tempfile::tempdir().unwrap();
         let project = root.path().join(folder);
-        for part in ["sparse", "images"] {
-            copy(
-                &Path::new(env!("CARGO_MANIFEST_DIR"))
-                    .join("fixtures/valley")
-                    .join(part),
-                &project.join(part),
-            );
-        }
+        valley::copy_to(&project);
         Self { root, project }
     }
 
@@ -82,9 +42,9 @@ fn blanks_other_scripts_and_more_than_260_characters() {
         ["a long name of a folder"; 8].join("\\"),
     ] {
         let valley = Valley::new(&folder);
-        done(&["plan", valley.path(), "--backend", "colmap,openmvs"]);
-        done(&["doctor", valley.path(), "--backend", "sgm"]);
-        done(&["report", valley.path()]);
+        printed(&["plan", valley.path(), "--backend", "colmap,openmvs"]);
+        printed(&["doctor", valley.path(), "--backend", "sgm"]);
+        printed(&["report", valley.path()]);
         for file in [
             "manifest.json",
             "report.html",
@@ -108,7 +68,7 @@ fn blanks_other_scripts_and_more_than_260_characters() {
 fn parts_of_a_project_lead_to_it() {
     let valley = Valley::new("a project");
     for part in [r"sparse\0", r"sparse\0\points3D.bin", "images", "sparse/0"] {
-        done(&["plan", &format!(r"{}\{part}", valley.path()), "-q"]);
+        printed(&["plan", &format!(r"{}\{part}", valley.path()), "-q"]);
         assert!(valley.file("manifest.json").is_file(), "{part}");
         fs::remove_dir_all(valley.project.join("viewrank")).unwrap();
     }
@@ -126,7 +86,7 @@ fn without_symbolic_links_the_images_of_an_export_are_the_project_s() {
         "pmvs",
         "splat",
     ];
-    done(&[
+    printed(&[
         "plan",
         valley.path(),
         "--backend",
@@ -162,7 +122,7 @@ fn without_symbolic_links_the_images_of_an_export_are_the_project_s() {
 #[test]
 fn the_commands_shown_are_those_of_cmd() {
     let valley = Valley::new("it's a väl ley & more");
-    let summary = done(&["plan", valley.path(), "--backend", "sgm"]);
+    let summary = printed(&["plan", valley.path(), "--backend", "sgm"]);
     let shown = summary
         .lines()
         .find_map(|line| line.strip_prefix("On one page: viewrank "))
@@ -184,7 +144,7 @@ fn the_commands_shown_are_those_of_cmd() {
 #[test]
 fn a_file_held_open_by_another_program_is_named_and_the_earlier_plan_stays() {
     let valley = Valley::new("valley");
-    done(&["plan", valley.path(), "-q"]);
+    printed(&["plan", valley.path(), "-q"]);
     let files =
         ["manifest.json", "clusters.txt", "curve.svg", "surface.ply"].map(|name| valley.file(name));
     let before = files.each_ref().map(|file| fs::read(file).unwrap());
@@ -204,7 +164,7 @@ fn a_file_held_open_by_another_program_is_named_and_the_earlier_plan_stays() {
             held.display()
         );
     }
-    done(&["plan", valley.path(), "-q", "-k", "3"]);
+    printed(&["plan", valley.path(), "-q", "-k", "3"]);
     assert_ne!(fs::read(&files[0]).unwrap(), before[0]);
     let left = fs::read_dir(valley.file(""))
         .unwrap()
@@ -220,7 +180,7 @@ fn a_file_held_open_by_another_program_is_named_and_the_earlier_plan_stays() {
 fn a_watched_folder_is_planned_once() {
     let valley = Valley::new(r"site 1\väl ley");
     let root = valley.root.path().to_str().unwrap();
-    done(&[
+    printed(&[
         "watch", root, "--once", "--settle", "100ms", "--poll", "200ms",
     ]);
     let written = || {
@@ -230,12 +190,12 @@ fn a_watched_folder_is_planned_once() {
             .unwrap()
     };
     let first = written();
-    let status = done(&["status", root]);
+    let status = printed(&["status", root]);
     assert!(
         status.contains(root) && status.contains("site 1/väl ley"),
         "{status}"
     );
-    done(&[
+    printed(&[
         "watch", root, "--once", "--settle", "100ms", "--poll", "200ms",
     ]);
     assert_eq!(written(), first, "the plan is current");

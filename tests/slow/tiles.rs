@@ -151,7 +151,7 @@ fn tables_on_disk_change_nothing() {
     };
     assert_eq!(
         (kept(&disk), disk.unwritten().len(), kept(&memory)),
-        (3, 6, 6)
+        (4, 7, 7)
     );
     assert_eq!(disk.stages.visibility, memory.stages.visibility);
     assert_eq!(

@@ -3,11 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use viewrank::backends::{BackendError, ExportOptions, References};
-use viewrank_core::model::{
-    camera::{Camera, CameraModel},
-    cluster::MapScale,
-    scene::CameraIndex,
-};
+use viewrank_core::model::cluster::MapScale;
 
 use super::{Files, Fixture};
 

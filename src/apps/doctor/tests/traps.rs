@@ -13,10 +13,7 @@ use crate::{
         formats::{colmap::ColmapModel, colmap_text},
         project::{ModelFormat, Project},
     },
-    model::{
-        camera::{Camera, CameraModel},
-        scene::{CameraIndex, Scene},
-    },
+    model::scene::Scene,
 };
 
 /// The trap that a backend reports for a project whose first views have these names.
