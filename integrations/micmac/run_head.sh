@@ -20,6 +20,9 @@ if [ -e Ori-viewrank ] && [ ! -e Ori-viewrank/made-by-viewrank ]; then
     exit 1
 fi
 refuse_strangers /dev/null "$ori"
+# MicMac obeys the rules in this file, which may hold commands, wherever it is called.
+rules=MicMac-LocalChantierDescripteur.xml
+[ ! -e "$rules" ] || refuse "$rules"
 rm -rf Ori-viewrank
 mkdir Ori-viewrank && : >Ori-viewrank/made-by-viewrank && cp -R "$ori"/. Ori-viewrank/ || exit 1
 # With other orientations all is to be computed anew.

@@ -101,6 +101,8 @@ fn check_name(name: &str) -> Result<(), BackendError> {
         "a blank separates the two names of a pair"
     } else if name.contains('/') {
         "images are in the working folder itself"
+    } else if name.to_ascii_lowercase().ends_with(".xml") {
+        "MicMac would read it as its own"
     } else if name
         .contains(|c: char| c.is_ascii() && !c.is_ascii_alphanumeric() && !"._-".contains(c))
     {

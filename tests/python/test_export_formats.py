@@ -211,6 +211,16 @@ def test_micmac_never_deletes_what_it_is_given(export, planned, tmp_path):
     assert "move it away" in run_micmac(folder, ours).stderr and (folder / "Ori-viewrank/Orientation-a.xml").exists()
 
 
+def test_rules_that_micmac_would_obey_are_refused(export, tmp_path):
+    folder = export("micmac")
+    ours = tmp_path / "Ori-Project"
+    ours.mkdir()
+    (ours / "Orientation-a.xml").write_text("<x/>")
+    (folder / "MicMac-LocalChantierDescripteur.xml").write_text("<Global/>")
+    done = run_micmac(folder, ours)
+    assert done.returncode == 1 and "MicMac-LocalChantierDescripteur.xml" in done.stderr and not (folder / "Ori-viewrank").exists()
+
+
 def test_sure_projects_without_a_cloud_are_planned_on_the_ground(viewrank, export, tmp_path):
     """Planned from the oriented images alone, with the height of the ground."""
     folder = export("sure")

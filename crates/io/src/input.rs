@@ -30,7 +30,7 @@ pub enum FileKind {
     Mesh,
     /// Polygons, a box or a closed mesh.
     Region,
-    /// Record that the daemon keeps of a plan and reads often.
+    /// A record of a plan or of the files that were written, which is read often.
     Record,
     /// A file of a sparse model.
     Sparse,

@@ -3,14 +3,12 @@
 use std::io::{BufRead, Cursor, Read, Seek};
 
 use image::{ImageDecoder, ImageFormat, ImageReader, ImageResult, Limits};
-use viewrank_core::base::pixels::{PixelBound, TooManyPixels};
+use viewrank_core::base::pixels::{PixelBound, TooManyPixels, most_decoded_bytes};
 
 /// Limit on colour profile and other metadata, bytes: they may be deflated.
 const METADATA_BYTES: u64 = 32 << 20;
 /// Bytes in which the size of a JPEG is searched; its decoder reads a file whole.
 const JPEG_HEADER_BYTES: u64 = 16 << 20;
-/// Limit on decoded pixels, bytes; a 16-bit RGB image of 150 megapixels has 900 MB.
-pub const MOST_BYTES: u64 = 1 << 30;
 
 /// Reads the header of an image.
 pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecoder + 'a> {
@@ -30,7 +28,7 @@ where
     let (width, height) = decoder.dimensions();
     bound.admit(width, height)?;
     let mut limits = Limits::default();
-    limits.max_alloc = Some(MOST_BYTES);
+    limits.max_alloc = Some(most_decoded_bytes(bytes.len() as u64));
     limits.reserve(decoder.total_bytes())?;
     decoder.set_limits(limits)?;
     // Decoders abort where there is no memory.

@@ -34,7 +34,7 @@ fn files_of_a_model_are_named_for_what_they_are() {
     assert!(error("sparse/0/images.bin", b"<!DOCTYPE html><html>").contains("web page"));
     let other = Folder::new();
     other.write("scene.nvm", b"PK\x03\x04 and so on");
-    let error = other.open().read_scene().unwrap_err();
+    let error = Project::open(other.path(), None).unwrap_err();
     assert!(error.to_string().contains("ZIP"), "{error}");
     let none = Folder::new();
     none.write("cameras.xml", POINTER);

@@ -13,6 +13,19 @@ const BYTES_PER_PIXEL: u64 = 8;
 /// Most bytes of a header.
 const HEADER_BYTES: u64 = 1 << 20;
 
+/// Bytes to which any file may be decoded.
+const DECODED: u64 = 1 << 29;
+/// Bytes to which each byte of a larger file may be decoded.
+const DECODED_PER_BYTE: u64 = 8;
+
+/// Returns the limit on the bytes to which the pixels of a file of this many bytes are decoded.
+/// Deflated planes shrink a thousandfold; photographs and depths, whose last bits are noise, hardly
+/// to an eighth.
+pub const fn most_decoded_bytes(file_bytes: u64) -> u64 {
+    let most = file_bytes.saturating_mul(DECODED_PER_BYTE);
+    if most > DECODED { most } else { DECODED }
+}
+
 /// Largest number of pixels to read from one file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PixelBound(u64);
@@ -67,6 +80,14 @@ impl PixelBound {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn large_photographs_are_decoded_and_small_files_not_to_gigabytes() {
+        let phase_one = 14_204 * 10_652;
+        assert!(most_decoded_bytes(60 << 20) >= 3 * phase_one);
+        assert!(most_decoded_bytes(6 * phase_one / 2) >= 6 * phase_one);
+        assert!(most_decoded_bytes(64 << 20) < 1_000_000_000);
+    }
 
     #[test]
     fn sizes_up_to_the_bound_are_admitted() {

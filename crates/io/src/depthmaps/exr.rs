@@ -4,7 +4,10 @@
 
 use half::f16;
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
-use viewrank_core::base::{large_pages, pixels::PixelBound};
+use viewrank_core::base::{
+    large_pages,
+    pixels::{PixelBound, most_decoded_bytes},
+};
 
 use super::{DepthMap, DepthMapFormat, Parsed, pixels, u32_at};
 
@@ -33,8 +36,8 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
         return Err((4, "expected OpenEXR 2, one part, in scan lines".into()));
     }
     let header = header(bytes)?;
-    let lacks = |what: &str| (8, format!("the header has no {what}"));
-    let [left, top, right, bottom] = header.window.ok_or_else(|| lacks("dataWindow"))?;
+    let window = header.window.ok_or_else(|| lacks("dataWindow"))?;
+    let [width, height] = size(window)?;
     let sample = header.sample.ok_or_else(|| lacks("channels"))?;
     let rows_of_chunk: u32 = match header.compression.ok_or_else(|| lacks("compression"))? {
         0 | 2 => 1,
@@ -46,18 +49,17 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
             ));
         }
     };
-    let side = |from: i32, to: i32| i64::from(to) - i64::from(from) + 1;
-    let sides = (
-        u32::try_from(side(left, right)),
-        u32::try_from(side(top, bottom)),
-    );
-    let (Ok(width @ 1..), Ok(height @ 1..)) = sides else {
-        return Err((8, "the map has no pixels".into()));
-    };
     let (pixels, chunks) = (
         pixels(width, height, bound)?,
         height.div_ceil(rows_of_chunk) as usize,
     );
+    if (size_of::<f32>() * pixels) as u64 > most_decoded_bytes(bytes.len() as u64) {
+        let file = bytes.len();
+        return Err((
+            8,
+            format!("{width} x {height} pixels in a file of {file} bytes"),
+        ));
+    }
     // The memory is touched when a chunk is inflated, and there may be none.
     let mut depth =
         large_pages::try_zeroed::<f32>(pixels).map_err(|error| (8, error.to_string()))?;
@@ -69,7 +71,7 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
         );
         let at = usize::try_from(u64::from(low) | u64::from(high) << 32)
             .map_err(|e| (header.end, e.to_string()))?;
-        let row = i64::from(u32_at(bytes, at)? as i32) - i64::from(top);
+        let row = i64::from(u32_at(bytes, at)? as i32) - i64::from(window[1]);
         let rows = height as i64 - row;
         if row < 0 || rows < 1 {
             return Err((at, format!("a line outside the map of {height} lines")));
@@ -98,6 +100,19 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
         depth,
         ids: Vec::new(),
     })
+}
+
+fn lacks(what: &str) -> (usize, String) {
+    (8, format!("the header has no {what}"))
+}
+
+/// Width and height of a window.
+fn size([left, top, right, bottom]: [i32; 4]) -> Parsed<[u32; 2]> {
+    let side = |from: i32, to: i32| u32::try_from(i64::from(to) - i64::from(from) + 1);
+    match (side(left, right), side(top, bottom)) {
+        (Ok(width @ 1..), Ok(height @ 1..)) => Ok([width, height]),
+        _ => Err((8, "the map has no pixels".into())),
+    }
 }
 
 /// Reads the attributes: name, type (each ends with 0), length, value; an empty name ends the list.

@@ -8,7 +8,7 @@ use std::{io::BufReader, path::Path};
 
 use crate::{
     input::{self, FileKind},
-    picture::{self, MOST_BYTES},
+    picture,
     project::Unread,
 };
 use fast_image_resize::{
@@ -17,7 +17,7 @@ use fast_image_resize::{
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
 use jpeg_decoder::PixelFormat;
 use viewrank_core::{
-    base::pixels::{PixelBound, TooManyPixels},
+    base::pixels::{PixelBound, TooManyPixels, most_decoded_bytes},
     method::confidence::Mask,
 };
 use zune_jpeg::{
@@ -222,7 +222,7 @@ fn jpeg(
 ) -> Result<Image, ImageError> {
     check_scans(bytes)?;
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
-    decoder.set_max_decoding_buffer_size(MOST_BYTES as usize);
+    decoder.set_max_decoding_buffer_size(most_decoded_bytes(bytes.len() as u64) as usize);
     decoder.read_info()?;
     let full = decoder
         .info()
@@ -337,7 +337,8 @@ pub fn mask_reading_bytes(path: &Path, bound: PixelBound) -> Option<u64> {
     let file = BufReader::new(input::open(path).ok()?);
     let length = file.get_ref().metadata().ok()?.len();
     let decoder = picture::header(file).ok()?;
-    let decoded = Some(decoder.total_bytes()).filter(|&bytes| bytes <= MOST_BYTES)?;
+    let decoded =
+        Some(decoder.total_bytes()).filter(|&bytes| bytes <= most_decoded_bytes(length))?;
     let (width, height) = decoder.dimensions();
     let pixels = bound.admit(width, height).ok()? as u64;
     let of_pixel = if matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {

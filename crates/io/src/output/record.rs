@@ -56,7 +56,7 @@ impl<'a> Records<'a> {
         let records = root.names(FOLDER).into_iter().flatten().filter_map(|name| {
             let name = name.to_str()?.strip_suffix(".json")?.to_owned();
             let file = root.file(&format!("{FOLDER}/{name}.json")).ok()?;
-            let bytes = input::read_all(file, FileKind::State).ok()?;
+            let bytes = input::read_all(file, FileKind::Record).ok()?;
             let record: Record = serde_json::from_slice(&bytes).ok()?;
             let sound = record
                 .files
