@@ -14,13 +14,12 @@ use viewrank::{
         MeasuredSurface,
     },
     learn::{self, Lesson, Numbers},
-    tables,
 };
 use viewrank_core::{
     method::visibility::{NOTHING, front},
     model::scene::ViewIndex,
 };
-use viewrank_io::depthmaps;
+use viewrank_io::{depthmaps, npy};
 
 /// Targets: the command, and the file that is replaced.
 pub const APPS: [&str; 6] = [
@@ -116,7 +115,7 @@ impl Finished {
     }
 
     fn npy(&self, cluster: usize) -> Vec<u8> {
-        tables::array(&[HEIGHT as usize, WIDTH as usize], self.depths(cluster))
+        npy::write(&[HEIGHT as usize, WIDTH as usize], self.depths(cluster))
     }
 
     /// The valid contents of a target's file.

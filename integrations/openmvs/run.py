@@ -85,7 +85,7 @@ def refuse_other_pictures(planned):
     """Ends where the file of a picture has another length than when the plan was made: its partners and its camera may no longer be right."""
     for name, length in planned.items():
         with contextlib.suppress(OSError):  # said by the program
-            if (HERE / "images" / name).stat().st_size != length:
+            if (HERE / name).stat().st_size != length:
                 sys.exit(f"error: {ascii(name)}: the picture has changed since the plan: plan again")
 
 
@@ -227,7 +227,7 @@ class Densify:
         found = os.stat(self.program)
         self.identity = f"{os.path.realpath(self.program)} {found.st_size} {found.st_mtime_ns}"
         self.kinds = {}  # of the maps of each program that made one here
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
             self.kinds = {str(name): kind for name, kind in json.loads(KINDS_NOTED.read_text(encoding="utf-8")).items()}
 
     def note_kind(self, kind):
@@ -325,7 +325,7 @@ def compute(row, program, report):
             write_whole(folder / "row.json", result)
             report.settle(row)
             return
-        if done.returncode != 0:
+        if done.returncode != 0 or not made.exists():
             result["problems"].append(last_words(done))
         report.add(row, result)
         if is_whole(made) and not map_of(row).exists():  # to be looked at
@@ -581,7 +581,7 @@ def fuse(run, program, report):
         if points:
             break
         unread = re.search(r"failed reloading image '.*?/(images/.+)'", done.stdout)
-        broken = {i for i in there if unread and f"images/{rows[i]['key']}" == unread[1]}
+        broken = {i for i in there if unread and rows[i]["image"] == unread[1]}
         problems += [f"{rows[i]['key']}: its image cannot be read" for i in broken] or [f"{last_words(done)} (the maps are of kind {kinds[0]}: OpenMVS reads only maps of the kind that it writes)"]
         there = there - broken if broken else set()
     if not there:
@@ -620,7 +620,7 @@ def fusion_scene(rows, there):
     scene = bytearray((HERE / "fuse.mvs").read_bytes())
     for i, row in enumerate(rows):
         if i not in there:
-            name = f"images/{row['key']}".encode()
+            name = row["image"].encode()
             entry = struct.pack("<Q", len(name)) + name + struct.pack("<Q", 0)  # the name, no mask; platform, camera and pose follow
             struct.pack_into("<I", scene, scene.index(entry) + len(entry) + 8, NO_POSE)
     return scene

@@ -9,7 +9,7 @@ use pyo3::{
 };
 use toml::Value;
 use viewrank::{
-    Advice, Settings, backends,
+    Advice, Project, Settings, backends,
     config::{CommandLineSettings, Configuration, Files, RegionChoice, user_file},
     metres_per_unit,
 };
@@ -61,7 +61,9 @@ pub fn load(root: &Path, typed: CommandLineSettings) -> Result<Settings, Failure
         root: None,
         project: Some(root.join("viewrank.toml")),
     };
-    let metres = |settings: &Settings| metres_per_unit(root, settings);
+    let metres = |settings: &Settings| {
+        metres_per_unit(&Project::open_or_planned(root, None).ok()?, settings)
+    };
     let lookup = backends::canonical_name;
     Ok(Configuration::load_for(&files, typed, lookup, &metres)?.settings)
 }

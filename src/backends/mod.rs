@@ -148,6 +148,7 @@ impl Backend {
             numbers: self.planning,
             own_scale: self.own_scale,
             mixes_sizes: self.mixes_sizes,
+            makes_maps: self.use_of_views.is_none(),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::backends;
 use crate::{
     config::{CommandLineSettings, Configuration, Files, Key, Settings, Source, keys, user_file},
-    io::project::ProjectError,
+    io::project::{Project, ProjectError},
     model::scene::Units,
     plan::metres_per_unit,
 };
@@ -46,7 +46,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             p
         }
     });
-    let configuration = load(folder, CommandLineSettings::default())?;
+    let project = folder.and_then(|folder| Project::open_or_planned(folder, None).ok());
+    let configuration = load_in(folder, project.as_ref(), CommandLineSettings::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
     match arguments.format {
         Format::Text => print_data(&as_toml(&configuration, &values)),
@@ -56,11 +57,23 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage
 /// error.
-pub fn load(project: Option<&Path>, typed: CommandLineSettings) -> Result<Configuration, Failure> {
+pub fn load(
+    project: Option<&Project>,
+    typed: CommandLineSettings,
+) -> Result<Configuration, Failure> {
+    load_in(project.map(|project| &*project.root), project, typed)
+}
+
+/// `folder`: that of the project's file, which may be there without a model.
+fn load_in(
+    folder: Option<&Path>,
+    project: Option<&Project>,
+    typed: CommandLineSettings,
+) -> Result<Configuration, Failure> {
     let files = Files {
         user: user_file(),
         root: None,
-        project: project.map(|folder| folder.join("viewrank.toml")),
+        project: folder.map(|folder| folder.join("viewrank.toml")),
     };
     let metres = |settings: &Settings| metres_per_unit(project?, settings);
     Ok(Configuration::load_for(

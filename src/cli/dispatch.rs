@@ -130,7 +130,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .into());
     }
     let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend))?;
-    let settings = config::load(Some(&plan.project.root), arguments.typed())?
+    let settings = config::load(Some(&plan.project), arguments.typed())?
         .settings
         .dispatch;
     let selection = Selection {

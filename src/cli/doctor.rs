@@ -43,7 +43,7 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
-    let settings = config::load(Some(&project.root), Default::default())?.settings;
+    let settings = config::load(Some(&project), Default::default())?.settings;
     let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() {
         &settings.backends

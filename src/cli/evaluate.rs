@@ -36,16 +36,15 @@ use super::{
 /// Needs a plan of PROJECT (viewrank plan). The depth maps are those of COLMAP (stereo/depth_maps),
 /// OpenMVS, MVSNet, ACMM, Gipuma, MVE, AliceVision, MicMac or integrations/sgm. Writes
 /// PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply, and cells.tsv,
-/// which says which maps take part in which cells of their fused cloud. Without --depth-maps, the
-/// plan's order is judged by that table.
+/// which says which maps take part in which cells of their fused cloud. Where no depth maps are
+/// found, or with --cells, the plan's order is judged by that table.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
-    /// Folder of the finished depth maps [default: where the plan's program writes them, unless
-    /// cells.tsv is there already]
+    /// Folder of the finished depth maps [default: where the plan's program writes them]
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     depth_maps: Option<PathBuf>,
     /// Folder of reference depth maps, such as those with all partners [default: every depth counts
@@ -120,15 +119,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
         (_, _, Some(folder)) => measure(arguments, &project, &plan, folder, &progress),
         (None, None, None) => match found_maps(arguments, &project, &plan) {
+            // Else what was measured of other maps would be said of these.
             Some(folder) => measure(arguments, &project, &plan, &folder, &progress),
             None => judge(arguments, &project, &plan, &progress),
         },
     }
 }
 
-/// Returns the folder with depth maps of the plan, if there is no table to judge by.
+/// Returns the folder with depth maps of the plan, unless a table is named.
 fn found_maps(arguments: &Arguments, project: &Project, plan: &Plan) -> Option<PathBuf> {
-    if arguments.cells.is_some() || kept_cells(project).is_file() {
+    if arguments.cells.is_some() {
         return None;
     }
     folders_of_maps(plan, project)

@@ -67,7 +67,7 @@ struct SubModel {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.model, arguments.sub_model.as_deref())?;
-    let settings = config::load(Some(&project.root), Default::default())?.settings;
+    let settings = config::load(Some(&project), Default::default())?.settings;
     let project = project.with_images(settings.images.as_deref());
     let scene = project.read_scene()?;
     let place = plan::georeference(&project, &scene, &settings.frame);

@@ -1,11 +1,11 @@
 //! `viewrank pilot`: prepares small depth maps of all views by the program itself, which a plan
 //! ranks by in place of viewrank's own (method 5.9).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::{Failure, arguments, config, next, print, progress::Progress, use_threads, warn};
+use super::{Exit, Failure, arguments, config, next, print, progress::Progress, use_threads, warn};
 use crate::{
     apps::planning,
     backends,
@@ -13,7 +13,7 @@ use crate::{
     config::{CommandLineSettings, CutSettings, PilotSettings, Settings, Share},
     decision::Matcher,
     io::project::Project,
-    model::{cluster::MapScale, scene::Scene},
+    model::{camera::Camera, cluster::MapScale, scene::Scene},
     show::files::files_of_same_model,
 };
 
@@ -57,10 +57,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut typed = CommandLineSettings::default();
     let named = arguments.backend.as_ref().map(|name| vec![name.clone()]);
     typed.set("--backend", "backends", named);
-    let settings = config::load(Some(&project.root), typed)?.settings;
+    let settings = config::load(Some(&project), typed)?.settings;
     let project = project.with_images(settings.images.as_deref());
     let scene = project.read_scene()?;
     let matcher = backends::planned_for(&project, &settings)?;
+    refuse_useless(&scene, &settings, &matcher)?;
+    refuse_other_plan(&project, arguments)?;
     let settings = small(settings, &scene, &matcher);
     let progress = Progress::new(arguments.quiet);
     let plan = planning::plan_scene(&project, scene, &settings, &progress)?;
@@ -87,6 +89,43 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             matcher.name
         ),
     ])
+}
+
+/// Fails where the program's small maps would be of no use to a plan.
+fn refuse_useless(scene: &Scene, settings: &Settings, matcher: &Matcher) -> Result<(), Failure> {
+    let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
+    let why = if !matcher.makes_maps {
+        "makes no depth maps"
+    } else if support <= 1 {
+        "keeps what a single map shows, and its plans are ranked by the surface"
+    } else {
+        let takes_distorted =
+            backends::by_name(matcher.name).is_ok_and(|backend| backend.takes_distorted);
+        let mut cameras = scene.view_indices().map(|view| scene.camera_of(view));
+        if takes_distorted || cameras.all(Camera::is_pinhole) {
+            return Ok(());
+        }
+        let message = format!("{} needs undistorted images", matcher.name);
+        let hint = "undistort them (viewrank undistort), and name the folder that it makes";
+        return Err(Failure::new(Exit::Failed, message, Some(hint.into())));
+    };
+    let message = format!("no pilot for {}: it {why}", matcher.name);
+    let hint = "plan without one: viewrank plan";
+    Err(Failure::new(Exit::Usage, message, Some(hint.into())))
+}
+
+/// Fails if `--out` has a plan that is no pilot, which would be lost.
+fn refuse_other_plan(project: &Project, arguments: &Arguments) -> Result<(), Failure> {
+    let is_pilot = |out: &Path| out.file_name().is_some_and(|name| name == "pilot");
+    let plan = project.output_folder().join("manifest.json");
+    match &arguments.out {
+        Some(out) if plan.exists() && !is_pilot(out) => Err(Failure::new(
+            Exit::Usage,
+            format!("{} has a plan already", out.display()),
+            Some("name a folder of its own for the pilot".into()),
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// Returns the settings of a plan of all views at a small size.

@@ -45,8 +45,9 @@ use super::{
 /// the folder of a sparse model, or a model (or its folder) of Bundler, VisualSFM (.nvm), OpenMVG,
 /// OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs), SURE (.ori), MVE (synth_0.out), MicMac
 /// (Ori-...), Metashape (cameras.xml), ContextCapture (BlocksExchange XML) or nerfstudio
-/// (transforms.json). Lengths are in model units, which are metres if viewrank.toml says units =
-/// "metric".
+/// (transforms.json). Where the program needs undistorted images, and a dense workspace of the
+/// project has them, that is planned. Lengths are in model units; they may be typed in metres where
+/// the model has a place on earth or viewrank.toml says units = "metric".
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -193,7 +194,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         output::refuse_to_replace(path)?;
     }
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
-    let settings = config::load(Some(&project.root), arguments.typed())?.settings;
+    let settings = config::load(Some(&project), arguments.typed())?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, _) = backends::chosen(&project, &settings)?;
     let (project, settings) = match planning::undistorted_workspace(&project, backend)? {
@@ -201,7 +202,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             if !arguments.quiet {
                 let place = workspace.root.display();
                 note(&format!(
-                    "{} needs undistorted images: planning {place}",
+                    "{} needs undistorted images: planning {place} with the images there",
                     backend.name
                 ));
             }

@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let stop = platform::stop_flag()
         .map_err(|error| Failure::new(Exit::Failed, error.to_string(), None))?;
     let project = Project::open(&arguments.project, None)?;
-    let settings = config::load(Some(&project.root), arguments.typed(None, true))?.settings;
+    let settings = config::load(Some(&project), arguments.typed(None, true))?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, why) = backends::chosen(&project, &settings)?;
     let say = |line: String| {
@@ -334,9 +334,12 @@ impl<'a> Work<'a> {
         }
         let root = foreground.root();
         let plan = WrittenPlan::read(root)?;
-        let settings = config::load(Some(root), arguments.typed(Some(backend.name), false))?
-            .settings
-            .dispatch;
+        let settings = config::load(
+            Some(&plan.project),
+            arguments.typed(Some(backend.name), false),
+        )?
+        .settings
+        .dispatch;
         let image_faults = plan.project.image_faults(&plan.scene);
         let selection = Selection {
             project: &plan.project,
@@ -593,8 +596,7 @@ impl<'a> Work<'a> {
             self.dispatch.finished_maps().count(),
             self.plan.scene.views.len(),
         );
-        let (computed, took) = self.computed;
-        let each = (computed > 0).then(|| took.as_secs_f64() / f64::from(computed.max(1)));
+        let progress = follow::Progress::read(self.foreground.root());
         RunSummary {
             project: self.foreground.root().into(),
             backend: self.backend.name,
@@ -603,17 +605,37 @@ impl<'a> Work<'a> {
             is_whole: done == self.plan.clusters.len(),
             tasks: self.dispatch.tasks.len(),
             failed: self.failed.len(),
-            share: follow::Progress::read(self.foreground.root())
-                .and_then(|progress| progress.share),
+            share: progress.as_ref().and_then(|progress| progress.share),
             predicted: done
                 .checked_sub(1)
                 .and_then(|last| Some(self.plan.clusters.get(last)?.share)),
-            seconds: each.map(|each| [done, all].map(|maps| each * maps as f64)),
+            seconds: self.seconds(
+                done,
+                progress.and_then(|progress| progress.seconds_per_pair),
+            ),
             target: self.target(),
             target_reached: ended == Ended::TargetReached,
             stopped: ended == Ended::Stopped,
             cloud: Some(self.dispatch.runner().cloud.clone()).filter(|cloud| cloud.is_file()),
             report: report.is_file().then_some(report),
+        }
+    }
+
+    /// Time of matching the first maps of the list, and all maps: by the times of all finished maps
+    /// where these are known, for earlier runs made some of them, else by this run's.
+    fn seconds(&self, done: usize, per_pair: Option<f64>) -> Option<[f64; 2]> {
+        let pairs = |maps: usize| {
+            let clusters = self.plan.clusters.iter().take(maps);
+            clusters
+                .map(|cluster| cluster.partners.len())
+                .sum::<usize>() as f64
+        };
+        let (computed, took) = self.computed;
+        let of_run = || (computed > 0).then(|| took.as_secs_f64() / f64::from(computed));
+        let in_all = self.plan.clusters.len();
+        match per_pair {
+            Some(each) => Some([done, in_all].map(|maps| each * pairs(maps))),
+            None => of_run().map(|each| [done, in_all].map(|maps| each * maps as f64)),
         }
     }
 

@@ -17,6 +17,8 @@ use crate::{
         phase::{Phase, ProjectStatus},
         read_status, status_file,
     },
+    io::project::Project,
+    show::manifest::planned_workspace,
 };
 use clap::Args;
 
@@ -49,7 +51,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let root = match watched_root(&arguments.root) {
         // A project that `viewrank run` or a queue works on needs no daemon.
         Err(NoStatus::NotWatched(project)) if !arguments.follow => {
-            let progress = Progress::read(&project);
+            let workspace = || {
+                let project = Project::open(&project, None).ok()?;
+                Progress::read(planned_workspace(&project)?)
+            };
+            let progress = Progress::read(&project).or_else(workspace);
             let progress = progress.ok_or(NoStatus::NotWatched(project))?;
             return match arguments.json || arguments.format == Format::Json {
                 true => print_json(&progress),

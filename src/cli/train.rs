@@ -117,8 +117,7 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
         }
         Err(WrittenPlanError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
             let project = Project::open_or_planned(root, None)?;
-            let settings =
-                config::load(Some(&project.root), CommandLineSettings::default())?.settings;
+            let settings = config::load(Some(&project), CommandLineSettings::default())?.settings;
             (
                 project.with_images(settings.images.as_deref()),
                 settings,

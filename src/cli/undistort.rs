@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         ));
     }
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
-    let images = config::load(Some(&project.root), CommandLineSettings::default())?
+    let images = config::load(Some(&project), CommandLineSettings::default())?
         .settings
         .images;
     let project = project.with_images(arguments.images.as_deref().or(images.as_deref()));

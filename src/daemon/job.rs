@@ -416,7 +416,9 @@ impl PlanJob {
         let loaded = match may_enter(project, &own, self.options.follow_links) {
             true => {
                 let typed = self.options.typed.clone();
-                let metres = |settings: &Settings| metres_per_unit(project, settings);
+                let metres = |settings: &Settings| {
+                    metres_per_unit(&Project::open(project, None).ok()?, settings)
+                };
                 Configuration::load_for(&files, typed, backends::canonical_name, &metres)
                     .map_err(|error| (error.to_string(), failed(error)))
             }

@@ -10,7 +10,7 @@ use crate::{
     base::input::{self, FileKind},
     config::{FrameSettings, Settings},
     io::{
-        formats::{blocks, exif},
+        formats::exif,
         project::{ModelFormat, Project},
     },
     model::{
@@ -22,6 +22,7 @@ use crate::{
 /// The georeference of the project's model; [`Georeference::Local`] if unknown.
 pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) -> Georeference {
     let known = from_settings(settings).or_else(|| from_files(project));
+    let known = known.or(scene.georeference);
     match known.unwrap_or_else(|| Georeference::from_coordinates(scene)) {
         Georeference::Local if settings.gps => {
             from_images(project, scene).unwrap_or(Georeference::Local)
@@ -30,10 +31,9 @@ pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) 
     }
 }
 
-/// Metres in a unit of the model of a project, by its place on earth; `None` if unknown.
-pub fn metres_per_unit(root: &Path, settings: &Settings) -> Option<f64> {
-    let project = Project::open_or_planned(root, None).ok()?;
-    let project = project.with_images(settings.images.as_deref());
+/// Metres in a unit of the project's model, by its place on earth; `None` if unknown.
+pub fn metres_per_unit(project: &Project, settings: &Settings) -> Option<f64> {
+    let project = project.clone().with_images(settings.images.as_deref());
     let scene = project.read_scene().ok()?;
     georeference(&project, &scene, &settings.frame).metres_per_unit()
 }
@@ -73,39 +73,17 @@ fn from_settings(settings: &FrameSettings) -> Option<Georeference> {
     })
 }
 
-/// Bytes at the start of a block in which its reference system is defined.
-const BLOCK_HEAD: u64 = 1 << 20;
-
-/// Reads the files that OpenSfM and OpenDroneMap write next to their models, and the reference
-/// system of a block.
+/// Reads the files that OpenSfM and OpenDroneMap write next to their models.
 fn from_files(project: &Project) -> Option<Georeference> {
-    match project.model.format {
-        ModelFormat::OpenSfm => of_opensfm(project),
-        ModelFormat::Blocks => {
-            let start =
-                input::read_start(&project.model.path, FileKind::Sparse, BLOCK_HEAD).ok()?;
-            let zone = Zone::of_reference_system(&blocks::reference_system(&start)?)?;
-            let offset = [0.0; 2];
-            Some(Georeference::Utm { zone, offset })
-        }
-        _ => None,
+    if project.model.format != ModelFormat::OpenSfm {
+        return None;
     }
-}
-
-fn of_opensfm(project: &Project) -> Option<Georeference> {
     let folder = project.model.path.parent()?;
     // OpenDroneMap keeps the model under this name when it moves it to map coordinates.
     if folder.join("reconstruction.topocentric.json").is_file() {
         return map_coordinates(&folder.parent()?.join("odm_georeferencing/coords.txt"));
     }
-    let beside = read_json::<Reference>(&folder.join("reference_lla.json"));
-    let inside = || {
-        read_json::<Vec<Reconstruction>>(&project.model.path)?
-            .into_iter()
-            .next()?
-            .reference_lla
-    };
-    let reference = beside.or_else(inside)?;
+    let reference = read_json::<Reference>(&folder.join("reference_lla.json"))?;
     Some(Georeference::east_north_up(Geodetic {
         longitude: reference.longitude,
         latitude: reference.latitude,
@@ -118,11 +96,6 @@ struct Reference {
     latitude: f64,
     longitude: f64,
     altitude: f64,
-}
-
-#[derive(Deserialize)]
-struct Reconstruction {
-    reference_lla: Option<Reference>,
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {

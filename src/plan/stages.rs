@@ -42,6 +42,8 @@ pub struct Stages {
     pub own_size: bool,
     /// True if the backend can match key views at different sizes.
     pub mixes_sizes: bool,
+    /// False if the backend uses the images themselves and makes no depth maps.
+    pub makes_maps: bool,
     /// True if maps of half the size were requested, but the backend supports only one size.
     pub refused_half: bool,
     /// Name of the backend that the plan is made for.
@@ -100,7 +102,7 @@ impl Stages {
             surface_file: &surface_file,
             seen: &seen,
         })?;
-        let (region, ground) = steps::region(&mut inputs, &seen, &shown, &mut run)?.unzip();
+        let (region, ground) = steps::region(&mut inputs, &twins, &seen, &shown, &mut run)?.unzip();
         let inputs = inputs;
         let settings = &inputs.settings;
         let target = Target::new(&shown, &settings.target, seen.gsd, settings.image_scale());
@@ -201,6 +203,7 @@ impl Stages {
         Ok(Self {
             own_size,
             mixes_sizes: matcher.mixes_sizes,
+            makes_maps: matcher.makes_maps,
             refused_half,
             backend: matcher.name,
             image_gsd: inputs.image_gsd,

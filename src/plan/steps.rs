@@ -161,6 +161,7 @@ impl Step for ShownStep<'_> {
 /// Lays the region of the settings over the surface, and counts the photographs of its area.
 pub(super) fn region(
     inputs: &mut Inputs,
+    twins: &[Twin],
     seen: &VisibleSurface,
     shown: &Shown,
     run: &mut Run,
@@ -171,15 +172,27 @@ pub(super) fn region(
     let watcher = run.watcher;
     run.timings.time(Stage::Visibility, || {
         let frame = MapFrame::new(&inputs.scene, inputs.settings.surface.up);
+        let twins = twins.iter().map(|twin| twin.view);
+        let mut left_out: Vec<ViewIndex> =
+            inputs.without_image.iter().copied().chain(twins).collect();
+        left_out.sort_unstable();
+        let triangles = seen.surface.triangles.len();
+        let views = seen.visibility.views_of_triangles(triangles, &left_out);
         let photographed = Photographed {
             scene: &inputs.scene,
-            without_image: &inputs.without_image,
+            left_out: &left_out,
             gsd: seen.gsd * inputs.settings.image_scale(),
-            surface: Some((&seen.surface, shown)),
+            surface: Some((&seen.surface, &views)),
         };
         let footprint = region.footprint(&frame);
-        let ground = footprint.and_then(|area| Ground::new(&area, &photographed, &frame));
-        let laid_over = region.lay_over(&seen.surface, &shown.pixels, watcher)?;
+        // First, since it refuses outlines that take long.
+        let laid_over = region
+            .clone()
+            .lay_over(&seen.surface, &shown.pixels, watcher)?;
+        let ground = match &footprint {
+            Some(area) => Ground::new(area, &photographed, &frame, watcher)?,
+            None => None,
+        };
         Ok(Some((laid_over, ground)))
     })
 }

@@ -40,9 +40,12 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(without_effect(stages));
     warnings.extend(one_size(stages));
     warnings.extend(single_partner(stages));
-    warnings.extend(little_fulfilled(ranking));
-    warnings.extend(unconfirmed(stages, cut));
-    warnings.extend(unsure(stages, ranking.reachable, &cut.reachable_band));
+    if stages.makes_maps {
+        warnings.extend(little_fulfilled(ranking));
+        warnings.extend(unconfirmed(stages, cut));
+        warnings.extend(unsure(stages, ranking.reachable, &cut.reachable_band));
+    }
+    warnings.extend(unused_pilot(stages));
     warnings.extend(contradictions(stages));
     warnings.extend(outdated(stages, finished));
     warnings.extend(finished.unreadable.iter().cloned());
@@ -55,8 +58,10 @@ fn missed(stages: &Stages) -> Option<String> {
     let ground = stages
         .ground_summary()
         .filter(GroundSummary::is_incomplete)?;
-    let missed = ground.missed("the region");
-    Some(format!("{missed} viewrank report plans images for that"))
+    let missed = ground.missed("the region", stages.metres);
+    Some(format!(
+        "{missed} The report plans images for that: viewrank/flight"
+    ))
 }
 
 /// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely
@@ -185,6 +190,17 @@ fn little_fulfilled(ranking: &Ranking) -> Option<String> {
             "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \
              more partners (-k) or a coarser resolution (viewrank plan --gsd) may give more, and viewrank doctor knows whether the cameras are sound",
             100.0 * given
+        )
+    })
+}
+
+/// Warns of small maps of a program whose fusion needs no second map.
+fn unused_pilot(stages: &Stages) -> Option<String> {
+    let is_named = stages.settings.pilot.maps.is_some();
+    (is_named && stages.objective.support <= 1).then(|| {
+        format!(
+            "the small maps of pilot.maps are not used: {} keeps what a single map shows, and its plans are ranked by the surface",
+            stages.backend
         )
     })
 }

@@ -127,6 +127,19 @@ fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
         assert!(between(west, west + 15.0) >= 2, "{west}: {straight_down:?}");
     }
     assert_eq!(between(-15.0, 10.0), 0, "{straight_down:?}");
+    // A map layer of what was missed.
+    let missed = fs::read_to_string(folder.at("viewrank/flight/missed.geojson")).unwrap();
+    let missed: Value = serde_json::from_str(&missed).unwrap();
+    let unseen = &missed["features"][0];
+    assert_eq!(unseen["properties"]["photographs"], 0);
+    let strips = unseen["geometry"]["coordinates"].as_array().unwrap();
+    let length = |strip: &Value| {
+        let x = |corner: usize| strip[0][corner][0].as_f64().unwrap();
+        assert_eq!(strip[0][0], strip[0][4]);
+        x(1) - x(0)
+    };
+    let longest = strips.iter().map(length).fold(0.0, f64::max) / (east(1.0) - LONGITUDE);
+    assert!((60.0..90.0).contains(&longest), "{longest}");
     let page = fs::read_to_string(folder.at("viewrank/report.html")).unwrap();
     let data = page
         .split_once("<script id=\"data\" type=\"application/json\">")

@@ -208,6 +208,27 @@ def test_it_stops_while_it_plans_and_leaves_nothing(large_source, root, config):
     assert not list((root / "p").rglob("*.new"))
 
 
+def test_a_second_daemon_says_who_holds_the_root_and_leaves(root, config, tmp_path):
+    with Daemon(root, config) as first:
+        first.wait(lambda: (root / "viewrank/status.json").exists(), "the first")
+        other = tmp_path / "other"
+        other.mkdir()
+        with Daemon(root, other) as second:
+            assert second.process.wait(timeout=60) == 1
+            assert f"process {first.process.pid}" in second.log.read_text()
+
+
+def test_a_folder_that_goes_while_it_is_planned_is_forgotten_and_found_again(source, large_source, root, config):
+    cp(large_source, root / "p")
+    with Daemon(root, config, settle="100ms") as daemon:
+        daemon.wait(lambda: daemon.said("p", "planning"), "the plan to begin")
+        shutil.rmtree(root / "p")
+        daemon.wait(lambda: daemon.said("p", "gone"), "it to be missed")
+        assert not (root / "p").exists()
+        cp(source, root / "p")
+        daemon.wait_planned("p")
+
+
 @pytest.fixture()
 def small_disk(root):
     """A project on a file system of 6 MB of its own, as root only."""

@@ -84,18 +84,18 @@ for made in json.loads((home / "made.json").read_text()).get(scene, []):
 @pytest.fixture
 def folder(tmp_path):
     shutil.copy(RUNNER, tmp_path / "run.py")
-    rows = [dict(rank=i + 1, scene=f"clusters/{i}.mvs", key=f"k{i}", id=10 + i, partner_ids=[1, 2], share=(i + 1) / 3, depths=[100, 200]) for i in range(3)]
+    rows = [dict(rank=i + 1, scene=f"clusters/{i}.mvs", key=f"k{i}", image=f"images/k{i}", id=10 + i, partner_ids=[1, 2], share=(i + 1) / 3, depths=[100, 200]) for i in range(3)]
     (tmp_path / "clusters").mkdir()
     for row in rows:
         (tmp_path / row["scene"]).write_text(row["key"])
     # The middle of a scene as it matters here: name, no mask, platform, camera, pose, id of each image.
     image = lambda name: struct.pack("<Q", len(name)) + name.encode() + struct.pack("<Q4I", 0, 0, 0, 7, 1)
-    (tmp_path / "fuse.mvs").write_bytes(b"MVSI" + b"".join(image(f"images/{row['key']}") for row in rows))
+    (tmp_path / "fuse.mvs").write_bytes(b"MVSI" + b"".join(image(row["image"]) for row in rows))
     (tmp_path / "links.txt").touch()
     (tmp_path / "images").mkdir()
     for row in rows:
-        (tmp_path / "images" / row["key"]).touch()
-    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], maps_per_point=2, resolution=400, pictures={row["key"]: 0 for row in rows})
+        (tmp_path / row["image"]).touch()
+    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], maps_per_point=2, resolution=400, pictures={row["image"]: 0 for row in rows})
     (tmp_path / "run.json").write_text(json.dumps(run))
     make(tmp_path)
     stand_in = tmp_path / "densify"

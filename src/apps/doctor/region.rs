@@ -16,11 +16,12 @@ pub fn findings(inputs: &Inputs) -> Option<Finding> {
             .ok()
             .flatten()
     };
-    let ground = planned_ground(inputs.project)
+    let ground = planned_ground(inputs.project, settings)
         .or_else(now)
         .filter(GroundSummary::is_incomplete)?;
-    let covered = ground.covered("the region", plan::metres(settings.units, &place));
-    let what = format!("{covered} {}", ground.missed("it"));
+    let metres = plan::metres(settings.units, &place);
+    let covered = ground.covered("the region", metres);
+    let what = format!("{covered} {}", ground.missed("it", metres));
     let root = command_path(&inputs.project.home);
     let cure = format!(
         "take images of what was missed: viewrank plan {root} --region FILE --report plans them (viewrank/flight)"

@@ -247,10 +247,12 @@ impl Contents {
             .map(|hole| HoleData::new(hole, &frame, &place, needed))
             .collect();
         let for_holes = flight.waypoints.len();
-        if let Some(bare) = bare_ground(plan, &frame, needed, listed.len()) {
+        if let Some(bare) = bare_ground(plan, &frame, needed, listed.len(), &flight.waypoints) {
             listed.push(HoleData::of_ground(&bare, &frame, &place, needed));
             flight = flight.and_then(&bare);
         }
+        let ground = plan.stages.ground.as_ref();
+        let missed = ground.and_then(|ground| flight::missed(ground, &frame, &place));
         let missing: Vec<String> = listed.iter().map(|hole| hole.missing.clone()).collect();
         Ok(Self {
             title: title(&project.root),
@@ -294,7 +296,10 @@ impl Contents {
             subject: Corners::shown_first(plan, &frame),
             holes: listed,
             flight: FlightData::new(&flight, for_holes, &frame),
-            flight_files: flight::files(&flight, &missing, &frame, &place, metres),
+            flight_files: flight::files(&flight, &missing, &frame, &place, metres)
+                .into_iter()
+                .chain(missed)
+                .collect(),
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,

@@ -189,6 +189,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             rank: i + 1,
             scene: path.clone(),
             key: selection.scene.name(cluster.key).into(),
+            image: builder.image(cluster.key),
             id: selection.scene.view(cluster.key).image_id,
             partner_ids: cluster
                 .partners
@@ -204,14 +205,13 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let mut pictures = BTreeMap::new();
     for view in selection.views() {
-        let name = selection.scene.name(view);
-        let link = images.link(name);
+        let (link, path) = (images.link(selection.scene.name(view)), builder.image(view));
         if let Contents::Link { file, .. } = &link
             && let Ok(picture) = fs::metadata(file)
         {
-            pictures.insert(name.to_owned(), picture.len());
+            pictures.insert(path.clone(), picture.len());
         }
-        files.add(format!("images/{name}"), link);
+        files.add(path, link);
     }
     let (common, overlaps) = common_project(selection);
     files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
@@ -289,6 +289,8 @@ struct Row {
     rank: usize,
     scene: String,
     key: String,
+    /// Path of its image, relative to this folder.
+    image: String,
     id: u32,
     partner_ids: Vec<u32>,
     /// 1, or 0.5 for a map of half the size.

@@ -6,7 +6,10 @@ use nalgebra::Point3;
 
 use crate::{
     backends::Selection,
-    io::formats::openmvs::{Camera, Image, Mvs, Platform, Pose, Vertex, VertexView, ViewScore},
+    io::{
+        formats::openmvs::{Camera, Image, Mvs, Platform, Pose, Vertex, VertexView, ViewScore},
+        project::ImageFolder,
+    },
     model::{
         cluster::RankedCluster,
         scene::{Scene, ViewIndex, ViewPoints},
@@ -20,6 +23,7 @@ const LEAST_SHARED: usize = 4;
 /// Inputs shared by all scenes of an export.
 pub struct Builder<'a> {
     scene: &'a Scene,
+    images: Option<&'a ImageFolder>,
     points: ViewPoints,
 }
 
@@ -34,8 +38,17 @@ impl<'a> Builder<'a> {
         let scene = selection.scene;
         Self {
             scene,
+            images: selection.project.images.as_ref(),
             points: scene.view_points(),
         }
+    }
+
+    /// Path of a view's image in the folder of the export. OpenMVS chooses a decoder by the
+    /// extension.
+    pub fn image(&self, view: ViewIndex) -> String {
+        let name = self.scene.name(view);
+        let named = self.images.map(|images| images.name_of_kind(name));
+        format!("images/{}", named.unwrap_or_else(|| name.into()))
     }
 
     /// Returns a scene with the images in the given order, without points; a list of neighbours
@@ -59,7 +72,7 @@ impl<'a> Builder<'a> {
             poses.push(self.pose(view));
             let pose = poses.len() as u32 - 1;
             mvs.images.push(Image {
-                name: format!("images/{}", self.scene.name(view)).into_bytes(),
+                name: self.image(view).into_bytes(),
                 mask: Vec::new(),
                 platform: platform as u32,
                 camera: 0,

@@ -5,8 +5,12 @@ use serde::{Deserialize, Serialize};
 
 use super::RegionFileError;
 use crate::{
+    base::progress::NoWatcher,
     config::Settings,
-    method::region::{Ground, Photographed},
+    method::{
+        region::{Ground, Photographed},
+        target::GSD_MARGIN,
+    },
     model::{
         georeference::{Georeference, MapFrame},
         scene::{Scene, ViewIndex},
@@ -50,14 +54,21 @@ impl GroundSummary {
         }
     }
 
-    /// Says how much of the region the photographs miss. `of`: the region, as the object.
-    pub fn missed(&self, of: &str) -> String {
+    /// Says how much of the region the photographs miss. `of`: the region, as the object; `metres`:
+    /// in a scene unit, if known.
+    pub fn missed(&self, of: &str, metres: Option<f64>) -> String {
+        let in_metres = |share: f64| match metres {
+            Some(_) if share > 0.0 => format!(" ({})", square(share * self.area, metres)),
+            _ => String::new(),
+        };
         match (self.unseen, self.seen_once) {
             (0.0, 0.0) => format!("Two photographs or more show all of {of}."),
             (unseen, once) => format!(
-                "No photograph shows {} of {of}, and only one shows {}.",
+                "No photograph shows {} of {of}{}, and only one shows {}{}.",
                 percent(unseen),
-                percent(once)
+                in_metres(unseen),
+                percent(once),
+                in_metres(once)
             ),
         }
     }
@@ -102,23 +113,26 @@ pub fn photographed_ground(
     settings: &Settings,
     without_image: &[ViewIndex],
 ) -> Result<Option<GroundSummary>, RegionFileError> {
-    let (Some(choice), Some(gsd)) = (
-        &settings.region,
-        settings.target.gsd.or_else(|| scene.median_gsd()),
-    ) else {
+    // As the plan wants it.
+    let wanted = settings.target.gsd;
+    let wanted = wanted.map(|gsd| gsd * settings.image_scale());
+    let gsd = wanted.or_else(|| Some(GSD_MARGIN * scene.median_gsd()?));
+    let (Some(choice), Some(gsd)) = (&settings.region, gsd) else {
         return Ok(None);
     };
     let frame = MapFrame::new(scene, settings.surface.up);
     let region = super::read(choice, place, &frame)?;
     let photographed = Photographed {
         scene,
-        without_image,
+        left_out: without_image,
         gsd,
         surface: None,
     };
-    let ground = region
-        .footprint(&frame)
-        .and_then(|area| Ground::new(&area, &photographed, &frame));
+    let ground = region.footprint(&frame).and_then(|area| {
+        Ground::new(&area, &photographed, &frame, &NoWatcher)
+            .ok()
+            .flatten()
+    });
     Ok(ground.map(|ground| GroundSummary::new(&ground, false)))
 }
 
@@ -142,8 +156,12 @@ mod tests {
         assert!(covered(None).contains("384 square units"));
         assert!(covered(Some(100.0)).contains("384.0 ha"));
         assert_eq!(
-            ground.missed("it"),
+            ground.missed("it", None),
             "No photograph shows 81.2 % of it, and only one shows 0.4 %."
+        );
+        assert_eq!(
+            ground.missed("it", Some(0.5)),
+            "No photograph shows 81.2 % of it (78.0 m²), and only one shows 0.4 % (0.384 m²)."
         );
         let unbuilt = GroundSummary {
             surface: None,
@@ -159,6 +177,6 @@ mod tests {
             seen_once: 0.0,
             ..ground
         };
-        assert!(!whole.is_incomplete() && whole.missed("it").contains("all of it"));
+        assert!(!whole.is_incomplete() && whole.missed("it", None).contains("all of it"));
     }
 }

@@ -71,7 +71,7 @@ impl RegionSummary {
         };
         let ground = self
             .ground
-            .map(|ground| [ground.covered("It", metres), ground.missed("it")]);
+            .map(|ground| [ground.covered("It", metres), ground.missed("it", metres)]);
         [format!("Region: {what}.")]
             .into_iter()
             .chain(ground.into_iter().flatten())

@@ -137,10 +137,19 @@ pub fn planned_model(project: &Project) -> Option<String> {
     Some(RecordedPlan::read(project).ok()?.input.model)
 }
 
-/// Returns what the photographs show of the region that the project's plan is for; `None` without a
-/// plan or a region.
-pub fn planned_ground(project: &Project) -> Option<GroundSummary> {
-    RecordedPlan::read(project).ok()?.region?.ground
+/// Returns what the photographs show of the region of the project's plan; `None` without a plan or
+/// where the settings name another region.
+pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSummary> {
+    let recorded = RecordedPlan::read(project).ok()?;
+    let is_same = settings.region.is_none() || settings.region == recorded.settings.region;
+    recorded.region.filter(|_| is_same)?.ground
+}
+
+/// Returns the project's workspace of undistorted images if it has a plan, and the project none.
+pub fn planned_workspace(project: &Project) -> Option<&Path> {
+    let dense = project.dense_workspace.as_deref();
+    let dense = dense.filter(|dense| *dense != project.root && dense.join(FILE).is_file());
+    dense.filter(|_| !project.home.join(FILE).exists())
 }
 
 impl WrittenPlan {
@@ -201,8 +210,12 @@ impl WrittenPlan {
 
 impl RecordedPlan {
     /// Opens the project with the model of its plan, and reads the plan.
+    /// Where the program needed undistorted images, the plan is in their workspace.
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
         let any_model = Project::open_or_planned(root, None)?;
+        if let Some(workspace) = planned_workspace(&any_model) {
+            return Self::open(workspace);
+        }
         let recorded = Self::read(&any_model)?;
         let planned = &recorded.input.model;
         let project = match any_model.model_path() == *planned {

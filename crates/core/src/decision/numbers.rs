@@ -78,6 +78,8 @@ pub struct Matcher {
     pub own_scale: fn(&Camera) -> f64,
     /// True if it can match key views at different sizes and fuse their depth maps.
     pub mixes_sizes: bool,
+    /// False if it uses the images themselves and makes no depth maps.
+    pub makes_maps: bool,
 }
 
 impl Matcher {

@@ -5,8 +5,6 @@
 //! the sharpest of such views takes part for all of them, and the others are set aside: neither key
 //! views nor partners.
 
-use std::collections::HashMap;
-
 use rayon::prelude::*;
 
 use super::confidence::{Pictures, SPACING};
@@ -43,57 +41,63 @@ pub fn twins(
     (pictures, image_scale): (&dyn Pictures, f64),
     watcher: &dyn Watcher,
 ) -> Result<Vec<Twin>, Cancelled> {
-    let pairs = pairs(scene, points, without_image);
-    let mut views: Vec<ViewIndex> = pairs.iter().flatten().copied().collect();
-    views.sort_unstable();
-    views.dedup();
-    let rank = |&view: &ViewIndex| {
+    let placed = placed(scene, points, without_image);
+    let has_twin = |i: &usize| -> Result<bool, Cancelled> {
         watcher.check()?;
+        let mut near = near(&placed, *i);
+        Ok(near.any(|other| are_twins(scene, &placed[*i], other)))
+    };
+    let rank = |i: usize| {
+        watcher.check()?;
+        let view = placed[i].view;
         // At the size at which it is matched, not half of it.
         let grey = pictures.grey(scene, view, SPACING * image_scale);
         let detail = grey
             .ok()
             .flatten()
             .map_or(0.0, |(grey, _)| grey.detail()[0]);
-        Ok((detail, points.observed_by(view).len(), view))
+        Ok((detail, points.observed_by(view).len(), &placed[i]))
     };
-    let mut ranked: Vec<(f64, usize, ViewIndex)> = views
-        .par_iter()
-        .map(rank)
+    let mut ranked: Vec<(f64, usize, &Placed)> = (0..placed.len())
+        .into_par_iter()
+        .filter_map(|i| match has_twin(&i) {
+            Ok(true) => Some(rank(i)),
+            Ok(false) => None,
+            Err(cancelled) => Some(Err(cancelled)),
+        })
         .collect::<Result<_, Cancelled>>()?;
     ranked.sort_by(|a, b| {
         let better = b.0.total_cmp(&a.0).then(b.1.cmp(&a.1));
-        better.then(a.2.cmp(&b.2))
+        better.then(a.2.view.cmp(&b.2.view))
     });
-    Ok(set_aside(&pairs, ranked.into_iter().map(|(.., view)| view)))
+    set_aside(
+        scene,
+        ranked.into_iter().map(|(.., placed)| placed),
+        watcher,
+    )
 }
 
 /// Goes through the views, best first: each is set aside if a better one that remains is its twin.
-fn set_aside(pairs: &[[ViewIndex; 2]], best_first: impl Iterator<Item = ViewIndex>) -> Vec<Twin> {
-    let mut both_ways: Vec<[ViewIndex; 2]> =
-        pairs.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
-    both_ways.sort_unstable();
-    let twins_of = |view: ViewIndex| {
-        let start = both_ways.partition_point(|pair| pair[0] < view);
-        both_ways[start..]
-            .iter()
-            .take_while(move |pair| pair[0] == view)
-    };
-    // By view that remains, its place among the best.
-    let mut remain: HashMap<ViewIndex, usize> = HashMap::new();
-    let mut aside = Vec::new();
-    for (place, view) in best_first.enumerate() {
-        let better = twins_of(view).map(|pair| pair[1]);
-        let remaining = better.filter_map(|twin| Some((*remain.get(&twin)?, twin)));
-        match remaining.min() {
-            Some((_, sharper)) => aside.push(Twin { view, sharper }),
-            None => {
-                remain.insert(view, place);
-            }
+/// Pairs are not listed: there may be as many as the square of the views.
+fn set_aside<'a>(
+    scene: &Scene,
+    best_first: impl Iterator<Item = &'a Placed>,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Twin>, Cancelled> {
+    let (mut remain, mut aside): (Vec<&Placed>, _) = (Vec::new(), Vec::new());
+    for placed in best_first {
+        watcher.check()?;
+        let better = remain.iter().find(|other| are_twins(scene, placed, other));
+        match better.map(|other| other.view) {
+            Some(sharper) => aside.push(Twin {
+                view: placed.view,
+                sharper,
+            }),
+            None => remain.push(placed),
         }
     }
     aside.sort_unstable();
-    aside
+    Ok(aside)
 }
 
 /// A view with the depth of what it shows.
@@ -105,8 +109,8 @@ struct Placed {
     sample: Vec<PointIndex>,
 }
 
-/// Returns all pairs of twins.
-fn pairs(scene: &Scene, points: &ViewPoints, without_image: &[ViewIndex]) -> Vec<[ViewIndex; 2]> {
+/// Returns the views with an image that show something, by their first coordinate.
+fn placed(scene: &Scene, points: &ViewPoints, without_image: &[ViewIndex]) -> Vec<Placed> {
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let placed = views.par_iter().filter_map(|&view| {
         let has_image = without_image.binary_search(&view).is_err();
@@ -116,13 +120,16 @@ fn pairs(scene: &Scene, points: &ViewPoints, without_image: &[ViewIndex]) -> Vec
     });
     let mut placed: Vec<Placed> = placed.collect();
     placed.sort_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
-    let near = |(i, a): (usize, &Placed)| -> Vec<[ViewIndex; 2]> {
-        let within = |b: &&Placed| b.centre[0] - a.centre[0] <= MOST_BASELINE * a.depth;
-        let after = placed[i + 1..].iter().take_while(within);
-        let twins = after.filter(|b| are_twins(scene, a, b));
-        twins.map(|b| [a.view, b.view]).collect()
-    };
-    placed.par_iter().enumerate().flat_map_iter(near).collect()
+    placed
+}
+
+/// The other views that are near enough in the first coordinate to be twins of one.
+fn near(placed: &[Placed], i: usize) -> impl Iterator<Item = &Placed> {
+    let (x, most) = (placed[i].centre[0], MOST_BASELINE * placed[i].depth);
+    let within = move |other: &&Placed| (other.centre[0] - x).abs() <= most;
+    let after = placed[i + 1..].iter().take_while(within);
+    let before = placed[..i].iter().rev().take_while(within);
+    after.chain(before)
 }
 
 impl Placed {
@@ -166,8 +173,10 @@ fn shows_points_of(scene: &Scene, view: ViewIndex, other: &Placed) -> bool {
         let pixel = camera.project(&x_cam);
         pixel.is_some_and(|pixel| camera.contains(&pixel))
     };
-    let shown = other.sample.iter().filter(is_shown).count();
-    shown as f64 >= LEAST_OVERLAP * other.sample.len() as f64
+    // Most views beside each other are no twins, which a few points show.
+    let may_lack = (1.0 - LEAST_OVERLAP) * other.sample.len() as f64;
+    let mut lacking = other.sample.iter().filter(|point| !is_shown(point));
+    lacking.nth(may_lack as usize).is_none()
 }
 
 #[cfg(test)]

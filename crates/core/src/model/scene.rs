@@ -11,7 +11,10 @@ use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::{base::rows::Offsets, model::camera::Camera};
+use crate::{
+    base::rows::Offsets,
+    model::{camera::Camera, georeference::Georeference},
+};
 
 /// Index of a view in [`Scene::views`]; ordered like the names.
 #[derive(
@@ -120,6 +123,10 @@ pub struct Scene {
     pub track_pixels: Vec<[f64; 2]>,
     /// Images of the model or of the image folder without a pose, sorted by name.
     pub unregistered: Vec<String>,
+    /// Images that the user took out of the model, sorted by name.
+    pub left_out: Vec<String>,
+    /// Place on earth, where the file of the model names it.
+    pub georeference: Option<Georeference>,
     /// Problems that did not prevent reading.
     pub warnings: Vec<ModelWarning>,
 }
@@ -398,8 +405,7 @@ mod tests {
             track_offsets: vec![0, 2, 3, 5, 6],
             track_views: [0, 1, 0, 0, 1, 1].map(ViewIndex).to_vec(),
             track_pixels: vec![[0.0; 2]; 6],
-            unregistered: Vec::new(),
-            warnings: Vec::new(),
+            ..Scene::default()
         };
         // View a: depths 1 and 2; view b: 2 and 4.
         assert_eq!(scene.median_gsd(), Some(0.5 * (1.5 + 3.0) / 100.0));

@@ -16,7 +16,10 @@
 use std::collections::HashMap;
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank_core::model::camera::{Camera, CameraModel};
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    georeference::{Georeference, Zone},
+};
 
 use super::{
     Fault, Place, Problem,
@@ -55,29 +58,6 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     Ok(foreign)
 }
 
-/// Definition of the reference system of the first block, such as "EPSG:32633" or its WKT, from the
-/// beginning of a file.
-pub fn reference_system(start: &[u8]) -> Option<String> {
-    let end = start.iter().rposition(|&byte| byte == b'>')?;
-    let mut xml = Xml::in_root(&start[..=end], "BlocksExchange", "").ok()?;
-    let mut systems = HashMap::new();
-    while let Some(entered) = xml.enter().ok()? {
-        match &*entered.name {
-            "SpatialReferenceSystems" => systems = read_systems(&mut xml).ok()?,
-            "Block" => {
-                while let Some(entered) = xml.enter().ok()? {
-                    if entered.name == "SRSId" {
-                        return systems.remove(xml.whole(entered).ok()?.text());
-                    }
-                    xml.skip().ok()?;
-                }
-            }
-            _ => xml.skip().ok()?,
-        }
-    }
-    None
-}
-
 /// Definitions of reference systems, by id.
 fn read_systems(xml: &mut Xml) -> Result<HashMap<String, String>, Fault> {
     let mut systems = HashMap::new();
@@ -112,7 +92,18 @@ impl Block {
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
                 "Name" => self.name = xml.whole(entered)?.text().to_owned(),
-                "SRSId" => self.check_system(&xml.whole(entered)?)?,
+                "SRSId" => {
+                    let id = xml.whole(entered)?;
+                    self.check_system(&id)?;
+                    let zone = self
+                        .systems
+                        .get(id.text())
+                        .and_then(|text| Zone::of_reference_system(text));
+                    self.foreign.georeference = zone.map(|zone| Georeference::Utm {
+                        zone,
+                        offset: [0.0; 2],
+                    });
+                }
                 "Photogroups" => {
                     while let Some(entered) = xml.enter()? {
                         if entered.name == "Photogroup" {
@@ -508,16 +499,6 @@ mod tests {
     fn what_cannot_be_read_is_named() {
         let focal = "<FocalLengthPixels>100</FocalLengthPixels>";
         let said = |text: &str| read(text.as_bytes()).unwrap_err().to_string();
-        let whole = file("EPSG:32633", focal);
-        assert_eq!(
-            reference_system(whole.as_bytes()).as_deref(),
-            Some("EPSG:32633")
-        );
-        assert_eq!(
-            reference_system(&whole.as_bytes()[..900]).as_deref(),
-            Some("EPSG:32633")
-        );
-        assert_eq!(reference_system(&whole.as_bytes()[..20]), None);
         assert!(said(&file("EPSG:4326+5773", focal)).contains("longitude"));
         assert!(
             said(&file(

@@ -9,6 +9,7 @@ use std::{
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use viewrank_core::model::{
     camera::{Camera, CameraError},
+    georeference::Georeference,
     scene::{ModelWarning, Scene, WarningKind},
 };
 
@@ -31,15 +32,22 @@ pub struct ForeignModel {
     pub model: ColmapModel<'static>,
     /// Names of images without a pose.
     pub unregistered: Vec<String>,
+    /// Names of images that the user took out of the model.
+    pub left_out: Vec<String>,
     /// The folder to which image names are relative, for formats that store it.
     pub image_folder: Option<String>,
+    /// Place on earth, for formats that store it.
+    pub georeference: Option<Georeference>,
 }
 
 impl ForeignModel {
     pub fn scene(&self) -> Result<Scene, Fault> {
         let mut scene = self.model.scene()?;
+        scene.georeference = self.georeference;
         scene.unregistered = self.unregistered.clone();
         scene.unregistered.sort_unstable();
+        scene.left_out = self.left_out.clone();
+        scene.left_out.sort_unstable();
         Ok(scene)
     }
 

@@ -163,19 +163,12 @@ impl Chunk {
             .iter()
             .filter_map(|camera| Some((camera.element.attribute("id")?, camera)))
             .collect();
-        let mut labels: HashMap<&str, usize> = HashMap::new();
-        for camera in &self.cameras {
-            *labels.entry(camera.label()).or_default() += 1;
-        }
+        let names = self.names(spelled);
         let mut used = HashSet::new();
         let (mut components, mut disabled) = (Vec::new(), Vec::new());
-        for (n, camera) in (1..).zip(&self.cameras) {
+        for ((n, camera), name) in (1..).zip(&self.cameras).zip(names) {
             let (label, element) = (camera.label(), &camera.element);
             let what = || format!("camera {n}, {label:?}");
-            let name = match labels[label] {
-                1 => spelled(&label.replace('\\', "/")),
-                _ => spelled(&self.name_apart(camera)),
-            };
             if !camera.is_enabled() {
                 disabled.push(name);
                 continue;
@@ -213,18 +206,41 @@ impl Chunk {
             );
             foreign.warn(WarningKind::Format, text);
         }
+        foreign.left_out = disabled;
         Ok(foreign)
     }
 
-    /// A name for one of several cameras of a label: as if its group, or its sensor, were the folder
-    /// of its image.
-    fn name_apart(&self, camera: &ChunkCamera) -> String {
-        let of_sensor = || {
-            let (_, sensor) = self.sensor(&camera.element).ok()?;
-            sensor.attribute("label")
+    /// Names of the images of all cameras: their labels. Of several cameras of a label, each has its
+    /// group, or its sensor, for a folder, and its id where that does not tell them apart.
+    fn names(&self, spelled: &dyn Fn(&str) -> String) -> Vec<String> {
+        let folder = |camera: &ChunkCamera| {
+            let of_sensor = || {
+                let (_, sensor) = self.sensor(&camera.element).ok()?;
+                Some(sensor.attribute("label")?.to_owned())
+            };
+            camera.group.clone().or_else(of_sensor)
         };
-        let folder = camera.group.as_deref().or_else(of_sensor);
-        format!("{}/{}", folder.unwrap_or_default(), camera.label())
+        let mut labels: HashMap<&str, usize> = HashMap::new();
+        let mut places: HashMap<(&str, Option<String>), usize> = HashMap::new();
+        for camera in &self.cameras {
+            *labels.entry(camera.label()).or_default() += 1;
+            *places.entry((camera.label(), folder(camera))).or_default() += 1;
+        }
+        let name = |camera: &ChunkCamera| {
+            let label = camera.label();
+            if labels[label] == 1 {
+                return spelled(&label.replace('\\', "/"));
+            }
+            let folder = folder(camera);
+            let is_apart = places[&(label, folder.clone())] == 1;
+            let id = id_of(&camera.element, "id");
+            spelled(&match folder {
+                Some(folder) if is_apart => format!("{folder}/{label}"),
+                Some(folder) => format!("{folder}_{id}/{label}"),
+                None => format!("camera_{id}/{label}"),
+            })
+        };
+        self.cameras.iter().map(name).collect()
     }
 
     fn sensor(&self, camera: &Element) -> Result<&(u32, Element), Fault> {

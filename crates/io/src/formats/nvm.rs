@@ -44,14 +44,23 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
     let fixed = head.ok_or_else(|| Words::new(nvm).unexpected("NVM_V3"))?;
     let (mut largest, mut position) = (model(&mut words)?, 1);
     let mut others = Vec::new();
+    let mut cut_off = None;
     // What follows the models, a list of PLY files, may say anything.
     for n in 2.. {
-        let Ok(mut next) = model(&mut words) else {
-            break;
-        };
-        if next.cameras.is_empty() {
+        let has_cameras = words
+            .clone()
+            .number::<u64>("cameras")
+            .is_ok_and(|count| count > 0);
+        if !has_cameras {
             break;
         }
+        let mut next = match model(&mut words) {
+            Ok(next) => next,
+            Err(fault) => {
+                cut_off = Some(format!("model {n} of the NVM file cannot be read: {fault}"));
+                break;
+            }
+        };
         let mut left = n;
         if next.cameras.len() > largest.cameras.len() {
             std::mem::swap(&mut next, &mut largest);
@@ -67,6 +76,9 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
         );
     }
     foreign.warn_of_others("models of the NVM file", &others);
+    if let Some(text) = cut_off {
+        foreign.warn(WarningKind::OtherModels, text);
+    }
     Ok(foreign)
 }
 

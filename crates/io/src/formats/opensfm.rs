@@ -11,6 +11,7 @@ use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use viewrank_core::model::{
     camera::{Camera, CameraModel},
+    georeference::{Geodetic, Georeference},
     scene::WarningKind,
 };
 
@@ -27,6 +28,15 @@ struct Reconstruction {
     shots: JsonMap<Shot>,
     #[serde(default)]
     points: JsonMap<Point>,
+    reference_lla: Option<Reference>,
+}
+
+/// Origin of the coordinates, degrees and metres.
+#[derive(Deserialize)]
+struct Reference {
+    latitude: f64,
+    longitude: f64,
+    altitude: f64,
 }
 
 /// A JSON object as a map.
@@ -108,6 +118,13 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
     let Some(largest) = largest else {
         return Ok(foreign);
     };
+    foreign.georeference = largest.reference_lla.as_ref().map(|origin| {
+        Georeference::east_north_up(Geodetic {
+            longitude: origin.longitude,
+            latitude: origin.latitude,
+            height: origin.altitude,
+        })
+    });
     if all > 1 {
         let shots = largest.shots.len();
         let text =

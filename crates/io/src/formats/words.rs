@@ -16,6 +16,7 @@ use super::{Fault, Place, Problem};
 pub(super) type Observation = (usize, [f64; 2]);
 
 /// The unread part of a text file.
+#[derive(Clone)]
 pub(super) struct Words<'a> {
     whole: &'a [u8],
     rest: &'a [u8],

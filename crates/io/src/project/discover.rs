@@ -152,9 +152,14 @@ fn models_below(root: &Path) -> Result<Found, ProjectError> {
     };
     let children = sub_folders(root);
     let (mut below, mut found) = (Vec::new(), Found::default());
-    for child in children.iter().filter(is_searched).take(MOST_FOLDERS) {
-        let inner = sub_folders(child).into_iter().take(MOST_FOLDERS);
+    let mut left = MOST_FOLDERS;
+    for child in children.iter().filter(is_searched) {
+        if left == 0 {
+            break;
+        }
+        let inner = sub_folders(child).into_iter().take(left - 1);
         let folders: Vec<PathBuf> = [child.clone()].into_iter().chain(inner).collect();
+        left -= folders.len();
         let of_colmap: Vec<PathBuf> = folders.iter().flat_map(|f| with_sparse(f)).collect();
         let there = models_in(root, &of_colmap, &folders);
         if !there.models.is_empty() {
@@ -308,7 +313,7 @@ fn choose(
                 |is_meant: &dyn Fn(&ModelLocation) -> bool| models.iter().position(is_meant);
             position(&|model| model.path == root.join(wanted))
                 .or_else(|| position(&|model| model.name == wanted))
-                .or_else(|| position(&|model| model.path.ends_with(wanted)))
+                .or_else(|| position(&|model| !wanted.is_empty() && model.path.ends_with(wanted)))
                 .ok_or_else(|| ProjectError::NoSuchModel {
                     path: path.into(),
                     wanted: wanted.into(),

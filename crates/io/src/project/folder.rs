@@ -73,6 +73,19 @@ impl ImageFolder {
         others.get(name).map(String::as_str)
     }
 
+    /// The name with the extension of its file, which programs may go by.
+    pub fn name_of_kind(&self, name: &str) -> String {
+        let extension = |name: &str| Some(Path::new(name).extension()?.to_str()?.to_owned());
+        let Some(kind) = self.other_name(name).and_then(extension) else {
+            return name.into();
+        };
+        match extension(name).filter(|_| is_image(Path::new(name))) {
+            Some(own) if own.eq_ignore_ascii_case(&kind) => name.into(),
+            Some(own) => format!("{}{kind}", &name[..name.len() - own.len()]),
+            None => format!("{name}.{kind}"),
+        }
+    }
+
     /// An image among the files of an export.
     pub fn link(&self, name: &str) -> Contents {
         Contents::Link {

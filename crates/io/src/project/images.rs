@@ -440,7 +440,7 @@ fn size_by_header(path: &Path) -> Option<(u32, u32)> {
     picture::size(BufReader::new(input::open(path).ok()?)).map(Into::into)
 }
 
-/// Images of the folder, other than masks, without a view in the scene, sorted; none if the folder
+/// Images of the folder, other than masks, that the model does not name, sorted; none if the folder
 /// has no image of the scene, since a foreign model may name an unrelated folder.
 pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
     if !scene
@@ -455,6 +455,7 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .views
         .iter()
         .map(|view| &*view.name)
+        .chain(scene.left_out.iter().map(String::as_str))
         .chain(folder.other_names().map(|(_, file)| file));
     let registered: HashSet<PathBuf> = names.map(|name| normal(Path::new(name))).collect();
     images_below(folder, |name| {

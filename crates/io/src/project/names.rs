@@ -10,11 +10,13 @@ use std::{
 
 use unicode_normalization::UnicodeNormalization;
 
-use super::image_files::is_image;
+use super::image_files::{MOST_ENTRIES, is_image};
 use crate::formats::{SEPARATORS, name_parts};
 
-/// Most entries of folders that are listed for names: a stranger's model may name any folder.
-const MOST_ENTRIES: usize = 1_000_000;
+/// Names of the folder of images of which programs make reduced copies.
+const REDUCED: [&str; 3] = ["images", "image", "input"];
+/// Factors of reduced copies.
+const FACTORS: [u32; 4] = [2, 4, 8, 16];
 
 /// Looks up names in folders, and keeps their listings.
 pub(super) struct Names {
@@ -77,14 +79,18 @@ impl Names {
         }
     }
 
-    /// Names of the folders in `parent` with reduced copies of the images of a folder (`images_2`,
-    /// `images_4`), the largest first.
+    /// Names of the folders in `parent` with reduced copies of the folder of images (`images_2`,
+    /// `images_4`), the largest first; none of another folder: `flight_2` is another flight.
     pub fn reduced_in(&self, parent: &Path, name: &str) -> Vec<String> {
-        let listing = self.listing(parent);
         let own = folded(name);
+        if !REDUCED.contains(&&*own) {
+            return Vec::new();
+        }
+        let listing = self.listing(parent);
         let factor = |other: &String| {
             let factor = other.strip_prefix(&own)?.strip_prefix('_')?;
-            factor.parse::<u32>().ok()
+            let factor = factor.parse::<u32>().ok()?;
+            FACTORS.contains(&factor).then_some(factor)
         };
         let mut reduced: Vec<(u32, &String)> = listing
             .folders
@@ -114,7 +120,10 @@ impl Names {
             };
             of.entry(key).or_default().push(name);
         }
-        listing.images.values_mut().for_each(|names| names.sort());
+        let lists = listing.images.values_mut();
+        lists
+            .chain(listing.folders.values_mut())
+            .for_each(|names| names.sort());
         let listing = Rc::new(listing);
         self.listings
             .borrow_mut()
@@ -198,6 +207,13 @@ mod tests {
             "\u{e9}te\u{301}/\u{c9}.JPG",
             "e\u{301}t\u{e9}/e\u{301}.jpg",
         );
+    }
+
+    #[test]
+    fn another_flight_is_no_reduced_copy() {
+        let flights = ["flight_1/a.jpg", "flight_2/a.jpg", "images_3/a.jpg"];
+        assert_eq!(located(&flights, "flight/a.jpg"), None);
+        assert_eq!(located(&flights, "images/a.jpg"), None);
     }
 
     #[test]

@@ -1,20 +1,29 @@
 //! Images of the ground of a region that has no surface, because too few photographs show it: a
 //! grid of views straight down, from the height that gives the wanted resolution.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, BTreeSet, BinaryHeap},
+};
 
 use nalgebra::Point3;
+use rayon::prelude::*;
 
 use super::{Waypoint, candidates};
 use crate::{
+    method::region::GroundCell,
     model::{camera::Camera, georeference::MapFrame},
     plan::Plan,
 };
 
 /// Most images that are planned; of more, those nearest to the photographs.
 const MOST: usize = 2000;
+/// Most places that images are planned over before the nearest are taken.
+const MOST_PLACES: usize = 100_000;
 /// Share of the region from which on ground without surface is worth a flight.
 const WORTH_IT: f64 = 0.01;
+/// Distance, over that which gives the wanted resolution, up to which a planned image shows a place.
+const FARTHER: f64 = 1.5;
 
 /// The ground of a region that has no surface and that too few photographs show.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,32 +42,55 @@ pub struct BareGround {
 type Square = [i64; 2];
 
 /// Plans the images; `None` without a region, or without such ground. `needed`: cameras that must
-/// see a place; `hole`: index of the ground among the listed holes.
-pub fn bare_ground(plan: &Plan, frame: &MapFrame, needed: u32, hole: usize) -> Option<BareGround> {
+/// see a place; `hole`: index of the ground among the listed holes; `planned`: images for the other
+/// holes, which show some of it.
+pub fn bare_ground(
+    plan: &Plan,
+    frame: &MapFrame,
+    needed: u32,
+    hole: usize,
+    planned: &[Waypoint],
+) -> Option<BareGround> {
     let stages = &plan.stages;
     let ground = stages.ground.as_ref()?;
-    let bare: Vec<[f64; 2]> = ground
-        .cells
-        .iter()
-        .filter(|cell| !cell.has_surface && cell.views < needed)
-        .map(|cell| cell.place)
-        .collect();
-    if (bare.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
-        return None;
-    }
     let camera = candidates::usual_camera(plan)?;
     let camera = &stages.scene.cameras[camera.index()];
     let gsd = stages.settings.target.gsd?;
     let distance = candidates::distance(plan, gsd, camera);
+    let shown_by_planned = |place: [f64; 2]| {
+        let place = ground.plane.at(place);
+        let shows = |waypoint: &&Waypoint| shows(waypoint, camera, distance, &place);
+        planned.iter().filter(shows).count() as u32
+    };
+    let lacking = |cell: &GroundCell| {
+        let missing = needed.saturating_sub(cell.views);
+        let is_bare = !cell.has_surface && missing > 0;
+        let missing = missing.saturating_sub(if is_bare {
+            shown_by_planned(cell.place)
+        } else {
+            0
+        });
+        (is_bare && missing > 0).then_some((cell.place, missing))
+    };
+    let bare: Vec<([f64; 2], u32)> = ground.cells.iter().filter_map(lacking).collect();
+    if (bare.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
+        return None;
+    }
     let step = candidates::step(distance);
     let square = |[x, y]: [f64; 2]| -> Square { [x, y].map(|at| (at / step).floor() as i64) };
+    let flown = flown(plan, frame);
+    let (places, each) = divided(&bare, ground.side, step, &flown);
     // One more on each side: at the rim, too, a place is seen from several.
     let mut squares: BTreeSet<Square> = BTreeSet::new();
-    for place in &bare {
+    for (place, _) in &places {
         squares.extend(around(square(*place)));
     }
     let middle = |[column, row]: Square| [column, row].map(|at| (at as f64 + 0.5) * step);
-    let chosen = nearest_to(&flown(plan, frame), squares, middle);
+    let reach = 0.5 * shown(camera, distance);
+    let chosen = match squares.len() {
+        ..=MOST => enough(&places, &squares, middle, reach),
+        _ => nearest_to(&flown, squares, middle),
+    };
     let heights = heights(plan, frame, &chosen, square);
     let up = ground.plane.up();
     let waypoint = |(n, square): (usize, &Square)| {
@@ -76,8 +108,12 @@ pub fn bare_ground(plan: &Plan, frame: &MapFrame, needed: u32, hole: usize) -> O
             overlap: overlap(camera, distance + rise, step),
         }
     };
-    let below = |place: &&[f64; 2]| chosen.contains(&square(**place));
-    let covered = bare.iter().filter(below).count() as f64 / bare.len() as f64;
+    let middles: Vec<[f64; 2]> = chosen.iter().map(|square| middle(*square)).collect();
+    let is_shown = |(place, lacking): &&([f64; 2], u32)| {
+        let shows = |middle: &&[f64; 2]| is_below(**middle, *place, reach);
+        middles.iter().filter(shows).take(*lacking as usize).count() == *lacking as usize
+    };
+    let covered = places.iter().filter(is_shown).count() as f64 / (each * bare.len()) as f64;
     Some(BareGround {
         area: bare.len() as f64 * ground.side * ground.side,
         centre: ground.plane.at(typical(&bare)),
@@ -88,6 +124,94 @@ pub fn bare_ground(plan: &Plan, frame: &MapFrame, needed: u32, hole: usize) -> O
             .collect(),
         covered,
     })
+}
+
+/// Divides cells into places no farther apart than the images, as many in each; returns them and
+/// their number in a cell. Of more than [`MOST_PLACES`], those in the cells nearest to the
+/// photographs.
+fn divided(
+    cells: &[([f64; 2], u32)],
+    side: f64,
+    step: f64,
+    flown: &[[f64; 2]],
+) -> (Vec<([f64; 2], u32)>, usize) {
+    let most = (MOST_PLACES as f64).sqrt();
+    let along = (side / step).ceil().clamp(1.0, most) as usize;
+    let each = along * along;
+    let mut nearest = cells.to_vec();
+    if cells.len() * each > MOST_PLACES {
+        let mut by_distance: Vec<(f64, ([f64; 2], u32))> = nearest
+            .into_iter()
+            .map(|cell| (distance(flown, cell.0), cell))
+            .collect();
+        // A stable sort: ties stay row by row.
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
+        by_distance.truncate(MOST_PLACES.div_ceil(each));
+        nearest = by_distance.into_iter().map(|(_, cell)| cell).collect();
+    }
+    let part = side / along as f64;
+    let places = |([x, y], lacking): ([f64; 2], u32)| {
+        let offset = move |i: usize| (i as f64 + 0.5) * part - 0.5 * side;
+        (0..each).map(move |i| ([x + offset(i % along), y + offset(i / along)], lacking))
+    };
+    (nearest.into_iter().flat_map(places).collect(), each)
+}
+
+/// Chooses images until each place is shown by as many as it lacks, those first that show most such
+/// places. `reach`: half the side of what an image shows.
+fn enough(
+    places: &[([f64; 2], u32)],
+    squares: &BTreeSet<Square>,
+    middle: impl Fn(Square) -> [f64; 2] + Sync,
+    reach: f64,
+) -> BTreeSet<Square> {
+    let squares: Vec<Square> = squares.iter().copied().collect();
+    let below = |square: &Square| -> Vec<u32> {
+        let middle = middle(*square);
+        let places = (0..).zip(places);
+        let below = places.filter(|(_, (place, _))| is_below(middle, *place, reach));
+        below.map(|(i, _)| i).collect()
+    };
+    let below: Vec<Vec<u32>> = squares.par_iter().map(below).collect();
+    let mut lacking: Vec<u32> = places.iter().map(|(_, lacking)| *lacking).collect();
+    // Gains only fall: what is at the top with a gain of now is best.
+    let known = below
+        .iter()
+        .map(Vec::len)
+        .zip((0..squares.len()).map(Reverse));
+    let mut by_gain: BinaryHeap<(usize, Reverse<usize>)> = known.collect();
+    let mut chosen = BTreeSet::new();
+    while let Some((known, Reverse(next))) = by_gain.pop() {
+        let lack = |&&place: &&u32| lacking[place as usize] > 0;
+        let gain = below[next].iter().filter(lack).count();
+        if gain < known {
+            by_gain.push((gain, Reverse(next)));
+            continue;
+        }
+        if gain == 0 {
+            break;
+        }
+        chosen.insert(squares[next]);
+        for &place in &below[next] {
+            lacking[place as usize] = lacking[place as usize].saturating_sub(1);
+        }
+    }
+    chosen
+}
+
+/// Returns whether a place is in what an image straight above `middle` shows.
+fn is_below(middle: [f64; 2], place: [f64; 2], reach: f64) -> bool {
+    (0..2).all(|axis| (middle[axis] - place[axis]).abs() <= reach)
+}
+
+/// Returns whether a planned image shows a place about as finely as from `distance`; of its frame,
+/// the circle inside counts.
+fn shows(waypoint: &Waypoint, camera: &Camera, distance: f64, place: &Point3<f64>) -> bool {
+    let ray = place - waypoint.centre;
+    let reach = 0.5 * shown(camera, 1.0);
+    let along = ray.dot(&waypoint.direction);
+    let across = (ray - waypoint.direction * along).norm();
+    (0.0..=FARTHER * distance).contains(&along) && across <= reach * along
 }
 
 /// Positions of the photographs on the map.
@@ -106,18 +230,19 @@ fn nearest_to(
     if squares.len() <= MOST {
         return squares;
     }
-    let distance = |square: &Square| {
-        let [x, y] = middle(*square);
-        let to = |[px, py]: &[f64; 2]| (px - x).hypot(py - y);
-        positions.iter().map(to).fold(f64::INFINITY, f64::min)
-    };
     let mut by_distance: Vec<(f64, Square)> = squares
         .iter()
-        .map(|square| (distance(square), *square))
+        .map(|square| (distance(positions, middle(*square)), *square))
         .collect();
     by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let nearest = by_distance.into_iter().take(MOST);
     nearest.map(|(_, square)| square).collect()
+}
+
+/// Distance of a place from the nearest of some positions.
+fn distance(positions: &[[f64; 2]], [x, y]: [f64; 2]) -> f64 {
+    let to = |[px, py]: &[f64; 2]| (px - x).hypot(py - y);
+    positions.iter().map(to).fold(f64::INFINITY, f64::min)
 }
 
 /// Height of the highest vertex of the surface in or beside each square, where there is one.
@@ -153,21 +278,27 @@ fn row_by_row(squares: &BTreeSet<Square>) -> Vec<Square> {
     ordered
 }
 
-/// Share of what an image shows that the next one shows, too.
-fn overlap(camera: &Camera, distance: f64, step: f64) -> f64 {
+/// The shorter side of what an image shows from a distance.
+fn shown(camera: &Camera, distance: f64) -> f64 {
     let (focal, _) = camera.pinhole_part();
-    let shown = (distance / focal.x * f64::from(camera.width))
-        .min(distance / focal.y * f64::from(camera.height));
-    (1.0 - step / shown).max(0.0)
+    (distance / focal.x * f64::from(camera.width))
+        .min(distance / focal.y * f64::from(camera.height))
+}
+
+/// Share of what an image shows that another one at this distance beside it shows, too.
+fn overlap(camera: &Camera, distance: f64, beside: f64) -> f64 {
+    (1.0 - beside / shown(camera, distance)).max(0.0)
 }
 
 /// The place nearest to the mean of some, which is one of them.
-fn typical(places: &[[f64; 2]]) -> [f64; 2] {
+fn typical(places: &[([f64; 2], u32)]) -> [f64; 2] {
     let count = places.len() as f64;
-    let mean = [0, 1].map(|axis| places.iter().map(|place| place[axis]).sum::<f64>() / count);
-    let off = |place: &&[f64; 2]| (place[0] - mean[0]).hypot(place[1] - mean[1]);
-    let nearest = places.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
-    nearest.copied().unwrap_or(mean)
+    let sum = |axis: usize| places.iter().map(|(place, _)| place[axis]).sum::<f64>();
+    let mean = [0, 1].map(|axis| sum(axis) / count);
+    let off = |place: &[f64; 2]| (place[0] - mean[0]).hypot(place[1] - mean[1]);
+    let places = places.iter().map(|(place, _)| *place);
+    let nearest = places.min_by(|a, b| off(a).total_cmp(&off(b)));
+    nearest.unwrap_or(mean)
 }
 
 #[cfg(test)]
@@ -181,6 +312,38 @@ mod tests {
             row_by_row(&squares),
             [[0, -1], [0, 0], [1, 0], [1, 1], [0, 1]]
         );
+    }
+
+    #[test]
+    fn large_cells_are_covered_without_gaps() {
+        let cells = [([0.0, 0.0], 3), ([47.0, 0.0], 3)];
+        let (places, each) = divided(&cells, 47.0, 12.5, &[]);
+        assert_eq!((places.len(), each), (32, 16));
+        let square = |at: f64| (at / 12.5).floor() as i64;
+        let columns: BTreeSet<i64> = places.iter().map(|([x, _], _)| square(*x)).collect();
+        assert!(columns.into_iter().eq(square(-23.5)..=square(70.4)));
+        let cells: Vec<_> = (0..1000).map(|n| ([f64::from(n) * 50.0, 0.0], 1)).collect();
+        let (places, each) = divided(&cells, 50.0, 1.0, &[[0.0, 0.0]]);
+        assert_eq!((places.len(), each), (MOST_PLACES, 2500));
+        assert!(places.iter().all(|([x, _], _)| *x < 40.0 * 50.0));
+    }
+
+    #[test]
+    fn images_are_chosen_until_each_place_is_shown_often_enough() {
+        let places: Vec<([f64; 2], u32)> = (0..20)
+            .map(|n| ([f64::from(n), 0.0], if n < 10 { 1 } else { 3 }))
+            .collect();
+        let squares: BTreeSet<Square> = (-5..25).flat_map(|x| [[x, 0], [x, 1]]).collect();
+        let middle = |[column, row]: Square| [column as f64, row as f64];
+        let chosen = enough(&places, &squares, middle, 5.0);
+        for (place, lacking) in places {
+            let shows = |square: &&Square| is_below(middle(**square), place, 5.0);
+            assert!(
+                chosen.iter().filter(shows).count() as u32 >= lacking,
+                "{place:?}"
+            );
+        }
+        assert!(chosen.len() <= 5, "{chosen:?}");
     }
 
     #[test]

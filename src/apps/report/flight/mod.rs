@@ -7,6 +7,7 @@ mod bare;
 mod candidates;
 mod choice;
 mod files;
+mod missed;
 
 use nalgebra::{Point3, Vector3};
 
@@ -19,6 +20,7 @@ use crate::{
 
 pub use bare::{BareGround, bare_ground};
 pub use files::files;
+pub use missed::missed;
 
 /// An image to take.
 #[derive(Clone, Debug, PartialEq)]

@@ -131,11 +131,17 @@ function percent(share, digits = 1) {
   return `${(100 * share).toFixed(digits)}\u00a0%`;
 }
 
+// Number of finished depth maps among those up to a rank.
+function finishedUpTo(rank) {
+  return data.real ? data.real.ranks.filter(finished => finished <= rank).length : 0;
+}
+
 // Share added by a cluster at its rank, with more digits where it is small. None where another map has to confirm it first.
 function gainText(rank) {
   const share = shareAt(rank) - shareAt(rank - 1);
   // Of the first map, nothing counts until another agrees.
-  return share > 0 ? `+${percent(share, share >= 0.001 ? 1 : 4)}` : 'with others';
+  if (rank === 1 && share <= 0) return 'with others';
+  return `+${percent(share, share >= 0.001 || share <= 0 ? 1 : 4)}`;
 }
 
 function short(number) {

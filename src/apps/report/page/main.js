@@ -36,10 +36,14 @@ function drawNumbers() {
   const { cut } = state, { reachable, share_band: share, reachable_band: band } = data.limits, planned = cut === data.cut;
   const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
   const halves = halvesUpTo[cut], sizes = halves ? `, ${grouped.format(cut - halves)} at full and ${grouped.format(halves)} at half size` : '';
+  const finished = finishedUpTo(cut), measured = finished && percent(data.real.share[finished - 1]);
+  const likely = planned ? `likely ${range(share)}` : 'predicted';
+  const given = finished && finished === cut ? [measured, `estimated from these maps; the plan said ${percent(shareAt(cut))}`]
+    : [percent(shareAt(cut)), finished ? `${likely}; the ${counted(finished, 'finished depth map')}: ${measured}` : likely];
   const numbers = [
     ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views${sizes}`],
     ['Work', ...work(cut)],
-    ['Of what all depth maps give', percent(shareAt(cut)), planned ? `measured, it will likely be ${range(share)}` : 'predicted'],
+    ['Of what all depth maps give', ...given],
     ['Of what the photographs show', percent(shareAt(cut) * reachable, 0), `all depth maps: ${percent(reachable, 0)}${planned ? ` (likely ${range(band)})` : ''}`],
   ];
   byId('numbers').replaceChildren(...numbers.map(([what, value, of]) =>

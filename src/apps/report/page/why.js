@@ -14,6 +14,7 @@ function pairsOf(view) {
 function becauseShort(view) {
   const rank = views.rank[view];
   if (rank && rank <= data.finished) return `its depth map is finished, ${percent(shareAt(rank))} up to here`;
+  if (data.real && data.real.ranks.includes(rank)) return `its depth map is finished; ${percent(shareAt(rank))} was planned up to here`;
   if (rank && rank <= state.cut) return `${percent(shareAt(rank))} up to here`;
   const substitute = substituteAt(view, state.cut);
   if (substitute && substitute.share >= 0.5) return `${names[ranking.keys[substitute.rank - 1]]} gives ${percent(substitute.share, 0)} of what it could`;

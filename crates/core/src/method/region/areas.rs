@@ -217,6 +217,11 @@ impl MapAreas {
             .is_some_and(|properties| properties.weight > 0.0)
     }
 
+    /// Edges of all areas.
+    pub fn edges(&self) -> usize {
+        self.rings.iter().flatten().map(Vec::len).sum()
+    }
+
     /// Rings of all areas on the map of a plane; `None` if a position is not on it.
     pub fn on_the_map(&self, plane: &GroundPlane) -> Option<Vec<Vec<[f64; 2]>>> {
         let place = |at: &[f64; 2]| {

@@ -74,6 +74,23 @@ impl RegionError {
         }
     }
 
+    /// Returns whether a polygon that was taken for one in units of the model is probably in degrees.
+    fn is_in_degrees(&self) -> bool {
+        let Self::OutsideMap {
+            region: Rectangle { low, high },
+            is_geodetic: false,
+            ..
+        } = self
+        else {
+            return false;
+        };
+        // A site is far smaller than a degree, and far from the origin.
+        (0..2).all(|axis| {
+            let most = [180.0, 90.0][axis];
+            high[axis] - low[axis] < 0.5 && low[axis] >= -most && high[axis] <= most
+        }) && (0..2).any(|axis| low[axis].abs() > 1.0)
+    }
+
     pub(super) fn outside_box(region: &[f64], model: &[f64; 6]) -> Self {
         Self::OutsideBox {
             region: std::array::from_fn(|i| region[i]),
@@ -108,6 +125,9 @@ fn in_space(corners: &[f64; 6]) -> String {
 impl Hint for RegionError {
     fn hint(&self) -> Option<Advice> {
         let hint = match self {
+            _ if self.is_in_degrees() => {
+                "its numbers look like longitude and latitude, but the place of the model on earth is not known: set frame.origin or frame.utm"
+            }
             _ if self.is_too_small() => {
                 return Some(
                     Advice::text("draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer ")

@@ -1,12 +1,15 @@
 //! The area of a region on the map, and what of it the photographs show, also where there is no
 //! surface: the ground is a plane through the sparse points there.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{LOOKED_AT, areas::MapAreas, columns::Rectangle, polygon::crosses};
 use crate::{
-    method::{surface::Surface, visibility::Shown},
+    base::progress::{Cancelled, Watcher},
+    method::surface::Surface,
     model::{
         georeference::MapFrame,
         scene::{Scene, ViewIndex},
@@ -18,6 +21,8 @@ const CELLS: f64 = 16_384.0;
 /// Fewest cells inside, for which the grid is made finer, and the most by which each side is.
 const LEAST_INSIDE: f64 = 4096.0;
 const FINEST: f64 = 8.0;
+/// Most edges of an outline that is drawn on the map.
+const MOST_EDGES: usize = 200_000;
 /// Points that a plane is fitted to.
 const FITTED: usize = 100_000;
 /// Multiple of the median distance from the first plane at which points are left out of the second.
@@ -161,9 +166,16 @@ impl Footprint<'_> {
         }
     }
 
-    fn contains(&self, rings: &[Vec<[f64; 2]>], place: [f64; 2], plane: &GroundPlane) -> bool {
+    /// Adds the edges that it looks at to `looked_at`.
+    fn contains(
+        &self,
+        rings: &[Vec<[f64; 2]>],
+        place: [f64; 2],
+        plane: &GroundPlane,
+        looked_at: &mut u64,
+    ) -> bool {
         match self {
-            Self::Areas(areas) => areas.counts(&plane.at(place), &mut 0),
+            Self::Areas(areas) => areas.counts(&plane.at(place), looked_at),
             Self::Hull(_) => {
                 let ring = &rings[0];
                 let edges = (0..ring.len()).map(|i| [ring[i], ring[(i + 1) % ring.len()]]);
@@ -172,9 +184,11 @@ impl Footprint<'_> {
         }
     }
 
-    /// Edges that a query may look at.
-    fn edges(&self, rings: &[Vec<[f64; 2]>]) -> u64 {
-        rings.iter().map(|ring| ring.len() as u64).sum()
+    fn edges(&self) -> usize {
+        match self {
+            Self::Areas(areas) => areas.edges(),
+            Self::Hull(corners) => corners.len(),
+        }
     }
 }
 
@@ -204,68 +218,62 @@ pub struct Ground {
 #[derive(Clone, Copy)]
 pub struct Photographed<'a> {
     pub scene: &'a Scene,
-    /// Views without an image, ascending.
-    pub without_image: &'a [ViewIndex],
+    /// Views that don't count, ascending: those without an image, and twins of others.
+    pub left_out: &'a [ViewIndex],
     /// Wanted ground sampling distance, scene units per pixel of the model's images.
     pub gsd: f64,
-    /// The surface, and how many views show its triangles, where that is known.
-    pub surface: Option<(&'a Surface, &'a Shown)>,
+    /// The surface, and by triangle the number of views that see it and count, where that is known.
+    pub surface: Option<(&'a Surface, &'a [u32])>,
 }
 
 impl Ground {
     /// Divides a region into cells, and counts the photographs of each: on the surface those that
     /// see it, beside it those into which the ground projects. `None` if the region cannot be drawn
-    /// on the map.
+    /// on the map, or has an outline that would take long.
     pub fn new(
         footprint: &Footprint,
         photographed: &Photographed,
         frame: &MapFrame,
-    ) -> Option<Self> {
-        let plane = GroundPlane::new(frame, &photographed.scene.points)?;
-        let rings = footprint.rings(&plane)?;
-        let bounds = Rectangle::around(rings.iter().flatten());
-        let inside = |grid: &Grid| -> Vec<[f64; 2]> {
-            let cells = 0..grid.columns * grid.rows;
-            cells
-                .into_par_iter()
-                .map(|cell| grid.centre(cell))
-                .filter(|place| footprint.contains(&rings, *place, &plane))
-                .collect()
+        watcher: &dyn Watcher,
+    ) -> Result<Option<Self>, Cancelled> {
+        if footprint.edges() > MOST_EDGES {
+            return Ok(None);
+        }
+        let plane = GroundPlane::new(frame, &photographed.scene.points);
+        let Some((plane, rings)) = plane.and_then(|plane| Some((plane, footprint.rings(&plane)?)))
+        else {
+            return Ok(None);
         };
-        let mut grid = Grid::new(&bounds, CELLS)?;
-        // A comb of a million teeth would take minutes.
-        if footprint.edges(&rings).saturating_mul(CELLS as u64) > 100 * LOOKED_AT[0] {
-            return None;
-        }
-        let mut places = inside(&grid);
-        let finer = (LEAST_INSIDE / places.len().max(1) as f64).min(FINEST * FINEST);
-        if finer > 1.0 {
-            grid = Grid::new(&bounds, CELLS * finer)?;
-            places = inside(&grid);
-        }
+        let Some((grid, places)) = places_inside(footprint, &rings, &plane, watcher)? else {
+            return Ok(None);
+        };
         let on_surface = photographed
             .surface
-            .map_or_else(Vec::new, |(surface, shown)| {
-                grid.views_of(surface, shown, frame)
+            .map_or_else(Vec::new, |(surface, views)| {
+                grid.views_of(surface, views, frame)
             });
         let cell = |&place: &[f64; 2]| {
+            watcher.check()?;
             let seen = on_surface.get(grid.cell(place)).copied().unwrap_or(0);
-            GroundCell {
+            Ok(GroundCell {
                 place,
                 has_surface: seen > 0,
                 views: match seen {
                     0 => photographed.views_of(&plane.at(place)),
                     seen => seen,
                 },
-            }
+            })
         };
-        let cells: Vec<GroundCell> = places.par_iter().map(cell).collect();
-        (!cells.is_empty()).then_some(Self {
+        let cells: Vec<GroundCell> = places
+            .par_iter()
+            .map(cell)
+            .collect::<Result<_, Cancelled>>()?;
+        Ok((!cells.is_empty()).then_some(Self {
             plane,
             side: grid.side,
             cells,
             rings,
-        })
+        }))
     }
 
     /// Square scene units.
@@ -278,6 +286,45 @@ impl Ground {
         let so = self.cells.iter().filter(|cell| is_so(cell)).count();
         so as f64 / self.cells.len() as f64
     }
+}
+
+/// Returns a grid around the region and the centres of its cells inside, of which there are some
+/// thousands; `None` if too many edges would be looked at: a comb of a million teeth would take
+/// minutes.
+fn places_inside(
+    footprint: &Footprint,
+    rings: &[Vec<[f64; 2]>],
+    plane: &GroundPlane,
+    watcher: &dyn Watcher,
+) -> Result<Option<(Grid, Vec<[f64; 2]>)>, Cancelled> {
+    let in_all = AtomicU64::new(0);
+    let inside = |grid: &Grid| {
+        let is_inside = |cell: usize| {
+            watcher.check()?;
+            let (place, mut looked_at) = (grid.centre(cell), 0);
+            // The sum doesn't depend on the order, so neither does whether it becomes too large.
+            let is_inside = in_all.load(Ordering::Relaxed) <= LOOKED_AT[0]
+                && footprint.contains(rings, place, plane, &mut looked_at);
+            in_all.fetch_add(looked_at, Ordering::Relaxed);
+            Ok(is_inside.then_some(place))
+        };
+        let cells = (0..grid.columns * grid.rows).into_par_iter();
+        let places: Vec<Option<[f64; 2]>> =
+            cells.map(is_inside).collect::<Result<_, Cancelled>>()?;
+        Ok(places.into_iter().flatten().collect::<Vec<_>>())
+    };
+    let bounds = Rectangle::around(rings.iter().flatten());
+    let Some(mut grid) = Grid::new(&bounds, CELLS) else {
+        return Ok(None);
+    };
+    let mut places = inside(&grid)?;
+    let finer = (LEAST_INSIDE / places.len().max(1) as f64).min(FINEST * FINEST);
+    if let Some(fine) = Grid::new(&bounds, CELLS * finer).filter(|_| finer > 1.0) {
+        grid = fine;
+        places = inside(&grid)?;
+    }
+    let is_bounded = in_all.into_inner() <= LOOKED_AT[0];
+    Ok(is_bounded.then_some((grid, places)))
 }
 
 impl Photographed<'_> {
@@ -295,9 +342,9 @@ impl Photographed<'_> {
                     .project(&x)
                     .is_some_and(|pixel| camera.contains(&pixel))
         };
-        let has_image = |view: &ViewIndex| self.without_image.binary_search(view).is_err();
+        let counts = |view: &ViewIndex| self.left_out.binary_search(view).is_err();
         let views = self.scene.view_indices();
-        views.filter(has_image).filter(shows).count() as u32
+        views.filter(counts).filter(shows).count() as u32
     }
 }
 
@@ -337,8 +384,9 @@ impl Grid {
         row * self.columns + column
     }
 
-    /// By cell: the views that see the surface at its centre, the most of several layers.
-    fn views_of(&self, surface: &Surface, shown: &Shown, frame: &MapFrame) -> Vec<u32> {
+    /// By cell: the views that see the surface at its centre, the most of several layers. `of`: by
+    /// triangle.
+    fn views_of(&self, surface: &Surface, of: &[u32], frame: &MapFrame) -> Vec<u32> {
         let flat: Vec<[f64; 2]> = surface
             .vertices
             .par_iter()
@@ -346,7 +394,7 @@ impl Grid {
             .map(|[x, y, _]| [x, y])
             .collect();
         let mut views = vec![0; self.columns * self.rows];
-        for (corners, &seen) in surface.triangles.iter().zip(&shown.views) {
+        for (corners, &seen) in surface.triangles.iter().zip(of) {
             let corners = corners.map(|corner| flat[corner as usize]);
             if seen > 0 {
                 self.for_each_inside(corners, |cell| views[cell] = views[cell].max(seen));

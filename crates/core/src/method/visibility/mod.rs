@@ -69,6 +69,19 @@ impl Visibility {
         &self.triangles[self.rows(view)]
     }
 
+    /// Returns by triangle the number of views that see it, without some of them, ascending.
+    pub fn views_of_triangles(&self, triangles: usize, left_out: &[ViewIndex]) -> Vec<u32> {
+        let mut views = vec![0; triangles];
+        for view in self.views() {
+            if left_out.binary_search(&view).is_err() {
+                for &triangle in self.triangles_seen_by(view) {
+                    views[triangle as usize] += 1;
+                }
+            }
+        }
+        views
+    }
+
     /// Returns the range of the view's rows. Tables parallel to this one (such as unary confidence)
     /// are indexed by row.
     pub fn rows(&self, view: ViewIndex) -> std::ops::Range<usize> {

@@ -136,23 +136,37 @@ impl Zone {
         (1..=60).contains(&number).then_some(Self { number, north })
     }
 
-    /// The zone of a reference system, by its EPSG code (WGS 84, ETRS89 or NAD 83) or its name in a
-    /// definition: "EPSG:32633", "WGS 84 / UTM zone 33N".
+    /// The zone of a reference system in metres on WGS 84, ETRS89 or NAD 83, by its EPSG code or
+    /// its name in a definition: "EPSG:32633", "WGS 84 / UTM zone 33N".
     pub fn of_reference_system(definition: &str) -> Option<Self> {
         let definition = definition.trim().to_ascii_uppercase();
         if let Some(code) = definition.strip_prefix("EPSG:") {
-            let code: u32 = code.split('+').next()?.trim().parse().ok()?;
-            let north = match code / 100 {
-                326 | 258 | 269 => true,
-                327 => false,
-                _ => return None,
-            };
-            let number = (code % 100) as u8;
-            return (1..=60).contains(&number).then_some(Self { number, north });
+            return Self::of_code(code.split('+').next()?.trim().parse().ok()?);
         }
-        let (_, zone) = definition.split_once("UTM ZONE ")?;
-        let end = zone.find(['N', 'S'])?;
-        Self::parse(&zone[..=end])
+        let (datum, zone) = definition.split_once(" / UTM ZONE ")?;
+        let datum = datum.rsplit(['"', '\'']).next()?;
+        let end = zone.find(['N', 'S'])? + 1;
+        // Behind it may be another unit: "(ftUS)".
+        let is_whole = zone[end..]
+            .chars()
+            .next()
+            .is_none_or(|c| "\"'+".contains(c));
+        let is_known = ["WGS 84", "ETRS89", "NAD83"].contains(&datum);
+        (is_known && is_whole).then(|| Self::parse(&zone[..end]))?
+    }
+
+    /// The zone of an EPSG code. Neighbouring codes are other projections: 26929 and up are zones of
+    /// the State Plane.
+    fn of_code(code: u32) -> Option<Self> {
+        let (first, north) = match code {
+            32_601..=32_660 => (32_600, true),
+            32_701..=32_760 => (32_700, false),
+            25_828..=25_838 => (25_800, true),
+            26_901..=26_923 => (26_900, true),
+            _ => return None,
+        };
+        let number = (code - first) as u8;
+        Some(Self { number, north })
     }
 
     /// Longitude of the central meridian, degrees.

@@ -237,6 +237,8 @@ impl ColmapModel<'_> {
             track_views: tracks.views,
             track_pixels: tracks.pixels,
             unregistered: Vec::new(),
+            left_out: Vec::new(),
+            georeference: None,
             warnings,
         })
     }

@@ -23,22 +23,15 @@ impl Sharpness {
             values.get(values.len() / 2).copied()
         };
         let all = median(own.iter().copied().flatten().collect());
-        let of_camera = |camera: usize| {
-            let views = scene.views.iter().zip(&own);
-            let values = views.filter(|(view, _)| view.camera.index() == camera);
-            let values: Vec<f64> = values.filter_map(|(_, own)| *own).collect();
-            if values.len() < LEAST {
-                all
-            } else {
-                median(values)
-            }
+        let mut by_camera: Vec<Vec<f64>> = vec![Vec::new(); scene.cameras.len()];
+        for (view, own) in scene.views.iter().zip(&own) {
+            by_camera[view.camera.index()].extend(own);
+        }
+        let of_camera = |values: Vec<f64>| match values.len() {
+            0..LEAST => all,
+            _ => median(values),
         };
-        let medians: Vec<Option<f64>> = if scene.cameras.len() * LEAST <= scene.views.len() {
-            (0..scene.cameras.len()).map(of_camera).collect()
-        } else {
-            // As many cameras as views: no camera has a median.
-            vec![all; scene.cameras.len()]
-        };
+        let medians: Vec<Option<f64>> = by_camera.into_iter().map(of_camera).collect();
         let relative = |(view, own): (usize, &Option<f64>)| {
             let median = medians[scene.views[view].camera.index()].filter(|&median| median > 0.0);
             Some((*own)? / median?)

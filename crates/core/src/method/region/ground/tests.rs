@@ -2,6 +2,7 @@ use nalgebra::{Matrix3, Rotation3};
 
 use super::*;
 use crate::{
+    base::progress::NoWatcher,
     method::surface::SurfaceKind,
     model::{
         camera::{Camera, CameraModel},
@@ -44,10 +45,10 @@ fn rectangle(low: [f64; 2], high: [f64; 2]) -> Footprint<'static> {
     )
 }
 
-fn photographed<'a>(scene: &'a Scene, without_image: &'a [ViewIndex]) -> Photographed<'a> {
+fn photographed<'a>(scene: &'a Scene, left_out: &'a [ViewIndex]) -> Photographed<'a> {
     Photographed {
         scene,
-        without_image,
+        left_out,
         gsd: 0.1,
         surface: None,
     }
@@ -58,7 +59,9 @@ fn photographs_are_counted_all_over_the_region() {
     let scene = flight();
     let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
     let region = rectangle([-5.0, -5.0], [25.0, 5.0]);
-    let ground = Ground::new(&region, &photographed(&scene, &[]), &frame).unwrap();
+    let ground = Ground::new(&region, &photographed(&scene, &[]), &frame, &NoWatcher)
+        .unwrap()
+        .unwrap();
     assert!((ground.area() - 300.0).abs() < 6.0, "{}", ground.area());
     let share = |views: u32| ground.share(|cell| cell.views == views);
     let expected = [1.0 / 2.0, 1.0 / 3.0, 1.0 / 6.0];
@@ -70,7 +73,14 @@ fn photographs_are_counted_all_over_the_region() {
         );
     }
     assert_eq!(ground.share(|cell| cell.has_surface), 0.0);
-    let first_only = Ground::new(&region, &photographed(&scene, &[ViewIndex(1)]), &frame).unwrap();
+    let first_only = Ground::new(
+        &region,
+        &photographed(&scene, &[ViewIndex(1)]),
+        &frame,
+        &NoWatcher,
+    )
+    .unwrap()
+    .unwrap();
     assert!((first_only.share(|cell| cell.views == 0) - 2.0 / 3.0).abs() < 0.02);
 }
 
@@ -84,7 +94,9 @@ fn a_place_seen_too_coarsely_is_not_photographed() {
             gsd,
             ..photographed(&scene, &[])
         };
-        let ground = Ground::new(&region, &photographed, &frame).unwrap();
+        let ground = Ground::new(&region, &photographed, &frame, &NoWatcher)
+            .unwrap()
+            .unwrap();
         ground.share(|cell| cell.views == 0)
     };
     assert_eq!(wanted(0.1 / COARSEST * 1.01), 0.0);
@@ -101,16 +113,14 @@ fn the_surface_counts_where_a_view_shows_it() {
         vertices: corners.map(|[x, y]| Point3::new(x, y, 1.0)).into(),
         triangles: vec![[0, 1, 2], [0, 2, 3]],
     };
-    let shown = Shown {
-        views: vec![7, 0],
-        ..Shown::default()
-    };
     let photographed = Photographed {
-        surface: Some((&surface, &shown)),
+        surface: Some((&surface, &[7, 0])),
         ..photographed(&scene, &[])
     };
     let region = rectangle([-5.0, -5.0], [5.0, 5.0]);
-    let ground = Ground::new(&region, &photographed, &frame).unwrap();
+    let ground = Ground::new(&region, &photographed, &frame, &NoWatcher)
+        .unwrap()
+        .unwrap();
     assert!((ground.share(|cell| cell.has_surface) - 0.5).abs() < 0.02);
     let below = |cell: &&GroundCell| {
         let world = ground.plane.at(cell.place);
