@@ -102,14 +102,15 @@ impl Selection<'_> {
                 format!("the images, and none of them is in {}", folder.display()),
                 folder,
             ),
-            Some((view, why)) => needs(
-                format!(
+            Some((view, why)) => BackendError::Needs {
+                backend,
+                what: format!(
                     "the images, and none of those in {} can be read: {} is {why}",
                     folder.display(),
                     self.scene.name(*view)
                 ),
-                folder,
-            ),
+                hint: faults.cure().unwrap_or_default().into(),
+            },
         })
     }
 

@@ -66,8 +66,10 @@ pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<Strin
                 .as_ref()
                 .map_or(project.root.join("images"), |folder| folder.to_path_buf());
             let images = command_path(&images);
+            let cure = plan.stages.image_faults.cure().map(str::to_owned);
+            let cure = cure.unwrap_or_else(|| format!("put the images into {images}"));
             format!(
-                "put the images into {images}, then viewrank plan {root} --backend {}",
+                "{cure}, then viewrank plan {root} --backend {}",
                 plan.stages.backend
             )
         }

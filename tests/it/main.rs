@@ -17,6 +17,7 @@ mod plan;
 mod readers;
 mod readers_foreign;
 mod readers_hostile;
+mod readme;
 mod region;
 mod replan;
 mod round_trips;

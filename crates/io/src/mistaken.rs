@@ -61,6 +61,14 @@ pub fn by_start(start: &[u8]) -> Option<Mistaken> {
     known.map(|&(_, what, cure)| Mistaken { what, cure })
 }
 
+/// What to do about a file that [`by_start`] says to be this.
+pub(crate) fn cure_of(what: &str) -> Option<&'static str> {
+    let page = by_start(PAGES[0]);
+    let kinds = KINDS.iter().map(|&(_, what, cure)| Mistaken { what, cure });
+    let mut all = kinds.chain(page);
+    all.find(|kind| kind.what == what).map(|kind| kind.cure)
+}
+
 /// What the file at this path is; `None` if that cannot be said.
 pub fn of_file(path: &Path) -> Option<Mistaken> {
     by_start(&input::read_start(path, FileKind::Sparse, START).ok()?)

@@ -445,6 +445,9 @@ impl Hint for DispatchError {
                 "run what `viewrank plan PROJECT --backend {name}` prints, or take --backend sgm, openmvs or colmap"
             )
             .into(),
+            Self::Program { program, .. } if program.is_dir() => {
+                "it is a folder: name the program in it".into()
+            }
             Self::Program { variable, .. } => {
                 format!(
                     "name it with --program or {variable}; where only the nodes of a queue have it, see viewrank dispatch --setup"

@@ -13,6 +13,9 @@ use crate::{
     model::scene::ViewIndex,
 };
 
+/// Most pictures that are decoded: of more, evenly spread ones. A plan names all that are blurred.
+const MOST_DECODED: usize = 400;
+
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     [blurred, twins]
         .iter()
@@ -25,15 +28,25 @@ fn blurred(inputs: &Inputs) -> Option<Finding> {
     // What is left of a damaged image says nothing of its sharpness.
     let without_image = inputs.images.without_image(inputs.scene.views.len());
     let pictures = Pictures::new(inputs.project).without(&without_image);
-    let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
+    let all: Vec<ViewIndex> = inputs.scene.view_indices().collect();
+    let step = all.len().div_ceil(MOST_DECODED).max(1);
+    let views: Vec<ViewIndex> = all.iter().copied().step_by(step).collect();
     let detail = |&view: &ViewIndex| {
         let grey = pictures.grey(inputs.scene, view, 1.0).ok().flatten();
         grey.map_or([0.0; 2], |(grey, _)| grey.detail())
     };
-    let detail: Vec<[f64; 2]> = views.par_iter().map(detail).collect();
+    let found: Vec<[f64; 2]> = views.par_iter().map(detail).collect();
+    let mut detail = vec![[0.0; 2]; all.len()];
+    for (view, found) in views.iter().zip(found) {
+        detail[view.index()] = found;
+    }
     let blurred: Vec<ViewIndex> = Sharpness::new(inputs.scene, &detail).blurred().collect();
     (!blurred.is_empty()).then(|| {
-        let of = format!("{} of {} images", blurred.len(), views.len());
+        let seen = match step {
+            1 => "images",
+            _ => "images that were looked at",
+        };
+        let of = format!("{} of {} {seen}", blurred.len(), views.len());
         let are = if blurred.len() == 1 { "is" } else { "are" };
         let what = format!("{of} {are} blurred, compared with the others of the same camera");
         let cure = "leave them out where others show the same; less of them will match";
@@ -54,12 +67,12 @@ fn twins(inputs: &Inputs) -> Option<Finding> {
     (!twins.is_empty()).then(|| {
         let of = format!("{} of {} images", twins.len(), scene.views.len());
         let show = if twins.len() == 1 { "shows" } else { "show" };
-        let what = format!("{of} {show} the same from the same place as a sharper one");
+        let what = format!("{of} {show} the same from the same place as another, no less sharp");
         let finding = |twin: &Twin| {
-            let sharper = format!("{} is sharper", scene.name(twin.sharper));
+            let sharper = format!("{} is used for it", scene.name(twin.sharper));
             inputs.view_finding(twin.view, sharper)
         };
-        let cure = "nothing to do: plans use the sharper ones alone";
+        let cure = "nothing to do: plans use one of each place, the sharpest";
         Finding::new(Severity::Note, "twin-images", what, cure)
             .of_views(twins.iter().map(finding).collect())
     })

@@ -330,7 +330,7 @@ fn unreadable(inputs: &Inputs) -> Option<Finding> {
     let broken = &inputs.images.unreadable;
     (!broken.is_empty()).then(|| {
         let what = format!("{} cannot be read", counted(broken.len(), "image"));
-        let cure = "copy them again from the source";
+        let cure = inputs.images.cure().unwrap_or_default();
         let views = broken
             .iter()
             .map(|&(view, why)| inputs.view_finding(view, why))

@@ -128,6 +128,12 @@ pub struct ImageFaults {
 }
 
 impl ImageFaults {
+    /// What to do about the images that cannot be read; `None` if all can.
+    pub fn cure(&self) -> Option<&'static str> {
+        let (_, why) = self.unreadable.first()?;
+        Some(mistaken::cure_of(why).unwrap_or("copy them again from the source"))
+    }
+
     /// Checks the image files of all views, in parallel.
     pub(super) fn find(folder: &ImageFolder, scene: &Scene) -> Self {
         let views: Vec<ViewIndex> = scene.view_indices().collect();

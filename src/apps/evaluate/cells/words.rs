@@ -2,12 +2,25 @@
 
 use super::judge::{CellOrders, CellsEvaluation, NEEDED, TENTHS, at};
 
+/// Names of the orders for users.
+const NAMES: [(&str, &str); 3] = [
+    ("ours", "viewrank"),
+    ("nocp", "without prediction"),
+    ("maxpts", "most sparse points"),
+];
+
 impl CellsEvaluation {
     /// Returns the orders as lines: the shares that their first maps cover, the way of ours, and
     /// the maps that each needs.
     pub fn lines(&self) -> Vec<String> {
         let both = [&self.all, &self.agreeing];
-        let numbers = TENTHS.map(|tenth| at(tenth, self.maps).to_string());
+        let numbers = TENTHS.map(|tenth| at(tenth, self.maps));
+        // Of few maps, several tenths are the same number.
+        let mut columns: Vec<usize> = (0..TENTHS.len()).collect();
+        columns.dedup_by_key(|column| numbers[*column]);
+        let of_columns = |values: [String; TENTHS.len()]| -> String {
+            columns.iter().map(|&column| &*values[column]).collect()
+        };
         let cells = both.map(|kind| kind.cells);
         let mut lines = vec![
             format!("cells of {}", self.source.words()),
@@ -16,32 +29,39 @@ impl CellsEvaluation {
                 cells[0], self.maps, cells[1]
             ),
             String::new(),
-            format!(
-                "share of the cells that the first {} maps cover, %",
-                numbers.join(", ")
-            ),
-            format!("{:14}{:>28}{:>28}", "", "all cells", "three maps agree"),
+            "share of the cells that the first maps of an order cover, %".into(),
+            row("", ["all cells".into(), "three maps agree".into()]),
         ];
+        let head = of_columns(numbers.map(|number| format!("{number:6}")));
+        lines.push(row("number of maps", [head.clone(), head]));
         for i in 0..both[0].orders.len() {
-            let shares = both.map(|kind| kind.orders[i].covered.map(percent).concat());
-            let name = both[0].orders[i].name;
-            lines.push(format!("{name:14}{:>28}{:>28}", shares[0], shares[1]));
+            let shares = both.map(|kind| of_columns(kind.orders[i].covered.map(percent)));
+            lines.push(row(both[0].orders[i].name, shares));
         }
-        let way = both.map(|kind| kind.ours().way.map(way).concat());
-        lines.push(format!("{:14}{:>28}{:>28}", "way of ours", way[0], way[1]));
+        let way = both.map(|kind| of_columns(kind.ours().way.map(way)));
+        lines.push(row("way of viewrank's", way));
         lines.push("  (0: every n-th, 1: the oracle, known only afterwards)".into());
-        let shares = NEEDED.map(|share| format!("{:.0}", 100.0 * share));
         lines.extend([
             String::new(),
-            format!("maps for {} % of the cells", shares.join(", ")),
+            "maps of an order that cover a share of the cells".into(),
         ]);
+        let head = NEEDED
+            .map(|share| format!("{:>6}", format!("{:.0} %", 100.0 * share)))
+            .concat();
+        lines.push(row("share", [head.clone(), head]));
         for i in 0..both[0].orders.len() {
             let needed = both.map(|kind| needed(kind, i));
-            let name = both[0].orders[i].name;
-            lines.push(format!("{name:14}{:>28}{:>28}", needed[0], needed[1]));
+            lines.push(row(both[0].orders[i].name, needed));
         }
         lines
     }
+}
+
+/// A line with an order's name, and its numbers for all cells and for those where three maps agree.
+fn row(name: &str, [all, agreeing]: [String; 2]) -> String {
+    let known = NAMES.iter().find(|(order, _)| *order == name);
+    let name = known.map_or(name, |(_, words)| words);
+    format!("{name:19}{all:>25}{agreeing:>27}")
 }
 
 fn percent(share: f64) -> String {
