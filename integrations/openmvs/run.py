@@ -596,7 +596,7 @@ def fuse(run, program, report):
 def fuse_maps(run, there, agree, program):
     """Exit status of the program, and the number of points of the new fused.ply; with none, the earlier files stay."""
     # A list must not be empty: a map that none overlaps is compared with any image of the scene.
-    partners = {i: [o for o in run["overlaps"][i] if o in there] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
+    partners = {i: [o for o in run["overlaps"][i] if o in there][: run["fused_with"]] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
     write_new(HERE / "fuse.txt", "".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))
     with workplace("fusion") as folder:
         (folder / "fusing.mvs").write_bytes(fusion_scene(run["clusters"], there))

@@ -95,7 +95,7 @@ def folder(tmp_path):
     (tmp_path / "images").mkdir()
     for row in rows:
         (tmp_path / row["image"]).touch()
-    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], maps_per_point=2, resolution=400, pictures={row["image"]: 0 for row in rows})
+    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], fused_with=24, maps_per_point=2, resolution=400, pictures={row["image"]: 0 for row in rows})
     (tmp_path / "run.json").write_text(json.dumps(run))
     make(tmp_path)
     stand_in = tmp_path / "densify"
@@ -197,6 +197,17 @@ def test_enlarging_keeps_where_pixels_look_and_lowers_confidence(folder, tmp_pat
     # The ray through the middle of a pixel is that through the corner of its four copies.
     wide = struct.unpack_from("<9d", large, len(head))
     assert [(2 * 0 + 0.5 - wide[2]) / wide[0], (2 * 2 + 0.5 - wide[5]) / wide[4]] == pytest.approx([(0 - k[2]) / k[0], (2 - k[5]) / k[4]])
+
+
+def test_openmvs_compares_a_map_with_the_best_of_those_that_are_there(folder):
+    run_json = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps({**run_json, "fused_with": 1}))
+    make(folder, k1=[])
+    run(folder)
+    assert (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
+    make(folder)
+    run(folder)
+    assert (folder / "fuse.txt").read_text() == "0 1\n1 0\n2 0\n"
 
 
 def test_openmvs_silent_no_map(folder):
