@@ -18,9 +18,10 @@ use crate::{
         read_status, status_file,
     },
     io::project::Project,
-    show::manifest::planned_workspace,
+    show::manifest::{planned_maps, planned_workspace},
 };
 use clap::Args;
+use serde_json::json;
 
 use super::{
     Failure, Format, print, print_json,
@@ -56,10 +57,17 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
                 Progress::read(planned_workspace(&project)?)
             };
             let progress = Progress::read(&project).or_else(workspace);
-            let progress = progress.ok_or(NoStatus::NotWatched(project))?;
-            return match arguments.json || arguments.format == Format::Json {
-                true => print_json(&progress),
-                false => print(unwatched(&progress)),
+            let is_json = arguments.json || arguments.format == Format::Json;
+            return match (progress, planned_maps(&project)) {
+                (Some(progress), _) if is_json => print_json(&progress),
+                (Some(progress), _) => print(unwatched(&progress)),
+                (None, Some(planned)) if is_json => {
+                    print_json(&json!({ "done": 0, "clusters": planned }))
+                }
+                (None, Some(planned)) => {
+                    print([format!("0 of {planned} planned depth maps are finished.")])
+                }
+                (None, None) => Err(NoStatus::NotWatched(project).into()),
             };
         }
         root => root?,

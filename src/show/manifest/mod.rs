@@ -16,7 +16,7 @@ pub use fingerprint::{FingerprintError, fingerprint};
 pub use region::RegionSummary;
 pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{
-    WrittenPlan, WrittenPlanError, planned_backend, planned_ground, planned_model,
+    WrittenPlan, WrittenPlanError, planned_backend, planned_ground, planned_maps, planned_model,
     planned_workspace, validate,
 };
 

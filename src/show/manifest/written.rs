@@ -137,6 +137,12 @@ pub fn planned_model(project: &Project) -> Option<String> {
     Some(RecordedPlan::read(project).ok()?.input.model)
 }
 
+/// Returns the number of depth maps that the project's plan chooses; `None` without a plan.
+pub fn planned_maps(root: &Path) -> Option<usize> {
+    let (_, recorded) = RecordedPlan::open(root).ok()?;
+    Some(recorded.cut.clusters)
+}
+
 /// Returns what the photographs show of the region of the project's plan; `None` without a plan or
 /// where the settings name another region.
 pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSummary> {
