@@ -19,7 +19,7 @@ use viewrank_core::{
         geometry::Geometry,
     },
 };
-use viewrank_io::{pictures::Pictures, project::Project};
+use viewrank_io::{pictures::PictureFolders, project::Project};
 use zune_jpeg::{
     JpegDecoder,
     zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
@@ -76,7 +76,7 @@ fn main() -> Fallible<()> {
     };
     let start = Instant::now();
     let partners = |view| stages.candidates.candidates_of(view);
-    let pictures = Pictures::new(&project);
+    let pictures = PictureFolders::new(&project);
     let agreement = pool.install(|| {
         Agreement::new(
             &geometry,

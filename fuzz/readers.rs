@@ -131,7 +131,7 @@ fn mvs() -> openmvs::Mvs {
         r: unit,
         ..openmvs::Camera::default()
     };
-    let poses = vec![openmvs::Pose {
+    let poses = vec![openmvs::PlatformPose {
         r: unit,
         c: [1.0, 2.0, 3.0],
     }];

@@ -6,7 +6,7 @@ use pyo3::{exceptions::PyRuntimeError, prelude::*};
 use viewrank::{
     ArraysError, CreateError, Hint, PlanError, ProjectError, backends::BackendError, config,
     evaluate::EvaluateError, files::FilesError, manifest::WrittenPlanError, output::OutputError,
-    replan::AgainError, report::ReportError,
+    replan::RepeatError, report::ReportError,
 };
 
 /// An error on its way to Python.
@@ -82,11 +82,11 @@ impl From<PlanError> for Failure {
     }
 }
 
-impl From<AgainError> for Failure {
-    fn from(error: AgainError) -> Self {
+impl From<RepeatError> for Failure {
+    fn from(error: RepeatError) -> Self {
         match error {
-            AgainError::Plan(error) => error.into(),
-            AgainError::Written(error) => error.into(),
+            RepeatError::Plan(error) => error.into(),
+            RepeatError::Written(error) => error.into(),
             error => Self::new("PlanError", &error),
         }
     }

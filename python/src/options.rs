@@ -41,7 +41,7 @@ const KEYWORDS: [(&str, &str); 19] = [
 
 /// Writes advice for those who call `plan()`: settings as its keywords, `gsd=`.
 pub fn as_keywords(advice: &Advice) -> String {
-    advice.words(|key, value| {
+    advice.describe(|key, value| {
         let is_meant = |(keyword, known): &&(&str, &str)| *known == key || *keyword == key;
         let Some((keyword, _)) = KEYWORDS.iter().find(is_meant) else {
             return format!("--{key}");

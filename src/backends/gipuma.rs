@@ -38,8 +38,8 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    patient
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    examined
         .without_points(
             "gipuma-depth-range-mandatory",
             "its depth range is not known",

@@ -21,7 +21,7 @@ pub enum LastRun {
 
 impl LastRun {
     /// Says whether it was run, first.
-    pub fn words(self) -> String {
+    pub fn describe(self) -> String {
         match self {
             Self::At {
                 date,
@@ -65,7 +65,7 @@ mod tests {
             backend.name,
             folder(backend.name),
             honoured.join(" | "),
-            backend.last_run.words()
+            backend.last_run.describe()
         )
     }
 

@@ -9,9 +9,9 @@ use std::{
 use super::{BACKENDS, Backend, colmap, openmvs, sgm};
 use crate::{base::platform, config::Settings, config::UnknownBackend, io::project::Project};
 
-/// Reason for the choice of a backend.
+/// How the backend came to be chosen.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Why {
+pub enum Choice {
     /// The command line or the settings name it.
     Named,
     /// The project has its workspace or its model.
@@ -22,9 +22,9 @@ pub enum Why {
     NothingElse,
 }
 
-impl Why {
-    /// Returns the reason as a clause that follows the name of the backend.
-    pub fn words(&self) -> String {
+impl Choice {
+    /// Describes the choice in a clause that follows the name of the backend.
+    pub fn describe(&self) -> String {
         match self {
             Self::Named => "as named".into(),
             Self::Project => "as the project is set up".into(),
@@ -34,20 +34,20 @@ impl Why {
     }
 }
 
-/// Returns the backend of the project and the reason: the first of the settings, else the one that
-/// the project is set up for, else OpenMVS or a COLMAP with CUDA on the PATH, else `sgm`.
+/// Returns the backend of the project and how it was chosen: the first of the settings, else the
+/// one that the project is set up for, else OpenMVS or a COLMAP with CUDA on the PATH, else `sgm`.
 pub fn chosen(
     project: &Project,
     settings: &Settings,
-) -> Result<(&'static Backend, Why), UnknownBackend> {
+) -> Result<(&'static Backend, Choice), UnknownBackend> {
     match settings.backends.first() {
-        Some(name) => super::by_name(name).map(|backend| (backend, Why::Named)),
+        Some(name) => super::by_name(name).map(|backend| (backend, Choice::Named)),
         None => Ok(by_default(project)),
     }
 }
 
 /// Like [`chosen`], for settings that name no backend.
-pub fn by_default(project: &Project) -> (&'static Backend, Why) {
+pub fn by_default(project: &Project) -> (&'static Backend, Choice) {
     // A workspace of `viewrank undistort` says that images were distorted, not which program will
     // match them.
     let is_set_up = |backend: &Backend| {
@@ -55,14 +55,14 @@ pub fn by_default(project: &Project) -> (&'static Backend, Why) {
             && !(backend.name == colmap::BACKEND.name && project.has_undistorted_workspace())
     };
     if let Some(backend) = BACKENDS.iter().copied().find(|backend| is_set_up(backend)) {
-        return (backend, Why::Project);
+        return (backend, Choice::Project);
     }
     if let Some(program) = densify() {
-        return (&openmvs::BACKEND, Why::Installed(program));
+        return (&openmvs::BACKEND, Choice::Installed(program));
     }
     match colmap_with_gpu() {
-        Some(program) => (&colmap::BACKEND, Why::Installed(program)),
-        None => (&sgm::BACKEND, Why::NothingElse),
+        Some(program) => (&colmap::BACKEND, Choice::Installed(program)),
+        None => (&sgm::BACKEND, Choice::NothingElse),
     }
 }
 
@@ -135,16 +135,16 @@ pub fn can_match_here(backend: &Backend) -> bool {
 }
 
 /// Why a program cannot match on this machine, and what to do.
-pub struct Obstacle {
+pub struct NotReady {
     pub what: String,
     pub cure: &'static str,
 }
 
 /// Returns why the backend's program, or the Python that it needs, cannot match, as far as that can
 /// be known before the first map.
-pub fn obstacle(backend: &Backend, program: &Path, python: &Path) -> Option<Obstacle> {
+pub fn not_ready(backend: &Backend, program: &Path, python: &Path) -> Option<NotReady> {
     if backend.name == colmap::BACKEND.name && is_without_gpu(&help(program)?) {
-        return Some(Obstacle {
+        return Some(NotReady {
             what: format!(
                 "{} was built without CUDA and cannot compute depth maps",
                 program.display()
@@ -157,7 +157,7 @@ pub fn obstacle(backend: &Backend, program: &Path, python: &Path) -> Option<Obst
     } else {
         return None;
     };
-    Some(Obstacle {
+    Some(NotReady {
         what: format!(
             "sgm computes no depth maps with {}: {missing}",
             python.display()

@@ -39,9 +39,9 @@ pub static BACKEND: Backend = Backend {
 };
 
 /// Finds equal file names: they are the labels by which the script finds cameras.
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     let label = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
-    patient
+    examined
         .same_names(
             "metashape-duplicate-labels",
             "the same camera label in Metashape",

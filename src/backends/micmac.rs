@@ -47,10 +47,10 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     let same = "the same folder to MicMac, which names it without the extension";
-    let same = patient.same_names("micmac-same-stem", same, |name| stem(name).to_owned());
-    patient
+    let same = examined.same_names("micmac-same-stem", same, |name| stem(name).to_owned());
+    examined
         .bad_names("micmac-name", check_name)
         .into_iter()
         .chain(same)

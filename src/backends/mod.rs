@@ -49,7 +49,7 @@ mod workspace;
 pub(crate) use clusters::recipe;
 pub use error::BackendError;
 pub use listing::{FIRST_PAGE, LastRun, names};
-pub use machine::{Obstacle, Why, by_default, can_match_here, chosen, obstacle, python};
+pub use machine::{Choice, NotReady, by_default, can_match_here, chosen, not_ready, python};
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;

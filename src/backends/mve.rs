@@ -77,15 +77,15 @@ fn own_scale(camera: &Camera) -> f64 {
     (-ratio.log(4.0).ceil().max(0.0)).exp2()
 }
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let views = patient.project.root.join("views");
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    let views = examined.project.root.join("views");
     let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
     let cure = format!(
         "export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei",
         command_path(&views)
     );
-    let maps = patient.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
-    patient
+    let maps = examined.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
+    examined
         .bad_names("mve-extension", extension)
         .into_iter()
         .chain(maps)

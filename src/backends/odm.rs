@@ -64,8 +64,8 @@ fn own_scale(camera: &Camera) -> f64 {
     openmvs::scale_at(camera, level, [640, side])
 }
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let root = &patient.project.root;
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    let root = &examined.project.root;
     let [inside, below] =
         ["openmvs", "opensfm/undistorted/openmvs"].map(|folder| root.join(folder));
     let folder = if inside.is_dir() { inside } else { below };

@@ -57,8 +57,8 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    patient
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    examined
         .bad_names("pmvs-extension", extension)
         .into_iter()
         .collect()

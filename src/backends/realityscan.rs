@@ -39,13 +39,13 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let same = patient.same_names(
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    let same = examined.same_names(
         "realityscan-xmp-same-stem",
         "the same side file (.xmp)",
         |name| stem(name).to_owned(),
     );
-    same.into_iter().chain(poses_beside(patient)).collect()
+    same.into_iter().chain(poses_beside(examined)).collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -100,14 +100,14 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 }
 
 /// Warns of existing side files with poses next to the images.
-fn poses_beside(patient: &ExaminedProject) -> Option<Trap> {
-    let images = patient.project.images.as_ref()?;
+fn poses_beside(examined: &ExaminedProject) -> Option<Trap> {
+    let images = examined.project.images.as_ref()?;
     let holds_pose = |view: &ViewIndex| {
-        let path = images.join(format!("{}.xmp", stem(patient.scene.name(*view))));
+        let path = images.join(format!("{}.xmp", stem(examined.scene.name(*view))));
         input::read_text(&path, FileKind::List)
             .is_ok_and(|text| text.contains("xcr:PosePrior") || text.contains("xcr:Position"))
     };
-    let views: Vec<ViewIndex> = patient.scene.view_indices().filter(holds_pose).collect();
+    let views: Vec<ViewIndex> = examined.scene.view_indices().filter(holds_pose).collect();
     (!views.is_empty()).then(|| Trap {
         name: "realityscan-existing-xmp-poses",
         what: "side files (.xmp) beside the images hold poses, which files of the same name would replace".into(),

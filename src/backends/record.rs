@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Backend, Selection, by_name};
 use crate::{
-    io::{output::FileSet, pictures::Pictures},
+    io::{output::FileSet, pictures::PictureFolders},
     model::{
         camera::Camera,
         cluster::{MapScale, RankedCluster},
@@ -210,7 +210,7 @@ fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String
 
 /// Warns that masks are left to the user, if one of the views has a mask.
 fn masks(selection: &Selection) -> Option<String> {
-    let pictures = Pictures::new(selection.project);
+    let pictures = PictureFolders::new(selection.project);
     let folder = pictures.masks_of(
         selection
             .views()

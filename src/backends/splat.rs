@@ -60,10 +60,10 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     let same =
         "the same image to gaussian-splatting, which cuts folders and what follows the first dot";
-    patient
+    examined
         .same_names("splat-duplicate-names", same, |name| {
             short_name(name).to_owned()
         })

@@ -73,13 +73,13 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let same = patient.same_names(
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    let same = examined.same_names(
         "sure-same-stem",
         "the same image to SURE, which ignores folders and extensions",
         |name| stem(&name.replace('/', "_")).to_lowercase(),
     );
-    let bad = patient.bad_names("sure-name", |name| checked_name("sure", name).map(|_| ()));
+    let bad = examined.bad_names("sure-name", |name| checked_name("sure", name).map(|_| ()));
     same.into_iter().chain(bad).collect()
 }
 

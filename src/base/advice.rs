@@ -18,7 +18,7 @@ const OPTIONS: [(&str, &str); 10] = [
 
 /// Writes settings as options of the program.
 pub fn on_command_line(advice: &Advice) -> String {
-    advice.words(|key, value| {
+    advice.describe(|key, value| {
         let known = OPTIONS.iter().find(|(known, _)| *known == key);
         let option = known.map_or_else(|| format!("--{key}"), |(_, option)| (*option).into());
         match value {

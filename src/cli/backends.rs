@@ -49,7 +49,7 @@ impl Entry {
             } else {
                 &[1.0]
             },
-            run_here: backend.last_run.words(),
+            run_here: backend.last_run.describe(),
             matches: backend.use_of_views.is_none(),
         }
     }

@@ -20,7 +20,7 @@ use crate::{
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::{Failure, Format, config, print, print_json, progress::Progress, warn};
+use super::{Failure, Format, config, print, print_json, progress::ProgressDisplay, warn};
 
 /// Submit the view clusters of a plan to a queue: a task per depth map, best first, and a task that
 /// fuses them.
@@ -269,7 +269,7 @@ impl Arguments {
         if self.dry_run {
             return Ok(follow::target_reached(root));
         }
-        let progress = Progress::new(self.format == Format::Json);
+        let progress = ProgressDisplay::new(self.format == Format::Json);
         // Maps of another model, plan or program don't belong to these tasks.
         let done: BTreeSet<&Path> = dispatch.finished_maps().collect();
         let outcome = follow::follow(root, &|path| done.contains(path), &progress);

@@ -28,7 +28,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, print, print_json, progress::Progress, terminal::json, use_threads, warn,
+    Exit, Failure, Format, print, print_json, progress::ProgressDisplay, terminal::json,
+    use_threads, warn,
 };
 
 /// Measure finished depth maps: quality reached, what is missing and why.
@@ -108,7 +109,7 @@ const CELLS: &str = "cells.tsv";
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
-    let progress = Progress::new(arguments.quiet);
+    let progress = ProgressDisplay::new(arguments.quiet);
     let (project, plan, _) = replan::as_written(&arguments.project, &progress)?;
     match (
         &arguments.write_baselines,
@@ -145,7 +146,7 @@ fn judge(
     arguments: &Arguments,
     project: &Project,
     plan: &Plan,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<(), Failure> {
     let kept = || kept_cells(project);
     let path = arguments.cells.clone().unwrap_or_else(kept);
@@ -164,7 +165,7 @@ fn measure(
     project: &Project,
     plan: &Plan,
     folder: &Path,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<(), Failure> {
     let out = arguments
         .out
@@ -254,7 +255,7 @@ fn task(
     clusters: &[ViewCluster],
     depth_maps: &Path,
     reference: Option<&Path>,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<MeasuredClusters, Failure> {
     Ok(MeasuredClusters::new(
         &EvaluationInput::new(&plan.stages, clusters, depth_maps, reference),
@@ -266,7 +267,7 @@ fn write_baselines(
     arguments: &Arguments,
     plan: &Plan,
     folder: &Path,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<(), Failure> {
     let mut files = FileSet::new(folder, "baselines");
     for &k in &arguments.k {
@@ -292,7 +293,7 @@ fn compare(
     arguments: &Arguments,
     plan: &Plan,
     folder: &Path,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<(), Failure> {
     let mut runs = Vec::new();
     for path in evaluate::clusters::folders(folder)? {
@@ -464,7 +465,7 @@ fn text(e: &Evaluation, out: &Path) -> Vec<String> {
         lines.push(format!(
             "  {:6.1} % {}",
             100.0 * *count as f64 / e.triangles.max(1) as f64,
-            missing.words()
+            missing.describe()
         ));
     }
     lines.extend([

@@ -128,7 +128,7 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
             .into_iter()
             .chain(others)
             .collect(),
-        warnings: scene.warnings.iter().map(ModelWarning::words).collect(),
+        warnings: scene.warnings.iter().map(ModelWarning::describe).collect(),
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::{Exit, Failure, arguments, config, next, print, progress::Progress, use_threads, warn};
+use super::{Exit, Failure, arguments, config, next, print, progress::ProgressDisplay, use_threads, warn};
 use crate::{
     apps::planning,
     backends,
@@ -64,7 +64,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     refuse_useless(&scene, &settings, &matcher)?;
     refuse_other_plan(&project, arguments)?;
     let settings = small(settings, &scene, &matcher);
-    let progress = Progress::new(arguments.quiet);
+    let progress = ProgressDisplay::new(arguments.quiet);
     let plan = planning::plan_scene(&project, scene, &settings, &progress)?;
     let files = files_of_same_model(&plan, &project)?;
     let uncached = files.write(&project.disk())?;

@@ -35,7 +35,7 @@ use crate::{
 use clap::Args;
 
 use super::{
-    Exit, Failure, Format, config, next, note, print, print_json, progress::Progress,
+    Exit, Failure, Format, config, next, note, print, print_json, progress::ProgressDisplay,
     summary::Summary, use_threads, warn,
 };
 
@@ -240,7 +240,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             .flatten()
             .try_for_each(output::refuse_unwritable)?;
     }
-    let progress = Progress::new(arguments.quiet);
+    let progress = ProgressDisplay::new(arguments.quiet);
     let mut plan = planning::plan(&project, &settings, &progress)
         .map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
@@ -490,7 +490,7 @@ fn write(
     project: &Project,
     plan: &Plan,
     files: &PlanFiles,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<(), Failure> {
     progress.progress(Stage::Write, 0, 1);
     // The plan is written last: if something else fails, it stays unchanged.
@@ -537,7 +537,7 @@ fn page(
     project: &Project,
     plan: &mut Plan,
     files: &PlanFiles,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<PathBuf, Failure> {
     // What finished depth maps have measured is not on the page, whose surface is predicted
     // throughout.

@@ -19,7 +19,7 @@ use crate::{
 use clap::Args;
 use rayon::prelude::*;
 
-use super::{Failure, Format, print, print_json, progress::Progress};
+use super::{Failure, Format, print, print_json, progress::ProgressDisplay};
 
 /// Draw where the backend is expected to succeed.
 ///
@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// The chosen key views of the written plan.
 fn predictions(project: &Path, arguments: &Arguments) -> Result<Vec<PredictionFiles>, Failure> {
-    let progress = Progress::new(arguments.quiet);
+    let progress = ProgressDisplay::new(arguments.quiet);
     let (project, plan, _) = replan::as_written(project, &progress)?;
     progress.finish();
     let folder = project.images.as_ref().ok_or(NoImages)?;

@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::terminal::{complain, is_stderr_terminal};
 
-pub struct Progress {
+pub struct ProgressDisplay {
     kind: Kind,
     running: Mutex<Option<RunningStage>>,
 }
@@ -30,7 +30,7 @@ struct RunningStage {
     bar: ProgressBar,
 }
 
-impl Progress {
+impl ProgressDisplay {
     pub fn new(quiet: bool) -> Self {
         let kind = match (quiet, is_stderr_terminal()) {
             (true, _) => Kind::None,
@@ -73,14 +73,14 @@ impl Progress {
         if self.kind == Kind::Lines {
             complain(&format!(
                 "{}: {:.1} s",
-                words(running.stage),
+                describe(running.stage),
                 running.since.elapsed().as_secs_f64()
             ));
         }
     }
 }
 
-impl Watcher for Progress {
+impl Watcher for ProgressDisplay {
     fn progress(&self, stage: Stage, done: u64, total: u64) {
         if self.kind == Kind::None {
             return;
@@ -102,12 +102,12 @@ fn bar(stage: Stage) -> ProgressBar {
     let style = ProgressStyle::with_template("{msg:32} {bar:24} {percent:>3} %  {eta} left");
     let bar =
         ProgressBar::new(1).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-    bar.set_message(words(stage));
+    bar.set_message(describe(stage));
     bar
 }
 
 /// Describes a stage for the progress display.
-fn words(stage: Stage) -> &'static str {
+fn describe(stage: Stage) -> &'static str {
     match stage {
         Stage::Read => "reading the model",
         Stage::Surface => "building the surface",

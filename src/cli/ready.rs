@@ -8,7 +8,7 @@ use crate::{
         dispatch::{Dispatch, Tools},
         undistort,
     },
-    backends::{Backend, Obstacle, Selection, obstacle},
+    backends::{Backend, NotReady, Selection, not_ready},
     io::project::Project,
     model::{
         cluster::{MapScale, RankedCluster},
@@ -54,8 +54,8 @@ pub fn check(
         Err(_) => return Ok(()),
     };
     let tools = Tools::find(&Dispatch::new(backend, &selection, &export, 0)?, program)?;
-    match obstacle(backend, &tools.program, &tools.python) {
-        Some(Obstacle { what, cure }) => Err(Failure::new(Exit::Failed, what, cure.to_owned())),
+    match not_ready(backend, &tools.program, &tools.python) {
+        Some(NotReady { what, cure }) => Err(Failure::new(Exit::Failed, what, cure.to_owned())),
         None => Ok(()),
     }
 }

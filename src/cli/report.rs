@@ -25,7 +25,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, print, print_json, progress::Progress, use_threads, warn};
+use super::{Failure, Format, print, print_json, progress::ProgressDisplay, use_threads, warn};
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
@@ -66,7 +66,7 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
-    let progress = Progress::new(arguments.quiet || arguments.format == Format::Json);
+    let progress = ProgressDisplay::new(arguments.quiet || arguments.format == Format::Json);
     let folders = DepthMapFolders {
         depth_maps: arguments.depth_maps.clone(),
         reference: arguments.reference.clone(),
@@ -89,7 +89,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Writes the page of a project's plan into the project, and returns its path.
-pub fn write(project: &Path, progress: &Progress) -> Result<PathBuf, Failure> {
+pub fn write(project: &Path, progress: &ProgressDisplay) -> Result<PathBuf, Failure> {
     write_to(project, None, &DepthMapFolders::default(), progress)
 }
 
@@ -98,7 +98,7 @@ fn write_to(
     project: &Path,
     out: Option<&Path>,
     folders: &DepthMapFolders,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<PathBuf, Failure> {
     let folder = out.map_or_else(|| project.join("viewrank"), Path::to_path_buf);
     // Without that folder there is no plan, which is another error.
@@ -138,7 +138,7 @@ pub fn write_page(
     exports: &[ExportRecord],
     out: Option<&Path>,
     folders: &DepthMapFolders,
-    progress: &Progress,
+    progress: &ProgressDisplay,
 ) -> Result<PathBuf, Failure> {
     let (root, name) = match out {
         Some(folder) => (folder, "report.html"),

@@ -13,7 +13,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, config, next, note, print, print_json, progress::Progress, ready,
+    Exit, Failure, Format, config, next, note, print, print_json, progress::ProgressDisplay, ready,
     summary::duration, terminal::complain, warn, wrapped,
 };
 use crate::{
@@ -131,7 +131,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open(&arguments.project, None)?;
     let settings = config::load(Some(&project), arguments.typed(None, true))?.settings;
     let project = project.with_images(settings.images.as_deref());
-    let (backend, why) = backends::chosen(&project, &settings)?;
+    let (backend, choice) = backends::chosen(&project, &settings)?;
     let say = |line: String| {
         if arguments.is_silent() {
             Ok(())
@@ -139,7 +139,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             print([line])
         }
     };
-    say(format!("Backend: {} ({}).", backend.name, why.words()))?;
+    say(format!("Backend: {} ({}).", backend.name, choice.describe()))?;
     let own = project.root.clone();
     let scene = project.read_scene()?;
     let is_distorted = scene
@@ -205,7 +205,7 @@ fn undistorted(
         backend.name,
         dense.display()
     ));
-    let progress = Progress::new(arguments.is_silent());
+    let progress = ProgressDisplay::new(arguments.is_silent());
     let done = undistort::undistort(
         &project,
         &undistort::UndistortOptions::default(),
@@ -518,7 +518,9 @@ impl<'a> Work<'a> {
             return;
         }
         let began = Instant::now();
-        if let Err(failure) = super::report::write(self.foreground.root(), &Progress::new(true)) {
+        if let Err(failure) =
+            super::report::write(self.foreground.root(), &ProgressDisplay::new(true))
+        {
             warn(&format!("cannot write the report: {}", failure.message));
         }
         self.reported.note(began);
@@ -568,7 +570,7 @@ impl<'a> Work<'a> {
         match self.arguments.format {
             Format::Json => print_json(&result)?,
             Format::Text if self.arguments.quiet => {}
-            Format::Text => print(self.words(&result))?,
+            Format::Text => print(self.describe(&result))?,
         }
         if ended == Ended::Stopped {
             return Err(self.stopped().behind_result());
@@ -639,7 +641,7 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn words(&self, result: &RunSummary) -> Vec<String> {
+    fn describe(&self, result: &RunSummary) -> Vec<String> {
         let verdict = match result.target_reached {
             true => "the target is reached".to_owned(),
             false if result.stopped => "stopped".to_owned(),

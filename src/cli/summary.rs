@@ -125,7 +125,7 @@ impl<'a> Summary<'a> {
             memory: plan.stages.memory,
             tiles: plan.stages.surface_stats.tiles,
             chosen_for: match plan.stages.settings.backends.is_empty() {
-                true => format!(" ({})", backends::by_default(project).1.words()),
+                true => format!(" ({})", backends::by_default(project).1.describe()),
                 false => String::new(),
             },
             manifest,
@@ -168,7 +168,7 @@ impl<'a> Summary<'a> {
         lines.extend(self.notes.iter().cloned());
         let region = self
             .region
-            .map(|region| region.words(self.weight, self.metres_per_unit))
+            .map(|region| region.describe(self.weight, self.metres_per_unit))
             .unwrap_or_default();
         lines.extend(region.lines().map(String::from));
         lines

@@ -27,7 +27,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, config, print, print_json, progress::Progress, use_threads};
+use super::{Failure, Format, config, print, print_json, progress::ProgressDisplay, use_threads};
 
 /// Fit the confidence to finished depth maps.
 ///
@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         output::refuse_to_replace(out)?;
     }
     use_threads(arguments.threads);
-    let progress = Progress::new(arguments.quiet);
+    let progress = ProgressDisplay::new(arguments.quiet);
     let prepared: Vec<Prepared> = arguments
         .projects
         .iter()
@@ -105,7 +105,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Plans the project as its written plan was made, else by its settings, with the confidence that
 /// is fitted.
-fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
+fn prepare(
+    arguments: &Arguments,
+    root: &Path,
+    progress: &ProgressDisplay,
+) -> Result<Prepared, Failure> {
     let (project, mut settings, written) = match WrittenPlan::read(root) {
         Ok(written) => {
             let ranked = |cluster: &RankedCluster| ViewCluster {

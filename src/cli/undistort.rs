@@ -10,7 +10,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, Format, config, print, print_json, progress::Progress, warn};
+use super::{Failure, Format, config, print, print_json, progress::ProgressDisplay, warn};
 
 /// Make the undistorted images that most MVS programs need, as a COLMAP dense workspace.
 ///
@@ -81,7 +81,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .out
         .clone()
         .unwrap_or_else(|| project.home.join("dense"));
-    let progress = Progress::new(arguments.quiet);
+    let progress = ProgressDisplay::new(arguments.quiet);
     let done = undistort::undistort(
         &project,
         &arguments.options(),

@@ -165,7 +165,7 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
         doc: text("description").unwrap_or_default().replace('\n', " "),
         unit: text("unit"),
         default: default.clone(),
-        words: words(schema),
+        words: constants(schema),
         user_only: schema
             .get("userOnly")
             .and_then(Value::as_bool)
@@ -177,14 +177,14 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
 }
 
 /// Collects the constants of an enum from each form in which schemars writes them.
-fn words(schema: &Map<String, Value>) -> Vec<String> {
-    let mut words: Vec<String> = schema
+fn constants(schema: &Map<String, Value>) -> Vec<String> {
+    let mut found: Vec<String> = schema
         .get("const")
         .and_then(Value::as_str)
         .map(String::from)
         .into_iter()
         .collect();
-    words.extend(
+    found.extend(
         schema
             .get("enum")
             .and_then(Value::as_array)
@@ -199,9 +199,13 @@ fn words(schema: &Map<String, Value>) -> Vec<String> {
             .and_then(Value::as_array)
             .into_iter()
             .flatten();
-        words.extend(members.filter_map(Value::as_object).flat_map(self::words));
+        found.extend(
+            members
+                .filter_map(Value::as_object)
+                .flat_map(self::constants),
+        );
     }
-    words
+    found
 }
 
 #[cfg(test)]

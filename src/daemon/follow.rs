@@ -184,7 +184,7 @@ fn follow_now(
     let Some(folder) = fullest_folder(root, &files) else {
         return Ok(Outcome::Abandoned);
     };
-    let (project, plan) = replan::again(root, watcher).map_err(failed)?;
+    let (project, plan) = replan::repeat(root, watcher).map_err(failed)?;
     let earlier = EarlierPlan::read(&project).map_err(failed)?;
     let following = FollowJob {
         plan,

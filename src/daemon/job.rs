@@ -30,7 +30,7 @@ use crate::{
     apps::{
         dispatch::Dispatch,
         planning,
-        replan::{self, AgainError, EarlierPlan, MapFolder, ReplanError, replan},
+        replan::{self, EarlierPlan, MapFolder, RepeatError, ReplanError, replan},
     },
     backends,
     base::{
@@ -327,8 +327,8 @@ impl PlanJob {
                 plan,
             ));
         }
-        let (project, plan) = replan::again(root, watcher).map_err(|error| match error {
-            AgainError::Written(WrittenPlanError::OtherInput(_)) => Outcome::Abandoned,
+        let (project, plan) = replan::repeat(root, watcher).map_err(|error| match error {
+            RepeatError::Written(WrittenPlanError::OtherInput(_)) => Outcome::Abandoned,
             error => failed(error),
         })?;
         lock(&self.plans).put(root, fingerprint.clone(), &plan);

@@ -13,7 +13,7 @@ use crate::{
 pub enum EmptyPlan {
     /// No view cluster fulfils anything; `reason` holds for `of` of `views` views, more than any
     /// other.
-    #[error("no view cluster fulfils anything; most common reason ({of} of {views} views): {}", reason.words())]
+    #[error("no view cluster fulfils anything; most common reason ({of} of {views} views): {}", reason.describe())]
     Fulfilled {
         reason: Reason,
         of: usize,

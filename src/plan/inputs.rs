@@ -7,7 +7,7 @@ use crate::{
     config::{ConfidenceSource, Settings, Share},
     decision::DEFAULT_TARGET,
     io::{
-        pictures::Pictures,
+        pictures::PictureFolders,
         project::{ImageFaults, Project},
     },
     method::{
@@ -39,7 +39,7 @@ pub(super) struct Inputs<'a> {
     pub most_pixels: u64,
     /// Views whose image is missing or unreadable, ascending.
     pub without_image: Vec<ViewIndex>,
-    pub pictures: Pictures,
+    pub pictures: PictureFolders,
     /// How p_i is predicted (method 3.4).
     pub confidence: Confidence,
     /// The region of the settings, before it is laid over the surface.
@@ -92,7 +92,7 @@ impl<'a> Inputs<'a> {
         Ok(Self {
             matcher,
             settings,
-            pictures: Pictures::new(project).without(&without_image),
+            pictures: PictureFolders::new(project).without(&without_image),
             scene,
             points,
             image_gsd,

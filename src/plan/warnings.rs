@@ -30,7 +30,7 @@ const NAMED: usize = 3;
 pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -> Vec<String> {
     let Decision { ranking, cut, .. } = decision;
     let of_model = &stages.scene.warnings;
-    let mut warnings: Vec<String> = of_model.iter().map(ModelWarning::words).collect();
+    let mut warnings: Vec<String> = of_model.iter().map(ModelWarning::describe).collect();
     warnings.extend(stages.picture_warnings.iter().cloned());
     warnings.extend(blurred(stages));
     warnings.extend(missed(stages));

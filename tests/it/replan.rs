@@ -379,7 +379,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
         &again.decision.ranking.fulfilment
     ));
     assert_eq!(
-        keys(&replan::again(planned.folder.path(), &NoWatcher).unwrap().1),
+        keys(&replan::repeat(planned.folder.path(), &NoWatcher).unwrap().1),
         keys(&planned.plan),
         "the prediction"
     );

@@ -25,7 +25,7 @@ use crate::{
 
 /// Image and mask folders of a project.
 #[derive(Clone, Debug)]
-pub struct Pictures {
+pub struct PictureFolders {
     images: Option<ImageFolder>,
     /// As COLMAP's `mask_path`: `NAME.png` for the image NAME, or that with `.png` in place of its
     /// extension; black where the image may not be used.
@@ -46,7 +46,7 @@ pub struct Stamp {
     changed: u64,
 }
 
-impl Pictures {
+impl PictureFolders {
     pub fn new(project: &Project) -> Self {
         Self {
             images: project.images.clone(),
@@ -293,7 +293,7 @@ fn masks_of(name: &str) -> impl Iterator<Item = String> {
     [format!("{name}.png"), own].into_iter()
 }
 
-impl confidence::Pictures for Pictures {
+impl confidence::Pictures for PictureFolders {
     fn have_images(&self) -> bool {
         self.have_images()
     }

@@ -43,7 +43,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
             let example = found
                 .iter()
                 .find(|overlap| wrong(overlap))
-                .map(|o| o.words(inputs))
+                .map(|o| o.describe(inputs))
                 .unwrap_or_default();
             inputs.view_finding(*view, example)
         };
@@ -96,7 +96,7 @@ impl Overlap {
             && share[0].min(share[1]) < FAR_TOO_FEW
     }
 
-    fn words(&self, inputs: &Inputs) -> String {
+    fn describe(&self, inputs: &Inputs) -> String {
         let (shared, seen) = (
             self.shared.iter().sum::<usize>(),
             self.seen.iter().sum::<usize>(),

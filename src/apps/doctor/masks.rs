@@ -3,7 +3,7 @@
 use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     config::ConfidenceSource,
-    io::{image::ImageError, pictures::Pictures},
+    io::{image::ImageError, pictures::PictureFolders},
     method::confidence::{ALL_COUNTS, NOT_COMPARED},
     model::scene::ViewIndex,
 };
@@ -15,7 +15,7 @@ const READ: usize = 32;
 type Checked = (ViewIndex, Result<(), ImageError>);
 
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
-    let pictures = Pictures::new(inputs.project);
+    let pictures = PictureFolders::new(inputs.project);
     let consequence = match inputs
         .settings
         .confidence
@@ -45,7 +45,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
 }
 
 /// Reports masks that belong to no image, while others do.
-fn stray(inputs: &Inputs, pictures: &Pictures) -> Option<Finding> {
+fn stray(inputs: &Inputs, pictures: &PictureFolders) -> Option<Finding> {
     let stray = pictures.stray_masks(inputs.scene);
     let cure = pictures
         .naming_of_masks(inputs.scene)
@@ -75,7 +75,7 @@ fn broken(inputs: &Inputs, checked: &[Checked], consequence: &str) -> Option<Fin
 }
 
 /// Reports masks without a pixel that counts, among a few.
-fn black(inputs: &Inputs, checked: &[Checked], pictures: &Pictures) -> Option<Finding> {
+fn black(inputs: &Inputs, checked: &[Checked], pictures: &PictureFolders) -> Option<Finding> {
     let usable: Vec<ViewIndex> = checked
         .iter()
         .filter(|(_, fault)| fault.is_ok())

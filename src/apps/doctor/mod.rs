@@ -232,7 +232,7 @@ pub fn backends_to_check(
 
 /// Reports the traps of the backends: warnings for the planned backend, notes for the others.
 fn traps(inputs: &Inputs) -> Vec<Finding> {
-    let patient = ExaminedProject {
+    let examined = ExaminedProject {
         project: inputs.project,
         scene: inputs.scene,
         points: inputs.points,
@@ -245,7 +245,7 @@ fn traps(inputs: &Inputs) -> Vec<Finding> {
         } else {
             Severity::Note
         };
-        for trap in (backend.traps)(&patient) {
+        for trap in (backend.traps)(&examined) {
             let views = inputs.named(trap.views);
             match findings
                 .iter_mut()

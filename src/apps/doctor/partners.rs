@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::{FEW, Finding, Inputs, MOST, Severity, ViewFinding, counted};
 use crate::{
     base::connected::components,
-    method::partners::{Obstacle, PairGeometry, neighbours},
+    method::partners::{PairGeometry, PairLimit, neighbours},
     model::{
         cluster::Gate,
         reason::Reason,
@@ -24,19 +24,19 @@ const LOST: f64 = 0.01;
 enum Refusal {
     NoBaseline,
     NoImage,
-    Limit(Obstacle),
+    Limit(PairLimit),
 }
 
 impl Refusal {
-    fn words(self) -> &'static str {
+    fn describe(self) -> &'static str {
         match self {
             Self::NoBaseline => "no baseline",
             Self::NoImage => "without a usable image",
-            Self::Limit(Obstacle::FewSharedPoints) => "too few shared points",
-            Self::Limit(Obstacle::SmallAngle) => "angle too small",
-            Self::Limit(Obstacle::LargeAngle) => "angle too large",
-            Self::Limit(Obstacle::Scale) => "scale too different",
-            Self::Limit(Obstacle::Epipole) => "motion along the line of sight",
+            Self::Limit(PairLimit::FewSharedPoints) => "too few shared points",
+            Self::Limit(PairLimit::SmallAngle) => "angle too small",
+            Self::Limit(PairLimit::LargeAngle) => "angle too large",
+            Self::Limit(PairLimit::Scale) => "scale too different",
+            Self::Limit(PairLimit::Epipole) => "motion along the line of sight",
         }
     }
 }
@@ -89,7 +89,7 @@ pub fn partners_in_words(
     gate: &Gate,
     view: ViewIndex,
 ) -> String {
-    count_partners(scene, points, without_image, gate, view).words()
+    count_partners(scene, points, without_image, gate, view).describe()
 }
 
 fn count_partners(
@@ -113,7 +113,7 @@ fn count_partners(
             count.same_position.extend(is_shown.then_some(other));
             Some(Refusal::NoBaseline)
         } else {
-            gate.obstacle(&pair)
+            gate.broken_limit(&pair)
                 .map(Refusal::Limit)
                 .or((!is_shown).then_some(Refusal::NoImage))
         };
@@ -126,15 +126,15 @@ fn count_partners(
 }
 
 impl PartnerCount {
-    fn words(&self) -> String {
+    fn describe(&self) -> String {
         if self.partners == 0 && self.refused.is_empty() {
-            return Reason::NoSharedPoints.words().into();
+            return Reason::NoSharedPoints.describe().into();
         }
         let mut refused: Vec<(&Refusal, &usize)> = self.refused.iter().collect();
         refused.sort_by_key(|(reason, count)| (std::cmp::Reverse(**count), **reason));
         let refused: Vec<String> = refused
             .iter()
-            .map(|(reason, count)| format!("{count} {}", reason.words()))
+            .map(|(reason, count)| format!("{count} {}", reason.describe()))
             .collect();
         match refused.is_empty() {
             true => format!(
@@ -193,7 +193,7 @@ fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
             noun(inputs, counts, counts.len()),
             inputs.backend.name
         );
-        Finding::new(severity, "too-few-partners", what, cure).of_views(words(inputs, few))
+        Finding::new(severity, "too-few-partners", what, cure).of_views(describe(inputs, few))
     })
 }
 
@@ -248,14 +248,14 @@ fn fewer_than_wanted(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Findin
             "no action needed; they are planned with the partners they have"
         };
         Finding::new(Severity::Note, "fewer-partners-than-k", what, cure)
-            .of_views(words(inputs, few))
+            .of_views(describe(inputs, few))
     })
 }
 
-fn words(inputs: &Inputs, counts: Vec<&PartnerCount>) -> Vec<ViewFinding> {
+fn describe(inputs: &Inputs, counts: Vec<&PartnerCount>) -> Vec<ViewFinding> {
     counts
         .into_iter()
-        .map(|count| inputs.view_finding(count.view, count.words()))
+        .map(|count| inputs.view_finding(count.view, count.describe()))
         .collect()
 }
 

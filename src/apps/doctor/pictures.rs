@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::{Finding, Inputs, Severity};
 use crate::{
     base::progress::NoWatcher,
-    io::pictures::Pictures,
+    io::pictures::PictureFolders,
     method::{
         confidence::{self, Sharpness},
         twins::{self, Twin},
@@ -27,7 +27,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
 fn blurred(inputs: &Inputs) -> Option<Finding> {
     // What is left of a damaged image says nothing of its sharpness.
     let without_image = inputs.images.without_image(inputs.scene.views.len());
-    let pictures = Pictures::new(inputs.project).without(&without_image);
+    let pictures = PictureFolders::new(inputs.project).without(&without_image);
     let all: Vec<ViewIndex> = inputs.scene.view_indices().collect();
     let step = all.len().div_ceil(MOST_DECODED).max(1);
     let views: Vec<ViewIndex> = all.iter().copied().step_by(step).collect();
@@ -59,7 +59,7 @@ fn blurred(inputs: &Inputs) -> Option<Finding> {
 fn twins(inputs: &Inputs) -> Option<Finding> {
     let (scene, faults) = (inputs.scene, inputs.images);
     let seen = (
-        &Pictures::new(inputs.project) as &dyn confidence::Pictures,
+        &PictureFolders::new(inputs.project) as &dyn confidence::Pictures,
         1.0,
     );
     let without_image = faults.without_image(scene.views.len());

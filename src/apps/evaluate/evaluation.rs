@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{
     baselines::{self, Order},
-    cells::{CellSource, CellsEvaluation, Counted, Incidence},
+    cells::{CellSource, CellsEvaluation, CountedCells, Incidence},
     clouds::CloudComparison,
     curve::{ReachCurve, SHARES},
     half_size::HalfSize,
@@ -256,7 +256,7 @@ impl Evaluation {
         let cells = CellsEvaluation::new(table, source.clone(), model.scene, &named);
         // The maps of the table are in the run's order.
         let order: Vec<u32> = (0..run.order.len() as u32).collect();
-        let [all, agreeing] = Counted::BOTH.map(|counted| table.curve(&order, counted));
+        let [all, agreeing] = CountedCells::BOTH.map(|counted| table.curve(&order, counted));
         let by_triangle = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let predicted = match measure.pilot {
             Some(pilot) => {

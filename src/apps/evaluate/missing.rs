@@ -36,8 +36,8 @@ const ALL: [Missing; 5] = [
 ];
 
 impl Missing {
-    /// Returns the reason in words.
-    pub fn words(self) -> &'static str {
+    /// Describes the reason.
+    pub fn describe(self) -> &'static str {
         match self {
             Self::NoView => "no view: no key view with a depth map sees it",
             Self::TooFewPartners => "too few partners that see it were matched",
@@ -146,7 +146,7 @@ impl MeasuredSurface {
         ];
         comments.extend(
             ALL.iter()
-                .map(|m| format!("missing {}: {}", m.number(), m.words())),
+                .map(|m| format!("missing {}: {}", m.number(), m.describe())),
         );
         ply::write(
             &model.surface.vertices,

@@ -212,7 +212,7 @@ fn gap_table(e: &Evaluation) -> String {
 fn cell_tables(e: &Evaluation) -> String {
     let mut html = format!(
         "<section tabindex=\"0\" aria-label=\"Orders\"><h2>Orders, by the cells of the cloud</h2>\n<p>{}. Way: 0 is every n-th, 1 the oracle, known only afterwards.</p>\n",
-        escape(&e.cells.source.words())
+        escape(&e.cells.source.describe())
     );
     for (name, kind) in e.cells.kinds() {
         let _ = write!(html, "<table><tr><th>{:.0} {name}</th>", kind.cells);
@@ -335,7 +335,7 @@ fn missing_table(e: &Evaluation) -> String {
         let _ = writeln!(
             html,
             "<tr><td>{}</td><td>{count}</td><td>{:.1} %</td></tr>",
-            missing.words(),
+            missing.describe(),
             100.0 * *count as f64 / e.triangles.max(1) as f64
         );
     }

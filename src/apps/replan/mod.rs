@@ -4,8 +4,8 @@
 //! The depth maps were made for an earlier plan, possibly of an earlier model: those that still fit
 //! ([`movement`]) are kept, the others are reported and ignored.
 
-mod again;
 mod movement;
+mod repeat;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -15,8 +15,8 @@ use std::{
 
 use rayon::prelude::*;
 
-pub use self::again::{AgainError, again, as_written};
 use self::movement::{MovedView, movement};
+pub use self::repeat::{RepeatError, as_written, repeat};
 use crate::{
     apps::evaluate::{EvaluateError, EvaluationInput, MapSize, MeasuredClusters},
     base::{

@@ -272,7 +272,7 @@ impl Contents {
             warnings: plan.warnings.iter().cloned().chain(left_out).collect(),
             notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
-            reasons: Reason::NUMBERED.iter().map(|r| r.words()).collect(),
+            reasons: Reason::NUMBERED.iter().map(|r| r.describe()).collect(),
             forecast: plan.stages.settings.forecast.clone(),
             clusters_total: plan.decision.forecast.all_maps,
             pairs_total: plan.decision.forecast.all_pairs,
@@ -281,7 +281,7 @@ impl Contents {
             region: summary
                 .zip(plan.stages.region.as_ref())
                 .map(|(summary, region)| RegionData {
-                    words: summary.words(plan.stages.settings.ranking.weight, metres),
+                    words: summary.describe(plan.stages.settings.ranking.weight, metres),
                     outline: outline(plan, &frame),
                     inside: bytes(
                         &surface

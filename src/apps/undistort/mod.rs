@@ -17,7 +17,7 @@ use nalgebra::Point2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-pub use picture::PictureError;
+pub use picture::UndistortImageError;
 
 use crate::{
     base::{
@@ -32,7 +32,7 @@ use crate::{
             colmap_bin,
         },
         output::{self, Contents, Disk, FileSet, OutputError},
-        pictures::Pictures,
+        pictures::PictureFolders,
         project::{ImageFolder, Project, ProjectError, undistorted_set},
     },
     model::{
@@ -114,7 +114,7 @@ pub fn undistort(
     let scene = project.read_scene()?;
     let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
-    let masks = Pictures::new(project)
+    let masks = PictureFolders::new(project)
         .masks_of(scene.views.iter().map(|view| &*view.name))
         .map(Path::to_path_buf);
     let mut done = UndistortReport {
@@ -449,7 +449,10 @@ pub enum UndistortError {
     #[error("cannot undistort {model} cameras to pinhole cameras")]
     NoPinhole { model: &'static str },
     #[error("{}: {source}", path.display())]
-    Image { path: PathBuf, source: PictureError },
+    Image {
+        path: PathBuf,
+        source: UndistortImageError,
+    },
     #[error(transparent)]
     Output(#[from] OutputError),
     #[error(transparent)]
@@ -465,13 +468,13 @@ impl Hint for UndistortError {
             Self::NoPinhole { .. } => {
                 "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py".into()
             }
-            Self::Image { source: PictureError::Size { .. }, .. } => {
+            Self::Image { source: UndistortImageError::Size { .. }, .. } => {
                 "give the images that the model was made from, at their full size".into()
             }
-            Self::Image { source: PictureError::Format, .. } => {
+            Self::Image { source: UndistortImageError::Format, .. } => {
                 "convert the images and their names in the model, or undistort with COLMAP".into()
             }
-            Self::Image { source: PictureError::Broken(image::ImageError::IoError(error)), .. }
+            Self::Image { source: UndistortImageError::Broken(image::ImageError::IoError(error)), .. }
                 if error.kind() == io::ErrorKind::NotFound =>
             {
                 "put the image there, or take it out of the model".into()

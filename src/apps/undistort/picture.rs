@@ -24,7 +24,7 @@ const JPEG_QUALITY: u8 = 100;
 
 /// An error of undistorting an image.
 #[derive(Debug, thiserror::Error)]
-pub enum PictureError {
+pub enum UndistortImageError {
     #[error("{0}")]
     Broken(#[from] image::ImageError),
     #[error(transparent)]
@@ -45,16 +45,17 @@ pub fn undistort(
     name: &str,
     source: &Camera,
     target: &Camera,
-) -> Result<Vec<u8>, PictureError> {
-    let format = ImageFormat::from_path(Path::new(name)).map_err(|_| PictureError::Format)?;
+) -> Result<Vec<u8>, UndistortImageError> {
+    let format =
+        ImageFormat::from_path(Path::new(name)).map_err(|_| UndistortImageError::Format)?;
     let (width, height) = picture::header(Cursor::new(bytes))?.dimensions();
     if [width, height] != [source.width, source.height] {
-        return Err(PictureError::Size {
+        return Err(UndistortImageError::Size {
             found: [width, height],
             camera: [source.width, source.height],
         });
     }
-    let mut decoder = picture::open::<PictureError>(bytes, PixelBound::LARGEST)?;
+    let mut decoder = picture::open::<UndistortImageError>(bytes, PixelBound::LARGEST)?;
     let (exif, profile) = (
         decoder.exif_metadata().ok().flatten(),
         decoder.icc_profile().ok().flatten(),
@@ -169,7 +170,7 @@ impl Raster {
         format: ImageFormat,
         exif: Option<Vec<u8>>,
         profile: Option<Vec<u8>>,
-    ) -> Result<Vec<u8>, PictureError> {
+    ) -> Result<Vec<u8>, UndistortImageError> {
         let mut file = Cursor::new(Vec::new());
         match format {
             ImageFormat::Jpeg => self.encode(
@@ -179,7 +180,7 @@ impl Raster {
             )?,
             ImageFormat::Png => self.encode(PngEncoder::new(&mut file), exif, profile)?,
             ImageFormat::Tiff => self.encode(TiffEncoder::new(&mut file), exif, profile)?,
-            _ => return Err(PictureError::Format),
+            _ => return Err(UndistortImageError::Format),
         }
         Ok(file.into_inner())
     }
@@ -305,7 +306,7 @@ mod tests {
         );
         assert!(matches!(
             undistort(&file, "a.webp", &camera, &camera),
-            Err(PictureError::Format)
+            Err(UndistortImageError::Format)
         ));
         assert!(undistort(&file[..60], "a.png", &camera, &camera).is_err());
     }

@@ -109,8 +109,8 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     })
 }
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    traps::all(patient)
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    traps::all(examined)
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

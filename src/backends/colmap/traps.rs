@@ -8,29 +8,29 @@ use crate::{
     model::scene::Scene,
 };
 
-pub fn all(patient: &ExaminedProject) -> Vec<Trap> {
-    let names = patient.bad_names("colmap-name", |name| cfg::check_name("colmap", name));
-    let points = patient.without_points(
+pub fn all(examined: &ExaminedProject) -> Vec<Trap> {
+    let names = examined.bad_names("colmap-name", |name| cfg::check_name("colmap", name));
+    let points = examined.without_points(
         "colmap-key-view-without-points",
         "COLMAP ends the whole run there",
     );
     let of_model = [
         names,
         points,
-        blanks_in_text(patient),
-        text_beside_binary(patient),
-        widths::trap(patient),
+        blanks_in_text(examined),
+        text_beside_binary(examined),
+        widths::trap(examined),
     ];
     of_model
         .into_iter()
-        .chain([far_away(patient), finished_maps(patient)])
+        .chain([far_away(examined), finished_maps(examined)])
         .flatten()
         .collect()
 }
 
 /// Finds maps without a record of their lists.
-fn finished_maps(patient: &ExaminedProject) -> Option<Trap> {
-    let workspace = patient
+fn finished_maps(examined: &ExaminedProject) -> Option<Trap> {
+    let workspace = examined
         .project
         .dense_workspace
         .as_ref()
@@ -38,7 +38,7 @@ fn finished_maps(patient: &ExaminedProject) -> Option<Trap> {
     let cure =
         "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
     let folder = workspace.join("stereo/depth_maps");
-    patient.finished_maps(
+    examined.finished_maps(
         "colmap-stale-maps-skipped",
         &folder,
         8,
@@ -48,15 +48,15 @@ fn finished_maps(patient: &ExaminedProject) -> Option<Trap> {
 }
 
 /// Finds names with blanks, which text models cut at the first blank.
-fn blanks_in_text(patient: &ExaminedProject) -> Option<Trap> {
-    let text = patient.project.model.format == ModelFormat::ColmapText;
-    let views: Vec<_> = patient
+fn blanks_in_text(examined: &ExaminedProject) -> Option<Trap> {
+    let text = examined.project.model.format == ModelFormat::ColmapText;
+    let views: Vec<_> = examined
         .scene
         .view_indices()
-        .filter(|&v| text && patient.scene.name(v).contains(' '))
+        .filter(|&v| text && examined.scene.name(v).contains(' '))
         .collect();
-    let first = patient.scene.name(*views.first()?);
-    let model = patient.project.model.path.display();
+    let first = examined.scene.name(*views.first()?);
+    let model = examined.project.model.path.display();
     Some(Trap {
         name: "colmap-text-model-blank-name",
         what: format!("COLMAP cuts \"{first}\" at its first blank when it reads this text model"),
@@ -69,12 +69,12 @@ fn blanks_in_text(patient: &ExaminedProject) -> Option<Trap> {
 
 /// Finds coordinates too large for f32, in existing workspaces only: there the model is COLMAP's
 /// own.
-fn far_away(patient: &ExaminedProject) -> Option<Trap> {
-    let what = patient
+fn far_away(examined: &ExaminedProject) -> Option<Trap> {
+    let what = examined
         .project
         .dense_workspace
         .as_ref()
-        .and_then(|_| rounded(patient.scene))?;
+        .and_then(|_| rounded(examined.scene))?;
     let cure = "move the model near its origin (colmap model_transformer) before image_undistorter, or export with --out, which does".into();
     Some(Trap {
         name: "colmap-far-from-origin",
@@ -94,9 +94,9 @@ pub fn rounded(scene: &Scene) -> Option<String> {
 }
 
 /// COLMAP prefers the binary of two models in a folder.
-fn text_beside_binary(patient: &ExaminedProject) -> Option<Trap> {
-    let model = &patient.project.model;
-    patient.project.has_other_text_model(patient.scene).then(|| Trap {
+fn text_beside_binary(examined: &ExaminedProject) -> Option<Trap> {
+    let model = &examined.project.model;
+    examined.project.has_other_text_model(examined.scene).then(|| Trap {
         name: "colmap-bin-beats-txt",
         what: format!(
             "{} holds another model as text: COLMAP and viewrank take the binary one, however old it is, OpenMVS the text",

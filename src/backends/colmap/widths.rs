@@ -75,8 +75,8 @@ fn mixed(selection: &Selection) -> Vec<ViewIndex> {
 }
 
 /// Finds images of several widths.
-pub fn trap(patient: &ExaminedProject) -> Option<Trap> {
-    let (widest, narrower) = narrower(patient)?;
+pub fn trap(examined: &ExaminedProject) -> Option<Trap> {
+    let (widest, narrower) = narrower(examined)?;
     let colmap = Colmap::of(machine::colmap_version());
     colmap.fault().map(|fault| Trap {
         name: "colmap-4x-mixed-width-sources",
@@ -96,8 +96,8 @@ pub fn trap(patient: &ExaminedProject) -> Option<Trap> {
 }
 
 /// Returns the largest width and the views of smaller ones; `None` if there are no such views.
-fn narrower(patient: &ExaminedProject) -> Option<(u32, Vec<ViewIndex>)> {
-    let (scene, project) = (patient.scene, patient.project);
+fn narrower(examined: &ExaminedProject) -> Option<(u32, Vec<ViewIndex>)> {
+    let (scene, project) = (examined.scene, examined.project);
     // These formats do not store image sizes, which are guessed without the images.
     if matches!(
         project.model.format,

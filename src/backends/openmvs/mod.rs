@@ -135,19 +135,19 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
 }
 
 /// Finds coordinates too large for the f32 points and cameras of a scene.mvs.
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let largest = patient
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    let largest = examined
         .scene
         .points
         .iter()
         .flat_map(|p| p.iter().map(|x| x.abs()))
         .fold(0.0, f64::max);
     let step = largest * f64::from(f32::EPSILON);
-    let of_openmvs = patient.project.model.format == ModelFormat::OpenMvs;
-    let named = patient.bad_names("openmvs-backslash-name", |name| {
+    let of_openmvs = examined.project.model.format == ModelFormat::OpenMvs;
+    let named = examined.bad_names("openmvs-backslash-name", |name| {
         check_name(BACKEND.name, name)
     });
-    let rounded = patient
+    let rounded = examined
         .scene
         .median_gsd()
         .filter(|gsd| of_openmvs && step > *gsd);
@@ -160,13 +160,13 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     cure: "move the origin of the model among the points before it is written as scene.mvs".into(),
     views: Vec::new(),
 });
-    let folder = &patient.project.root;
+    let folder = &examined.project.root;
     let cure = format!(
         "remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap",
         command_path(folder)
     );
     let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
-    let maps = patient.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
+    let maps = examined.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
     trap.into_iter().chain(named).chain(maps).collect()
 }
 

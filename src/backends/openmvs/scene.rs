@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use crate::{
     backends::Selection,
     io::{
-        formats::openmvs::{Camera, Image, Mvs, Platform, Pose, Vertex, VertexView, ViewScore},
+        formats::openmvs::{Camera, Image, Mvs, Platform, PlatformPose, Vertex, VertexView, ViewScore},
         project::ImageFolder,
     },
     model::{
@@ -200,10 +200,10 @@ impl<'a> Builder<'a> {
             .collect()
     }
 
-    fn pose(&self, view: ViewIndex) -> Pose {
+    fn pose(&self, view: ViewIndex) -> PlatformPose {
         let pose = &self.scene.view(view).cam_from_world;
         let r = pose.rotation.matrix().transpose();
-        Pose {
+        PlatformPose {
             r: r.as_slice().try_into().expect("nine numbers"),
             c: pose.centre().into(),
         }

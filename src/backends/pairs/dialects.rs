@@ -190,8 +190,8 @@ const CAPABILITIES: Capabilities = Capabilities {
     notes: "",
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    patient
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    examined
         .without_points("mvsnet-depth-range", "its depth line cannot be written")
         .into_iter()
         .collect()

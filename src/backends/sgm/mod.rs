@@ -93,8 +93,8 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    let bad = patient.bad_names("sgm-name", |name| {
+fn traps(examined: &ExaminedProject) -> Vec<Trap> {
+    let bad = examined.bad_names("sgm-name", |name| {
         semi_global::checked_name(BACKEND.name, name).map(|_| ())
     });
     bad.into_iter().collect()

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::{Filed, ResultFile};
 use crate::{
     base::column::{ColumnBuilder, DiskError},
-    io::{cache::CacheFile, output::FileSet, pictures::Pictures},
+    io::{cache::CacheFile, output::FileSet, pictures::PictureFolders},
     method::{
         confidence::{Agreement, SPACING},
         geometry::Geometry,
@@ -42,7 +42,7 @@ struct Facts {
 /// Returns the cache of the table. `program`: the one whose reach limits it.
 pub(in crate::plan) fn file<'p>(
     geometry: &Geometry,
-    pictures: &Pictures,
+    pictures: &PictureFolders,
     partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
     program: Option<&str>,
 ) -> CacheFile {
@@ -53,7 +53,7 @@ pub(in crate::plan) fn file<'p>(
 /// Returns `None` if the file system has no time of change: a changed picture would go unnoticed.
 fn inputs<'p>(
     geometry: &Geometry,
-    pictures: &Pictures,
+    pictures: &PictureFolders,
     partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
     program: Option<&str>,
 ) -> Option<blake3::Hasher> {
@@ -228,7 +228,7 @@ mod tests {
             ..Town::default()
         }
         .seen(&TargetSettings::default(), 0.05, Storage::Memory);
-        let pictures = Pictures::of(folder.path(), None);
+        let pictures = PictureFolders::of(folder.path(), None);
         let fingerprint = |town: &SeenTown, partner: u32| {
             let partners = [ViewIndex(partner)];
             inputs(&town.geometry(1.0), &pictures, |_| &partners, None)

@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::{
     base::input::{self, FileKind},
     config::{PartnerSettings, Settings},
-    io::{cache::CacheFile, pictures::Pictures, project::Project},
+    io::{cache::CacheFile, pictures::PictureFolders, project::Project},
     method::{
         confidence::Confidence, fulfilment::FulfilmentRule, ranking::Objective, target::Target,
         twins::Twin,
@@ -122,7 +122,7 @@ impl<'a> Fingerprints<'a> {
         scene: &Scene,
         surface: &CacheFile,
         confidence: Confidence,
-        pictures: &Pictures,
+        pictures: &PictureFolders,
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[surface.inputs()?]);
@@ -198,7 +198,7 @@ impl<'a> Fingerprints<'a> {
         &self,
         scene: &Scene,
         clusters: &CacheFile,
-        pictures: &Pictures,
+        pictures: &PictureFolders,
         made: Option<&PilotMaps>,
     ) -> CacheFile {
         let inputs = || {

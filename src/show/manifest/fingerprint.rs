@@ -14,7 +14,7 @@ use crate::{
         input,
     },
     config::{ConfidenceSource, Settings},
-    io::{pictures::Pictures, project::Project},
+    io::{pictures::PictureFolders, project::Project},
     model::scene::{Scene, View},
 };
 
@@ -62,7 +62,7 @@ pub fn fingerprint(
             .update_reader(input::open(&path).map_err(failed)?)
             .map_err(failed)?;
     }
-    let pictures = Pictures::new(project);
+    let pictures = PictureFolders::new(project);
     let (reads_images, reads_masks) = match settings.confidence.source {
         ConfidenceSource::None => (false, false),
         ConfidenceSource::Geometric => (false, true),

@@ -54,7 +54,7 @@ impl RegionSummary {
 
     /// Returns a description of a few lines; for `auto` and a box it includes the corners as
     /// `--region` takes them.
-    pub fn words(&self, weight: TriangleWeight, metres: Option<f64>) -> String {
+    pub fn describe(&self, weight: TriangleWeight, metres: Option<f64>) -> String {
         let corners = self.bounds.map(|x| short(x, &self.bounds)).join(",");
         let what = match self.kind {
             RegionKind::Polygons => "polygons".into(),
@@ -106,7 +106,7 @@ mod tests {
                 share_of_weight: 0.5,
                 ground: None,
             };
-            summary.words(TriangleWeight::Pixels, None)
+            summary.describe(TriangleWeight::Pixels, None)
         };
         assert!(
             words([-2.40123, -1.0, 0.9, -1.8, -0.8, 1.61])

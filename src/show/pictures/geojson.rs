@@ -63,7 +63,7 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     };
     let views: Vec<ViewIndex> = plan.stages.scene.view_indices().collect();
     let features: Vec<Value> = views.into_par_iter().flat_map_iter(features).collect();
-    let mut collection = json!({ "type": "FeatureCollection", "frame": place.words() });
+    let mut collection = json!({ "type": "FeatureCollection", "frame": place.describe() });
     if local {
         collection["note"] = json!(
             "local coordinates, not WGS 84: in QGIS, set a custom or engineering CRS for this layer"

@@ -144,7 +144,7 @@ fn a_name_leads_to_the_parent_of_its_folder_and_no_further() {
 #[test]
 fn masks_are_named_as_by_colmap() {
     use viewrank_core::model::scene::ViewIndex;
-    use viewrank_io::pictures::Pictures;
+    use viewrank_io::pictures::PictureFolders;
     let folder = Folder::new();
     folder
         .colmap("sparse/0", &renamed(|n| format!("view_{n}.jpg")))
@@ -156,7 +156,7 @@ fn masks_are_named_as_by_colmap() {
         .write("masks/view_2.JPG.png", "");
     let project = folder.open();
     let scene = project.read_scene().unwrap();
-    let pictures = Pictures::new(&project);
+    let pictures = PictureFolders::new(&project);
     let has_mask = |view: u32| pictures.check_mask(&scene, ViewIndex(view)).is_some();
     assert_eq!([0, 1, 2, 3].map(has_mask), [true, true, true, false]);
     assert_eq!(pictures.stray_masks(&scene), Vec::<PathBuf>::new());

@@ -564,7 +564,7 @@ fn nvm_measurements_from_the_centre() {
 
 #[test]
 fn openmvs_scene_of_a_scene_is_the_scene() {
-    let pose = |c: [f64; 3]| openmvs::Pose {
+    let pose = |c: [f64; 3]| openmvs::PlatformPose {
         r: [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
         c,
     };

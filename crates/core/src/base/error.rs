@@ -65,7 +65,7 @@ impl Advice {
     }
 
     /// Writes the advice; `set` writes a setting with its value.
-    pub fn words(&self, set: impl Fn(&str, Option<&str>) -> String) -> String {
+    pub fn describe(&self, set: impl Fn(&str, Option<&str>) -> String) -> String {
         let part = |part: &Part| match part {
             Part::Text(text) => text.clone(),
             Part::Set(key, value) => set(key, value.as_deref()),
@@ -90,7 +90,7 @@ impl From<String> for Advice {
 impl fmt::Display for Advice {
     /// Names settings by their keys.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str(&self.words(|key, value| match value {
+        f.write_str(&self.describe(|key, value| match value {
             None => key.into(),
             Some(value) => format!("{key} = {value}"),
         }))
@@ -110,7 +110,7 @@ mod tests {
             .and(" (")
             .run("doctor")
             .and(")");
-        let options = advice.words(|key, value| format!("--{key} {}", value.unwrap_or("X")));
+        let options = advice.describe(|key, value| format!("--{key} {}", value.unwrap_or("X")));
         assert_eq!(
             options,
             "set --target.gsd X, or plan without pictures: --confidence.source geometric (viewrank doctor)"

@@ -192,7 +192,7 @@ fn rank(
     let ranked = AtomicU64::new(0);
     watcher.progress(Stage::Ranking, 0, prices.len() as u64);
     let one = |&price: &f64| {
-        let mut ranking = ranker.rank(order, price, &Unseen(watcher))?;
+        let mut ranking = ranker.rank(order, price, &Silent(watcher))?;
         counted.expect(&mut ranking);
         let merit = merit(tables, options, &ranking, order.len())?;
         watcher.progress(
@@ -240,9 +240,9 @@ fn merit(
 }
 
 /// Passes on cancellation, but not the progress of one of several rankings.
-struct Unseen<'a>(&'a dyn Watcher);
+struct Silent<'a>(&'a dyn Watcher);
 
-impl Watcher for Unseen<'_> {
+impl Watcher for Silent<'_> {
     fn progress(&self, _: Stage, _: u64, _: u64) {}
 
     fn cancelled(&self) -> bool {

@@ -71,7 +71,7 @@ impl Reason {
     }
 
     /// A clause that follows "because".
-    pub fn words(self) -> &'static str {
+    pub fn describe(self) -> &'static str {
         match self {
             Self::NoSharedPoints => "it shares too few sparse points with every other view",
             Self::RotationOnly => "there is no baseline: the other views are at the same position",

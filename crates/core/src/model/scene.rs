@@ -158,7 +158,7 @@ impl ModelWarning {
     }
 
     /// The sentence with its remedy.
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         match &self.cure {
             Some(cure) => format!("{}: {cure}", self.text),
             None => self.text.clone(),

@@ -26,7 +26,7 @@ const MOST_DEPTHS: u64 = 1 << 28;
 const PROBES: u32 = 12;
 
 /// Depth maps, thinned to a bound of memory.
-pub struct Agreement<'a> {
+pub struct ThinnedMaps<'a> {
     maps: Vec<Thinned<'a>>,
     /// For each map, those that show some of its places.
     others: Vec<Vec<u32>>,
@@ -47,7 +47,7 @@ struct Thinned<'a> {
     map: DepthMap,
 }
 
-impl<'a> Agreement<'a> {
+impl<'a> ThinnedMaps<'a> {
     /// Reads the maps of these views.
     pub fn new(
         scene: &'a Scene,
@@ -181,7 +181,7 @@ fn thinned(map: DepthMap, most: u64) -> DepthMap {
     }
 }
 
-impl FusedPoints for Agreement<'_> {
+impl FusedPoints for ThinnedMaps<'_> {
     fn for_each_part(&self, take: &mut TakePart) -> Result<(), EvaluateError> {
         let mut used: Vec<Vec<bool>> = self
             .maps

@@ -36,14 +36,14 @@ pub struct Row {
 
 /// Which cells count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Counted {
+pub enum CountedCells {
     /// All cells of the cloud that a user sees.
     All,
     /// Those where three maps agree.
     Agreeing,
 }
 
-impl Counted {
+impl CountedCells {
     pub const BOTH: [Self; 2] = [Self::All, Self::Agreeing];
 
     pub fn of(self, row: &Row) -> f64 {
@@ -118,7 +118,7 @@ impl Incidence {
     }
 
     /// Number of cells that count.
-    pub fn total(&self, counted: Counted) -> f64 {
+    pub fn total(&self, counted: CountedCells) -> f64 {
         self.rows.iter().map(|row| counted.of(row)).sum()
     }
 
@@ -130,7 +130,7 @@ impl Incidence {
     }
 
     /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...
-    pub fn curve(&self, order: &[u32], counted: Counted) -> Vec<f64> {
+    pub fn curve(&self, order: &[u32], counted: CountedCells) -> Vec<f64> {
         let total = self.total(counted).max(1.0);
         let (mut covered, mut taken) = (0.0, vec![0u32; self.rows.len()]);
         let mut curve = vec![0.0];
@@ -147,7 +147,7 @@ impl Incidence {
     }
 
     /// Returns the share of the cells that these maps cover.
-    pub fn covered(&self, maps: &[u32], counted: Counted) -> f64 {
+    pub fn covered(&self, maps: &[u32], counted: CountedCells) -> f64 {
         self.curve(maps, counted).last().copied().unwrap_or(0.0)
     }
 
@@ -294,10 +294,10 @@ mod tests {
     fn a_cell_is_covered_by_as_many_of_its_maps_as_fusion_wants() {
         let table = table();
         assert_eq!(
-            table.curve(&[2, 1, 0, 3], Counted::All),
+            table.curve(&[2, 1, 0, 3], CountedCells::All),
             [0.0, 0.0, 0.5, 0.9, 0.9]
         );
-        assert_eq!(table.covered(&[0, 2], Counted::Agreeing), 1.0);
+        assert_eq!(table.covered(&[0, 2], CountedCells::Agreeing), 1.0);
         assert_eq!(table.usable(), [0, 1, 2, 3, 5]);
     }
 }

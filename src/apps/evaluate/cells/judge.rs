@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::{
     CellSource,
-    incidence::{Counted, Incidence},
+    incidence::{CountedCells, Incidence},
     oracle,
 };
 use crate::{
@@ -80,8 +80,8 @@ impl CellsEvaluation {
         Self {
             source,
             maps: usable.len(),
-            all: orders(Counted::All),
-            agreeing: orders(Counted::Agreeing),
+            all: orders(CountedCells::All),
+            agreeing: orders(CountedCells::Agreeing),
         }
     }
 
@@ -95,7 +95,7 @@ impl CellsEvaluation {
 }
 
 impl CellOrders {
-    fn new(table: &Incidence, counted: Counted, named: &[(&'static str, Vec<u32>)]) -> Self {
+    fn new(table: &Incidence, counted: CountedCells, named: &[(&'static str, Vec<u32>)]) -> Self {
         let usable = table.usable();
         let of = |order: &Vec<u32>| table.curve(order, counted);
         let random: Vec<_> = (0..RANDOM_SEEDS)
@@ -170,7 +170,7 @@ fn least(curve: &[f64], share: f64) -> Option<usize> {
 
 /// Returns the shares of choices of 0, 1, ... maps, evenly spread over their names; they are not
 /// nested, so that a larger one may cover less.
-fn every_nth(table: &Incidence, counted: Counted, usable: &[u32], offset: f64) -> Vec<f64> {
+fn every_nth(table: &Incidence, counted: CountedCells, usable: &[u32], offset: f64) -> Vec<f64> {
     let mut by_name = usable.to_vec();
     by_name.sort_by_key(|&map| &table.names()[map as usize]);
     let choice = |number: usize| -> Vec<u32> {
@@ -211,7 +211,7 @@ mod tests {
         let names = (0..10).map(|name| name.to_string()).collect();
         let table = Incidence::new(names, (0..5).map(row).collect(), 2);
         let ours = vec![("ours", vec![1, 6, 0, 5, 2, 7, 3, 8, 4, 9])];
-        let judged = CellOrders::new(&table, Counted::All, &ours);
+        let judged = CellOrders::new(&table, CountedCells::All, &ours);
         let [ours, spread, .., oracle] = &judged.orders[..] else {
             unreachable!()
         };

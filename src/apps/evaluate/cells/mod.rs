@@ -6,12 +6,12 @@
 //! themselves ([`agreement`]). From then on it judges any order within seconds ([`judge`]).
 
 mod agreement;
+mod cloud_cells;
 mod fused;
 mod gsd;
 mod incidence;
 mod judge;
 mod oracle;
-mod places;
 mod words;
 
 use std::{
@@ -22,10 +22,10 @@ use std::{
 use serde::Serialize;
 
 pub use fused::FusedCloudError;
-pub use incidence::{Counted, Incidence, IncidenceError};
+pub use incidence::{CountedCells, Incidence, IncidenceError};
 pub use judge::{CellOrders, CellsEvaluation, JudgedOrder, NEEDED, TENTHS};
 
-use self::{gsd::PlaceGsd, places::Places};
+use self::{cloud_cells::CloudCells, gsd::PlaceGsd};
 use super::{
     orders,
     run::{EvaluateError, MeasuredClusters},
@@ -92,8 +92,8 @@ pub enum CellSource {
 }
 
 impl CellSource {
-    /// Returns the source in words.
-    pub fn words(&self) -> String {
+    /// Describes the source.
+    pub fn describe(&self) -> String {
         match self {
             Self::Cloud(path) => format!("the fused cloud {}", path.display()),
             Self::Maps => "the points on which these maps agree within 1 %".into(),
@@ -122,13 +122,13 @@ pub fn incidence(
     let support = stages.objective.support;
     let names = || views.iter().map(|&view| stages.scene.name(view).to_owned());
     if let Some((path, points)) = fused::find(&stages.scene, &views, &maps, support, cloud)? {
-        let places = Places::of(&points, &gsd, stages, watcher)?;
-        let table = places.incidence(&points, names().collect(), support, watcher)?;
+        let cells = CloudCells::of(&points, &gsd, stages, watcher)?;
+        let table = cells.incidence(&points, names().collect(), support, watcher)?;
         return Ok((table, CellSource::Cloud(path)));
     }
-    let points = agreement::Agreement::new(&stages.scene, &views, &maps, support, watcher)?;
-    let places = Places::of(&points, &gsd, stages, watcher)?;
-    let table = places.incidence(&points, names().collect(), support, watcher)?;
+    let points = agreement::ThinnedMaps::new(&stages.scene, &views, &maps, support, watcher)?;
+    let cells = CloudCells::of(&points, &gsd, stages, watcher)?;
+    let table = cells.incidence(&points, names().collect(), support, watcher)?;
     Ok((table, CellSource::Maps))
 }
 

@@ -1,6 +1,6 @@
 //! The best choice of maps, known only afterwards.
 
-use super::incidence::{Counted, Incidence};
+use super::incidence::{CountedCells, Incidence};
 
 /// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
 const CREDITS: [f64; 2] = [0.2, 1.0 / 3.0];
@@ -9,7 +9,7 @@ const CREDITS: [f64; 2] = [0.2, 1.0 / 3.0];
 const MOST_STEPS: usize = 1_000_000_000;
 
 /// Returns greedy orders by the real cells, one for each credit.
-pub fn orders(table: &Incidence, counted: Counted) -> Vec<Vec<u32>> {
+pub fn orders(table: &Incidence, counted: CountedCells) -> Vec<Vec<u32>> {
     CREDITS
         .iter()
         .map(|&credit| greedy(table, counted, credit))
@@ -17,7 +17,7 @@ pub fn orders(table: &Incidence, counted: Counted) -> Vec<Vec<u32>> {
 }
 
 /// The map next that adds most cells; ties by index.
-fn greedy(table: &Incidence, counted: Counted, credit: f64) -> Vec<u32> {
+fn greedy(table: &Incidence, counted: CountedCells, credit: f64) -> Vec<u32> {
     let value = |taken: u32| match table.support().checked_sub(taken + 1) {
         Some(0) if taken == 0 => 1.0,
         Some(0) => 1.0 - credit,
@@ -44,13 +44,18 @@ fn greedy(table: &Incidence, counted: Counted, credit: f64) -> Vec<u32> {
 
 /// Returns the largest share found for this number of maps: single maps of the greedy choices are
 /// exchanged until no exchange helps.
-pub fn best_of(table: &Incidence, counted: Counted, orders: &[Vec<u32>], number: usize) -> f64 {
+pub fn best_of(
+    table: &Incidence,
+    counted: CountedCells,
+    orders: &[Vec<u32>],
+    number: usize,
+) -> f64 {
     let choices = orders.iter().map(|order| &order[..number.min(order.len())]);
     let covered = choices.map(|choice| exchanged(table, counted, choice.to_vec()));
     covered.fold(0.0, f64::max)
 }
 
-fn exchanged(table: &Incidence, counted: Counted, mut chosen: Vec<u32>) -> f64 {
+fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> f64 {
     let weight = |row: u32| counted.of(&table.rows()[row as usize]);
     let mut taken = vec![0u32; table.rows().len()];
     for &map in &chosen {
@@ -135,8 +140,8 @@ mod tests {
         };
         let names = (0..5).map(|name| name.to_string()).collect();
         let table = Incidence::new(names, rows.map(row).into(), 2);
-        let orders = orders(&table, Counted::All);
-        assert_eq!(best_of(&table, Counted::All, &orders, 3), 12.0 / 17.0);
-        assert_eq!(best_of(&table, Counted::All, &orders, 0), 0.0);
+        let orders = orders(&table, CountedCells::All);
+        assert_eq!(best_of(&table, CountedCells::All, &orders, 3), 12.0 / 17.0);
+        assert_eq!(best_of(&table, CountedCells::All, &orders, 0), 0.0);
     }
 }

@@ -23,7 +23,7 @@ impl CellsEvaluation {
         };
         let cells = both.map(|kind| kind.cells);
         let mut lines = vec![
-            format!("cells of {}", self.source.words()),
+            format!("cells of {}", self.source.describe()),
             format!(
                 "  {:.0} cells of all {} maps, {:.0} where three maps agree",
                 cells[0], self.maps, cells[1]

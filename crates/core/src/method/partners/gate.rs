@@ -33,31 +33,31 @@ impl Gate {
 
     /// Returns why the pair cannot be matched; `None` if it can.
     pub fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
-        match self.obstacle(pair) {
+        match self.broken_limit(pair) {
             _ if pair.shared.is_empty() => Some(Reason::NoSharedPoints),
-            obstacle => obstacle.map(|_| Reason::NotMatchable),
+            limit => limit.map(|_| Reason::NotMatchable),
         }
     }
 
     /// Returns the first limit that the pair exceeds.
-    pub fn obstacle(&self, pair: &PairGeometry) -> Option<Obstacle> {
+    pub fn broken_limit(&self, pair: &PairGeometry) -> Option<PairLimit> {
         if pair.shared.len() < self.min_shared_points {
-            Some(Obstacle::FewSharedPoints)
+            Some(PairLimit::FewSharedPoints)
         } else if pair.angle_deg > self.max_angle_deg {
-            Some(Obstacle::LargeAngle)
+            Some(PairLimit::LargeAngle)
         } else if pair.angle_deg < self.min_angle_deg || pair.angle_deg.is_nan() {
-            Some(Obstacle::SmallAngle)
+            Some(PairLimit::SmallAngle)
         } else if pair.scale_octaves.abs() > self.max_scale_octaves || pair.scale_octaves.is_nan() {
-            Some(Obstacle::Scale)
+            Some(PairLimit::Scale)
         } else {
-            (!self.epipole_inside && pair.epipole_inside).then_some(Obstacle::Epipole)
+            (!self.epipole_inside && pair.epipole_inside).then_some(PairLimit::Epipole)
         }
     }
 }
 
 /// The limit of a [`Gate`] that a pair exceeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Obstacle {
+pub enum PairLimit {
     FewSharedPoints,
     SmallAngle,
     LargeAngle,

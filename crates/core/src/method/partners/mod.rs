@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use self::search::PartnerChoice;
 pub use self::{
     candidates::{CandidateSearch, Candidates, Limits, Refusal, Refuses, candidates, neighbours},
-    gate::Obstacle,
+    gate::PairLimit,
     pair::PairGeometry,
     settings::{GateSettings, PartnerMethod, PartnerSettings},
 };

@@ -123,7 +123,7 @@ impl Georeference {
     }
 
     /// Describes the coordinates for users.
-    pub fn words(&self) -> &'static str {
+    pub fn describe(&self) -> &'static str {
         match self {
             Self::Local => {
                 "a local frame, x to the right and y up the map, scene units: the model has no georeference \

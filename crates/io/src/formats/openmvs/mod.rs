@@ -57,7 +57,7 @@ pub struct Mvs {
 pub struct Platform {
     pub name: Vec<u8>,
     pub cameras: Vec<Camera>,
-    pub poses: Vec<Pose>,
+    pub poses: Vec<PlatformPose>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -73,7 +73,7 @@ pub struct Camera {
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Pose {
+pub struct PlatformPose {
     pub r: [f64; 9],
     pub c: [f64; 3],
 }
@@ -190,7 +190,7 @@ mod tests {
             ..Camera::default()
         };
         let poses = (0..3)
-            .map(|i| Pose {
+            .map(|i| PlatformPose {
                 r: [f64::from(i); 9],
                 c: [0.5; 3],
             })

@@ -8,7 +8,8 @@ use nom::{
 };
 
 use super::{
-    Camera, Image, Line, Mvs, NEWEST, NO_ID, NO_POSE, Platform, Pose, Vertex, VertexView, ViewScore,
+    Camera, Image, Line, Mvs, NEWEST, NO_ID, NO_POSE, Platform, PlatformPose, Vertex, VertexView,
+    ViewScore,
 };
 use crate::formats::{Fault, Place, Problem};
 
@@ -221,7 +222,7 @@ impl<'a> Reader<'a> {
             name: self.text("a platform's name")?,
             cameras: self.list("cameras", 176, Self::camera)?,
             poses: self.list("poses", 96, |r| {
-                Ok(Pose {
+                Ok(PlatformPose {
                     r: r.f64s("a pose")?,
                     c: r.f64s("a pose")?,
                 })

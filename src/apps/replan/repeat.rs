@@ -19,7 +19,7 @@ use crate::{
 
 /// Repeats the plan of the project's `viewrank/manifest.json`, by prediction alone (finished depth
 /// maps are ignored).
-pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
+pub fn repeat(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), RepeatError> {
     let (project, plan, _) = predicted(root, watcher)?;
     Ok((project, plan))
 }
@@ -31,7 +31,7 @@ pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), Agai
 pub fn as_written(
     root: &Path,
     watcher: &dyn Watcher,
-) -> Result<(Project, Plan, Vec<ExportRecord>), AgainError> {
+) -> Result<(Project, Plan, Vec<ExportRecord>), RepeatError> {
     let (project, plan, recorded) = predicted(root, watcher)?;
     let plan = if recorded.finished() > 0 {
         with_ranking(plan, &recorded, watcher)?
@@ -46,7 +46,7 @@ fn with_ranking(
     mut plan: Plan,
     recorded: &RecordedPlan,
     watcher: &dyn Watcher,
-) -> Result<Plan, AgainError> {
+) -> Result<Plan, RepeatError> {
     plan.keep_predictions();
     let Plan {
         stages, timings, ..
@@ -150,7 +150,7 @@ fn with_ranking(
 fn predicted(
     root: &Path,
     watcher: &dyn Watcher,
-) -> Result<(Project, Plan, RecordedPlan), AgainError> {
+) -> Result<(Project, Plan, RecordedPlan), RepeatError> {
     let (project, recorded) = RecordedPlan::open(root)?;
     let mut settings = recorded.settings.clone();
     if settings.backends.is_empty() {
@@ -174,7 +174,7 @@ fn predicted(
 
 /// An error of repeating a plan.
 #[derive(Debug, thiserror::Error)]
-pub enum AgainError {
+pub enum RepeatError {
     #[error(transparent)]
     Written(#[from] WrittenPlanError),
     #[error(transparent)]
@@ -183,7 +183,7 @@ pub enum AgainError {
     Table(#[from] TableError),
 }
 
-impl Hint for AgainError {
+impl Hint for RepeatError {
     fn hint(&self) -> Option<Advice> {
         match self {
             Self::Written(error) => error.hint(),

@@ -24,14 +24,14 @@ type Cube = (i16, [i64; 3]);
 
 /// Cells of a cloud: one for each cube with an edge of 2 `g_d` in which the cloud has a point; its
 /// centre is the first of them.
-pub struct Places {
+pub struct CloudCells {
     centres: Vec<Point3<f64>>,
     /// Index of the cell of each cube.
     cells: HashMap<Cube, u32>,
     octaves: BTreeSet<i16>,
 }
 
-impl Places {
+impl CloudCells {
     /// Finds the cells of the cloud that are inside the plan's region.
     pub fn of(
         cloud: &dyn FusedPoints,
