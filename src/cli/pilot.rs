@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::{Exit, Failure, arguments, config, next, print, progress::ProgressDisplay, use_threads, warn};
+use super::{
+    Exit, Failure, arguments, config, next, print, progress::ProgressDisplay, use_threads, warn,
+};
 use crate::{
     apps::planning,
     backends,

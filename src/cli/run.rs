@@ -139,7 +139,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             print([line])
         }
     };
-    say(format!("Backend: {} ({}).", backend.name, choice.describe()))?;
+    say(format!(
+        "Backend: {} ({}).",
+        backend.name,
+        choice.describe()
+    ))?;
     let own = project.root.clone();
     let scene = project.read_scene()?;
     let is_distorted = scene

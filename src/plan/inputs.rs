@@ -1,6 +1,8 @@
 //! What the stages of a plan start from: the scene, the settings in force, and what the images
 //! show before any is decoded.
 
+use std::sync::OnceLock;
+
 use super::{Matcher, PlanError, Timings, cached::Fingerprints, georeference, region};
 use crate::{
     base::progress::Stage,
@@ -25,6 +27,10 @@ pub(super) struct Inputs<'a> {
     pub matcher: &'a Matcher,
     /// In force: those chosen from the data or by the backend are filled in.
     pub settings: Settings,
+    /// True if `settings.image_scale` is the backend's default.
+    pub own_size: bool,
+    /// True if maps of half the size were requested, but the backend supports only one size.
+    pub refused_half: bool,
     pub scene: Scene,
     pub points: ViewPoints,
     /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
@@ -40,6 +46,7 @@ pub(super) struct Inputs<'a> {
     /// Views whose image is missing or unreadable, ascending.
     pub without_image: Vec<ViewIndex>,
     pub pictures: PictureFolders,
+    mask_bytes: OnceLock<u64>,
     /// How p_i is predicted (method 3.4).
     pub confidence: Confidence,
     /// The region of the settings, before it is laid over the surface.
@@ -57,6 +64,8 @@ impl<'a> Inputs<'a> {
         timings: &mut Timings,
     ) -> Result<Self, PlanError> {
         let given_units = settings.units;
+        let own_size = settings.image_scale.is_none();
+        let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
         let source = settings
             .confidence
             .source
@@ -92,7 +101,10 @@ impl<'a> Inputs<'a> {
         Ok(Self {
             matcher,
             settings,
+            own_size,
+            refused_half,
             pictures: PictureFolders::new(project).without(&without_image),
+            mask_bytes: OnceLock::new(),
             scene,
             points,
             image_gsd,
@@ -105,6 +117,14 @@ impl<'a> Inputs<'a> {
             region,
             fingerprints,
         })
+    }
+
+    /// Memory of reading the largest mask, bytes: from the headers of all, so it is looked up only
+    /// where masks or pictures are read.
+    pub fn most_mask_bytes(&self) -> u64 {
+        *self
+            .mask_bytes
+            .get_or_init(|| self.pictures.most_mask_bytes(&self.scene))
     }
 
     /// Parameters of f.

@@ -1,35 +1,37 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
-use std::{cell::LazyCell, sync::Arc};
+use std::sync::Arc;
 
 use super::{
     GroundSummary, Matcher, Memory, PlanError, Timings, UncutRanking, WorkPerMap,
-    cached::{self, Cached},
+    cached::{self, Cached, Filed, ResultFile, clusters::CachedClusters},
     inputs::Inputs,
-    pilot_maps::PilotMaps,
     step::Run,
-    steps::{self, ClustersStep, PilotStep, ShownStep, TwinsStep, UnaryStep},
+    steps::{self, ClustersStep, ShownStep, TwinsStep, UnaryStep, UnaryWithWarnings},
+    visible_surface::VisibleSurface,
 };
 use crate::{
     base::{large_pages, progress::Watcher},
     config::Settings,
-    decision::{CountedPlaces, PlacesRule, Tables},
+    decision::{CountedPlaces, FinishedPart, PlacesRule, Tables},
     io::project::{ImageFaults, Project},
     method::{
-        confidence::{Confidence, Sharpness},
-        fulfilment::Model,
+        confidence::{Agreement, NO_AGREEMENT, Sharpness},
+        fulfilment::{FulfilmentTable, Model},
         geometry::Geometry,
-        pilot::Thumbnails,
+        partners::Candidates,
+        pilot::{Places, Thumbnails},
         ranking::Objective,
         region::{Ground, Region},
         surface::{Surface, SurfaceStats},
         target::Target,
+        twins::Twin,
         visibility::Shown,
     },
     model::{
         cluster::{MapScale, ViewCluster},
         georeference::Georeference,
-        scene::Scene,
+        scene::{Scene, ViewIndex},
     },
 };
 
@@ -84,172 +86,87 @@ impl Stages {
         timings: &mut Timings,
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
-        let own_size = settings.image_scale.is_none();
-        let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
         let mut run = Run { timings, watcher };
         let mut inputs = Inputs::new(project, scene, settings, matcher, run.timings)?;
         let pixels = inputs.most_pixels;
         let mut memory =
             Memory::before_surface(&inputs.scene, &mut inputs.settings, pixels, watcher)?;
 
-        let (twins_file, twins) = run.step(TwinsStep { inputs: &inputs })?;
-        let ((surface_file, seen), (candidates_file, candidates)) =
+        let twins = run.step(TwinsStep { inputs: &inputs })?;
+        let (seen, candidates) =
             steps::surface_and_candidates(&inputs, &twins, &mut memory, &mut run)?;
         memory.before_partners(&inputs.scene, &seen.surface, &seen.visibility)?;
 
-        let (shown_file, shown) = run.step(ShownStep {
+        let shown = run.step(ShownStep {
             inputs: &inputs,
-            surface_file: &surface_file,
             seen: &seen,
         })?;
-        let (region, ground) = steps::region(&mut inputs, &twins, &seen, &shown, &mut run)?.unzip();
+        let (region, ground) = steps::region(&mut inputs, &twins, &seen, &shown, &mut run)?;
         let inputs = inputs;
-        let settings = &inputs.settings;
-        let target = Target::new(&shown, &settings.target, seen.gsd, settings.image_scale());
-        let target = match &region {
-            Some(region) => target.with_wishes(region),
-            None => target,
-        };
+        let target = target(&inputs, seen.gsd, &shown, region.as_ref());
         let objective = objective(&inputs, &seen.surface, &shown, region.as_ref());
         let geometry = Geometry {
             scene: &inputs.scene,
             surface: &seen.surface,
             visibility: &seen.visibility,
             target: &target,
-            image_scale: settings.image_scale(),
+            image_scale: inputs.settings.image_scale(),
         };
         seen.visibility.triangles.release();
         large_pages::return_freed_memory();
 
-        // Read from their headers, where masks or pictures have to be read.
-        let mask_bytes = LazyCell::new(|| inputs.pictures.most_mask_bytes(&inputs.scene));
-        let (unary_file, (unary, mut picture_warnings)) = run.step(UnaryStep {
+        let unary = run.step(UnaryStep {
             inputs: &inputs,
-            surface_file: &surface_file,
+            surface_file: &seen.file,
             geometry,
             memory: &mut memory,
-            mask_bytes: &|| *mask_bytes,
         })?;
-        let room = || memory.before_pictures(&geometry, *mask_bytes);
         let thumbnails = Thumbnails::new(inputs.scene.views.len());
-        let compared =
-            steps::agreement(&inputs, &geometry, &candidates, room, &thumbnails, &mut run)?;
-        let (agreement_file, agreement) = compared.unzip();
-        let agreement = agreement.unwrap_or_default();
-        picture_warnings.extend(agreement.warnings.iter().cloned());
+        let compared = steps::agreement(
+            &inputs,
+            &geometry,
+            &candidates,
+            &mut memory,
+            &thumbnails,
+            &mut run,
+        )?;
+        let agreement = compared.as_deref().unwrap_or(&NO_AGREEMENT);
 
-        let model = Model::new(geometry, &unary, &agreement, inputs.rule());
-        let rule = model.rule;
-        let (clusters_file, (clusters, fulfilment, half)) = run.step(ClustersStep {
+        let clusters = run.step(ClustersStep {
             inputs: &inputs,
-            from: [&surface_file, &candidates_file, &unary_file],
-            agreement_file: agreement_file.as_ref(),
-            model,
+            from: [&seen.file, &candidates.file, &unary.file],
+            agreement_file: compared.as_ref().map(|compared| &compared.file),
+            model: Model::new(geometry, &unary.unary, agreement, inputs.rule()),
             candidates: &candidates,
         })?;
         large_pages::return_freed_memory();
+        let support = objective.support;
+        let places = steps::pilot(
+            &inputs,
+            &clusters,
+            support,
+            thumbnails,
+            &mut memory,
+            &mut run,
+        )?;
 
-        // Where fusion keeps what a single map shows, how well it shows it is all that counts.
-        let is_agreement_wanted = objective.support > 1;
-        let has_pictures = matches!(inputs.confidence, Confidence::Photometric { .. })
-            && inputs.pictures.have_images();
-        let made = settings.pilot.maps.as_deref();
-        let made = made.map(|folder| PilotMaps::find(folder, &inputs.scene));
-        let made = made.transpose()?;
-        let seen_in_thumbnails = match (has_pictures || made.is_some()) && is_agreement_wanted {
-            true => Some(run.step(PilotStep {
-                inputs: &inputs,
-                clusters_file: &clusters_file,
-                clusters: &clusters,
-                made: made.as_ref(),
-                thumbnails,
-                memory: &mut memory,
-            })?),
-            false => None,
+        let found = Found {
+            twins,
+            seen,
+            candidates,
+            shown,
+            region,
+            ground,
+            target,
+            objective,
+            unary,
+            agreement: compared,
+            clusters,
+            places,
         };
-        let (pilot_file, places) = seen_in_thumbnails.unzip();
-        let rule_of_places = PlacesRule {
-            surface: &seen.surface,
-            region: region.as_ref(),
-            objective: &objective,
-            weight: settings.ranking.weight,
-            half_worth: settings.ranking.half_worth,
-            sharpness: Sharpness::new(&inputs.scene, &agreement.detail),
-        };
-        let pilot = places.and_then(|places| {
-            let predicted = (&fulfilment, half.as_ref());
-            CountedPlaces::new(Arc::new(places), &clusters, predicted, &rule_of_places)
-        });
-        let per_map = matcher.numbers.work;
-        let work: Vec<_> = clusters
-            .iter()
-            .map(|cluster| work(&inputs.scene, settings.image_scale(), per_map, cluster))
-            .collect();
-
-        let factors = region.as_ref().map(|region| &region.factors[..]);
-        let from = pilot_file.as_ref().unwrap_or(&clusters_file);
-        let file = inputs
-            .fingerprints
-            .ranking(settings, &from.file, &objective, factors, &work);
-        let triangles = seen.surface.triangles.len();
-        let (ranking_file, known_ranking) = cached::read(file, |(), bytes| {
-            cached::ranking::unpack(bytes, clusters.len(), triangles)
-        });
+        let stages = found.into_stages(inputs, memory);
         watcher.check()?;
-
-        let mut without_image = inputs.without_image;
-        without_image.extend(&agreement.rejected);
-        without_image.sort_unstable();
-        Ok(Self {
-            own_size,
-            mixes_sizes: matcher.mixes_sizes,
-            makes_maps: matcher.makes_maps,
-            refused_half,
-            backend: matcher.name,
-            image_gsd: inputs.image_gsd,
-            place: inputs.place,
-            metres: inputs.metres,
-            ground: ground.flatten(),
-            image_faults: inputs.image_faults,
-            settings: inputs.settings,
-            surface_stats: seen.stats,
-            picture_warnings,
-            tables: Tables {
-                scene: inputs.scene,
-                surface: seen.surface,
-                visibility: seen.visibility,
-                shown,
-                region,
-                target,
-                without_image,
-                twins,
-                candidates,
-                unary,
-                agreement,
-                rule,
-                objective,
-                clusters,
-                fulfilment,
-                half,
-                pilot,
-                work,
-            },
-            per_map,
-            known_ranking,
-            cached: Cached {
-                twins: twins_file,
-                surface: surface_file,
-                shown: shown_file,
-                candidates: candidates_file,
-                unary: unary_file,
-                agreement: agreement_file,
-                clusters: clusters_file,
-                pilot: pilot_file,
-                ranking: ranking_file,
-                made: None,
-            },
-            memory,
-        })
+        Ok(stages)
     }
 
     /// The area of the region in numbers.
@@ -258,13 +175,32 @@ impl Stages {
         Some(GroundSummary::new(ground, true))
     }
 
-    /// Returns the work of each cluster's map at full and at half size.
-    pub fn work_of(&self, clusters: &[ViewCluster]) -> Vec<[f64; 2]> {
+    /// Returns the stages with other clusters, their fulfilment, and that at half the size.
+    /// `finished` returns what is measured of a view.
+    pub fn with_clusters<'f>(
+        self,
+        clusters: Vec<ViewCluster>,
+        fulfilment: FulfilmentTable,
+        half: Option<FulfilmentTable>,
+        finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
+    ) -> Self {
         let scale = self.settings.image_scale();
-        clusters
-            .iter()
-            .map(|cluster| work(&self.scene, scale, self.per_map, cluster))
-            .collect()
+        let work = work(&self.scene, scale, self.per_map, &clusters);
+        let predicted = (&fulfilment, half.as_ref());
+        let pilot = self.pilot.as_ref();
+        let pilot = pilot.map(|pilot| pilot.of_clusters(&clusters, predicted, finished));
+        Self {
+            tables: Tables {
+                pilot,
+                clusters,
+                fulfilment,
+                half,
+                work,
+                ..self.tables
+            },
+            known_ranking: None,
+            ..self
+        }
     }
 }
 
@@ -276,12 +212,164 @@ impl std::ops::Deref for Stages {
     }
 }
 
-/// Returns the work of a cluster's map at full and at half size.
-fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster) -> [f64; 2] {
-    let camera = scene.camera_of(cluster.key);
-    let megapixels = f64::from(camera.width) * f64::from(camera.height) * image_scale.powi(2) / 1e6;
-    [MapScale::Full, MapScale::Half]
-        .map(|scale| work.map_work(megapixels * scale.factor().powi(2), cluster.partners.len()))
+/// What the stages have found, with the files that it is cached in.
+struct Found {
+    twins: Filed<Vec<Twin>>,
+    seen: Filed<VisibleSurface>,
+    candidates: Filed<Candidates>,
+    shown: Filed<Shown>,
+    region: Option<Region>,
+    ground: Option<Ground>,
+    target: Target,
+    objective: Objective,
+    unary: Filed<UnaryWithWarnings>,
+    agreement: Option<Filed<Agreement>>,
+    clusters: Filed<CachedClusters>,
+    places: Option<Filed<Places>>,
+}
+
+impl Found {
+    fn into_stages(mut self, inputs: Inputs, memory: Memory) -> Stages {
+        let (pilot_file, places) = self.places.take().map(Filed::into_parts).unzip();
+        let pilot = places.and_then(|places| self.counted(places, &inputs));
+        let (scale, per_map) = (inputs.settings.image_scale(), inputs.matcher.numbers.work);
+        let work = work(&inputs.scene, scale, per_map, &self.clusters.clusters);
+        let ranking = self.known_ranking(pilot_file.as_ref(), &inputs, &work);
+
+        let (agreement_file, agreement) = self.agreement.map(Filed::into_parts).unzip();
+        let agreement = agreement.unwrap_or_default();
+        let mut picture_warnings = self.unary.result.warnings;
+        picture_warnings.extend(agreement.warnings.iter().cloned());
+        let rule = inputs.rule();
+        let mut without_image = inputs.without_image;
+        without_image.extend(&agreement.rejected);
+        without_image.sort_unstable();
+
+        let seen = self.seen.result;
+        let clusters = self.clusters.result;
+        Stages {
+            own_size: inputs.own_size,
+            mixes_sizes: inputs.matcher.mixes_sizes,
+            makes_maps: inputs.matcher.makes_maps,
+            refused_half: inputs.refused_half,
+            backend: inputs.matcher.name,
+            image_gsd: inputs.image_gsd,
+            place: inputs.place,
+            metres: inputs.metres,
+            ground: self.ground,
+            image_faults: inputs.image_faults,
+            settings: inputs.settings,
+            surface_stats: seen.stats,
+            picture_warnings,
+            tables: Tables {
+                scene: inputs.scene,
+                surface: seen.surface,
+                visibility: seen.visibility,
+                shown: self.shown.result,
+                region: self.region,
+                target: self.target,
+                without_image,
+                twins: self.twins.result,
+                candidates: self.candidates.result,
+                unary: self.unary.result.unary,
+                agreement,
+                rule,
+                objective: self.objective,
+                clusters: clusters.clusters,
+                fulfilment: clusters.fulfilment,
+                half: clusters.half,
+                pilot,
+                work,
+            },
+            per_map,
+            known_ranking: ranking.result,
+            cached: Cached {
+                twins: self.twins.file,
+                surface: self.seen.file,
+                shown: self.shown.file,
+                candidates: self.candidates.file,
+                unary: self.unary.file,
+                agreement: agreement_file,
+                clusters: self.clusters.file,
+                pilot: pilot_file,
+                ranking: ranking.file,
+                made: None,
+            },
+            memory,
+        }
+    }
+
+    /// Weighs the places of the pilot; `None` if none counts.
+    fn counted(&self, places: Places, inputs: &Inputs) -> Option<CountedPlaces> {
+        let agreement = self.agreement.as_deref().unwrap_or(&NO_AGREEMENT);
+        let settings = &inputs.settings.ranking;
+        let rule = PlacesRule {
+            surface: &self.seen.surface,
+            region: self.region.as_ref(),
+            objective: &self.objective,
+            weight: settings.weight,
+            half_worth: settings.half_worth,
+            sharpness: Sharpness::new(&inputs.scene, &agreement.detail),
+        };
+        let Filed { result, .. } = &self.clusters;
+        CountedPlaces::new(
+            Arc::new(places),
+            &result.clusters,
+            result.predicted(),
+            &rule,
+        )
+    }
+
+    /// Returns the ranking of an earlier plan that ranked the same.
+    fn known_ranking(
+        &self,
+        pilot_file: Option<&ResultFile>,
+        inputs: &Inputs,
+        work: &[[f64; 2]],
+    ) -> Filed<Option<UncutRanking>> {
+        let from = pilot_file.unwrap_or(&self.clusters.file);
+        let factors = self.region.as_ref().map(|region| &region.factors[..]);
+        let file = inputs.fingerprints.ranking(
+            &inputs.settings,
+            &from.file,
+            &self.objective,
+            factors,
+            work,
+        );
+        let clusters = self.clusters.clusters.len();
+        let triangles = self.seen.surface.triangles.len();
+        cached::read(file, |(), bytes| {
+            cached::ranking::unpack(bytes, clusters, triangles)
+        })
+    }
+}
+
+/// Returns the work of each cluster's map at full and at half size.
+fn work(
+    scene: &Scene,
+    image_scale: f64,
+    per_map: WorkPerMap,
+    clusters: &[ViewCluster],
+) -> Vec<[f64; 2]> {
+    let of_cluster = |cluster: &ViewCluster| {
+        let camera = scene.camera_of(cluster.key);
+        let pixels = f64::from(camera.width) * f64::from(camera.height);
+        let megapixels = pixels * image_scale.powi(2) / 1e6;
+        [MapScale::Full, MapScale::Half].map(|scale| {
+            per_map.map_work(megapixels * scale.factor().powi(2), cluster.partners.len())
+        })
+    };
+    clusters.iter().map(of_cluster).collect()
+}
+
+/// Returns what is wanted of each triangle (method 3.6), with the wishes of the region.
+fn target(inputs: &Inputs, gsd: f64, shown: &Shown, region: Option<&Region>) -> Target {
+    let settings = &inputs.settings;
+    let target = Target::new(shown, &settings.target, gsd, settings.image_scale());
+    match region {
+        Some(region) => target.with_wishes(region),
+        None => target,
+    }
 }
 
 /// Returns the objective of the settings (method 5.1).

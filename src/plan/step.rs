@@ -40,11 +40,8 @@ impl Run<'_> {
     pub fn step<S: Step>(&mut self, step: S) -> Result<Filed<S::Output>, PlanError> {
         self.watcher.check()?;
         self.timings.time(S::STAGE, || {
-            let known = cached::read(step.file(), |facts, bytes| step.unpack(facts, bytes));
-            Ok(match known {
-                (file, Some(known)) => (file, known),
-                (file, None) => (file, step.compute(self.watcher)?),
-            })
+            cached::read(step.file(), |facts, bytes| step.unpack(facts, bytes))
+                .or_compute(|| step.compute(self.watcher))
         })
     }
 }

@@ -12,9 +12,7 @@ use crate::{
     base::progress::{Cancelled, Stage, Watcher},
     io::cache::CacheFile,
     method::{
-        confidence::{
-            self, Agreement, Confidence, ProgramReach, ReachOfPartner, SampleRoom, Unary,
-        },
+        confidence::{self, Agreement, Confidence, ProgramReach, ReachOfPartner, Unary},
         fulfilment::{self, Model},
         geometry::Geometry,
         partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
@@ -86,7 +84,7 @@ pub(super) fn surface_and_candidates(
     let file = inputs
         .fingerprints
         .candidates(settings, program, &gate, (without_image, twins));
-    let (file, known) = cached::read(file, |(), bytes| {
+    let known = cached::read(file, |(), bytes| {
         cached::candidates::unpack(bytes, scene.views.len())
     });
     let takes_no_part = |view: &ViewIndex| {
@@ -115,23 +113,17 @@ pub(super) fn surface_and_candidates(
         jobs.spawn_fifo(|_| {
             surface = VisibleSurface::cached_or_new(inputs, watcher, run.timings, memory)
         });
-        if known.is_none() {
+        if known.result.is_none() {
             search.start(jobs);
         }
     });
-    let surface = surface?;
-    let candidates = match known {
-        Some(candidates) => candidates,
-        None => search.finish()?,
-    };
-    Ok((surface, (file, candidates)))
+    Ok((surface?, known.or_compute(|| search.finish())?))
 }
 
 /// Number of views, pixels and finest GSD of each triangle.
 pub(super) struct ShownStep<'a> {
     pub inputs: &'a Inputs<'a>,
-    pub surface_file: &'a ResultFile,
-    pub seen: &'a VisibleSurface,
+    pub seen: &'a Filed<VisibleSurface>,
 }
 
 impl Step for ShownStep<'_> {
@@ -140,7 +132,7 @@ impl Step for ShownStep<'_> {
     type Output = Shown;
 
     fn file(&self) -> CacheFile {
-        self.inputs.fingerprints.shown(&self.surface_file.file)
+        self.inputs.fingerprints.shown(&self.seen.file.file)
     }
 
     fn unpack(&self, (): (), bytes: &[u8]) -> Option<Shown> {
@@ -153,7 +145,7 @@ impl Step for ShownStep<'_> {
             surface,
             visibility,
             ..
-        } = self.seen;
+        } = &**self.seen;
         Ok(Shown::new(&self.inputs.scene, surface, visibility))
     }
 }
@@ -165,9 +157,9 @@ pub(super) fn region(
     seen: &VisibleSurface,
     shown: &Shown,
     run: &mut Run,
-) -> Result<Option<(Region, Option<Ground>)>, PlanError> {
+) -> Result<(Option<Region>, Option<Ground>), PlanError> {
     let Some(region) = inputs.region.take() else {
-        return Ok(None);
+        return Ok((None, None));
     };
     let watcher = run.watcher;
     run.timings.time(Stage::Visibility, || {
@@ -193,24 +185,28 @@ pub(super) fn region(
             Some(area) => Ground::new(area, &photographed, &frame, watcher)?,
             None => None,
         };
-        Ok(Some((laid_over, ground)))
+        Ok((Some(laid_over), ground))
     })
 }
 
-/// Unary confidence of each row of the visibility, and warnings of masks that cannot be used.
+/// Unary confidence of each row of the visibility.
 pub(super) struct UnaryStep<'a> {
     pub inputs: &'a Inputs<'a>,
     pub surface_file: &'a ResultFile,
     pub geometry: Geometry<'a>,
     pub memory: &'a mut Memory,
-    /// Returns the memory of reading the largest mask, bytes.
-    pub mask_bytes: &'a dyn Fn() -> u64,
+}
+
+pub(super) struct UnaryWithWarnings {
+    pub unary: Unary,
+    /// A sentence for each mask that cannot be used.
+    pub warnings: Vec<String>,
 }
 
 impl Step for UnaryStep<'_> {
     const STAGE: Stage = Stage::Confidence;
     type Facts = Vec<String>;
-    type Output = (Unary, Vec<String>);
+    type Output = UnaryWithWarnings;
 
     fn file(&self) -> CacheFile {
         let Inputs {
@@ -225,7 +221,8 @@ impl Step for UnaryStep<'_> {
 
     fn unpack(&self, warnings: Vec<String>, bytes: &[u8]) -> Option<Self::Output> {
         let rows = self.geometry.visibility.triangles.len();
-        Some((cached::unary::unpack(bytes, rows)?, warnings))
+        let unary = cached::unary::unpack(bytes, rows)?;
+        Some(UnaryWithWarnings { unary, warnings })
     }
 
     fn compute(self, watcher: &dyn Watcher) -> Result<Self::Output, PlanError> {
@@ -237,11 +234,15 @@ impl Step for UnaryStep<'_> {
         } = self.inputs;
         let geometry = &self.geometry;
         if let Confidence::None = confidence {
-            return Ok((Unary::certain(), Vec::new()));
+            return Ok(UnaryWithWarnings {
+                unary: Unary::certain(),
+                warnings: Vec::new(),
+            });
         }
         let unused = pictures.unused_masks(geometry.scene);
         let (masks, faults) = if pictures.have_masks() && unused.is_none() {
-            let views_at_once = self.memory.before_masks(geometry, (self.mask_bytes)())?;
+            let mask_bytes = self.inputs.most_mask_bytes();
+            let views_at_once = self.memory.before_masks(geometry, mask_bytes)?;
             Unary::of_masks(geometry, pictures, views_at_once, watcher)?
         } else {
             Default::default()
@@ -259,10 +260,10 @@ impl Step for UnaryStep<'_> {
             _ => confidence::picture_warnings(scene, &faults, confidence::ALL_COUNTS),
         };
         let unused = unused.map(|[what, cure]| format!("{what}: {cure}"));
-        Ok((
-            nearby.within(masks),
-            unused.into_iter().chain(broken).collect(),
-        ))
+        Ok(UnaryWithWarnings {
+            unary: nearby.within(masks),
+            warnings: unused.into_iter().chain(broken).collect(),
+        })
     }
 }
 
@@ -272,7 +273,7 @@ pub(super) fn agreement(
     inputs: &Inputs,
     geometry: &Geometry,
     candidates: &Candidates,
-    room: impl FnOnce() -> Result<SampleRoom, PlanError>,
+    memory: &mut Memory,
     thumbnails: &Thumbnails,
     run: &mut Run,
 ) -> Result<Option<Filed<Agreement>>, PlanError> {
@@ -303,17 +304,13 @@ pub(super) fn agreement(
     let watcher = run.watcher;
     run.timings.time(Stage::Confidence, || {
         let file = cached::agreement::file(geometry, pictures, partners, reach.program);
-        Ok(Some(
-            match cached::agreement::read(file, geometry, partners)? {
-                (file, Some(agreement)) => (file, agreement),
-                (file, None) => {
-                    let pictures = thumbnails.beside(pictures);
-                    let agreement =
-                        Agreement::new(geometry, &pictures, partners, &reach, room()?, watcher)?;
-                    (file, agreement)
-                }
-            },
-        ))
+        let compared = cached::agreement::read(file, geometry, partners)?.or_compute(|| {
+            let pictures = thumbnails.beside(pictures);
+            let room = memory.before_pictures(geometry, inputs.most_mask_bytes())?;
+            let agreement = Agreement::new(geometry, &pictures, partners, &reach, room, watcher)?;
+            Ok::<_, PlanError>(agreement)
+        });
+        compared.map(Some)
     })
 }
 
@@ -363,24 +360,63 @@ impl Step for ClustersStep<'_> {
             watcher,
         )?;
         if !settings.ranking.has_half() {
-            return Ok((clusters, fulfilment, None));
+            return Ok(CachedClusters {
+                clusters,
+                fulfilment,
+                half: None,
+            });
         }
         let worth = settings.ranking.half_worth;
         let half = fulfilment::half_size(model, &clusters, &fulfilment, worth, watcher)?;
-        Ok((clusters, fulfilment, Some(half)))
+        Ok(CachedClusters {
+            clusters,
+            fulfilment,
+            half: Some(half),
+        })
     }
 }
 
+/// Returns the places that a pilot finds, if there are maps or pictures to find them in, and fusion
+/// wants `support` maps to agree.
+pub(super) fn pilot(
+    inputs: &Inputs,
+    clusters: &Filed<CachedClusters>,
+    support: u32,
+    thumbnails: Thumbnails,
+    memory: &mut Memory,
+    run: &mut Run,
+) -> Result<Option<Filed<Places>>, PlanError> {
+    let folder = inputs.settings.pilot.maps.as_deref();
+    let made = folder.map(|folder| PilotMaps::find(folder, &inputs.scene));
+    let made = made.transpose()?;
+    let has_pictures = matches!(inputs.confidence, Confidence::Photometric { .. })
+        && inputs.pictures.have_images();
+    // Where fusion keeps what a single map shows, how well it shows it is all that counts.
+    let is_agreement_wanted = support > 1;
+    if !is_agreement_wanted || !(has_pictures || made.is_some()) {
+        return Ok(None);
+    }
+    let places = run.step(PilotStep {
+        inputs,
+        clusters_file: &clusters.file,
+        clusters: &clusters.clusters,
+        made: made.as_ref(),
+        thumbnails,
+        memory,
+    })?;
+    Ok(Some(places))
+}
+
 /// The places on which the maps of the clusters in thumbnails agree.
-pub(super) struct PilotStep<'a> {
-    pub inputs: &'a Inputs<'a>,
-    pub clusters_file: &'a ResultFile,
-    pub clusters: &'a [ViewCluster],
+struct PilotStep<'a> {
+    inputs: &'a Inputs<'a>,
+    clusters_file: &'a ResultFile,
+    clusters: &'a [ViewCluster],
     /// Maps of the program, which take the place of own ones.
-    pub made: Option<&'a PilotMaps>,
+    made: Option<&'a PilotMaps>,
     /// Those that were taken while pictures were compared.
-    pub thumbnails: Thumbnails,
-    pub memory: &'a mut Memory,
+    thumbnails: Thumbnails,
+    memory: &'a mut Memory,
 }
 
 impl Step for PilotStep<'_> {

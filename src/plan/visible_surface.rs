@@ -38,31 +38,29 @@ impl VisibleSurface {
     ) -> Result<Filed<Self>, PlanError> {
         let settings = &inputs.settings;
         let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
-        let (slot, found) = timings.time(Stage::Surface, || {
+        let Filed { file, result } = timings.time(Stage::Surface, || {
             let file = inputs.fingerprints.surface(settings, memory);
             cached::read(file, |facts, bytes| {
                 CachedSurface::unpack(facts, bytes, inputs.scene.views.len())
             })
         });
-        match found {
+        let result = match result {
             Some(CachedSurface {
                 surface,
                 stats,
                 visibility,
             }) => {
                 memory.with_visibility(&surface, &visibility);
-                Ok((
-                    slot,
-                    Self {
-                        surface,
-                        stats,
-                        visibility,
-                        gsd,
-                    },
-                ))
+                Self {
+                    surface,
+                    stats,
+                    visibility,
+                    gsd,
+                }
             }
-            None => Ok((slot, Self::new(inputs, gsd, watcher, timings, memory)?)),
-        }
+            None => Self::new(inputs, gsd, watcher, timings, memory)?,
+        };
+        Ok(Filed { file, result })
     }
 
     fn new(

@@ -24,7 +24,6 @@ use crate::{
         input,
         progress::{Cancelled, Watcher},
     },
-    decision::Tables,
     io::{
         depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
         project::Project,
@@ -233,26 +232,8 @@ fn with_finished(
         )
     };
     let order = run.order.iter().map(map).collect();
-    let work = stages.work_of(&clusters);
-    let pilot = stages.pilot.as_ref().map(|pilot| {
-        let predicted = (&fulfilment, half.as_ref());
-        pilot.of_clusters(&clusters, predicted, &|view| run.finished(view))
-    });
-    Ok((
-        Stages {
-            tables: Tables {
-                pilot,
-                clusters,
-                fulfilment,
-                half,
-                work,
-                ..stages.tables
-            },
-            known_ranking: None,
-            ..stages
-        },
-        order,
-    ))
+    let stages = stages.with_clusters(clusters, fulfilment, half, &|view| run.finished(view));
+    Ok((stages, order))
 }
 
 /// Indices of a key view's cluster in the run and in the plan.

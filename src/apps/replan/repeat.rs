@@ -10,10 +10,9 @@ use crate::{
         error::{Advice, Hint},
         progress::Watcher,
     },
-    decision::Tables,
     io::project::Project,
     method::{fulfilment, ranking::Ranking},
-    model::{cluster::ViewCluster, scene::ViewIndex},
+    model::cluster::{RankedCluster, ViewCluster},
     show::manifest::{RecordedPlan, WrittenPlanError, warnings_with},
 };
 
@@ -52,99 +51,72 @@ fn with_ranking(
         stages, timings, ..
     } = plan;
     let ranked = recorded.ranked(&stages.scene)?;
-    let order: Vec<ViewIndex> = ranked.iter().map(|cluster| cluster.key).collect();
-    let written = ranked.into_iter().map(|c| (c.key, c.partners));
-    let partners: BTreeMap<_, _> = stages
-        .clusters
-        .iter()
-        .map(|c| (c.key, c.partners.clone()))
-        .chain(written)
-        .collect();
-    let clusters: Vec<_> = partners
-        .into_iter()
-        .map(|(key, partners)| ViewCluster { key, partners })
-        .collect();
-    let fulfilment = fulfilment::table(&stages.model(), &clusters, watcher)?;
-    let half = match &stages.half {
-        Some(_) => {
-            let worth = stages.settings.ranking.half_worth;
-            Some(fulfilment::half_size(
-                &stages.model(),
-                &clusters,
-                &fulfilment,
-                worth,
-                watcher,
-            )?)
-        }
-        None => None,
-    };
-    let work = stages.work_of(&clusters);
-    let pilot = stages
-        .pilot
-        .as_ref()
-        .map(|pilot| pilot.of_clusters(&clusters, (&fulfilment, half.as_ref()), &|_| None));
-    let stages = Stages {
-        tables: Tables {
-            pilot,
-            clusters,
-            fulfilment,
-            half,
-            work,
-            ..stages.tables
-        },
-        known_ranking: None,
-        ..stages
-    };
-    let place = |key: &ViewIndex| {
-        stages
-            .clusters
-            .binary_search_by_key(key, |cluster| cluster.key)
-            .ok()
-    };
-    let ranking = Ranking {
-        order: order.iter().filter_map(place).map(|c| c as u32).collect(),
-        scales: recorded
-            .clusters
-            .iter()
-            .map(|cluster| cluster.scale)
-            .collect(),
-        gains: recorded
-            .clusters
-            .iter()
-            .map(|cluster| cluster.gain)
-            .collect(),
-        fulfilment: recorded
-            .clusters
-            .iter()
-            .map(|cluster| cluster.fulfilment)
-            .collect(),
-        kept: recorded
-            .clusters
-            .iter()
-            .map(|cluster| cluster.share * recorded.cut.reachable)
-            .collect(),
-        reachable: recorded.cut.reachable,
-    };
-    let finished = FinishedMaps {
-        outdated: recorded.outdated.clone(),
-        ..FinishedMaps::default()
-    };
+    let stages = with_ranked_clusters(stages, &ranked, watcher)?;
+    let ranking = recorded_ranking(recorded, &ranked, &stages.clusters);
     let cut = Cut {
         clusters: recorded.cut.clusters.min(ranking.order.len()),
         ..recorded.cut
     };
-    let mut decision = decide_as(
-        &stages,
-        recorded.finished(),
-        UncutRanking::new(&stages, ranking),
-        cut,
-    )?;
+    let ranking = UncutRanking::new(&stages, ranking);
+    let mut decision = decide_as(&stages, recorded.finished(), ranking, cut)?;
     for written in &recorded.views {
         if let Some(view) = stages.scene.find(&written.name) {
             decision.views[view.index()] = (written.status, written.reason);
         }
     }
+    let finished = FinishedMaps {
+        outdated: recorded.outdated.clone(),
+        ..FinishedMaps::default()
+    };
     Ok(Plan::of(stages, decision, finished, timings))
+}
+
+/// Returns the stages with the ranked clusters, and their own of the other key views.
+fn with_ranked_clusters(
+    stages: Stages,
+    ranked: &[RankedCluster],
+    watcher: &dyn Watcher,
+) -> Result<Stages, RepeatError> {
+    let own = stages.clusters.iter().map(|c| (c.key, &c.partners));
+    let written = ranked.iter().map(|c| (c.key, &c.partners));
+    let partners: BTreeMap<_, _> = own.chain(written).collect();
+    let clusters: Vec<_> = partners
+        .into_iter()
+        .map(|(key, partners)| ViewCluster {
+            key,
+            partners: partners.clone(),
+        })
+        .collect();
+    let (model, worth) = (stages.model(), stages.settings.ranking.half_worth);
+    let full = fulfilment::table(&model, &clusters, watcher)?;
+    let half = match &stages.half {
+        Some(_) => Some(fulfilment::half_size(
+            &model, &clusters, &full, worth, watcher,
+        )?),
+        None => None,
+    };
+    Ok(stages.with_clusters(clusters, full, half, &|_| None))
+}
+
+/// Returns the ranking as recorded, of these clusters.
+fn recorded_ranking(
+    recorded: &RecordedPlan,
+    ranked: &[RankedCluster],
+    clusters: &[ViewCluster],
+) -> Ranking {
+    let place = |ranked: &RankedCluster| {
+        let place = clusters.binary_search_by_key(&ranked.key, |cluster| cluster.key);
+        place.ok().map(|c| c as u32)
+    };
+    let (written, reachable) = (&recorded.clusters, recorded.cut.reachable);
+    Ranking {
+        order: ranked.iter().filter_map(place).collect(),
+        scales: written.iter().map(|c| c.scale).collect(),
+        gains: written.iter().map(|c| c.gain).collect(),
+        fulfilment: written.iter().map(|c| c.fulfilment).collect(),
+        kept: written.iter().map(|c| c.share * reachable).collect(),
+        reachable,
+    }
 }
 
 fn predicted(

@@ -7,7 +7,9 @@ use nalgebra::Point3;
 use crate::{
     backends::Selection,
     io::{
-        formats::openmvs::{Camera, Image, Mvs, Platform, PlatformPose, Vertex, VertexView, ViewScore},
+        formats::openmvs::{
+            Camera, Image, Mvs, Platform, PlatformPose, Vertex, VertexView, ViewScore,
+        },
         project::ImageFolder,
     },
     model::{

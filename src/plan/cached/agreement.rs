@@ -95,9 +95,10 @@ pub(in crate::plan) fn read<'p>(
     geometry: &Geometry,
     partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
 ) -> Result<Filed<Option<Agreement>>, DiskError> {
-    let found = table(&file, geometry, partners_of)?;
-    let is_kept = found.is_some();
-    Ok((ResultFile { file, is_kept }, found))
+    let result = table(&file, geometry, partners_of)?;
+    let is_kept = result.is_some();
+    let file = ResultFile { file, is_kept };
+    Ok(Filed { file, result })
 }
 
 fn table<'p>(

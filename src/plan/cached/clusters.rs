@@ -8,13 +8,24 @@ use crate::{
         packed::{Packed, Packer, Unpacker},
         rows::Offsets,
     },
-    decision::Tables,
+    decision::{Predicted, Tables},
     method::{fulfilment::FulfilmentTable, visibility::Visibility},
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// Clusters, their fulfilment, and that at half the size.
-pub type CachedClusters = (Vec<ViewCluster>, FulfilmentTable, Option<FulfilmentTable>);
+/// Clusters with their fulfilment.
+pub struct CachedClusters {
+    pub clusters: Vec<ViewCluster>,
+    pub fulfilment: FulfilmentTable,
+    /// That at half the size; `None` where all maps have full size.
+    pub half: Option<FulfilmentTable>,
+}
+
+impl CachedClusters {
+    pub fn predicted(&self) -> Predicted<'_> {
+        (&self.fulfilment, self.half.as_ref())
+    }
+}
 
 pub(super) fn pack(tables: &Tables) -> Option<Packed> {
     let Tables {
@@ -96,12 +107,16 @@ pub fn unpack(bytes: &[u8], visibility: &Visibility, has_half: bool) -> Option<C
         });
         rest = others;
     }
-    let full = unpack_table(&mut lists, &clusters, visibility)?;
+    let fulfilment = unpack_table(&mut lists, &clusters, visibility)?;
     let half = match has_half {
         true => Some(unpack_table(&mut lists, &clusters, visibility)?),
         false => None,
     };
-    (rest.is_empty() && lists.is_at_end()).then_some((clusters, full, half))
+    (rest.is_empty() && lists.is_at_end()).then_some(CachedClusters {
+        clusters,
+        fulfilment,
+        half,
+    })
 }
 
 fn unpack_table(

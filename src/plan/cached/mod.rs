@@ -52,8 +52,37 @@ pub(super) struct ResultFile {
     pub is_kept: bool,
 }
 
-/// A result, with the place where it is cached.
-pub(super) type Filed<T> = (ResultFile, T);
+/// A result, with the file that it is cached in.
+pub(super) struct Filed<T> {
+    pub file: ResultFile,
+    pub result: T,
+}
+
+impl<T> Filed<T> {
+    pub fn into_parts(self) -> (ResultFile, T) {
+        (self.file, self.result)
+    }
+}
+
+impl<T> Filed<Option<T>> {
+    /// Returns what the file holds, else computes it.
+    pub fn or_compute<E>(self, compute: impl FnOnce() -> Result<T, E>) -> Result<Filed<T>, E> {
+        let Self { file, result } = self;
+        let result = match result {
+            Some(known) => known,
+            None => compute()?,
+        };
+        Ok(Filed { file, result })
+    }
+}
+
+impl<T> std::ops::Deref for Filed<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.result
+    }
+}
 
 impl ResultFile {
     /// Returns the file's set, unless it is there already.
@@ -85,13 +114,13 @@ pub(super) fn read<F: Serialize + DeserializeOwned, T>(
     unpack: impl FnOnce(F, &[u8]) -> Option<T>,
 ) -> Filed<Option<T>> {
     let found = file.read().and_then(|(facts, bytes)| unpack(facts, &bytes));
-    (
-        ResultFile {
+    Filed {
+        file: ResultFile {
             file,
             is_kept: found.is_some(),
         },
-        found,
-    )
+        result: found,
+    }
 }
 
 impl Plan {
