@@ -297,102 +297,94 @@ impl Group {
             .transpose()
     }
 
+    /// Returns the camera that the photos share, and its axes.
     fn read(&self, id: u32) -> Result<(Camera, Matrix3<f64>), Fault> {
         let [w, h] = self
             .part("ImageDimensions")?
             .required(["Width", "Height"])?;
-        let (width, height) = (w as u64, h as u64);
-        let what = || "its camera".into();
-        let axes = axes(
-            self.parts
-                .get("CameraOrientation")
-                .map_or("XRightYDown", Element::text),
-        );
-        let axes = axes.ok_or_else(|| {
-            let found = self
-                .parts
-                .get("CameraOrientation")
-                .map_or("", Element::text)
-                .chars()
-                .take(40)
-                .collect();
-            Fault::new(
-                "",
-                self.at,
-                Problem::Syntax {
-                    expected: "a CameraOrientation such as XRightYDown",
-                    found,
-                },
-            )
-        })?;
-        let kind = self
-            .parts
-            .get("CameraModelType")
-            .map_or("Perspective", Element::text);
-        if kind == "Spherical" {
-            return Ok((
-                camera(
-                    Camera::new(id, CameraModel::Equirectangular, width, height, vec![w, h]),
-                    what,
-                )?,
-                axes,
-            ));
-        }
-        if kind != "Perspective" {
-            return Err(Fault::new(
-                "",
-                self.at,
-                Problem::CameraModel(format!("{kind} (BlocksExchange)")),
-            ));
-        }
-        let focal = match self.number("FocalLengthPixels")? {
-            Some(focal) => focal,
-            None => {
-                let [focal] = self.part("FocalLength")?.numbers()?;
-                match self.number("PixelSize")? {
-                    Some(pixel) => focal / pixel,
-                    None => focal * w.max(h) / self.part("SensorSize")?.numbers::<1>()?[0],
-                }
+        let axes = self.axes()?;
+        let kind = self.text_or("CameraModelType", "Perspective");
+        let (model, params) = match kind {
+            "Spherical" => (CameraModel::Equirectangular, vec![w, h]),
+            "Perspective" => (CameraModel::FullOpenCv, self.perspective([w, h])?),
+            _ => {
+                let problem = Problem::CameraModel(format!("{kind} (BlocksExchange)"));
+                return Err(Fault::new("", self.at, problem));
             }
         };
+        let found = Camera::new(id, model, w as u64, h as u64, params);
+        Ok((camera(found, || "its camera".into())?, axes))
+    }
+
+    fn text_or<'a>(&'a self, name: &str, default: &'a str) -> &'a str {
+        self.parts.get(name).map_or(default, Element::text)
+    }
+
+    fn axes(&self) -> Result<Matrix3<f64>, Fault> {
+        let name = "CameraOrientation";
+        axes(self.text_or(name, "XRightYDown")).ok_or_else(|| {
+            let problem = Problem::Syntax {
+                expected: "a CameraOrientation such as XRightYDown",
+                found: self.text_or(name, "").chars().take(40).collect(),
+            };
+            Fault::new("", self.at, problem)
+        })
+    }
+
+    /// Parameters of `FULL_OPENCV`.
+    fn perspective(&self, [w, h]: [f64; 2]) -> Result<Vec<f64>, Fault> {
+        let focal = self.focal_px(w.max(h))?;
         let [cx, cy] = match self.parts.get("PrincipalPoint") {
-            Some(point) if point.child("xmm").is_some() => {
-                let what = "the principal point is in millimetres".into();
-                let hint = "export the block with the principal point in pixels";
-                return Err(Fault::new(
-                    "",
-                    point.at(),
-                    Problem::Unsupported { what, hint },
-                ));
-            }
-            Some(point) => shift(point.required(["x", "y"])?),
+            Some(point) => principal_point(point)?,
             None => [w / 2.0, h / 2.0],
         };
+        self.refuse_skew(h, focal)?;
+        let term = |name| {
+            let distortion = self.parts.get("Distortion");
+            let term = distortion.map_or(Ok(None), |distortion| distortion.number(name));
+            term.map(Option::unwrap_or_default)
+        };
+        let [k1, k2, k3] = [term("K1")?, term("K2")?, term("K3")?];
+        let [p1, p2] = [term("P1")?, term("P2")?];
+        let fy = focal * self.number("AspectRatio")?.unwrap_or(1.0);
+        Ok(vec![focal, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0])
+    }
+
+    /// `longer`: side of the image, pixels; it is as long as SensorSize.
+    fn focal_px(&self, longer: f64) -> Result<f64, Fault> {
+        if let Some(focal) = self.number("FocalLengthPixels")? {
+            return Ok(focal);
+        }
+        let [focal_mm] = self.part("FocalLength")?.numbers()?;
+        Ok(match self.number("PixelSize")? {
+            Some(pixel_mm) => focal_mm / pixel_mm,
+            None => focal_mm * longer / self.part("SensorSize")?.numbers::<1>()?[0],
+        })
+    }
+
+    fn refuse_skew(&self, height: f64, focal: f64) -> Result<(), Fault> {
         let skew = self.number("Skew")?.unwrap_or_default();
         // Half a pixel is less than other errors of a camera.
-        let off = (skew * h / 2.0 / focal).abs();
-        if off.is_nan() || off > 0.5 {
-            let what = format!("a camera with skew ({skew}), which COLMAP's models do not have");
-            let hint = "export undistorted photos with their block";
-            return Err(Fault::new("", self.at, Problem::Unsupported { what, hint }));
+        if (skew * height / 2.0 / focal).abs() <= 0.5 {
+            return Ok(());
         }
-        let none = |name| {
-            self.parts
-                .get("Distortion")
-                .map_or(Ok(None), |distortion| distortion.number(name))
-        };
-        let [k1, k2, k3] = [none("K1")?, none("K2")?, none("K3")?].map(Option::unwrap_or_default);
-        let [p1, p2] = [none("P1")?, none("P2")?].map(Option::unwrap_or_default);
-        let fy = focal * self.number("AspectRatio")?.unwrap_or(1.0);
-        let params = vec![focal, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0];
-        Ok((
-            camera(
-                Camera::new(id, CameraModel::FullOpenCv, width, height, params),
-                what,
-            )?,
-            axes,
-        ))
+        let what = format!("a camera with skew ({skew}), which COLMAP's models do not have");
+        let hint = "export undistorted photos with their block";
+        Err(Fault::new("", self.at, Problem::Unsupported { what, hint }))
     }
+}
+
+fn principal_point(point: &Element) -> Result<[f64; 2], Fault> {
+    if point.child("xmm").is_some() {
+        let what = "the principal point is in millimetres".into();
+        let hint = "export the block with the principal point in pixels";
+        return Err(Fault::new(
+            "",
+            point.at(),
+            Problem::Unsupported { what, hint },
+        ));
+    }
+    Ok(shift(point.required(["x", "y"])?))
 }
 
 /// The camera's axes as columns, in COLMAP's (x right, y down), from a name such as `XRightYUp`.

@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use nalgebra::{Matrix3, Point3, Vector3};
 use viewrank_core::model::{
     camera::{Camera, CameraModel},
-    scene::WarningKind,
+    scene::{Pose, WarningKind},
 };
 
 use super::{
@@ -116,13 +116,53 @@ pub fn read(bundle: &[u8], views: &[View], size_of: SizeLookup) -> Result<Foreig
     }
     let cameras = words.count("cameras", 30)?;
     let points = words.count("points", 14)?;
+    let mut read = Bundle {
+        words,
+        foreign: ForeignModel::default(),
+        registered: Vec::with_capacity(cameras),
+        without_folder: 0,
+    };
     let by_id: HashMap<usize, &View> = views.iter().map(|view| (view.id, view)).collect();
-    let mut foreign = ForeignModel::default();
-    // By position in the file: the position in the model, the camera and the pose.
-    let mut registered = Vec::with_capacity(cameras);
-    let mut without_folder = 0;
     for n in 0..cameras {
+        read.camera(n, by_id.get(&n).copied(), size_of)?;
+    }
+    for n in 0..points {
+        read.point(n)?;
+    }
+    let mut foreign = read.foreign;
+    if read.without_folder > 0 {
+        let text = format!(
+            "{} cameras of the bundle have no folder in views, and are left out",
+            read.without_folder
+        );
+        foreign.warn(WarningKind::Damaged, text);
+    }
+    foreign.image_folder = Some("views".into());
+    Ok(foreign)
+}
+
+/// A bundle that is being read.
+struct Bundle<'a> {
+    words: Words<'a>,
+    foreign: ForeignModel,
+    /// By position in the file; `None` for cameras that are left out.
+    registered: Vec<Option<Registered>>,
+    /// Number of registered cameras that no view has.
+    without_folder: usize,
+}
+
+struct Registered {
+    /// Position in the model.
+    image: usize,
+    camera: Camera,
+    pose: Pose,
+}
+
+impl Bundle<'_> {
+    /// Reads the next camera, which is that of `view`.
+    fn camera(&mut self, n: usize, view: Option<&View>, size_of: SizeLookup) -> Result<(), Fault> {
         let what = || format!("camera {n}");
+        let (words, foreign) = (&mut self.words, &mut self.foreign);
         let at = words.place();
         let [focal, _, _] = words
             .numbers("the focal length, k1 and k2")
@@ -133,64 +173,65 @@ pub fn read(bundle: &[u8], views: &[View], size_of: SizeLookup) -> Result<Foreig
         let translation = words
             .numbers::<3>("a translation")
             .map_err(|fault| fault.in_record(what))?;
-        let view = by_id.get(&n).filter(|_| focal != 0.0);
-        without_folder += usize::from(focal != 0.0 && view.is_none());
-        let Some(view) = view else {
+        let (Some(view), true) = (view, focal != 0.0) else {
+            self.without_folder += usize::from(focal != 0.0);
             foreign
                 .unregistered
-                .extend(by_id.get(&n).map(|view| view.image.clone()));
-            registered.push(None);
-            continue;
+                .extend(view.map(|view| view.image.clone()));
+            self.registered.push(None);
+            return Ok(());
         };
-        let stored = pose(
-            Matrix3::from_row_slice(&rotation),
-            Vector3::from(translation),
-        );
-        let stored = stored.map_err(|problem| Fault::new("", at, problem).in_record(what))?;
-        let placed = stored
-            .pose()
-            .map_err(|problem| Fault::new("", at, problem).in_record(what))?;
+        let fault = |problem| Fault::new("", at, problem).in_record(what);
+        let rotation = Matrix3::from_row_slice(&rotation);
+        let stored = pose(rotation, Vector3::from(translation)).map_err(fault)?;
+        let pose = stored.pose().map_err(fault)?;
         let camera = view.camera(focal, size_of)?;
-        registered.push(Some((foreign.model.images.len(), camera.clone(), placed)));
+        self.registered.push(Some(Registered {
+            image: foreign.model.images.len(),
+            camera: camera.clone(),
+            pose,
+        }));
         foreign.add_image(n as u32 + 1, view.image.clone(), camera.id, stored, at);
         foreign.model.cameras.push(camera);
+        Ok(())
     }
-    for n in 0..points {
+
+    fn point(&mut self, n: usize) -> Result<(), Fault> {
+        let what = || format!("point {n}");
+        let words = &mut self.words;
         let at = words.place();
         let xyz = words
             .numbers("a position")
-            .map_err(|fault| fault.in_record(|| format!("point {n}")))?;
+            .map_err(|fault| fault.in_record(what))?;
         let colour = words
             .numbers::<3>("a colour")
-            .map_err(|fault| fault.in_record(|| format!("point {n}")))?;
+            .map_err(|fault| fault.in_record(what))?;
         let count = words.count("observations", 6)?;
         let mut track = Vec::with_capacity(count);
         for _ in 0..count {
             let view: usize = words.number("a view")?;
             let _ = words.numbers::<2>("a feature and 0")?;
-            let known = registered.get(view);
+            let known = self.registered.get(view);
             let known = known.ok_or_else(|| {
                 words.fault(Problem::Absent {
                     what: "view",
                     id: view as u64,
                 })
             })?;
-            if let Some((image, camera, pose)) = known {
+            if let Some(Registered {
+                image,
+                camera,
+                pose,
+            }) = known
+            {
                 let pixel = camera.project(&pose.camera_from_world(&Point3::from(xyz)));
                 track.extend(pixel.map(|pixel| (*image, [pixel.x, pixel.y])));
             }
         }
         let colour = colour.map(|c| c.round().clamp(0.0, 255.0) as u8);
-        foreign.add_point(n as u64 + 1, xyz, colour, track, at);
+        self.foreign.add_point(n as u64 + 1, xyz, colour, track, at);
+        Ok(())
     }
-    if without_folder > 0 {
-        let text = format!(
-            "{without_folder} cameras of the bundle have no folder in views, and are left out"
-        );
-        foreign.warn(WarningKind::Damaged, text);
-    }
-    foreign.image_folder = Some("views".into());
-    Ok(foreign)
 }
 
 #[cfg(test)]

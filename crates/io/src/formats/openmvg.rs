@@ -3,7 +3,7 @@
 //! Poses are a world-to-camera rotation (row-major) and a centre; axes as in COLMAP; the centre of
 //! the first pixel is (0, 0). Radial, Brown and fisheye distortion have COLMAP's formulas.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
@@ -90,70 +90,65 @@ struct Observation {
 
 pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     let data: SfmData = json(bytes)?;
-    let mut foreign = ForeignModel {
-        image_folder: Some(data.root_path).filter(|path| !path.is_empty()),
-        ..ForeignModel::default()
-    };
-    // cereal writes a type name only at its first occurrence.
-    let mut type_names = HashMap::new();
-    for Entry { key, value } in &data.intrinsics {
-        let number = value.polymorphic_id & !SEEN_BEFORE;
-        if let Some(name) = &value.polymorphic_name {
-            type_names.insert(number, name.as_str());
-        }
-        let name = type_names.get(&number).copied().unwrap_or("pinhole");
-        foreign
-            .model
-            .cameras
-            .push(intrinsic(*key, name, &value.ptr_wrapper.data)?);
-    }
-    let poses: HashMap<u32, &Extrinsic> = data
-        .extrinsics
-        .iter()
-        .map(|pose| (pose.key, &pose.value))
-        .collect();
-    let cameras: HashMap<u32, usize> = (0..data.intrinsics.len())
-        .map(|n| (data.intrinsics[n].key, n))
-        .collect();
-    let mut images = HashMap::new();
-    for Entry { key, value } in &data.views {
-        let view = &value.ptr_wrapper.data;
-        let name = if view.local_path.is_empty() {
-            view.filename.clone()
-        } else {
-            format!("{}/{}", view.local_path, view.filename)
-        };
-        match poses
-            .get(&view.id_pose)
-            .filter(|_| cameras.contains_key(&view.id_intrinsic))
-        {
-            None => foreign.unregistered.push(name),
-            Some(pose) => {
-                images.insert(*key, foreign.model.images.len());
-                let rotation = Matrix3::from_fn(|row, column| pose.rotation[row][column]);
-                let pose = pose_with_centre(rotation, Vector3::from(pose.center));
-                let pose = pose.map_err(|p| {
-                    Fault::new("", Place::File, p).in_record(|| format!("view {key}, {name:?}"))
-                })?;
-                foreign.add_image(*key, name, view.id_intrinsic, pose, Place::File);
-            }
-        }
-    }
+    let mut foreign = ForeignModel::default();
+    foreign.model.cameras = cameras(&data.intrinsics)?;
+    let images = add_images(&mut foreign, &data)?;
     for Entry { key, value } in &data.structure {
         let observations = value
             .observations
             .iter()
             .filter_map(|o| Some((*images.get(&o.key)?, shift(o.value.x))));
-        foreign.add_point(
-            (*key).into(),
-            value.position,
-            [255; 3],
-            observations,
-            Place::File,
-        );
+        let id = u64::from(*key);
+        foreign.add_point(id, value.position, [255; 3], observations, Place::File);
     }
+    foreign.image_folder = Some(data.root_path).filter(|path| !path.is_empty());
     foreign.shorten_names();
     Ok(foreign)
+}
+
+fn cameras(intrinsics: &[Entry<Pointer<Intrinsic>>]) -> Result<Vec<Camera>, Fault> {
+    // cereal writes a type name only at its first occurrence.
+    let mut type_names = HashMap::new();
+    let of_entry = |Entry { key, value }: &'_ Entry<Pointer<Intrinsic>>| {
+        let number = value.polymorphic_id & !SEEN_BEFORE;
+        if let Some(name) = &value.polymorphic_name {
+            type_names.insert(number, name.clone());
+        }
+        let name = type_names.get(&number).map_or("pinhole", String::as_str);
+        intrinsic(*key, name, &value.ptr_wrapper.data)
+    };
+    intrinsics.iter().map(of_entry).collect()
+}
+
+/// Adds the views with a pose and a camera; returns the position in the model of each, by key.
+fn add_images(foreign: &mut ForeignModel, data: &SfmData) -> Result<HashMap<u32, usize>, Fault> {
+    let poses: HashMap<u32, &Extrinsic> = data
+        .extrinsics
+        .iter()
+        .map(|pose| (pose.key, &pose.value))
+        .collect();
+    let cameras: HashSet<u32> = data.intrinsics.iter().map(|camera| camera.key).collect();
+    let mut images = HashMap::new();
+    for Entry { key, value } in &data.views {
+        let view = &value.ptr_wrapper.data;
+        let name = match &*view.local_path {
+            "" => view.filename.clone(),
+            folder => format!("{folder}/{}", view.filename),
+        };
+        let pose = poses.get(&view.id_pose);
+        let Some(pose) = pose.filter(|_| cameras.contains(&view.id_intrinsic)) else {
+            foreign.unregistered.push(name);
+            continue;
+        };
+        images.insert(*key, foreign.model.images.len());
+        let rotation = Matrix3::from_fn(|row, column| pose.rotation[row][column]);
+        let pose = pose_with_centre(rotation, Vector3::from(pose.center));
+        let pose = pose.map_err(|problem| {
+            Fault::new("", Place::File, problem).in_record(|| format!("view {key}, {name:?}"))
+        })?;
+        foreign.add_image(*key, name, view.id_intrinsic, pose, Place::File);
+    }
+    Ok(images)
 }
 
 fn intrinsic(id: u32, kind: &str, data: &Intrinsic) -> Result<Camera, Fault> {
