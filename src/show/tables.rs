@@ -4,6 +4,7 @@ use serde_json::json;
 
 use crate::{
     base::rows::Offsets,
+    decision::Tables,
     io::{
         npy,
         output::{Contents, FileSet},
@@ -15,120 +16,66 @@ use crate::{
 
 /// Adds the tables of method 6 to a set of files.
 pub fn add(plan: &Plan, files: &mut FileSet) {
+    let Tables {
+        surface,
+        visibility,
+        target,
+        candidates,
+        unary,
+        agreement,
+        rule,
+        objective,
+        clusters,
+        fulfilment,
+        ..
+    } = &plan.stages.tables;
     let mut table = |name: &str, bytes: Vec<u8>| add_table(files, name, bytes);
-    let vertices: Vec<f64> = plan
-        .stages
-        .surface
+    let vertices = surface
         .vertices
         .iter()
-        .flat_map(|v| v.coords.iter().copied())
-        .collect();
+        .flat_map(|v| v.coords.iter().copied());
     table(
         "vertices",
-        npy::write(&[plan.stages.surface.vertices.len(), 3], vertices),
+        npy::write(&[surface.vertices.len(), 3], vertices),
     );
+    let corners = surface.triangles.iter().flatten().copied();
     table(
         "triangles",
-        npy::write(
-            &[plan.stages.surface.triangles.len(), 3],
-            plan.stages.surface.triangles.iter().flatten().copied(),
-        ),
+        npy::write(&[surface.triangles.len(), 3], corners),
     );
-    table(
-        "triangle_gsd",
-        npy::write(
-            &[plan.stages.target.gsd.len()],
-            plan.stages.target.gsd.iter().copied(),
-        ),
-    );
-    table(
-        "weight",
-        npy::write(
-            &[plan.stages.objective.weights.len()],
-            plan.stages.objective.weights.iter().copied(),
-        ),
-    );
-    let visible = rows(
-        plan.stages.visibility.offsets.as_slice(),
-        &plan.stages.visibility.triangles,
-    );
-    table(
-        "visible",
-        npy::write(&[plan.stages.visibility.triangles.len(), 2], visible),
-    );
-    let (unary, seen) = (&plan.stages.unary, plan.stages.visibility.triangles.len());
+    table("triangle_gsd", list(&target.gsd));
+    table("weight", list(&objective.weights));
+    let (seen, offsets_of_views) = (&visibility.triangles, visibility.offsets.as_slice());
+    table("visible", pairs(offsets_of_views, seen));
+    let confidence = || (0..seen.len()).map(|row| unary.at(row));
     table(
         "unary",
-        npy::write(&[seen], (0..seen).map(|row| unary.at(row).observed)),
+        npy::write(&[seen.len()], confidence().map(|at| at.observed)),
     );
     table(
         "allowed",
-        npy::write(&[seen], (0..seen).map(|row| unary.at(row).allowed)),
+        npy::write(&[seen.len()], confidence().map(|at| at.allowed)),
     );
-    if let Confidence::Photometric { .. } = plan.stages.rule.confidence {
-        let agreement = &plan.stages.agreement;
+    if let Confidence::Photometric { .. } = rule.confidence {
         table("agreement_partners", indices(&agreement.partners));
         table("agreement_offsets", offsets(&agreement.offsets));
-        table(
-            "agreement",
-            npy::write(&[agreement.values.len()], agreement.values.iter().copied()),
-        );
+        table("agreement", list(&agreement.values));
     }
-    table("candidates", indices(&plan.stages.candidates.views));
-    table(
-        "candidate_offsets",
-        offsets(plan.stages.candidates.offsets.as_slice()),
-    );
-    let partners: Vec<ViewIndex> = plan
-        .stages
-        .clusters
-        .iter()
-        .flat_map(|c| c.partners.iter().copied())
-        .collect();
-    let partner_offsets =
-        Offsets::from_lengths(plan.stages.clusters.iter().map(|c| c.partners.len()));
+    table("candidates", indices(&candidates.views));
+    table("candidate_offsets", offsets(candidates.offsets.as_slice()));
+    let partners: Vec<ViewIndex> = clusters.iter().flat_map(|c| c.partners.clone()).collect();
+    let partner_offsets = Offsets::from_lengths(clusters.iter().map(|c| c.partners.len()));
+    let keys: Vec<ViewIndex> = clusters.iter().map(|c| c.key).collect();
     table("partners", indices(&partners));
     table("partner_offsets", offsets(partner_offsets.as_slice()));
-    table(
-        "cluster_key",
-        indices(
-            &plan
-                .stages
-                .clusters
-                .iter()
-                .map(|c| c.key)
-                .collect::<Vec<_>>(),
-        ),
-    );
-    let fulfilment = rows(
-        &plan.stages.fulfilment.offsets,
-        &plan.stages.fulfilment.triangles,
-    );
+    table("cluster_key", indices(&keys));
     table(
         "fulfilment",
-        npy::write(&[plan.stages.fulfilment.triangles.len(), 2], fulfilment),
+        pairs(&fulfilment.offsets, &fulfilment.triangles),
     );
-    table(
-        "fulfilment_value",
-        npy::write(
-            &[plan.stages.fulfilment.values.len()],
-            plan.stages.fulfilment.values.iter().copied(),
-        ),
-    );
-    table(
-        "order",
-        npy::write(
-            &[plan.decision.ranking.order.len()],
-            plan.decision.ranking.order.iter().copied(),
-        ),
-    );
-    table(
-        "gain",
-        npy::write(
-            &[plan.decision.ranking.gains.len()],
-            plan.decision.ranking.gains.iter().copied(),
-        ),
-    );
+    table("fulfilment_value", list(&fulfilment.values));
+    table("order", list(&plan.decision.ranking.order));
+    table("gain", list(&plan.decision.ranking.gains));
     add_json(plan, files);
 }
 
@@ -158,8 +105,17 @@ pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
     files.add(format!("{name}.npy"), Contents::Bytes(bytes));
 }
 
-/// Returns the (row, column) pairs of all entries of a CSR table, flattened.
-pub(crate) fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
+pub(crate) fn list<T: npy::Value + Copy>(values: &[T]) -> Vec<u8> {
+    npy::write(&[values.len()], values.iter().copied())
+}
+
+/// Returns the (row, column) pairs of all entries of a CSR table.
+pub(crate) fn pairs(offsets: &[usize], columns: &[u32]) -> Vec<u8> {
+    npy::write(&[columns.len(), 2], rows(offsets, columns))
+}
+
+/// Returns the pairs, flattened.
+fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
     let of_row = |row: usize| {
         columns[offsets[row]..offsets[row + 1]]
             .iter()

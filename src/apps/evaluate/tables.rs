@@ -2,9 +2,9 @@
 
 use super::run::MeasuredClusters;
 use crate::{
-    io::{npy, output::FileSet},
+    io::output::FileSet,
     plan::Plan,
-    show::tables::{self, add_table, indices, offsets, rows},
+    show::tables::{self, add_table, indices, list, offsets, pairs},
 };
 
 /// Adds the plan's tables and, for the clusters that were measured: `real.npy` (row, triangle) with
@@ -34,10 +34,7 @@ pub fn add(plan: &Plan, run: &MeasuredClusters, files: &mut FileSet) {
         "real_partner_offsets",
         offsets(&std::iter::once(0).chain(ends).collect::<Vec<usize>>()),
     );
-    table(
-        "real_order",
-        npy::write(&[run.order.len()], run.order.iter().copied()),
-    );
+    table("real_order", list(&run.order));
     let kinds = [
         ("real", &run.real),
         ("real_predicted", &run.predicted),
@@ -45,13 +42,7 @@ pub fn add(plan: &Plan, run: &MeasuredClusters, files: &mut FileSet) {
         ("real_attainable", &run.attainable),
     ];
     for (name, of) in kinds {
-        table(
-            name,
-            npy::write(&[of.triangles.len(), 2], rows(&of.offsets, &of.triangles)),
-        );
-        table(
-            &format!("{name}_value"),
-            npy::write(&[of.values.len()], of.values.iter().copied()),
-        );
+        table(name, pairs(&of.offsets, &of.triangles));
+        table(&format!("{name}_value"), list(&of.values));
     }
 }
