@@ -5,15 +5,16 @@
 //! are checked, and on request a copy of the scene is made at a scale that fits, without points, so
 //! that only the listed images can be computed.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{BACKEND, dense_config, resolution};
 use crate::{
     backends::{
-        BackendError, Export, ExportOptions, ExportRecord, Selection, record::capped_scale,
-        selection::origin_among,
+        BackendError, Export, ExportOptions, ExportRecord, Selection,
+        record::capped_scale,
+        selection::{self, origin_among},
     },
     base::input::{self, FileKind},
     io::{
@@ -21,7 +22,7 @@ use crate::{
         output::Contents,
         project::ProjectError,
     },
-    model::scene::ViewIndex,
+    model::{cluster::RankedCluster, scene::ViewIndex},
 };
 
 /// Depths that OpenMVS searches for an image with given neighbours, scene units.
@@ -37,27 +38,8 @@ pub fn export(
     options: &ExportOptions,
     path: &Path,
 ) -> Result<Export, BackendError> {
-    let mvs = read(path)?;
-    let positions = positions(selection, &mvs, path)?;
-    let centres: Vec<Vector3<f64>> = selection
-        .views()
-        .iter()
-        .map(|v| pose_of(&mvs, positions[v.index()]).1)
-        .collect();
-    let size_of_scene = size_of_scene(selection, &centres, path)?;
-    let depths: Vec<Depths> = selection
-        .clusters
-        .iter()
-        .map(|c| {
-            Depths::new(
-                &mvs,
-                positions[c.key.index()],
-                selection,
-                c.key,
-                size_of_scene,
-            )
-        })
-        .collect();
+    let given = GivenScene::read(selection, path)?;
+    let depths = given.depths();
     let scale = if options.scale {
         SCALED_DEPTH / median(depths.iter().map(|d| d.median))
     } else {
@@ -65,70 +47,39 @@ pub fn export(
     };
     check_depths(&depths, scale, options.scale)?;
 
-    let mut record = ExportRecord::new(&BACKEND, selection, |v| positions[v.index()].to_string());
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| given.name(v));
     record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
     record.pixel_shift = -0.5;
     record.scale = scale;
-    let mut files = options.file_set(&BACKEND, selection);
-    let list = |c: &crate::model::cluster::RankedCluster| {
-        let views = std::iter::once(&c.key).chain(&c.partners);
-        views
-            .map(|v| positions[v.index()].to_string())
-            .collect::<Vec<_>>()
-            .join(" ")
-            + "\n"
-    };
-    let lists: String = selection.clusters.iter().map(list).collect();
-    let folder = std::path::absolute(path)
-        .ok()
-        .and_then(|p| p.parent().map(Path::to_path_buf))
-        .unwrap_or_default();
-    let size = resolution(selection);
-    let origin = origin_among(
-        &centres,
-        selection.scene.median_gsd().map(|gsd| gsd * size_of_scene),
-    );
+    let origin = given.origin();
     record.moved(origin);
-    let mvs = moved(mvs, origin);
-    let mvs = with_absolute_paths(
-        if options.scale {
-            scaled(mvs, scale)
-        } else {
-            mvs
-        },
-        &folder,
-    );
-    let scene = mvs.write();
-    // OpenMVS keeps every depth map in its working folder, even of other scenes.
-    let mut made_from = blake3::Hasher::new();
-    made_from
-        .update(&scene)
-        .update(lists.as_bytes())
-        .update(&size.to_le_bytes());
-    let work = format!("maps-{}", &made_from.finalize().to_hex()[..8]);
-    files.add(&*work, Contents::Folder);
+    let lists = given.lists();
+    let scene = moved(given.mvs, origin);
+    let scene = if options.scale {
+        scaled(scene, scale)
+    } else {
+        scene
+    };
+    let scene = with_absolute_paths(scene, &folder_of(path)).write();
+    let size = resolution(selection);
+    let densify = Densify::new(&scene, &lists, size);
+    let mut files = options.file_set(&BACKEND, selection);
+    files.add(&*densify.work, Contents::Folder);
     files.add("scene.mvs", Contents::Bytes(scene));
     files.add_text("neighbours.txt", lists);
     files.add_text("dense.cfg", dense_config(selection));
-    let densify = |fuse: usize| {
-        format!(
-            "DensifyPointCloud -w \"$PWD/{work}\" -i \"$PWD/scene.mvs\" -o \"$PWD/dense.mvs\" --view-neighbors-file \"$PWD/neighbours.txt\" \
-             --dense-config-file \"$PWD/dense.cfg\" --resolution-level 0 --min-resolution 16 --max-resolution {size} --number-views 0 \
-             --geometric-iters 0 --number-views-fuse {fuse}"
-        )
-    };
     if options.scale {
         let unscale = include_bytes!("../../../integrations/openmvs/unscale.py");
         files.add("unscale.py", Contents::Script(unscale.to_vec()));
         record.way = "list of neighbours, with a scaled copy of the scene without points".into();
         record.commands = vec![
-            densify(1),
+            densify.command(1),
             format!("python3 unscale.py dense.ply dense_unscaled.ply {scale}"),
         ];
         record.fusion = "number-views-fuse 1: partners have no depth maps that could agree".into();
     } else {
         record.way = "list of neighbours, with a copy of the existing scene".into();
-        record.commands = vec![densify(2)];
+        record.commands = vec![densify.command(2)];
         record.not_honoured.push(
             "only the key views: images that are not listed get depth maps too, with OpenMVS's own neighbours".into(),
         );
@@ -138,6 +89,98 @@ pub fn export(
     record.note_scale(selection, capped_scale(size));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
+}
+
+/// The run that matches the lists.
+struct Densify {
+    /// OpenMVS keeps every depth map in its working folder, even of other scenes: so each scene, with
+    /// its lists and the size of its images, has a folder of its own.
+    work: String,
+    size: u32,
+}
+
+impl Densify {
+    fn new(scene: &[u8], lists: &str, size: u32) -> Self {
+        let mut made_from = blake3::Hasher::new();
+        made_from
+            .update(scene)
+            .update(lists.as_bytes())
+            .update(&size.to_le_bytes());
+        let work = format!("maps-{}", &made_from.finalize().to_hex()[..8]);
+        Self { work, size }
+    }
+
+    /// `fuse`: maps that must agree on a point.
+    fn command(&self, fuse: usize) -> String {
+        let Self { work, size } = self;
+        format!(
+            "DensifyPointCloud -w \"$PWD/{work}\" -i \"$PWD/scene.mvs\" -o \"$PWD/dense.mvs\" --view-neighbors-file \"$PWD/neighbours.txt\" \
+             --dense-config-file \"$PWD/dense.cfg\" --resolution-level 0 --min-resolution 16 --max-resolution {size} --number-views 0 \
+             --geometric-iters 0 --number-views-fuse {fuse}"
+        )
+    }
+}
+
+/// The existing scene, and where it has the views of the selection.
+struct GivenScene<'a> {
+    selection: &'a Selection<'a>,
+    mvs: Mvs,
+    /// Index of each view's image in the scene.
+    positions: Vec<usize>,
+    /// Centres of the cameras in the scene, in the order of [`Selection::views`].
+    centres: Vec<Vector3<f64>>,
+    /// Scene units per model unit.
+    size: f64,
+}
+
+impl<'a> GivenScene<'a> {
+    fn read(selection: &'a Selection<'a>, path: &Path) -> Result<Self, BackendError> {
+        let mvs = read(path)?;
+        let positions = positions(selection, &mvs, path)?;
+        let views = selection.views();
+        let centre = |view: &ViewIndex| pose_of(&mvs, positions[view.index()]).1;
+        let centres: Vec<Vector3<f64>> = views.iter().map(centre).collect();
+        let size = size_of_scene(selection, &centres, path)?;
+        Ok(Self {
+            selection,
+            mvs,
+            positions,
+            centres,
+            size,
+        })
+    }
+
+    /// The name of a view in the lists.
+    fn name(&self, view: ViewIndex) -> String {
+        self.positions[view.index()].to_string()
+    }
+
+    fn lists(&self) -> String {
+        let line = |cluster: &RankedCluster| {
+            let views = std::iter::once(&cluster.key).chain(&cluster.partners);
+            let names: Vec<String> = views.map(|&view| self.name(view)).collect();
+            names.join(" ") + "\n"
+        };
+        self.selection.clusters.iter().map(line).collect()
+    }
+
+    fn origin(&self) -> Vector3<f64> {
+        let gsd = self.selection.scene.median_gsd();
+        origin_among(&self.centres, gsd.map(|gsd| gsd * self.size))
+    }
+
+    fn depths(&self) -> Vec<Depths> {
+        let of_key = |c: &RankedCluster| Depths::new(self, c.key);
+        self.selection.clusters.iter().map(of_key).collect()
+    }
+}
+
+/// Paths in a scene are relative to its folder.
+fn folder_of(scene: &Path) -> PathBuf {
+    std::path::absolute(scene)
+        .ok()
+        .and_then(|scene| scene.parent().map(Path::to_path_buf))
+        .unwrap_or_default()
 }
 
 fn read(path: &Path) -> Result<Mvs, BackendError> {
@@ -289,27 +332,19 @@ struct Depths {
 impl Depths {
     /// Uses the scene's own vertices, or our points scaled to the scene if the image sees no
     /// vertex.
-    fn new(
-        mvs: &Mvs,
-        position: usize,
-        selection: &Selection,
-        view: ViewIndex,
-        size_of_scene: f64,
-    ) -> Self {
-        let (r, centre) = pose_of(mvs, position);
+    fn new(given: &GivenScene, view: ViewIndex) -> Self {
+        let (scene, position) = (given.selection.scene, given.positions[view.index()]);
+        let (r, centre) = pose_of(&given.mvs, position);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
-        let seen = mvs
+        let seen = given
+            .mvs
             .vertices
             .iter()
             .filter(|v| v.views.iter().any(|s| s.image as usize == position));
         let mut depths: Vec<f64> = seen.map(|v| depth(v.x)).filter(|z| *z > 0.0).collect();
         if depths.is_empty() {
-            depths = crate::backends::selection::depths(
-                selection.scene,
-                &selection.scene.view_points(),
-                view,
-            );
-            depths.iter_mut().for_each(|depth| *depth *= size_of_scene);
+            depths = selection::depths(scene, &scene.view_points(), view);
+            depths.iter_mut().for_each(|depth| *depth *= given.size);
         }
         depths.sort_unstable_by(f64::total_cmp);
         let at = |share: f64| {
@@ -319,7 +354,7 @@ impl Depths {
         let [least, median, greatest] =
             [0.01, 0.5, 0.99].map(|share| at(share).unwrap_or(f64::NAN));
         Self {
-            view: selection.scene.name(view).into(),
+            view: scene.name(view).into(),
             least,
             median,
             greatest,
