@@ -3,8 +3,9 @@
 use crate::{
     apps::doctor::counted,
     backends::{self, Backend, Capabilities, Honours},
-    method::confidence::Photometric,
-    plan::PlanningNumbers,
+    method::confidence::{PairConfidence, Photometric},
+    model::cluster::Gate,
+    plan::{PlanningNumbers, WorkPerMap},
 };
 use clap::Args;
 use serde::Serialize;
@@ -133,82 +134,72 @@ fn row(cells: [String; 8]) -> String {
 
 fn details(entry: &Entry) -> Vec<String> {
     let (c, p) = (&entry.capabilities, &entry.planning);
-    let number =
-        |value: Option<f64>, unit: &str| value.map_or("none".into(), |v| format!("{v}{unit}"));
     let mut lines = vec![entry.name.to_owned()];
     let mut add = |what: &str, value: &str| lines.extend(wrapped(what, value));
     add("exactly the given partners", word(c.partners));
     add("only the key views", word(c.key_subset));
     add("rank order", word(c.order));
     if entry.matches {
-        add(
-            "scales of depth maps",
-            if entry.scales.len() > 1 {
-                "1 and 0.5 (viewrank plan --scales)"
-            } else {
-                "1"
-            },
-        );
+        let scales = match entry.scales {
+            [_] => "1",
+            _ => "1 and 0.5 (viewrank plan --scales)",
+        };
+        add("scales of depth maps", scales);
     }
     add("program", entry.program);
     add("run here", &entry.run_here);
     add("fusion", c.fusion);
     add("notes", c.notes);
-    let scale = match p.gate.max_scale_octaves {
-        octaves if octaves.is_finite() => format!(", scale ratio up to {:.2}", octaves.exp2()),
-        _ => String::new(),
-    };
-    let epipole = if p.gate.epipole_inside {
-        ""
-    } else {
-        ", epipole outside of both images"
-    };
-    let angles = format!(
-        "{} to {} degrees",
-        p.gate.min_angle_deg, p.gate.max_angle_deg
-    );
-    let pairs = format!(
-        "at least {} shared points, {angles}{scale}{epipole}",
-        p.gate.min_shared_points
-    );
-    add("pairs that can be matched", &pairs);
-    let confidence = format!(
-        "min_matches {}, p0 {}, cosine_power {}, scale_octaves {}, full_angle {}",
-        p.confidence.min_matches,
-        p.confidence.p0,
-        p.confidence.cosine_power,
-        number(p.confidence.scale_octaves, ""),
-        number(p.confidence.full_angle_deg, " degrees"),
-    );
-    add("geometric confidence", &confidence);
+    add("pairs that can be matched", &pairs(&p.gate));
+    add("geometric confidence", &confidence(&p.confidence));
     let Photometric {
         agree,
         differ,
         full_agreement,
     } = p.photometric;
-    add(
-        "photometric",
-        &format!("agree {agree}, differ {differ}, full_agreement {full_agreement}"),
-    );
-    let work = format!(
-        "{} + Mpx ({} + partners), in Mpx matched with one partner",
-        p.work.fixed, p.work.per_map
-    );
+    let photometric = format!("agree {agree}, differ {differ}, full_agreement {full_agreement}");
+    add("photometric", &photometric);
     if entry.matches {
+        let WorkPerMap { fixed, per_map } = p.work;
+        let work = format!("{fixed} + Mpx ({per_map} + partners), in Mpx matched with one partner");
         add("work of a depth map", &work);
     }
-    add(
-        "support",
-        &counted(
-            p.support as usize,
-            if entry.matches { "depth map" } else { "image" },
-        ),
-    );
+    let supports = if entry.matches { "depth map" } else { "image" };
+    add("support", &counted(p.support as usize, supports));
     add("source", p.source);
     if !entry.options.is_empty() {
         add("options of export", &entry.options.join(", "));
     }
     lines
+}
+
+fn pairs(gate: &Gate) -> String {
+    let scale = match gate.max_scale_octaves {
+        octaves if octaves.is_finite() => format!(", scale ratio up to {:.2}", octaves.exp2()),
+        _ => String::new(),
+    };
+    let epipole = if gate.epipole_inside {
+        ""
+    } else {
+        ", epipole outside of both images"
+    };
+    format!(
+        "at least {} shared points, {} to {} degrees{scale}{epipole}",
+        gate.min_shared_points, gate.min_angle_deg, gate.max_angle_deg
+    )
+}
+
+fn confidence(of_pairs: &PairConfidence) -> String {
+    let number =
+        |value: Option<f64>, unit: &str| value.map_or("none".into(), |v| format!("{v}{unit}"));
+    format!(
+        "min_matches {}, p0 {}, cosine_power {}, scale_octaves {}, full_angle {}",
+        of_pairs.min_matches,
+        of_pairs.p0,
+        of_pairs.cosine_power,
+        number(of_pairs.scale_octaves, ""),
+        number(of_pairs.full_angle_deg, " degrees"),
+    )
 }
 
 /// Formats a value, wrapped at 80 columns and indented under its start.

@@ -10,11 +10,14 @@ use crate::{
         Dispatch, DispatchError, Task, Tools,
         slurm::{self, SlurmQueue, Submission},
     },
-    backends::{self, Selection, place},
+    backends::{self, place},
     base::shell::{quoted, quoted_path},
     config::{Budget, CommandLineSettings, DispatchSettings, Share},
     daemon::{follow, state::Outcome},
-    io::output::{self, Contents, Disk, FileSet, WriteReport},
+    io::{
+        output::{self, Contents, Disk, FileSet},
+        project::Project,
+    },
     show::manifest::WrittenPlan,
 };
 use clap::{Args, ValueEnum};
@@ -133,15 +136,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let settings = config::load(Some(&plan.project), arguments.typed())?
         .settings
         .dispatch;
-    let selection = Selection {
-        project: &plan.project,
-        scene: &plan.scene,
-        clusters: &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)],
-        image_scale: plan.settings.image_scale(),
-        own_size: plan.own_size,
-        planned_for: &plan.backend,
-        image_faults: &plan.project.image_faults(&plan.scene),
-    };
+    let cut = plan.cut_at(arguments.budget, arguments.target);
+    let image_faults = plan.project.image_faults(&plan.scene);
+    let selection = plan.selection(&plan.clusters[..cut], &image_faults);
     let exported = backend.export(&selection, &Default::default())?;
     output::refuse_to_leave(&plan.project.home, &exported.files.root)?;
     let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
@@ -150,66 +147,98 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     } else {
         Some(dispatch.hold()?)
     };
-    let tools = arguments.tools(&dispatch, &settings)?;
-    let reached = arguments.target_reached(&plan.project.root, &dispatch)?;
-    let mut exported = Some(exported);
-    let mut write = |queue: &SlurmQueue| -> Result<(), Failure> {
-        let export = exported.take().map(|export| export.files);
-        let folder = export.as_ref().map(|files| files.root.clone());
-        let export = folder.map(|folder| place::set_of_folder(&folder, export, &plan.project));
-        export.map_or(Ok(WriteReport::default()), |set| {
-            set.write(&plan.project.disk())
-        })?;
-        dispatch
-            .files(&tools, &settings, &queue.lists())
-            .write(&plan.project.disk())?;
-        Ok(())
+    let job = Job {
+        arguments,
+        project: &plan.project,
+        tools: arguments.tools(&dispatch, &settings)?,
+        reached: arguments.target_reached(&plan.project.root, &dispatch)?,
+        settings,
+        dispatch,
     };
-    let submission = match (arguments.scheduler, arguments.dry_run) {
-        (Scheduler::Slurm, true) => {
-            let missing: Vec<&Task> = dispatch
-                .tasks
-                .iter()
-                .filter(|task| !dispatch.is_done(task))
-                .collect();
-            queue_or_empty(&dispatch).rehearse(&dispatch, &missing, &settings, reached)
-        }
-        (Scheduler::Slurm, false) => slurm::submit(&dispatch, &settings, reached, write)?,
-        (Scheduler::Shell, dry_run) => {
-            if !dry_run {
-                // Queued tasks may still read older lists.
-                write(
-                    &SlurmQueue::read(&dispatch).unwrap_or_else(|_| SlurmQueue::empty(&dispatch)),
-                )?;
-            }
-            Submission::default()
-        }
-    };
-    let done = dispatch
-        .tasks
-        .iter()
-        .filter(|task| dispatch.is_done(task))
-        .count();
-    let report = Report {
-        backend: dispatch.backend,
-        folder: &dispatch.folder,
-        tasks: dispatch.tasks.len(),
-        done,
-        target_reached: reached,
-        at_once: settings.at_once,
-        submission,
-    };
+    let submission = job.submit(exported.files)?;
+    let report = job.report(submission);
+    let text = || report.text(arguments, &job.dispatch);
     match arguments.format {
         Format::Json => print_json(&report),
         Format::Text if arguments.dry_run => {
-            let files = dispatch.files(&tools, &settings, &Default::default());
-            print(
-                scripts(&files)
-                    .into_iter()
-                    .chain(report.text(arguments, &dispatch)),
-            )
+            let files = job.files(&Default::default());
+            print(scripts(&files).into_iter().chain(text()))
         }
-        Format::Text => print(report.text(arguments, &dispatch)),
+        Format::Text => print(text()),
+    }
+}
+
+/// The tasks of a plan, and how they are to be run.
+struct Job<'a> {
+    arguments: &'a Arguments,
+    project: &'a Project,
+    dispatch: Dispatch,
+    settings: DispatchSettings,
+    tools: Tools,
+    /// The existing depth maps reach the target.
+    reached: bool,
+}
+
+impl Job<'_> {
+    /// Writes the files, and submits the tasks to the queue, if there is one; neither in a dry run.
+    fn submit(&self, exported: FileSet) -> Result<Submission, Failure> {
+        let Self {
+            dispatch,
+            settings,
+            reached,
+            ..
+        } = self;
+        let mut exported = Some(exported);
+        let mut write = |queue: &SlurmQueue| self.write(exported.take(), queue);
+        Ok(match (self.arguments.scheduler, self.arguments.dry_run) {
+            (Scheduler::Slurm, true) => {
+                let tasks = dispatch.tasks.iter();
+                let missing: Vec<&Task> = tasks.filter(|task| !dispatch.is_done(task)).collect();
+                queue_or_empty(dispatch).rehearse(dispatch, &missing, settings, *reached)
+            }
+            (Scheduler::Slurm, false) => slurm::submit(dispatch, settings, *reached, write)?,
+            (Scheduler::Shell, true) => Submission::default(),
+            (Scheduler::Shell, false) => {
+                // Queued tasks may still read older lists.
+                let queue = SlurmQueue::read(dispatch);
+                write(&queue.unwrap_or_else(|_| SlurmQueue::empty(dispatch)))?;
+                Submission::default()
+            }
+        })
+    }
+
+    /// Writes the export, unless it is written already, and the scripts with the lists of the queue.
+    fn write(&self, exported: Option<FileSet>, queue: &SlurmQueue) -> Result<(), Failure> {
+        let disk = self.project.disk();
+        if let Some(files) = exported {
+            let folder = files.root.clone();
+            place::set_of_folder(&folder, [files], self.project).write(&disk)?;
+        }
+        self.files(&queue.lists()).write(&disk)?;
+        Ok(())
+    }
+
+    fn files(&self, lists: &BTreeSet<String>) -> FileSet {
+        self.dispatch.files(&self.tools, &self.settings, lists)
+    }
+
+    fn report(&self, submission: Submission) -> Report<'_> {
+        let Dispatch {
+            backend,
+            folder,
+            tasks,
+            ..
+        } = &self.dispatch;
+        let done = tasks.iter().filter(|task| self.dispatch.is_done(task));
+        Report {
+            backend,
+            folder,
+            tasks: tasks.len(),
+            done: done.count(),
+            target_reached: self.reached,
+            at_once: self.settings.at_once,
+            submission,
+        }
     }
 }
 

@@ -186,19 +186,7 @@ fn measure(
     let model = plan.stages.model();
     let reached = MeasuredSurface::new(&model, &run);
     let so_far = MeasuredProgress::new(&plan.stages, &run);
-    let gsd = plan
-        .stages
-        .settings
-        .target
-        .gsd
-        .expect("a plan's settings are filled in");
-    let clouds = arguments
-        .cloud
-        .as_ref()
-        .zip(arguments.reference_cloud.as_ref());
-    let clouds = clouds
-        .map(|(cloud, reference)| CloudComparison::read(cloud, reference, gsd))
-        .transpose()?;
+    let clouds = compared_clouds(arguments, plan)?;
     let reference = arguments.reference.as_deref();
     let half = |folder: &PathBuf| {
         MeasuredClusters::at_half_size(&plan.stages, &clusters, folder, reference, progress)
@@ -217,11 +205,8 @@ fn measure(
         half: half.as_ref(),
     };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
-    let title = project
-        .root
-        .file_name()
-        .unwrap_or(project.root.as_os_str())
-        .to_string_lossy();
+    let name = project.root.file_name();
+    let title = name.unwrap_or(project.root.as_os_str()).to_string_lossy();
     let mut files = FileSet::new(&out, "evaluation");
     files.add_text("evaluation.json", json(&evaluation));
     files.add_text(CELLS, table);
@@ -236,6 +221,15 @@ fn measure(
     progress.finish();
     warnings(plan, &evaluation, &run);
     output(arguments, &evaluation, || text(&evaluation, &out))
+}
+
+fn compared_clouds(arguments: &Arguments, plan: &Plan) -> Result<Option<CloudComparison>, Failure> {
+    let (Some(cloud), Some(reference)) = (&arguments.cloud, &arguments.reference_cloud) else {
+        return Ok(None);
+    };
+    let gsd = plan.stages.settings.target.gsd;
+    let gsd = gsd.expect("a plan's settings are filled in");
+    Ok(Some(CloudComparison::read(cloud, reference, gsd)?))
 }
 
 /// All clusters of the plan, those without predicted gain last.
@@ -386,7 +380,26 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
 }
 
 fn text(e: &Evaluation, out: &Path) -> Vec<String> {
-    let mut lines = Vec::new();
+    let mut lines = summary(e);
+    lines.push(String::new());
+    if e.inside < 1.0 {
+        lines.extend(["Fulfilment and shares are those inside the region.", ""].map(String::from));
+    }
+    lines.extend(e.cells.lines());
+    lines.push(String::new());
+    lines.extend(shares_of_cells(e));
+    if !e.orders.is_empty() {
+        lines.push(String::new());
+        lines.extend(table_of_orders(e));
+    }
+    lines.push(String::new());
+    lines.extend(missing(e));
+    lines.push(String::new());
+    lines.push(format!("See {}", out.join("evaluation.html").display()));
+    lines
+}
+
+fn summary(e: &Evaluation) -> Vec<String> {
     let truth = if e.reference {
         "against the reference"
     } else {
@@ -399,37 +412,37 @@ fn text(e: &Evaluation, out: &Path) -> Vec<String> {
             e.key_views.len()
         ),
     };
-    lines.push(format!("{maps}, {truth}"));
-    lines.push(format!(
-        "  completeness {:.1} %{}",
-        100.0 * e.quality.completeness,
-        e.errors()
-    ));
-    lines.push(format!("  reached: {}", e.reached_in_words()));
-    lines.push(format!("  {}", e.enough_in_words()));
-    if let Some(half) = &e.half_size {
-        lines.push(format!("  {}", half.in_words()));
-    }
-    if let Some(clouds) = &e.clouds {
-        for at in &clouds.within {
-            let (completeness, precision) = (100.0 * at.completeness, 100.0 * at.precision);
-            lines.push(format!("  fused cloud within {:.0} GSD of the reference: completeness {completeness:.1} %, precision {precision:.1} %",
-                at.gsd
-            ));
-        }
+    let completeness = 100.0 * e.quality.completeness;
+    let mut lines = vec![
+        format!("{maps}, {truth}"),
+        format!("  completeness {completeness:.1} %{}", e.errors()),
+        format!("  reached: {}", e.reached_in_words()),
+        format!("  {}", e.enough_in_words()),
+    ];
+    lines.extend(
+        e.half_size
+            .iter()
+            .map(|half| format!("  {}", half.in_words())),
+    );
+    for at in e.clouds.iter().flat_map(|clouds| &clouds.within) {
+        let (completeness, precision) = (100.0 * at.completeness, 100.0 * at.precision);
+        lines.push(format!(
+            "  fused cloud within {:.0} GSD of the reference: completeness {completeness:.1} %, precision {precision:.1} %",
+            at.gsd
+        ));
     }
     lines.push(format!(
         "  fulfilment of these: {:.3} predicted, {:.3} real",
         e.predicted, e.real
     ));
-    lines.push(String::new());
-    if e.inside < 1.0 {
-        lines.extend(["Fulfilment and shares are those inside the region.", ""].map(String::from));
-    }
-    lines.extend(e.cells.lines());
-    lines.push(String::new());
-    lines.push("share predicted, and real, of the cells that these maps give".into());
-    lines.push("predicted share   key views   pairs   real share   three maps agree".into());
+    lines
+}
+
+fn shares_of_cells(e: &Evaluation) -> Vec<String> {
+    let mut lines = vec![
+        "share predicted, and real, of the cells that these maps give".into(),
+        "predicted share   key views   pairs   real share   three maps agree".into(),
+    ];
     for gap in e
         .gap
         .chunk_by(|one, next| one.clusters == next.clusters)
@@ -441,26 +454,27 @@ fn text(e: &Evaluation, out: &Path) -> Vec<String> {
             gap.clusters, gap.pairs
         ));
     }
-    if !e.orders.is_empty() {
-        let heading =
-            "key views for a share of the fulfilment of each triangle, the paper's measure";
-        lines.extend(["", heading].map(String::from));
-        lines.push(
-            e.orders[0]
-                .needed
-                .iter()
-                .map(|n| format!("{:4.0} %", 100.0 * n.share))
-                .collect(),
-        );
-        for (names, cells) in baselines::rows(&e.orders, false) {
-            let cells: String = cells.iter().map(|cell| format!("{cell:>6}")).collect();
-            lines.push(format!("{cells}  {}", names.join(", ")));
-        }
+    lines
+}
+
+fn table_of_orders(e: &Evaluation) -> Vec<String> {
+    let heading = "key views for a share of the fulfilment of each triangle, the paper's measure";
+    let shares = e.orders[0].needed.iter();
+    let mut lines = vec![
+        heading.into(),
+        shares
+            .map(|n| format!("{:4.0} %", 100.0 * n.share))
+            .collect(),
+    ];
+    for (names, cells) in baselines::rows(&e.orders, false) {
+        let cells: String = cells.iter().map(|cell| format!("{cell:>6}")).collect();
+        lines.push(format!("{cells}  {}", names.join(", ")));
     }
-    lines.extend([
-        String::new(),
-        format!("missing, of {} triangles", e.triangles),
-    ]);
+    lines
+}
+
+fn missing(e: &Evaluation) -> Vec<String> {
+    let mut lines = vec![format!("missing, of {} triangles", e.triangles)];
     for (missing, count) in &e.missing {
         lines.push(format!(
             "  {:6.1} % {}",
@@ -468,10 +482,6 @@ fn text(e: &Evaluation, out: &Path) -> Vec<String> {
             missing.describe()
         ));
     }
-    lines.extend([
-        String::new(),
-        format!("See {}", out.join("evaluation.html").display()),
-    ]);
     lines
 }
 

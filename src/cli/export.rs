@@ -123,15 +123,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let backends = arguments.backends(&plan)?;
     let clusters = &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)];
     warn_of_end(arguments, &plan, clusters.len());
-    let selection = Selection {
-        project: &plan.project,
-        scene: &plan.scene,
-        clusters,
-        image_scale: plan.settings.image_scale(),
-        own_size: plan.own_size,
-        planned_for: &plan.backend,
-        image_faults: &plan.project.image_faults(&plan.scene),
-    };
+    let image_faults = plan.project.image_faults(&plan.scene);
+    let selection = plan.selection(clusters, &image_faults);
     let tiles = arguments
         .tiles
         .map(|count| clusters_by_area(&selection, count as usize));

@@ -134,28 +134,24 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
 
 impl Inspection {
     fn text(&self) -> Vec<String> {
-        let models = self
-            .camera_models
-            .iter()
-            .map(|(model, n)| format!("{n} {model}"))
-            .collect::<Vec<_>>()
-            .join(", ");
+        let line = |(name, value): &(&str, String)| match is_stdout_terminal() {
+            true => wrapped(&format!("{name:<25}"), value),
+            false => vec![format!("{name:<25}{value}")],
+        };
+        self.rows().iter().flat_map(line).collect()
+    }
+
+    /// Names and values.
+    fn rows(&self) -> Vec<(&str, String)> {
+        let of_model = |(model, n): (&&str, &usize)| format!("{n} {model}");
+        let models: Vec<String> = self.camera_models.iter().map(of_model).collect();
+        let images = self.image_folder.as_ref();
+        let images = images.map_or("not found".into(), |folder| folder.display().to_string());
+        let unregistered = list(&self.unregistered);
         let number =
             |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
-        let units = match (self.units, self.metres_per_unit) {
-            (Some(Units::Metric), _) => "metres".into(),
-            (Some(Units::Relative), _) => "relative: lengths are in units of the model".into(),
-            (None, Some(metres)) => {
-                format!("of the model: {metres:.6} m each, by the GPS positions of the images")
-            }
-            (None, None) => {
-                "unknown: lengths are in units of the model; if these are metres, set units = \"metric\"".into()
-            }
-        };
-        let images = self
-            .image_folder
-            .as_ref()
-            .map_or("not found".into(), |folder| folder.display().to_string());
+        let error_px = number(self.mean_reprojection_error_px, 4);
+        let gsd = number(self.median_gsd, 6);
         let mut rows = vec![
             (
                 "model",
@@ -164,48 +160,41 @@ impl Inspection {
             ("images", images),
             (
                 "views",
-                format!(
-                    "{} registered, {} not",
-                    self.registered,
-                    list(&self.unregistered)
-                ),
+                format!("{} registered, {unregistered} not", self.registered),
             ),
-            ("cameras", format!("{} ({models})", self.cameras)),
+            (
+                "cameras",
+                format!("{} ({})", self.cameras, models.join(", ")),
+            ),
             ("points", self.points.to_string()),
             ("observations", self.observations.to_string()),
             ("mean track length", number(self.mean_track_length, 2)),
-            (
-                "mean reprojection error",
-                format!("{} px", number(self.mean_reprojection_error_px, 4)),
-            ),
-            (
-                "median GSD",
-                format!("{} units per pixel", number(self.median_gsd, 6)),
-            ),
-            ("units", units),
+            ("mean reprojection error", format!("{error_px} px")),
+            ("median GSD", format!("{gsd} units per pixel")),
+            ("units", self.units_in_words()),
         ];
         let sub_models = self.sub_models.iter().filter(|_| self.sub_models.len() > 1);
         rows.extend(sub_models.map(|m| {
-            (
-                "sub-model",
-                format!(
-                    "{} ({} images){}",
-                    m.name,
-                    m.registered,
-                    if m.used { ", used" } else { "" }
-                ),
-            )
+            let used = if m.used { ", used" } else { "" };
+            let text = format!("{} ({} images){used}", m.name, m.registered);
+            ("sub-model", text)
         }));
-        rows.extend(
-            self.warnings
-                .iter()
-                .map(|warning| ("warning", warning.clone())),
-        );
-        let line = |(name, value): &(&str, String)| match is_stdout_terminal() {
-            true => wrapped(&format!("{name:<25}"), value),
-            false => vec![format!("{name:<25}{value}")],
-        };
-        rows.iter().flat_map(line).collect()
+        let warnings = self.warnings.iter();
+        rows.extend(warnings.map(|warning| ("warning", warning.clone())));
+        rows
+    }
+
+    fn units_in_words(&self) -> String {
+        match (self.units, self.metres_per_unit) {
+            (Some(Units::Metric), _) => "metres".into(),
+            (Some(Units::Relative), _) => "relative: lengths are in units of the model".into(),
+            (None, Some(metres)) => {
+                format!("of the model: {metres:.6} m each, by the GPS positions of the images")
+            }
+            (None, None) => {
+                "unknown: lengths are in units of the model; if these are metres, set units = \"metric\"".into()
+            }
+        }
     }
 }
 

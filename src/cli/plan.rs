@@ -196,22 +196,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project), arguments.typed())?.settings;
     let project = project.with_images(settings.images.as_deref());
-    let (backend, _) = backends::chosen(&project, &settings)?;
-    let (project, settings) = match planning::undistorted_workspace(&project, backend)? {
-        Some(workspace) => {
-            if !arguments.quiet {
-                let place = workspace.root.display();
-                note(&format!(
-                    "{} needs undistorted images: planning {place} with the images there",
-                    backend.name
-                ));
-            }
-            // It has its images beside its model.
-            let images = None;
-            (workspace, Settings { images, ..settings })
-        }
-        None => (project, settings),
-    };
+    let (project, settings) = matchable(arguments, project, settings)?;
     let project = match &arguments.out {
         Some(out) => {
             refuse_nested(out)?;
@@ -223,22 +208,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     refuse_other_plan(&project)?;
     if !arguments.dry_run {
         Dispatch::refuse_if_at_work(&project)?;
-        output::refuse_unwritable(&project.output_folder()).map_err(|error| {
-            elsewhere(
-                error,
-                project.is_elsewhere(),
-                "plan",
-                &command_path(&project.root),
-            )
-        })?;
-        let dumps = [
-            arguments.dump_tables.as_deref(),
-            arguments.dump_surface.as_deref().and_then(Path::parent),
-        ];
-        dumps
-            .into_iter()
-            .flatten()
-            .try_for_each(output::refuse_unwritable)?;
+        refuse_unwritable(arguments, &project)?;
     }
     let progress = ProgressDisplay::new(arguments.quiet);
     let mut plan = planning::plan(&project, &settings, &progress)
@@ -247,17 +217,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         if !arguments.dry_run {
             output::recover(&project.home, &project.disk())?;
         }
-        let maps = MapFolder {
-            folder,
-            ready: &|_| true,
-        };
-        plan = replan(plan, &earlier(&project)?, &maps, &progress)?.0;
-        if plan.decision.finished == 0 {
-            warn(&format!(
-                "no depth map in {} fits the plan; planning without finished ones",
-                folder.display()
-            ));
-        }
+        plan = around_finished(plan, folder, &project, &progress)?;
     }
     let files = files_of_same_model(&plan, &project)
         .inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
@@ -279,6 +239,66 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+/// Returns the project that the backend can match, with the settings for it: the workspace of
+/// undistorted images, where it needs one.
+fn matchable(
+    arguments: &Arguments,
+    project: Project,
+    settings: Settings,
+) -> Result<(Project, Settings), Failure> {
+    let (backend, _) = backends::chosen(&project, &settings)?;
+    let Some(workspace) = planning::undistorted_workspace(&project, backend)? else {
+        return Ok((project, settings));
+    };
+    if !arguments.quiet {
+        let place = workspace.root.display();
+        note(&format!(
+            "{} needs undistorted images: planning {place} with the images there",
+            backend.name
+        ));
+    }
+    // It has its images beside its model.
+    let images = None;
+    Ok((workspace, Settings { images, ..settings }))
+}
+
+/// Fails, before the long computation, if what the plan is to be written into cannot be written.
+fn refuse_unwritable(arguments: &Arguments, project: &Project) -> Result<(), Failure> {
+    output::refuse_unwritable(&project.output_folder()).map_err(|error| {
+        let root = command_path(&project.root);
+        elsewhere(error, project.is_elsewhere(), "plan", &root)
+    })?;
+    let dumps = [
+        arguments.dump_tables.as_deref(),
+        arguments.dump_surface.as_deref().and_then(Path::parent),
+    ];
+    dumps
+        .into_iter()
+        .flatten()
+        .try_for_each(output::refuse_unwritable)?;
+    Ok(())
+}
+
+fn around_finished(
+    plan: Plan,
+    folder: &Path,
+    project: &Project,
+    progress: &ProgressDisplay,
+) -> Result<Plan, Failure> {
+    let maps = MapFolder {
+        folder,
+        ready: &|_| true,
+    };
+    let (plan, ..) = replan(plan, &earlier(project)?, &maps, progress)?;
+    if plan.decision.finished == 0 {
+        warn(&format!(
+            "no depth map in {} fits the plan; planning without finished ones",
+            folder.display()
+        ));
+    }
+    Ok(plan)
 }
 
 /// Requested exports that were not written.

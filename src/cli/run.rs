@@ -21,7 +21,7 @@ use crate::{
         dispatch::{Dispatch, Task, Tools, local::ScriptResult},
         planning, undistort,
     },
-    backends::{self, Backend, Selection, place},
+    backends::{self, Backend, place},
     base::{platform, shell::command_path},
     config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
@@ -320,6 +320,19 @@ impl Throttle {
     }
 }
 
+fn note_maps_of_other_plans(dispatch: &Dispatch) {
+    let others = dispatch
+        .tasks
+        .iter()
+        .filter(|task| !dispatch.is_done(task) && task.map.is_file())
+        .count();
+    if others > 0 {
+        note(&format!(
+            "{others} depth maps that are there do not count for this plan: made again"
+        ));
+    }
+}
+
 impl<'a> Work<'a> {
     fn new(
         arguments: &'a Arguments,
@@ -328,12 +341,8 @@ impl<'a> Work<'a> {
         stop: &'a AtomicBool,
     ) -> Result<Self, Failure> {
         let lines = Lines::new(arguments.is_silent());
-        let outcome = foreground.plan(&|stage, percent| lines.stage(stage, percent));
-        match outcome {
-            Outcome::Planned {
-                note: Some(text), ..
-            } => warn(&text),
-            Outcome::Planned { .. } => {}
+        match foreground.plan(&|stage, percent| lines.stage(stage, percent)) {
+            Outcome::Planned { note, .. } => note.iter().for_each(|text| warn(text)),
             other => return Err(failure(other, stop, arguments.go_on())),
         }
         let root = foreground.root();
@@ -345,15 +354,7 @@ impl<'a> Work<'a> {
         .settings
         .dispatch;
         let image_faults = plan.project.image_faults(&plan.scene);
-        let selection = Selection {
-            project: &plan.project,
-            scene: &plan.scene,
-            clusters: &plan.clusters[..plan.cut],
-            image_scale: plan.settings.image_scale(),
-            own_size: plan.own_size,
-            planned_for: &plan.backend,
-            image_faults: &image_faults,
-        };
+        let selection = plan.selection(&plan.clusters[..plan.cut], &image_faults);
         let export = backend.export(&selection, &Default::default())?;
         warnings_with(&plan.warnings, std::slice::from_ref(&export.record), &[])
             .iter()
@@ -367,16 +368,7 @@ impl<'a> Work<'a> {
         dispatch
             .files(&tools, &settings, &BTreeSet::new())
             .write(&plan.project.disk())?;
-        let others = dispatch
-            .tasks
-            .iter()
-            .filter(|task| !dispatch.is_done(task) && task.map.is_file())
-            .count();
-        if others > 0 {
-            note(&format!(
-                "{others} depth maps that are there do not count for this plan: made again"
-            ));
-        }
+        note_maps_of_other_plans(&dispatch);
         let cores = || thread::available_parallelism().map_or(1, usize::from);
         let threads = arguments.threads.map_or_else(cores, usize::from);
         Ok(Self {

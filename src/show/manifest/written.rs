@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use super::{FingerprintError, RegionSummary, VERSION, ViewEntry, check::check, fingerprint};
 use crate::{
-    backends::ExportRecord,
+    backends::{ExportRecord, Selection},
     base::{
         error::{Advice, Hint},
         shell::command_path,
@@ -18,7 +18,7 @@ use crate::{
     config::{Budget, Settings, Share},
     io::{
         output::{self, OutputError},
-        project::{Project, ProjectError},
+        project::{ImageFaults, Project, ProjectError},
     },
     model::{
         cluster::{MapScale, RankedCluster},
@@ -190,6 +190,23 @@ impl WrittenPlan {
             scene,
             warnings: recorded.warnings,
         })
+    }
+
+    /// Returns these clusters of the plan, to be exported.
+    pub fn selection<'a>(
+        &'a self,
+        clusters: &'a [RankedCluster],
+        image_faults: &'a ImageFaults,
+    ) -> Selection<'a> {
+        Selection {
+            project: &self.project,
+            scene: &self.scene,
+            clusters,
+            image_scale: self.settings.image_scale(),
+            own_size: self.own_size,
+            planned_for: &self.backend,
+            image_faults,
+        }
     }
 
     /// Returns the number of clusters up to another cut: the shorter of the budget and the shortest
