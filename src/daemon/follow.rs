@@ -252,59 +252,16 @@ impl FollowJob<'_> {
             ready: &|path| self.files.contains_key(path),
         };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
-        let order = if self.replan {
-            plan.decision.ranking.maps().collect()
+        let (order, cut) = if self.replan {
+            let order = plan.decision.ranking.maps().collect();
+            (order, plan.decision.cut.clusters)
         } else {
-            listed(&plan, &written)
-        };
-        let cut = if self.replan {
-            plan.decision.cut.clusters
-        } else {
-            with_finished(&plan, &list)
+            (listed(&plan, &written), with_finished(&plan, &list))
         };
         let forecast = TargetForecast::new(&plan, &order, cut, target);
-        let seconds_per_pair = run
-            .as_ref()
-            .and_then(|run| seconds_per_pair(&plan, run, self.folder));
-        let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
-        let name = |&c: &u32| {
-            plan.stages
-                .scene
-                .name(plan.stages.clusters[c as usize].key)
-                .to_owned()
-        };
-        let finished: Vec<String> = plan.decision.ranking.order[..plan.decision.finished]
-            .iter()
-            .map(name)
-            .collect();
-        let notes = &plan.finished.unreadable;
-        let progress = Progress {
-            version: 1,
-            // Where only other limits are set, all maps of the list are wanted.
-            target_reached: !finished.is_empty()
-                && if wanted.is_some() {
-                    forecast.share >= target
-                } else {
-                    finished.len() >= cut
-                },
-            done: finished.len(),
-            clusters: cut,
-            share: Some(forecast.share),
-            target,
-            kept: Some(forecast.kept),
-            reachable: plan.decision.ranking.reachable,
-            clusters_to_target: forecast.to_target.map(|(clusters, _)| clusters),
-            seconds_per_pair,
-            seconds_to_target: forecast.to_target.and_then(|(_, pairs)| seconds(pairs)),
-            seconds_left: seconds(forecast.pairs_left),
-            finished,
-            outdated: plan.finished.outdated.clone(),
-            note: notes.first().map(|first| match notes.len() {
-                1 => first.clone(),
-                n => format!("{first}, and {} more", n - 1),
-            }),
-            announced: false,
-        };
+        let run = run.as_ref();
+        let seconds_per_pair = run.and_then(|run| seconds_per_pair(&plan, run, self.folder));
+        let progress = forecast.progress(&plan, seconds_per_pair);
         Ok((plan, progress))
     }
 
@@ -393,6 +350,9 @@ fn listed(plan: &Plan, written: &[(ViewIndex, MapScale)]) -> Vec<(u32, MapScale)
 
 /// Forecast along a list whose first clusters are finished.
 struct TargetForecast {
+    /// Length of the list, clusters.
+    cut: usize,
+    target: f64,
     kept: f64,
     share: f64,
     /// Numbers of clusters and pairs to the target.
@@ -414,10 +374,59 @@ impl TargetForecast {
             .filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {
+            cut,
+            target,
             kept: curve.kept[done],
             share: curve.share(done, total),
             to_target: reached.map(|n| (n.saturating_sub(done), pairs(n))),
             pairs_left: pairs(cut.min(order.len())),
+        }
+    }
+
+    fn progress(&self, plan: &Plan, seconds_per_pair: Option<f64>) -> Progress {
+        let Plan {
+            stages,
+            decision,
+            finished: maps,
+            ..
+        } = plan;
+        let finished = decision.ranking.order[..decision.finished].iter();
+        let name = |&c: &u32| {
+            stages
+                .scene
+                .name(stages.clusters[c as usize].key)
+                .to_owned()
+        };
+        let finished: Vec<String> = finished.map(name).collect();
+        // Where only other limits are set, all maps of the list are wanted.
+        let is_reached = match stages.settings.cut.target {
+            Some(_) => self.share >= self.target,
+            None => finished.len() >= self.cut,
+        };
+        let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
+        Progress {
+            version: 1,
+            target_reached: !finished.is_empty() && is_reached,
+            done: finished.len(),
+            clusters: self.cut,
+            share: Some(self.share),
+            target: self.target,
+            kept: Some(self.kept),
+            reachable: decision.ranking.reachable,
+            clusters_to_target: self.to_target.map(|(clusters, _)| clusters),
+            seconds_per_pair,
+            seconds_to_target: self.to_target.and_then(|(_, pairs)| seconds(pairs)),
+            seconds_left: seconds(self.pairs_left),
+            finished,
+            outdated: maps.outdated.clone(),
+            note: maps
+                .unreadable
+                .first()
+                .map(|first| match maps.unreadable.len() {
+                    1 => first.clone(),
+                    n => format!("{first}, and {} more", n - 1),
+                }),
+            announced: false,
         }
     }
 }

@@ -170,58 +170,13 @@ impl PlanJob {
         let project = Project::open(job.project, None)
             .map_err(incomplete)?
             .with_images(settings.images.as_deref());
-        // A dense workspace that appears later gets its files, too.
-        let decided_by = (settings.for_plan(), &project.dense_workspace);
-        let as_text = serde_json::to_vec(&decided_by).map_err(|_| Outcome::Abandoned)?;
         let model = project.model_files();
-        if let Some(file) = model
-            .iter()
-            .find(|file| !may_enter(job.project, file, job.follow_links))
-        {
-            let reason = format!(
-                "{} is behind a symbolic link (--follow-links)",
-                file.display()
-            );
-            return Err(Outcome::Incomplete { reason });
+        refuse_links(job, &model)?;
+        let fingerprint = self.fingerprint(job, &project, &settings, &model)?;
+        if let Some(planned) = planned_before(job, &fingerprint, &note) {
+            return Ok(planned);
         }
-        let fingerprint =
-            HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, &as_text)
-                .map_err(unreadable)?;
-        if let Some(record) =
-            PlannedFrom::read(job.project).filter(|record| record.fingerprint == fingerprint)
-        {
-            // The last measurement holds until the next one.
-            let known = Progress::read(job.project).filter(|progress| progress.done > 0);
-            let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
-            return Ok(Outcome::Planned {
-                fingerprint,
-                clusters: record.clusters,
-                share: record.share,
-                note,
-                anew: false,
-                known,
-            });
-        }
-        // The forecast comes after the model is read, which takes about as much memory as its files
-        // have bytes.
-        let bytes = model
-            .iter()
-            .filter_map(|file| file.metadata().ok())
-            .map(|file| file.len())
-            .sum();
-        if let Some(most) = job.most_memory.filter(|most| bytes > *most) {
-            let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-            let reason = format!(
-                "the model alone has {} MiB, --max-memory allows {} MiB",
-                mib(bytes),
-                mib(most)
-            );
-            let hint = Some(format!(
-                "give viewrank watch --max-memory {}M or more",
-                mib(queue::need(bytes))
-            ));
-            return Err(Outcome::Aside { reason, hint });
-        }
+        refuse_large(job, &model)?;
         if !self.options.is_run {
             Dispatch::refuse_if_at_work(&project).map_err(failed)?;
         }
@@ -254,6 +209,21 @@ impl PlanJob {
             anew: true,
             known: None,
         })
+    }
+
+    /// The fingerprint of all that a plan is made of.
+    fn fingerprint(
+        &self,
+        job: &Job,
+        project: &Project,
+        settings: &Settings,
+        model: &[PathBuf],
+    ) -> StepResult<Fingerprint> {
+        // A dense workspace that appears later gets its files, too.
+        let decided_by = (settings.for_plan(), &project.dense_workspace);
+        let as_text = serde_json::to_vec(&decided_by).map_err(|_| Outcome::Abandoned)?;
+        HashCache::fingerprint(&self.hashes, job.project, model, job.stamp, &as_text)
+            .map_err(unreadable)
     }
 
     fn try_follow(&self, job: &Job) -> StepResult<Outcome> {
@@ -445,6 +415,59 @@ impl PlanJob {
             }
         }
     }
+}
+
+fn refuse_links(job: &Job, model: &[PathBuf]) -> StepResult<()> {
+    let is_behind_link = |file: &&PathBuf| !may_enter(job.project, file, job.follow_links);
+    match model.iter().find(is_behind_link) {
+        Some(file) => Err(Outcome::Incomplete {
+            reason: format!(
+                "{} is behind a symbolic link (--follow-links)",
+                file.display()
+            ),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Refuses a model that is larger than the memory for its plan: the forecast comes after the model
+/// is read, which takes about as much memory as its files have bytes.
+fn refuse_large(job: &Job, model: &[PathBuf]) -> StepResult<()> {
+    let files = model.iter().filter_map(|file| file.metadata().ok());
+    let bytes = files.map(|file| file.len()).sum();
+    let Some(most) = job.most_memory.filter(|most| bytes > *most) else {
+        return Ok(());
+    };
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    let reason = format!(
+        "the model alone has {} MiB, --max-memory allows {} MiB",
+        mib(bytes),
+        mib(most)
+    );
+    let hint = Some(format!(
+        "give viewrank watch --max-memory {}M or more",
+        mib(queue::need(bytes))
+    ));
+    Err(Outcome::Aside { reason, hint })
+}
+
+/// Returns the outcome of the last plan, if it was made of the same.
+fn planned_before(job: &Job, fingerprint: &Fingerprint, note: &Option<String>) -> Option<Outcome> {
+    let record = PlannedFrom::read(job.project)?;
+    if record.fingerprint != *fingerprint {
+        return None;
+    }
+    // The last measurement holds until the next one.
+    let known = Progress::read(job.project).filter(|progress| progress.done > 0);
+    let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
+    Some(Outcome::Planned {
+        fingerprint: record.fingerprint,
+        clusters: record.clusters,
+        share: record.share,
+        note: note.clone(),
+        anew: false,
+        known,
+    })
 }
 
 /// Waits for the on_target command and logs its exit status.
