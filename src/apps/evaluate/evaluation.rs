@@ -246,27 +246,14 @@ impl Evaluation {
             half,
             ..
         } = *measure;
-        let (table, source) = &measure.cells;
-        let named = baselines::named(run, model, objective, baselines, watcher)?;
-        let clusters_of = |(name, order): (&'static str, Vec<u32>)| {
-            let clusters = order.iter().map(|&c| &run.clusters[c as usize]);
-            (name, clusters.collect::<Vec<_>>())
-        };
-        let named: Vec<_> = named.into_iter().map(clusters_of).collect();
-        let cells = CellsEvaluation::new(table, source.clone(), model.scene, &named);
+        let cells = measure.judged_cells(model, run, watcher)?;
         // The maps of the table are in the run's order.
         let order: Vec<u32> = (0..run.order.len() as u32).collect();
-        let [all, agreeing] = CountedCells::BOTH.map(|counted| table.curve(&order, counted));
+        let [all, agreeing] =
+            CountedCells::BOTH.map(|counted| measure.cells.0.curve(&order, counted));
         let by_triangle = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let predicted = match measure.pilot {
-            Some(pilot) => {
-                let row = |(c, cluster): (usize, &ViewCluster)| {
-                    let places = pilot.places.of_view(cluster.key);
-                    pilot.kept_row(places, run.scales[c], run.predicted.row(c))
-                };
-                let counted = FulfilmentTable::new(run.clusters.iter().enumerate().map(row));
-                ReachCurve::new(&counted, &pilot.kept.objective, &run.clusters, &run.order)
-            }
+            Some(pilot) => curve_by_places(run, pilot),
             None => by_triangle.clone(),
         };
         let real = run.real_curve(objective, &run.order);
@@ -321,6 +308,40 @@ impl Evaluation {
             orders,
         })
     }
+}
+
+impl EvaluationOptions<'_> {
+    /// Judges the order of the run, and the baselines, by the cells.
+    fn judged_cells(
+        &self,
+        model: &Model,
+        run: &MeasuredClusters,
+        watcher: &dyn Watcher,
+    ) -> Result<CellsEvaluation, TableError> {
+        let (table, source) = &self.cells;
+        let named = baselines::named(run, model, self.objective, self.baselines, watcher)?;
+        let clusters_of = |(name, order): (&'static str, Vec<u32>)| {
+            let clusters = order.iter().map(|&c| &run.clusters[c as usize]);
+            (name, clusters.collect::<Vec<_>>())
+        };
+        let named: Vec<_> = named.into_iter().map(clusters_of).collect();
+        Ok(CellsEvaluation::new(
+            table,
+            source.clone(),
+            model.scene,
+            &named,
+        ))
+    }
+}
+
+/// Returns the predicted curve of the run, where the ranking counts the places of a pilot.
+fn curve_by_places(run: &MeasuredClusters, pilot: &CountedPlaces) -> ReachCurve {
+    let row = |(c, cluster): (usize, &ViewCluster)| {
+        let places = pilot.places.of_view(cluster.key);
+        pilot.kept_row(places, run.scales[c], run.predicted.row(c))
+    };
+    let counted = FulfilmentTable::new(run.clusters.iter().enumerate().map(row));
+    ReachCurve::new(&counted, &pilot.kept.objective, &run.clusters, &run.order)
 }
 
 fn shares(curve: &ReachCurve) -> Vec<f64> {

@@ -103,66 +103,84 @@ pub fn measure(
     elsewhere: f64,
     places: Option<&Places>,
 ) -> MapMeasurement {
-    let camera = model.scene.camera_of(key);
     let size = MapSize::new(model, key, &map);
-    let picture = front(model.scene, model.surface, key, map.width, map.height);
+    let judged = JudgedPixels::new(model, key, &map, reference, elsewhere);
     let seen = model.visibility.triangles_seen_by(key);
-    let mut quality = Quality::default();
-    let mut right = vec![false; picture.len()];
-    let mut counts = vec![(0u32, 0u32); seen.len()];
-    for (at, &triangle) in picture.iter().enumerate() {
-        let (column, row) = (
-            (at % map.width as usize) as u32,
-            (at / map.width as usize) as u32,
-        );
-        let accuracy = match triangle {
-            NOTHING => elsewhere,
-            t => model.target.accuracy_over_gsd * f64::from(model.target.gsd[t as usize]),
-        };
-        let pixel = Pixel::new(camera, &map, reference, column, row, triangle != NOTHING);
-        right[at] = pixel.add_to(&mut quality, RIGHT_WITHIN * accuracy);
-        if let Ok(row) = seen.binary_search(&triangle) {
-            counts[row].0 += 1;
-            counts[row].1 += u32::from(right[at]);
-        }
-    }
-    let centroid_is_right = |triangle: u32| {
-        let x = model
-            .scene
-            .view(key)
-            .cam_from_world
-            .camera_from_world(&model.surface.centroid(triangle));
-        let pixel = camera.project(&x).and_then(|p| map.pixel_at(camera, &p));
-        pixel
-            .is_some_and(|(column, row)| right[row as usize * map.width as usize + column as usize])
-    };
-    let share = |(&triangle, &(pixels, right)): (&u32, &(u32, u32))| match pixels {
-        0 => f32::from(u8::from(centroid_is_right(triangle))),
-        n => right as f32 / n as f32,
-    };
-    // Nothing is expected there, but the program may not know the mask.
+    // Nothing is expected where the mask excludes all, but the program may not know the mask.
     let mask = model.unary.of_rows(model.visibility.rows(key));
-    let unmasked = |(row, share): (usize, f32)| {
-        if mask.at(row).allowed > 0.0 {
-            share
-        } else {
-            0.0
-        }
+    let share = |(row, &triangle): (usize, &u32)| match judged.counts[row] {
+        _ if mask.at(row).allowed <= 0.0 => 0.0,
+        (0, _) => f32::from(u8::from(judged.is_right_at(model, key, &map, triangle))),
+        (pixels, right) => right as f32 / pixels as f32,
     };
-    let shares = seen
-        .iter()
-        .zip(&counts)
-        .map(share)
-        .enumerate()
-        .map(unmasked)
-        .collect();
     MapMeasurement {
         places: places.map_or_else(Vec::new, |places| agreed(places, model.scene, key, &map)),
-        quality,
-        shares,
-        pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(),
+        quality: judged.quality,
+        shares: seen.iter().enumerate().map(share).collect(),
+        pixels: judged.counts.iter().map(|(pixels, _)| *pixels).collect(),
         size,
         ids: map.ids,
+    }
+}
+
+/// The pixels of a map, compared with the reference.
+struct JudgedPixels {
+    quality: Quality,
+    /// By pixel.
+    right: Vec<bool>,
+    /// Of each triangle that the key view sees: pixels of its visible part, and those of them that
+    /// are right.
+    counts: Vec<(u32, u32)>,
+}
+
+impl JudgedPixels {
+    fn new(
+        model: &Model,
+        key: ViewIndex,
+        map: &DepthMap,
+        reference: Option<&DepthMap>,
+        elsewhere: f64,
+    ) -> Self {
+        let camera = model.scene.camera_of(key);
+        let picture = front(model.scene, model.surface, key, map.width, map.height);
+        let seen = model.visibility.triangles_seen_by(key);
+        let mut judged = Self {
+            quality: Quality::default(),
+            right: vec![false; picture.len()],
+            counts: vec![(0, 0); seen.len()],
+        };
+        for (at, &triangle) in picture.iter().enumerate() {
+            let (column, row) = (
+                (at % map.width as usize) as u32,
+                (at / map.width as usize) as u32,
+            );
+            let accuracy = match triangle {
+                NOTHING => elsewhere,
+                t => model.target.accuracy_over_gsd * f64::from(model.target.gsd[t as usize]),
+            };
+            let pixel = Pixel::new(camera, map, reference, column, row, triangle != NOTHING);
+            let is_right = pixel.add_to(&mut judged.quality, RIGHT_WITHIN * accuracy);
+            judged.right[at] = is_right;
+            if let Ok(row) = seen.binary_search(&triangle) {
+                let (pixels, right) = &mut judged.counts[row];
+                *pixels += 1;
+                *right += u32::from(is_right);
+            }
+        }
+        judged
+    }
+
+    /// Whether the pixel of the triangle's centroid is right.
+    fn is_right_at(&self, model: &Model, key: ViewIndex, map: &DepthMap, triangle: u32) -> bool {
+        let (camera, pose) = (
+            model.scene.camera_of(key),
+            &model.scene.view(key).cam_from_world,
+        );
+        let x = pose.camera_from_world(&model.surface.centroid(triangle));
+        let pixel = camera.project(&x).and_then(|p| map.pixel_at(camera, &p));
+        pixel.is_some_and(|(column, row)| {
+            self.right[row as usize * map.width as usize + column as usize]
+        })
     }
 }
 

@@ -104,40 +104,29 @@ impl MeasuredClusters {
             .map(|folder| depthmaps::find(folder, scene)?.into_complete())
             .transpose()?;
         let report = matched::read_report(task.depth_maps, scene)?;
-        let of = |set: &DepthMapSet, view| set.maps.iter().find(|m| m.view == view).cloned();
-        let mut found: Vec<(ViewCluster, DepthMapFile, u32)> = Vec::new();
+        let mut found: Vec<FoundMap> = Vec::new();
         let mut without_map = Vec::new();
-        for (rank, cluster) in task.clusters.iter().enumerate() {
-            match of(&maps, cluster.key) {
-                Some(map) => found.push((cluster.clone(), map, rank as u32)),
+        for (rank, cluster) in (0..).zip(task.clusters) {
+            match map_of(&maps, cluster.key) {
+                Some(file) => found.push(FoundMap {
+                    cluster,
+                    file,
+                    rank,
+                }),
                 None => without_map.push(cluster.key),
             }
         }
         if found.is_empty() {
             return Err(EvaluateError::NoClusters(task.depth_maps.into()));
         }
-        found.sort_by_key(|(cluster, _, _)| cluster.key);
-        let done = AtomicU64::new(0);
-        watcher.progress(Stage::Evaluate, 0, found.len() as u64);
-        let measured = found.par_iter().map(|(cluster, map, _)| {
-            watcher.check()?;
-            let reference = references.as_ref().map(|set| of(set, cluster.key));
-            let measured = task.measure(cluster.key, map, reference)?;
-            watcher.progress(
-                Stage::Evaluate,
-                1 + done.fetch_add(1, Ordering::Relaxed),
-                found.len() as u64,
-            );
-            Ok(measured)
-        });
-        let tried: Vec<Result<MapMeasurement, DepthMapError>> =
-            measured.collect::<Result<_, EvaluateError>>()?;
+        found.sort_by_key(|map| map.cluster.key);
+        let tried = task.measure_all(&found, references.as_ref(), watcher)?;
         let (mut clusters, mut ranks, mut measured, mut broken) =
             (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for ((cluster, _, rank), tried) in found.into_iter().zip(tried) {
+        for (FoundMap { cluster, rank, .. }, tried) in found.into_iter().zip(tried) {
             match tried {
                 Ok(of_map) => {
-                    clusters.push(cluster);
+                    clusters.push(cluster.clone());
                     ranks.push(rank);
                     measured.push(of_map);
                 }
@@ -153,13 +142,13 @@ impl MeasuredClusters {
         let unreadable = unreadable
             .chain(broken.iter().map(DepthMapError::to_string))
             .collect();
-        task.tables(clusters, order, &measured, &report, watcher)
-            .map(|run| Self {
-                without_map,
-                strangers: maps.unassigned,
-                unreadable,
-                ..run
-            })
+        let run = task.tables(clusters, order, &measured, &report, watcher)?;
+        Ok(Self {
+            without_map,
+            strangers: maps.unassigned,
+            unreadable,
+            ..run
+        })
     }
 
     /// Returns the quality of all clusters together.
@@ -233,7 +222,39 @@ impl<'a> EvaluationInput<'a> {
     }
 }
 
+/// A cluster with its depth map.
+struct FoundMap<'a> {
+    cluster: &'a ViewCluster,
+    file: &'a DepthMapFile,
+    /// In the order of the clusters.
+    rank: u32,
+}
+
+fn map_of(set: &DepthMapSet, view: ViewIndex) -> Option<&DepthMapFile> {
+    set.maps.iter().find(|map| map.view == view)
+}
+
 impl EvaluationInput<'_> {
+    /// Measures the maps; an inner error is of a map that cannot be read.
+    fn measure_all(
+        &self,
+        found: &[FoundMap],
+        references: Option<&DepthMapSet>,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<Result<MapMeasurement, DepthMapError>>, EvaluateError> {
+        let (done, all) = (AtomicU64::new(0), found.len() as u64);
+        watcher.progress(Stage::Evaluate, 0, all);
+        let measured = found.par_iter().map(|FoundMap { cluster, file, .. }| {
+            watcher.check()?;
+            let reference = references.map(|set| map_of(set, cluster.key));
+            let measured = self.measure(cluster.key, file, reference)?;
+            let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+            watcher.progress(Stage::Evaluate, done, all);
+            Ok(measured)
+        });
+        measured.collect()
+    }
+
     /// Measures a depth map. `reference` is `Some(None)` if there are references but none for this
     /// view: no pixel of the map is then right. The inner error is a map that cannot be read,
     /// perhaps because it is still being written.
@@ -241,7 +262,7 @@ impl EvaluationInput<'_> {
         &self,
         key: ViewIndex,
         map: &DepthMapFile,
-        reference: Option<Option<DepthMapFile>>,
+        reference: Option<Option<&DepthMapFile>>,
     ) -> Result<Result<MapMeasurement, DepthMapError>, EvaluateError> {
         let scene = self.model.scene;
         let map = match depthmaps::read_of_view(map, scene) {
@@ -251,7 +272,7 @@ impl EvaluationInput<'_> {
         };
         let reference = match reference {
             None => None,
-            Some(Some(file)) => Some(depthmaps::read_of_view(&file, scene)?),
+            Some(Some(file)) => Some(depthmaps::read_of_view(file, scene)?),
             Some(None) => Some(map.without_depths()),
         };
         Ok(Ok(measure(
