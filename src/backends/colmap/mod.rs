@@ -301,7 +301,6 @@ impl Passes {
     }
 
     fn add_files(&self, selection: &Selection, files: &mut FileSet, record: &mut ExportRecord) {
-        let geometric = |on: bool| format!("--PatchMatchStereo.geom_consistency {} ", u8::from(on));
         let heading = [
             format!(
                 "viewrank, {}: references in rank order, each followed by its partners",
@@ -319,45 +318,12 @@ impl Passes {
             .map(|p| p.reference.clone() + "\n")
             .collect();
         files.add_text("stereo/fusion.cfg", fused);
-        let mut patch_match = |config: &str, options: &str, scale: MapScale| {
-            let size = max_image_size(selection, scale);
-            let size = size.map_or(String::new(), |n| {
-                format!(" --PatchMatchStereo.max_image_size {n}")
-            });
-            record
-                .commands
-                .push(format!("colmap patch_match_stereo --workspace_path . --config_path {config} {options}{size}"));
-        };
-        if self.geometric {
-            for (i, (first, last)) in self.batches().iter().enumerate() {
-                let name = |pass| format!("stereo/viewrank/{:04}-{pass}.cfg", i + 1);
-                if !first.is_empty() {
-                    files.add_text(name("photometric"), cfg::write_patch_match(&[], first));
-                    patch_match(
-                        &name("photometric"),
-                        &(geometric(false) + "--PatchMatchStereo.filter 0"),
-                        MapScale::Full,
-                    );
-                }
-                files.add_text(name("geometric"), cfg::write_patch_match(&[], last));
-                patch_match(&name("geometric"), geometric(true).trim(), MapScale::Full);
-            }
+        let passes = if self.geometric {
+            self.add_batches(selection, files)
         } else {
-            let options = geometric(false) + "--PatchMatchStereo.filter 1";
-            for (config, scale, problems) in self.lists_of_one_size() {
-                if config != MAIN_LIST {
-                    files.add_text(config.clone(), cfg::write_patch_match(&[], problems));
-                }
-                patch_match(&config, &options, scale);
-            }
-            if !self.half.is_empty() {
-                let half: String = self
-                    .half_in_order()
-                    .map(|name| format!("{name}\n"))
-                    .collect();
-                files.add_text("stereo/viewrank/half.txt", half);
-            }
-        }
+            self.add_lists(selection, files)
+        };
+        record.commands.extend(passes);
         self.add_fusion(selection, record);
         let ranks: String = selection
             .clusters
@@ -374,6 +340,44 @@ impl Passes {
                 script::runner(record, self.geometric, self.half_size(selection)).into_bytes(),
             ),
         );
+    }
+
+    /// Adds the lists of the two passes with geometric consistency, batch by batch; returns their
+    /// commands.
+    fn add_batches(&self, selection: &Selection, files: &mut FileSet) -> Vec<String> {
+        let mut commands = Vec::new();
+        for (i, (first, last)) in self.batches().iter().enumerate() {
+            let name = |pass| format!("stereo/viewrank/{:04}-{pass}.cfg", i + 1);
+            let command =
+                |pass, options: &str| patch_match(selection, &name(pass), options, MapScale::Full);
+            if !first.is_empty() {
+                files.add_text(name("photometric"), cfg::write_patch_match(&[], first));
+                let options = geometric(false) + "--PatchMatchStereo.filter 0";
+                commands.push(command("photometric", &options));
+            }
+            files.add_text(name("geometric"), cfg::write_patch_match(&[], last));
+            commands.push(command("geometric", geometric(true).trim()));
+        }
+        commands
+    }
+
+    /// Adds the lists of the only pass without geometric consistency, one for each run of maps of
+    /// one size; returns their commands.
+    fn add_lists(&self, selection: &Selection, files: &mut FileSet) -> Vec<String> {
+        let options = geometric(false) + "--PatchMatchStereo.filter 1";
+        let mut commands = Vec::new();
+        for (config, scale, problems) in self.lists_of_one_size() {
+            commands.push(patch_match(selection, &config, &options, scale));
+            if config != MAIN_LIST {
+                files.add_text(config, cfg::write_patch_match(&[], problems));
+            }
+        }
+        if !self.half.is_empty() {
+            let names = self.half_in_order();
+            let half: String = names.map(|name| format!("{name}\n")).collect();
+            files.add_text("stereo/viewrank/half.txt", half);
+        }
+        commands
     }
 
     /// Returns the recipes of the depth maps.
@@ -579,6 +583,19 @@ fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
         .map(reduced)
         .filter(|p| !p.sources.is_empty())
         .collect()
+}
+
+/// The option of geometric consistency, followed by a blank.
+fn geometric(on: bool) -> String {
+    format!("--PatchMatchStereo.geom_consistency {} ", u8::from(on))
+}
+
+fn patch_match(selection: &Selection, config: &str, options: &str, scale: MapScale) -> String {
+    let size = max_image_size(selection, scale);
+    let size = size.map_or(String::new(), |n| {
+        format!(" --PatchMatchStereo.max_image_size {n}")
+    });
+    format!("colmap patch_match_stereo --workspace_path . --config_path {config} {options}{size}")
 }
 
 /// Returns the long side of the matched images, if it differs from that of the images.

@@ -11,7 +11,7 @@ use std::{collections::BTreeMap, fs};
 
 use serde::Serialize;
 
-use self::scene::Builder;
+use self::scene::{Builder, DepthRange};
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale,
@@ -181,27 +181,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let builder = Builder::new(selection);
     let mut files = options.file_set(&BACKEND, selection);
     let mut rows = Vec::new();
-    for (i, cluster) in selection.clusters.iter().enumerate() {
-        let path = format!("clusters/{:04}.mvs", i + 1);
+    for (rank, cluster) in (1..).zip(selection.clusters) {
         let (mvs, range) = builder.cluster(cluster);
-        let camera = selection.scene.camera_of(cluster.key);
-        rows.push(Row {
-            rank: i + 1,
-            scene: path.clone(),
-            key: selection.scene.name(cluster.key).into(),
-            image: builder.image(cluster.key),
-            id: selection.scene.view(cluster.key).image_id,
-            partner_ids: cluster
-                .partners
-                .iter()
-                .map(|&p| selection.scene.view(p).image_id)
-                .collect(),
-            scale: cluster.scale,
-            size: [camera.width, camera.height],
-            share: cluster.share,
-            depths: [range.least, range.greatest],
-        });
-        files.add(path, Contents::Bytes(mvs.write()));
+        let row = Row::new(selection, &builder, rank, cluster, &range);
+        files.add(&*row.scene, Contents::Bytes(mvs.write()));
+        rows.push(row);
     }
     let mut pictures = BTreeMap::new();
     for view in selection.views() {
@@ -301,6 +285,31 @@ struct Row {
     share: f64,
     /// Least and greatest depth of the sparse points; OpenMVS searches 0.9 and 1.1 times that.
     depths: [f64; 2],
+}
+
+impl Row {
+    fn new(
+        selection: &Selection,
+        builder: &Builder,
+        rank: usize,
+        cluster: &RankedCluster,
+        range: &DepthRange,
+    ) -> Self {
+        let camera = selection.scene.camera_of(cluster.key);
+        let id = |view: ViewIndex| selection.scene.view(view).image_id;
+        Self {
+            rank,
+            scene: format!("clusters/{rank:04}.mvs"),
+            key: selection.scene.name(cluster.key).into(),
+            image: builder.image(cluster.key),
+            id: id(cluster.key),
+            partner_ids: cluster.partners.iter().map(|&p| id(p)).collect(),
+            scale: cluster.scale,
+            size: [camera.width, camera.height],
+            share: cluster.share,
+            depths: [range.least, range.greatest],
+        }
+    }
 }
 
 /// Content of `run.json`, the input of `run.py`.

@@ -218,17 +218,8 @@ impl Dialect {
         }
     }
 
-    fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
-        let mut numbers = vec![0; selection.scene.views.len()];
-        lists
-            .views
-            .iter()
-            .zip(&lists.numbers)
-            .for_each(|(v, number)| numbers[v.index()] = *number);
-        let mut record =
-            ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
-        record.made_for = self.made_for.into();
-        record.way = format!("dialect {}", self.backend.name);
+    /// One command for the maps of each size, then those that join the maps.
+    fn commands(&self, selection: &Selection, lists: &Lists) -> Vec<String> {
         let at_half = (0..selection.clusters.len())
             .filter(|&i| self.is_half(selection, i))
             .count();
@@ -240,17 +231,27 @@ impl Dialect {
         let of_each_size = sizes
             .into_iter()
             .flatten()
-            .zip(self.depth.into_iter().cycle());
-        record
-            .commands
-            .extend(of_each_size.map(|(scale, depth)| words(scale).fill(depth)));
+            .zip(self.depth.into_iter().cycle())
+            .map(|(scale, depth)| words(scale).fill(depth));
         let fused = words(self.fused_at(selection));
-        record.commands.extend(
-            self.join
-                .iter()
-                .flat_map(|join| join.commands)
-                .map(|command| fused.fill(command)),
-        );
+        let joins = self.join.iter().flat_map(|join| join.commands);
+        of_each_size
+            .chain(joins.map(|command| fused.fill(command)))
+            .collect()
+    }
+
+    fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
+        let mut numbers = vec![0; selection.scene.views.len()];
+        lists
+            .views
+            .iter()
+            .zip(&lists.numbers)
+            .for_each(|(v, number)| numbers[v.index()] = *number);
+        let mut record =
+            ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
+        record.made_for = self.made_for.into();
+        record.way = format!("dialect {}", self.backend.name);
+        record.commands = self.commands(selection, lists);
         if !self.depth.is_some_and(|depth| depth.contains("SIZE")) {
             record.note_own_scale(selection);
         }
@@ -267,25 +268,26 @@ impl Dialect {
                 .extend(at_another_size(selection, lists));
         }
         if self.all_are_problems {
-            record
-                .not_honoured
-                .push("depth maps of key views only: every view of a cluster gets one".into());
-            record
-                .warnings
-                .push("ACMH takes the second GPU and fails where there is one only".into());
-            let cut = selection
-                .clusters
-                .iter()
-                .filter(|c| c.partners.len() > ACM_PARTNERS);
-            record.warnings.extend(cut.map(|c| {
-                format!(
-                    "{}: partners beyond the first {ACM_PARTNERS}",
-                    selection.scene.name(c.key)
-                )
-            }));
+            note_acm(&mut record, selection);
         }
         record
     }
+}
+
+/// Notes what ACMM and ACMH do in another way.
+fn note_acm(record: &mut ExportRecord, selection: &Selection) {
+    record
+        .not_honoured
+        .push("depth maps of key views only: every view of a cluster gets one".into());
+    record
+        .warnings
+        .push("ACMH takes the second GPU and fails where there is one only".into());
+    let clusters = selection.clusters.iter();
+    let cut = clusters.filter(|c| c.partners.len() > ACM_PARTNERS);
+    record.warnings.extend(cut.map(|c| {
+        let key = selection.scene.name(c.key);
+        format!("{key}: partners beyond the first {ACM_PARTNERS}")
+    }));
 }
 
 /// Returns `run.sh`, which makes all maps and joins them.
