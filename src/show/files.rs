@@ -14,9 +14,9 @@ use crate::{
     },
     io::{
         output::{self, Contents, Disk, FileSet, OutputError},
-        project::{Project, ProjectError},
+        project::{ImageFaults, Project, ProjectError},
     },
-    model::georeference::Georeference,
+    model::{cluster::RankedCluster, georeference::Georeference},
     plan::{EmptyPlan, Plan, PlannedViews},
     show::{
         manifest::{self, FingerprintError, Manifest},
@@ -124,15 +124,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         return Err(empty.into());
     }
     let clusters: Vec<_> = plan.ranked().take(plan.decision.cut.clusters).collect();
-    let selection = Selection {
-        project,
-        scene: &plan.stages.scene,
-        clusters: &clusters,
-        image_scale: plan.stages.settings.image_scale(),
-        own_size: plan.stages.own_size,
-        planned_for: plan.stages.backend,
-        image_faults: &plan.stages.image_faults,
-    };
+    let selection = selection(plan, project, &clusters, &plan.stages.image_faults);
     let (exports, not_exported) = exports(&selection, &wanted(plan, project)?)?;
     let mut missing = not_exported.clone();
     let pair_files = backends::pair_files("the list of view clusters", &selection);
@@ -153,39 +145,18 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         || rayon::join(|| surface_ply(plan), || views_geojson(plan, &place)),
     );
     let mut manifest = manifest?;
-    manifest.warnings.extend(
-        plan.stages
-            .image_faults
-            .warnings(project, &plan.stages.scene),
-    );
-    manifest.warnings.extend(missing);
+    let of_images = &plan.stages.image_faults;
+    let of_images = of_images.warnings(project, &plan.stages.scene);
+    manifest
+        .warnings
+        .extend(of_images.into_iter().chain(missing));
     let command = exports.first().and_then(command);
-    let mut own = FileSet::new(&project.home, "plan");
-    let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
     let stale = stale_page(project, &manifest);
-    if project.is_elsewhere() {
-        let root = std::path::absolute(&project.root).unwrap_or_else(|_| project.root.clone());
-        add(
-            "project.json",
-            json!({ "project": root }).to_string() + "\n",
-        );
+    let mut own = own_files(plan, project, &manifest);
+    for (name, text) in pair_files {
+        own.add_text(format!("viewrank/{name}"), text);
     }
-    add("manifest.json", manifest.to_json());
-    add("manifest.csv", manifest.to_csv());
-    pair_files
-        .into_iter()
-        .for_each(|(name, text)| add(name, text));
-    let planned_views = PlannedViews::new(&plan.stages.scene, &plan.finished);
-    add(
-        "planned_views.json",
-        serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n",
-    );
-    add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
-    add(views_file(&place), views);
-    add(
-        "timings.json",
-        serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n",
-    );
+    own.add_text(format!("viewrank/{}", views_file(&place)), views);
     own.add("viewrank/surface.ply", Contents::Bytes(surface));
     let exports = exports.into_iter().map(|export| {
         let folder = export.files.root.clone();
@@ -205,6 +176,49 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         not_exported,
         command,
     })
+}
+
+fn selection<'a>(
+    plan: &'a Plan,
+    project: &'a Project,
+    clusters: &'a [RankedCluster],
+    image_faults: &'a ImageFaults,
+) -> Selection<'a> {
+    Selection {
+        project,
+        scene: &plan.stages.scene,
+        clusters,
+        image_scale: plan.stages.settings.image_scale(),
+        own_size: plan.stages.own_size,
+        planned_for: plan.stages.backend,
+        image_faults,
+    }
+}
+
+/// Returns the files of the plan that take no time to make.
+fn own_files(plan: &Plan, project: &Project, manifest: &Manifest) -> FileSet {
+    let mut own = FileSet::new(&project.home, "plan");
+    let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
+    if project.is_elsewhere() {
+        let root = std::path::absolute(&project.root).unwrap_or_else(|_| project.root.clone());
+        add(
+            "project.json",
+            json!({ "project": root }).to_string() + "\n",
+        );
+    }
+    add("manifest.json", manifest.to_json());
+    add("manifest.csv", manifest.to_csv());
+    let planned_views = PlannedViews::new(&plan.stages.scene, &plan.finished);
+    add(
+        "planned_views.json",
+        serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n",
+    );
+    add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
+    add(
+        "timings.json",
+        serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n",
+    );
+    own
 }
 
 /// Returns the report of an earlier plan with a note that a newer plan exists, so that a page open
@@ -267,15 +281,7 @@ pub fn export(
 ) -> Result<(PathBuf, FileSet, ExportRecord), BackendError> {
     let clusters: Vec<_> = plan.ranked().take(clusters).collect();
     let image_faults = project.image_faults(&plan.stages.scene);
-    let selection = Selection {
-        project,
-        scene: &plan.stages.scene,
-        clusters: &clusters,
-        image_scale: plan.stages.settings.image_scale(),
-        own_size: plan.stages.own_size,
-        planned_for: plan.stages.backend,
-        image_faults: &image_faults,
-    };
+    let selection = selection(plan, project, &clusters, &image_faults);
     let export = backend.export(&selection, options)?;
     let folder = export.files.root.clone();
     place::check(&folder, std::slice::from_ref(&export), project)?;

@@ -221,6 +221,25 @@ struct HoleData {
     place: Option<[f64; 2]>,
 }
 
+impl RegionData {
+    fn new(
+        plan: &Plan,
+        summary: &RegionSummary,
+        surface: &DrawnSurface,
+        frame: &MapFrame,
+    ) -> Option<Self> {
+        let stages = &plan.stages;
+        let region = stages.region.as_ref()?;
+        let inside = surface.original.iter().map(|&t| region.is_inside(t));
+        Some(Self {
+            words: summary.describe(stages.settings.ranking.weight, stages.metres),
+            inside: list(inside.map(u8::from)),
+            border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
+            outline: outline(plan, frame),
+        })
+    }
+}
+
 impl Contents {
     /// `exports`: those of the plan.
     pub fn new(
@@ -278,20 +297,7 @@ impl Contents {
             pairs_total: plan.decision.forecast.all_pairs,
             views: ViewData::new(plan, &frame)?,
             ranking: RankingData::new(plan),
-            region: summary
-                .zip(plan.stages.region.as_ref())
-                .map(|(summary, region)| RegionData {
-                    words: summary.describe(plan.stages.settings.ranking.weight, metres),
-                    outline: outline(plan, &frame),
-                    inside: bytes(
-                        &surface
-                            .original
-                            .iter()
-                            .map(|&t| u8::from(region.is_inside(t)))
-                            .collect::<Vec<_>>(),
-                    ),
-                    border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
-                }),
+            region: summary.and_then(|summary| RegionData::new(plan, &summary, &surface, &frame)),
             surface: SurfaceData::new(plan, &surface, &frame),
             subject: Corners::shown_first(plan, &frame),
             holes: listed,
@@ -410,6 +416,10 @@ pub(super) fn offset_bytes(offsets: &Offsets) -> String {
     )
 }
 
+fn list<T: bytemuck::NoUninit>(values: impl Iterator<Item = T>) -> String {
+    bytes(&values.collect::<Vec<T>>())
+}
+
 fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
     points
         .flat_map(|point| frame.local(point))
@@ -419,78 +429,39 @@ fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>)
 
 impl ViewData {
     fn new(plan: &Plan, frame: &MapFrame) -> Result<Self, DiskError> {
-        let views = || plan.stages.scene.view_indices();
-        let centres: Vec<Point3<f64>> = plan
-            .stages
-            .scene
-            .views
-            .iter()
-            .map(|v| v.cam_from_world.centre())
-            .collect();
-        let directions = plan
-            .stages
-            .scene
-            .views
-            .iter()
-            .map(|v| v.cam_from_world.viewing_direction());
-        let directions: Vec<f32> = directions
-            .flat_map(|d| frame.direction(&d))
-            .map(|x| x as f32)
-            .collect();
-        let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, frame);
-        let mut rank = vec![0u32; plan.stages.scene.views.len()];
+        let stages = &plan.stages;
+        let views = || stages.scene.views.iter();
+        let centres: Vec<Point3<f64>> = views().map(|v| v.cam_from_world.centre()).collect();
+        let directions =
+            views().flat_map(|v| frame.direction(&v.cam_from_world.viewing_direction()));
+        let footprints = footprints(&stages.surface, &stages.visibility, frame);
+        let mut rank = vec![0u32; stages.scene.views.len()];
         plan.ranked()
             .enumerate()
             .for_each(|(i, cluster)| rank[cluster.key.index()] = i as u32 + 1);
+        let reasons = plan.decision.views.iter().map(|&(_, reason)| reason);
         let mut substitutes = vec![Vec::new(); rank.len()];
-        plan.stages
+        stages
             .clusters
             .iter()
             .zip(plan.best_substitutes()?)
             .for_each(|(cluster, found)| substitutes[cluster.key.index()] = found);
+        let likest = || substitutes.iter().flatten();
+        let seen = |view| stages.visibility.triangles_seen_by(view).len() as u32;
         Ok(Self {
-            names: plan
-                .stages
-                .scene
-                .views
-                .iter()
-                .map(|view| view.name.clone())
-                .collect(),
+            names: views().map(|view| view.name.clone()).collect(),
             centres: bytes(&in_frame(frame, centres.iter())),
-            directions: bytes(&directions),
+            directions: list(directions.map(|x| x as f32)),
             footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
             footprint_offsets: offset_bytes(&Offsets::from_lengths(
                 footprints.iter().map(Vec::len),
             )),
             rank: bytes(&rank),
-            reason: bytes(
-                &plan
-                    .decision
-                    .views
-                    .iter()
-                    .map(|&(_, reason)| Reason::number(reason))
-                    .collect::<Vec<_>>(),
-            ),
+            reason: list(reasons.map(Reason::number)),
             likest_offsets: offset_bytes(&Offsets::from_lengths(substitutes.iter().map(Vec::len))),
-            likest: bytes(
-                &substitutes
-                    .iter()
-                    .flatten()
-                    .map(|l| l.rank as u32 + 1)
-                    .collect::<Vec<_>>(),
-            ),
-            likest_shares: bytes(
-                &substitutes
-                    .iter()
-                    .flatten()
-                    .map(|l| l.share as f32)
-                    .collect::<Vec<_>>(),
-            ),
-            seen: bytes(
-                &views()
-                    .map(|view| plan.stages.visibility.triangles_seen_by(view).len() as u32)
-                    .collect::<Vec<_>>(),
-            ),
+            likest: list(likest().map(|l| l.rank as u32 + 1)),
+            likest_shares: list(likest().map(|l| l.share as f32)),
+            seen: list(stages.scene.view_indices().map(seen)),
             partners: partners(plan),
         })
     }
