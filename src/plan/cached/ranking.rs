@@ -49,78 +49,72 @@ pub(super) fn pack(decision: &Decision) -> Packed {
 /// Unpacks a ranking of that many clusters, for a surface of that many triangles.
 pub fn unpack(bytes: &[u8], clusters: usize, triangles: usize) -> Option<UncutRanking> {
     let mut lists = Unpacker::new(bytes);
-    let order = lists.list::<u32>()?;
-    let scales = lists
-        .bytes()?
-        .iter()
-        .map(|&half| {
-            if half == 0 {
-                MapScale::Full
-            } else {
-                MapScale::Half
-            }
-        })
-        .collect();
-    let (gains, fulfilment, kept) = (
-        lists.list::<f64>()?,
-        lists.list::<f64>()?,
-        lists.list::<f64>()?,
-    );
-    let [reachable] = lists.list::<f64>()?.try_into().ok()?;
-    let ranking = Ranking {
-        order,
-        scales,
-        gains,
-        fulfilment,
-        kept,
-        reachable,
+    let scale = |&is_half: &u8| match is_half {
+        0 => MapScale::Full,
+        _ => MapScale::Half,
     };
-    let area_shares = lists.list::<f64>()?;
-    let triangle_reasons: Vec<_> = lists
-        .bytes()?
-        .iter()
-        .map(|&number| Reason::from_number(number))
-        .collect::<Option<_>>()?;
-    let border: Vec<bool> = lists
-        .bytes()?
-        .iter()
-        .map(|&is_border| is_border != 0)
-        .collect();
-    let pixels = lists.list::<f64>()?;
+    let mut ranking = Ranking {
+        order: lists.list()?,
+        scales: lists.bytes()?.iter().map(scale).collect(),
+        gains: lists.list()?,
+        fulfilment: lists.list()?,
+        kept: lists.list()?,
+        reachable: 0.0,
+    };
+    [ranking.reachable] = lists.list()?.try_into().ok()?;
+    let known = UncutRanking {
+        ranking,
+        area_shares: lists.list()?,
+        triangle_reasons: lists
+            .bytes()?
+            .iter()
+            .map(|&number| Reason::from_number(number))
+            .collect::<Option<_>>()?,
+        border: lists.bytes()?.iter().map(|&border| border != 0).collect(),
+        pixels: lists.list()?,
+    };
+    let is_valid = lists.is_at_end()
+        && is_order_of(clusters, &known.ranking.order)
+        && fits(&known, triangles)
+        && are_numbers(&known);
+    is_valid.then_some(known)
+}
+
+/// Whether these are clusters, each at most once.
+fn is_order_of(clusters: usize, order: &[u32]) -> bool {
     let mut is_left = vec![true; clusters];
-    let takes = |&cluster: &u32| {
+    let mut takes = |&cluster: &u32| {
         is_left
             .get_mut(cluster as usize)
             .is_some_and(std::mem::take)
     };
-    let is_ranking = ranking.order.iter().all(takes) && lists.is_at_end();
+    order.iter().all(&mut takes)
+}
+
+fn fits(known: &UncutRanking, triangles: usize) -> bool {
+    let ranking = &known.ranking;
     let ranks = ranking.order.len();
     let lengths = [
+        ranking.scales.len(),
+        ranking.gains.len(),
+        ranking.fulfilment.len(),
+        ranking.kept.len(),
+        known.area_shares.len(),
+    ];
+    lengths == [ranks; 5]
+        && known.pixels.len() <= ranks
+        && [known.triangle_reasons.len(), known.border.len()] == [triangles; 2]
+}
+
+fn are_numbers(known: &UncutRanking) -> bool {
+    let ranking = &known.ranking;
+    let lists = [
         &ranking.gains,
         &ranking.fulfilment,
         &ranking.kept,
-        &area_shares,
-    ]
-    .map(Vec::len);
-    let fits = ranking.scales.len() == ranks && lengths == [ranks; 4] && pixels.len() <= ranks;
-    let fits = fits && triangle_reasons.len() == triangles && border.len() == triangles;
-    let numbers = [
-        &ranking.gains,
-        &ranking.fulfilment,
-        &ranking.kept,
-        &area_shares,
-        &pixels,
-    ]
-    .into_iter()
-    .flatten();
-    let are_numbers = numbers
-        .chain([&ranking.reachable])
-        .all(|number| number.is_finite());
-    (is_ranking && fits && are_numbers).then_some(UncutRanking {
-        ranking,
-        area_shares,
-        triangle_reasons,
-        border,
-        pixels,
-    })
+        &known.area_shares,
+        &known.pixels,
+    ];
+    let numbers = lists.into_iter().flatten().chain([&ranking.reachable]);
+    numbers.copied().all(f64::is_finite)
 }

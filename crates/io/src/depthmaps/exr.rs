@@ -36,23 +36,9 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
         return Err((4, "expected OpenEXR 2, one part, in scan lines".into()));
     }
     let header = header(bytes)?;
-    let window = header.window.ok_or_else(|| lacks("dataWindow"))?;
-    let [width, height] = size(window)?;
-    let sample = header.sample.ok_or_else(|| lacks("channels"))?;
-    let rows_of_chunk: u32 = match header.compression.ok_or_else(|| lacks("compression"))? {
-        0 | 2 => 1,
-        3 => 16,
-        other => {
-            return Err((
-                8,
-                format!("compression {other}, expected none, zips or zip"),
-            ));
-        }
-    };
-    let (pixels, chunks) = (
-        pixels(width, height, bound)?,
-        height.div_ceil(rows_of_chunk) as usize,
-    );
+    let image = ScanLines::new(&header)?;
+    let ScanLines { width, height, .. } = image;
+    let pixels = pixels(width, height, bound)?;
     if (size_of::<f32>() * pixels) as u64 > most_decoded_bytes(bytes.len() as u64) {
         let file = bytes.len();
         return Err((
@@ -63,35 +49,14 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     // The memory is touched when a chunk is inflated, and there may be none.
     let mut depth =
         large_pages::try_zeroed::<f32>(pixels).map_err(|error| (8, error.to_string()))?;
-    let line = width as usize * sample;
-    for chunk in 0..chunks {
+    for chunk in 0..height.div_ceil(image.rows_of_chunk) as usize {
         let (low, high) = (
             u32_at(bytes, header.end + 8 * chunk)?,
             u32_at(bytes, header.end + 8 * chunk + 4)?,
         );
         let at = usize::try_from(u64::from(low) | u64::from(high) << 32)
             .map_err(|e| (header.end, e.to_string()))?;
-        let row = i64::from(u32_at(bytes, at)? as i32) - i64::from(window[1]);
-        let rows = height as i64 - row;
-        if row < 0 || rows < 1 {
-            return Err((at, format!("a line outside the map of {height} lines")));
-        }
-        let length = line * rows.min(rows_of_chunk.into()) as usize;
-        let stored = at.saturating_add(8)
-            ..at.saturating_add(8)
-                .saturating_add(u32_at(bytes, at.saturating_add(4))? as usize);
-        let stored = bytes
-            .get(stored)
-            .ok_or_else(|| (at, "unexpected end of file".to_string()))?;
-        let values = unpacked(stored, length).map_err(|what| (at, what))?;
-        let start = row as usize * width as usize;
-        for (z, value) in depth[start..].iter_mut().zip(values.chunks_exact(sample)) {
-            *z = if sample == 4 {
-                f32::from_le_bytes([value[0], value[1], value[2], value[3]])
-            } else {
-                f16::from_le_bytes([value[0], value[1]]).to_f32()
-            };
-        }
+        image.read_chunk(bytes, at, &mut depth)?;
     }
     Ok(DepthMap {
         format: DepthMapFormat::AliceVision,
@@ -100,6 +65,66 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
         depth,
         ids: Vec::new(),
     })
+}
+
+/// How the lines of the image are stored.
+struct ScanLines {
+    /// The first row, as chunks count.
+    top: i32,
+    width: u32,
+    height: u32,
+    /// Bytes of a sample.
+    sample: usize,
+    rows_of_chunk: u32,
+}
+
+impl ScanLines {
+    fn new(header: &Header) -> Parsed<Self> {
+        let window = header.window.ok_or_else(|| lacks("dataWindow"))?;
+        let [width, height] = size(window)?;
+        let sample = header.sample.ok_or_else(|| lacks("channels"))?;
+        let rows_of_chunk = match header.compression.ok_or_else(|| lacks("compression"))? {
+            0 | 2 => 1,
+            3 => 16,
+            other => {
+                let what = format!("compression {other}, expected none, zips or zip");
+                return Err((8, what));
+            }
+        };
+        Ok(Self {
+            top: window[1],
+            width,
+            height,
+            sample,
+            rows_of_chunk,
+        })
+    }
+
+    /// Reads the chunk at an offset of the file: its first row, its length, and its samples.
+    fn read_chunk(&self, bytes: &[u8], at: usize, depth: &mut [f32]) -> Parsed<()> {
+        let (width, height, sample) = (self.width as usize, self.height, self.sample);
+        let row = i64::from(u32_at(bytes, at)? as i32) - i64::from(self.top);
+        let rows = i64::from(height) - row;
+        if row < 0 || rows < 1 {
+            return Err((at, format!("a line outside the map of {height} lines")));
+        }
+        let length = width * sample * rows.min(self.rows_of_chunk.into()) as usize;
+        let start = at.saturating_add(8);
+        let stored = u32_at(bytes, at.saturating_add(4))? as usize;
+        let stored = bytes
+            .get(start..start.saturating_add(stored))
+            .ok_or_else(|| (at, "unexpected end of file".to_string()))?;
+        let values = unpacked(stored, length).map_err(|what| (at, what))?;
+        let values = values.chunks_exact(sample);
+        for (z, value) in depth[row as usize * width..].iter_mut().zip(values) {
+            *z = if sample == 4 {
+                f32::from_le_bytes([value[0], value[1], value[2], value[3]])
+            } else {
+                f16::from_le_bytes([value[0], value[1]]).to_f32()
+            };
+        }
+        Ok(())
+    }
 }
 
 fn lacks(what: &str) -> (usize, String) {

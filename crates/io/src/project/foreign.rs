@@ -16,7 +16,7 @@ use super::{
 use crate::{
     formats::{
         Fault, Place, Problem, alicevision, blocks, bundler, cloud,
-        foreign::ForeignModel,
+        foreign::{ForeignModel, SizeLookup},
         metashape::{self, Frame},
         micmac, mve, nvm, openmvg,
         openmvs::Mvs,
@@ -284,10 +284,6 @@ pub(super) fn read(
     let search = ImageSearch::new(folder::candidates(root, &model.path));
     let size_of = |name: &str| search.size_of(name);
     let spelled = |name: &str| search.spelled(name);
-    let at = |path: &Path, fault| ProjectError::Fault {
-        path: path.into(),
-        fault,
-    };
     let path = &model.path;
     if model.format == ModelFormat::Sure {
         return read_sure(root, path);
@@ -297,67 +293,82 @@ pub(super) fn read(
         return Ok((read_micmac(path)?, cloud()));
     }
     let bytes = files::read(path)?;
+    let fault = |fault| at(path, fault);
     let mut foreign = match model.format {
         ModelFormat::Transforms => {
-            let (foreign, named) =
-                transforms::read(&bytes, &size_of, &spelled).map_err(|fault| at(path, fault))?;
+            let (foreign, named) = transforms::read(&bytes, &size_of, &spelled).map_err(fault)?;
             let named = named.map(|cloud| path.with_file_name(cloud.replace('\\', "/")));
-            return Ok((
-                foreign,
-                named.filter(|cloud| cloud.is_file()).or_else(cloud),
-            ));
+            let named = named.filter(|cloud| cloud.is_file());
+            return Ok((foreign, named.or_else(cloud)));
         }
-        ModelFormat::Bundler => {
-            let list = bundler_list(path).ok_or_else(|| ProjectError::NoImageList(path.clone()))?;
-            let names = files::read(&list)?;
-            bundler::read(&bytes, &names, &size_of)
-                .map_err(|fault| at(if fault.file == "list" { &list } else { path }, fault))?
-        }
-        ModelFormat::OpenSfm => {
-            let tracks = path.with_file_name("tracks.csv");
-            let rows = tracks.is_file().then(|| files::read(&tracks)).transpose()?;
-            opensfm::read(&bytes, rows.as_deref()).map_err(|fault| {
-                at(
-                    if fault.file == "tracks" {
-                        &tracks
-                    } else {
-                        path
-                    },
-                    fault,
-                )
-            })?
-        }
-        ModelFormat::Metashape => {
-            let read =
-                |frame| metashape::read(&bytes, frame, &spelled).map_err(|fault| at(path, fault));
-            let (world, chunk) = (read(Frame::World)?, read(Frame::Chunk)?);
-            // Points may be exported in either; they are where the cameras look.
-            let points = cloud()
-                .map(|cloud| vertices(&cloud))
-                .transpose()?
-                .unwrap_or_default();
-            let seen = |foreign: &ForeignModel| cloud::views_per_point(&foreign.model, &points);
-            if seen(&chunk) > seen(&world) {
-                chunk
-            } else {
-                world
-            }
-        }
-        ModelFormat::Blocks => blocks::read(&bytes).map_err(|fault| at(path, fault))?,
+        ModelFormat::Bundler => read_bundler(path, &bytes, &size_of)?,
+        ModelFormat::OpenSfm => read_opensfm(path, &bytes)?,
+        ModelFormat::Metashape => read_metashape(model, &bytes, &spelled)?,
         ModelFormat::Mve => {
             let views = ImageSearch::new(vec![path.with_file_name("views")]);
             let size_of = |name: &str| views.size_of(name);
-            mve::read(&bytes, &mve_views(path), &size_of).map_err(|fault| at(path, fault))?
+            mve::read(&bytes, &mve_views(path), &size_of).map_err(fault)?
         }
-        ModelFormat::Nvm => nvm::read(&bytes, &size_of).map_err(|fault| at(path, fault))?,
-        ModelFormat::OpenMvg => openmvg::read(&bytes).map_err(|fault| at(path, fault))?,
-        ModelFormat::AliceVision => alicevision::read(&bytes).map_err(|fault| at(path, fault))?,
+        ModelFormat::Blocks => blocks::read(&bytes).map_err(fault)?,
+        ModelFormat::Nvm => nvm::read(&bytes, &size_of).map_err(fault)?,
+        ModelFormat::OpenMvg => openmvg::read(&bytes).map_err(fault)?,
+        ModelFormat::AliceVision => alicevision::read(&bytes).map_err(fault)?,
         _ => Mvs::read(&bytes)
             .and_then(|mvs| mvs.model(&size_of))
-            .map_err(|fault| at(path, fault))?,
+            .map_err(fault)?,
     };
     foreign.shorten_names();
     Ok((foreign, cloud()))
+}
+
+fn at(path: &Path, fault: Fault) -> ProjectError {
+    ProjectError::Fault {
+        path: path.into(),
+        fault,
+    }
+}
+
+fn read_bundler(
+    path: &Path,
+    bytes: &[u8],
+    size_of: SizeLookup,
+) -> Result<ForeignModel, ProjectError> {
+    let list = bundler_list(path).ok_or_else(|| ProjectError::NoImageList(path.into()))?;
+    let names = files::read(&list)?;
+    bundler::read(bytes, &names, size_of).map_err(|fault| match fault.file {
+        "list" => at(&list, fault),
+        _ => at(path, fault),
+    })
+}
+
+fn read_opensfm(path: &Path, bytes: &[u8]) -> Result<ForeignModel, ProjectError> {
+    let tracks = path.with_file_name("tracks.csv");
+    let rows = tracks.is_file().then(|| files::read(&tracks)).transpose()?;
+    opensfm::read(bytes, rows.as_deref()).map_err(|fault| match fault.file {
+        "tracks" => at(&tracks, fault),
+        _ => at(path, fault),
+    })
+}
+
+/// Points may be exported with the cameras' transform or without; they are where the cameras look.
+fn read_metashape(
+    model: &ModelLocation,
+    bytes: &[u8],
+    spelled: &dyn Fn(&str) -> String,
+) -> Result<ForeignModel, ProjectError> {
+    let read =
+        |frame| metashape::read(bytes, frame, spelled).map_err(|fault| at(&model.path, fault));
+    let (world, chunk) = (read(Frame::World)?, read(Frame::Chunk)?);
+    let points = cloud_beside(model)
+        .map(|cloud| vertices(&cloud))
+        .transpose()?
+        .unwrap_or_default();
+    let seen = |foreign: &ForeignModel| cloud::views_per_point(&foreign.model, &points);
+    if seen(&chunk) > seen(&world) {
+        Ok(chunk)
+    } else {
+        Ok(world)
+    }
 }
 
 /// Reads an `Ori-` folder of MicMac; the points are in a PLY file beside it (`AperiCloud`).
