@@ -49,36 +49,20 @@ pub(super) fn samples(
     let Geometry {
         scene, visibility, ..
     } = *geometry;
-    let spacing = Spacing::new(geometry);
     let (done, total) = (AtomicU64::new(0), scene.views.len() as u64);
     watcher.progress(Stage::Confidence, 0, total);
-    let failures = Mutex::new(Vec::new());
+    let sampler = Sampler {
+        geometry,
+        pictures,
+        spacing: Spacing::new(geometry),
+        faults: Mutex::default(),
+    };
     let of_view = |view: ViewIndex| {
         watcher.check()?;
-        let sampled = pictures
-            .grey(scene, view, geometry.image_scale)
-            .map(|picture| {
-                picture.map(|(grey, mask)| {
-                    let stacks = stacks(geometry, &spacing, view, &grey, mask.as_ref());
-                    (stacks, grey.detail())
-                })
-            });
-        let sampled = sampled.unwrap_or_else(|failure| {
-            failures
-                .lock()
-                .map(|mut failures| failures.push((view, failure)))
-                .ok();
-            None
-        });
-        watcher.progress(
-            Stage::Confidence,
-            1 + done.fetch_add(1, Ordering::Relaxed),
-            total,
-        );
-        Ok(sampled.unwrap_or_else(|| {
-            let rows = visibility.triangles_seen_by(view).len();
-            (vec![stacks::NOT_SEEN; rows * STACK], [0.0; 2])
-        }))
+        let sampled = sampler.of_view(view);
+        let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+        watcher.progress(Stage::Confidence, done, total);
+        Ok(sampled)
     };
     let mut samples = ColumnBuilder::new(room.keep)?;
     samples.reserve(visibility.triangles.len() * STACK);
@@ -100,13 +84,48 @@ pub(super) fn samples(
             Ok(())
         },
     )?;
-    let mut faults = failures.into_inner().unwrap_or_default();
+    let mut faults = sampler.faults.into_inner().unwrap_or_default();
     faults.sort_by_key(|(view, _)| *view);
     Ok(Sampled {
         samples: samples.finish()?,
         detail,
         faults,
     })
+}
+
+struct Sampler<'a> {
+    geometry: &'a Geometry<'a>,
+    pictures: &'a dyn Pictures,
+    spacing: Spacing,
+    faults: Mutex<Vec<PictureFault>>,
+}
+
+impl Sampler<'_> {
+    /// Returns the samples of a view's picture and its detail, as of a view that sees nothing where
+    /// there is no picture.
+    fn of_view(&self, view: ViewIndex) -> (Vec<i8>, [f64; 2]) {
+        let geometry = self.geometry;
+        let picture = self
+            .pictures
+            .grey(geometry.scene, view, geometry.image_scale);
+        let picture = picture.unwrap_or_else(|fault| {
+            self.faults
+                .lock()
+                .map(|mut faults| faults.push((view, fault)))
+                .ok();
+            None
+        });
+        match picture {
+            Some((grey, mask)) => {
+                let stacks = stacks(geometry, &self.spacing, view, &grey, mask.as_ref());
+                (stacks, grey.detail())
+            }
+            None => {
+                let rows = geometry.visibility.triangles_seen_by(view).len();
+                (vec![stacks::NOT_SEEN; rows * STACK], [0.0; 2])
+            }
+        }
+    }
 }
 
 /// Returns the agreement of the key view with each partner, by partner, then row of the key view; 0
