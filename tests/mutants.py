@@ -46,12 +46,18 @@ class Mutant:
         return f"{self.number:3} {self.file}: {self.old} ~> {self.new or '(nothing)'}"
 
     def place(self, text):
-        """Where the old code is, as (start, end); blanks and line breaks count alike."""
-        before, old, after = (r"\s+".join(map(re.escape, part.split())) for part in (self.around[0], self.old, self.around[1]))
+        """Where the old code is, as (start, end), however rustfmt breaks its lines."""
+        before, old, after = map(pattern, (self.around[0], self.old, self.around[1]))
         found = list(re.finditer(rf"{before}\s*({old})\s*{after}", text))
         if len(found) != 1:
             sys.exit(f"{self}: {len(found)} such places, not one")
         return found[0].span(1)
+
+
+def pattern(code):
+    """A regular expression of the same tokens, with any blanks between them; before a bracket closes, rustfmt adds commas."""
+    tokens = re.findall(r"\w+|[^\w\s]", code)
+    return r"\s*".join((r",?\s*" if token in ")]}" else "") + re.escape(token) for token in tokens)
 
 
 def read_list():
