@@ -14,10 +14,27 @@ refuse_strangers() {
         !($0 in known) && !stranger { stranger = 1; print }
         END { if (!stranger) print "none" }')
     [ "$found" = none ] || refuse "$found"
+    [ "$links" = /dev/null ] || refuse_links_to_no_file "$@"
 }
-# Ends the script because of a path, which is shown without what a terminal would obey.
+# Refuses links that lead to a folder, a pipe or a device, as viewrank's own lead to pictures: a program would copy a whole file system, or wait for ever.
+# One that leads nowhere is a picture that is missing, which the program says. PATH...
+refuse_links_to_no_file() {
+    found=$({
+        find "$@" -type l -exec sh -c '
+            for link; do
+                [ -f "$link" ] || [ ! -e "$link" ] || printf "%s\n" "$link"
+            done' sh '{}' + || :
+        echo none
+    } | head -n 1)
+    [ "$found" = none ] || refuse "$found"
+}
+# Ends the script because of a path.
 refuse() {
-    printf 'error: %s: not made by viewrank: move it away, or put the file or folder itself in the place of a link\n' \
-        "$(printf %s "$1" | LC_ALL=C tr -c ' -~' '?')" >&2
+    say "error: $1: not made by viewrank: move it away, or put the file or folder itself in the place of a link" >&2
     exit 1
+}
+# Prints a line, which may have names of strangers in it, without what a terminal would obey.
+say() {
+    printf '%s' "$1" | LC_ALL=C tr -c ' -~' '?'
+    echo
 }

@@ -8,7 +8,7 @@ refuse_strangers links.txt .
 mkdir -p older || exit 1
 failed=0
 fail() {
-    echo "error: $1 failed" >&2
+    say "error: $1 failed" >&2
     failed=1
 }
 # Matches the hash at the end of a result's name.
@@ -17,7 +17,9 @@ recipe=$recipe$recipe$recipe$recipe
 recipe=$recipe$recipe$recipe$recipe
 # Gives a result its name: FROM TO. Where that is taken, somebody has changed this folder.
 move() {
-    [ ! -e "$2" ] || refuse "$2"
+    if [ -e "$2" ] || [ -L "$2" ]; then
+        refuse "$2"
+    fi
     mv "$1" "$2" || exit 1
 }
 # Moves a file or folder to a new folder in older/.
@@ -55,9 +57,18 @@ withdraw() {
     done
     put_aside "$1"
 }
-# Links the maps of a key view into the folder: RESULT FOLDER
+# Links the maps of a key view into the folder: RESULT FOLDER. Of what is kept, only files named like a map, as `$map_names` says, and none onto what has
+# that name there, which may be a link to a picture.
+map_names='*'
 present() {
-    for kept in kept/"$1"/*; do
-        ln "$kept" "$2" 2>/dev/null || cp -p "$kept" "$2" || exit 1
+    for kept in kept/"$1"/$map_names; do
+        [ -f "$kept" ] || continue
+        place="$2/${kept##*/}"
+        if [ -e "$place" ] || [ -L "$place" ]; then
+            refuse "$place"
+        fi
+        ln "$kept" "$place" 2>/dev/null && continue
+        # Not every file system has hard links.
+        draft=$(mktemp "$2/XXXXXX") && cp -p "$kept" "$draft" && mv "$draft" "$place" || exit 1
     done
 }

@@ -19,9 +19,35 @@ case $#${1:-} in
 esac
 cd "$(dirname "$0")/../.."
 @REFUSE_STRANGERS@
-refuse_strangers /dev/null stereo
+refuse_strangers /dev/null stereo sparse
+# The folder of pictures may be a link, and so may each of them.
+found=$(find -H images ! -type f ! -type l '(' ! -type d -o ! -perm -500 ')' | head -n 1)
+[ -z "$found" ] || refuse "$found"
+refuse_links_to_no_file -H images
 maps=stereo/viewrank/maps.tsv
 tab=$(printf '\t')
+# The lists name files below the folders of maps. A path in them may not lead out of these, and what a map was made by is a hash.
+refuse_paths_out() {
+    found=$(LC_ALL=C awk -F '\t' -v maps="$maps" '
+        BEGIN { hash = "[0-9a-f]"; hash = hash hash hash hash; hash = "^(" hash hash hash hash "|[?-])$" }
+        { path = $0 }
+        FILENAME == maps { wrong = $1 !~ hash || $2 !~ hash || !sub(/^[^\t]*\t[^\t]*\t/, "", path) }
+        wrong || path == "" && FILENAME == maps || path ~ /^\// || path ~ /(^|\/|, )\.\.(\/|$)/ { print FILENAME; exit }' "$@")
+    [ -z "$found" ] || refuse "$found"
+}
+for list in "$maps" stereo/patch-match.cfg stereo/viewrank/*.cfg stereo/viewrank/*.txt; do
+    [ ! -f "$list" ] || refuse_paths_out "$list"
+done
+# Prints what a map was made by, as a note says that may be anybody's: FILE
+noted() {
+    made=$(head -c 20 -- "$1" | LC_ALL=C tr -c '0-9a-f\n' '?')
+    case "${#made} $made" in
+    '16 '*[!0-9a-f]*) made='?' ;;
+    '16 '*) ;;
+    *) made='?' ;;
+    esac
+    echo "$made"
+}
 
 # A map of COLMAP is whole when its size is what its head says: WIDTH&HEIGHT&CHANNELS& and as many floats.
 whole() {
@@ -39,7 +65,7 @@ there() {
 # Writes a line to a new file, so that no other name of an older file gets it: LINE FILE
 note() {
     rm -f -- "$2"
-    echo "$1" > "$2"
+    printf '%s\n' "$1" > "$2"
 }
 remove() {
     rm -f -- "stereo/depth_maps/$1" "stereo/depth_maps/$1.made" "stereo/normal_maps/$1" "stereo/consistency_graphs/$1"
@@ -49,7 +75,7 @@ remove() {
 # these lists.
 set_aside() {
     while IFS=$tab read -r wanted made map; do
-        [ ! -f "stereo/depth_maps/$map.made" ] || made=$(cat "stereo/depth_maps/$map.made")
+        [ ! -f "stereo/depth_maps/$map.made" ] || made=$(noted "stereo/depth_maps/$map.made")
         case $wanted in -) continue ;; esac
         case $made in - | "$wanted") continue ;; esac
         there "$map" || continue
@@ -60,18 +86,22 @@ set_aside() {
     done
 }
 # A map that was set aside goes when its successor is whole, and comes back where there is none. The depth map is the first both ways: so what a
-# killed run left half-way is never whole.
+# killed run left half-way is never whole. A file that no run has noted is somebody's own, and stays.
 bring_back() {
-    whole=0
+    whole=0 noted=0
+    [ ! -f "stereo/depth_maps/$1.made" ] || noted=1
     ! there "$1" || whole=1
     for file in "depth_maps/$1" "depth_maps/$1.made" "normal_maps/$1" "consistency_graphs/$1"; do
         [ -f "stereo/$file.before" ] || continue
-        if [ "$whole" -eq 1 ]; then rm -f -- "stereo/$file.before"; else mv -f -- "stereo/$file.before" "stereo/$file"; fi
+        if [ "$whole" -eq 1 ]; then
+            rm -f -- "stereo/$file.before"
+        elif [ "$noted" -eq 1 ] || [ ! -e "stereo/$file" ]; then
+            mv -f -- "stereo/$file.before" "stereo/$file"
+        fi
     done
 }
 bring_all_back() {
-    find stereo/depth_maps stereo/normal_maps stereo/consistency_graphs -name '*.bin*.before' 2> /dev/null |
-        sed 's|^stereo/[^/]*/||; s|\.before$||; s|\.made$||' | sort -u | while IFS= read -r map; do bring_back "$map"; done
+    while IFS=$tab read -r wanted made map; do bring_back "$map"; done < "$maps"
 }
 # Lines of maps.tsv about the maps of a list: LIST KIND.
 lines_of() {

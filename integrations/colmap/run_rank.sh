@@ -18,7 +18,7 @@ if [ "${1:-}" = --rank ]; then
     @COMMAND@
     rm -f -- "$list"
     if ! there "$map"; then
-        echo "$KEY: COLMAP left no whole depth map" >&2
+        say "$KEY: COLMAP left no whole depth map" >&2
         exit 1
     fi
     exit 0

@@ -38,10 +38,15 @@ def main():
         camera.enabled = camera.key in enabled
     copy.buildDepthMaps(downscale=int(clusters["downscale"]), filter_mode=Metashape.MildFiltering, cameras=keys, reuse_depth=False, max_neighbors=clusters["max_neighbors"])
     document.save()
-    print(f"{len(keys)} depth maps in the chunk {copy.label}")
+    print(f"{len(keys)} depth maps in the chunk {shown(copy.label)}")
     build = getattr(copy, "buildPointCloud", None) or copy.buildDenseCloud
     build()
     document.save()
+
+
+def shown(text):
+    """Text that may be a stranger's, without what a terminal would obey."""
+    return "".join(sign if sign.isprintable() else "?" for sign in text)
 
 
 def chosen_chunk(document, label):
@@ -69,7 +74,7 @@ def find(chunk, names):
         if len(cameras) == 1:
             found.append(cameras[0])
         else:
-            wrong.append(f"{name}: {len(cameras)} cameras")
+            wrong.append(f"{shown(name)}: {len(cameras)} cameras")
     if wrong:
         sys.exit("error: labels that are not found or not unique:\n  " + "\n  ".join(wrong))
     return found

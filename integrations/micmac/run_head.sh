@@ -5,18 +5,18 @@ ori=$(cd "$OLDPWD" && cd "${1:?$usage}" && pwd -P) || exit 2
 copy="$(pwd -P)/Ori-viewrank"
 case "$copy/" in
 "${ori%/}"/*)
-    echo "error: $ori is the copy that this script makes, or holds it; $usage, of the MicMac project that the model comes from" >&2
+    say "error: $ori is the copy that this script makes, or holds it; $usage, of the MicMac project that the model comes from" >&2
     exit 1
     ;;
 esac
 case "$ori" in
 "$copy"/*)
-    echo "error: $ori is in the copy that this script makes; $usage, of the MicMac project that the model comes from" >&2
+    say "error: $ori is in the copy that this script makes; $usage, of the MicMac project that the model comes from" >&2
     exit 1
     ;;
 esac
 if [ -e Ori-viewrank ] && [ ! -e Ori-viewrank/made-by-viewrank ]; then
-    echo "error: $copy is there and not made by this script; move it away" >&2
+    say "error: $copy is there and not made by this script; move it away" >&2
     exit 1
 fi
 refuse_strangers /dev/null "$ori"

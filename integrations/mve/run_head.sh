@@ -1,5 +1,6 @@
 # dmrecon skips a view that has a map, and scene2pset joins all maps that the views have.
 mkdir -p kept || exit 1
+map_names='*-L*'
 for view in views/*.mve; do
     name=${view#views/}
     for map in "$view"/*-L*; do

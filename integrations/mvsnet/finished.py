@@ -79,7 +79,7 @@ def resize(path, to, wide, high):
 def own_folder(path):
     """A folder of this script; a link in its place would lead somewhere else."""
     if path.is_symlink():
-        sys.exit(f"error: {path}: a link in place of a folder of this script; move it away")
+        sys.exit(f"error: {ascii(str(path))}: a link in place of a folder of this script; move it away")
     path.mkdir(exist_ok=True)
     return path
 
@@ -118,8 +118,8 @@ def seen_before():
         if not (fuse / "seen.json").is_file():
             return {}
         seen = json.loads((fuse / "seen.json").read_text())
-        return {key: [time, camera] for key, (time, camera) in seen.items()}
-    except (OSError, ValueError, TypeError, AttributeError):
+        return {key: [time, camera] for key, (time, camera) in seen.items() if isinstance(time, int) and isinstance(camera, str)}
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return {}
 
 

@@ -91,7 +91,7 @@ def refuse_other_pictures(planned):
 
 def refuse_strangers():
     """Ends where anything here is neither a file nor a folder: it would be followed out of this folder, or a pipe waited for. links.txt lists the links that viewrank made;
-    those of a run are in its folder below unfinished/."""
+    those of a run are in its folder below unfinished/. A link that leads to a folder or a pipe is none of them: viewrank's lead to pictures, of which one may be missing."""
     listed = HERE / "links.txt"
     if listed.is_symlink() or not listed.is_file():
         sys.exit(f"error: {listed}: not the list that viewrank wrote; export again")
@@ -102,7 +102,7 @@ def refuse_strangers():
             path = Path(folder, name)
             with contextlib.suppress(FileNotFoundError):  # that of another run
                 mode = path.lstat().st_mode
-                is_known = stat.S_ISLNK(mode) and (is_of_a_run or f"./{path.relative_to(HERE).as_posix()}" in links)
+                is_known = stat.S_ISLNK(mode) and (is_of_a_run or f"./{path.relative_to(HERE).as_posix()}" in links and (os.path.isfile(path) or not os.path.exists(path)))
                 if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or is_known):
                     sys.exit(f"error: {ascii(str(path))}: not made by viewrank: move it away, or put the file or folder itself in the place of a link")
 
@@ -113,12 +113,21 @@ def refuse_unlisted(error):
         sys.exit(f"error: {ascii(error.filename)}: {error.strerror}")
 
 
+def shown(text):
+    """Text that may have names of strangers in it, without what a terminal would obey."""
+    return "".join(sign if sign.isprintable() else "?" for sign in text)
+
+
+def say(text):
+    print(shown(text), flush=True)
+
+
 def at_full_size(row, program, report):
     """The row of a key view that is planned at half the size but finished at full size, by an earlier plan: that map is kept. Any other as it is."""
     full = {**row, "scale": 1}
     if row.get("scale", 1) == 1 or not report.is_good(full, digest_of(full, program)):
         return row
-    print(f"{row['rank']:4d} {row['key']}: planned at half the size, kept at full size", flush=True)
+    say(f"{row['rank']:4d} {row['key']}: planned at half the size, kept at full size")
     return full
 
 
@@ -179,7 +188,7 @@ def stop_rule(args):
 def target_reached(path):
     try:
         return json.loads(path.read_text(encoding="utf-8")).get("target_reached") is True
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return False
 
 
@@ -227,8 +236,8 @@ class Densify:
         found = os.stat(self.program)
         self.identity = f"{os.path.realpath(self.program)} {found.st_size} {found.st_mtime_ns}"
         self.kinds = {}  # of the maps of each program that made one here
-        with contextlib.suppress(OSError, ValueError, AttributeError):
-            self.kinds = {str(name): kind for name, kind in json.loads(KINDS_NOTED.read_text(encoding="utf-8")).items()}
+        with contextlib.suppress(OSError, ValueError, AttributeError, RecursionError):
+            self.kinds = {name: kind for name, kind in json.loads(KINDS_NOTED.read_text(encoding="utf-8")).items() if kind in ("DR", "D2")}
 
     def note_kind(self, kind):
         if self.kinds.get(self.identity) != kind:
@@ -286,7 +295,7 @@ class Densify:
                 log.unlink()
         refused = next((line for line in lines_of(done) if done.returncode != 0 and "option '" in line), None)
         if refused:
-            sys.exit(f"error: DensifyPointCloud refuses the options: {refused}")
+            sys.exit(f"error: DensifyPointCloud refuses the options: {shown(refused)}")
         return done
 
 
@@ -323,7 +332,7 @@ def compute(row, program, report):
             program.note_kind(result["kind"])
             program.refuse_other_kinds(map_of(row))
             write_whole(folder / "row.json", result)
-            report.settle(row)
+            report.settle(row, folder)
             return
         if done.returncode != 0 or not made.exists():
             result["problems"].append(last_words(done))
@@ -482,6 +491,14 @@ def is_whole(path):
     return True
 
 
+def is_row(row):
+    """Is it a row of a report, which may be anybody's?"""
+    kinds = {"key": str, "digest": str, "rank": int, "problems": list, "filled": (int, float), "seconds": (int, float)}
+    if not isinstance(row, dict) or not all(isinstance(row.get(name), kind) for name, kind in kinds.items()):
+        return False
+    return all(isinstance(problem, str) for problem in row["problems"]) and ("before" not in row or is_row(row["before"]))
+
+
 class Report:
     """report.json: a row per key view that was tried, and the fusion; `older`: rows of other plans or options, whose maps may fit again; `before` in a row: that of the map
     that is still there, because what came out in its place was not as planned.
@@ -492,9 +509,9 @@ class Report:
         self.path = HERE / "report.json"
         self.rows = {}
         for path in (self.path, *sorted((HERE / "rows").glob("*.json"))):
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 found = json.loads(path.read_text(encoding="utf-8"))
-                self.rows.update({row["key"]: row for row in [*found.get("older", []), *found["clusters"]]})
+                self.rows.update({row["key"]: row for row in [*found.get("older", []), *found["clusters"]] if is_row(row)})
         self.older = []
         self.options = options
         self.fusion = None
@@ -511,17 +528,21 @@ class Report:
         """Is its map there, whole and as planned?"""
         return self.has(row, digest) and not self.rows[row["key"]]["problems"] and is_whole(map_of(row))
 
-    def settle(self, row):
-        """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between."""
+    def settle(self, row, checked=None):
+        """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between. What is not as planned stays where it is, as the
+        folder may be a stranger's. `checked`: the folder of a map that is known to be as planned."""
         for note in UNFINISHED.glob(f"{row['id']:04d}-*/row.json"):
-            if note.is_symlink() or (note.parent / map_of(row).name).is_symlink():
+            made = note.parent / map_of(row).name
+            if note.is_symlink() or made.is_symlink():
                 sys.exit(f"error: {ascii(str(note.parent))}: not made by this script; move it away")
-            with contextlib.suppress(FileNotFoundError, ValueError):  # another run was faster; not a row
+            with contextlib.suppress(FileNotFoundError, ValueError, RecursionError):  # another run was faster; not a row
                 result = json.loads(note.read_text(encoding="utf-8"))
-                if not isinstance(result, dict) or result.get("key") != row["key"]:
+                if not is_row(result) or result["key"] != row["key"]:
+                    continue
+                if note.parent != checked and check(row, made if made.exists() else map_of(row))["problems"]:
                     continue
                 with contextlib.suppress(FileNotFoundError):
-                    (note.parent / map_of(row).name).replace(map_of(row))
+                    made.replace(map_of(row))
                 self.add(row, result)
                 note.unlink()
             for left in UNFINISHED.glob(f"{row['id']:04d}-*"):
@@ -540,7 +561,7 @@ class Report:
             with contextlib.suppress(FileNotFoundError):
                 self.path_of(row).unlink()
         state = "; ".join(result["problems"]) or f"{100 * result['filled']:.0f} % filled, partners as planned"
-        print(f"{result['rank']:4d} {result['key']}: {state} ({result['seconds']:.0f} s)", flush=True)
+        say(f"{result['rank']:4d} {result['key']}: {state} ({result['seconds']:.0f} s)")
 
     def write(self):
         self.write_rows(self.path, sorted(self.rows.values(), key=lambda row: row["rank"]))
@@ -560,9 +581,9 @@ class Report:
         self.write()
         if len(present) < len(tried):
             left_out = ", ".join(row["key"] for row in tried if row["key"] not in self.rows)
-            print(f"left out, their maps were made for another plan or with other options, or are not finished: {left_out}", flush=True)
+            say(f"left out, their maps were made for another plan or with other options, or are not finished: {left_out}")
         wrong = [row for row in self.rows.values() if row["problems"]]
-        print(f"{len(self.rows)} of {len(clusters)} key views tried, {len(self.rows) - len(wrong)} as planned", flush=True)
+        say(f"{len(self.rows)} of {len(clusters)} key views tried, {len(self.rows) - len(wrong)} as planned")
         return bool(wrong)
 
 
@@ -573,7 +594,7 @@ def fuse(run, program, report):
     problems = []
     kinds = sorted({kind_of(map_of(rows[i])) for i in there})
     if len(kinds) > 1:
-        print(f"nothing is fused: maps of the kinds {' and '.join(kinds)}, and OpenMVS reads only those of the kind that it writes: move the others away", flush=True)
+        say(f"nothing is fused: maps of the kinds {' and '.join(kinds)}, and OpenMVS reads only those of the kind that it writes: move the others away")
         return False
     while there:
         agree = program.users.get("number-views-fuse") or str(min(run["maps_per_point"], len(there)))
@@ -585,11 +606,11 @@ def fuse(run, program, report):
         problems += [f"{rows[i]['key']}: its image cannot be read" for i in broken] or [f"{last_words(done)} (the maps are of kind {kinds[0]}: OpenMVS reads only maps of the kind that it writes)"]
         there = there - broken if broken else set()
     if not there:
-        print("; ".join([*problems, "nothing is fused" if problems else "nothing to fuse"]), flush=True)
+        say("; ".join([*problems, "nothing is fused" if problems else "nothing to fuse"]))
     else:
         report.fusion = {"maps": len(there), "agreeing": int(agree), "points": points, "problems": problems}
         report.write()
-        print("; ".join([*problems, f"{len(there)} maps fused: {points} points in {HERE / 'fused.ply'}"]), flush=True)
+        say("; ".join([*problems, f"{len(there)} maps fused: {points} points in {HERE / 'fused.ply'}"]))
     return bool(there) and not problems
 
 

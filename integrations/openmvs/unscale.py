@@ -43,7 +43,7 @@ def elements(header):
     for line in header.splitlines():
         words = line.split()
         if words[:1] == ["format"] and words[1] != "binary_little_endian":
-            sys.exit(f"error: {words[1]}: only binary little-endian files can be unscaled")
+            sys.exit(f"error: {ascii(words[1])}: only binary little-endian files can be unscaled")
         if words[:1] == ["element"]:
             found.append((words[1], int(words[2]), []))
         if words[:1] == ["property"]:

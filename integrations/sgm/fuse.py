@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from pairs import write_whole
-from workspace import InputError, decoded
+from workspace import InputError, decoded, shown
 
 # Cells along each axis that a whole number of 63 bits can address; what is further from the middle of the sparse points is left out.
 ACROSS = 1 << 21
@@ -101,7 +101,7 @@ def fuse(workspaces, clusters, out):
     if not maps:
         raise InputError(f"no depth maps of these clusters in {out}: run match first")
     if strange:
-        print(f"left out {len(strange)} maps of another size: {strange[0]}", file=sys.stderr)
+        print(shown(f"left out {len(strange)} maps of another size: {strange[0]}"), file=sys.stderr)
     vertices = cells.vertices()
     write_ply(out / "fused.ply", vertices)
     return maps, len(vertices)

@@ -49,7 +49,7 @@ for name in ("workspace", "rectify", "matching", "merge", "pairs", "fuse"):
 from fuse import fuse
 from merge import MIN_AGREE, SIGMA_PX, merge
 from pairs import VERSION, Pairs, made_of, write_whole
-from workspace import InputError, Workspace
+from workspace import InputError, Workspace, shown
 
 MAX_PARTNERS = 255  # counts are 8 bit
 MANIFEST_VERSION = 2  # of manifest.json; the fields of others may mean something else
@@ -93,7 +93,7 @@ def manifest_clusters(path, text, workspace):
         clusters = manifest["clusters"][: manifest["cut"]["clusters"]]
         rows = [(f"rank {c['rank']}", [c["key"], *c["partners"]]) for c in clusters]
         return rows, {c["key"]: c.get("scale", 1.0) for c in clusters}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: not a manifest of viewrank ({error!r})") from error
 
 
@@ -162,6 +162,16 @@ def partner_row(name, pair):
 # --------------------------------------------------------------------------------------------------------------- report
 
 
+def is_row(row):
+    """Is it the row of a finished key view? A report may be anybody's."""
+    number, partners = (int, float), row.get("partners")
+    if not isinstance(row.get("measured"), number) or not isinstance(partners, list):
+        return False
+    partner_kinds = {"name": str, "matched": bool, "seconds": number}
+    has_kinds = all(isinstance(p, dict) and all(isinstance(p.get(name), kind) for name, kind in partner_kinds.items()) for p in partners)
+    return has_kinds and all(p["matched"] or isinstance(p.get("refused"), str) for p in partners)
+
+
 class Report:
     """OUT/report.json, written anew every two seconds and at the end. A key view is in it only while its maps are whole and belong to its row.
 
@@ -176,8 +186,8 @@ class Report:
                 old = json.loads(path.read_text(encoding="utf-8"))
                 if old["settings"] == settings:
                     self.rows |= {row["key"]: row for row in old["clusters"]}
-                    self.rows = {key: row for key, row in self.rows.items() if "measured" in row}  # others are being computed
-            except (OSError, ValueError, KeyError, TypeError):
+                    self.rows = {key: row for key, row in self.rows.items() if is_row(row)}  # others are being computed
+            except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 pass
 
     def finished(self, key, partners, size, made):
@@ -256,7 +266,7 @@ def parse_limit(text):
 def target_reached(path):
     try:
         return json.loads(path.read_text(encoding="utf-8")).get("target_reached") is True
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return False
 
 
@@ -338,7 +348,7 @@ def match(args):
         report.stopped = run(todo, args, args.out, Stop(seconds, args.progress), done)
     finally:
         report.write()
-    print(summary(report, [key for key, *_ in all_clusters]), file=sys.stderr)
+    print(shown(summary(report, [key for key, *_ in all_clusters])), file=sys.stderr)
     return line.failure()
 
 
@@ -347,7 +357,7 @@ def kept_by_plan(workspace):
     try:
         manifest = json.loads((workspace.folder / "viewrank" / "manifest.json").read_text(encoding="utf-8"))
         return {cluster["key"] for cluster in manifest["clusters"] if cluster["finished"] and manifest["version"] == MANIFEST_VERSION}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return set()
 
 
@@ -370,7 +380,7 @@ def join(args):
     workspace = Workspace(args.workspace, args.image_scale)
     clusters = wanted(args, workspace)
     maps, points = fuse({size: Workspace(args.workspace, args.image_scale * size) for size in {1.0} | {size for *_, size in clusters}}, clusters, args.out)
-    print(f"{maps} depth maps, {points:,} points: {args.out / 'fused.ply'}", file=sys.stderr)
+    print(f"{maps} depth maps, {points:,} points: {shown(str(args.out / 'fused.ply'))}", file=sys.stderr)
     return ""
 
 
@@ -390,11 +400,11 @@ class Line:
         if "failed" in row:
             self.failed.append(row["failed"])
             if self.total > 1:
-                print(f"error: no depth map of {row['key']}: {row['failed']}", file=sys.stderr, flush=True)
+                print(shown(f"error: no depth map of {row['key']}: {row['failed']}"), file=sys.stderr, flush=True)
         if now - self.last > 10 or self.count == self.total:
             self.last = now
             left = (now - self.begin) / self.count * (self.total - self.count)
-            print(f"{self.count}/{self.total} key views, {now - self.begin:.0f} s, {left:.0f} s left; last: {row['key']}", file=sys.stderr, flush=True)
+            print(shown(f"{self.count}/{self.total} key views, {now - self.begin:.0f} s, {left:.0f} s left; last: {row['key']}"), file=sys.stderr, flush=True)
 
     def failure(self):
         """What went wrong in all; empty if nothing did."""
@@ -451,11 +461,11 @@ def main(argv=None):
     try:
         failure = {"match": match, "fuse": join, "pairs": fill}[args.command](args)
     except InputError as error:
-        sys.exit(f"error: {error}")
+        sys.exit(shown(f"error: {error}"))
     except KeyboardInterrupt:
         sys.exit("interrupted; finished maps stay, run again to go on")
     if failure:
-        sys.exit(f"error: {failure}")
+        sys.exit(shown(f"error: {failure}"))
 
 
 if __name__ == "__main__":

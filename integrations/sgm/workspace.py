@@ -19,6 +19,11 @@ LARGEST_ROUNDING = 0.02  # of an aspect ratio
 UNDISTORT = "undistort first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path WORKSPACE"
 
 
+def shown(text):
+    """Lines that may have names of strangers in them, without what a terminal would obey."""
+    return "".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text)
+
+
 class InputError(Exception):
     """Input that can't be used; the message says where and what to do."""
 

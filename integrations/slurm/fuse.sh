@@ -10,7 +10,7 @@ trap 'rm -f "$found"' EXIT
 missing=0
 while IFS=$tab read -r rank marker id map key; do
     if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(cat "$folder/done/$marker" 2>/dev/null)" = "$id" ]; }; then
-        echo "$id"
+        printf '%s\n' "$id"
     else
         missing=$((missing + 1))
     fi

@@ -28,7 +28,7 @@ if reached; then
 fi
 
 if [ ! -r "$list" ]; then
-    echo "$list is gone: the plan has changed, dispatch it again" >&2
+    say "$list is gone: the plan has changed, dispatch it again" >&2
     exit 1
 fi
 tab=$(printf '\t')
@@ -36,23 +36,23 @@ IFS=$tab read -r _ marker id map key <<EOF
 $(awk -F '\t' -v rank="$rank" '$1 == rank' "$list")
 EOF
 if [ -z "$map" ]; then
-    echo "rank $rank: no depth map can be made"
+    say "rank $rank: no depth map can be made"
     exit 0
 fi
 marker=$folder/done/$marker
 if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(cat "$marker" 2>/dev/null)" = "$id" ]; }; then
-    echo "rank $rank: $key is there"
+    say "rank $rank: $key is there"
     exit 0
 fi
 mkdir -p "$folder/done" || exit 1
 rm -f "$marker"
-echo "rank $rank: $key on $(uname -n)"
+say "rank $rank: $key on $(uname -n)"
 if ! compute || [ ! -s "$map" ]; then
-    echo "rank $rank: $key failed" >&2
+    say "rank $rank: $key failed" >&2
     exit 1
 fi
 draft=$marker.$(uname -n).$$
-echo "$id" > "$draft" && mv "$draft" "$marker" || exit 1
+printf '%s\n' "$id" > "$draft" && mv "$draft" "$marker" || exit 1
 if reached; then
     stop
 fi

@@ -57,7 +57,7 @@ def read(path):
             k = [f / px, 0, cx, 0, f / py, cy, 0, 0, 1]
         return {"k": k, "size": numbers("IntOri_SensorSize"), "r": numbers("ExtOri_RotationMatrix"), "centre": numbers("ExtOri_TranslationVector")}
     except (KeyError, ValueError) as error:
-        sys.exit(f"error: {path}: {error}")
+        sys.exit(f"error: {ascii(str(path))}: {ascii(str(error))}")
 
 
 def footprint(camera, height, farthest):

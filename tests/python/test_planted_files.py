@@ -1,0 +1,272 @@
+"""Files that somebody else has planted in an export or a workspace, where the scripts look for their own: nothing of the user's is written, moved or removed, and nothing reaches
+the terminal that it would obey."""
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from conftest import ROOT
+from test_openmvs_runner import folder, make, maps, run  # noqa: F401 (a fixture)
+from test_run_scripts import COLMAP, DMRECON, RUN, SCENE2PSET, Work, plans, work  # noqa: F401 (fixtures)
+
+MADE = b"2&2&1&" + bytes(16)
+ESCAPE = "\x1b]0;owned\x07"
+
+
+# run_clusters.sh
+
+
+def a_view(mve):
+    """A kept result and the folder of its view, whose picture is a link."""
+    kept = sorted((mve.folder / "kept").iterdir())[0]
+    view = mve.folder / "views" / f"{kept.name.rsplit('-', 1)[0]}.mve"
+    picture = view / "undistorted.jpg"
+    assert picture.is_symlink()
+    return kept, view, picture
+
+
+@pytest.mark.parametrize("has_hard_links", [True, False])
+def test_mve_takes_only_maps_out_of_what_is_kept(work, has_hard_links):  # noqa: F811
+    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET, **({} if has_hard_links else {"ln": "#!/bin/sh\nexit 1\n"})})
+    assert mve.run()[0].returncode == 0
+    kept, view, picture = a_view(mve)
+    before = picture.read_bytes()
+    (kept / "undistorted.jpg").write_text("planted")
+    (kept / "meta.ini").write_text("planted")
+    done, calls = mve.run()
+    assert done.returncode == 0 and len(calls) == 1, done.stderr
+    assert picture.read_bytes() == before and picture.is_symlink() and "planted" not in (view / "meta.ini").read_text()
+    assert list(view.glob("depth-L*.mvei")) and not [path for path in view.iterdir() if len(path.name) == 6]
+
+
+def test_no_map_takes_the_place_of_another_file(work):  # noqa: F811
+    """Where a name is taken, even by a link that the export lists, the script ends."""
+    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
+    assert mve.run()[0].returncode == 0
+    kept, view, picture = a_view(mve)
+    (kept / "a-L0.jpg").write_text("planted")
+    user = picture.resolve()
+    before = user.read_bytes()
+    # As an image of that name would be linked; as it is withdrawn from the folder at first, the script makes the link anew in between.
+    script = mve.folder / "run.sh"
+    script.write_text(script.read_text().replace("for name in $results; do", f"ln -s '{user}' '{view}/a-L0.jpg'\nfor name in $results; do", 1))
+    done, _ = mve.run()
+    assert done.returncode == 1 and "a-L0.jpg" in done.stderr and user.read_bytes() == before
+
+
+@pytest.mark.parametrize("target", ["/", ".", "pipe"])
+def test_a_known_link_that_leads_to_no_file_is_refused(work, target, tmp_path):  # noqa: F811
+    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
+    picture = sorted(mve.folder.glob("views/*/undistorted.jpg"))[0]
+    picture.unlink()
+    os.mkfifo(tmp_path / "pipe")
+    picture.symlink_to(tmp_path / "pipe" if target == "pipe" else target)
+    done, calls = mve.run()
+    assert done.returncode == 1 and "undistorted.jpg" in done.stderr and not calls
+    picture.unlink()
+    picture.symlink_to(tmp_path / "missing.jpg")
+    assert mve.run()[1], "the other clusters are computed without the picture"
+
+
+# COLMAP
+
+
+@pytest.fixture
+def colmap(work):  # noqa: F811
+    return work("colmap", {"colmap": COLMAP})
+
+
+def plant(workspace, path, content=MADE):
+    (workspace / path).parent.mkdir(parents=True, exist_ok=True)
+    (workspace / path).write_bytes(content)
+
+
+HASH = "0123456789abcdef"
+
+
+@pytest.mark.parametrize("line", [f"{HASH}\t-\t../../user.bin", f"{HASH}\t-\ta/../../user.bin", f"{HASH}\t-\t/user.bin", f"{HASH}\t-\t..", f"{HASH}\t-\t", f"{HASH[1:]}\t-\ta.bin",
+                                  f"{HASH}\t$(id)\ta.bin", f"{HASH}\t{HASH}0\ta.bin", "a.bin", f"{HASH.upper()}\t-\ta.bin"])
+def test_lines_about_maps_lead_to_none_elsewhere(colmap, line):
+    with open(colmap.folder / "stereo/viewrank/maps.tsv", "a") as file:
+        file.write(line + "\n")
+    plant(colmap.folder, "user.bin.before")
+    plant(colmap.folder, "user.bin", b"user")
+    for words in ([], ["--replace"], ["--rank", "1"]):
+        done, calls = colmap.run(*words, script=RUN)
+        assert done.returncode == 1 and "maps.tsv" in done.stderr and not calls
+    assert (colmap.folder / "user.bin").read_bytes() == b"user" and (colmap.folder / "user.bin.before").exists()
+
+
+@pytest.mark.parametrize("name", ["../../user", "/user", "a/../../user"])
+@pytest.mark.parametrize("file", ["stereo/viewrank/ranks.txt", "stereo/patch-match.cfg"])
+def test_names_of_key_views_lead_to_no_maps_elsewhere(colmap, name, file):
+    path = colmap.folder / file
+    path.write_text(f"{name}\n{path.read_text()}" if file.endswith("txt") else f"{path.read_text()}{name}\na.jpg\n")
+    plant(colmap.folder, "user.photometric.bin", b"user")
+    done, calls = colmap.run("--rank", "1", script=RUN)
+    assert done.returncode == 1 and path.name in done.stderr and not calls
+    assert (colmap.folder / "user.photometric.bin").read_bytes() == b"user"
+
+
+def test_only_maps_of_the_lists_come_back(colmap):
+    """A file that nobody noted is the user's, though another lies there that looks like one that a run has set aside."""
+    listed = [line.split("\t")[2] for line in (colmap.folder / "stereo/viewrank/maps.tsv").read_text().splitlines()]
+    users = {f"stereo/depth_maps/{name}": b"user" for name in ("user.bin", listed[0])}
+    for path, content in users.items():
+        plant(colmap.folder, path, content)
+        plant(colmap.folder, f"{path}.before")
+    done, _ = colmap.run("--fuse", script=RUN)
+    assert done.returncode == 0, done.stderr
+    done, calls = colmap.run(script=RUN, MAPS="0")
+    assert done.returncode == 137
+    assert (colmap.folder / "stereo/depth_maps/user.bin").read_bytes() == b"user" and (colmap.folder / "stereo/depth_maps/user.bin.before").exists()
+    # The other is no whole map, and is what this run makes.
+    assert (colmap.folder / f"stereo/depth_maps/{listed[0]}").read_bytes() != MADE or (colmap.folder / f"stereo/depth_maps/{listed[0]}.made").exists()
+
+
+def test_a_map_that_was_set_aside_stays_listed_until_it_is_back(colmap):
+    """A run is killed, and the next plan wants no map of that key view."""
+    colmap.run(script=RUN)
+    colmap.export(3)
+    colmap.run("--replace", script=RUN, DURING="kill -9 $(ps -o ppid= -p $PPID) $PPID")
+    aside = {path.name.removesuffix(".before") for path in colmap.folder.glob("stereo/depth_maps/*.bin.before")}
+    assert len(aside) > 2
+    colmap.export(3, "--budget", "1")
+    colmap.run(script=RUN)
+    assert not list(colmap.folder.rglob("*.before")) and all((colmap.folder / "stereo/depth_maps" / name).is_file() for name in aside)
+
+
+def test_a_note_that_is_no_hash_is_taken_for_none(colmap):
+    colmap.run(script=RUN)
+    (first, *_) = sorted((colmap.folder / "stereo/depth_maps").glob("*.bin"))
+    note = first.with_name(f"{first.name}.made")
+    note.write_text("\\033[2J../../etc\n" + ESCAPE)
+    done, calls = colmap.run("--replace", script=RUN)
+    assert done.returncode == 0 and len(calls) == 2 and len(note.read_text().strip()) == 16, "made anew"
+
+
+# What is printed
+
+
+def test_a_rank_without_map_is_named_without_escape_sequences(colmap):
+    name = f"a{ESCAPE}\\033[2J.jpg"
+    (colmap.folder / "stereo/viewrank/ranks.txt").write_text(f"{name}\n")
+    done, _ = colmap.run("--rank", "1", script=RUN)
+    assert done.returncode == 1 and "COLMAP left no whole depth map" in done.stderr and "\\033[2J.jpg" in done.stderr
+    assert "\x1b" not in done.stderr and "\x07" not in done.stderr
+
+
+def test_tasks_of_a_queue_name_views_without_escape_sequences(viewrank, plans, tmp_path):  # noqa: F811
+    project = tmp_path / "project"
+    shutil.copytree(plans[4], project, symlinks=True)
+    program = tmp_path / "colmap"
+    program.write_text("#!/bin/sh\nexit 1\n")
+    program.chmod(0o755)
+    viewrank("plan", project, "--backend", "colmap", "--budget", "2", "--quiet")
+    viewrank("dispatch", project, "--backend", "colmap", "--scheduler", "shell", "--program", program)
+    queue = project / "viewrank/dispatch/colmap"
+    (tasks,) = queue.glob("*.tsv")
+    tasks.write_text("\n".join(f"{line}{ESCAPE}\\033[2J" for line in tasks.read_text().splitlines()) + "\n")
+    done = subprocess.run(["sh", queue / "task.sh", "1"], capture_output=True, text=True)
+    assert done.returncode == 1 and "rank 1" in done.stdout and "\\033[2J failed" in done.stderr
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_realityscan_names_a_side_file_without_escape_sequences(tmp_path):
+    shutil.copy(ROOT / "integrations/realityscan/switch.py", tmp_path)
+    (tmp_path / f"xmp/{ESCAPE}").mkdir(parents=True)
+    (tmp_path / f"images/{ESCAPE}").mkdir(parents=True)
+    (tmp_path / f"xmp/{ESCAPE}/a.xmp").write_text('<d xcr:InMeshing="0" xcr:InTexturing="0"/>\n')
+    (tmp_path / f"images/{ESCAPE}/a.xmp").write_text("a pose")
+    done = subprocess.run([sys.executable, tmp_path / "switch.py", tmp_path / "images"], capture_output=True, text=True)
+    assert done.returncode == 1 and "a.xmp: holds more" in done.stderr and "\x1b" not in done.stderr
+
+
+# RealityScan
+
+
+def test_realityscan_replaces_no_file_of_another_name(tmp_path):
+    shutil.copy(ROOT / "integrations/realityscan/switch.py", tmp_path)
+    (tmp_path / "xmp").mkdir()
+    (tmp_path / "images").mkdir()
+    (tmp_path / "xmp/a.xmp").write_text('<d xcr:InMeshing="0" xcr:InTexturing="0"/>\n')
+    (tmp_path / "images/a.xmp.new").write_text("the user's")
+    subprocess.run([sys.executable, tmp_path / "switch.py", tmp_path / "images"], check=True)
+    assert {path.name: path.read_text() for path in (tmp_path / "images").iterdir()} == {"a.xmp.new": "the user's", "a.xmp": (tmp_path / "xmp/a.xmp").read_text()}
+    assert (tmp_path / "images/a.xmp").stat().st_mode == (tmp_path / "xmp/a.xmp").stat().st_mode
+
+
+# OpenMVS
+
+
+def planted_row(folder, name="0010-evil", **changes):  # noqa: F811
+    """The note of a run that is said to have been killed; returns its folder."""
+    place = folder / "unfinished" / name
+    place.mkdir(parents=True)
+    row = {"key": "k0", "digest": "x", "rank": 1, "problems": [], "partner_ids": [1, 2], "filled": 1.0, "seconds": 1, **changes}
+    (place / "row.json").write_text(json.dumps(row))
+    return place
+
+
+def test_a_planted_map_takes_no_place(folder):  # noqa: F811
+    run(folder)
+    before = maps(folder)
+    place = planted_row(folder)
+    (place / "depth0010.dmap").write_bytes(before["depth0011.dmap"])
+    done, _, report = run(folder)
+    assert done.returncode == 0 and maps(folder) == before and report["k0"]["digest"] != "x", done.stderr
+
+
+DEEP = "[" * 100_000
+
+
+@pytest.mark.parametrize("text", ["[]", "3", '"a"', DEEP, '{"clusters": 3}', '{"clusters": [3, {}, {"key": []}]}', '{"clusters": [{"key": "k0", "digest": "x"}]}',
+                                  '{"clusters": [{"key": "k0", "digest": "x", "rank": 1, "problems": [{}], "filled": "x", "seconds": null}]}', '{"older": {"a": 1}, "clusters": []}'])
+@pytest.mark.parametrize("name", ["report.json", "rows/0010.json", "kinds.json", "unfinished/0010-a/row.json", "progress.json"])
+def test_planted_records_count_as_none(folder, name, text):  # noqa: F811
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    done, calls, report = run(folder, "--progress", "progress.json")
+    assert done.returncode == 0 and "Traceback" not in done.stderr and len(report) == 3 and len(calls) == 4, done.stderr
+
+
+def test_what_rows_and_kinds_say_reaches_no_terminal(folder):  # noqa: F811
+    run(folder)
+    report = json.loads((folder / "report.json").read_text())
+    for row in report["clusters"]:
+        row["problems"], row["kind"] = [ESCAPE], ESCAPE
+    (folder / "report.json").write_text(json.dumps(report))
+    (folder / "kinds.json").write_text(json.dumps(dict.fromkeys(json.loads((folder / "kinds.json").read_text()), ESCAPE)))
+    planted_row(folder, problems=[ESCAPE], digest=report["clusters"][0]["digest"])
+    planted = json.loads((folder / "run.json").read_text())
+    planted["clusters"][2]["key"] = ESCAPE
+    (folder / "run.json").write_text(json.dumps(planted))
+    make(folder, k1=[dict(ids=[11, 1], range=[90, 220], depth=150)])
+    done, _, _ = run(folder)
+    assert "Traceback" not in done.stderr and "instead of" in done.stdout
+    assert "\x1b" not in done.stdout + done.stderr and "\x07" not in done.stdout + done.stderr
+
+
+def test_a_link_of_the_export_that_leads_to_a_folder_is_refused(folder, tmp_path_factory):  # noqa: F811
+    picture = folder / "images/k0"
+    (folder / "links.txt").write_text("./images/k0\n")
+    picture.unlink()
+    picture.symlink_to(tmp_path_factory.mktemp("outside"))
+    done, calls, _ = run(folder)
+    assert done.returncode == 1 and "images/k0" in done.stderr and not calls
+
+
+# PatchmatchNet
+
+
+def test_planted_times_of_cameras_count_as_none(viewrank, plans, tmp_path):  # noqa: F811
+    net = Work(viewrank, plans, "patchmatchnet", tmp_path, {})
+    (net.folder / "fuse").mkdir(exist_ok=True)
+    for text in ("[]", DEEP, '{"1": 3}', '{"1": [[], {}]}'):
+        (net.folder / "fuse/seen.json").write_text(text)
+        done = subprocess.run([sys.executable, net.folder / "finished.py"], capture_output=True, text=True)
+        assert done.returncode == 1 and "nothing to join" in done.stderr and "Traceback" not in done.stderr, done.stderr
