@@ -14,16 +14,16 @@ refuse_strangers() {
         !($0 in known) && !stranger { stranger = 1; print }
         END { if (!stranger) print "none" }')
     [ "$found" = none ] || refuse "$found"
-    [ "$links" = /dev/null ] || refuse_links_to_no_file "$@"
+    [ "$links" = /dev/null ] || refuse_no_files "$@"
 }
-# Refuses links that lead to a folder, a pipe or a device, as viewrank's own lead to pictures: a program would copy a whole file system, or wait for ever.
-# One that leads nowhere is a picture that is missing, which the program says. PATH...
-refuse_links_to_no_file() {
+# Refuses what is in the place of a picture, which may be a link: a pipe, a device, and a link to one or to a folder, of which a program would copy a whole
+# file system, or wait for ever. A link that leads nowhere is a picture that is missing, which the program says. PATH...
+refuse_no_files() {
     found=$({
-        find "$@" -type l -exec sh -c '
+        find "$@" ! -type f '(' -type d ! -perm -500 -print -o ! -type d ! -type l -print -o -type l -exec sh -c '
             for link; do
                 [ -f "$link" ] || [ ! -e "$link" ] || printf "%s\n" "$link"
-            done' sh '{}' + || :
+            done' sh '{}' + ')' || :
         echo none
     } | head -n 1)
     [ "$found" = none ] || refuse "$found"

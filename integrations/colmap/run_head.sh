@@ -20,10 +20,8 @@ esac
 cd "$(dirname "$0")/../.."
 @REFUSE_STRANGERS@
 refuse_strangers /dev/null stereo sparse
-# The folder of pictures may be a link, and so may each of them.
-found=$(find -H images ! -type f ! -type l '(' ! -type d -o ! -perm -500 ')' | head -n 1)
-[ -z "$found" ] || refuse "$found"
-refuse_links_to_no_file -H images
+# The folder of pictures may be a link, too.
+refuse_no_files -H images
 maps=stereo/viewrank/maps.tsv
 tab=$(printf '\t')
 # The lists name files below the folders of maps. A path in them may not lead out of these, and what a map was made by is a hash.
