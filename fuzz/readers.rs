@@ -166,7 +166,7 @@ pub fn read_foreign(name: &str, data: &[u8]) {
         "transforms.json" => {
             transforms::read(data, &size, &str::to_owned).map(|(foreign, _)| foreign)
         }
-        "cameras.xml" => metashape::read(data, Frame::World, &str::to_owned),
+        "cameras.xml" => metashape::read(data, [Frame::World], &str::to_owned).map(|[model]| model),
         "block.xml" => blocks::read(data).map(|mut foreign| {
             foreign.shorten_names();
             foreign

@@ -2,6 +2,7 @@
 //! command line says advice.
 
 pub mod advice;
+pub mod bounded;
 pub mod platform;
 
 pub use viewrank_core::base::*;

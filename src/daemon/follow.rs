@@ -21,7 +21,7 @@ use crate::{
         evaluate::{MeasuredClusters, curve::ReachCurve},
         replan::{EarlierPlan, MapFolder, ReplanError, replan},
     },
-    base::{error::Hint, progress::Watcher},
+    base::{bounded, error::Hint, input::FileKind, progress::Watcher},
     io::{
         depthmaps::{self, DepthMapError},
         output::{self, Disk, OutputError},
@@ -74,8 +74,10 @@ pub struct Progress {
     /// Seconds to the end of the list; null where unknown.
     pub seconds_left: Option<f64>,
     /// Key views with a finished depth map that counts, in the order of the plan.
+    #[serde(deserialize_with = "bounded::list::<_, _, 1_000_000>")]
     pub finished: Vec<String>,
     /// Finished depth maps that no longer fit the model; they don't count.
+    #[serde(deserialize_with = "bounded::list::<_, _, 1_000_000>")]
     pub outdated: Vec<OutdatedMap>,
     /// Reason why something was not measured; null where everything was.
     pub note: Option<String>,
@@ -100,7 +102,7 @@ impl Progress {
 
     /// Reads the last progress of a project; `None` where there is none or it is unreadable.
     pub fn read(root: &Path) -> Option<Self> {
-        serde_json::from_slice(&output::read_own(root, PROGRESS_FILE).ok()?).ok()
+        serde_json::from_slice(&output::read_own(root, PROGRESS_FILE, FileKind::Record).ok()?).ok()
     }
 
     /// Keeps `announced` from the last progress if the target is the same and still reached.

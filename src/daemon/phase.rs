@@ -5,6 +5,8 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::base::bounded;
+
 /// State of a project as it is shown.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "state", rename_all = "lowercase")]
@@ -157,8 +159,10 @@ pub struct Status {
     /// Host name of that process.
     pub host: String,
     /// Notices about the whole root: lost events, unreadable folders.
+    #[serde(deserialize_with = "bounded::list::<_, _, 1000>")]
     pub notices: Vec<String>,
     /// All projects, sorted by path.
+    #[serde(deserialize_with = "bounded::list::<_, _, 100_000>")]
     pub projects: Vec<ProjectStatus>,
 }
 

@@ -17,9 +17,12 @@ use super::{
     platform::host,
     state::TrackedProject,
 };
-use crate::io::{
-    output::{self, Disk},
-    project::slashes,
+use crate::{
+    base::input::FileKind,
+    io::{
+        output::{self, Disk},
+        project::slashes,
+    },
 };
 
 /// Shortest time between two writes of the status.
@@ -436,8 +439,8 @@ pub fn read_status(root: &Path) -> Option<Line> {
 }
 
 fn status(root: &Path) -> Option<Status> {
-    serde_json::from_slice(&output::read_own(root, &format!("{OUTPUT_FOLDER}/{STATUS_FILE}")).ok()?)
-        .ok()
+    let name = format!("{OUTPUT_FOLDER}/{STATUS_FILE}");
+    serde_json::from_slice(&output::read_own(root, &name, FileKind::Record).ok()?).ok()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::{
     backends::{by_name, place},
-    base::{paths, shell::command_path},
+    base::{input::FileKind, paths, shell::command_path},
     io::{
         output::{FileSet, read_own, recorded},
         project::Project,
@@ -54,7 +54,7 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
 fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let (folder, in_tiles) = place::folder_of_record(record)?;
     let exported: EarlierExport =
-        serde_json::from_slice(&read_own(&project.home, record).ok()?).ok()?;
+        serde_json::from_slice(&read_own(&project.home, record, FileKind::Record).ok()?).ok()?;
     let backend = by_name(&exported.backend).ok()?.name;
     if is_part(&exported, plan) {
         return None;

@@ -281,6 +281,61 @@ fn models_of_short_lines_and_unknown_fields_are_refused() {
 }
 
 #[test]
+fn xml_of_more_records_than_any_model_has_is_refused() {
+    let sensors = [
+        "<document><chunk><sensors>",
+        "<sensor/>",
+        "</sensors></chunk></document>",
+    ];
+    let components = [
+        "<document><chunk><components>",
+        "<component/>",
+        "</components></chunk></document>",
+    ];
+    let photos = [
+        "<BlocksExchange><Block><Photogroups><Photogroup>",
+        "<Photo/>",
+        "</Photogroup></Photogroups></Block></BlocksExchange>",
+    ];
+    let groups = [
+        "<BlocksExchange><Block><Photogroups>",
+        "<Photogroup/>",
+        "</Photogroups></Block></BlocksExchange>",
+    ];
+    for [before, record, behind] in [sensors, components, photos, groups] {
+        let folder = tempfile::tempdir().unwrap();
+        let text = [before, &record.repeat(1 << 19), behind].concat();
+        fs::write(folder.path().join("model.xml"), text).unwrap();
+        let error = fails(viewrank(&["inspect", self::text(folder.path())]));
+        assert!(error.contains("at most 262144"), "{record}: {error}");
+    }
+}
+
+#[test]
+fn a_status_of_millions_of_notices_counts_as_none() {
+    let root = Root::new(&["p"]);
+    let root_path = text(root.folder.path());
+    let status = root.folder.path().join("viewrank/status.json");
+    fs::create_dir(status.parent().unwrap()).unwrap();
+    for count in [1001, 10 << 20, 20 << 20] {
+        let notices = "\"\",".repeat(count);
+        let written =
+            format!(r#"{{"version":1,"pid":1,"host":"h","notices":[{notices}""],"projects":[]}}"#);
+        fs::write(&status, written).unwrap();
+        let output = viewrank(&["status", root_path]).output().unwrap();
+        assert!(
+            output.stdout.len() + output.stderr.len() < 10_000,
+            "{count}"
+        );
+        assert!(
+            matches!(output.status.code(), Some(0..=2)),
+            "{}",
+            output.status
+        );
+    }
+}
+
+#[test]
 fn settings_are_refused_by_line_whatever_is_in_them() {
     let root = Root::new(&["p"]);
     let file = root.project("p").join("viewrank.toml");

@@ -22,6 +22,7 @@ use crate::{
     backends::{self, BACKENDS, Backend, Export, Selection, TaskRunner, recipe},
     base::{
         error::{Advice, Hint},
+        input::FileKind,
         platform,
         shell::quoted_path,
     },
@@ -387,6 +388,7 @@ impl Dispatch {
         output::read_own(
             &self.project,
             &format!("viewrank/dispatch/{}/{name}", self.backend),
+            FileKind::Record,
         )
     }
 

@@ -380,7 +380,7 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     let names: Vec<&str> = run.order.iter().map(key).collect();
     std::fs::write(&table, names.join("\t") + "\n5\t2\t7\n").unwrap();
     let cells = (
-        cells::Incidence::read(&table, 2).unwrap(),
+        cells::Incidence::read(&table, 2, 99).unwrap(),
         cells::CellSource::Maps,
     );
     let how = EvaluationOptions {

@@ -91,7 +91,7 @@ impl MapRecords {
     }
 
     fn read(text: &str) -> Self {
-        let word = |word: &str| (word != NONE).then(|| word.to_owned());
+        let word = |word: &str| is_recipe(word).then(|| word.to_owned());
         let line = |line: &str| {
             let mut parts = line.splitn(3, '\t');
             let (wanted, made, map) = (parts.next()?, parts.next()?, parts.next()?);
@@ -128,7 +128,9 @@ impl MapRecords {
                 .join(map)
                 .is_file()
                 .then(|| made.unwrap_or(UNKNOWN.into()));
-            entry.wanted.is_some() || entry.made.is_some()
+            // The next run brings back a map that a killed one has set aside, if it is listed.
+            let is_aside = || folder.join(format!("{map}.before")).is_file();
+            entry.wanted.is_some() || entry.made.is_some() || is_aside()
         });
         let stale = |entry: &Entry| {
             entry.wanted.is_some() && entry.made.is_some() && entry.wanted != entry.made
@@ -149,9 +151,10 @@ impl MapRecords {
     }
 }
 
-/// Returns whether a note, which may be anybody's, is a recipe.
-fn is_recipe(note: &str) -> bool {
-    note == UNKNOWN || note.len() == 16 && note.bytes().all(|byte| byte.is_ascii_hexdigit())
+/// Returns whether a word of a list or a note, which may be anybody's, is a recipe.
+fn is_recipe(word: &str) -> bool {
+    let is_digit = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
+    word == UNKNOWN || word.len() == 16 && word.bytes().all(is_digit)
 }
 
 /// Returns whether a path of a list, which may be anybody's, stays below its folder.

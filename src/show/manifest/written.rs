@@ -13,6 +13,7 @@ use crate::{
     backends::{ExportRecord, Selection},
     base::{
         error::{Advice, Hint},
+        input::FileKind,
         shell::command_path,
     },
     config::{Budget, Settings, Share},
@@ -106,7 +107,7 @@ pub(crate) const FILE: &str = "viewrank/manifest.json";
 
 /// Reads a file of the plan that viewrank wrote.
 pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, WrittenPlanError> {
-    output::read_own(&project.home, name).map_err(|error| match error {
+    output::read_own(&project.home, name, FileKind::State).map_err(|error| match error {
         OutputError::Io { path, source } | OutputError::Denied { path, source } => {
             WrittenPlanError::Io { path, source }
         }

@@ -22,7 +22,7 @@ use viewrank_core::model::{
 };
 
 use super::{
-    Fault, Place, Problem,
+    Fault, Place, Problem, check_images,
     colmap::StoredPose,
     foreign::{ForeignModel, camera, largest_component, pose_with_centre, shift},
     xml::{Element, Xml},
@@ -61,7 +61,10 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
 /// Definitions of reference systems, by id.
 fn read_systems(xml: &mut Xml) -> Result<HashMap<String, String>, Fault> {
     let mut systems = HashMap::new();
+    let mut count = 0;
     while let Some(system) = xml.enter()? {
+        count += 1;
+        check_images(count)?;
         let system = xml.whole(system)?;
         let text = |name| {
             system
@@ -177,13 +180,21 @@ impl Block {
             camera: None,
         };
         self.groups += 1;
+        check_images(self.groups as usize)?;
         let id = self.groups;
         while let Some(entered) = xml.enter()? {
-            let element = xml.whole(entered)?;
-            match &*element.name {
-                "Photo" => self.add_photo(&element, &mut common, id)?,
-                "SRSId" => self.check_system(&element)?,
-                _ => _ = common.parts.insert(element.name.clone(), element),
+            match &*entered.name {
+                "Photo" => {
+                    let count = self.images() + self.foreign.unregistered.len() + 1;
+                    check_images(count)?;
+                    self.add_photo(&xml.whole(entered)?, &mut common, id)?;
+                }
+                "SRSId" => self.check_system(&xml.whole(entered)?)?,
+                name if PARTS.contains(&name) && !common.parts.contains_key(name) => {
+                    let part = xml.whole(entered)?;
+                    common.parts.insert(part.name.clone(), part);
+                }
+                _ => xml.skip()?,
             }
         }
         Ok(())
@@ -270,6 +281,21 @@ fn pose_of(rotation: &Element, centre: &Element, axes: Matrix3<f64>) -> Result<S
     pose_with_centre(axes * matrix, centre)
         .map_err(|problem| Fault::new("", rotation.at(), problem))
 }
+
+/// Elements of a group that are read, beside its photos.
+const PARTS: [&str; 11] = [
+    "AspectRatio",
+    "CameraModelType",
+    "CameraOrientation",
+    "Distortion",
+    "FocalLength",
+    "FocalLengthPixels",
+    "ImageDimensions",
+    "PixelSize",
+    "PrincipalPoint",
+    "SensorSize",
+    "Skew",
+];
 
 /// The parameters that all photos of a group share.
 struct Group {

@@ -40,13 +40,13 @@ pub enum Frame {
 /// Largest error in pixels that leaving out a term of the distortion may cause.
 const NEGLIGIBLE_PX: f64 = 0.5;
 
-/// Reads cameras and poses of the chunk with most aligned cameras, of that the component with most.
-/// `spelled` completes labels, which may lack the extension of the image.
-pub fn read(
+/// Reads cameras and poses of the chunk with most aligned cameras, of that the component with most,
+/// in each of some frames. `spelled` completes labels, which may lack the extension of the image.
+pub fn read<const N: usize>(
     bytes: &[u8],
-    frame: Frame,
+    frames: [Frame; N],
     spelled: &dyn Fn(&str) -> String,
-) -> Result<ForeignModel, Fault> {
+) -> Result<[ForeignModel; N], Fault> {
     let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
     let mut largest = Chunk::default();
     let mut others = Vec::new();
@@ -63,9 +63,12 @@ pub fn read(
             others.push((format!("chunk {}", chunk.label), chunk.aligned()));
         }
     }
-    let mut foreign = largest.model(frame, spelled)?;
-    foreign.warn_of_others("chunks", &others);
-    Ok(foreign)
+    let mut models: [ForeignModel; N] = std::array::from_fn(|_| ForeignModel::default());
+    for (model, frame) in models.iter_mut().zip(frames) {
+        *model = largest.model(frame, spelled)?;
+        model.warn_of_others("chunks", &others);
+    }
+    Ok(models)
 }
 
 #[derive(Default)]
@@ -76,6 +79,8 @@ struct Chunk {
     components: HashMap<String, Similarity>,
     transform: Option<Similarity>,
     cameras: Vec<ChunkCamera>,
+    /// Number of sensors and components read.
+    parts: usize,
 }
 
 struct ChunkCamera {
@@ -104,6 +109,7 @@ impl Chunk {
             match &*entered.name {
                 "sensors" => {
                     while let Some(sensor) = xml.enter()? {
+                        chunk.count()?;
                         let sensor = xml.whole(sensor)?;
                         let (id, number) = (id_of(&sensor, "id"), chunk.sensors.len() as u32 + 1);
                         chunk.sensors.insert(id, (number, sensor));
@@ -111,6 +117,7 @@ impl Chunk {
                 }
                 "components" => {
                     while let Some(component) = xml.enter()? {
+                        chunk.count()?;
                         // The partition below, a list of all cameras, may be long.
                         let component = xml.whole(component)?;
                         if let Some(transform) = component.child("transform") {
@@ -126,6 +133,12 @@ impl Chunk {
             }
         }
         Ok(chunk)
+    }
+
+    /// Counts a sensor or a component, of which several may have the same id.
+    fn count(&mut self) -> Result<(), Fault> {
+        self.parts += 1;
+        check_images(self.parts)
     }
 
     /// Cameras, some of them in groups.
@@ -510,7 +523,7 @@ mod tests {
     }
 
     fn read(text: &str, frame: Frame) -> Result<ForeignModel, Fault> {
-        super::read(text.as_bytes(), frame, &|label| format!("{label}.jpg"))
+        super::read(text.as_bytes(), [frame], &|label| format!("{label}.jpg")).map(|[model]| model)
     }
 
     #[test]

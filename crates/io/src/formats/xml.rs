@@ -163,10 +163,18 @@ impl<'a> Xml<'a> {
         self.fill(entered, &mut room)
     }
 
-    /// Leaves the entered element without keeping anything of it.
+    /// Leaves the entered element; nothing of what it contains is kept or looked at.
     pub fn skip(&mut self) -> Result<(), Fault> {
-        while self.enter()?.is_some() {
-            self.skip()?;
+        let inside = self.open;
+        while self.open >= inside {
+            let at = self.place();
+            let event = self.reader.read_event();
+            match event.map_err(|error| broken(at, &error))? {
+                Event::Start(_) => self.open(at)?,
+                Event::End(_) => self.open -= 1,
+                Event::Eof => return Err(Fault::new("", at, Problem::Truncated("an element"))),
+                _ => {}
+            }
         }
         Ok(())
     }
@@ -224,15 +232,18 @@ impl<'a> Xml<'a> {
         }
     }
 
-    fn start(&mut self, start: &BytesStart, at: Place) -> Result<Element, Fault> {
+    /// Counts an element that begins.
+    fn open(&mut self, at: Place) -> Result<(), Fault> {
         self.open += 1;
-        if self.open > DEEPEST {
-            return Err(Fault::new(
-                "",
-                at,
-                Problem::Json(format!("elements are nested deeper than {DEEPEST}")),
-            ));
+        if self.open <= DEEPEST {
+            return Ok(());
         }
+        let deeper = format!("elements are nested deeper than {DEEPEST}");
+        Err(Fault::new("", at, Problem::Json(deeper)))
+    }
+
+    fn start(&mut self, start: &BytesStart, at: Place) -> Result<Element, Fault> {
+        self.open(at)?;
         let mut attributes = Vec::new();
         // Without the search for repeated names, which takes the square of their number.
         let mut all = start.attributes();

@@ -247,11 +247,10 @@ pub fn open_own(root: &Path, name: &str) -> Result<File, OutputError> {
 /// Reads one of viewrank's files.
 ///
 /// # Errors
-/// As [`open_own`], and if the file is larger than any that viewrank writes.
-pub fn read_own(root: &Path, name: &str) -> Result<Vec<u8>, OutputError> {
+/// As [`open_own`], and if the file is larger than any of its kind.
+pub fn read_own(root: &Path, name: &str, kind: FileKind) -> Result<Vec<u8>, OutputError> {
     let file = open_own(root, name)?;
-    input::read_all(file, FileKind::State)
-        .map_err(|error| OutputError::new(&root.join(name), error))
+    input::read_all(file, kind).map_err(|error| OutputError::new(&root.join(name), error))
 }
 
 /// Checks that a folder whose path is below `root` is there through all links, before work whose

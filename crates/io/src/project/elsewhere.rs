@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use crate::output;
+use crate::{input::FileKind, output};
 
 /// File of a plan outside its project, relative to the folder of the plan: `{"project": PATH}`.
 const PROJECT_FILE: &str = "viewrank/project.json";
@@ -17,6 +17,7 @@ struct RecordedPlan {
 /// The project of the plan in this folder, if it is another folder.
 pub(super) fn project_of(folder: &Path) -> Option<PathBuf> {
     let recorded: RecordedPlan =
-        serde_json::from_slice(&output::read_own(folder, PROJECT_FILE).ok()?).ok()?;
+        serde_json::from_slice(&output::read_own(folder, PROJECT_FILE, FileKind::Settings).ok()?)
+            .ok()?;
     Some(recorded.project)
 }

@@ -356,9 +356,9 @@ fn read_metashape(
     bytes: &[u8],
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<ForeignModel, ProjectError> {
-    let read =
-        |frame| metashape::read(bytes, frame, spelled).map_err(|fault| at(&model.path, fault));
-    let (world, chunk) = (read(Frame::World)?, read(Frame::Chunk)?);
+    let frames = [Frame::World, Frame::Chunk];
+    let [world, chunk] =
+        metashape::read(bytes, frames, spelled).map_err(|fault| at(&model.path, fault))?;
     let points = cloud_beside(model)
         .map(|cloud| vertices(&cloud))
         .transpose()?

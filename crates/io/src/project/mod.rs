@@ -461,7 +461,10 @@ impl Project {
                 registered => format!("{path} ({registered} images)"),
             }
         };
-        let others: Vec<String> = self.other_models.iter().map(words).collect();
+        let first = self.other_models.iter().take(NAMED);
+        let mut others: Vec<String> = first.map(words).collect();
+        let more = self.other_models.len().saturating_sub(NAMED);
+        others.extend((more > 0).then(|| format!("{more} more")));
         (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model_path();
             let how = match self.model.path.is_dir() {
@@ -472,12 +475,15 @@ impl Project {
                 false => "choose another one with --model".into(),
             };
             format!(
-                "of several models {used} ({registered} images) is used; not used: {}; {how}",
+                "there are several models: {used} ({registered} images) is used; not used: {}; {how}",
                 others.join(", ")
             )
         })
     }
 }
+
+/// Models that a warning names.
+const NAMED: usize = 5;
 
 /// Takes backslashes in names for separators, as of a model made on Windows, where a file says so.
 fn separate_names(model: &mut ColmapModel, images: &Path) {

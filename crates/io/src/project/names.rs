@@ -28,8 +28,26 @@ pub(super) struct Names {
 #[derive(Default)]
 struct Listing {
     folders: HashMap<String, Vec<String>>,
+    images: HashMap<String, Only>,
     /// By name without extension.
-    images: HashMap<String, Vec<String>>,
+    stems: HashMap<String, Only>,
+    /// Folders with reduced copies of the folder of images of a name, each with its factor, the
+    /// largest first.
+    reduced: HashMap<String, Vec<(u32, String)>>,
+}
+
+/// The file that has a name, unless several have it.
+enum Only {
+    One(String),
+    Several,
+}
+
+impl Only {
+    fn add(map: &mut HashMap<String, Self>, key: String, name: &str) {
+        map.entry(key)
+            .and_modify(|only| *only = Self::Several)
+            .or_insert_with(|| Self::One(name.to_owned()));
+    }
 }
 
 impl Names {
@@ -87,18 +105,8 @@ impl Names {
             return Vec::new();
         }
         let listing = self.listing(parent);
-        let factor = |other: &String| {
-            let factor = other.strip_prefix(&own)?.strip_prefix('_')?;
-            let factor = factor.parse::<u32>().ok()?;
-            FACTORS.contains(&factor).then_some(factor)
-        };
-        let mut reduced: Vec<(u32, &String)> = listing
-            .folders
-            .iter()
-            .filter_map(|(folded, names)| Some((factor(folded)?, names.first()?)))
-            .collect();
-        reduced.sort_unstable();
-        reduced.into_iter().map(|(_, name)| name.clone()).collect()
+        let reduced = listing.reduced.get(&own).into_iter().flatten();
+        reduced.map(|(_, name)| name.clone()).collect()
     }
 
     fn listing(&self, folder: &Path) -> Rc<Listing> {
@@ -113,17 +121,14 @@ impl Names {
                 continue;
             };
             let path = entry.path();
-            let (of, key) = match path.is_dir() {
-                true => (&mut listing.folders, folded(&name)),
-                false if is_image(&path) => (&mut listing.images, folded(stem(&name))),
-                false => continue,
-            };
-            of.entry(key).or_default().push(name);
+            if path.is_dir() {
+                listing.folders.entry(folded(&name)).or_default().push(name);
+            } else if is_image(&path) {
+                Only::add(&mut listing.images, folded(&name), &name);
+                Only::add(&mut listing.stems, folded(stem(&name)), &name);
+            }
         }
-        let lists = listing.images.values_mut();
-        lists
-            .chain(listing.folders.values_mut())
-            .for_each(|names| names.sort());
+        listing.find_reduced();
         let listing = Rc::new(listing);
         self.listings
             .borrow_mut()
@@ -134,19 +139,37 @@ impl Names {
 
 impl Listing {
     /// The only image that fits a name, which may lack an extension or have that of another format;
-    /// of several, the only one with the extension of the name.
+    /// of several, the only one with the extension of the name. Of any number of images it takes the
+    /// same time.
     fn only_image(&self, name: &str) -> Option<String> {
-        let fitting = [name, stem(name)]
-            .into_iter()
-            .find_map(|stem| self.images.get(&folded(stem)))?;
-        let same = folded(name);
-        match &fitting[..] {
-            [only] => Some(only.clone()),
-            several => {
-                let mut same = several.iter().filter(|file| folded(file) == same);
-                same.next().filter(|_| same.next().is_none()).cloned()
+        let whole = folded(name);
+        let by_stem = || [&whole, &folded(stem(name))].map(|stem| self.stems.get(stem));
+        match self.images.get(&whole) {
+            Some(Only::One(file)) => Some(file.clone()),
+            Some(Only::Several) => None,
+            None => match by_stem().into_iter().flatten().next()? {
+                Only::One(file) => Some(file.clone()),
+                Only::Several => None,
+            },
+        }
+    }
+
+    /// Notes the reduced copies, when all folders are known.
+    fn find_reduced(&mut self) {
+        for (folded, names) in &mut self.folders {
+            names.sort_unstable();
+            let Some((own, factor)) = folded.rsplit_once('_') else {
+                continue;
+            };
+            let factor = factor.parse().ok().filter(|n| FACTORS.contains(n));
+            if let Some(factor) = factor.filter(|_| REDUCED.contains(&own)) {
+                let copy = (factor, names[0].clone());
+                self.reduced.entry(own.to_owned()).or_default().push(copy);
             }
         }
+        self.reduced
+            .values_mut()
+            .for_each(|all| all.sort_unstable());
     }
 }
 
@@ -191,6 +214,7 @@ mod tests {
         assert_located(&["cam1/a.png"], "./cam0/../cam1/a.jpg", "cam1/a.png");
         assert_located(&["a.v2.jpg", "a.png"], "a.v2", "a.v2.jpg");
         assert_located(&["a.jpg", "a.png"], "A.png", "a.png");
+        assert_located(&["a.jpg.png", "a.jpg.tif", "A.jpg"], "a.JPG", "A.jpg");
         assert_located(
             &["../other/a.jpg", "b.jpg"],
             "../other/A.jpg",
@@ -207,6 +231,26 @@ mod tests {
             "\u{e9}te\u{301}/\u{c9}.JPG",
             "e\u{301}t\u{e9}/e\u{301}.jpg",
         );
+    }
+
+    #[test]
+    fn of_reduced_copies_the_largest_is_first() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in [
+            "images_16",
+            "Images_4",
+            "images_8",
+            "images_3",
+            "image_2",
+            "images_x",
+        ] {
+            std::fs::create_dir(folder.path().join(name)).unwrap();
+        }
+        let names = Names::new();
+        let reduced = ["Images_4", "images_8", "images_16"];
+        assert_eq!(names.reduced_in(folder.path(), "images"), reduced);
+        assert_eq!(names.reduced_in(folder.path(), "IMAGE"), ["image_2"]);
+        assert!(names.reduced_in(folder.path(), "photos").is_empty());
     }
 
     #[test]

@@ -1,11 +1,18 @@
 //! The table of which maps take part in which cells of a fused cloud.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::HashSet,
+    path::{Path, PathBuf},
+};
 
 use crate::base::{
     error::{Advice, Hint},
     input::{self, FileKind},
 };
+
+/// Most rows of a table, and most maps of all rows together: what is beyond needs a gigabyte.
+const MOST_ROWS: usize = 1 << 22;
+const MOST_ENTRIES: usize = 1 << 26;
 
 /// Which maps take part in which cells.
 ///
@@ -151,28 +158,42 @@ impl Incidence {
         self.curve(maps, counted).last().copied().unwrap_or(0.0)
     }
 
-    /// Reads a table. `support`: maps that fusion wants.
-    pub fn read(path: &Path, support: u32) -> Result<Self, IncidenceError> {
+    /// Reads a table. `support`: maps that fusion wants. `views`: number of views of the scene, which
+    /// are at least as many as the maps.
+    pub fn read(path: &Path, support: u32, views: usize) -> Result<Self, IncidenceError> {
         let text =
             input::read_text(path, FileKind::State).map_err(|source| IncidenceError::Io {
                 path: path.into(),
                 source,
             })?;
-        Self::parse(&text, support).map_err(|(line, what)| IncidenceError::Line {
+        Self::parse(&text, support, views).map_err(|(line, what)| IncidenceError::Line {
             path: path.into(),
             line,
             what,
         })
     }
 
-    fn parse(text: &str, support: u32) -> Result<Self, (usize, &'static str)> {
+    fn parse(text: &str, support: u32, views: usize) -> Result<Self, (usize, &'static str)> {
         let mut lines = text.lines();
         let head = lines
             .next()
             .ok_or((1, "the names of the maps are missing"))?;
+        if head.split('\t').take(views + 1).count() > views {
+            return Err((1, "more maps than views of the model"));
+        }
         let names: Vec<String> = head.split('\t').map(unescaped).collect();
-        let row = |(line, text): (usize, &str)| row(text, names.len()).map_err(|what| (line, what));
-        let rows = (2..).zip(lines).map(row).collect::<Result<_, _>>()?;
+        if names.iter().collect::<HashSet<_>>().len() < names.len() {
+            return Err((1, "a map twice"));
+        }
+        let (mut rows, mut left) = (Vec::new(), MOST_ENTRIES);
+        for (line, text) in (2..).zip(lines) {
+            let row = row(text, names.len(), left).map_err(|what| (line, what))?;
+            left -= row.maps.len();
+            if rows.len() == MOST_ROWS {
+                return Err((line, "too many rows"));
+            }
+            rows.push(row);
+        }
         Ok(Self::new(names, rows, support))
     }
 
@@ -194,7 +215,8 @@ impl Incidence {
     }
 }
 
-fn row(text: &str, maps: usize) -> Result<Row, &'static str> {
+/// Reads a row. `maps`: number of all maps; `most`: most that may take part.
+fn row(text: &str, maps: usize, most: usize) -> Result<Row, &'static str> {
     let mut words = text.split('\t');
     let mut count = || words.next().and_then(|word| word.parse().ok());
     let (Some(cells), Some(agreeing)) = (count(), count()) else {
@@ -202,6 +224,9 @@ fn row(text: &str, maps: usize) -> Result<Row, &'static str> {
     };
     let mut of_row = Vec::new();
     let hex = words.next().ok_or("the maps are missing")?;
+    if hex.len() > maps.div_ceil(4).max(1) {
+        return Err("more maps than names");
+    }
     for (place, digit) in hex.chars().rev().enumerate() {
         let digit = digit
             .to_digit(16)
@@ -214,6 +239,7 @@ fn row(text: &str, maps: usize) -> Result<Row, &'static str> {
     }
     match of_row.last() {
         Some(&last) if last >= maps => Err("more maps than names"),
+        _ if of_row.len() > most => Err("too many maps in all rows"),
         _ if agreeing > cells => Err("more sure cells than cells"),
         _ => Ok(Row {
             maps: of_row.into_iter().map(|map| map as u32).collect(),
@@ -274,16 +300,20 @@ mod tests {
     fn a_table_is_read_as_it_was_written() {
         let text = table().text();
         assert_eq!(text.lines().nth(3), Some("1\t0\t28"));
-        assert_eq!(Incidence::parse(&text, 2), Ok(table()));
+        assert_eq!(Incidence::parse(&text, 2, 6), Ok(table()));
         for (damaged, line) in [
             ("", 1),
+            ("a\tb\tc\td\te\tf\tg\n", 1),
+            ("a\tb\ta\n", 1),
+            ("a\n1\t0\t0", 2),
+            ("a\n1\t0\t1\n1\t0\t00001", 3),
             ("a\n1\t0", 2),
             ("a\n1\t0\tg", 2),
             ("a\n1\t0\t2", 2),
             ("a\n1\t2\t1", 2),
         ] {
             assert_eq!(
-                Incidence::parse(damaged, 2).unwrap_err().0,
+                Incidence::parse(damaged, 2, 6).unwrap_err().0,
                 line,
                 "{damaged:?}"
             );

@@ -139,7 +139,7 @@ pub fn judge_plan(
     watcher: &dyn Watcher,
 ) -> Result<CellsEvaluation, EvaluateError> {
     let stages = &plan.stages;
-    let incidence = Incidence::read(table, stages.objective.support)?;
+    let incidence = Incidence::read(table, stages.objective.support, stages.scene.views.len())?;
     let known: BTreeSet<&str> = incidence.names().iter().map(String::as_str).collect();
     let is_known = |cluster: &ViewCluster| known.contains(stages.scene.name(cluster.key));
     let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
