@@ -87,6 +87,12 @@ struct Header {
 
 /// Reads a mesh; vertices and triangles keep the order of the file.
 pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
+    read_at_most(bytes, usize::MAX).map(Option::unwrap_or_default)
+}
+
+/// Reads a mesh; `None` if it has more than `most` triangles, which a few bytes of a polygon each
+/// make.
+pub fn read_at_most(bytes: &[u8], most: usize) -> Result<Option<Mesh>, PlyError> {
     let header = read_header(bytes)?;
     let mut body = Body {
         bytes,
@@ -98,7 +104,11 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
         body.check_room(element)?;
         match element.name.as_str() {
             "vertex" => read_vertices(&mut body, element, &mut mesh.vertices)?,
-            "face" => read_faces(&mut body, element, &mut mesh.triangles)?,
+            "face" => {
+                if !read_faces(&mut body, element, &mut mesh.triangles, most)? {
+                    return Ok(None);
+                }
+            }
             // Without properties it has no bytes, and any count fits.
             _ if element.properties.is_empty() => {}
             _ => (0..element.count)
@@ -115,7 +125,7 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
         Some(v) => Err(body.error(format!(
             "a face refers to vertex {v}, but there are {count}"
         ))),
-        None => Ok(mesh),
+        None => Ok(Some(mesh)),
     }
 }
 
@@ -406,11 +416,13 @@ fn read_vertices(
     Ok(())
 }
 
+/// False if there are more than `most` triangles.
 fn read_faces(
     body: &mut Body,
     element: &Element,
     triangles: &mut Vec<[u32; 3]>,
-) -> Result<(), PlyError> {
+    most: usize,
+) -> Result<bool, PlyError> {
     let is_indices = |p: &Property| {
         p.count.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index")
     };
@@ -427,9 +439,12 @@ fn read_faces(
                 _ => body.skip(property)?,
             }
         }
+        if triangles.len() + polygon.len().saturating_sub(2) > most {
+            return Ok(false);
+        }
         triangles.extend((2..polygon.len()).map(|i| [polygon[0], polygon[i - 1], polygon[i]]));
     }
-    Ok(())
+    Ok(true)
 }
 
 fn read_polygon(

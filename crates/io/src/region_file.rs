@@ -76,12 +76,8 @@ pub fn parse(bytes: &[u8]) -> Result<RegionFile, RegionFault> {
     match &bytes[start..] {
         [b'{', ..] => Ok(RegionFile::Areas(areas(serde_json::from_slice(bytes)?)?)),
         [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
-            let mesh = ply::read(&bytes[start..])?;
-            if mesh.triangles.len() > MOST_TRIANGLES {
-                Err(RegionFault::Triangles)
-            } else {
-                Ok(RegionFile::Mesh(mesh))
-            }
+            let mesh = ply::read_at_most(&bytes[start..], MOST_TRIANGLES)?;
+            mesh.map(RegionFile::Mesh).ok_or(RegionFault::Triangles)
         }
         text if text.len() < 4096 => {
             let numbers = std::str::from_utf8(text).ok().and_then(parse_box);
@@ -424,6 +420,21 @@ mod tests {
             [0.0, size],
             [0.0, 0.0]
         ])
+    }
+
+    #[test]
+    fn a_polygon_of_more_triangles_than_a_plan_takes_is_refused() {
+        let file = |corners: usize| {
+            let header = "ply\nformat binary_little_endian 1.0\nelement face 1\n\
+                          property list uint uchar vertex_indices\nend_header\n";
+            let count = (corners as u32).to_le_bytes();
+            [header.as_bytes(), &count, &vec![0; corners]].concat()
+        };
+        let too_many = parse(&file(MOST_TRIANGLES + 3));
+        assert!(matches!(too_many, Err(RegionFault::Triangles)));
+        // It has no vertices, which is said only when all is read.
+        let just_so = parse(&file(MOST_TRIANGLES + 2));
+        assert!(matches!(just_so, Err(RegionFault::Ply(_))));
     }
 
     #[test]

@@ -12,6 +12,7 @@ use walkdir::WalkDir;
 
 use crate::{
     base::{
+        bounded,
         error::{Advice, Hint},
         input::{self, FileKind},
     },
@@ -34,6 +35,7 @@ pub type Report = BTreeMap<ViewIndex, ReportedPartners>;
 
 #[derive(Deserialize)]
 struct File {
+    #[serde(deserialize_with = "bounded::list::<_, _, 1_000_000>")]
     clusters: Vec<Row>,
 }
 
