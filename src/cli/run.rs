@@ -607,7 +607,10 @@ impl<'a> Work<'a> {
             predicted: done
                 .checked_sub(1)
                 .and_then(|last| Some(self.plan.clusters.get(last)?.share)),
-            seconds: self.seconds(done, progress.and_then(|progress| progress.seconds_per_pair)),
+            seconds: self.seconds(
+                done,
+                progress.and_then(|progress| progress.seconds_per_pair),
+            ),
             target: self.target(),
             target_reached: ended == Ended::TargetReached,
             stopped: ended == Ended::Stopped,
@@ -621,7 +624,9 @@ impl<'a> Work<'a> {
     fn seconds(&self, done: usize, per_pair: Option<f64>) -> Option<[f64; 2]> {
         let pairs = |maps: usize| {
             let clusters = self.plan.clusters.iter().take(maps);
-            clusters.map(|cluster| cluster.partners.len()).sum::<usize>() as f64
+            clusters
+                .map(|cluster| cluster.partners.len())
+                .sum::<usize>() as f64
         };
         let (computed, took) = self.computed;
         let of_run = || (computed > 0).then(|| took.as_secs_f64() / f64::from(computed));
