@@ -86,16 +86,19 @@ impl Stages {
         timings: &mut Timings,
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
-        let mut run = Run { timings, watcher };
-        let mut inputs = Inputs::new(project, scene, settings, matcher, run.timings)?;
+        let mut inputs = Inputs::new(project, scene, settings, matcher, timings)?;
         let pixels = inputs.most_pixels;
-        let mut memory =
-            Memory::before_surface(&inputs.scene, &mut inputs.settings, pixels, watcher)?;
+        let memory = Memory::before_surface(&inputs.scene, &mut inputs.settings, pixels, watcher)?;
+        let mut run = Run {
+            timings,
+            memory,
+            watcher,
+        };
 
         let twins = run.step(TwinsStep { inputs: &inputs })?;
-        let (seen, candidates) =
-            steps::surface_and_candidates(&inputs, &twins, &mut memory, &mut run)?;
-        memory.before_partners(&inputs.scene, &seen.surface, &seen.visibility)?;
+        let (seen, candidates) = steps::surface_and_candidates(&inputs, &twins, &mut run)?;
+        run.memory
+            .before_partners(&inputs.scene, &seen.surface, &seen.visibility)?;
 
         let shown = run.step(ShownStep {
             inputs: &inputs,
@@ -119,17 +122,9 @@ impl Stages {
             inputs: &inputs,
             surface_file: &seen.file,
             geometry,
-            memory: &mut memory,
         })?;
         let thumbnails = Thumbnails::new(inputs.scene.views.len());
-        let compared = steps::agreement(
-            &inputs,
-            &geometry,
-            &candidates,
-            &mut memory,
-            &thumbnails,
-            &mut run,
-        )?;
+        let compared = steps::agreement(&inputs, &geometry, &candidates, &thumbnails, &mut run)?;
         let agreement = compared.as_deref().unwrap_or(&NO_AGREEMENT);
 
         let clusters = run.step(ClustersStep {
@@ -141,14 +136,7 @@ impl Stages {
         })?;
         large_pages::return_freed_memory();
         let support = objective.support;
-        let places = steps::pilot(
-            &inputs,
-            &clusters,
-            support,
-            thumbnails,
-            &mut memory,
-            &mut run,
-        )?;
+        let places = steps::pilot(&inputs, &clusters, support, thumbnails, &mut run)?;
 
         let found = Found {
             twins,
@@ -164,7 +152,7 @@ impl Stages {
             clusters,
             places,
         };
-        let stages = found.into_stages(inputs, memory);
+        let stages = found.into_stages(inputs, run.memory);
         watcher.check()?;
         Ok(stages)
     }

@@ -4,7 +4,7 @@
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::{
-    PlanError, Timings,
+    Memory, PlanError, Timings,
     cached::{self, Filed},
 };
 use crate::{
@@ -26,12 +26,15 @@ pub(super) trait Step {
     /// Makes sense of what the file holds; `None` if it is no result for these inputs.
     fn unpack(&self, facts: Self::Facts, bytes: &[u8]) -> Option<Self::Output>;
 
-    fn compute(self, watcher: &dyn Watcher) -> Result<Self::Output, PlanError>;
+    /// `memory`: its forecast comes before the computation.
+    fn compute(self, memory: &mut Memory, watcher: &dyn Watcher)
+    -> Result<Self::Output, PlanError>;
 }
 
 /// A plan being made.
 pub(super) struct Run<'a> {
     pub timings: &'a mut Timings,
+    pub memory: Memory,
     pub watcher: &'a dyn Watcher,
 }
 
@@ -41,7 +44,7 @@ impl Run<'_> {
         self.watcher.check()?;
         self.timings.time(S::STAGE, || {
             cached::read(step.file(), |facts, bytes| step.unpack(facts, bytes))
-                .or_compute(|| step.compute(self.watcher))
+                .or_compute(|| step.compute(&mut self.memory, self.watcher))
         })
     }
 }

@@ -46,7 +46,7 @@ impl Step for TwinsStep<'_> {
         cached::twins::unpack(bytes, self.inputs.scene.views.len())
     }
 
-    fn compute(self, watcher: &dyn Watcher) -> Result<Vec<Twin>, PlanError> {
+    fn compute(self, _: &mut Memory, watcher: &dyn Watcher) -> Result<Vec<Twin>, PlanError> {
         let Inputs {
             scene,
             points,
@@ -68,7 +68,6 @@ impl Step for TwinsStep<'_> {
 pub(super) fn surface_and_candidates(
     inputs: &Inputs,
     twins: &[Twin],
-    memory: &mut Memory,
     run: &mut Run,
 ) -> Result<(Filed<VisibleSurface>, Filed<Candidates>), PlanError> {
     let Inputs {
@@ -111,7 +110,7 @@ pub(super) fn surface_and_candidates(
     // it.
     rayon::in_place_scope_fifo(|jobs| {
         jobs.spawn_fifo(|_| {
-            surface = VisibleSurface::cached_or_new(inputs, watcher, run.timings, memory)
+            surface = VisibleSurface::cached_or_new(inputs, watcher, run.timings, &mut run.memory)
         });
         if known.result.is_none() {
             search.start(jobs);
@@ -140,7 +139,7 @@ impl Step for ShownStep<'_> {
         cached::shown::unpack(bytes, self.inputs.scene.views.len(), triangles)
     }
 
-    fn compute(self, _: &dyn Watcher) -> Result<Shown, PlanError> {
+    fn compute(self, _: &mut Memory, _: &dyn Watcher) -> Result<Shown, PlanError> {
         let VisibleSurface {
             surface,
             visibility,
@@ -194,7 +193,6 @@ pub(super) struct UnaryStep<'a> {
     pub inputs: &'a Inputs<'a>,
     pub surface_file: &'a ResultFile,
     pub geometry: Geometry<'a>,
-    pub memory: &'a mut Memory,
 }
 
 pub(super) struct UnaryWithWarnings {
@@ -225,7 +223,11 @@ impl Step for UnaryStep<'_> {
         Some(UnaryWithWarnings { unary, warnings })
     }
 
-    fn compute(self, watcher: &dyn Watcher) -> Result<Self::Output, PlanError> {
+    fn compute(
+        self,
+        memory: &mut Memory,
+        watcher: &dyn Watcher,
+    ) -> Result<Self::Output, PlanError> {
         let Inputs {
             points,
             confidence,
@@ -242,7 +244,7 @@ impl Step for UnaryStep<'_> {
         let unused = pictures.unused_masks(geometry.scene);
         let (masks, faults) = if pictures.have_masks() && unused.is_none() {
             let mask_bytes = self.inputs.most_mask_bytes();
-            let views_at_once = self.memory.before_masks(geometry, mask_bytes)?;
+            let views_at_once = memory.before_masks(geometry, mask_bytes)?;
             Unary::of_masks(geometry, pictures, views_at_once, watcher)?
         } else {
             Default::default()
@@ -273,7 +275,6 @@ pub(super) fn agreement(
     inputs: &Inputs,
     geometry: &Geometry,
     candidates: &Candidates,
-    memory: &mut Memory,
     thumbnails: &Thumbnails,
     run: &mut Run,
 ) -> Result<Option<Filed<Agreement>>, PlanError> {
@@ -306,7 +307,9 @@ pub(super) fn agreement(
         let file = cached::agreement::file(geometry, pictures, partners, reach.program);
         let compared = cached::agreement::read(file, geometry, partners)?.or_compute(|| {
             let pictures = thumbnails.beside(pictures);
-            let room = memory.before_pictures(geometry, inputs.most_mask_bytes())?;
+            let room = run
+                .memory
+                .before_pictures(geometry, inputs.most_mask_bytes())?;
             let agreement = Agreement::new(geometry, &pictures, partners, &reach, room, watcher)?;
             Ok::<_, PlanError>(agreement)
         });
@@ -350,7 +353,7 @@ impl Step for ClustersStep<'_> {
         cached::clusters::unpack(bytes, self.model.visibility, has_half)
     }
 
-    fn compute(self, watcher: &dyn Watcher) -> Result<CachedClusters, PlanError> {
+    fn compute(self, _: &mut Memory, watcher: &dyn Watcher) -> Result<CachedClusters, PlanError> {
         let (model, settings) = (&self.model, &self.inputs.settings);
         let (clusters, fulfilment) = partners::choose(
             model,
@@ -383,7 +386,6 @@ pub(super) fn pilot(
     clusters: &Filed<CachedClusters>,
     support: u32,
     thumbnails: Thumbnails,
-    memory: &mut Memory,
     run: &mut Run,
 ) -> Result<Option<Filed<Places>>, PlanError> {
     let folder = inputs.settings.pilot.maps.as_deref();
@@ -402,7 +404,6 @@ pub(super) fn pilot(
         clusters: &clusters.clusters,
         made: made.as_ref(),
         thumbnails,
-        memory,
     })?;
     Ok(Some(places))
 }
@@ -416,7 +417,6 @@ struct PilotStep<'a> {
     made: Option<&'a PilotMaps>,
     /// Those that were taken while pictures were compared.
     thumbnails: Thumbnails,
-    memory: &'a mut Memory,
 }
 
 impl Step for PilotStep<'_> {
@@ -437,7 +437,7 @@ impl Step for PilotStep<'_> {
         cached::pilot::unpack(bytes, self.clusters)
     }
 
-    fn compute(self, watcher: &dyn Watcher) -> Result<Places, PlanError> {
+    fn compute(self, memory: &mut Memory, watcher: &dyn Watcher) -> Result<Places, PlanError> {
         let Inputs {
             scene,
             points,
@@ -445,7 +445,7 @@ impl Step for PilotStep<'_> {
             settings,
             ..
         } = self.inputs;
-        self.memory.before_pilot(scene)?;
+        memory.before_pilot(scene)?;
         let seen = (
             pictures as &dyn confidence::Pictures,
             settings.image_scale(),
