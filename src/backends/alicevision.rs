@@ -69,10 +69,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         files.add(image_path(scene, view), images.link(scene.name(view)));
     }
     let points = scene.view_points();
-    let mut record = ExportRecord::new(&BACKEND, selection, |v| scene.view(v).image_id.to_string());
-    record
-        .not_honoured
-        .extend(["the order of the partners of a key view".into()]);
+    let mut record = record_of(selection);
     record.moved(near.origin);
     let names: Vec<String> = selection
         .clusters
@@ -113,17 +110,24 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "aliceVision_meshing -i finished.sfm --depthMapsFolder filtered --output dense.abc --outputMesh mesh.obj"
             .into(),
     ]);
-    record.runner = Some("run.sh".into());
-    record.pixel_shift = PIXEL_SHIFT;
-    record.made_for = "AliceVision (ca8300f; read, not run)".into();
-    record.way = "one scene file and one call per cluster".into();
     record.note_scale(selection, |_| 1.0 / downscale(selection));
-    record.fusion =
-        "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
     files.add("run.sh", script.finish(&[format!("join {FILTERING}")]));
     list_links(&mut files);
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
+}
+
+fn record_of(selection: &Selection) -> ExportRecord {
+    let name = |view| selection.scene.view(view).image_id.to_string();
+    let mut record = ExportRecord::new(&BACKEND, selection, name);
+    record.made_for = "AliceVision (ca8300f; read, not run)".into();
+    record.way = "one scene file and one call per cluster".into();
+    record.runner = Some("run.sh".into());
+    record.not_honoured = vec!["the order of the partners of a key view".into()];
+    record.pixel_shift = PIXEL_SHIFT;
+    record.fusion =
+        "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
+    record
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/alicevision/run_head.sh");

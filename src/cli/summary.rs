@@ -475,22 +475,7 @@ fn whole_percent(share: f64) -> String {
 
 /// Notes on images that may be unexpected: other names, other folders.
 fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
-    let mut notes = Vec::new();
-    if let Some(images) = &project.images {
-        if images.is_searched {
-            notes.push(format!(
-                "The images are in {} (--images names another folder).",
-                images.display()
-            ));
-        }
-        let count = images.other_names().count();
-        if let Some((name, file)) = images.other_names().next() {
-            notes.push(format!(
-                "{} images have another name there, as {file} for {name}.",
-                grouped(count)
-            ));
-        }
-    }
+    let mut notes = notes_on_folder(project);
     if project.images.is_none() {
         notes.push("There are no images: what will match is predicted from geometry alone.".into());
     } else if plan.stages.settings.confidence.source == ConfidenceSource::Photometric
@@ -501,6 +486,45 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
                 .into(),
         );
     }
+    notes.extend(notes_on_left_out(plan));
+    if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
+        notes.push("Of two sizes, full size alone gives most within these limits.".into());
+    }
+    if let Georeference::Fitted { support, .. } = place {
+        notes.push(format!(
+            "On earth by the GPS of {} of {} images, {} m off in the median (not with --no-gps).",
+            grouped(support.fitting),
+            grouped(support.positions),
+            rounded(support.median)
+        ));
+    }
+    notes
+}
+
+/// Where the images are, unless they are where and as the model says.
+fn notes_on_folder(project: &Project) -> Vec<String> {
+    let Some(images) = &project.images else {
+        return Vec::new();
+    };
+    let mut notes = Vec::new();
+    if images.is_searched {
+        notes.push(format!(
+            "The images are in {} (--images names another folder).",
+            images.display()
+        ));
+    }
+    if let Some((name, file)) = images.other_names().next() {
+        notes.push(format!(
+            "{} images have another name there, as {file} for {name}.",
+            grouped(images.other_names().count())
+        ));
+    }
+    notes
+}
+
+/// How many views are neither key views nor partners.
+fn notes_on_left_out(plan: &Plan) -> Vec<String> {
+    let mut notes = Vec::new();
     let missing = plan.stages.without_image.len();
     if missing > 0 {
         let (it, views) = if missing == 1 {
@@ -522,17 +546,6 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
         notes.push(format!(
             "{} {image} from the place of a sharper one {is} set aside.",
             grouped(twins)
-        ));
-    }
-    if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
-        notes.push("Of two sizes, full size alone gives most within these limits.".into());
-    }
-    if let Georeference::Fitted { support, .. } = place {
-        notes.push(format!(
-            "On earth by the GPS of {} of {} images, {} m off in the median (not with --no-gps).",
-            grouped(support.fitting),
-            grouped(support.positions),
-            rounded(support.median)
         ));
     }
     notes

@@ -344,9 +344,6 @@ impl Limits {
             share_band,
             fulfilment,
             fulfilment_bound,
-            ..
-        } = *cut;
-        let Cut {
             given_up,
             pairs_beyond_gate,
             ..
