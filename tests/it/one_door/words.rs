@@ -15,7 +15,7 @@ fn images_that_cannot_be_read_are_no_images() {
     assert_eq!(code, 1);
     assert!(stderr.contains("Git LFS"), "{stderr}");
     assert!(
-        !stdout.contains("run.py") && stdout.contains("put the images"),
+        !stdout.contains("run.py") && stdout.contains("git lfs pull"),
         "{stdout}"
     );
     let (code, ..) = said(&viewrank(&["run", folder.path().to_str().unwrap()]));
