@@ -288,15 +288,17 @@ impl Ground {
     }
 }
 
-/// Returns a grid around the region and the centres of its cells inside, of which there are some
-/// thousands; `None` if too many edges would be looked at: a comb of a million teeth would take
-/// minutes.
+/// A grid around a region, and the centres of its cells inside.
+type Inside = (Grid, Vec<[f64; 2]>);
+
+/// Divides the region into cells, of which some thousands are inside; `None` if too many edges would
+/// be looked at: a comb of a million teeth would take minutes.
 fn places_inside(
     footprint: &Footprint,
     rings: &[Vec<[f64; 2]>],
     plane: &GroundPlane,
     watcher: &dyn Watcher,
-) -> Result<Option<(Grid, Vec<[f64; 2]>)>, Cancelled> {
+) -> Result<Option<Inside>, Cancelled> {
     let in_all = AtomicU64::new(0);
     let inside = |grid: &Grid| {
         let is_inside = |cell: usize| {
