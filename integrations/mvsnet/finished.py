@@ -18,6 +18,9 @@ from pathlib import Path
 
 folder = Path(__file__).resolve().parent
 
+# Maps that the fusion compares with one: the best of those that are finished.
+FUSED_WITH = 24
+
 
 def opened(path):
     """The file of a PFM behind its header, its number of channels, and its width and height."""
@@ -157,7 +160,7 @@ finished = {key: size for key, size in found.items() if key not in strange + mov
 write(fuse / "seen.json", json.dumps(seen))
 entries = []
 for key in lists:
-    pairs = [pair for pair in zip(lists[key][::2], lists[key][1::2]) if pair[0] in finished]
+    pairs = [pair for pair in zip(lists[key][::2], lists[key][1::2]) if pair[0] in finished][:FUSED_WITH]
     if key in finished and pairs:
         entries.append(f"{key}\n{len(pairs)} {' '.join(' '.join(pair) for pair in pairs)}\n")
 count = f"{len(finished)} of {len(lists)} key views have maps of this plan"

@@ -345,3 +345,49 @@ pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec
     shared[view.index()] = 0;
     shared
 }
+
+/// Number of key views that a fusion compares with one: all that share points would take long.
+pub const FUSED_WITH: usize = 24;
+
+/// Returns those of `others`, best first, that are among the [`FUSED_WITH`] best for key view `i` in
+/// the fusion of some number of first maps. A script takes the first of them that have a map. The
+/// best of all would not do: few of them are among the first maps of a dense video, and a map that
+/// is compared with few others gives few points.
+pub fn fused_with(i: usize, others: &[usize]) -> Vec<usize> {
+    let mut kept: Vec<usize> = Vec::new();
+    for &other in others {
+        // The first fusion with both maps: later ones have better ones besides. One that is not kept
+        // has enough better ones that come no later, so that it need not be counted.
+        let last = i.max(other);
+        if kept.iter().filter(|&&better| better <= last).count() < FUSED_WITH {
+            kept.push(other);
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_number_of_first_maps_is_compared_as_if_the_plan_ended_there() {
+        let maps = 300;
+        for i in [0, 7, 150, 299] {
+            // 7 and 300 have no common factor: each number once.
+            let others: Vec<usize> = (1..=maps)
+                .map(|n| n * 7 % maps)
+                .filter(|&o| o != i)
+                .collect();
+            let kept = fused_with(i, &others);
+            for first in i + 1..=maps {
+                let compared = |list: &[usize]| -> Vec<usize> {
+                    let there = list.iter().copied().filter(|&o| o < first);
+                    there.take(FUSED_WITH).collect()
+                };
+                assert_eq!(compared(&kept), compared(&others), "{first} maps, map {i}");
+            }
+            assert!(kept.len() < others.len() / 2);
+        }
+    }
+}

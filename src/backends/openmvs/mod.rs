@@ -38,8 +38,6 @@ mod scene;
 
 /// Depth maps that must agree on a point of the fused cloud.
 const MAPS_PER_POINT: usize = 2;
-/// Largest number of key views that a fusion compares with a key view.
-const FUSED_WITH: usize = 24;
 
 /// Confidence of a PatchMatch pair (method 7.2), measured as [`PlanningNumbers::source`] says.
 pub(super) const CONFIDENCE: PairConfidence = PairConfidence {
@@ -202,7 +200,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let run = Run {
         clusters: rows,
         overlaps,
-        fused_with: FUSED_WITH,
+        fused_with: selection::FUSED_WITH,
         maps_per_point: MAPS_PER_POINT,
         resolution: resolution(selection),
         pictures,
@@ -348,28 +346,12 @@ fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
             .count()
             .max(1);
         others.truncate(overlapping);
-        among_the_best(i, &others)
+        selection::fused_with(i, &others)
     };
     let overlaps = (0..views.len())
         .map(|i| if i < keys { overlaps(i) } else { Vec::new() })
         .collect();
     (views, overlaps)
-}
-
-/// Returns those of `others`, best first, that are among the [`FUSED_WITH`] best for key view `i` in
-/// the fusion of some number of first maps. The best of all would not do: few of them are among the
-/// first maps of a dense video, and a map that is compared with few others gives few points.
-fn among_the_best(i: usize, others: &[usize]) -> Vec<usize> {
-    let mut kept: Vec<usize> = Vec::new();
-    for &other in others {
-        // The first fusion with both maps: later ones have better ones besides. One that is not kept
-        // has enough better ones that come no later, so that it need not be counted.
-        let last = i.max(other);
-        if kept.iter().filter(|&&better| better <= last).count() < FUSED_WITH {
-            kept.push(other);
-        }
-    }
-    kept
 }
 
 /// Options with which every partner is used regardless of OpenMVS's score, no limit cuts a list,
@@ -409,30 +391,4 @@ pub(super) fn scale_at(camera: &Camera, level: u32, [least, greatest]: [u32; 2])
 /// Returns the long side of the matched images, pixels.
 fn resolution(selection: &Selection) -> u32 {
     (f64::from(selection.long_side()) * selection.image_scale).round() as u32
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_number_of_first_maps_is_compared_as_if_the_plan_ended_there() {
-        let maps = 300;
-        for i in [0, 7, 150, 299] {
-            // 7 and 300 have no common factor: each number once.
-            let others: Vec<usize> = (1..=maps)
-                .map(|n| n * 7 % maps)
-                .filter(|&o| o != i)
-                .collect();
-            let kept = among_the_best(i, &others);
-            for first in i + 1..=maps {
-                let compared = |list: &[usize]| -> Vec<usize> {
-                    let there = list.iter().copied().filter(|&o| o < first);
-                    there.take(FUSED_WITH).collect()
-                };
-                assert_eq!(compared(&kept), compared(&others), "{first} maps, map {i}");
-            }
-            assert!(kept.len() < others.len() / 2);
-        }
-    }
 }

@@ -4,16 +4,15 @@ use std::collections::BTreeSet;
 
 use super::{ACM_PARTNERS, dialects::Dialect};
 use crate::{
-    backends::{Selection, selection},
+    backends::{
+        Selection,
+        selection::{self, FUSED_WITH},
+    },
     model::{
         cluster::RankedCluster,
         scene::{ViewIndex, ViewPoints},
     },
 };
-
-/// Largest number of key views whose maps the fusion compares with one: its own lists hold every
-/// view that shares points, which takes long.
-const FUSED_WITH: usize = 24;
 
 /// Lists of views (positions in `views`) and of the number of points they share with each.
 pub(super) struct Lists<'a> {
@@ -24,8 +23,8 @@ pub(super) struct Lists<'a> {
     pub points: ViewPoints,
     /// Partners of each view that gets a map, key views first.
     pub rows: Vec<Vec<(u32, u32)>>,
-    /// For each key view those whose maps may confirm its depths: not only partners, since key
-    /// views are chosen to overlap little.
+    /// For each key view those whose maps may confirm its depths, best first: not only partners,
+    /// since key views are chosen to overlap little. A script that joins takes those with a map.
     compared: Vec<Vec<(u32, u32)>>,
 }
 
@@ -51,12 +50,17 @@ impl<'a> Lists<'a> {
             scored(shared, &mut others.into_iter().take(most))
         };
         let keys = &views[..selection.clusters.len()];
-        let key_rows = |c: &RankedCluster| {
+        let key_rows = |(i, c): (usize, &RankedCluster)| {
             let shared = selection::shared_points(scene, &points, c.key);
-            (
-                scored(&shared, &mut c.partners.iter().copied()),
-                most_shared(&shared, keys, FUSED_WITH),
-            )
+            let mut compared = most_shared(&shared, keys, keys.len());
+            if dialect.join.is_some() {
+                let others: Vec<usize> = compared.iter().map(|(o, _)| *o as usize).collect();
+                let kept: BTreeSet<usize> = selection::fused_with(i, &others).into_iter().collect();
+                compared.retain(|(other, _)| kept.contains(&(*other as usize)));
+            } else {
+                compared.truncate(FUSED_WITH);
+            }
+            (scored(&shared, &mut c.partners.iter().copied()), compared)
         };
         let other_row = |&view: &ViewIndex| {
             most_shared(
@@ -66,7 +70,7 @@ impl<'a> Lists<'a> {
             )
         };
         let (mut rows, compared): (Vec<_>, Vec<_>) =
-            selection.clusters.iter().map(key_rows).unzip();
+            selection.clusters.iter().enumerate().map(key_rows).unzip();
         if dialect.all_are_problems {
             rows.extend(views[rows.len()..].iter().map(other_row));
             rows.iter_mut().for_each(|row| row.truncate(ACM_PARTNERS));
