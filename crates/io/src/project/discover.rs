@@ -53,6 +53,8 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
             folder::find(root, &model.path, None, &files::first_names(&model))
         }
+        // It cannot be read, which reading the scene says, or has no names.
+        _ if model.registered == 0 => None,
         _ => foreign::read(root, &model)
             .ok()
             .and_then(|(read, _)| images::find_by_names(root, &model.path, &read)),
@@ -322,8 +324,10 @@ fn choose(
         }
     };
     let model = models.remove(position);
+    // Beside COLMAP's models with tracks, others have not been read yet.
+    let is_unread = !model.format.is_colmap() && models.iter().any(|m| m.format.is_colmap());
     let model = match model.registered {
-        0 if !model.format.is_colmap() => foreign::examined(root, model),
+        0 if is_unread => foreign::examined(root, model),
         _ => model,
     };
     Ok((model, models))

@@ -269,7 +269,11 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     };
     let cloud = match model.contents {
         ModelContents::Tracks => None,
-        _ => read(root, model).ok().and_then(|(_, cloud)| cloud),
+        // It names the file.
+        _ if model.format == ModelFormat::Transforms => {
+            read(root, model).ok().and_then(|(_, cloud)| cloud)
+        }
+        _ => cloud_beside(model),
     };
     let own = own.into_iter().filter(|path: &PathBuf| path.is_file());
     own.chain(cloud).collect()
