@@ -142,7 +142,7 @@ def nothing_left(folder):
 def test_a_picture_that_changed_since_the_plan_is_not_matched(folder):
     (folder / "images/k1").write_bytes(b"another picture")
     done, calls, _ = run(folder)
-    assert done.returncode == 1 and "'k1': the picture has changed since the plan: plan again" in done.stderr and not calls
+    assert done.returncode == 1 and "'images/k1': the picture has changed since the plan: plan again" in done.stderr and not calls
 
 
 def test_in_rank_order_then_fused_and_resumed(folder):
@@ -213,7 +213,7 @@ def test_openmvs_compares_a_map_with_the_best_of_those_that_are_there(folder):
 def test_openmvs_silent_no_map(folder):
     make(folder, k1=[])
     done, _, report = run(folder)
-    assert done.returncode == 1 and report["k1"]["problems"] == ["no depth map"]
+    assert done.returncode == 1 and report["k1"]["problems"][0] == "no depth map" and "ended with 0" in report["k1"]["problems"][1]
     assert (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
 
 
@@ -282,7 +282,7 @@ def test_openmvs_existing_dmap_kept(folder):
     (folder / "clusters/1.mvs").write_text("other partners")
     make(folder, k1=[])
     done, calls, report = run(folder)
-    assert scenes(calls) == ["clusters/1.mvs", "fusing.mvs"] and report["k1"]["problems"] == ["no depth map"]
+    assert scenes(calls) == ["clusters/1.mvs", "fusing.mvs"] and report["k1"]["problems"][0] == "no depth map"
     assert maps(folder) == before and (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
     (folder / "clusters/1.mvs").write_text(scene)
     done, calls, report = run(folder)
