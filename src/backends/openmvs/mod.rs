@@ -361,7 +361,7 @@ fn dense_config(selection: &Selection) -> String {
     // OpenMVS filters neighbours beyond three quarters of the limit by angle and scale.
     let views = (selection.most_partners() * 4)
         .div_ceil(3)
-        .max(FUSED_WITH * 4 / 3);
+        .max(selection::FUSED_WITH * 4 / 3);
     format!(
         "View Min Score = 0\nView Min Score Ratio = 0\nMax Views = {views}\nMin Pixels Fuse = {MAPS_PER_POINT}\n"
     )
