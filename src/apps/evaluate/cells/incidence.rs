@@ -305,7 +305,6 @@ mod tests {
             ("", 1),
             ("a\tb\tc\td\te\tf\tg\n", 1),
             ("a\tb\ta\n", 1),
-            ("a\n1\t0\t0", 2),
             ("a\n1\t0\t1\n1\t0\t00001", 3),
             ("a\n1\t0", 2),
             ("a\n1\t0\tg", 2),
