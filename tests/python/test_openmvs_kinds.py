@@ -65,11 +65,11 @@ def test_maps_of_two_kinds_are_not_fused(folder):
     path.unlink()
     make(folder, **of_kind("DR"))
     for name in ("depth0010.dmap", "depth0011.dmap"):
-        (folder / name).rename(folder / f"away-{name}")
+        (folder / name).rename(folder.parent / name)
     (folder / "kinds.json").unlink()
     assert run(folder, "--rank", "3")[0].returncode == 0 and path.read_bytes()[:2] == b"DR"
     for name in ("depth0010.dmap", "depth0011.dmap"):
-        (folder / f"away-{name}").rename(folder / name)
+        (folder.parent / name).rename(folder / name)
     (folder / "kinds.json").unlink()
     done, calls, _ = run(folder, "--stop-at", "0")
     assert done.returncode == 1 and not calls and "maps of the kinds D2 and DR" in done.stdout
