@@ -91,7 +91,7 @@ def refuse_other_pictures(planned):
 
 def refuse_strangers():
     """Ends where anything here is neither a file nor a folder: it would be followed out of this folder, or a pipe waited for. links.txt lists the links that viewrank made;
-    those of a run are in its folder below unfinished/. A link that leads to a folder or a pipe is none of them: viewrank's lead to pictures, of which one may be missing."""
+    those of a run are in its folder below unfinished/. Links to folders or pipes are refused, too: viewrank links pictures alone, one of which may be missing."""
     listed = HERE / "links.txt"
     if listed.is_symlink() or not listed.is_file():
         sys.exit(f"error: {listed}: not the list that viewrank wrote; export again")

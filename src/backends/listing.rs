@@ -12,7 +12,7 @@ pub enum LastRun {
         /// Year, month, day.
         date: &'static str,
         version: &'static str,
-        /// What of it was run, and what wasn't.
+        /// The parts that were run, and those that were not.
         what: &'static str,
     },
     /// Never; what the export is based on instead.

@@ -91,8 +91,7 @@ impl fmt::Display for Version {
     }
 }
 
-/// Returns the version of the COLMAP that would match; `None` if there is none, or it isn't a
-/// release.
+/// Returns the version of the installed COLMAP; `None` without one, or if it isn't a release.
 pub(super) fn colmap_version() -> Option<Version> {
     release(&help(&installed("COLMAP", "colmap")?)?)
 }

@@ -522,7 +522,7 @@ fn notes_on_folder(project: &Project) -> Vec<String> {
     notes
 }
 
-/// How many views are neither key views nor partners.
+/// Notes on views that are neither key views nor partners.
 fn notes_on_left_out(plan: &Plan) -> Vec<String> {
     let mut notes = Vec::new();
     let missing = plan.stages.without_image.len();

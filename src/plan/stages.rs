@@ -200,7 +200,7 @@ impl std::ops::Deref for Stages {
     }
 }
 
-/// What the stages have found, with the files that it is cached in.
+/// Results of the stages, each with its cache file.
 struct Found {
     twins: Filed<Vec<Twin>>,
     seen: Filed<VisibleSurface>,

@@ -128,8 +128,7 @@ struct JudgedPixels {
     quality: Quality,
     /// By pixel.
     right: Vec<bool>,
-    /// Of each triangle that the key view sees: pixels of its visible part, and those of them that
-    /// are right.
+    /// By triangle that the key view sees: pixels of its visible part, and right ones among them.
     counts: Vec<(u32, u32)>,
 }
 
@@ -170,7 +169,7 @@ impl JudgedPixels {
         judged
     }
 
-    /// Whether the pixel of the triangle's centroid is right.
+    /// Returns true if the depth at the triangle's centroid is right.
     fn is_right_at(&self, model: &Model, key: ViewIndex, map: &DepthMap, triangle: u32) -> bool {
         let (camera, pose) = (
             model.scene.camera_of(key),

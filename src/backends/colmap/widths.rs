@@ -13,12 +13,12 @@ use crate::{
 /// First version with the fault, and first without it again.
 const FAULTY: [Version; 2] = [Version([4, 0, 0]), Version([4, 2, 0])];
 
-/// What is known of the COLMAP that will match.
+/// The COLMAP on this machine, as far as its version tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Colmap {
     Sound,
     Faulty(Version),
-    /// There is none here, or it doesn't say which it is.
+    /// Not installed, or of unknown version.
     Unknown,
 }
 

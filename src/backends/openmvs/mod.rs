@@ -317,7 +317,7 @@ struct Run {
     /// For each image of `fuse.mvs`, the indices of the key views that overlap it, best first, as
     /// many as a fusion of the first maps may need; empty if it is not a key view.
     overlaps: Vec<Vec<usize>>,
-    /// How many of those that have a map a fusion compares with it.
+    /// Number of finished maps, the best ones, that a fusion compares with it.
     fused_with: usize,
     maps_per_point: usize,
     /// Long side of the matched images, pixels.

@@ -80,7 +80,7 @@ pub fn unpack(bytes: &[u8], clusters: usize, triangles: usize) -> Option<UncutRa
     is_valid.then_some(known)
 }
 
-/// Whether these are clusters, each at most once.
+/// Returns true if the order has valid clusters only, each at most once.
 fn is_order_of(clusters: usize, order: &[u32]) -> bool {
     let mut is_left = vec![true; clusters];
     let mut takes = |&cluster: &u32| {

@@ -17,7 +17,7 @@ use crate::{
     },
 };
 
-/// What the photographs show of the area of a region on the map (method 5.7).
+/// Area of a region on the map, and the parts that photographs miss (method 5.7).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundSummary {
     /// Square scene units.

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::{Waypoint, candidates};
 use crate::{
-    method::region::GroundCell,
+    method::region::{Ground, GroundCell},
     model::{camera::Camera, georeference::MapFrame},
     plan::Plan,
 };
@@ -41,6 +41,24 @@ pub struct BareGround {
 /// A square of the grid of images: column and row.
 type Square = [i64; 2];
 
+/// A place that too few images show.
+#[derive(Clone, Copy)]
+struct Lack {
+    /// On the map.
+    place: [f64; 2],
+    /// Images that it needs besides those taken and planned.
+    images: u32,
+}
+
+/// Images straight down from the distance of the wanted resolution, one over each square.
+struct Overhead<'a> {
+    camera: &'a Camera,
+    /// From the ground, scene units.
+    distance: f64,
+    /// Side of a square, scene units.
+    step: f64,
+}
+
 /// Plans the images; `None` without a region, or without such ground. `needed`: cameras that must
 /// see a place; `hole`: index of the ground among the listed holes; `planned`: images for the other
 /// holes, which show some of it.
@@ -51,98 +69,208 @@ pub fn bare_ground(
     hole: usize,
     planned: &[Waypoint],
 ) -> Option<BareGround> {
-    let stages = &plan.stages;
-    let ground = stages.ground.as_ref()?;
-    let camera = candidates::usual_camera(plan)?;
-    let camera = &stages.scene.cameras[camera.index()];
-    let gsd = stages.settings.target.gsd?;
-    let distance = candidates::distance(plan, gsd, camera);
-    let shown_by_planned = |place: [f64; 2]| {
-        let place = ground.plane.at(place);
-        let shows = |waypoint: &&Waypoint| shows(waypoint, camera, distance, &place);
-        planned.iter().filter(shows).count() as u32
-    };
-    let lacking = |cell: &GroundCell| {
-        let missing = needed.saturating_sub(cell.views);
-        let is_bare = !cell.has_surface && missing > 0;
-        let missing = missing.saturating_sub(if is_bare {
-            shown_by_planned(cell.place)
-        } else {
-            0
-        });
-        (is_bare && missing > 0).then_some((cell.place, missing))
-    };
-    let bare: Vec<([f64; 2], u32)> = ground.cells.iter().filter_map(lacking).collect();
+    let ground = plan.stages.ground.as_ref()?;
+    let images = Overhead::new(plan)?;
+    let bare = images.lacking(ground, needed, planned);
     if (bare.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
         return None;
     }
-    let step = candidates::step(distance);
-    let square = |[x, y]: [f64; 2]| -> Square { [x, y].map(|at| (at / step).floor() as i64) };
     let flown = flown(plan, frame);
-    let (places, each) = divided(&bare, ground.side, step, &flown);
+    let (places, each) = divided(&bare, ground.side, images.step, &flown);
     // One more on each side: at the rim, too, a place is seen from several.
-    let mut squares: BTreeSet<Square> = BTreeSet::new();
-    for (place, _) in &places {
-        squares.extend(around(square(*place)));
-    }
-    let middle = |[column, row]: Square| [column, row].map(|at| (at as f64 + 0.5) * step);
-    let reach = 0.5 * shown(camera, distance);
+    let squares = places
+        .iter()
+        .flat_map(|lack| around(images.square(lack.place)));
+    let squares: BTreeSet<Square> = squares.collect();
     let chosen = match squares.len() {
-        ..=MOST => enough(&places, &squares, middle, reach),
-        _ => nearest_to(&flown, squares, middle),
+        ..=MOST => images.enough(&places, &squares),
+        _ => images.nearest_to(&flown, squares),
     };
-    let heights = heights(plan, frame, &chosen, square);
-    let up = ground.plane.up();
-    let waypoint = |(n, square): (usize, &Square)| {
-        let below = ground.plane.at(middle(*square));
-        let rise = heights
-            .get(square)
-            .map_or(0.0, |height| (height - frame.local(&below)[2]).max(0.0));
-        Waypoint {
-            rank: n + 1,
-            centre: below + up * (distance + rise),
-            direction: -up,
-            hole,
-            height: distance + rise,
-            distance: distance + rise,
-            overlap: overlap(camera, distance + rise, step),
-        }
-    };
-    let middles: Vec<[f64; 2]> = chosen.iter().map(|square| middle(*square)).collect();
-    let is_shown = |(place, lacking): &&([f64; 2], u32)| {
-        let shows = |middle: &&[f64; 2]| is_below(**middle, *place, reach);
-        middles.iter().filter(shows).take(*lacking as usize).count() == *lacking as usize
-    };
-    let covered = places.iter().filter(is_shown).count() as f64 / (each * bare.len()) as f64;
+    let covered = images.shown_often_enough(&places, &chosen);
     Some(BareGround {
         area: bare.len() as f64 * ground.side * ground.side,
         centre: ground.plane.at(typical(&bare)),
-        waypoints: row_by_row(&chosen)
+        waypoints: images.waypoints(plan, ground, frame, &chosen, hole),
+        covered: covered as f64 / (each * bare.len()) as f64,
+    })
+}
+
+impl<'a> Overhead<'a> {
+    fn new(plan: &'a Plan) -> Option<Self> {
+        let camera = candidates::usual_camera(plan)?;
+        let camera = &plan.stages.scene.cameras[camera.index()];
+        let distance = candidates::distance(plan, plan.stages.settings.target.gsd?, camera);
+        Some(Self {
+            camera,
+            distance,
+            step: candidates::step(distance),
+        })
+    }
+
+    fn square(&self, place: [f64; 2]) -> Square {
+        place.map(|at| (at / self.step).floor() as i64)
+    }
+
+    fn middle(&self, square: Square) -> [f64; 2] {
+        square.map(|at| (at as f64 + 0.5) * self.step)
+    }
+
+    /// Returns whether the image over a square shows a place.
+    fn shows(&self, square: Square, place: [f64; 2]) -> bool {
+        let (middle, reach) = (self.middle(square), 0.5 * shown(self.camera, self.distance));
+        (0..2).all(|axis| (middle[axis] - place[axis]).abs() <= reach)
+    }
+
+    /// Returns the cells without surface that fewer cameras show than needed.
+    fn lacking(&self, ground: &Ground, needed: u32, planned: &[Waypoint]) -> Vec<Lack> {
+        let lacking = |cell: &GroundCell| {
+            if cell.has_surface || cell.views >= needed {
+                return None;
+            }
+            let place = ground.plane.at(cell.place);
+            let shows = |waypoint: &&Waypoint| self.is_shown_by(waypoint, &place);
+            let images = cell.views + planned.iter().filter(shows).count() as u32;
+            (images < needed).then(|| Lack {
+                place: cell.place,
+                images: needed - images,
+            })
+        };
+        ground.cells.iter().filter_map(lacking).collect()
+    }
+
+    /// Returns whether an image planned for a hole shows a place about as finely; of its frame, the
+    /// circle inside counts.
+    fn is_shown_by(&self, waypoint: &Waypoint, place: &Point3<f64>) -> bool {
+        let ray = place - waypoint.centre;
+        let reach = 0.5 * shown(self.camera, 1.0);
+        let along = ray.dot(&waypoint.direction);
+        let across = (ray - waypoint.direction * along).norm();
+        (0.0..=FARTHER * self.distance).contains(&along) && across <= reach * along
+    }
+
+    /// Returns the number of places that get all the images that they lack.
+    fn shown_often_enough(&self, places: &[Lack], chosen: &BTreeSet<Square>) -> usize {
+        let is_shown = |lack: &&Lack| {
+            let shows = |square: &&Square| self.shows(**square, lack.place);
+            let images = lack.images as usize;
+            chosen.iter().filter(shows).take(images).count() == images
+        };
+        places.iter().filter(is_shown).count()
+    }
+
+    /// Returns the images over these squares, row by row, at their distance from the highest
+    /// surface nearby.
+    fn waypoints(
+        &self,
+        plan: &Plan,
+        ground: &Ground,
+        frame: &MapFrame,
+        chosen: &BTreeSet<Square>,
+        hole: usize,
+    ) -> Vec<Waypoint> {
+        let heights = self.heights(plan, frame, chosen);
+        let up = ground.plane.up();
+        let waypoint = |(n, square): (usize, &Square)| {
+            let below = ground.plane.at(self.middle(*square));
+            let rise = heights
+                .get(square)
+                .map_or(0.0, |height| (height - frame.local(&below)[2]).max(0.0));
+            let distance = self.distance + rise;
+            Waypoint {
+                rank: n + 1,
+                centre: below + up * distance,
+                direction: -up,
+                hole,
+                height: distance,
+                distance,
+                overlap: overlap(self.camera, distance, self.step),
+            }
+        };
+        row_by_row(chosen)
             .iter()
             .enumerate()
             .map(waypoint)
-            .collect(),
-        covered,
-    })
+            .collect()
+    }
+
+    /// Chooses images until each place is shown by as many as it lacks, those first that show most such
+    /// places.
+    fn enough(&self, places: &[Lack], squares: &BTreeSet<Square>) -> BTreeSet<Square> {
+        let squares: Vec<Square> = squares.iter().copied().collect();
+        let below = |square: &Square| -> Vec<u32> {
+            let places = (0..).zip(places);
+            let below = places.filter(|(_, lack)| self.shows(*square, lack.place));
+            below.map(|(i, _)| i).collect()
+        };
+        let below: Vec<Vec<u32>> = squares.par_iter().map(below).collect();
+        let mut lacking: Vec<u32> = places.iter().map(|lack| lack.images).collect();
+        // Gains only fall: what is at the top with a gain of now is best.
+        let known = below
+            .iter()
+            .map(Vec::len)
+            .zip((0..squares.len()).map(Reverse));
+        let mut by_gain: BinaryHeap<(usize, Reverse<usize>)> = known.collect();
+        let mut chosen = BTreeSet::new();
+        while let Some((known, Reverse(next))) = by_gain.pop() {
+            let lack = |&&place: &&u32| lacking[place as usize] > 0;
+            let gain = below[next].iter().filter(lack).count();
+            if gain < known {
+                by_gain.push((gain, Reverse(next)));
+                continue;
+            }
+            if gain == 0 {
+                break;
+            }
+            chosen.insert(squares[next]);
+            for &place in &below[next] {
+                lacking[place as usize] = lacking[place as usize].saturating_sub(1);
+            }
+        }
+        chosen
+    }
+
+    /// The squares whose middles are nearest to some positions, [`MOST`] at most.
+    fn nearest_to(&self, positions: &[[f64; 2]], squares: BTreeSet<Square>) -> BTreeSet<Square> {
+        let mut by_distance: Vec<(f64, Square)> = squares
+            .iter()
+            .map(|square| (distance(positions, self.middle(*square)), *square))
+            .collect();
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let nearest = by_distance.into_iter().take(MOST);
+        nearest.map(|(_, square)| square).collect()
+    }
+
+    /// Height of the highest vertex of the surface in or beside each square, where there is one.
+    fn heights(
+        &self,
+        plan: &Plan,
+        frame: &MapFrame,
+        squares: &BTreeSet<Square>,
+    ) -> BTreeMap<Square, f64> {
+        let mut heights: BTreeMap<Square, f64> = BTreeMap::new();
+        for vertex in &plan.stages.surface.vertices {
+            let [x, y, z] = frame.local(vertex);
+            for beside in around(self.square([x, y])).filter(|beside| squares.contains(beside)) {
+                let height = heights.entry(beside).or_insert(z);
+                *height = height.max(z);
+            }
+        }
+        heights
+    }
 }
 
 /// Divides cells into places no farther apart than the images, as many in each; returns them and
 /// their number in a cell. Of more than [`MOST_PLACES`], those in the cells nearest to the
 /// photographs.
-fn divided(
-    cells: &[([f64; 2], u32)],
-    side: f64,
-    step: f64,
-    flown: &[[f64; 2]],
-) -> (Vec<([f64; 2], u32)>, usize) {
+fn divided(cells: &[Lack], side: f64, step: f64, flown: &[[f64; 2]]) -> (Vec<Lack>, usize) {
     let most = (MOST_PLACES as f64).sqrt();
     let along = (side / step).ceil().clamp(1.0, most) as usize;
     let each = along * along;
     let mut nearest = cells.to_vec();
     if cells.len() * each > MOST_PLACES {
-        let mut by_distance: Vec<(f64, ([f64; 2], u32))> = nearest
+        let mut by_distance: Vec<(f64, Lack)> = nearest
             .into_iter()
-            .map(|cell| (distance(flown, cell.0), cell))
+            .map(|cell| (distance(flown, cell.place), cell))
             .collect();
         // A stable sort: ties stay row by row.
         by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -150,68 +278,15 @@ fn divided(
         nearest = by_distance.into_iter().map(|(_, cell)| cell).collect();
     }
     let part = side / along as f64;
-    let places = |([x, y], lacking): ([f64; 2], u32)| {
+    let places = |cell: Lack| {
         let offset = move |i: usize| (i as f64 + 0.5) * part - 0.5 * side;
-        (0..each).map(move |i| ([x + offset(i % along), y + offset(i / along)], lacking))
+        let [x, y] = cell.place;
+        (0..each).map(move |i| Lack {
+            place: [x + offset(i % along), y + offset(i / along)],
+            ..cell
+        })
     };
     (nearest.into_iter().flat_map(places).collect(), each)
-}
-
-/// Chooses images until each place is shown by as many as it lacks, those first that show most such
-/// places. `reach`: half the side of what an image shows.
-fn enough(
-    places: &[([f64; 2], u32)],
-    squares: &BTreeSet<Square>,
-    middle: impl Fn(Square) -> [f64; 2] + Sync,
-    reach: f64,
-) -> BTreeSet<Square> {
-    let squares: Vec<Square> = squares.iter().copied().collect();
-    let below = |square: &Square| -> Vec<u32> {
-        let middle = middle(*square);
-        let places = (0..).zip(places);
-        let below = places.filter(|(_, (place, _))| is_below(middle, *place, reach));
-        below.map(|(i, _)| i).collect()
-    };
-    let below: Vec<Vec<u32>> = squares.par_iter().map(below).collect();
-    let mut lacking: Vec<u32> = places.iter().map(|(_, lacking)| *lacking).collect();
-    // Gains only fall: what is at the top with a gain of now is best.
-    let known = below
-        .iter()
-        .map(Vec::len)
-        .zip((0..squares.len()).map(Reverse));
-    let mut by_gain: BinaryHeap<(usize, Reverse<usize>)> = known.collect();
-    let mut chosen = BTreeSet::new();
-    while let Some((known, Reverse(next))) = by_gain.pop() {
-        let lack = |&&place: &&u32| lacking[place as usize] > 0;
-        let gain = below[next].iter().filter(lack).count();
-        if gain < known {
-            by_gain.push((gain, Reverse(next)));
-            continue;
-        }
-        if gain == 0 {
-            break;
-        }
-        chosen.insert(squares[next]);
-        for &place in &below[next] {
-            lacking[place as usize] = lacking[place as usize].saturating_sub(1);
-        }
-    }
-    chosen
-}
-
-/// Returns whether a place is in what an image straight above `middle` shows.
-fn is_below(middle: [f64; 2], place: [f64; 2], reach: f64) -> bool {
-    (0..2).all(|axis| (middle[axis] - place[axis]).abs() <= reach)
-}
-
-/// Returns whether a planned image shows a place about as finely as from `distance`; of its frame,
-/// the circle inside counts.
-fn shows(waypoint: &Waypoint, camera: &Camera, distance: f64, place: &Point3<f64>) -> bool {
-    let ray = place - waypoint.centre;
-    let reach = 0.5 * shown(camera, 1.0);
-    let along = ray.dot(&waypoint.direction);
-    let across = (ray - waypoint.direction * along).norm();
-    (0.0..=FARTHER * distance).contains(&along) && across <= reach * along
 }
 
 /// Positions of the photographs on the map.
@@ -221,46 +296,10 @@ fn flown(plan: &Plan, frame: &MapFrame) -> Vec<[f64; 2]> {
     flat.map(|[x, y, _]| [x, y]).collect()
 }
 
-/// The squares whose middles are nearest to some positions, [`MOST`] at most.
-fn nearest_to(
-    positions: &[[f64; 2]],
-    squares: BTreeSet<Square>,
-    middle: impl Fn(Square) -> [f64; 2],
-) -> BTreeSet<Square> {
-    if squares.len() <= MOST {
-        return squares;
-    }
-    let mut by_distance: Vec<(f64, Square)> = squares
-        .iter()
-        .map(|square| (distance(positions, middle(*square)), *square))
-        .collect();
-    by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let nearest = by_distance.into_iter().take(MOST);
-    nearest.map(|(_, square)| square).collect()
-}
-
 /// Distance of a place from the nearest of some positions.
 fn distance(positions: &[[f64; 2]], [x, y]: [f64; 2]) -> f64 {
     let to = |[px, py]: &[f64; 2]| (px - x).hypot(py - y);
     positions.iter().map(to).fold(f64::INFINITY, f64::min)
-}
-
-/// Height of the highest vertex of the surface in or beside each square, where there is one.
-fn heights(
-    plan: &Plan,
-    frame: &MapFrame,
-    squares: &BTreeSet<Square>,
-    square: impl Fn([f64; 2]) -> Square,
-) -> BTreeMap<Square, f64> {
-    let mut heights: BTreeMap<Square, f64> = BTreeMap::new();
-    for vertex in &plan.stages.surface.vertices {
-        let [x, y, z] = frame.local(vertex);
-        for beside in around(square([x, y])).filter(|beside| squares.contains(beside)) {
-            let height = heights.entry(beside).or_insert(z);
-            *height = height.max(z);
-        }
-    }
-    heights
 }
 
 /// A square and the eight beside it.
@@ -291,12 +330,12 @@ fn overlap(camera: &Camera, distance: f64, beside: f64) -> f64 {
 }
 
 /// The place nearest to the mean of some, which is one of them.
-fn typical(places: &[([f64; 2], u32)]) -> [f64; 2] {
+fn typical(places: &[Lack]) -> [f64; 2] {
     let count = places.len() as f64;
-    let sum = |axis: usize| places.iter().map(|(place, _)| place[axis]).sum::<f64>();
+    let sum = |axis: usize| places.iter().map(|lack| lack.place[axis]).sum::<f64>();
     let mean = [0, 1].map(|axis| sum(axis) / count);
     let off = |place: &[f64; 2]| (place[0] - mean[0]).hypot(place[1] - mean[1]);
-    let places = places.iter().map(|(place, _)| *place);
+    let places = places.iter().map(|lack| lack.place);
     let nearest = places.min_by(|a, b| off(a).total_cmp(&off(b)));
     nearest.unwrap_or(mean)
 }
@@ -304,6 +343,26 @@ fn typical(places: &[([f64; 2], u32)]) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::camera::CameraModel;
+
+    /// A camera that shows 10 by 10 units from the distance, and squares of the given side.
+    fn overhead(camera: &Camera, step: f64) -> Overhead<'_> {
+        Overhead {
+            camera,
+            distance: 10.0,
+            step,
+        }
+    }
+
+    fn camera() -> Camera {
+        let params = vec![100.0, 100.0, 50.0, 50.0];
+        Camera::new(1, CameraModel::Pinhole, 100, 100, params).unwrap()
+    }
+
+    fn lack(x: f64, images: u32) -> Lack {
+        let place = [x, 0.0];
+        Lack { place, images }
+    }
 
     #[test]
     fn rows_are_flown_there_and_back() {
@@ -316,44 +375,45 @@ mod tests {
 
     #[test]
     fn large_cells_are_covered_without_gaps() {
-        let cells = [([0.0, 0.0], 3), ([47.0, 0.0], 3)];
+        let cells = [lack(0.0, 3), lack(47.0, 3)];
         let (places, each) = divided(&cells, 47.0, 12.5, &[]);
         assert_eq!((places.len(), each), (32, 16));
         let square = |at: f64| (at / 12.5).floor() as i64;
-        let columns: BTreeSet<i64> = places.iter().map(|([x, _], _)| square(*x)).collect();
+        let columns: BTreeSet<i64> = places.iter().map(|lack| square(lack.place[0])).collect();
         assert!(columns.into_iter().eq(square(-23.5)..=square(70.4)));
-        let cells: Vec<_> = (0..1000).map(|n| ([f64::from(n) * 50.0, 0.0], 1)).collect();
+        let cells: Vec<Lack> = (0..1000).map(|n| lack(f64::from(n) * 50.0, 1)).collect();
         let (places, each) = divided(&cells, 50.0, 1.0, &[[0.0, 0.0]]);
         assert_eq!((places.len(), each), (MOST_PLACES, 2500));
-        assert!(places.iter().all(|([x, _], _)| *x < 40.0 * 50.0));
+        assert!(places.iter().all(|lack| lack.place[0] < 40.0 * 50.0));
     }
 
     #[test]
     fn images_are_chosen_until_each_place_is_shown_often_enough() {
-        let places: Vec<([f64; 2], u32)> = (0..20)
-            .map(|n| ([f64::from(n), 0.0], if n < 10 { 1 } else { 3 }))
+        let places: Vec<Lack> = (0..20)
+            .map(|n| lack(f64::from(n), if n < 10 { 1 } else { 3 }))
             .collect();
-        let squares: BTreeSet<Square> = (-5..25).flat_map(|x| [[x, 0], [x, 1]]).collect();
-        let middle = |[column, row]: Square| [column as f64, row as f64];
-        let chosen = enough(&places, &squares, middle, 5.0);
-        for (place, lacking) in places {
-            let shows = |square: &&Square| is_below(middle(**square), place, 5.0);
-            assert!(
-                chosen.iter().filter(shows).count() as u32 >= lacking,
-                "{place:?}"
-            );
+        let squares: BTreeSet<Square> = (-3..13).flat_map(|x| [[x, -1], [x, 0], [x, 1]]).collect();
+        let camera = camera();
+        let images = overhead(&camera, 2.0);
+        let chosen = images.enough(&places, &squares);
+        for lack in &places {
+            let shows = |square: &&Square| images.shows(**square, lack.place);
+            let shown = chosen.iter().filter(shows).count() as u32;
+            assert!(shown >= lack.images, "{:?}", lack.place);
         }
+        assert_eq!(images.shown_often_enough(&places, &chosen), places.len());
         assert!(chosen.len() <= 5, "{chosen:?}");
     }
 
     #[test]
     fn of_too_many_squares_the_nearest_stay() {
         let squares: BTreeSet<Square> = (0..MOST as i64 + 10).map(|column| [column, 0]).collect();
-        let middle = |[column, row]: Square| [column as f64, row as f64];
-        let kept = nearest_to(&[[5.0, 0.0]], squares.clone(), middle);
+        let camera = camera();
+        let images = overhead(&camera, 1.0);
+        let kept = images.nearest_to(&[[5.0, 0.0]], squares.clone());
         assert_eq!(kept.len(), MOST);
         assert_eq!(kept.last(), Some(&[MOST as i64 - 1, 0]));
         let few: BTreeSet<Square> = squares.into_iter().take(3).collect();
-        assert_eq!(nearest_to(&[], few.clone(), middle), few);
+        assert_eq!(images.nearest_to(&[], few.clone()), few);
     }
 }

@@ -108,7 +108,11 @@ fn metres(from: Geodetic, to: Geodetic) -> [f64; 3] {
 
 fn geojson(all: &[Described], local: bool) -> String {
     let feature = |(i, w): (usize, &Described)| json!({ "type": "Feature", "geometry": { "type": "Point", "coordinates": coordinates(w, local) }, "properties": w.properties(i + 1) });
-    let features: Vec<Value> = all.iter().enumerate().map(feature).collect();
+    collection(all.iter().enumerate().map(feature).collect(), local)
+}
+
+/// Text of a GeoJSON file; `local`: in the coordinates of `views_local.json`.
+pub(super) fn collection(features: Vec<Value>, local: bool) -> String {
     let mut collection = json!({ "type": "FeatureCollection", "features": features });
     if local {
         collection["note"] = json!("local coordinates as in views_local.json, not WGS 84");
@@ -208,7 +212,7 @@ fn ply(flight: &Flight) -> String {
     text
 }
 
-fn rounded(number: f64, digits: i32) -> f64 {
+pub(super) fn rounded(number: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
     (number * scale).round() / scale
 }

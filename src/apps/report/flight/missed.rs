@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use super::files::{collection, rounded};
 use crate::{
     method::region::{Ground, GroundCell},
     model::georeference::{Geodetic, Georeference, MapFrame},
@@ -28,25 +29,17 @@ pub fn missed(
         })
     };
     let features: Vec<Value> = [0, 1].into_iter().filter_map(feature).collect();
-    if features.is_empty() {
-        return None;
-    }
-    let mut collection = json!({ "type": "FeatureCollection", "features": features });
-    if is_local {
-        collection["note"] = json!("local coordinates as in views_local.json, not WGS 84");
-        collection["crs"] = Value::Null;
-    }
     let name = match is_local {
         true => "flight/missed_local.json",
         false => "flight/missed.geojson",
     };
-    Some((name, collection.to_string() + "\n"))
+    (!features.is_empty()).then(|| (name, collection(features, is_local)))
 }
 
 /// A closed ring on the map, counterclockwise.
 type Ring = [[f64; 2]; 5];
 
-/// Rectangles of neighbouring cells in a row that so many photographs show.
+/// Joins neighbouring cells of a row that this number of photographs show to rectangles.
 fn strips(ground: &Ground, photographs: u32) -> Vec<Ring> {
     let side = ground.side;
     let mut strips: Vec<(GroundCell, GroundCell)> = Vec::new();
@@ -81,10 +74,6 @@ fn strips(ground: &Ground, photographs: u32) -> Vec<Ring> {
 /// Longitude and latitude of a place on the ground, or x and y on the map.
 fn position(ground: &Ground, at: [f64; 2], frame: &MapFrame, place: &Georeference) -> [f64; 2] {
     let world = ground.plane.at(at);
-    let rounded = |number: f64, digits: i32| {
-        let scale = 10f64.powi(digits);
-        (number * scale).round() / scale
-    };
     match place.geodetic(&world) {
         Some(Geodetic {
             longitude,

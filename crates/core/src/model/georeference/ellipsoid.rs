@@ -194,6 +194,10 @@ mod tests {
             "EPSG:4326",
             "EPSG:32661",
             "EPSG:2154",
+            // California in the State Plane, another datum, and feet.
+            "EPSG:26943",
+            "ED50 / UTM zone 31N",
+            "NAD83 / UTM zone 10N (ftUS)",
             "Local",
             "UTM zone N",
         ] {
