@@ -369,8 +369,8 @@ fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
         .windows(2)
         .filter(|pair| pair[0] != pair[1])
         .count();
-    let is_closed = changes > 0 && positions.first() == positions.last();
-    match (changes + 1).min(positions.len()) - usize::from(is_closed) {
+    let is_keptd = changes > 0 && positions.first() == positions.last();
+    match (changes + 1).min(positions.len()) - usize::from(is_keptd) {
         3.. => Ok(positions),
         distinct => Err(few(distinct)),
     }

@@ -6,7 +6,7 @@ use crate::{
     io::depthmaps::DepthMap,
     method::{
         fulfilment::Model,
-        pilot::Places,
+        pilot::{Part, Places},
         visibility::{NOTHING, front},
     },
     model::{
@@ -88,7 +88,7 @@ pub struct MapMeasurement {
     pub pixels: Vec<u32>,
     pub size: MapSize,
     /// Places of the pilot on which the map agrees with it, ascending; empty without a pilot.
-    pub places: Vec<(u32, f32)>,
+    pub places: Vec<Part>,
     /// Ids of the key view and the partners, as recorded in the map's file.
     pub ids: Vec<u32>,
 }
@@ -184,7 +184,7 @@ impl JudgedPixels {
 }
 
 /// Returns the places of the pilot that the map measured. A place is as exact as a thumbnail.
-fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec<(u32, f32)> {
+fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec<Part> {
     let (camera, pose) = (scene.camera_of(key), &scene.view(key).cam_from_world);
     let part = |place: u32| {
         let x = pose.camera_from_world(&places.centres[place as usize]);
@@ -194,7 +194,11 @@ fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec
             .and_then(|(column, row)| map.depth_at(column, row));
         let tolerance = (PLACE_WITHIN * x.z).max(f64::from(places.sizes[place as usize]));
         let agrees = depth.is_some_and(|depth| (depth - x.z).abs() <= tolerance);
-        agrees.then(|| (place, places.density(place, camera, x.z)))
+        agrees.then(|| Part {
+            place,
+            density: places.density(place, camera, x.z),
+            is_kept: true,
+        })
     };
     (0..places.centres.len() as u32).filter_map(part).collect()
 }

@@ -28,7 +28,7 @@ use crate::{
     method::{
         confidence::Confidence,
         fulfilment::{self, FulfilmentTable, Model},
-        pilot::Places,
+        pilot::{Part, Places},
         ranking::{Attempt, Objective},
     },
     model::{
@@ -54,7 +54,7 @@ pub struct MeasuredClusters {
     pub matched: Vec<ViewCluster>,
     pub quality: Vec<Quality>,
     /// Places of the pilot on which each map agrees with it, ascending.
-    pub places: Vec<Vec<(u32, f32)>>,
+    pub places: Vec<Vec<Part>>,
     /// Fulfilment predicted by the plan's model.
     pub predicted: FulfilmentTable,
     /// Fulfilment predicted with f_conf = 1.

@@ -7,7 +7,10 @@ use serde::Serialize;
 use super::run::MeasuredClusters;
 use crate::{
     decision::CountedPlaces,
-    method::ranking::{Beliefs, Reached},
+    method::{
+        pilot::Part,
+        ranking::{Beliefs, Reached},
+    },
     model::{cluster::MapScale, scene::ViewIndex},
     plan::Stages,
 };
@@ -80,7 +83,7 @@ impl MeasuredProgress {
         for (finished, cluster) in run.clusters.iter().enumerate() {
             let size = run.scales[finished];
             let real = run.real.row(finished);
-            let row = |places: &[(u32, f32)], size| -> (Vec<u32>, Vec<f32>) {
+            let row = |places: &[Part], size| -> (Vec<u32>, Vec<f32>) {
                 pilot.kept_row(places, size, real).into_iter().unzip()
             };
             let measured = row(&run.places[finished], size);

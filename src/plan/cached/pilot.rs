@@ -7,7 +7,7 @@ use crate::{
         packed::{Packed, Packer, Unpacker},
         rows::Offsets,
     },
-    method::pilot::Places,
+    method::pilot::{Part, Places},
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
@@ -22,9 +22,10 @@ pub(super) fn pack(places: &Places) -> Packed {
         .collect();
     packer.list(&views);
     packer.list(&lengths);
-    let (parts, densities): (Vec<u32>, Vec<f32>) = places.parts.iter().flatten().copied().unzip();
-    packer.list(&parts);
-    packer.list(&densities);
+    let parts = || places.parts.iter().flatten();
+    packer.list(&Vec::from_iter(parts().map(|part| part.place)));
+    packer.list(&Vec::from_iter(parts().map(|part| part.density)));
+    packer.list(&Vec::from_iter(parts().map(|part| u8::from(part.is_kept))));
     packer.list(&centres);
     packer.list(&places.sizes);
     packer.list(&places.measured_area);
@@ -40,7 +41,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         lists.list::<u32>()?,
         lists.list::<u32>()?,
     );
-    let densities = lists.list::<f32>()?;
+    let (densities, kept) = (lists.list::<f32>()?, lists.list::<u8>()?);
     let centres = lists.list::<f64>()?;
     let (sizes, measured_area) = (lists.list::<f32>()?, lists.list::<f32>()?);
     let weights = lists.list::<f64>()?;
@@ -50,6 +51,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         && lengths.len() == views.len()
         && offsets.entries() == parts.len()
         && densities.len() == parts.len()
+        && kept.len() == parts.len()
         && centres.len() == 3 * number
         && measured_area.len() == number
         && weights.len() == number;
@@ -69,14 +71,16 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         return None;
     }
     let part = |view: usize| {
-        let part = &parts[offsets.row(view)];
-        let ascends = part.is_sorted_by(|a, b| a < b);
-        let fits = part.last().is_none_or(|&last| (last as usize) < number);
-        let with_density = part
-            .iter()
-            .copied()
-            .zip(densities[offsets.row(view)].iter().copied());
-        (ascends && fits).then(|| with_density.collect::<Vec<(u32, f32)>>())
+        let row = offsets.row(view);
+        let ascends = parts[row.clone()].is_sorted_by(|a, b| a < b);
+        let last = parts[row.clone()].last();
+        let fits = last.is_none_or(|&last| (last as usize) < number);
+        let part = |at: usize| Part {
+            place: parts[at],
+            density: densities[at],
+            is_kept: kept[at] != 0,
+        };
+        (ascends && fits).then(|| row.map(part).collect::<Vec<Part>>())
     };
     Some(Places {
         parts: (0..views.len()).map(part).collect::<Option<_>>()?,

@@ -11,7 +11,7 @@ use crate::{
     method::{
         confidence::Sharpness,
         fulfilment::FulfilmentTable,
-        pilot::Places,
+        pilot::{Part, Places},
         ranking::{Maps, Objective, Ranking, Reached, TriangleWeight},
         region::Region,
         surface::Surface,
@@ -74,9 +74,8 @@ enum For {
 /// give about the same.
 const SHARPNESS_FOR_ORDER: f64 = 0.25;
 
-/// A finished map: its size, and the places on which it agrees with the pilot, with
-/// [`Places::density`].
-pub type FinishedPart<'a> = (MapScale, &'a [(u32, f32)]);
+/// A finished map: its size, and the places on which it agrees with the pilot.
+pub type FinishedPart<'a> = (MapScale, &'a [Part]);
 
 /// What a ranking counts.
 #[derive(Clone, Copy)]
@@ -210,7 +209,7 @@ impl CountedPlaces {
     /// Returns a row of what is kept: a map of this size, with its places and f of triangles.
     pub fn kept_row(
         &self,
-        places: &[(u32, f32)],
+        places: &[Part],
         size: MapScale,
         predicted: (&[u32], &[f32]),
     ) -> Vec<(u32, f32)> {
@@ -219,7 +218,7 @@ impl CountedPlaces {
 
     fn row(
         &self,
-        places: &[(u32, f32)],
+        places: &[Part],
         size: MapScale,
         (triangles, values): (&[u32], &[f32]),
         what_for: For,
@@ -229,12 +228,13 @@ impl CountedPlaces {
             MapScale::Half => self.half_worth,
         };
         let first = self.nearest.len() as u32;
-        let filled = |place: u32, density: f32| match what_for {
-            For::Order => FILLED_FOR_ORDER * density,
-            For::Kept => FILLED * density * self.places.measured_area[place as usize],
+        let filled = |part: &Part| match what_for {
+            For::Order => FILLED_FOR_ORDER * part.density,
+            For::Kept => FILLED * part.density * self.places.measured_area[part.place as usize],
         };
-        let f = |&(place, density)| (place, worth * filled(place, density).min(1.0));
-        let places = places.iter().map(f);
+        let counts = |part: &&Part| what_for == For::Order || part.is_kept;
+        let f = |part: &Part| (part.place, worth * filled(part).min(1.0));
+        let places = places.iter().filter(counts).map(f);
         let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
         places.chain(triangles).collect()
     }

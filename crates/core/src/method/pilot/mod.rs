@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 pub use self::{
     pinhole::Pinhole,
-    places::Places,
+    places::{Part, Places},
     sweep::PilotMap,
     thumbnail::{PicturesWithThumbnails, Thumbnails},
 };
@@ -324,7 +324,10 @@ mod tests {
                 > places.centres.len()
         );
         let row = places.of_view(ViewIndex(1));
-        assert!(row.windows(2).all(|two| two[0] < two[1]) && row.len() * 2 > places.centres.len());
+        assert!(
+            row.windows(2).all(|two| two[0].place < two[1].place)
+                && row.len() * 2 > places.centres.len()
+        );
     }
 
     #[test]

@@ -40,9 +40,18 @@ pub struct Places {
     pub weights: Vec<f64>,
     /// Key views of the maps, ascending.
     pub views: Vec<ViewIndex>,
-    /// For each of them, the places on which its map agrees with others, ascending, with
-    /// [`Self::density`].
-    pub parts: Vec<Vec<(u32, f32)>>,
+    /// For each of them, the places on which its map agrees with others, ascending.
+    pub parts: Vec<Vec<Part>>,
+}
+
+/// A place in which a map takes part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    pub place: u32,
+    /// Pixels of the map per wanted pixel of the place.
+    pub density: f32,
+    /// Whether fusion is expected to keep the map's depth there.
+    pub is_kept: bool,
 }
 
 impl Places {
@@ -80,8 +89,12 @@ impl Places {
         let measured = f64::from(octave(found.finest * smaller)).exp2() / smaller;
         self.measured_area.push((measured / size).powi(2) as f32);
         let size = size as f32;
-        for &(map, gsd) in &found.maps {
-            self.parts[map as usize].push((index, density(size, gsd)));
+        for agreeing in &found.maps {
+            self.parts[agreeing.map as usize].push(Part {
+                place: index,
+                density: density(size, agreeing.gsd),
+                is_kept: agreeing.is_kept,
+            });
         }
         let is_sure = found.maps.len() >= SURE;
         self.centres.push(found.place);
@@ -90,7 +103,7 @@ impl Places {
     }
 
     /// Returns the places in which the map of a view takes part.
-    pub fn of_view(&self, view: ViewIndex) -> &[(u32, f32)] {
+    pub fn of_view(&self, view: ViewIndex) -> &[Part] {
         match self.views.binary_search(&view) {
             Ok(place) => &self.parts[place],
             Err(_) => &[],
@@ -119,8 +132,14 @@ struct Agreed {
     place: Point3<f64>,
     /// Finest GSD of the thumbnails that show it, scene units.
     finest: f64,
-    /// The maps that agree, with their GSD.
-    maps: Vec<(u32, f64)>,
+    maps: Vec<Agreeing>,
+}
+
+/// A map that agrees on a place.
+struct Agreeing {
+    map: u32,
+    gsd: f64,
+    is_kept: bool,
 }
 
 impl Agreed {
@@ -159,8 +178,12 @@ fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) ->
             };
             let gsd = z / of_map.camera.focal[0];
             finest = finest.min(gsd);
-            if of_map.has_depth(pixel, z) {
-                agreeing.push((other, gsd));
+            if let Some(is_kept) = of_map.agrees_at(pixel, z) {
+                agreeing.push(Agreeing {
+                    map: other,
+                    gsd,
+                    is_kept,
+                });
             }
         }
         (agreeing.len() >= 2 && finest > 0.0 && finest.is_finite()).then_some(Agreed {
