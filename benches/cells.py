@@ -14,6 +14,7 @@ benches/sizes.py, whose folder of maps this shares.
 import argparse
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -39,19 +40,37 @@ def main():
     args = parser.parse_args()
     args.gsd = None
     bench = {"openmvs": OpenMvs, "sgm": Sgm}[args.matcher](args)
+    shutil.rmtree(bench.project / "viewrank/cache", ignore_errors=True)
+    before = processor_seconds()
     default = bench.plan()
+    planning = processor_seconds() - before
     every = bench.plan("--budget", "100%", "--target", "100%")
-    bench.match(every, 1.0)
+    matching = bench.match(every, 1.0)
     judged = judge(bench, every)
-    chosen = default["cut"]["clusters"]
+    clusters = default["clusters"][: default["cut"]["clusters"]]
+    # Some may have no map: OpenMVS found too little of them.
+    names, _ = read_table(bench.work / "cells.tsv")
+    chosen = sum(cluster["key"] in names for cluster in clusters)
     covered = {kind: judged[kind]["orders"][0]["curve"][chosen] for kind in ("all", "agreeing")}
     spread = {kind: order(judged[kind], "every n-th")["curve"][chosen] for kind in ("all", "agreeing")}
-    plan = {"maps": chosen, "forecast": default["cut"]["share"], "covered": covered, "every n-th": spread}
+    plan = {"maps": len(clusters), "forecast": default["cut"]["share"], "covered": covered, "every n-th": spread}
+    plan["seconds"] = {"planning": planning, "matching": len(clusters) * matching, "all": len(every["clusters"]) * matching}
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
-    if args.check:
-        result["check"] = check(bench, every, judged)
+    if args.matcher == "openmvs":
+        reference = Reference(read_cloud(bench.work / "fused/fused.ply"), bench)
+        cloud = bench.fuse({**every, "clusters": clusters}, 1.0)
+        plan["points"] = {"all": reference.number, "plan": len(cloud)}
+        plan["fused"] = reference.covered(cKDTree(cloud), 2)[0] / 100
+        if args.check:
+            result["check"] = check(bench, reference, every, judged)
     (bench.work / "cells.json").write_text(json.dumps(result, indent=1) + "\n")
     show(result)
+
+
+def processor_seconds():
+    """Of all programs that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def judge(bench, every):
@@ -81,18 +100,17 @@ def show(result):
     print(f"default plan: {plan['maps']} maps, forecast {100 * plan['forecast']:.1f} %, covered {100 * plan['covered']['all']:.1f} % of the cells")
 
 
-def check(bench, every, judged):
+def check(bench, reference, every, judged):
     """Real fusions of the first maps against the table: per cent of all cells, real and said."""
-    reference = Reference(read_cloud(bench.work / "fused/fused.ply"), bench)
     names, rows = read_table(bench.work / "cells.tsv")
-    by_key = {cluster["key"]: cluster for cluster in every["clusters"]}
-    ranked, spread, found = [cluster["key"] for cluster in every["clusters"]], sorted(by_key), []
+    by_key = {cluster["key"]: cluster for cluster in every["clusters"] if cluster["key"] in names}
+    ranked, spread, found = list(by_key), sorted(by_key), []
     for tenth in CHECKED:
         number = max(2, round(tenth * judged["maps"]))
         choices = {"ours": ranked[:number], "every n-th": [spread[i * len(spread) // number] for i in range(number)]}
         for name, chosen in choices.items():
             cloud = bench.fuse({**every, "clusters": [by_key[key] for key in chosen]}, 1.0)
-            real = 100 * (cKDTree(cloud).query(reference.cells)[0] <= 2 * reference.gsd).mean()
+            real = reference.covered(cKDTree(cloud), 2)[0]
             mask = sum(1 << names.index(key) for key in chosen)
             said = 100 * sum(cells for cells, maps in rows if (maps & mask).bit_count() >= LEAST[bench.args.matcher]) / sum(cells for cells, _ in rows)
             found.append({"order": name, "maps": number, "real": real, "said": said})

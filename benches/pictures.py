@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """Draws the pictures of README.md and docs/ from fixtures/valley, in docs/pictures.
 
-    python3 benches/pictures.py [--viewrank target/release/viewrank] [--browser chromium]
+    python3 benches/pictures.py [--caliterra FOLDER] [--viewrank target/release/viewrank] [--browser chromium]
 
+`strip.svg` is a flight with missing strips: `caliterra` (benches/sets.py) without the images of GONE. It needs pycolmap, and stays as it is without --caliterra.
 `fill.svg` is the map of a plan filling up view by view, beside its curve; `method.svg` the way from photographs to files; `report.png` is a
 screenshot, which needs Chromium and the packages websockets and pillow. Without them it stays as it is.
 """
@@ -26,11 +27,18 @@ OUT = ROOT / "docs" / "pictures"
 STEP, LAST = 1.1, 3.5
 TEXT = 'font-family="system-ui, Segoe UI, sans-serif"'
 HOLE = "#8d8f93"
+# Numbers of the images that strip.svg leaves out, and the polygon that was to be flown, scene units.
+GONE = {*range(9354, 9361), *range(9375, 9403), *range(9424, 9427)}
+SITE = [[-62, -36], [60, -36], [60, 34], [-62, 34], [-62, -36]]
+# Colours of a place by what shows it.
+SHOWN, NO_PHOTOGRAPH, ONE_PHOTOGRAPH = "#a9c4d4", "#c43d2b", "#eda287"
+PLANNED = "#b03a86"
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--viewrank", type=Path, default=ROOT / "target/release/viewrank")
+    parser.add_argument("--caliterra", type=Path, help="folder of that set")
     parser.add_argument("--browser", default="chromium")
     options = parser.parse_args()
     OUT.mkdir(exist_ok=True)
@@ -43,6 +51,28 @@ def main():
         (OUT / "fill.svg").write_text(fill(read(page)))
         (OUT / "method.svg").write_text(method())
         screenshot(options.browser, page, OUT / "report.png", 1200, 760)
+        if options.caliterra:
+            flight = Path(folder) / "flight"
+            region = leave_out_strips(options.caliterra, flight)
+            for command in (["plan", "--backend", "openmvs", "--region", region], ["report"]):
+                subprocess.run([options.viewrank.resolve(), *command, flight, "--quiet"], check=True)
+            (OUT / "strip.svg").write_text(strip(flight / "viewrank"))
+
+
+def leave_out_strips(source, target):
+    """Writes the project without the images of GONE, and the polygon; returns the polygon's file."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction(source / "sparse/0")
+    for image in list(model.images.values()):
+        if int(re.search(r"\d+", image.name)[0]) in GONE:
+            model.deregister_frame(image.frame_id)
+    (target / "sparse/0").mkdir(parents=True)
+    model.write_binary(target / "sparse/0")
+    (target / "images").symlink_to((source / "images").resolve())
+    region = target / "site.json"
+    region.write_text(json.dumps({"type": "Polygon", "coordinates": [SITE]}))
+    return region
 
 
 def read(page):
@@ -148,6 +178,41 @@ def fill(data):
             + f'<clipPath id="map"><rect x="14" y="14" width="{half - 20}" height="{height - 28}" rx="8"/></clipPath>'
             f'<path fill="none" stroke="#a9bccb" stroke-width="2" d="M{x(0):.1f} {y(0):.1f}L{rest}"/>'
             + '<g clip-path="url(#map)">' + "".join(layers) + "</g>" + "".join(labels) + "</svg>\n")
+
+
+def strip(plan):
+    """SVG: the site from above, what the photographs missed, and the images that would fill it."""
+    data = read(plan / "report.html")
+    missed, planned = (json.loads((plan / f"flight/{name}_local.json").read_text())["features"] for name in ("missed", "waypoints"))
+    width, height, top = 900, 560, 74
+    beside = 6  # scene units: where the camera flew, too
+    low, high = [value - beside for value in SITE[0]], [value + beside for value in SITE[2]]
+    ground = Map({**data, "subject": {"low": low, "high": high}}, (width, height - top), room=8)
+    at = lambda x, y: "{:.0f} {:.0f}".format(*ground.to_page(x, y))  # noqa: E731
+    outline = "M" + "L".join(at(*corner) for corner in SITE) + "z"
+    holes = [t for t in ground.order if ground.reason[t]]
+    layers = [f'<path fill="{colour}" stroke="{colour}" stroke-width=".7" d="{ground.path(of)}"/>' for colour, of in ((SHOWN, ground.order), (HOLE, holes))]
+    for of in missed:
+        rings = (polygon[0] for polygon in of["geometry"]["coordinates"])
+        colour = ONE_PHOTOGRAPH if of["properties"]["photographs"] else NO_PHOTOGRAPH
+        layers.append(f'<path fill="{colour}" d="{"".join("M" + "L".join(at(*corner) for corner in ring) + "z" for ring in rings)}"/>')
+    centres = list(zip(*[iter(numbers(data["views"]["centres"], "f"))] * 3))
+    drawn = [centre for centre in centres if all(low[i] < centre[i] < high[i] for i in (0, 1))]
+    layers += [f'<path fill="none" stroke="#1d2329" stroke-width="2" d="M{at(x, y)}m-4 -4l8 8m0 -8l-8 8"/>' for x, y, _ in drawn]
+    for waypoint in planned:
+        x, y = ground.to_page(*waypoint["geometry"]["coordinates"][:2])
+        layers.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="11" fill="{PLANNED}" stroke="#fff" stroke-width="2"/><text x="{x:.0f}" y="{y + 4.5:.0f}" text-anchor="middle" font-size="13" font-weight="600" fill="#fff">{waypoint["properties"]["rank"]}</text>')
+    # A site of which no photograph shows some has a warning that says how much.
+    none, one = re.search(r"No photograph shows (.*?) of the region, and only one shows (.*?)\. ", " ".join(data["warnings"])).groups()
+    legend, x = [], 30
+    for colour, name in ((SHOWN, "enough photographs"), (HOLE, "too few together"), (ONE_PHOTOGRAPH, "only one"), (NO_PHOTOGRAPH, "none"), ("#1d2329", f"{len(centres)} flown"), (PLANNED, f"{len(planned)} planned, best first")):
+        legend.append(f'<circle cx="{x}" cy="54" r="6" fill="{colour}"/><text x="{x + 12}" y="59">{name}</text>')
+        x += 40 + 7.4 * len(name)
+    title = f"{none} of the site in no photograph, {one} in one alone: {len(planned)} more are planned"
+    return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" {TEXT} font-size="14" fill="#46515a" role="img"><title>{title}</title>'
+            f'<rect width="{width}" height="{height}" rx="10" fill="#fff"/><text x="22" y="32" font-size="18" font-weight="600" fill="#1d2329">{title}</text>{"".join(legend)}'
+            f'<clipPath id="site"><path d="{outline}"/></clipPath><g transform="translate(0 {top - 8})"><path fill="{HOLE}" d="{outline}"/><g clip-path="url(#site)">{layers[0]}{layers[1]}</g>{"".join(layers[2:])}'
+            f'<path fill="none" stroke="#1d2329" stroke-width="1.5" d="{outline}"/></g></svg>\n')
 
 
 # Headline, and what happens there.

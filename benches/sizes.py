@@ -263,6 +263,7 @@ class Reference:
     """Cells of a cloud, each with its g_d."""
 
     def __init__(self, points, bench):
+        self.number = len(points)
         gsd = bench.wanted_gsd(points)
         points, gsd = points[np.isfinite(gsd)], gsd[np.isfinite(gsd)]
         octaves = np.round(np.log2(gsd)).astype(int)
