@@ -75,6 +75,30 @@ fn separators_of_windows_are_separators_where_files_say_so() {
 }
 
 #[test]
+fn of_an_absolute_path_of_windows_the_end_is_found() {
+    let folder = Folder::new();
+    folder
+        .colmap(
+            "sparse/0",
+            &renamed(|n| format!("D:\\flights\\may\\east\\view_{n}.png")),
+        )
+        .pictures(&scene(), |name| format!("images/east/{name}"));
+    assert_found(&folder, |n| format!("images/east/view_{n}.png"));
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
+fn names_with_one_end_stay_as_they_are() {
+    let folder = Folder::new();
+    let twice = |n: usize| format!("D:\\flight_{n}\\view_{}.png", n / 2);
+    folder
+        .colmap("sparse/0", &renamed(twice))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    assert_eq!(names(&folder.read())[1], twice(1));
+}
+
+#[test]
 fn other_unicode_forms_are_the_same_name() {
     let folder = Folder::new();
     // As a model made on Linux and images copied from macOS.

@@ -328,7 +328,7 @@ impl Project {
     ) -> Result<ColmapModel<'a>, ProjectError> {
         let mut model = files.model()?;
         if let Some(images) = &self.images {
-            separate_names(&mut model, images);
+            names::take_names_of_files(&mut model, images);
         }
         complete::completed(model, &self.model, complete::cloud_beside(&self.model))
     }
@@ -484,19 +484,6 @@ impl Project {
 
 /// Models that a warning names.
 const NAMED: usize = 5;
-
-/// Takes backslashes in names for separators, as of a model made on Windows, where a file says so.
-fn separate_names(model: &mut ColmapModel, images: &Path) {
-    for image in &mut model.images {
-        let separated = image.name.replace('\\', "/");
-        if separated != image.name
-            && images.join(&separated).is_file()
-            && !images.join(&*image.name).is_file()
-        {
-            image.name = separated.into();
-        }
-    }
-}
 
 fn model_files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     if model.format.is_colmap() {

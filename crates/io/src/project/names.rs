@@ -3,7 +3,7 @@
 
 use std::{
     cell::{Cell, RefCell},
-    collections::HashMap,
+    collections::{HashMap, HashSet},
     path::{Path, PathBuf},
     rc::Rc,
 };
@@ -11,7 +11,12 @@ use std::{
 use unicode_normalization::UnicodeNormalization;
 
 use super::image_files::{MOST_ENTRIES, is_image};
-use crate::formats::{SEPARATORS, name_parts};
+use crate::formats::{
+    SEPARATORS,
+    colmap::{ColmapImage, ColmapModel},
+    foreign::last_parts,
+    name_parts,
+};
 
 /// Names of the folder of images of which programs make reduced copies.
 const REDUCED: [&str; 3] = ["images", "image", "input"];
@@ -134,6 +139,37 @@ impl Names {
             .borrow_mut()
             .insert(folder.to_path_buf(), listing.clone());
         listing
+    }
+}
+
+/// Names the images of a model made on another machine as their files are named here: with
+/// separators of Windows, or with an absolute path of which only the end still holds.
+pub(super) fn take_names_of_files(model: &mut ColmapModel, images: &Path) {
+    let has_file = |name: &str| images.join(name).is_file();
+    let named_here = |name: &str| {
+        let separated = [name.replace('\\', "/")];
+        let ends = last_parts(name).into_iter().skip(1);
+        let moved = separated.into_iter().chain(ends);
+        let mut moved = moved.filter(|moved| moved != name && has_file(moved));
+        if has_file(name) { None } else { moved.next() }
+    };
+    let names: Vec<Option<String>> = model
+        .images
+        .iter()
+        .map(|image| named_here(&image.name))
+        .collect();
+    let named = |(image, name): (&ColmapImage, &Option<String>)| {
+        name.clone().unwrap_or_else(|| image.name.to_string())
+    };
+    let distinct: HashSet<String> = model.images.iter().zip(&names).map(named).collect();
+    // Two images of one name would be taken for each other.
+    if distinct.len() < names.len() {
+        return;
+    }
+    for (image, name) in model.images.iter_mut().zip(names) {
+        if let Some(name) = name {
+            image.name = name.into();
+        }
     }
 }
 

@@ -13,9 +13,9 @@ const AGREE_WITHIN: f64 = 0.015;
 const PART_OF_A_PLANE: f64 = 0.25;
 /// But no more than this: far behind the sparse points everything would agree.
 const MOST_WITHIN: f64 = 0.03;
-/// Part of that difference within which fusion is expected to keep a depth: with it, plans of eight
-/// sets give as much of their clouds as they promise, in the mean.
-const KEPT_WITHIN: f64 = 5.0 / 6.0;
+/// Part of that difference within which fusion is expected to keep a depth: OpenMVS fuses depths
+/// that differ by at most 1 %.
+const KEPT_WITHIN: f64 = 2.0 / 3.0;
 /// Relative difference of the depths of neighbours on one surface.
 const SAME_SURFACE: f32 = 0.03;
 /// Neighbours, of eight, that must be on the same surface: single pixels are chance.
