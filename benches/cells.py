@@ -20,6 +20,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 from scipy.spatial import cKDTree
 from sizes import OpenMvs, Reference, Sgm, read_cloud
 
@@ -58,9 +59,12 @@ def main():
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
     if args.matcher == "openmvs":
         reference = Reference(read_cloud(bench.work / "fused/fused.ply"), bench)
-        cloud = bench.fuse({**every, "clusters": clusters}, 1.0)
-        plan["points"] = {"all": reference.number, "plan": len(cloud)}
-        plan["fused"] = reference.covered(cKDTree(cloud), 2)[0] / 100
+        spread = [every["clusters"][i] for i in np.argsort([cluster["key"] for cluster in every["clusters"]])]
+        spread = [spread[i * len(spread) // len(clusters)] for i in range(len(clusters))]
+        clouds = [bench.fuse({**every, "clusters": of}, 1.0) for of in (spread, clusters)]
+        plan["points"] = {"all": reference.number, "plan": len(clouds[1])}
+        for of, cloud in zip((plan["every n-th"], plan), clouds):
+            of["fused"] = reference.covered(cKDTree(cloud), 2)[0] / 100
         if args.check:
             result["check"] = check(bench, reference, every, judged)
     (bench.work / "cells.json").write_text(json.dumps(result, indent=1) + "\n")

@@ -431,6 +431,8 @@ def read_head(file):
         raise ValueError(f"{count} images")
     ids = struct.unpack(f"<{count}I", file.read(4 * count))
     file.read(21 * 8)
+    if not (width and height):
+        raise ValueError("no pixels")
     if file.tell() + planes * width * height > os.fstat(file.fileno()).st_size:
         raise ValueError("cut off")
     return {"kind": kind.decode(), "ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height]}

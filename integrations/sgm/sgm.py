@@ -13,16 +13,17 @@ import sys
 
 HERE = os.path.dirname(os.path.realpath(__file__))
 if __name__ == "__main__":
-    # The folder may be a stranger's: a numpy.py that he put there is not imported, here or in processes that this one starts.
+    # The folder may be a stranger's: a numpy.py that he put there is not imported.
     sys.path[:] = [path for path in sys.path if os.path.realpath(path) != HERE]
-    os.environ["PYTHONSAFEPATH"] = "1"
 
 import argparse
 import concurrent.futures
+import contextlib
 import json
 import multiprocessing
 import re
 import signal
+import tempfile
 import time
 import types
 from pathlib import Path
@@ -286,10 +287,25 @@ def work(cluster):
     return compute(STATE["pairs"][size], *cluster, STATE["out"])
 
 
+@contextlib.contextmanager
+def inside(folder):
+    before = os.getcwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
 def run(clusters, args, out, stop, done):
     """Computes clusters in order on `args.jobs` processes until `stop` says so; `done` gets the row of each. Returns why it stopped."""
     fresh = multiprocessing.get_context("spawn")  # a fork would inherit OpenCV's threads, and hang
-    with concurrent.futures.ProcessPoolExecutor(args.jobs, fresh, start_worker, (args.workspace, args.image_scale, args.cache, out)) as pool:
+    worker = (args.workspace.absolute(), args.image_scale, args.cache and args.cache.absolute(), out.absolute())
+    with contextlib.ExitStack() as stack:
+        # A process that Python starts looks for modules in the current folder first, which may be a stranger's.
+        empty = stack.enter_context(tempfile.TemporaryDirectory())
+        with inside(empty):
+            pool = stack.enter_context(concurrent.futures.ProcessPoolExecutor(args.jobs, fresh, start_worker, worker))
         waiting, running, reason = iter(clusters), set(), ""
         while True:
             while len(running) < args.jobs and not reason:
@@ -298,7 +314,8 @@ def run(clusters, args, out, stop, done):
                 if cluster is None:
                     reason = reason or "all clusters done"
                     break
-                running.add(pool.submit(work, cluster))
+                with inside(empty):
+                    running.add(pool.submit(work, cluster))
             if not running:
                 return reason
             ready, running = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)

@@ -23,7 +23,7 @@ def main():
     target = project / "ground.ply"
     if target.exists():
         sys.exit(f"error: {target} is there; move it away")
-    cameras = [read(path) for path in sorted((project / "ori").glob("*.ori"))]
+    cameras = [read(path) for path in sorted((project / "ori").glob("*.ori")) if path.is_file()]
     if not cameras:
         sys.exit(f"error: no ori/*.ori in {project}")
     above = statistics.median(abs(camera["centre"][2] - height) for camera in cameras)

@@ -7,7 +7,7 @@
 //! one is silent. `MMLastNuage.xml` is there before the map is matched, so a map counts once
 //! `viewrank.recipe` is beside it.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, path::Path};
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     base::shell::quoted,
-    io::{depthmaps::MICMAC_MARK, output::Contents},
+    io::{depthmaps::MICMAC_MARK, output::Contents, project::is_image},
     model::cluster::RankedCluster,
 };
 
@@ -101,8 +101,8 @@ fn check_name(name: &str) -> Result<(), BackendError> {
         "a blank separates the two names of a pair"
     } else if name.contains('/') {
         "images are in the working folder itself"
-    } else if name.to_ascii_lowercase().ends_with(".xml") {
-        "MicMac would read it as its own"
+    } else if !is_image(Path::new(name)) {
+        "without the extension of an image, MicMac may read or write it as a file of its own"
     } else if name
         .contains(|c: char| c.is_ascii() && !c.is_ascii_alphanumeric() && !"._-".contains(c))
     {

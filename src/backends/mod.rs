@@ -127,6 +127,9 @@ impl Backend {
         selection: &Selection,
         options: &ExportOptions,
     ) -> Result<Export, BackendError> {
+        for view in selection.views() {
+            self.check_line(selection.scene.name(view))?;
+        }
         match selection.own_size {
             true => {
                 let image_scale = self.matcher().image_scale(selection.scene);
@@ -140,6 +143,19 @@ impl Backend {
             }
             false => (self.export)(selection, options),
         }
+    }
+
+    /// Refuses names with a line break or another control character: in a list with a name per line
+    /// they are several names, and no program shows or asks for such a file.
+    fn check_line(&self, name: &str) -> Result<(), BackendError> {
+        if !name.contains(char::is_control) {
+            return Ok(());
+        }
+        Err(BackendError::Name {
+            backend: self.name,
+            name: name.into(),
+            why: "it has a control character, as a line break is".into(),
+        })
     }
 
     fn matcher(&self) -> Matcher {

@@ -217,10 +217,18 @@ const ADVICE: [(&str, &[&str]); 4] = [
     ),
 ];
 
+/// Returns the command line, to be shown: in words that are no UTF-8, what is none is replaced.
+pub fn typed_words() -> Vec<String> {
+    let words = std::env::args_os();
+    words
+        .map(|word| word.to_string_lossy().into_owned())
+        .collect()
+}
+
 /// Returns whether the command line asks for JSON, even if the rest of it is invalid.
 pub fn asks_for_json() -> bool {
     static JSON: OnceLock<bool> = OnceLock::new();
-    *JSON.get_or_init(|| is_json(&std::env::args().collect::<Vec<_>>()))
+    *JSON.get_or_init(|| is_json(&typed_words()))
 }
 
 fn is_json(typed: &[String]) -> bool {
@@ -383,7 +391,7 @@ fn meant_by_word(typed: &str) -> Option<String> {
     if typed.starts_with('-') {
         return None;
     }
-    let words: Vec<String> = std::env::args().collect();
+    let words = typed_words();
     let last = words.iter().position(|word| word.to_lowercase() == typed)?;
     let whole = |first: usize| words[first..=last].join(" ");
     if let Some(path) = (2..last).map(whole).find(|path| Path::new(path).exists()) {
@@ -403,7 +411,7 @@ fn options_of_subcommand() -> Option<String> {
 }
 
 fn typed_subcommand(definition: &Command) -> Option<&Command> {
-    definition.find_subcommand(std::env::args().nth(1)?)
+    definition.find_subcommand(typed_words().get(1)?)
 }
 
 /// Returns whether the typed subcommand has this option.

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::arguments::typed_words;
 use crate::{
     backends,
     base::shell::{command_path, command_word, one_after_other},
@@ -31,7 +32,8 @@ pub fn scales(scales: Option<&[f64]>) -> Option<String> {
 
 /// Returns the same command without `--dry-run`.
 pub fn not_dry() -> String {
-    let typed = std::env::args()
+    let typed = typed_words()
+        .into_iter()
         .skip(1)
         .filter(|argument| argument != "--dry-run");
     typed.fold("viewrank".into(), |command, argument| {

@@ -83,10 +83,11 @@ type StepResult<T> = Result<T, Outcome>;
 
 impl Planner for PlanJob {
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
-        let settings = self
-            .settings(project)
-            .map(|(settings, _)| settings)
-            .unwrap_or_default();
+        // In the daemon's own process, which reads no model: no file depends on its unit.
+        let settings = match self.settings_of_files(project, &|_| Some(1.0)) {
+            Ok(settings) => settings,
+            Err(_) => self.last_settings(project).unwrap_or_default(),
+        };
         let files = [user_file(), self.root_file(project)];
         files
             .into_iter()
@@ -377,43 +378,47 @@ impl PlanJob {
     /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at
     /// least those of its plan, with a note.
     fn settings(&self, project: &Path) -> StepResult<(Settings, Option<String>)> {
-        let own = project.join("viewrank.toml");
-        let files = Files {
-            user: user_file(),
-            root: self.root_file(project),
-            project: Some(own.clone()),
-        };
-        let loaded = match may_enter(project, &own, self.options.follow_links) {
-            true => {
-                let typed = self.options.typed.clone();
-                let metres = |settings: &Settings| {
-                    metres_per_unit(&Project::open(project, None).ok()?, settings)
-                };
-                Configuration::load_for(&files, typed, backends::canonical_name, &metres)
-                    .map_err(|error| (error.to_string(), failed(error)))
-            }
-            false => {
-                let reason = format!("{} is a symbolic link (--follow-links)", own.display());
-                Err((reason.clone(), Outcome::Failed { reason, hint: None }))
-            }
-        };
-        match loaded {
-            Ok(configuration) => {
-                let settings = configuration.settings;
+        let metres =
+            |settings: &Settings| metres_per_unit(&Project::open(project, None).ok()?, settings);
+        match self.settings_of_files(project, &metres) {
+            Ok(settings) => {
                 lock(&self.valid_settings).insert(project.into(), settings.clone());
                 Ok((settings, None))
             }
-            Err((error, failure)) => {
-                let known = lock(&self.valid_settings).get(project).cloned();
-                match known.or_else(|| PlannedFrom::read(project).map(|record| record.settings)) {
-                    Some(valid) => Ok((
-                        valid,
-                        Some(format!("{error}; using the last valid settings")),
-                    )),
-                    None => Err(failure),
-                }
-            }
+            Err((error, failure)) => match self.last_settings(project) {
+                Some(valid) => Ok((
+                    valid,
+                    Some(format!("{error}; using the last valid settings")),
+                )),
+                None => Err(failure),
+            },
         }
+    }
+
+    fn settings_of_files(
+        &self,
+        project: &Path,
+        metres: &dyn Fn(&Settings) -> Option<f64>,
+    ) -> Result<Settings, (String, Outcome)> {
+        let own = project.join("viewrank.toml");
+        if !may_enter(project, &own, self.options.follow_links) {
+            let reason = format!("{} is a symbolic link (--follow-links)", own.display());
+            return Err((reason.clone(), Outcome::Failed { reason, hint: None }));
+        }
+        let files = Files {
+            user: user_file(),
+            root: self.root_file(project),
+            project: Some(own),
+        };
+        let typed = self.options.typed.clone();
+        Configuration::load_for(&files, typed, backends::canonical_name, metres)
+            .map(|configuration| configuration.settings)
+            .map_err(|error| (error.to_string(), failed(error)))
+    }
+
+    fn last_settings(&self, project: &Path) -> Option<Settings> {
+        let known = lock(&self.valid_settings).get(project).cloned();
+        known.or_else(|| PlannedFrom::read(project).map(|record| record.settings))
     }
 }
 

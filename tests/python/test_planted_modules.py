@@ -1,4 +1,5 @@
 """Scripts of an export are started in a folder that may be a stranger's. What he put beside them is not imported."""
+import os
 import re
 import shutil
 import subprocess
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
 INTEGRATIONS = Path(__file__).parents[2] / "integrations"
 SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py"]
 
@@ -22,3 +24,18 @@ def test_planted_modules_are_not_imported(script, tmp_path):
         (tmp_path / f"{name}.py").write_text(f"open({str(trap)!r}, 'w').close()")
     done = subprocess.run([sys.executable, "script.py", "--help"], cwd=tmp_path, capture_output=True, text=True)
     assert not trap.exists() and "has no attribute" not in done.stderr and "cannot import" not in done.stderr, done.stderr
+
+
+def test_workers_of_sgm_import_nothing_planted(fixtures, tmp_path):
+    project = tmp_path / "valley"
+    shutil.copytree(fixtures / "valley", project)
+    subprocess.run([PROGRAM, "plan", project, "--backend", "sgm", "--quiet", "--confidence", "none"], check=True)
+    export, trap = project / "viewrank/sgm", tmp_path / "trapped"
+    (export / "multiprocessing").mkdir()
+    (export / "multiprocessing/__init__.py").write_text(f"open({str(trap)!r}, 'w').close()")
+    # A Python before 3.11 has no PYTHONSAFEPATH; it must hold without.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
+    command = [sys.executable, "sgm.py", "match", "../..", "--clusters", "clusters.txt", "--out", "depth_maps", "--image-scale", "0.2", "--stop-at", "1"]
+    done = subprocess.run(command, cwd=export, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and not trap.exists(), done.stderr
+    assert list(export.rglob("depth_maps/**/*.npy")), "a worker has computed a map"

@@ -610,3 +610,30 @@ fn a_size_that_a_program_cannot_give_a_key_view_is_named() {
             .all(|files| !files.says("planned at half"))
     );
 }
+
+#[test]
+fn names_with_a_line_break_are_refused_by_every_backend() {
+    let mut fixture = Fixture::new(3);
+    fixture.scene.views[12].name = "a.jpg\n../b.jpg".into();
+    for backend in viewrank::backends::BACKENDS {
+        let refused = fixture.try_export(backend.name, &ExportOptions::default());
+        let error = refused.err().map(|error| error.to_string());
+        assert!(
+            error.is_some_and(|e| e.contains("a.jpg")),
+            "{}",
+            backend.name
+        );
+    }
+}
+
+#[test]
+fn micmac_takes_no_image_for_a_file_of_its_own() {
+    for name in ["mm3d-LogFile.txt", "Homol.xml"] {
+        let mut fixture = Fixture::new(3);
+        (0..fixture.scene.views.len())
+            .for_each(|view| fixture.scene.views[view].name = format!("{view}.jpg"));
+        fixture.scene.views[12].name = name.into();
+        let refused = fixture.try_export("micmac", &ExportOptions::default());
+        assert!(refused.err().unwrap().to_string().contains(name));
+    }
+}
