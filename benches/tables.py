@@ -81,13 +81,14 @@ def needed(results):
 
 
 def default(results):
-    """What the default plan promised and gave."""
+    """What the default plan promised and gave: in a fusion of its maps alone where there was one, and by the table."""
     rows = []
     for result in results:
-        plan = result["default"]
-        shares = [f"{100 * value:.1f}" for value in (plan["forecast"], plan["covered"]["all"], plan["covered"]["agreeing"])]
-        rows.append([f"{result['set']}, {result['cells']['maps']}", str(plan["maps"]), *shares, ", ".join(f"{100 * plan['every n-th'][kind]:.1f}" for kind in KINDS)])
-    return table(["set, maps", "plan", "forecast share", "covered of all cells", "where three agree", "every n-th"], rows) if rows else []
+        plan, spread = result["default"], result["default"]["every n-th"]
+        fused = [f"{100 * of['fused']:.1f}" if "fused" in of else "–" for of in (plan, spread)]
+        shares = [", ".join(f"{100 * of[kind]:.1f}" for kind in KINDS) for of in (plan["covered"], spread)]
+        rows.append([f"{result['set']}, {result['maps']}", str(plan["maps"]), f"{100 * plan['forecast']:.1f}", *fused, *shares])
+    return table(["set, maps", "plan", "forecast", "fused", "every n-th, fused", "by the table: all, three agree", "every n-th"], rows) if rows else []
 
 
 def checked(results):
@@ -100,15 +101,19 @@ def checked(results):
 
 
 def saved(results):
-    """Maps for half and for 80 % of all cells, fewest in bold."""
-    orders, rows = ("ours", "every n-th", "maxpts"), []
+    """Minutes and points of all maps and of the default plan."""
+    rows = []
     for result in results:
-        row = [f"{result['set']}, {SETS[result['set']].removesuffix(', rendered')}", str(result["cells"]["maps"])]
-        for place in (0, 2):
-            maps = [order(result, "all", one)["needed"][place] for one in orders]
-            row += [f"**{number}**" if number == min(maps) else str(number) for number in maps]
-        rows.append(row)
-    return table(["set", "all", "half: viewrank", "every n-th", "maxpts", "80 %: viewrank", "every n-th", "maxpts"], rows) if rows else []
+        plan = result["default"]
+        if "fused" not in plan:
+            continue
+        minutes = {name: seconds / 60 for name, seconds in plan["seconds"].items()}
+        points = {name: f"{count / 1000:,.0f} k" for name, count in plan["points"].items()}
+        of_all = [str(result["maps"]), f"{minutes['all']:.1f}", points["all"]]
+        of_plan = [str(plan["maps"]), f"{minutes['planning'] + minutes['matching']:.1f}", points["plan"]]
+        shares = [f"{100 * of['fused']:.0f} %" for of in (plan, plan["every n-th"])]
+        rows.append([f"{result['set']}, {SETS[result['set']].removesuffix(', rendered')}", *of_all, *of_plan, *shares])
+    return table(["set", "all maps", "minutes", "points", "plan", "minutes", "points", "of the cloud", "every n-th"], rows) if rows else []
 
 
 if __name__ == "__main__":

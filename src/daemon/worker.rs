@@ -17,7 +17,7 @@ use std::{
         mpsc::{Receiver, RecvTimeoutError, Sender, channel},
     },
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use serde::{Deserialize, Serialize};
@@ -38,6 +38,9 @@ use crate::base::{
 
 /// Interval at which a waiting daemon notices that a job was cancelled.
 const PAUSE: Duration = Duration::from_millis(50);
+/// Longest time of a job: settings that ask for far too much would keep all other projects waiting.
+/// A plan of 10,000 views takes a tenth of it on two cores.
+const LONGEST: Duration = Duration::from_secs(3 * 60 * 60);
 
 /// A line to a worker. Paths are as the system has them, for not all are text.
 #[derive(Debug, Serialize, Deserialize)]
@@ -168,6 +171,8 @@ pub struct Workers {
     /// Starts a worker.
     command: Mutex<Command>,
     idle: Mutex<Vec<Worker>>,
+    /// Time after which a job is ended.
+    longest: Duration,
 }
 
 impl Workers {
@@ -177,6 +182,7 @@ impl Workers {
             planner,
             command: Mutex::new(command),
             idle: Mutex::default(),
+            longest: LONGEST,
         }
     }
 
@@ -199,13 +205,15 @@ impl Workers {
             Ok(worker) => worker,
             Err(error) => return failed(NoWorker(error)),
         };
-        match worker.perform(work, job) {
+        let until = Instant::now() + self.longest;
+        match worker.perform(work, job, until) {
             Some(outcome) => {
                 worker.project = job.project.into();
                 lock(&self.idle).push(worker);
                 outcome
             }
             None if job.is_cancelled() => Outcome::Abandoned,
+            None if Instant::now() >= until => too_long(self.longest, job.project),
             None => lost(worker.process.wait().ok(), job.project),
         }
     }
@@ -276,8 +284,8 @@ impl Worker {
             .map_or(Ok(()), |input| write_line(input, request))
     }
 
-    /// Returns the outcome of the job; `None` if the process has ended.
-    fn perform(&mut self, work: Work, job: &Job) -> Option<Outcome> {
+    /// Returns the outcome of the job; `None` if the process has ended, or was ended at this time.
+    fn perform(&mut self, work: Work, job: &Job, until: Instant) -> Option<Outcome> {
         self.send(&Request::Job(JobRequest::new(work, job))).ok()?;
         let mut is_cancelled = false;
         loop {
@@ -286,6 +294,11 @@ impl Worker {
                 Ok(Report::Ended(outcome)) => return Some(outcome),
                 Err(RecvTimeoutError::Disconnected) => return None,
                 Err(RecvTimeoutError::Timeout) => {}
+            }
+            if Instant::now() >= until {
+                // Where it cannot be ended, it has ended.
+                _ = self.process.kill();
+                return None;
             }
             if !is_cancelled && job.is_cancelled() {
                 is_cancelled = true;
@@ -315,6 +328,20 @@ fn lost(status: Option<ExitStatus>, project: &Path) -> Outcome {
         reason: format!("the process that worked on it ended ({status}){cause}"),
         hint: Some(format!(
             "see the log, or run viewrank plan {}",
+            command_path(project)
+        )),
+    }
+}
+
+/// Outcome of a job that was ended because others wait.
+fn too_long(longest: Duration, project: &Path) -> Outcome {
+    Outcome::Aside {
+        reason: format!(
+            "it took longer than {} hours and was ended",
+            longest.as_secs() / 3600
+        ),
+        hint: Some(format!(
+            "ask for less in its settings (target.gsd, visibility), or run viewrank plan {}, which may take any time",
             command_path(project)
         )),
     }
@@ -388,7 +415,7 @@ mod tests {
             is_run: false,
         };
         let folder = tempfile::tempdir().unwrap();
-        let outcome = |script: &str| {
+        let outcome = |script: &str, longest: Duration| {
             let mut command = Command::new("sh");
             command.args(["-c", script]);
             let job = Job {
@@ -402,7 +429,9 @@ mod tests {
                 cancel: &AtomicBool::new(false),
                 progress: &|_, _| {},
             };
-            Workers::new(PlanJob::new(options.clone()), command).plan(&job)
+            let mut workers = Workers::new(PlanJob::new(options.clone()), command);
+            workers.longest = longest;
+            workers.plan(&job)
         };
         for (script, status) in [
             ("kill -ABRT $$", "signal: 6"),
@@ -410,13 +439,17 @@ mod tests {
             ("read line; exit 7", "exit status: 7"),
             ("echo nonsense", ""),
         ] {
-            let Outcome::Aside { reason, .. } = outcome(script) else {
+            let Outcome::Aside { reason, .. } = outcome(script, LONGEST) else {
                 panic!("{script}")
             };
             assert!(reason.contains(status), "{reason}");
         }
         let answer =
             r#"read line; echo '{"Progress":["read",3]}'; echo '{"Ended":"Abandoned"}'; read line"#;
-        assert_eq!(outcome(answer), Outcome::Abandoned);
+        assert_eq!(outcome(answer, LONGEST), Outcome::Abandoned);
+        let Outcome::Aside { reason, .. } = outcome("read line; sleep 60", 2 * PAUSE) else {
+            panic!("it never ends")
+        };
+        assert!(reason.contains("longer"), "{reason}");
     }
 }
