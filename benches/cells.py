@@ -55,7 +55,7 @@ def main():
     covered = {kind: judged[kind]["orders"][0]["curve"][chosen] for kind in ("all", "agreeing")}
     spread = {kind: order(judged[kind], "every n-th")["curve"][chosen] for kind in ("all", "agreeing")}
     plan = {"maps": len(clusters), "forecast": default["cut"]["share"], "covered": covered, "every n-th": spread}
-    plan["seconds"] = {"planning": planning, "matching": len(clusters) * matching, "all": len(every["clusters"]) * matching}
+    plan["seconds"] = {"planning": planning, "matching": len(clusters) * matching, "all": judged["maps"] * matching}
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
     if args.matcher == "openmvs":
         reference = Reference(read_cloud(bench.work / "fused/fused.ply"), bench)

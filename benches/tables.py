@@ -87,7 +87,7 @@ def default(results):
         plan, spread = result["default"], result["default"]["every n-th"]
         fused = [f"{100 * of['fused']:.1f}" if "fused" in of else "–" for of in (plan, spread)]
         shares = [", ".join(f"{100 * of[kind]:.1f}" for kind in KINDS) for of in (plan["covered"], spread)]
-        rows.append([f"{result['set']}, {result['maps']}", str(plan["maps"]), f"{100 * plan['forecast']:.1f}", *fused, *shares])
+        rows.append([f"{result['set']}, {result['cells']['maps']}", str(plan["maps"]), f"{100 * plan['forecast']:.1f}", *fused, *shares])
     return table(["set, maps", "plan", "forecast", "fused", "every n-th, fused", "by the table: all, three agree", "every n-th"], rows) if rows else []
 
 
@@ -109,7 +109,7 @@ def saved(results):
             continue
         minutes = {name: seconds / 60 for name, seconds in plan["seconds"].items()}
         points = {name: f"{count / 1000:,.0f} k" for name, count in plan["points"].items()}
-        of_all = [str(result["maps"]), f"{minutes['all']:.1f}", points["all"]]
+        of_all = [str(result["cells"]["maps"]), f"{minutes['all']:.1f}", points["all"]]
         of_plan = [str(plan["maps"]), f"{minutes['planning'] + minutes['matching']:.1f}", points["plan"]]
         shares = [f"{100 * of['fused']:.0f} %" for of in (plan, plan["every n-th"])]
         rows.append([f"{result['set']}, {SETS[result['set']].removesuffix(', rendered')}", *of_all, *of_plan, *shares])
