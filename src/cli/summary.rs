@@ -180,6 +180,9 @@ impl<'a> Summary<'a> {
             false => format!(" (likely {})", self.cut.share_band),
         };
         let share = whole_percent(self.cut.share);
+        if self.use_of_views.is_some() {
+            return self.advice_for_images(&share, is_verbose);
+        }
         let mut lines = vec![
             format!("{}:", self.what()),
             format!("{share} of {}{band}.", self.whole()),
@@ -193,6 +196,19 @@ impl<'a> Summary<'a> {
             lines.extend(self.other_shares());
         }
         lines
+    }
+
+    /// The same for a program that uses the images themselves (method 5.10).
+    fn advice_for_images(&self, share: &str, is_verbose: bool) -> Vec<String> {
+        let lines = [
+            format!("{}:", self.what()),
+            format!("{share} of {}.", self.whole()),
+        ];
+        let counted = "The share counts how well every photograph can be drawn again.";
+        lines
+            .into_iter()
+            .chain(is_verbose.then(|| counted.into()))
+            .collect()
     }
 
     /// What to compute.
@@ -233,7 +249,7 @@ impl<'a> Summary<'a> {
             None => "",
         };
         match self.use_of_views {
-            Some(_) => format!("what all {all} show{inside}"),
+            Some(_) => format!("what all {all} draw{inside}"),
             None => format!("the cloud of all {all}{inside}"),
         }
     }

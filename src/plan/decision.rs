@@ -4,18 +4,19 @@
 use super::{PlanError, Stages, Timings};
 use crate::{
     base::progress::{Stage, Watcher},
-    config::Settings,
     decision::{self, Cut, Decision, Options, UncutRanking},
     model::cluster::MapScale,
 };
 
 /// Returns what the decision reads of the settings.
-pub(super) fn options(settings: &Settings) -> Options<'_> {
+pub(super) fn options(stages: &Stages) -> Options<'_> {
+    let settings = &stages.settings;
     Options {
         cut: &settings.cut,
         forecast: &settings.forecast,
         k: settings.partners.k,
         has_half: settings.ranking.has_half(),
+        makes_maps: stages.makes_maps,
     }
 }
 
@@ -29,7 +30,7 @@ pub fn decide(
 ) -> Result<Decision, PlanError> {
     let known = stages.known_ranking.as_ref();
     let decision = timings.time(Stage::Ranking, || {
-        let options = options(&stages.settings);
+        let options = options(stages);
         decision::decide(&stages.tables, &options, known, order, watcher)
     })?;
     watcher.check()?;
@@ -44,7 +45,7 @@ pub fn decide_as(
     ranked: UncutRanking,
     cut: Cut,
 ) -> Result<Decision, PlanError> {
-    let options = options(&stages.settings);
+    let options = options(stages);
     let decision = decision::decide_as(&stages.tables, &options, finished, ranked, cut)?;
     Ok(decision)
 }

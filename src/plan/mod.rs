@@ -142,13 +142,13 @@ impl Plan {
     /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the
     /// ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {
-        let options = decision::options(&self.stages.settings);
+        let options = decision::options(&self.stages);
         self.decision.points_by_rank(&self.stages.tables, &options)
     }
 
     /// Returns the curve of the whole ranking, a point per cluster.
     pub fn curve(&self) -> Vec<CurvePoint> {
-        let options = decision::options(&self.stages.settings);
+        let options = decision::options(&self.stages);
         self.decision.curve(&self.stages.tables, &options)
     }
 

@@ -320,7 +320,7 @@ impl Found {
         let file = inputs.fingerprints.ranking(
             &inputs.settings,
             &from.file,
-            &self.objective,
+            (&self.objective, inputs.matcher.makes_maps),
             factors,
             work,
         );

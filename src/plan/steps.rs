@@ -393,8 +393,9 @@ pub(super) fn pilot(
     let made = made.transpose()?;
     let has_pictures = matches!(inputs.confidence, Confidence::Photometric { .. })
         && inputs.pictures.have_images();
-    // Where fusion keeps what a single map shows, how well it shows it is all that counts.
-    let is_agreement_wanted = support > 1;
+    // Where fusion keeps what a single map shows, how well it shows it is all that counts; and where
+    // there are no maps, none agree.
+    let is_agreement_wanted = support > 1 && inputs.matcher.makes_maps;
     if !is_agreement_wanted || !(has_pictures || made.is_some()) {
         return Ok(None);
     }

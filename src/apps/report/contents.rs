@@ -56,6 +56,8 @@ pub struct Contents {
     title: String,
     tool: &'static str,
     backend: &'static str,
+    /// False for a program that uses the images themselves.
+    makes_maps: bool,
     /// Metres in a scene unit; null if unknown.
     metres: Option<f64>,
     gsd: f64,
@@ -277,6 +279,7 @@ impl Contents {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
             backend: plan.stages.backend,
+            makes_maps: plan.stages.makes_maps,
             metres: plan.stages.metres,
             gsd: plan.stages.settings.target.gsd.unwrap_or_default(),
             wanted_partners: plan.stages.settings.partners.k,

@@ -215,13 +215,14 @@ impl<'a> Fingerprints<'a> {
         CacheFile::new(self.home, "viewrank/cache/pilot.table", inputs())
     }
 
-    /// The ranking without finished depth maps, with what follows from it. `region`: factors on the
-    /// weights of the triangles.
+    /// The ranking without finished depth maps, with what follows from it. `makes_maps`: whether it
+    /// counts by the objective, or by the images themselves. `region`: factors on the weights of the
+    /// triangles.
     pub fn ranking(
         &self,
         settings: &Settings,
         clusters: &CacheFile,
-        objective: &Objective,
+        (objective, makes_maps): (&Objective, bool),
         region: Option<&[f32]>,
         work: &[[f64; 2]],
     ) -> CacheFile {
@@ -232,7 +233,10 @@ impl<'a> Fingerprints<'a> {
                 .ranking
                 .has_half()
                 .then_some((&settings.cut, &settings.forecast));
-            add(&mut hasher, &(objective.support, limits, region.is_some()));
+            add(
+                &mut hasher,
+                &(objective.support, makes_maps, limits, region.is_some()),
+            );
             let region = bytemuck::cast_slice(region.unwrap_or_default());
             Some(add_parts(
                 hasher,

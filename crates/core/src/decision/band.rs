@@ -51,6 +51,10 @@ impl fmt::Display for Band {
 }
 
 impl Band {
+    pub fn exactly(value: f64) -> Self {
+        Self::around(value, 0.0, 0.0)
+    }
+
     fn around(value: f64, below: f64, above: f64) -> Self {
         Self {
             low: (value - below).max(0.0),

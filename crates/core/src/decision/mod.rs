@@ -11,6 +11,7 @@ mod curve;
 mod cut;
 mod forecast;
 mod given_up;
+mod images;
 mod numbers;
 mod reasons;
 mod settings;
@@ -84,6 +85,8 @@ pub struct Options<'a> {
     pub k: u32,
     /// True if depth maps may be planned at half the size.
     pub has_half: bool,
+    /// False for a program that uses the images themselves (method 5.10).
+    pub makes_maps: bool,
 }
 
 /// A ranking cannot be cut as asked, or not be made.
@@ -160,9 +163,14 @@ pub fn decide(
             )
         },
     );
+    let share_band = match options.makes_maps {
+        true => Band::of_share(tables, cut.share, cut.reachable, &reachable_band),
+        // Nothing of it depends on matching.
+        false => Band::exactly(cut.share),
+    };
     let cut = Cut {
         fulfilment_bound,
-        share_band: Band::of_share(tables, cut.share, cut.reachable, &reachable_band),
+        share_band,
         reachable_band,
         pairs_beyond_gate: pairs_beyond_gate(tables, &ranking.order[..cut.clusters]),
         given_up,
@@ -181,6 +189,9 @@ fn rank(
     order: &[(u32, MapScale)],
     watcher: &dyn Watcher,
 ) -> Result<Ranking, DecisionError> {
+    if !options.makes_maps {
+        return Ok(images::rank(tables, watcher)?);
+    }
     let counted = tables.counted();
     let ranker = Ranker::new(&counted.maps, counted.objective)?;
     if !options.has_half {

@@ -5,7 +5,7 @@ const plot = { left: 54, right: 546, top: 28, bottom: 262 };
 
 // Choices for the x axis; `at(i)`: value after i clusters.
 const overs = {
-  maps: { label: 'depth maps', one: 'depth map', at: cut => cut },
+  maps: { label: products, one: products.slice(0, -1), at: cut => cut },
   pairs: { label: 'image pairs', one: 'image pair', at: cut => pairsUpTo[cut] },
   work: { label: '% of the work', one: '% of the work', at: cut => cut && 100 * ranking.work[cut - 1] },
   time: { label: 'hours of matching', one: 'hour of matching', at: cut => secondsUpTo(cut) / 3600 },
@@ -44,7 +44,7 @@ function drawCurve() {
   for (let tick = 0; tick <= most * 1.0001; tick += step) {
     parts.push(`<text x="${x(tick)}" y="${plot.bottom + 18}" text-anchor="middle">${rounded(tick)}</text>`);
   }
-  parts.push(`<text x="8" y="13">share of what all depth maps give</text>`);
+  parts.push(`<text x="8" y="13">share of what ${allGive}</text>`);
   parts.push(`<text x="${(plot.left + plot.right) / 2}" y="${plot.bottom + 35}" text-anchor="middle">${over().label}</text>`);
   parts.push(`<polyline class="predicted" points="${line(clusters, i => [x(at(i)), y(shareAt(i))])}"/>`);
   if (data.real) {
@@ -58,7 +58,7 @@ function drawCurve() {
   parts.push(`<text class="strong" x="${cx + (left ? -10 : 10)}" y="${Math.min(cy + 20, plot.bottom - 8)}" text-anchor="${left ? 'end' : 'start'}">`
     + `${reachedText()}</text>`);
   byId('curve').innerHTML = parts.join('');
-  byId('curve').setAttribute('aria-label', `Share of what all depth maps give, over ${over().label}: ${reachedText()}, ${percent(shareAt(clusters))} with ${rounded(most)}`);
+  byId('curve').setAttribute('aria-label', `Share of what ${allGive}, over ${over().label}: ${reachedText()}, ${percent(shareAt(clusters))} with ${rounded(most)}`);
 }
 
 function reachedText() {
@@ -105,7 +105,7 @@ function setUpCurve() {
   const note = data.real
     ? `Dashed: measured fulfilment of the triangles by the ${counted(data.real.maps, 'depth map')} in ${data.real.folder}${data.real.reference ? ' against the reference'
       : ' (without --reference every depth counts as right)'}, over what all depth maps are predicted to give: an estimate of their share of the cloud${data.finished ? ' around the finished ones' : ''}.`
-    : 'Predicted. To add finished depth maps from another folder to the curve: viewrank report --depth-maps DIR.';
+    : !data.makes_maps ? 'Predicted.' : 'Predicted. To add finished depth maps from another folder to the curve: viewrank report --depth-maps DIR.';
   byId('curve-note').textContent = around + note;
   byId('bound').textContent = boundText();
 }
@@ -113,7 +113,7 @@ function setUpCurve() {
 // What all depth maps give, and the bound of method 5.2 for the plan's cut.
 function boundText() {
   const { reachable, reachable_band: band, share_band: share, fulfilment, fulfilment_bound: bound, given_up: lost, pairs_beyond_gate: beyond } = data.limits;
-  if (!(fulfilment > 0)) return '';
+  if (!data.makes_maps || !(fulfilment > 0)) return '';
   const better = Math.max(0, bound / fulfilment - 1);
   const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
   const part = weight => percent(reachable ? weight / reachable : 0);

@@ -170,6 +170,10 @@ function rounded(number) {
   return digits > 8 ? number.toPrecision(3) : Number(number.toFixed(digits)).toLocaleString('en', { maximumFractionDigits: digits });
 }
 
+// A program that uses the images themselves makes no depth maps (method 5.10).
+const products = data.makes_maps ? 'depth maps' : 'images';
+const allGive = data.makes_maps ? 'all depth maps give' : 'all images draw';
+
 // Follows "what all depth maps give".
 const inRegion = data.region ? ' inside the region' : '';
 

@@ -41,7 +41,7 @@ function listRow(place) {
     make('span', { class: 'rank' }, rank ? String(rank) : '–'), picture,
     make('span', {}, make('div', { class: 'name', title: names[view] }, make('bdi', {}, names[view])),
       make('div', { class: 'because' }, make('span', { class: `tag ${status}` }, status === 'key' ? `key view${isHalf(rank) ? ', half size' : ''}` : status), ` ${becauseShort(view)}`)),
-    make('span', { class: 'gain', title: 'Share of what all depth maps give that it adds at its rank' }, rank ? gainText(rank) : '0'));
+    make('span', { class: 'gain', title: `Share of what ${allGive} that it adds at its rank` }, rank ? gainText(rank) : '0'));
   row.style.top = `${place * ROW}px`;
   if (view === state.selected) row.classList.add('on');
   if (rank === state.cut + 1) row.classList.add('first-left-out');

@@ -9,14 +9,16 @@ const colours = { share: 'share reached', count: 'number of key views', maps: 'w
 function drawCut() {
   const { cut } = state;
   byId('slider').value = byId('number').value = cut;
-  byId('slider').setAttribute('aria-valuetext', `${cut} depth maps, ${percent(shareAt(cut))}`);
+  byId('slider').setAttribute('aria-valuetext', `${cut} ${products}, ${percent(shareAt(cut))}`);
   const halves = halvesUpTo[cut], atHalf = halves ? ` (${grouped.format(halves)} of them at half size)` : '';
-  byId('verdict').replaceChildren(make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} views`), ` get a depth map${atHalf}, `,
-    make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`), `: ${percent(shareAt(cut))} of what all depth maps give${inRegion}.`);
+  const chosen = make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} ${data.makes_maps ? 'views' : 'images'}`);
+  const mapped = data.makes_maps ? [` get a depth map${atHalf}, `, make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`)] : [];
+  byId('verdict').replaceChildren(chosen, ...mapped, `: ${percent(shareAt(cut))} of what ${allGive}${inRegion}.`);
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
 
 function setUpCut() {
+  if (!data.makes_maps) byId('slider').labels[0].textContent = 'Images to take';
   for (const input of [byId('slider'), byId('number')]) {
     input.max = clusters;
     input.addEventListener('input', () => change({ cut: Math.round(Math.min(clusters, Math.max(0, Number(input.value) || 0))) }));
@@ -40,7 +42,10 @@ function drawNumbers() {
   const likely = planned ? `likely ${range(share)}` : 'predicted';
   const given = finished && finished === cut ? [measured, `estimated from these maps; the plan said ${percent(shareAt(cut))}`]
     : [percent(shareAt(cut)), finished ? `${likely}; the ${counted(finished, 'finished depth map')}: ${measured}` : likely];
-  const numbers = [
+  const numbers = !data.makes_maps ? [
+    ['Images', grouped.format(cut), `of ${grouped.format(views.count)}`],
+    ['Of what all images draw', percent(shareAt(cut)), 'how well every photograph can be drawn again, as predicted'],
+  ] : [
     ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views${sizes}`],
     ['Work', ...work(cut)],
     ['Of what all depth maps give', ...given],
@@ -59,7 +64,8 @@ function work(cut) {
 
 function drawForecast() {
   const { cut } = state, cuts = [cut, clusters];
-  const table = [['depth maps', i => i], ['image pairs', i => pairsUpTo[i]], ['points before fusion', i => pointsUpTo[i]]]
+  const matched = data.makes_maps ? [['image pairs', i => pairsUpTo[i]], ['points before fusion', i => pointsUpTo[i]]] : [];
+  const table = [[products, i => i], ...matched]
     .map(([what, upTo]) => [what, ...cuts.map(i => short(upTo(i)))]);
   if (timesKnown()) table.push(['time of matching', ...cuts.map(i => duration(secondsUpTo(i)))]);
   byId('forecast').replaceChildren(make('tr', {}, ...['', 'up to the cut', 'whole ranking'].map(text => make('th', {}, text))),
@@ -90,7 +96,7 @@ function drawLegends() {
   const swatch = (colour, text) => make('span', {}, Object.assign(make('i'), { style: `background: rgb(${colour})` }), text);
   const striped = () => make('span', {}, make('i', { class: 'hatched' }), 'no cluster fulfils it');
   const lists = {
-    share: () => [rampSwatch('0', 'as much as all depth maps give'), striped()],
+    share: () => [rampSwatch('0', `as much as ${data.makes_maps ? allGive : 'depth maps of all would give'}`), striped()],
     real: () => [rampSwatch('0', '1, measured'), striped()],
     count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), striped()],
     maps: () => [swatch(MAP_COLOURS[2], 'kept'), swatch(MAP_COLOURS[1], 'one planned map only'), swatch(MAP_COLOURS[0], 'no planned map'), striped()],
@@ -193,7 +199,7 @@ function drawFacts() {
   if (data.region) byId('facts').after(make('p', {}, data.region.words));
   byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn with fewer triangles than in the plan. ' : ''}`
     + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have thumbnails. ` : '')
-    + (data.finished || data.real ? 'Colours of the surface are predicted unless labelled measured' : 'Predicted before any depth map was computed')
+    + (data.finished || data.real ? 'Colours of the surface are predicted unless labelled measured' : (data.makes_maps ? 'Predicted before any depth map was computed' : 'Predicted'))
     + '; viewrank/manifest.json has the whole plan.';
 }
 

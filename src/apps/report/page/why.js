@@ -50,9 +50,9 @@ function whyIn(view) {
   const why = rank <= data.finished ? 'Chosen: its depth map is finished, and the others are ranked after it. Measured, it adds'
     : `Chosen: rank ${rank} of ${state.cut}, because no other view adds more at that rank. It adds`;
   const parts = [
-    make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what all depth maps give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
+    make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what ${allGive}, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
       + ' Triangles that it improves are purple on the map.'),
-    make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
+    make('p', {}, data.makes_maps ? `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:` : 'Most like it are:'), viewList(partners)];
   if (isHalf(rank)) parts.push(make('p', {}, 'It is matched at half the size, which gives most for the work of the plan.'));
   if (partners.length < data.wanted_partners) {
     parts.push(make('p', {}, `Fewer than the ${data.wanted_partners} wanted, because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
@@ -94,5 +94,5 @@ function summary() {
   const table = make('table', {}, ...rows.map(([what, n]) => make('tr', {}, make('td', {}, what), make('td', {}, grouped.format(n)))));
   if (state.cut !== data.cut || !reasons.size) return table;
   const why = [...reasons].sort((a, b) => b[1] - a[1]).map(([reason, n]) => make('li', {}, `${grouped.format(n)}: ${reason}`));
-  return make('div', {}, table, make('p', {}, 'Views without a depth map, by reason:'), make('ul', {}, ...why));
+  return make('div', {}, table, make('p', {}, 'Views that are left out, by reason:'), make('ul', {}, ...why));
 }

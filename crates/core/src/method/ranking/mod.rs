@@ -33,6 +33,7 @@ mod bound;
 mod maps;
 mod objective;
 mod reached;
+mod redrawing;
 mod settings;
 
 use std::{
@@ -49,6 +50,7 @@ pub use self::{
     bound::most_of_any,
     maps::Maps,
     objective::{Objective, SINGLE_MAP_CREDIT},
+    redrawing::{Redrawing, RedrawnOrder},
     settings::{RankingSettings, TriangleWeight},
 };
 use crate::{

@@ -1,0 +1,358 @@
+//! Ranks images that a program uses themselves, as Gaussian splatting does (method 5.10).
+//!
+//! Such a program draws new pictures from the chosen images. So all photographs, chosen or not, are
+//! to be drawn well: each of their places by images that show it from about the same direction, the
+//! better the more there are. What counts is submodular, and so gains are evaluated lazily.
+
+use std::{cmp::Reverse, collections::BinaryHeap};
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::{
+    base::{
+        progress::{Cancelled, Stage, Watcher},
+        rows::Offsets,
+    },
+    method::{
+        confidence::Sharpness, surface::Surface, visibility::Visibility, visibility::projected_area,
+    },
+    model::scene::{Scene, ViewIndex},
+};
+
+/// Angle between two rays to a place, radians, at which an image helps to draw the other 1/e as
+/// much.
+const FALL: f32 = 40.0 / 180.0 * std::f32::consts::PI;
+/// Part of a place that an image from the same direction draws by itself.
+const ALONE: f32 = 0.5;
+/// Power of an image's sharpness in what it draws.
+const SHARPNESS: f64 = 0.25;
+/// Pairs of views of one triangle that are compared, over all triangles; of more, every second,
+/// third, ... triangle counts.
+const MOST_PAIRS: u64 = 1 << 26;
+
+/// What views show of the places in each other.
+pub struct Redrawing {
+    /// Entries of each place.
+    by_place: Offsets,
+    entries: Vec<Entry>,
+    /// Index into `entries` of what each view shows.
+    of_view: Vec<Vec<u32>>,
+}
+
+/// A place in a view.
+#[derive(Clone, Copy)]
+struct Entry {
+    place: u32,
+    /// From the camera to the place.
+    ray: Vector3<f32>,
+    /// Its part of what is to be drawn, as far as no chosen image draws it.
+    left: f32,
+    sharpness: f32,
+}
+
+/// An order of views.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RedrawnOrder {
+    /// Views, best first; those that show nothing are left out.
+    pub views: Vec<ViewIndex>,
+    /// Part of what is to be drawn that the first i + 1 views draw, 0 to 1.
+    pub drawn: Vec<f64>,
+}
+
+impl Redrawing {
+    /// Takes the triangles for places; `factors`: weights of triangles inside a region.
+    pub fn new(
+        (scene, surface, visibility): (&Scene, &Surface, &Visibility),
+        factors: Option<&[f32]>,
+        sharpness: &Sharpness,
+        left_out: &[ViewIndex],
+    ) -> Self {
+        let seen = visibility.views_of_triangles(surface.triangles.len(), left_out);
+        let pairs: u64 = seen.iter().map(|&views| u64::from(views).pow(2)).sum();
+        let step = pairs.div_ceil(MOST_PAIRS).max(1) as u32;
+        let views: Vec<ViewIndex> = visibility.views();
+        let views = views.into_par_iter();
+        let rows = views.map(|view| match left_out.binary_search(&view) {
+            Ok(_) => Vec::new(),
+            Err(_) => shown((scene, surface, visibility), view, step, factors, sharpness),
+        });
+        let rows: Vec<Vec<Entry>> = rows.collect();
+        Self::of_rows(&rows, surface.triangles.len())
+    }
+
+    /// Sorts what each view shows by place.
+    fn of_rows(rows: &[Vec<Entry>], places: usize) -> Self {
+        let mut lengths = vec![0; places];
+        let all = || rows.iter().flatten();
+        all().for_each(|entry| lengths[entry.place as usize] += 1);
+        let by_place = Offsets::from_lengths(lengths);
+        let mut next: Vec<usize> = (0..places).map(|place| by_place.row(place).start).collect();
+        let number = all().count();
+        let mut order = vec![0u32; number];
+        let mut of_view = Vec::with_capacity(rows.len());
+        let mut at = 0;
+        for row in rows {
+            let taken = row.iter().map(|entry| {
+                let slot = &mut next[entry.place as usize];
+                order[*slot] = at;
+                at += 1;
+                *slot += 1;
+                *slot as u32 - 1
+            });
+            of_view.push(taken.collect());
+        }
+        let flat: Vec<Entry> = all().copied().collect();
+        let entries: Vec<Entry> = order.iter().map(|&at| flat[at as usize]).collect();
+        Self {
+            entries: weighed(entries),
+            by_place,
+            of_view,
+        }
+    }
+
+    /// Ranks views, each by what it adds to those before it. Ties go to the first.
+    pub fn rank(
+        mut self,
+        candidates: &[ViewIndex],
+        watcher: &dyn Watcher,
+    ) -> Result<RedrawnOrder, Cancelled> {
+        let first = candidates.par_iter().map(|&view| {
+            watcher.check()?;
+            Ok(Candidate::new(self.gain(view), view, 0))
+        });
+        let mut heap: BinaryHeap<Candidate> = first.collect::<Result<Vec<_>, Cancelled>>()?.into();
+        let mut order = RedrawnOrder::default();
+        let mut drawn = 0.0;
+        watcher.progress(Stage::Ranking, 0, candidates.len() as u64);
+        while let Some(best) = heap.pop() {
+            watcher.check()?;
+            let chosen = order.views.len();
+            if best.chosen < chosen {
+                heap.push(Candidate::new(self.gain(best.view), best.view, chosen));
+                continue;
+            }
+            if best.gain <= 0.0 {
+                break;
+            }
+            self.take(best.view);
+            drawn += best.gain;
+            order.views.push(best.view);
+            order.drawn.push(drawn);
+            watcher.progress(Stage::Ranking, chosen as u64 + 1, candidates.len() as u64);
+        }
+        watcher.progress(
+            Stage::Ranking,
+            candidates.len() as u64,
+            candidates.len() as u64,
+        );
+        Ok(order)
+    }
+
+    /// Part that the view would draw of what is left.
+    fn gain(&self, view: ViewIndex) -> f64 {
+        let shown = self.of_view[view.index()].iter();
+        let entries = shown.map(|&entry| &self.entries[entry as usize]);
+        let gains = entries.map(|own| {
+            let others = &self.entries[self.by_place.row(own.place as usize)];
+            f64::from(
+                others
+                    .iter()
+                    .map(|other| other.left * own.draws(other))
+                    .sum::<f32>(),
+            )
+        });
+        gains.sum()
+    }
+
+    fn take(&mut self, view: ViewIndex) {
+        for &entry in &self.of_view[view.index()] {
+            let own = self.entries[entry as usize];
+            for other in &mut self.entries[self.by_place.row(own.place as usize)] {
+                other.left *= 1.0 - own.draws(other);
+            }
+        }
+    }
+}
+
+/// Weighs the places in views so that all together weigh 1.
+fn weighed(mut entries: Vec<Entry>) -> Vec<Entry> {
+    let all: f64 = entries.iter().map(|entry| f64::from(entry.left)).sum();
+    for entry in &mut entries {
+        entry.left = (f64::from(entry.left) / all) as f32;
+    }
+    entries
+}
+
+impl Entry {
+    fn angle(&self, other: &Self) -> f32 {
+        self.ray.dot(&other.ray).clamp(-1.0, 1.0).acos()
+    }
+
+    /// Returns the part of the same place in another view that this one draws.
+    fn draws(&self, other: &Self) -> f32 {
+        ALONE * self.sharpness * (-self.angle(other) / FALL).exp()
+    }
+}
+
+/// Returns what a view shows, each place with its part of the photograph.
+fn shown(
+    (scene, surface, visibility): (&Scene, &Surface, &Visibility),
+    view: ViewIndex,
+    step: u32,
+    factors: Option<&[f32]>,
+    sharpness: &Sharpness,
+) -> Vec<Entry> {
+    let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+    let centre = pose.centre();
+    let sharpness = sharpness.of(view).powf(SHARPNESS) as f32;
+    let mut whole = 0.0;
+    let mut entries = Vec::new();
+    for &triangle in visibility.triangles_seen_by(view) {
+        if triangle % step != 0 {
+            continue;
+        }
+        let corners = surface.corners(triangle);
+        let area = projected_area(
+            camera,
+            &corners.map(|corner| pose.camera_from_world(&corner)),
+        );
+        whole += area;
+        let factor = factors.map_or(1.0, |factors| f64::from(factors[triangle as usize]));
+        let ray = (surface.centroid(triangle) - centre).normalize();
+        if area * factor > 0.0 && ray.iter().all(|x| x.is_finite()) {
+            entries.push(Entry {
+                place: triangle,
+                ray: ray.cast(),
+                left: (area * factor) as f32,
+                sharpness,
+            });
+        }
+    }
+    entries
+        .iter_mut()
+        .for_each(|entry| entry.left /= whole as f32);
+    entries
+}
+
+/// A view with its gain over the first `chosen` views.
+#[derive(Clone, Copy)]
+struct Candidate {
+    gain: f64,
+    view: ViewIndex,
+    chosen: usize,
+}
+
+impl Candidate {
+    fn new(gain: f64, view: ViewIndex, chosen: usize) -> Self {
+        Self { gain, view, chosen }
+    }
+
+    fn key(&self) -> (f64, Reverse<u32>) {
+        (self.gain, Reverse(self.view.0))
+    }
+}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        let ((gain, view), (other_gain, other_view)) = (self.key(), other.key());
+        gain.total_cmp(&other_gain).then(view.cmp(&other_view))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Candidate {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Candidate {}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::base::progress::NoWatcher;
+
+    fn entry(place: u32, degrees: f32, left: f32) -> Entry {
+        let angle = degrees.to_radians();
+        Entry {
+            place,
+            ray: Vector3::new(angle.sin(), 0.0, angle.cos()),
+            left,
+            sharpness: 1.0,
+        }
+    }
+
+    fn ranked(rows: &[Vec<Entry>], places: usize) -> RedrawnOrder {
+        let views: Vec<ViewIndex> = (0..rows.len() as u32).map(ViewIndex).collect();
+        let redrawing = Redrawing::of_rows(rows, places);
+        redrawing.rank(&views, &NoWatcher).unwrap()
+    }
+
+    /// Part of all photographs that these views draw.
+    fn all_drawn(rows: &[Vec<Entry>], chosen: &[ViewIndex]) -> f64 {
+        let in_view =
+            |view: &ViewIndex, place| rows[view.index()].iter().find(|own| own.place == place);
+        let draws = |other: &Entry| {
+            let missed = |view: &ViewIndex| {
+                in_view(view, other.place).map_or(1.0, |own| 1.0 - own.draws(other))
+            };
+            1.0 - chosen.iter().map(missed).product::<f32>()
+        };
+        let all = || rows.iter().flatten();
+        let drawn: f32 = all().map(|other| other.left * draws(other)).sum();
+        f64::from(drawn / all().map(|other| other.left).sum::<f32>())
+    }
+
+    proptest! {
+        #[test]
+        fn each_image_adds_most_to_those_before(
+            shown in prop::collection::vec(prop::collection::btree_map(0..4u32, (0.0..180f32, 0.1..1f32), 1..4), 1..8)
+        ) {
+            let row = |places: &std::collections::BTreeMap<u32, (f32, f32)>| -> Vec<Entry> {
+                places.iter().map(|(&place, &(degrees, left))| entry(place, degrees, left)).collect()
+            };
+            let rows: Vec<Vec<Entry>> = shown.iter().map(row).collect();
+            let order = ranked(&rows, 4);
+            prop_assert_eq!(order.views.len(), rows.len());
+            for (i, &part) in order.drawn.iter().enumerate() {
+                prop_assert!((part - all_drawn(&rows, &order.views[..=i])).abs() < 1e-5);
+                for other in &order.views[i + 1..] {
+                    let instead = [&order.views[..i], &[*other]].concat();
+                    prop_assert!(all_drawn(&rows, &instead) <= part + 1e-5);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn both_sides_of_a_place_come_before_more_of_one() {
+        let angles = [0.0, 1.0, 2.0, 3.0, 4.0, 170.0, 171.0, 172.0];
+        let rows: Vec<_> = angles.map(|angle| vec![entry(0, angle, 1.0)]).into();
+        let order = ranked(&rows, 1).views;
+        assert_eq!(
+            order[..2],
+            [ViewIndex(2), ViewIndex(6)],
+            "the middle of each"
+        );
+    }
+
+    #[test]
+    fn a_blurred_image_of_the_same_comes_later() {
+        let mut rows = vec![vec![entry(0, 0.0, 1.0)], vec![entry(0, 0.0, 1.0)]];
+        rows[0][0].sharpness = 0.8;
+        assert_eq!(ranked(&rows, 1).views, [ViewIndex(1), ViewIndex(0)]);
+        assert_eq!(
+            ranked(&[Vec::new(), rows[1].clone()], 1).views,
+            [ViewIndex(1)]
+        );
+    }
+}
