@@ -13,7 +13,7 @@ use clap::{
 };
 
 use super::{Arguments, Exit, Failure, terminal::printable};
-use crate::{base::shell::command_word, io::project};
+use crate::{base::shell::command_word, config::RegionChoice, io::project};
 
 /// Other words for subcommands.
 const SUBCOMMANDS: [(&str, &[&str]); 13] = [
@@ -216,6 +216,29 @@ const ADVICE: [(&str, &[&str]); 4] = [
         &["--debug", "-v"],
     ),
 ];
+
+/// Returns the value of a setting that is a number if it can be: the settings say what is wrong with
+/// another one.
+pub fn number(typed: &str) -> toml::Value {
+    typed
+        .parse()
+        .map_or_else(|_| toml::Value::from(typed), toml::Value::Integer)
+}
+
+/// Returns the region as a setting, which is relative to the project.
+pub fn region(typed: &str) -> String {
+    match RegionChoice::is_file(typed) {
+        true => absolute(Path::new(typed)),
+        false => typed.to_owned(),
+    }
+}
+
+/// Returns a path as a setting, which is relative to the project.
+pub fn absolute(path: &Path) -> String {
+    let absolute = std::path::absolute(path);
+    let absolute = absolute.unwrap_or_else(|_| path.to_path_buf());
+    absolute.to_string_lossy().into_owned()
+}
 
 /// Returns the command line, to be shown: in words that are no UTF-8, what is none is replaced.
 pub fn typed_words() -> Vec<String> {

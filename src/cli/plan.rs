@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{apps::planning, config::RegionChoice, show::files::files_of_same_model};
+use crate::{apps::planning, show::files::files_of_same_model};
 use crate::{
     apps::{
         dispatch::Dispatch,
@@ -35,8 +35,8 @@ use crate::{
 use clap::Args;
 
 use super::{
-    Exit, Failure, Format, config, next, note, print, print_json, progress::ProgressDisplay,
-    summary::Summary, use_threads, warn,
+    Exit, Failure, Format, arguments, config, next, note, print, print_json,
+    progress::ProgressDisplay, summary::Summary, use_threads, warn,
 };
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
@@ -392,26 +392,15 @@ impl Arguments {
     /// Command-line options as settings.
     fn typed(&self) -> CommandLineSettings {
         let mut typed = CommandLineSettings::default();
-        let path = |path: &PathBuf| {
-            std::path::absolute(path)
-                .unwrap_or(path.clone())
-                .to_string_lossy()
-                .into_owned()
-        };
-        let k = self.k.as_ref().map(|k| {
-            k.parse()
-                .map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer)
-        });
-        typed.set("-k", "partners.k", k);
+        let path = |path: &PathBuf| arguments::absolute(path);
+        let k = self.k.as_deref();
+        typed.set("-k", "partners.k", k.map(arguments::number));
         typed.set("--budget", "cut.budget", self.budget.clone());
         typed.set("--target", "cut.target", self.target.clone());
         typed.set("--time", "cut.time", self.time.clone());
         typed.set("--points", "cut.points", self.points.clone());
-        let region = |typed: &String| match RegionChoice::is_file(typed) {
-            true => path(&PathBuf::from(typed)),
-            false => typed.clone(),
-        };
-        typed.set("--region", "region", self.region.as_ref().map(region));
+        let region = self.region.as_deref();
+        typed.set("--region", "region", region.map(arguments::region));
         typed.set("--gsd", "target.gsd", self.gsd.clone());
         typed.set("--accuracy", "target.accuracy", self.accuracy.clone());
         typed.set("--scales", "ranking.scales", self.scales.clone());

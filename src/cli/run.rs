@@ -13,8 +13,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, config, next, note, print, print_json, progress::ProgressDisplay, ready,
-    summary::duration, terminal::complain, warn, wrapped,
+    Exit, Failure, Format, arguments, config, next, note, print, print_json,
+    progress::ProgressDisplay, ready, summary::duration, terminal::complain, warn, wrapped,
 };
 use crate::{
     apps::{
@@ -73,6 +73,16 @@ pub struct Arguments {
     /// Sizes that a key view may be matched at, as in viewrank plan
     #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = super::arguments::scale)]
     scales: Option<Vec<f64>>,
+    /// Part of the scene to plan for, as in viewrank plan
+    #[arg(
+        long,
+        value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto",
+        allow_hyphen_values = true
+    )]
+    region: Option<String>,
+    /// Wanted ground sampling distance, as in viewrank plan
+    #[arg(long, value_name = "L")]
+    gsd: Option<String>,
     /// Folder to which the image names of the model are relative [default: where they are found]
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
@@ -262,26 +272,18 @@ impl Arguments {
     /// its images beside its model, so that `--images` is not for it.
     fn typed(&self, backend: Option<&str>, with_images: bool) -> CommandLineSettings {
         let mut typed = CommandLineSettings::default();
-        let k = self.k.as_ref().map(|k| {
-            k.parse()
-                .map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer)
-        });
         let backend = backend.map(str::to_owned).or(self.backend.clone());
         typed.set("--backend", "backends", backend.map(|name| vec![name]));
         typed.set("--target", "cut.target", self.target.clone());
         typed.set("--budget", "cut.budget", self.budget.clone());
-        typed.set("-k", "partners.k", k);
+        let k = self.k.as_deref();
+        typed.set("-k", "partners.k", k.map(arguments::number));
         typed.set("--scales", "ranking.scales", self.scales.clone());
-        let images = self
-            .images
-            .as_ref()
-            .filter(|_| with_images)
-            .map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone()));
-        typed.set(
-            "--images",
-            "images",
-            images.map(|path| path.to_string_lossy().into_owned()),
-        );
+        let region = self.region.as_deref();
+        typed.set("--region", "region", region.map(arguments::region));
+        typed.set("--gsd", "target.gsd", self.gsd.clone());
+        let images = self.images.as_deref().filter(|_| with_images);
+        typed.set("--images", "images", images.map(arguments::absolute));
         typed
     }
 }
