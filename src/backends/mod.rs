@@ -130,18 +130,17 @@ impl Backend {
         for view in selection.views() {
             self.check_line(selection.scene.name(view))?;
         }
-        match selection.own_size {
-            true => {
-                let image_scale = self.matcher().image_scale(selection.scene);
-                (self.export)(
-                    &Selection {
-                        image_scale,
-                        ..*selection
-                    },
-                    options,
-                )
-            }
-            false => (self.export)(selection, options),
+        if selection.own_size {
+            let image_scale = self.matcher().image_scale(selection.scene);
+            (self.export)(
+                &Selection {
+                    image_scale,
+                    ..*selection
+                },
+                options,
+            )
+        } else {
+            (self.export)(selection, options)
         }
     }
 

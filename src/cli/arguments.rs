@@ -227,9 +227,10 @@ pub fn number(typed: &str) -> toml::Value {
 
 /// Returns the region as a setting, which is relative to the project.
 pub fn region(typed: &str) -> String {
-    match RegionChoice::is_file(typed) {
-        true => absolute(Path::new(typed)),
-        false => typed.to_owned(),
+    if RegionChoice::is_file(typed) {
+        absolute(Path::new(typed))
+    } else {
+        typed.to_owned()
     }
 }
 
@@ -346,11 +347,13 @@ fn text(error: &Error, kind: ContextKind) -> String {
 /// Returns the definition of the command line. A negative number after an option is its value, so
 /// that the error names the option.
 fn definition() -> Command {
-    let with_negative =
-        |argument: Arg| match argument.get_action().takes_values() && !argument.is_positional() {
-            true => argument.allow_negative_numbers(true),
-            false => argument,
-        };
+    let with_negative = |argument: Arg| {
+        if argument.get_action().takes_values() && !argument.is_positional() {
+            argument.allow_negative_numbers(true)
+        } else {
+            argument
+        }
+    };
     Arguments::command().mut_subcommands(|subcommand| subcommand.mut_args(with_negative))
 }
 

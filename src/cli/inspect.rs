@@ -134,9 +134,12 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
 
 impl Inspection {
     fn text(&self) -> Vec<String> {
-        let line = |(name, value): &(&str, String)| match is_stdout_terminal() {
-            true => wrapped(&format!("{name:<25}"), value),
-            false => vec![format!("{name:<25}{value}")],
+        let line = |(name, value): &(&str, String)| {
+            if is_stdout_terminal() {
+                wrapped(&format!("{name:<25}"), value)
+            } else {
+                vec![format!("{name:<25}{value}")]
+            }
         };
         self.rows().iter().flat_map(line).collect()
     }

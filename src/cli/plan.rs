@@ -224,9 +224,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if !arguments.dry_run {
         write(arguments, &project, &plan, &files, &progress)?;
     }
-    let page = match arguments.report {
-        true => Some(page(&project, &mut plan, &files, &progress)?),
-        false => None,
+    let page = if arguments.report {
+        Some(page(&project, &mut plan, &files, &progress)?)
+    } else {
+        None
     };
     progress.finish();
     report(arguments, &project, &plan, &files)?;
@@ -379,12 +380,11 @@ const FAR_OFF: f64 = 20.0;
 pub fn elsewhere(error: OutputError, is_named: bool, command: &str, project: &str) -> Failure {
     let is_denied = matches!(&error, OutputError::Denied { .. })
         || matches!(&error, OutputError::Io { source, .. } if source.kind() == ErrorKind::ReadOnlyFilesystem);
-    match is_denied && !is_named {
-        true => {
-            let hint = format!("write elsewhere: viewrank {command} {project} --out DIR");
-            Failure::new(Exit::Failed, error.to_string(), hint)
-        }
-        false => error.into(),
+    if is_denied && !is_named {
+        let hint = format!("write elsewhere: viewrank {command} {project} --out DIR");
+        Failure::new(Exit::Failed, error.to_string(), hint)
+    } else {
+        error.into()
     }
 }
 
@@ -466,9 +466,10 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
         .find(|model| Some(&model.path) == planned.as_ref());
     let Some(other) = other else { return Ok(()) };
     let manifest = project.output_folder().join("manifest.json");
-    let own = match project.model.path.is_dir() {
-        true => format!("viewrank plan {}", command_path(&project.model.path)),
-        false => "put the model into a folder of its own".into(),
+    let own = if project.model.path.is_dir() {
+        format!("viewrank plan {}", command_path(&project.model.path))
+    } else {
+        "put the model into a folder of its own".into()
     };
     Err(Failure::new(
         Exit::Failed,

@@ -640,29 +640,24 @@ impl<'a> Work<'a> {
     }
 
     fn describe(&self, result: &RunSummary) -> Vec<String> {
-        let verdict = match result.target_reached {
-            true => "the target is reached".to_owned(),
-            false if result.stopped => "stopped".to_owned(),
-            false if result.failed > 0 => {
-                let again = self.arguments.again(self.arguments.target.as_deref());
-                format!("{} failed; to try again: {again}", result.failed)
-            }
-            false if result.tasks == self.plan.clusters.len() => ALL_DONE.to_owned(),
-            false if self.arguments.budget.is_some() || self.target().is_none() => {
-                "the budget is spent; raise --budget for more".to_owned()
-            }
-            false => match self
-                .target()
-                .and_then(|target| higher(target, result.share))
-            {
-                Some(higher) => {
-                    format!(
-                        "the list is done below the target; for more: {}",
-                        self.arguments.again(Some(&higher))
-                    )
-                }
-                None => ALL_DONE.to_owned(),
-            },
+        let target = self.target();
+        let higher = target.and_then(|target| higher(target, result.share));
+        let verdict = if result.target_reached {
+            "the target is reached".to_owned()
+        } else if result.stopped {
+            "stopped".to_owned()
+        } else if result.failed > 0 {
+            let again = self.arguments.again(self.arguments.target.as_deref());
+            format!("{} failed; to try again: {again}", result.failed)
+        } else if result.tasks == self.plan.clusters.len() {
+            ALL_DONE.to_owned()
+        } else if self.arguments.budget.is_some() || target.is_none() {
+            "the budget is spent; raise --budget for more".to_owned()
+        } else if let Some(higher) = higher {
+            let again = self.arguments.again(Some(&higher));
+            format!("the list is done below the target; for more: {again}")
+        } else {
+            ALL_DONE.to_owned()
         };
         let result_line = format!("{}; {verdict}.", result.in_words());
         let mut lines = vec![String::new()];

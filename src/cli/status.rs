@@ -162,9 +162,10 @@ fn as_json(root: &Path, line: &Line) -> serde_json::Value {
 
 fn as_text(root: &Path, line: &Line) -> Vec<String> {
     let status = &line.status;
-    let daemon = match line.running {
-        true => format!("watched by process {} on {}", status.pid, status.host),
-        false => "no daemon is running; this is how things stood when it ended".into(),
+    let daemon = if line.running {
+        format!("watched by process {} on {}", status.pid, status.host)
+    } else {
+        "no daemon is running; this is how things stood when it ended".into()
     };
     let mut lines = vec![format!("{}: {daemon}", root.display())];
     lines.extend(

@@ -124,9 +124,10 @@ impl<'a> Summary<'a> {
             timings: &plan.timings,
             memory: plan.stages.memory,
             tiles: plan.stages.surface_stats.tiles,
-            chosen_for: match plan.stages.settings.backends.is_empty() {
-                true => format!(" ({})", backends::by_default(project).1.describe()),
-                false => String::new(),
+            chosen_for: if plan.stages.settings.backends.is_empty() {
+                format!(" ({})", backends::by_default(project).1.describe())
+            } else {
+                String::new()
             },
             manifest,
             weight: plan.stages.settings.ranking.weight,
@@ -175,9 +176,10 @@ impl<'a> Summary<'a> {
     }
 
     fn advice(&self, is_verbose: bool) -> Vec<String> {
-        let band = match self.is_finished() {
-            true => String::new(),
-            false => format!(" (likely {})", self.cut.share_band),
+        let band = if self.is_finished() {
+            String::new()
+        } else {
+            format!(" (likely {})", self.cut.share_band)
         };
         let share = whole_percent(self.cut.share);
         if self.use_of_views.is_some() {
@@ -337,12 +339,13 @@ impl<'a> Summary<'a> {
     fn done(&self) -> Option<String> {
         let last = self.finished.checked_sub(1)?;
         let reached = self.manifest.clusters[last].share * 100.0;
-        let which = match self.is_finished() {
-            true => "Measured, they".into(),
-            false => format!(
+        let which = if self.is_finished() {
+            "Measured, they".into()
+        } else {
+            format!(
                 "{} of them are finished, the first of the list: they",
                 grouped(self.finished)
-            ),
+            )
         };
         Some(format!("{which} give about {reached:.0} % of that cloud."))
     }
@@ -454,16 +457,17 @@ impl<'a> Summary<'a> {
 
     fn where_to_look(&self) -> Vec<String> {
         let folder = Path::new(&self.project).join("viewrank");
-        match self.written {
-            true => vec![
+        if self.written {
+            vec![
                 format!(
                     "Look at {} and surface.ply.",
                     shown_path(&folder.join("curve.svg"))
                 ),
                 format!("On one page: {}", self.look),
                 format!("Next: {}", self.next),
-            ],
-            false => vec![
+            ]
+        } else {
+            vec![
                 format!(
                     "Nothing was written (--dry-run). Would be written: {} files{} into {}.",
                     self.files.len(),
@@ -475,7 +479,7 @@ impl<'a> Summary<'a> {
                     shown_path(&folder)
                 ),
                 format!("Next: {}", self.next),
-            ],
+            ]
         }
     }
 }

@@ -102,9 +102,10 @@ pub fn note(fact: &str) {
 
 /// Prints a heading and words: wrapped on a terminal, else on a single line.
 fn advise(heading: &'static str, style: Style, words: &str) {
-    let lines = match is_stderr_terminal() {
-        true => wrapped(&format!("{heading} "), words),
-        false => vec![format!("{heading} {words}")],
+    let lines = if is_stderr_terminal() {
+        wrapped(&format!("{heading} "), words)
+    } else {
+        vec![format!("{heading} {words}")]
     };
     for line in lines {
         match line.strip_prefix(heading) {
@@ -177,9 +178,10 @@ pub fn toml_escaped(text: &str) -> String {
 fn escaped(text: &str, escape: impl Fn(char) -> String) -> String {
     text.chars()
         .fold(String::with_capacity(text.len()), |mut shown, c| {
-            match is_printable(c) {
-                true => shown.push(c),
-                false => shown += &escape(c),
+            if is_printable(c) {
+                shown.push(c)
+            } else {
+                shown += &escape(c)
             }
             shown
         })

@@ -65,14 +65,13 @@ impl EmptyPlan {
 
 /// Returns a remedy for missing, unreadable or rejected images.
 fn no_images(plan: &Plan) -> Advice {
-    match plan.stages.agreement.rejected.is_empty() {
-        true => Advice::text("copy these images again (")
+    if plan.stages.agreement.rejected.is_empty() {
+        Advice::text("copy these images again (")
             .run("doctor")
-            .and(")"),
-        false => {
-            Advice::text("replace the images that the warnings name, or plan without pictures: ")
-                .set_to("confidence.source", "geometric")
-        }
+            .and(")")
+    } else {
+        Advice::text("replace the images that the warnings name, or plan without pictures: ")
+            .set_to("confidence.source", "geometric")
     }
 }
 

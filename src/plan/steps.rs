@@ -339,9 +339,10 @@ impl Step for ClustersStep<'_> {
             rule,
             ..
         } = &self.model;
-        let compared = match agreement.is_empty() {
-            true => Some(""),
-            false => self.agreement_file.and_then(|file| file.file.inputs()),
+        let compared = if agreement.is_empty() {
+            Some("")
+        } else {
+            self.agreement_file.and_then(|file| file.file.inputs())
         };
         let (settings, from) = (&self.inputs.settings, self.from.map(|file| &file.file));
         let fingerprints = &self.inputs.fingerprints;

@@ -153,9 +153,10 @@ pub fn examine(
         .first()
         .copied()
         .unwrap_or_else(|| backends::by_default(project).0);
-    let (mut findings, partners_judged) = match scene.views.is_empty() {
-        true => (vec![no_views()], false),
-        false => scene_findings(&Inputs {
+    let (mut findings, partners_judged) = if scene.views.is_empty() {
+        (vec![no_views()], false)
+    } else {
+        scene_findings(&Inputs {
             project,
             scene,
             points: &scene.view_points(),
@@ -163,7 +164,7 @@ pub fn examine(
             backend,
             backends,
             images: &project.image_faults(scene),
-        }),
+        })
     };
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     Diagnosis {

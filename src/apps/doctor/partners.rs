@@ -136,16 +136,17 @@ impl PartnerCount {
             .iter()
             .map(|(reason, count)| format!("{count} {}", reason.describe()))
             .collect();
-        match refused.is_empty() {
-            true => format!(
+        if refused.is_empty() {
+            format!(
                 "{}, no other view shares points with it",
                 counted(self.partners, "partner")
-            ),
-            false => format!(
+            )
+        } else {
+            format!(
                 "{}; refused: {}",
                 counted(self.partners, "partner"),
                 refused.join(", ")
-            ),
+            )
         }
     }
 }
@@ -168,15 +169,14 @@ fn too_few(inputs: &Inputs, counts: &[&PartnerCount]) -> Option<Finding> {
     } else {
         Severity::Note
     };
-    let loss = match lost > 0.0 {
-        true => {
-            format!(
-                "{:.1} % of the sparse points are seen by no other {}",
-                100.0 * lost,
-                noun(inputs, counts, 1)
-            )
-        }
-        false => "other views see all their points".into(),
+    let loss = if lost > 0.0 {
+        format!(
+            "{:.1} % of the sparse points are seen by no other {}",
+            100.0 * lost,
+            noun(inputs, counts, 1)
+        )
+    } else {
+        "other views see all their points".into()
     };
     let cure = match severity {
         Severity::Note => "no action needed; other views cover for them",

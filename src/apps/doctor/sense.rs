@@ -227,15 +227,16 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
     let wrong = |view: &ViewIndex| medians[view.index()].is_some_and(|error| error > ERROR_PX);
     let views: Vec<ViewIndex> = scene.view_indices().filter(wrong).collect();
     let known = medians.iter().flatten().count();
-    let (severity, cure) = match 2 * views.len() > known {
-        true => (
+    let (severity, cure) = if 2 * views.len() > known {
+        (
             Severity::Error,
             "run bundle adjustment again (colmap bundle_adjuster); check that the intrinsics are for images of this size",
-        ),
-        false => (
+        )
+    } else {
+        (
             Severity::Warning,
             "run bundle adjustment again (colmap bundle_adjuster), or remove these views (colmap image_deleter)",
-        ),
+        )
     };
     (!views.is_empty()).then(|| {
         let what = format!(

@@ -263,9 +263,10 @@ impl Evaluation {
                 .map(|&v| model.scene.name(v).to_string())
                 .collect()
         };
-        let orders = match baselines {
-            true => baselines::compare(run, model, objective, watcher)?,
-            false => Vec::new(),
+        let orders = if baselines {
+            baselines::compare(run, model, objective, watcher)?
+        } else {
+            Vec::new()
         };
         Ok(Self {
             version: 1,

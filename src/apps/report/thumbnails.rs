@@ -32,9 +32,10 @@ pub fn thumbnails(
     watcher: &dyn Watcher,
 ) -> Result<BTreeMap<u32, String>, Cancelled> {
     let in_order = plan.ranked().map(|cluster| cluster.key);
-    let views: Vec<ViewIndex> = match plan.stages.scene.views.len() <= MOST {
-        true => plan.stages.scene.view_indices().collect(),
-        false => in_order.take(MOST).collect(),
+    let views: Vec<ViewIndex> = if plan.stages.scene.views.len() <= MOST {
+        plan.stages.scene.view_indices().collect()
+    } else {
+        in_order.take(MOST).collect()
     };
     let of_view = |&view: &ViewIndex| {
         watcher.check()?;

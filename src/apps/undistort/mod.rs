@@ -304,16 +304,17 @@ impl<'a> Undistortion<'a> {
             watcher.check()?;
             let name = self.scene.name(view);
             let path = self.images.file(name);
-            let contents = match self.stays(view) {
-                true => self.images.link(name),
-                false => picture::undistort(
+            let contents = if self.stays(view) {
+                self.images.link(name)
+            } else {
+                picture::undistort(
                     &self.read(view)?,
                     name,
                     self.source(view),
                     self.target(view),
                 )
                 .map(Contents::Bytes)
-                .map_err(|source| UndistortError::Image { path, source })?,
+                .map_err(|source| UndistortError::Image { path, source })?
             };
             Ok((format!("images/{name}"), contents))
         };

@@ -242,9 +242,10 @@ impl Passes {
 
     fn describe(&self, selection: &Selection, record: &mut ExportRecord) {
         let last: HashSet<&str> = self.last.iter().map(|p| p.reference.as_str()).collect();
-        let maps = match self.geometric {
-            true => self.batches().iter().map(|(first, _)| first.len()).sum(),
-            false => self.last.len(),
+        let maps = if self.geometric {
+            self.batches().iter().map(|(first, _)| first.len()).sum()
+        } else {
+            self.last.len()
         };
         record.runner = Some("stereo/viewrank/run.sh".into());
         record.made_for = "COLMAP 3.8 to 4.2 (models and fusion run with 3.8 and 4.2.1)".into();

@@ -88,17 +88,18 @@ impl Dialect {
     fn view_names(&self, selection: &Selection, lists: &Lists) -> String {
         let scene = selection.scene;
         let line = |number: u32, view| format!("{number}\t{}\n", scene.name(view));
-        match self.all_are_problems {
-            true => lists
+        if self.all_are_problems {
+            lists
                 .numbers
                 .iter()
                 .zip(lists.views)
                 .map(|(&number, &view)| line(number, view))
-                .collect(),
-            false => scene
+                .collect()
+        } else {
+            scene
                 .view_indices()
                 .map(|view| line(scene.view(view).image_id, view))
-                .collect(),
+                .collect()
         }
     }
 

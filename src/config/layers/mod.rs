@@ -169,12 +169,11 @@ impl Configuration {
         entries.extend(typed.0);
         let is_measured = |entry: &Entry| is_length(entry) && entry.value.is_str();
         let has_units = entries.iter().any(|entry| entry.key == "units");
-        let of_model = match entries.iter().any(is_measured) && !has_units {
-            true => {
-                let others = entries.iter().filter(|entry| !is_measured(entry)).cloned();
-                metres(&Self::over_defaults(others.collect(), backend)?.settings)
-            }
-            false => None,
+        let of_model = if entries.iter().any(is_measured) && !has_units {
+            let others = entries.iter().filter(|entry| !is_measured(entry)).cloned();
+            metres(&Self::over_defaults(others.collect(), backend)?.settings)
+        } else {
+            None
         };
         convert_lengths(&mut entries, of_model)?;
         Self::over_defaults(entries, backend)
@@ -470,15 +469,16 @@ fn check(entry: &Entry, backend: BackendLookup) -> Result<(), ConfigError> {
         why,
     };
     let Some(key) = keys().iter().find(|key| key.name == entry.key) else {
-        return Err(match is_section(&entry.key) {
-            true => refuse(format!(
+        return Err(if is_section(&entry.key) {
+            refuse(format!(
                 "is a section: write [{}] and its settings below",
                 entry.key
-            )),
-            false => ConfigError::UnknownKey {
+            ))
+        } else {
+            ConfigError::UnknownKey {
                 place: entry.place.clone(),
                 key: entry.key.clone(),
-            },
+            }
         });
     };
     let numbers = match &entry.value {
@@ -573,9 +573,10 @@ pub enum ConfigError {
 
 /// Who types an option need not know the setting's key.
 fn wrong_value(from: &Source, key: &str, value: &str, why: &str) -> String {
-    match from.is_option() {
-        true => format!("{from} {value}: {why}"),
-        false => format!("{from}: {key} = {value}: {why}"),
+    if from.is_option() {
+        format!("{from} {value}: {why}")
+    } else {
+        format!("{from}: {key} = {value}: {why}")
     }
 }
 
@@ -656,9 +657,10 @@ fn nearest(key: &str) -> Option<String> {
     let likeness = |known: &str| {
         let (of_known, last_of_known) = parts(known);
         // A section says little of a setting, so that it only counts by its letters.
-        let whole = match section.is_empty() {
-            true => strsim::jaro_winkler(known, key),
-            false => strsim::normalized_damerau_levenshtein(known, key),
+        let whole = if section.is_empty() {
+            strsim::jaro_winkler(known, key)
+        } else {
+            strsim::normalized_damerau_levenshtein(known, key)
         };
         let other = if section.is_empty() || !is_section || of_known == section {
             0.99

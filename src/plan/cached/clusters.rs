@@ -108,9 +108,10 @@ pub fn unpack(bytes: &[u8], visibility: &Visibility, has_half: bool) -> Option<C
         rest = others;
     }
     let fulfilment = unpack_table(&mut lists, &clusters, visibility)?;
-    let half = match has_half {
-        true => Some(unpack_table(&mut lists, &clusters, visibility)?),
-        false => None,
+    let half = if has_half {
+        Some(unpack_table(&mut lists, &clusters, visibility)?)
+    } else {
+        None
     };
     (rest.is_empty() && lists.is_at_end()).then_some(CachedClusters {
         clusters,

@@ -242,9 +242,10 @@ impl RecordedPlan {
         }
         let recorded = Self::read(&any_model)?;
         let planned = &recorded.input.model;
-        let project = match any_model.model_path() == *planned {
-            true => any_model,
-            false => Project::open_or_planned(root, Some(planned))?,
+        let project = if any_model.model_path() == *planned {
+            any_model
+        } else {
+            Project::open_or_planned(root, Some(planned))?
         };
         let project = project.with_images(recorded.settings.images.as_deref());
         Ok((project, recorded))

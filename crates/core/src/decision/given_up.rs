@@ -38,12 +38,13 @@ impl GivenUp {
             .clone()
             .map(|t| (reached.agreed(t), reached.best(t)))
             .collect();
-        match maps.has_half() {
-            true => reached = Reached::by_all(&maps, objective),
-            false => ranking
+        if maps.has_half() {
+            reached = Reached::by_all(&maps, objective)
+        } else {
+            ranking
                 .maps()
                 .skip(clusters)
-                .for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale))),
+                .for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)))
         }
         maps.release();
         let mut given_up = Self::default();

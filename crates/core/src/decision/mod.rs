@@ -163,10 +163,11 @@ pub fn decide(
             )
         },
     );
-    let share_band = match options.makes_maps {
-        true => Band::of_share(tables, cut.share, cut.reachable, &reachable_band),
+    let share_band = if options.makes_maps {
+        Band::of_share(tables, cut.share, cut.reachable, &reachable_band)
+    } else {
         // Nothing of it depends on matching.
-        false => Band::exactly(cut.share),
+        Band::exactly(cut.share)
     };
     let cut = Cut {
         fulfilment_bound,

@@ -29,16 +29,17 @@ pub fn files(
         .iter()
         .map(|w| Described::new(w, missing, frame, place, metres.unwrap_or(1.0)))
         .collect();
-    match is_local {
-        true => vec![
+    if is_local {
+        vec![
             ("flight/waypoints_local.json", geojson(&all, true)),
             ("flight/waypoints.ply", ply(flight)),
-        ],
-        false => vec![
+        ]
+    } else {
+        vec![
             ("flight/waypoints.geojson", geojson(&all, false)),
             ("flight/waypoints.kml", kml(&all)),
             ("flight/waypoints.csv", csv(&all)),
-        ],
+        ]
     }
 }
 

@@ -29,9 +29,10 @@ pub fn missed(
         })
     };
     let features: Vec<Value> = [0, 1].into_iter().filter_map(feature).collect();
-    let name = match is_local {
-        true => "flight/missed_local.json",
-        false => "flight/missed.geojson",
+    let name = if is_local {
+        "flight/missed_local.json"
+    } else {
+        "flight/missed.geojson"
     };
     (!features.is_empty()).then(|| (name, collection(features, is_local)))
 }

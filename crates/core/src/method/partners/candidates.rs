@@ -208,9 +208,10 @@ fn select(
     let refuses = (limits.refusals_of)(key);
     for (partner, shared) in neighbours.pairs() {
         let pair = PairGeometry::new(scene, key, partner, shared);
-        let refusal = match pair.has_no_baseline() {
-            true => Some(Reason::RotationOnly),
-            false => limits.gate.refusal(&pair),
+        let refusal = if pair.has_no_baseline() {
+            Some(Reason::RotationOnly)
+        } else {
+            limits.gate.refusal(&pair)
         };
         match refusal {
             Some(reason) => {

@@ -200,9 +200,10 @@ fn winner(sums: &[u16]) -> Option<f64> {
         [plane.checked_sub(1)?, plane, plane + 1].map(|plane| sums.get(plane).copied());
     let [before, at, after] = [before?, at?, after?].map(f64::from);
     let curvature = before - 2.0 * at + after;
-    let offset = match curvature > 0.0 {
-        true => (0.5 * (before - after) / curvature).clamp(-0.5, 0.5),
-        false => 0.0,
+    let offset = if curvature > 0.0 {
+        (0.5 * (before - after) / curvature).clamp(-0.5, 0.5)
+    } else {
+        0.0
     };
     Some(plane as f64 + offset)
 }

@@ -59,11 +59,12 @@ fn most_at_prices<const N: usize>(
         .collect();
     let goal = reached.fulfilment();
     // All clusters at full size are an upper bound, too.
-    let mut bound = match maps.has_half() {
-        true => Reached::by_all(maps, objective).fulfilment(),
+    let mut bound = if maps.has_half() {
+        Reached::by_all(maps, objective).fulfilment()
+    } else {
         // The ranking has taken all of them, in whole numbers, so that no other order gives another
         // sum.
-        false => ranking.fulfilment.last().copied().unwrap_or(0.0),
+        ranking.fulfilment.last().copied().unwrap_or(0.0)
     };
     drop(reached);
     let limit = if length > order.len() {

@@ -92,12 +92,13 @@ impl Projection {
                 let axes = axes.map(Vector3::from);
                 // Comparisons with NaN are false.
                 let are_units = axes.iter().all(|axis| (axis.norm() - 1.0).abs() < UNIT);
-                match are_units {
-                    true => Ok(Self::Axes {
+                if are_units {
+                    Ok(Self::Axes {
                         axes,
                         origin: frame.origin,
-                    }),
-                    false => Err(ShapeError::Axes),
+                    })
+                } else {
+                    Err(ShapeError::Axes)
                 }
             }
             (Coordinates::Model { axes: None }, _) | (Coordinates::Unsaid, Georeference::Local) => {

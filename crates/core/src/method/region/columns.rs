@@ -113,13 +113,12 @@ impl Columns {
     pub fn cell(&self, point: [f64; 2]) -> &[u32] {
         let inside = (0..2)
             .all(|axis| self.all.low[axis] <= point[axis] && point[axis] <= self.all.high[axis]);
-        match inside {
-            true => {
-                &self.entries[self
-                    .offsets
-                    .row(self.place(point[1], 1) * self.side + self.place(point[0], 0))]
-            }
-            false => &[],
+        if inside {
+            &self.entries[self
+                .offsets
+                .row(self.place(point[1], 1) * self.side + self.place(point[0], 0))]
+        } else {
+            &[]
         }
     }
 }
