@@ -113,7 +113,7 @@ function cutFor(share) {
 
 function statusOf(view, cut) {
   if (views.rank[view] && views.rank[view] <= cut) return 'key';
-  return partnerFrom[view] <= cut ? 'partner' : 'unused';
+  return data.makes_maps && partnerFrom[view] <= cut ? 'partner' : 'unused';
 }
 
 // State of the page; listeners redraw what depends on the changed keys.
@@ -172,6 +172,7 @@ function rounded(number) {
 
 // A program that uses the images themselves makes no depth maps (method 5.10).
 const products = data.makes_maps ? 'depth maps' : 'images';
+const statusWords = data.makes_maps ? { key: 'key view', partner: 'partner', unused: 'unused' } : { key: 'taken', unused: 'left out' };
 const allGive = data.makes_maps ? 'all depth maps give' : 'all images draw';
 
 // Follows "what all depth maps give".

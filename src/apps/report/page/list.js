@@ -40,7 +40,7 @@ function listRow(place) {
     'aria-posinset': place + 1, 'aria-setsize': listed.length },
     make('span', { class: 'rank' }, rank ? String(rank) : '–'), picture,
     make('span', {}, make('div', { class: 'name', title: names[view] }, make('bdi', {}, names[view])),
-      make('div', { class: 'because' }, make('span', { class: `tag ${status}` }, status === 'key' ? `key view${isHalf(rank) ? ', half size' : ''}` : status), ` ${becauseShort(view)}`)),
+      make('div', { class: 'because' }, make('span', { class: `tag ${status}` }, `${statusWords[status]}${status === 'key' && isHalf(rank) ? ', half size' : ''}`), ` ${becauseShort(view)}`)),
     make('span', { class: 'gain', title: `Share of what ${allGive} that it adds at its rank` }, rank ? gainText(rank) : '0'));
   row.style.top = `${place * ROW}px`;
   if (view === state.selected) row.classList.add('on');
@@ -85,9 +85,10 @@ const PRINTED = 18;
 function fillPrintList() {
   const shown = Math.min(state.cut, PRINTED), partners = rank => Array.from(partnersOf(rank), p => names[p]);
   const some = list => list.length > 5 ? `${list.slice(0, 5).join(', ')} and ${list.length - 5} more` : list.join(', ');
-  const head = make('tr', {}, ...['rank', 'adds', 'reached', 'key view', 'partners'].map(text => make('th', { scope: 'col' }, text)));
+  const columns = ['rank', 'adds', 'reached', ...(data.makes_maps ? ['key view', 'partners'] : ['image'])];
+  const head = make('tr', {}, ...columns.map(text => make('th', { scope: 'col' }, text)));
   const rows = Array.from(ranking.keys.subarray(0, shown), (view, i) => make('tr', {},
-    ...[i + 1, gainText(i + 1), percent(shareAt(i + 1)), `${names[view]}${isHalf(i + 1) ? ' (half size)' : ''}`, some(partners(i + 1))].map(text => make('td', {}, String(text)))));
+    ...[i + 1, gainText(i + 1), percent(shareAt(i + 1)), `${names[view]}${isHalf(i + 1) ? ' (half size)' : ''}`, ...(data.makes_maps ? [some(partners(i + 1))] : [])].map(text => make('td', {}, String(text)))));
   if (shown < state.cut) rows.push(make('tr', {}, make('td', { colspan: 5 }, `and ${grouped.format(state.cut - shown)} more in viewrank/manifest.csv`)));
   byId('print-list').replaceChildren(head, ...rows);
 }

@@ -17,8 +17,19 @@ function drawCut() {
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
 
+// In place of the page's words for programs that make depth maps.
+function speakOfImages() {
+  byId('slider').labels[0].textContent = 'Images to take';
+  byId('curve-title').textContent = 'What each further image adds';
+  byId('curve').setAttribute('aria-label', `Share of what ${allGive}, along the ranking`);
+  for (const option of [...byId('which').options]) {
+    if (option.value === 'partner') option.remove();
+    else if (option.value !== 'all') option.textContent = statusWords[option.value];
+  }
+}
+
 function setUpCut() {
-  if (!data.makes_maps) byId('slider').labels[0].textContent = 'Images to take';
+  if (!data.makes_maps) speakOfImages();
   for (const input of [byId('slider'), byId('number')]) {
     input.max = clusters;
     input.addEventListener('input', () => change({ cut: Math.round(Math.min(clusters, Math.max(0, Number(input.value) || 0))) }));
@@ -106,7 +117,7 @@ function drawLegends() {
       return [swatch(REASON_COLOURS[0], 'some cluster fulfils it'), ...data.reasons.flatMap((text, i) => used.has(i + 1) ? [swatch(REASON_COLOURS[i + 1], text)] : [])];
     },
   };
-  const cameras = [['key', 'key view'], ['partner', 'partner'], ['unused', 'unused']].map(([status, text]) =>
+  const cameras = Object.entries(statusWords).map(([status, text]) =>
     make('span', {}, make('i', { class: status === 'unused' ? 'ring' : '', style: `background: var(--${status}); color: var(--${status}); border-radius: 50%` }), text));
   if (ranking.ofFull) cameras.splice(1, 0, make('span', {}, make('i', { class: 'diamond', style: 'background: var(--key)' }), 'key view at half size'));
   if (flight.count) cameras.push(make('span', {}, make('i', { class: 'ring', style: `color: ${FLIGHT}` }), 'image to take'));

@@ -32,14 +32,14 @@ function drawWhy() {
   }
   const parts = [];
   if (data.thumbnails[view]) parts.push(make('img', { src: `data:image/jpeg;base64,${data.thumbnails[view]}`, alt: `Thumbnail of ${names[view]}` }));
-  if (data.expected[view]) {
+  if (data.makes_maps && data.expected[view]) {
     parts.push(make('img', { src: `data:image/jpeg;base64,${data.expected[view]}`, alt: `Where the depth map of ${names[view]} is expected to succeed` }));
     parts.push(make('p', { class: 'note' }, 'Second picture: where its depth map is expected to succeed, from dark (fails) to yellow (succeeds); grey: no surface that it sees.'));
   }
   const status = statusOf(view, state.cut);
-  parts.push(make('p', {}, make('span', { class: `tag ${status}` }, { key: isHalf(views.rank[view]) ? 'key view, half size' : 'key view', partner: 'partner only', unused: 'unused' }[status])));
+  parts.push(make('p', {}, make('span', { class: `tag ${status}` }, `${statusWords[status]}${isHalf(views.rank[view]) && status === 'key' ? ', half size' : status === 'partner' ? ' only' : ''}`)));
   parts.push(...(status === 'key' ? whyIn(view) : whyNot(view)));
-  const keys = keysWith(view, state.cut);
+  const keys = data.makes_maps ? keysWith(view, state.cut) : [];
   if (keys.length) parts.push(make('p', {}, `${keys.length} chosen key view${keys.length > 1 ? 's are' : ' is'} matched against it:`), viewList(keys));
   parts.push(make('p', { class: 'note' }, `It sees ${grouped.format(views.seen[view])} of the ${grouped.format(data.triangles)} triangles; the dashed line on the map outlines them.`));
   byId('why').replaceChildren(...parts);
@@ -51,8 +51,9 @@ function whyIn(view) {
     : `Chosen: rank ${rank} of ${state.cut}, because no other view adds more at that rank. It adds`;
   const parts = [
     make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what ${allGive}, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
-      + ' Triangles that it improves are purple on the map.'),
-    make('p', {}, data.makes_maps ? `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:` : 'Most like it are:'), viewList(partners)];
+      + ' Triangles that it improves are purple on the map.')];
+  if (!data.makes_maps) return parts;
+  parts.push(make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners));
   if (isHalf(rank)) parts.push(make('p', {}, 'It is matched at half the size, which gives most for the work of the plan.'));
   if (partners.length < data.wanted_partners) {
     parts.push(make('p', {}, `Fewer than the ${data.wanted_partners} wanted, because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
@@ -89,7 +90,8 @@ function summary() {
     counts[status]++;
     if (status !== 'key' && reasonOf(view)) reasons.set(reasonOf(view), (reasons.get(reasonOf(view)) || 0) + 1);
   }
-  const rows = [['key views', counts.key], ['partners only', counts.partner], ['unused', counts.unused]];
+  const rows = data.makes_maps ? [['key views', counts.key], ['partners only', counts.partner], ['unused', counts.unused]]
+    : [['taken', counts.key], ['left out', counts.unused]];
   if (data.unregistered.length) rows.push(['without a pose in the sparse model', data.unregistered.length]);
   const table = make('table', {}, ...rows.map(([what, n]) => make('tr', {}, make('td', {}, what), make('td', {}, grouped.format(n)))));
   if (state.cut !== data.cut || !reasons.size) return table;
