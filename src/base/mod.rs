@@ -2,8 +2,7 @@
 //! command line says advice.
 
 pub mod advice;
-pub mod bounded;
 pub mod platform;
 
 pub use viewrank_core::base::*;
-pub use viewrank_io::{input, packed, paths, shell};
+pub use viewrank_io::{bounded, input, packed, paths, shell};

@@ -32,7 +32,7 @@ mod watch;
 use std::{ffi::OsString, process::ExitCode};
 
 use crate::base::advice::on_command_line;
-use crate::base::error::Hint;
+use crate::base::error::{Hint, shortened};
 use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
 use terminal::{COLUMNS, note, print, print_json, warn, wrapped};
@@ -73,12 +73,12 @@ pub struct Failure {
 
 impl Failure {
     fn new(exit: Exit, message: impl Into<String>, hint: impl Into<Option<String>>) -> Self {
-        let (message, hint) = (message.into(), hint.into());
+        let hint: Option<String> = hint.into();
         Self {
             exit,
-            message,
+            message: shortened(&message.into()).into_owned(),
             output: Vec::new(),
-            hint,
+            hint: hint.map(|hint| shortened(&hint).into_owned()),
             is_printed: false,
             has_result: false,
         }

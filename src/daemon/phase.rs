@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::base::bounded;
+use crate::base::{bounded, error::shortened};
 
 /// State of a project as it is shown.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -78,6 +78,25 @@ pub enum Phase {
         /// Seconds from the failure to the next try.
         retry_after_s: u64,
     },
+}
+
+impl Phase {
+    /// The same phase without the middle of long texts: the status has those of all projects, and is
+    /// read up to a limit.
+    pub fn shortened(mut self) -> Self {
+        let texts: Vec<&mut String> = match &mut self {
+            Self::Waiting { reason } | Self::Queued { reason } => vec![reason],
+            Self::Planning { .. } => Vec::new(),
+            Self::Planned { note, .. }
+            | Self::Computing { note, .. }
+            | Self::Reached { note, .. } => note.iter_mut().collect(),
+            Self::Failed { reason, hint, .. } => [reason].into_iter().chain(hint).collect(),
+        };
+        for text in texts {
+            *text = shortened(text).into_owned();
+        }
+        self
+    }
 }
 
 fn is_false(flag: &bool) -> bool {

@@ -18,7 +18,7 @@ use super::{
     state::TrackedProject,
 };
 use crate::{
-    base::input::FileKind,
+    base::{error::shortened, input::FileKind},
     io::{
         output::{self, Disk},
         project::slashes,
@@ -183,6 +183,7 @@ impl StatusFiles {
 
     /// Adds a notice, and logs it if it is new since the last full scan.
     pub fn notice(&mut self, text: String) {
+        let text = shortened(&text).into_owned();
         if self.notices.contains(&text) {
             return;
         }

@@ -1,8 +1,11 @@
 //! Warnings that the user should read before relying on a plan.
 
+use std::borrow::Cow;
+
 use super::{Band, Cut, Decision, FinishedMaps, GroundSummary, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
+    base::error::shortened,
     config::{Settings, SurfaceChoice},
     method::{
         confidence::{Confidence, Sharpness},
@@ -50,7 +53,8 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(outdated(stages, finished));
     warnings.extend(finished.unreadable.iter().cloned());
     warnings.extend(tiled(stages));
-    warnings
+    let short = warnings.iter().map(|warning| shortened(warning));
+    short.map(Cow::into_owned).collect()
 }
 
 /// Warns of a region of which the photographs miss a part.

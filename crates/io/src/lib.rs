@@ -3,6 +3,7 @@
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+pub mod bounded;
 pub mod cache;
 pub mod depthmaps;
 pub mod formats;

@@ -319,7 +319,7 @@ impl TrackedProject {
     fn conclude(&mut self, work: Work, outcome: Outcome, now: Instant) {
         let failures = self.failures + 1;
         (self.failures, self.retry) = (0, None);
-        self.result = match outcome {
+        let result = match outcome {
             Outcome::Planned {
                 clusters,
                 share,
@@ -376,6 +376,7 @@ impl TrackedProject {
             }
             Outcome::Aside { reason, hint } => self.fail(reason, hint, LONGEST_RETRY, (now, work)),
         };
+        self.result = result.shortened();
     }
 
     /// Plans a retry after a pause.

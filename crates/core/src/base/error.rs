@@ -1,6 +1,7 @@
-//! The trait of all errors of this crate and those above it, and what their hints are made of.
+//! The trait of all errors of this crate and those above it, what their hints are made of, and how
+//! long their texts may be.
 
-use std::fmt;
+use std::{borrow::Cow, fmt};
 
 /// Errors are interface: `Display` says what went wrong and where (file with byte or line, view,
 /// setting), its cause included; `hint` says what to do about it. Only the program prints them, in
@@ -18,6 +19,23 @@ pub trait Hint: std::error::Error {
     fn is_usage(&self) -> bool {
         false
     }
+}
+
+/// Most characters of an error or a warning, which may quote a file: a single word of it may have
+/// as many megabytes.
+const MOST_CHARACTERS: usize = 1000;
+/// Those of them at the end, which says what is wrong with what is quoted.
+const AT_END: usize = 300;
+
+/// An error or a warning without its middle, if it is longer than anybody reads.
+pub fn shortened(text: &str) -> Cow<'_, str> {
+    if text.chars().nth(MOST_CHARACTERS).is_none() {
+        return text.into();
+    }
+    let start = text.char_indices().nth(MOST_CHARACTERS - AT_END - 5);
+    let end = text.char_indices().nth_back(AT_END - 1);
+    let [start, end] = [start, end].map(|found| found.map_or(0, |(at, _)| at));
+    format!("{} ... {}", &text[..start], &text[end..]).into()
 }
 
 /// What to do about an error. Settings and commands in it are values, not words: the command line
@@ -100,6 +118,16 @@ impl fmt::Display for Advice {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn of_a_long_text_the_middle_is_left_out() {
+        let long = format!("{} is no number", "\u{e9}".repeat(1 << 20));
+        let shown = shortened(&long);
+        assert_eq!(shown.chars().count(), MOST_CHARACTERS);
+        assert!(shown.starts_with('\u{e9}') && shown.ends_with(" is no number"));
+        let just_so = "\u{e9}".repeat(MOST_CHARACTERS);
+        assert_eq!(shortened(&just_so), just_so);
+    }
 
     #[test]
     fn each_audience_reads_settings_in_its_own_terms() {

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    base::rows::Offsets,
+    base::{error::shortened, rows::Offsets},
     model::{camera::Camera, georeference::Georeference},
 };
 
@@ -142,10 +142,10 @@ pub struct ModelWarning {
 }
 
 impl ModelWarning {
-    pub fn new(kind: WarningKind, text: impl Into<String>) -> Self {
+    pub fn new(kind: WarningKind, text: impl AsRef<str>) -> Self {
         Self {
             kind,
-            text: text.into(),
+            text: shortened(text.as_ref()).into_owned(),
             cure: None,
         }
     }

@@ -6,12 +6,17 @@
 //! sensor, since 1.2.1 principal points are relative to the image centre. Views of a rig have the
 //! rig's pose and a pose within the rig.
 
-use std::{collections::HashMap, fmt, marker::PhantomData, str::FromStr};
+use std::{
+    collections::{HashMap, HashSet},
+    fmt,
+    marker::PhantomData,
+    str::FromStr,
+};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{
     Deserialize, Deserializer,
-    de::{Error, SeqAccess, Visitor},
+    de::{Error, IntoDeserializer, SeqAccess, Visitor, value::SeqAccessDeserializer},
 };
 use viewrank_core::model::{
     camera::{Camera, CameraModel},
@@ -19,19 +24,20 @@ use viewrank_core::model::{
 };
 
 use super::{
-    Fault, Place, Problem,
+    Fault, MOST_IMAGES, Place, Problem,
     foreign::{ForeignModel, camera, json, pose_with_centre, shift},
 };
+use crate::bounded;
 
 #[derive(Deserialize)]
 struct SfmData {
     version: List<Number<u32>>,
-    views: List<View>,
-    intrinsics: List<Intrinsic>,
+    views: List<View, MOST_IMAGES>,
+    intrinsics: List<Intrinsic, MOST_IMAGES>,
     #[serde(default)]
-    poses: List<PoseEntry>,
+    poses: List<PoseEntry, MOST_IMAGES>,
     #[serde(default)]
-    rigs: List<Rig>,
+    rigs: List<Rig, MOST_IMAGES>,
     #[serde(default)]
     structure: List<Landmark>,
 }
@@ -166,21 +172,21 @@ impl<'de, T: FromStr> Deserialize<'de> for Number<T> {
     }
 }
 
-/// A list; an empty one is written as an empty string.
+/// A list of at most `MOST` elements; an empty one is written as an empty string.
 #[derive(Clone, Debug)]
-struct List<T>(Vec<T>);
+struct List<T, const MOST: usize = { usize::MAX }>(Vec<T>);
 
-impl<T> Default for List<T> {
+impl<T, const MOST: usize> Default for List<T, MOST> {
     fn default() -> Self {
         Self(Vec::new())
     }
 }
 
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for List<T> {
+impl<'de, T: Deserialize<'de>, const MOST: usize> Deserialize<'de> for List<T, MOST> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Elements<T>(PhantomData<T>);
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Elements<T> {
-            type Value = List<T>;
+        struct Elements<T, const MOST: usize>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>, const MOST: usize> Visitor<'de> for Elements<T, MOST> {
+            type Value = List<T, MOST>;
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
                 f.write_str("a list, or an empty string")
             }
@@ -191,15 +197,8 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for List<T> {
                     Err(E::custom("expected a list"))
                 }
             }
-            fn visit_seq<A: SeqAccess<'de>>(
-                self,
-                mut sequence: A,
-            ) -> Result<Self::Value, A::Error> {
-                let mut list = Vec::new();
-                while let Some(element) = sequence.next_element()? {
-                    list.push(element);
-                }
-                Ok(List(list))
+            fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Self::Value, A::Error> {
+                bounded::elements::<A, T, MOST>(list).map(List)
             }
         }
         deserializer.deserialize_any(Elements(PhantomData))
@@ -220,11 +219,38 @@ impl List<Number<f64>> {
 }
 
 /// Focal length: one number up to version 1.1, a list of two since.
-#[derive(Deserialize)]
-#[serde(untagged)]
 enum OneOrTwo {
     One(Number<f64>),
     Two(List<Number<f64>>),
+}
+
+impl<'de> Deserialize<'de> for OneOrTwo {
+    /// Not as an untagged enumeration, which keeps all of a list to try it twice.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Either;
+        impl<'de> Visitor<'de> for Either {
+            type Value = OneOrTwo;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("a number or a list of two")
+            }
+            fn visit_str<E: Error>(self, text: &str) -> Result<Self::Value, E> {
+                Number::deserialize(text.into_deserializer()).map(OneOrTwo::One)
+            }
+            fn visit_u64<E: Error>(self, value: u64) -> Result<Self::Value, E> {
+                self.visit_f64(value as f64)
+            }
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Self::Value, E> {
+                self.visit_f64(value as f64)
+            }
+            fn visit_f64<E: Error>(self, value: f64) -> Result<Self::Value, E> {
+                Ok(OneOrTwo::One(Number(value)))
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Self::Value, A::Error> {
+                List::deserialize(SeqAccessDeserializer::new(list)).map(OneOrTwo::Two)
+            }
+        }
+        deserializer.deserialize_any(Either)
+    }
 }
 
 /// World to camera.
@@ -256,7 +282,7 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
         .map(|p| (p.pose_id.0, &p.pose.transform))
         .collect();
     let rigs: HashMap<u32, &Rig> = data.rigs.0.iter().map(|rig| (rig.rig_id.0, rig)).collect();
-    let intrinsics: Vec<u32> = data.intrinsics.0.iter().map(|i| i.intrinsic_id.0).collect();
+    let intrinsics: HashSet<u32> = data.intrinsics.0.iter().map(|i| i.intrinsic_id.0).collect();
     let mut images = HashMap::new();
     let mut nameless = 0;
     for view in &data.views.0 {

@@ -31,18 +31,15 @@ use super::{
 /// Reads the block with most images, of that the component with most.
 pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     let mut xml = Xml::in_root(bytes, "BlocksExchange", "<BlocksExchange>")?;
-    let mut systems = HashMap::new();
+    let mut systems = Systems::new();
     let mut largest = Block::default();
     let mut others = Vec::new();
     while let Some(entered) = xml.enter()? {
         match &*entered.name {
             "SpatialReferenceSystems" => systems = read_systems(&mut xml)?,
             "Block" => {
-                let mut block = Block {
-                    systems: systems.clone(),
-                    ..Block::default()
-                };
-                block.read(&mut xml)?;
+                let mut block = Block::default();
+                block.read(&mut xml, &systems)?;
                 if block.images() > largest.images() {
                     std::mem::swap(&mut block, &mut largest);
                 }
@@ -58,21 +55,55 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     Ok(foreign)
 }
 
-/// Definitions of reference systems, by id.
-fn read_systems(xml: &mut Xml) -> Result<HashMap<String, String>, Fault> {
-    let mut systems = HashMap::new();
+/// A reference system.
+struct System {
+    /// Beginning of its definition, if coordinates are longitude and latitude.
+    geographic: Option<String>,
+    zone: Option<Zone>,
+}
+
+/// Reference systems by id.
+type Systems = HashMap<String, System>;
+
+impl System {
+    fn read(definition: &str) -> Self {
+        let plain = definition.trim().to_ascii_uppercase();
+        let code = plain
+            .strip_prefix("EPSG:")
+            .map(|code| code.split('+').next().unwrap_or_default());
+        let is_geographic = ["GEOGCS[", "GEOGCRS[", "GEODCRS["]
+            .iter()
+            .any(|head| plain.starts_with(head))
+            || matches!(code, Some("4326" | "4979" | "4258" | "4269" | "4937"))
+            || plain == "WGS84"
+            || plain.contains("+PROJ=LONGLAT");
+        Self {
+            geographic: is_geographic.then(|| definition.chars().take(40).collect()),
+            zone: Zone::of_reference_system(definition),
+        }
+    }
+
+    /// Fails for a geographic system that an element refers to: degrees are no lengths.
+    fn check(systems: &Systems, id: &Element) -> Result<(), Fault> {
+        let system = systems.get(id.text());
+        let Some(definition) = system.and_then(|system| system.geographic.as_ref()) else {
+            return Ok(());
+        };
+        let what = format!("coordinates are longitude and latitude ({definition})");
+        let hint = "export the block in a projected or local coordinate system";
+        Err(Fault::new("", id.at(), Problem::Unsupported { what, hint }))
+    }
+}
+
+fn read_systems(xml: &mut Xml) -> Result<Systems, Fault> {
+    let mut systems = Systems::new();
     let mut count = 0;
     while let Some(system) = xml.enter()? {
         count += 1;
         check_images(count)?;
         let system = xml.whole(system)?;
-        let text = |name| {
-            system
-                .child(name)
-                .map(|child| child.text().to_owned())
-                .unwrap_or_default()
-        };
-        systems.insert(text("Id"), text("Definition"));
+        let text = |name| system.child(name).map_or("", Element::text);
+        systems.insert(text("Id").to_owned(), System::read(text("Definition")));
     }
     Ok(systems)
 }
@@ -83,25 +114,20 @@ struct Block {
     foreign: ForeignModel,
     /// Component of each image, as in the file; empty where none is given.
     components: Vec<String>,
-    /// Definition of each reference system, by id.
-    systems: HashMap<String, String>,
     /// Position in the model of each photo, by id.
     photos: HashMap<String, usize>,
     groups: u32,
 }
 
 impl Block {
-    fn read(&mut self, xml: &mut Xml) -> Result<(), Fault> {
+    fn read(&mut self, xml: &mut Xml, systems: &Systems) -> Result<(), Fault> {
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
                 "Name" => self.name = xml.whole(entered)?.text().to_owned(),
                 "SRSId" => {
                     let id = xml.whole(entered)?;
-                    self.check_system(&id)?;
-                    let zone = self
-                        .systems
-                        .get(id.text())
-                        .and_then(|text| Zone::of_reference_system(text));
+                    System::check(systems, &id)?;
+                    let zone = systems.get(id.text()).and_then(|system| system.zone);
                     self.foreign.georeference = zone.map(|zone| Georeference::Utm {
                         zone,
                         offset: [0.0; 2],
@@ -110,7 +136,7 @@ impl Block {
                 "Photogroups" => {
                     while let Some(entered) = xml.enter()? {
                         if entered.name == "Photogroup" {
-                            self.read_group(xml, entered)?
+                            self.read_group(xml, entered, systems)?
                         } else {
                             xml.skip()?
                         }
@@ -121,7 +147,7 @@ impl Block {
                         let point = xml.whole(entered)?;
                         match &*point.name {
                             "TiePoint" => self.add_tie_point(&point)?,
-                            "SRSId" => self.check_system(&point)?,
+                            "SRSId" => System::check(systems, &point)?,
                             _ => {}
                         }
                     }
@@ -146,34 +172,13 @@ impl Block {
         foreign
     }
 
-    /// Fails for a geographic system: degrees are no lengths.
-    fn check_system(&self, id: &Element) -> Result<(), Fault> {
-        let Some(definition) = self.systems.get(id.text()) else {
-            return Ok(());
-        };
-        let plain = definition.trim().to_ascii_uppercase();
-        let code = plain
-            .strip_prefix("EPSG:")
-            .map(|code| code.split('+').next().unwrap_or_default());
-        let geographic = ["GEOGCS[", "GEOGCRS[", "GEODCRS["]
-            .iter()
-            .any(|head| plain.starts_with(head))
-            || matches!(code, Some("4326" | "4979" | "4258" | "4269" | "4937"))
-            || plain == "WGS84"
-            || plain.contains("+PROJ=LONGLAT");
-        if !geographic {
-            return Ok(());
-        }
-        let what = format!(
-            "coordinates are longitude and latitude ({})",
-            definition.chars().take(40).collect::<String>()
-        );
-        let hint = "export the block in a projected or local coordinate system";
-        Err(Fault::new("", id.at(), Problem::Unsupported { what, hint }))
-    }
-
     /// Reads a group: what its photos have in common stands before them.
-    fn read_group(&mut self, xml: &mut Xml, entered: Element) -> Result<(), Fault> {
+    fn read_group(
+        &mut self,
+        xml: &mut Xml,
+        entered: Element,
+        systems: &Systems,
+    ) -> Result<(), Fault> {
         let mut common = Group {
             at: entered.at(),
             parts: HashMap::new(),
@@ -189,7 +194,7 @@ impl Block {
                     check_images(count)?;
                     self.add_photo(&xml.whole(entered)?, &mut common, id)?;
                 }
-                "SRSId" => self.check_system(&xml.whole(entered)?)?,
+                "SRSId" => System::check(systems, &xml.whole(entered)?)?,
                 name if PARTS.contains(&name) && !common.parts.contains_key(name) => {
                     let part = xml.whole(entered)?;
                     common.parts.insert(part.name.clone(), part);

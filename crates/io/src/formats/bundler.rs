@@ -123,6 +123,7 @@ fn names(list: &[u8]) -> Result<Vec<String>, Fault> {
         })?;
         Ok(text.strip_prefix("./").unwrap_or(text).to_owned())
     };
+    check_images(lines.clone().count()).map_err(|fault| fault.in_file("list"))?;
     lines.map(name).collect()
 }
 

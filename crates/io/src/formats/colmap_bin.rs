@@ -21,7 +21,7 @@ use viewrank_core::{
 };
 
 use super::{
-    Bytes, Fault, Place, Problem,
+    Bytes, Fault, Place, Problem, check_images,
     colmap::{
         ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose,
         TrackElement,
@@ -96,6 +96,9 @@ fn records<'a, T>(
         rest: bytes,
     };
     let count = reader.count("records", smallest)?;
+    if file == "cameras" {
+        check_images(count).map_err(|fault| fault.in_file(file))?;
+    }
     let mut all = large_pages::room_for(count);
     for n in 0..count {
         all.push(

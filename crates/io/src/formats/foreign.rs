@@ -14,10 +14,11 @@ use viewrank_core::model::{
 };
 
 use super::{
-    Fault, Place, Problem,
+    Fault, LONGEST_NAME, Place, Problem, SPLIT, check_length,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, StoredPose, TrackElement},
     name_parts,
 };
+use crate::bounded::MORE_THAN;
 
 /// Largest deviation of a rotation matrix from orthonormality (Frobenius norm of R Rᵀ - I); some
 /// programs print six digits.
@@ -42,6 +43,9 @@ pub struct ForeignModel {
 
 impl ForeignModel {
     pub fn scene(&self) -> Result<Scene, Fault> {
+        for name in self.unregistered.iter().chain(&self.left_out) {
+            check_length(name).map_err(|problem| Fault::new("", Place::File, problem))?;
+        }
         let mut scene = self.model.scene()?;
         scene.georeference = self.georeference;
         scene.unregistered = self.unregistered.clone();
@@ -143,7 +147,7 @@ impl ForeignModel {
         }
     }
 
-    pub fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
+    pub fn warn(&mut self, kind: WarningKind, text: impl AsRef<str>) {
         self.model.warnings.push(ModelWarning::new(kind, text));
     }
 
@@ -239,6 +243,9 @@ const KEPT_FOLDERS: usize = 16;
 /// The name, and if it is an absolute path what is left without its first folders: the image may
 /// have moved.
 pub fn last_parts(name: &str) -> Vec<String> {
+    if name.len() > LONGEST_NAME {
+        return vec![name.to_owned()];
+    }
     let slashes = if is_of_windows(name) {
         name.replace('\\', "/")
     } else {
@@ -336,7 +343,15 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
         } else {
             Place::File
         };
-        Fault::new("", place, Problem::Json(error.to_string()))
+        let text = error.to_string();
+        let problem = match text.starts_with(MORE_THAN) {
+            true => Problem::Unsupported {
+                what: text,
+                hint: SPLIT,
+            },
+            false => Problem::Json(text),
+        };
+        Fault::new("", place, problem)
     })
 }
 

@@ -28,7 +28,7 @@ use std::{
     path::{Component, Path},
 };
 
-use viewrank_core::model::camera::CameraError;
+use viewrank_core::{base::error::shortened, model::camera::CameraError};
 
 /// Contents of the files of a COLMAP model, binary or text.
 #[derive(Clone, Copy, Debug, Default)]
@@ -40,9 +40,13 @@ pub struct Bytes<'a> {
     pub frames: Option<&'a [u8]>,
 }
 
-/// A fault in a model file, with its position.
+/// A fault in a model file, with its position. Its text is short, whatever it quotes.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{place}{}: {problem}", record.iter().map(|r| format!(" ({r})")).collect::<String>())]
+#[error(
+    "{place}{}: {}",
+    record.iter().map(|r| format!(" ({})", shortened(r))).collect::<String>(),
+    shortened(&problem.to_string())
+)]
 pub struct Fault {
     /// Stem of the COLMAP file, such as `images`; empty for models of one file.
     pub file: &'static str,
@@ -60,6 +64,11 @@ impl Fault {
             record: None,
             problem,
         }
+    }
+
+    /// The same fault in the file of this stem.
+    fn in_file(self, file: &'static str) -> Self {
+        Self { file, ..self }
     }
 
     /// Adds the record, unless there is one.
@@ -172,15 +181,29 @@ fn check_images(count: usize) -> Result<(), Fault> {
     if count <= MOST_IMAGES {
         return Ok(());
     }
-    let what = format!("{count} images, at most {MOST_IMAGES} are read");
+    let what = format!("{count} images or cameras, at most {MOST_IMAGES} are read");
     Err(Fault::new(
         "",
         Place::File,
-        Problem::Unsupported {
-            what,
-            hint: "split the model",
-        },
+        Problem::Unsupported { what, hint: SPLIT },
     ))
+}
+
+/// What to do about too many images.
+const SPLIT: &str = "split the model";
+
+/// Longest image name, bytes: no system opens a longer path.
+pub const LONGEST_NAME: usize = 4096;
+
+/// Checks the length of an image name.
+fn check_length(name: &str) -> Result<(), Problem> {
+    if name.len() <= LONGEST_NAME {
+        return Ok(());
+    }
+    Err(Problem::Name {
+        name: name.into(),
+        why: "is longer than 4096 bytes",
+    })
 }
 
 /// Checks an image name relative to the image folder: not empty, not absolute, and not outside the
@@ -195,6 +218,7 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     if name.is_empty() {
         return refuse("is empty");
     }
+    check_length(name)?;
     if name.contains('\0') {
         return refuse("contains a zero byte");
     }
@@ -211,8 +235,12 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
 pub const SEPARATORS: [char; 2] = ['/', '\\'];
 
 /// The folders and the file of an image name, without `.`; `..` is resolved, but for one at the
-/// start. `None` for a name that leads out of the parent of its folder, or to a drive.
+/// start. `None` for a name that leads out of the parent of its folder, or to a drive, and for one
+/// that is too long.
 pub fn name_parts(name: &str) -> Option<Vec<&str>> {
+    if name.len() > LONGEST_NAME {
+        return None;
+    }
     let mut parts: Vec<&str> = Vec::new();
     for part in name.split(SEPARATORS) {
         match part {
@@ -256,6 +284,7 @@ mod tests {
             r"..\..\x",
             r"\\server\x",
             "a\0b",
+            &"a/".repeat(LONGEST_NAME),
         ] {
             assert!(check_name(name).is_err(), "{name}");
         }

@@ -20,7 +20,7 @@ use viewrank_core::model::{
 };
 
 use super::{
-    Fault, Place, Problem,
+    Fault, Place, Problem, check_images,
     foreign::{ForeignModel, SizeLookup, camera, pose},
     words::Words,
 };
@@ -115,6 +115,7 @@ pub fn read(bundle: &[u8], views: &[View], size_of: SizeLookup) -> Result<Foreig
         return Err(Words::new(bundle).unexpected("drews 1.0"));
     }
     let cameras = words.count("cameras", 30)?;
+    check_images(cameras)?;
     let points = words.count("points", 14)?;
     let mut read = Bundle {
         words,

@@ -10,9 +10,10 @@ use serde::Deserialize;
 use viewrank_core::model::camera::{Camera, CameraModel};
 
 use super::{
-    Fault, Place, Problem,
+    Fault, MOST_IMAGES, Place, Problem,
     foreign::{ForeignModel, camera, json, pose_with_centre, shift},
 };
+use crate::bounded;
 
 /// cereal's flag for a type whose name occurred before.
 const SEEN_BEFORE: u64 = 0x8000_0000;
@@ -21,8 +22,11 @@ const SEEN_BEFORE: u64 = 0x8000_0000;
 struct SfmData {
     #[serde(default)]
     root_path: String,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
     views: Vec<Entry<Pointer<View>>>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
     intrinsics: Vec<Entry<Pointer<Intrinsic>>>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
     extrinsics: Vec<Entry<Extrinsic>>,
     #[serde(default)]
     structure: Vec<Entry<Landmark>>,

@@ -5,10 +5,13 @@
 //! same unit. Of several reconstructions the one with the most shots is read, ties by position in
 //! the file.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, fmt};
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
-use serde::Deserialize;
+use serde::{
+    Deserialize, Deserializer,
+    de::{SeqAccess, Visitor},
+};
 use viewrank_core::model::{
     camera::{Camera, CameraModel},
     georeference::{Geodetic, Georeference},
@@ -16,15 +19,45 @@ use viewrank_core::model::{
 };
 
 use super::{
-    Fault, Place, Problem, check_images,
+    Fault, MOST_IMAGES, Place, Problem,
     colmap::StoredPose,
     foreign::{ForeignModel, camera, json},
     words::parse,
 };
+use crate::bounded;
+
+/// The reconstructions of a file, with no more cameras and shots together than a model may have.
+struct Reconstructions(Vec<Reconstruction>);
+
+impl<'de> Deserialize<'de> for Reconstructions {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct All;
+        impl<'de> Visitor<'de> for All {
+            type Value = Vec<Reconstruction>;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("a list of reconstructions")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+                let (mut all, mut images) = (Vec::<Reconstruction>::new(), 0);
+                while let Some(one) = list.next_element::<Reconstruction>()? {
+                    images += one.cameras.len().max(one.shots.len());
+                    if images > MOST_IMAGES {
+                        return Err(bounded::too_many(MOST_IMAGES));
+                    }
+                    all.push(one);
+                }
+                Ok(all)
+            }
+        }
+        deserializer.deserialize_seq(All).map(Self)
+    }
+}
 
 #[derive(Deserialize)]
 struct Reconstruction {
+    #[serde(deserialize_with = "bounded::map::<_, _, MOST_IMAGES>")]
     cameras: JsonMap<OpenSfmCamera>,
+    #[serde(deserialize_with = "bounded::map::<_, _, MOST_IMAGES>")]
     shots: JsonMap<Shot>,
     #[serde(default)]
     points: JsonMap<Point>,
@@ -103,12 +136,12 @@ struct Point {
     color: [f64; 3],
 }
 
-/// Observations by track: index of the image, and pixel.
-type Observations<'a> = HashMap<&'a [u8], Vec<(usize, [f64; 2])>>;
+/// Observations of each point, in the order of their names: index of the image, and pixel.
+type Observations = Vec<Vec<(usize, [f64; 2])>>;
 
 /// Reads the reconstruction and the tracks; without tracks, points have no observations.
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
-    let reconstructions: Vec<Reconstruction> = json(reconstruction)?;
+    let Reconstructions(reconstructions) = json(reconstruction)?;
     let all = reconstructions.len();
     let largest = reconstructions
         .into_iter()
@@ -131,7 +164,6 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
             format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
         foreign.warn(WarningKind::OtherModels, text);
     }
-    check_images(largest.cameras.len().max(largest.shots.len()))?;
     let mut camera_ids = HashMap::new();
     for (n, (name, camera)) in largest.cameras.iter().enumerate() {
         camera_ids.insert(name.as_str(), (n as u32 + 1, camera));
@@ -155,7 +187,9 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
         shots.insert(name.as_bytes(), (foreign.model.images.len(), camera));
         foreign.add_image(n as u32 + 1, name.clone(), camera_id, pose, Place::File);
     }
-    let observations = tracks.map_or(Ok(HashMap::new()), |tracks| observations(tracks, &shots))?;
+    let observations = tracks.map_or(Ok(Vec::new()), |tracks| {
+        observations(tracks, &shots, &largest.points)
+    })?;
     add_points(&mut foreign, &largest.points, &observations);
     if tracks.is_none() && !largest.points.is_empty() {
         let text = "points have no observations: tracks.csv is missing next to the reconstruction";
@@ -168,16 +202,14 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
 fn add_points(foreign: &mut ForeignModel, points: &JsonMap<Point>, observations: &Observations) {
     let ids: Option<Vec<u64>> = points.keys().map(|id| id.parse().ok()).collect();
     let mut order: Vec<_> = points
-        .iter()
+        .values()
         .enumerate()
-        .map(|(n, (name, p))| (ids.as_ref().map_or(n as u64 + 1, |ids| ids[n]), name, p))
+        .map(|(n, p)| (ids.as_ref().map_or(n as u64 + 1, |ids| ids[n]), n, p))
         .collect();
     order.sort_by_key(|&(id, ..)| id);
-    for (id, name, point) in order {
+    for (id, n, point) in order {
         let colour = point.color.map(|c| c.round().clamp(0.0, 255.0) as u8);
-        let track = observations
-            .get(name.as_bytes())
-            .map_or(&[][..], Vec::as_slice);
+        let track = observations.get(n).map_or(&[][..], Vec::as_slice);
         foreign.add_point(
             id,
             point.coordinates,
@@ -188,22 +220,27 @@ fn add_points(foreign: &mut ForeignModel, points: &JsonMap<Point>, observations:
     }
 }
 
-/// Parses rows of `shot, track, feature, x, y, ...`, separated by tabs.
-fn observations<'a>(
-    tracks: &'a [u8],
+/// Parses rows of `shot, track, feature, x, y, ...`, separated by tabs. Most tracks may be none of
+/// the points.
+fn observations(
+    tracks: &[u8],
     shots: &HashMap<&[u8], (usize, &OpenSfmCamera)>,
-) -> Result<Observations<'a>, Fault> {
-    let mut by_track = Observations::new();
+    points: &JsonMap<Point>,
+) -> Result<Observations, Fault> {
+    let mut of_points = vec![Vec::new(); points.len()];
+    let point_of: HashMap<&[u8], usize> = points.keys().map(String::as_bytes).zip(0..).collect();
     for (n, line) in tracks.split(|&b| b == b'\n').enumerate() {
         let line = line.strip_suffix(b"\r").unwrap_or(line);
         if line.is_empty() || line.starts_with(b"OPENSFM_TRACKS_VERSION") {
             continue;
         }
-        let fields: Vec<&[u8]> = line.split(|&b| b == b'\t').take(5).collect();
-        let xy = fields
-            .get(3..5)
-            .and_then(|xy| Some([parse::<f64>(xy[0]).ok()?, parse::<f64>(xy[1]).ok()?]));
-        let Some([x, y]) = xy else {
+        let mut fields = line.split(|&b| b == b'\t');
+        let mut row = || {
+            let (shot, track, _feature) = (fields.next()?, fields.next()?, fields.next()?);
+            let [x, y] = [fields.next()?, fields.next()?].map(parse::<f64>);
+            Some((shot, track, [x.ok()?, y.ok()?]))
+        };
+        let Some((shot, track, [x, y])) = row() else {
             let found = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
             let problem = Problem::Syntax {
                 expected: "shot, track, feature, x, y separated by tabs",
@@ -211,16 +248,13 @@ fn observations<'a>(
             };
             return Err(Fault::new("tracks", Place::Line(n as u64 + 1), problem));
         };
-        if let Some(&(image, camera)) = shots.get(fields[0]) {
+        if let (Some(&(image, camera)), Some(&point)) = (shots.get(shot), point_of.get(track)) {
             let (w, h) = (camera.width as f64, camera.height as f64);
             let size = w.max(h);
-            by_track
-                .entry(fields[1])
-                .or_default()
-                .push((image, [x * size + w / 2.0, y * size + h / 2.0]));
+            of_points[point].push((image, [x * size + w / 2.0, y * size + h / 2.0]));
         }
     }
-    Ok(by_track)
+    Ok(of_points)
 }
 
 fn intrinsics(id: u32, name: &str, c: &OpenSfmCamera) -> Result<Camera, Fault> {

@@ -33,11 +33,9 @@ pub struct Orientation {
 /// Reads one `.ori` file; `id` becomes the id of its camera.
 pub fn read(bytes: &[u8], id: u32) -> Result<Orientation, Fault> {
     let entries = entries(bytes)?;
-    let image = entries
-        .get("ImageID")
-        .and_then(|entry| entry.lines.first())
-        .copied()
-        .unwrap_or_default();
+    let image = entries.get("ImageID").map(|entry| entry.text.trim_ascii());
+    let image = image.unwrap_or_default().split(|&b| b == b'\n').next();
+    let image = image.unwrap_or_default().trim_ascii();
     let image = std::str::from_utf8(image).map_err(|_| {
         Fault::new(
             "",
@@ -76,113 +74,110 @@ pub fn read(bytes: &[u8], id: u32) -> Result<Orientation, Fault> {
 /// The lines after a key.
 struct Entry<'a> {
     at: Place,
-    lines: Vec<&'a [u8]>,
+    text: &'a [u8],
 }
 
-/// Entries by key: the text between `$` and the first bracket or run of underscores.
-fn entries(bytes: &[u8]) -> Result<HashMap<String, Entry<'_>>, Fault> {
-    let mut entries: HashMap<String, Entry> = HashMap::new();
-    let mut current = None;
-    for (n, line) in bytes.split(|&b| b == b'\n').enumerate() {
-        let line = line.trim_ascii();
-        if let Some(key) = line.strip_prefix(b"$") {
-            let key = String::from_utf8_lossy(key);
-            let ends = [key.find("__"), key.find(['(', '['])];
-            let end = ends.into_iter().flatten().min().unwrap_or(key.len());
-            let key = key[..end].trim_end_matches('_').to_owned();
-            entries.insert(
-                key.clone(),
-                Entry {
-                    at: Place::Line(n as u64 + 1),
-                    lines: Vec::new(),
-                },
-            );
-            current = Some(key);
+impl<'a> Entry<'a> {
+    fn words(&self) -> impl Iterator<Item = &'a [u8]> {
+        let words = self.text.split(u8::is_ascii_whitespace);
+        words.filter(|word| !word.is_empty())
+    }
+
+    /// The first words, for an error.
+    fn beginning(&self) -> String {
+        let words = self.words().take(10).map(String::from_utf8_lossy);
+        words.collect::<Vec<_>>().join(" ")
+    }
+}
+
+/// The keys that are read.
+const KEYS: [&str; 9] = [
+    "ImageID",
+    "IntOri_SensorSize",
+    "IntOri_CameraMatrix",
+    "IntOri_FocalLength",
+    "IntOri_PixelSize",
+    "IntOri_PrincipalPoint",
+    "IntOri_Distortion",
+    "ExtOri_RotationMatrix",
+    "ExtOri_TranslationVector",
+];
+
+type Entries<'a> = HashMap<&'static str, Entry<'a>>;
+
+/// Entries of the keys that are read.
+fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
+    let mut entries = Entries::new();
+    // The last key, where its text begins, and which of those that are read it is.
+    let mut last = None;
+    let mut end = 0;
+    for (n, line) in (1..).zip(bytes.split_inclusive(|&b| b == b'\n')) {
+        end += line.len();
+        let (at, line) = (Place::Line(n), line.trim_ascii());
+        if let Some(head) = line.strip_prefix(b"$") {
+            let key = KEYS.into_iter().find(|key| key.as_bytes() == key_in(head));
+            key.map(|key| entries.insert(key, Entry { at, text: &[] }));
+            last = Some((key, end));
+        } else if let Some((key, start)) = last {
+            let entry = key.and_then(|key| entries.get_mut(key));
+            entry.map(|entry| entry.text = &bytes[start..end]);
         } else if !line.is_empty() {
-            let entry = current.as_ref().and_then(|key| entries.get_mut(key));
-            let found = || String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
-            let problem = || Problem::Syntax {
+            let problem = Problem::Syntax {
                 expected: "a key that begins with $",
-                found: found(),
+                found: String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned(),
             };
-            entry
-                .ok_or_else(|| Fault::new("", Place::Line(n as u64 + 1), problem()))?
-                .lines
-                .push(line);
+            return Err(Fault::new("", at, problem));
         }
     }
     Ok(entries)
 }
 
-fn numbers<const N: usize>(
-    entries: &HashMap<String, Entry>,
-    key: &'static str,
-) -> Result<[f64; N], Fault> {
-    let missing = || {
-        Fault::new(
-            "",
-            Place::File,
-            Problem::Syntax {
-                expected: key,
-                found: "no such key".into(),
-            },
-        )
+/// The key in a line: the text between `$` and the first bracket or run of underscores.
+fn key_in(head: &[u8]) -> &[u8] {
+    let underscores = head.windows(2).position(|pair| pair == b"__");
+    let bracket = head.iter().position(|b| b"([".contains(b));
+    let end = underscores.into_iter().chain(bracket).min();
+    let key = &head[..end.unwrap_or(head.len())];
+    key.strip_suffix(b"_").unwrap_or(key)
+}
+
+fn numbers<const N: usize>(entries: &Entries, key: &'static str) -> Result<[f64; N], Fault> {
+    let fault = |at, found: String| {
+        let problem = Problem::Syntax {
+            expected: key,
+            found,
+        };
+        Fault::new("", at, problem)
     };
-    let entry = entries.get(key).ok_or_else(missing)?;
-    let words = entry.lines.iter().flat_map(|line| {
-        line.split(u8::is_ascii_whitespace)
-            .filter(|word| !word.is_empty())
-    });
+    let entry = entries
+        .get(key)
+        .ok_or_else(|| fault(Place::File, "no such key".into()))?;
+    let words = entry.words().take(N + 1);
     let values: Option<Vec<f64>> = words.map(|word| parse(word).ok()).collect();
     values
         .and_then(|values| values.try_into().ok())
-        .ok_or_else(|| {
-            let found = entry
-                .lines
-                .iter()
-                .map(|line| String::from_utf8_lossy(line))
-                .collect::<Vec<_>>()
-                .join(" ");
-            Fault::new(
-                "",
-                entry.at,
-                Problem::Syntax {
-                    expected: key,
-                    found,
-                },
-            )
-        })
+        .ok_or_else(|| fault(entry.at, entry.beginning()))
 }
 
 fn distortion(
-    entries: &HashMap<String, Entry>,
+    entries: &Entries,
     [fx, fy, cx, cy]: [f64; 4],
 ) -> Result<(CameraModel, Vec<f64>), Fault> {
     let Some(entry) = entries.get("IntOri_Distortion") else {
         return Ok((CameraModel::Pinhole, vec![fx, fy, cx, cy]));
     };
-    let text = entry
-        .lines
-        .iter()
-        .map(|line| String::from_utf8_lossy(line))
-        .collect::<Vec<_>>()
-        .join(" ");
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let values: Vec<f64> = words
-        .iter()
-        .skip(2)
-        .filter_map(|word| word.parse().ok())
-        .collect();
-    match (words.first().copied(), &values[..]) {
-        (None | Some("NONE"), _) => Ok((CameraModel::Pinhole, vec![fx, fy, cx, cy])),
-        (Some("Brown5"), &[k1, k2, k3, t1, t2]) => Ok((
+    let values = entry.words().skip(2).filter_map(|word| parse(word).ok());
+    let values: Vec<f64> = values.take(6).collect();
+    match (entry.words().next(), &values[..]) {
+        (None | Some(b"NONE"), _) => Ok((CameraModel::Pinhole, vec![fx, fy, cx, cy])),
+        (Some(b"Brown5"), &[k1, k2, k3, t1, t2]) => Ok((
             CameraModel::FullOpenCv,
             vec![fx, fy, cx, cy, k1, k2, t1, t2, k3, 0.0, 0.0, 0.0],
         )),
         _ => Err(Fault::new(
             "",
             entry.at,
-            Problem::CameraModel(format!("{text} (SURE)")),
+            Problem::CameraModel(format!("{} (SURE)", entry.beginning())),
         )),
     }
 }

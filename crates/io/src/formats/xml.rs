@@ -1,5 +1,6 @@
 //! Pull reader for XML: a reader walks down to the records and takes them one after another, so a
-//! file of any size needs the memory of one record.
+//! file of any size needs the memory of one record, which is bounded: what readers keep of records
+//! are values, not elements.
 
 use std::borrow::Cow;
 
@@ -11,9 +12,9 @@ use quick_xml::{
 
 use super::{Fault, Place, Problem, words::parse};
 
-/// Deepest nesting of elements, and most elements in one record.
+/// Deepest nesting of elements, and most elements and attributes in one record.
 const DEEPEST: usize = 64;
-const MOST_ELEMENTS: usize = 1 << 18;
+const MOST_PARTS: usize = 1 << 18;
 /// Most attributes of an element.
 const MOST_ATTRIBUTES: usize = 1 << 10;
 
@@ -159,7 +160,7 @@ impl<'a> Xml<'a> {
 
     /// Reads all that the entered element contains, and leaves it.
     pub fn whole(&mut self, entered: Element) -> Result<Element, Fault> {
-        let mut room = MOST_ELEMENTS;
+        let mut room = MOST_PARTS;
         self.fill(entered, &mut room)
     }
 
@@ -183,9 +184,10 @@ impl<'a> Xml<'a> {
         loop {
             match self.step()? {
                 Step::Into(child) => {
-                    let full = || format!("a record of more than {MOST_ELEMENTS} elements");
+                    let full =
+                        || format!("a record of more than {MOST_PARTS} elements and attributes");
                     *room = room
-                        .checked_sub(1)
+                        .checked_sub(1 + child.attributes.len())
                         .ok_or_else(|| Fault::new("", child.at, Problem::Json(full())))?;
                     let child = self.fill(child, room)?;
                     element.children.push(child);

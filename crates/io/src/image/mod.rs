@@ -17,7 +17,10 @@ use fast_image_resize::{
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
 use jpeg_decoder::PixelFormat;
 use viewrank_core::{
-    base::pixels::{PixelBound, TooManyPixels, most_decoded_bytes},
+    base::{
+        error::shortened,
+        pixels::{PixelBound, TooManyPixels, most_decoded_bytes},
+    },
     method::confidence::Mask,
 };
 use zune_jpeg::{
@@ -53,7 +56,7 @@ pub enum ImageError {
     Unknown,
     #[error("broken JPEG: {0}")]
     Jpeg(#[from] jpeg_decoder::Error),
-    #[error("broken image: {0}")]
+    #[error("broken image: {}", shortened(&.0.to_string()))]
     Other(#[from] image::ImageError),
     #[error(transparent)]
     Large(#[from] TooManyPixels),

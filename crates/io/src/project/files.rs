@@ -11,7 +11,7 @@ use super::{
     ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside, images::PROBED,
 };
 use crate::{
-    formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
+    formats::{Bytes, Fault, LONGEST_NAME, colmap::ColmapModel, colmap_bin, colmap_text},
     input::{self, FileKind},
 };
 
@@ -67,8 +67,6 @@ pub(super) fn first_names(model: &ModelLocation) -> Vec<String> {
 
 /// Bytes of a binary record before its name: id, quaternion, translation, camera.
 const BEFORE_NAME: i64 = 4 + 7 * 8 + 4;
-/// Longest name, bytes.
-const LONGEST_NAME: u64 = 4096;
 
 fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
     let count = number(&mut file)?;
@@ -76,7 +74,9 @@ fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
     for _ in 0..count.min(PROBED as u64) {
         file.seek_relative(BEFORE_NAME)?;
         let mut name = Vec::new();
-        (&mut file).take(LONGEST_NAME).read_until(0, &mut name)?;
+        (&mut file)
+            .take(LONGEST_NAME as u64)
+            .read_until(0, &mut name)?;
         name.pop();
         names.extend(String::from_utf8(name));
         let observations = number(&mut file)?;

@@ -21,7 +21,7 @@ use viewrank_core::model::{
 };
 
 use super::{
-    Bytes, Fault, Place, Problem,
+    Bytes, Fault, Place, Problem, check_images,
     colmap::{
         ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose,
         TrackElement,
@@ -32,7 +32,7 @@ use super::{
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     let mut warnings = Vec::new();
     Ok(ColmapModel {
-        cameras: records("cameras", bytes.cameras, camera)?,
+        cameras: cameras(bytes.cameras)?,
         images: images(bytes.images, &mut warnings)?,
         points: records("points3D", bytes.points3d, point)?,
         rigs: bytes.rigs.map(|b| records("rigs", b, rig)).transpose()?,
@@ -166,6 +166,12 @@ fn in_batches<L: Send, T: Send>(
             records.push(record?);
         }
     }
+}
+
+fn cameras(bytes: &[u8]) -> Result<Vec<Camera>, Fault> {
+    let count = lines("cameras", bytes).filter(Line::is_record).count();
+    check_images(count).map_err(|fault| fault.in_file("cameras"))?;
+    records("cameras", bytes, camera)
 }
 
 fn camera(mut line: Line) -> Result<Camera, Fault> {

@@ -13,18 +13,21 @@
 //! added to f along x. The transform of the component or the chunk, where there is one, leads to
 //! the world, but points may have been exported without it: [`Frame`].
 
-use std::collections::{HashMap, HashSet};
+mod lens;
 
-use nalgebra::{Matrix3, Vector3};
-use viewrank_core::model::{
-    camera::{Camera, CameraModel},
-    scene::WarningKind,
+use std::{
+    collections::{HashMap, HashSet},
+    rc::Rc,
 };
 
+use nalgebra::{Matrix3, Vector3};
+use viewrank_core::model::scene::WarningKind;
+
+use self::lens::Lens;
 use super::{
-    Fault, Problem, check_images,
+    Fault, Place, Problem, check_images,
     colmap::StoredPose,
-    foreign::{ForeignModel, camera, largest_component, pose_with_centre},
+    foreign::{ForeignModel, largest_component, pose_with_centre},
     xml::{Element, Xml},
 };
 
@@ -36,9 +39,6 @@ pub enum Frame {
     /// Without: as the cameras are stored.
     Chunk,
 }
-
-/// Largest error in pixels that leaving out a term of the distortion may cause.
-const NEGLIGIBLE_PX: f64 = 0.5;
 
 /// Reads cameras and poses of the chunk with most aligned cameras, of that the component with most,
 /// in each of some frames. `spelled` completes labels, which may lack the extension of the image.
@@ -75,7 +75,7 @@ pub fn read<const N: usize>(
 struct Chunk {
     label: String,
     /// By id as in the file.
-    sensors: HashMap<String, (u32, Element)>,
+    sensors: HashMap<String, Sensor>,
     components: HashMap<String, Similarity>,
     transform: Option<Similarity>,
     cameras: Vec<ChunkCamera>,
@@ -83,21 +83,74 @@ struct Chunk {
     parts: usize,
 }
 
+/// A sensor. Its faults matter only if a camera needs it.
+struct Sensor {
+    number: u32,
+    label: Option<String>,
+    lens: Result<Lens, Fault>,
+    /// Where it is a slave in a rig: its rotation and location in the axes of the master.
+    mounting: Result<(Matrix3<f64>, Vector3<f64>), Fault>,
+}
+
 struct ChunkCamera {
+    at: Place,
     /// Label of its group.
-    group: Option<String>,
-    element: Element,
+    group: Option<Rc<str>>,
+    label: String,
+    id: Option<String>,
+    sensor_id: String,
+    component_id: String,
+    master_id: Option<String>,
+    is_enabled: bool,
+    placement: Result<Option<Placement>, Fault>,
 }
 
 impl ChunkCamera {
-    fn label(&self) -> &str {
-        self.element.attribute("label").unwrap_or_default()
+    fn read(camera: &Element, group: Option<Rc<str>>) -> Self {
+        let text = |name| camera.attribute(name).unwrap_or_default().to_owned();
+        let transform = camera.child("transform").map(Placement::read);
+        Self {
+            at: camera.at(),
+            group,
+            label: text("label"),
+            id: camera.attribute("id").map(str::to_owned),
+            sensor_id: text("sensor_id"),
+            component_id: text("component_id"),
+            master_id: camera.attribute("master_id").map(str::to_owned),
+            is_enabled: !matches!(camera.attribute("enabled"), Some("false" | "0")),
+            placement: transform.transpose(),
+        }
     }
 
-    fn is_enabled(&self) -> bool {
-        !matches!(self.element.attribute("enabled"), Some("false" | "0"))
+    /// Returns whether it has a pose or a master.
+    fn is_aligned(&self) -> bool {
+        !matches!(self.placement, Ok(None)) || self.master_id.is_some()
     }
 }
+
+impl Sensor {
+    fn read(sensor: &Element, number: u32) -> Self {
+        let mounting = || {
+            let rotation = sensor.child("rotation").map(Element::numbers::<9>);
+            let location = sensor.child("location").map(Element::numbers::<3>);
+            let rotation = rotation.transpose()?.map(|r| Matrix3::from_row_slice(&r));
+            let location = location.transpose()?.map(Vector3::from);
+            Ok((
+                rotation.unwrap_or_else(Matrix3::identity),
+                location.unwrap_or_default(),
+            ))
+        };
+        Self {
+            number,
+            label: sensor.attribute("label").map(str::to_owned),
+            lens: Lens::read(sensor, number),
+            mounting: mounting(),
+        }
+    }
+}
+
+/// Longest name of a folder, bytes: that of a group or a sensor may be part of many names.
+const LONGEST_FOLDER: usize = 255;
 
 impl Chunk {
     fn read(entered: &Element, xml: &mut Xml) -> Result<Self, Fault> {
@@ -111,8 +164,9 @@ impl Chunk {
                     while let Some(sensor) = xml.enter()? {
                         chunk.count()?;
                         let sensor = xml.whole(sensor)?;
-                        let (id, number) = (id_of(&sensor, "id"), chunk.sensors.len() as u32 + 1);
-                        chunk.sensors.insert(id, (number, sensor));
+                        let number = chunk.sensors.len() as u32 + 1;
+                        let read = Sensor::read(&sensor, number);
+                        chunk.sensors.insert(id_of(&sensor), read);
                     }
                 }
                 "components" => {
@@ -121,9 +175,8 @@ impl Chunk {
                         // The partition below, a list of all cameras, may be long.
                         let component = xml.whole(component)?;
                         if let Some(transform) = component.child("transform") {
-                            chunk
-                                .components
-                                .insert(id_of(&component, "id"), Similarity::read(transform)?);
+                            let transform = Similarity::read(transform)?;
+                            chunk.components.insert(id_of(&component), transform);
                         }
                     }
                 }
@@ -142,17 +195,15 @@ impl Chunk {
     }
 
     /// Cameras, some of them in groups.
-    fn read_cameras(&mut self, group: Option<&str>, xml: &mut Xml) -> Result<(), Fault> {
+    fn read_cameras(&mut self, group: Option<Rc<str>>, xml: &mut Xml) -> Result<(), Fault> {
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
                 "camera" => {
-                    self.cameras.push(ChunkCamera {
-                        group: group.map(str::to_owned),
-                        element: xml.whole(entered)?,
-                    });
+                    let camera = xml.whole(entered)?;
+                    self.cameras.push(ChunkCamera::read(&camera, group.clone()));
                     check_images(self.cameras.len())?;
                 }
-                "group" => self.read_cameras(entered.attribute("label"), xml)?,
+                "group" => self.read_cameras(entered.attribute("label").map(Rc::from), xml)?,
                 _ => xml.skip()?,
             }
         }
@@ -161,11 +212,7 @@ impl Chunk {
 
     /// Number of enabled cameras that have a pose or a master.
     fn aligned(&self) -> usize {
-        let is_aligned = |camera: &&ChunkCamera| {
-            let element = &camera.element;
-            let placed = element.child("transform").is_some();
-            camera.is_enabled() && (placed || element.attribute("master_id").is_some())
-        };
+        let is_aligned = |camera: &&ChunkCamera| camera.is_enabled && camera.is_aligned();
         self.cameras.iter().filter(is_aligned).count()
     }
 
@@ -174,42 +221,43 @@ impl Chunk {
         let by_id: HashMap<&str, &ChunkCamera> = self
             .cameras
             .iter()
-            .filter_map(|camera| Some((camera.element.attribute("id")?, camera)))
+            .filter_map(|camera| Some((camera.id.as_deref()?, camera)))
             .collect();
         let names = self.names(spelled);
         let mut used = HashSet::new();
         let (mut components, mut disabled) = (Vec::new(), Vec::new());
         for ((n, camera), name) in (1..).zip(&self.cameras).zip(names) {
-            let (label, element) = (camera.label(), &camera.element);
-            let what = || format!("camera {n}, {label:?}");
-            if !camera.is_enabled() {
+            let what = || format!("camera {n}, {:?}", camera.label);
+            if !camera.is_enabled {
                 disabled.push(name);
                 continue;
             }
             let placement = self.placement(camera, &by_id);
-            let Some(placement) = placement.map_err(|fault| fault.in_record(what))? else {
+            let Some((placement, component)) = placement.map_err(|fault| fault.in_record(what))?
+            else {
                 foreign.unregistered.push(name);
                 continue;
             };
-            let (id, sensor) = self.sensor(element).map_err(|f| f.in_record(what))?;
-            if used.insert(*id) {
-                let camera = lens(sensor, *id, &mut foreign)
-                    .map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
-                foreign.model.cameras.push(camera);
+            let sensor = self.sensor(camera).map_err(|f| f.in_record(what))?;
+            let id = sensor.number;
+            if used.insert(id) {
+                let lens = sensor.lens.clone();
+                let lens = lens.map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
+                lens.warn(&mut foreign);
+                foreign.model.cameras.push(lens.camera);
             }
-            let component = id_of(placement.component_of, "component_id");
             let world = self
                 .components
-                .get(&component)
+                .get(component)
                 .or(self.transform.as_ref())
                 .filter(|_| frame == Frame::World);
             let pose = placement.pose(world);
             let pose =
-                pose.map_err(|problem| Fault::new("", element.at(), problem).in_record(what))?;
-            foreign.add_image(n, name, *id, pose, element.at());
+                pose.map_err(|problem| Fault::new("", camera.at, problem).in_record(what))?;
+            foreign.add_image(n, name, id, pose, camera.at);
             components.push(component);
         }
-        let (largest, others) = largest_component(components.iter().map(String::as_str));
+        let (largest, others) = largest_component(components.iter().copied());
         foreign.keep_images(|image| components[image] == largest);
         foreign.warn_of_others("components", &others);
         if let Some(first) = disabled.first() {
@@ -226,27 +274,21 @@ impl Chunk {
     /// Names of the images of all cameras: their labels. Of several cameras of a label, each has its
     /// group, or its sensor, for a folder, and its id where that does not tell them apart.
     fn names(&self, spelled: &dyn Fn(&str) -> String) -> Vec<String> {
-        let folder = |camera: &ChunkCamera| {
-            let of_sensor = || {
-                let (_, sensor) = self.sensor(&camera.element).ok()?;
-                Some(sensor.attribute("label")?.to_owned())
-            };
-            camera.group.clone().or_else(of_sensor)
-        };
         let mut labels: HashMap<&str, usize> = HashMap::new();
-        let mut places: HashMap<(&str, Option<String>), usize> = HashMap::new();
+        let mut places: HashMap<(&str, Option<&str>), usize> = HashMap::new();
         for camera in &self.cameras {
-            *labels.entry(camera.label()).or_default() += 1;
-            *places.entry((camera.label(), folder(camera))).or_default() += 1;
+            let label = &*camera.label;
+            *labels.entry(label).or_default() += 1;
+            *places.entry((label, self.folder(camera))).or_default() += 1;
         }
         let name = |camera: &ChunkCamera| {
-            let label = camera.label();
+            let label = &*camera.label;
             if labels[label] == 1 {
                 return spelled(&label.replace('\\', "/"));
             }
-            let folder = folder(camera);
-            let is_apart = places[&(label, folder.clone())] == 1;
-            let id = id_of(&camera.element, "id");
+            let folder = self.folder(camera);
+            let is_apart = places[&(label, folder)] == 1;
+            let id = camera.id.as_deref().unwrap_or_default();
             spelled(&match folder {
                 Some(folder) if is_apart => format!("{folder}/{label}"),
                 Some(folder) => format!("{folder}_{id}/{label}"),
@@ -256,64 +298,62 @@ impl Chunk {
         self.cameras.iter().map(name).collect()
     }
 
-    fn sensor(&self, camera: &Element) -> Result<&(u32, Element), Fault> {
-        let id = id_of(camera, "sensor_id");
-        self.sensors.get(&id).ok_or_else(|| {
+    /// The folder of a camera among several of its label.
+    fn folder<'a>(&'a self, camera: &'a ChunkCamera) -> Option<&'a str> {
+        let of_sensor = || self.sensor(camera).ok()?.label.as_deref();
+        let folder = camera.group.as_deref().or_else(of_sensor);
+        folder.filter(|folder| folder.len() <= LONGEST_FOLDER)
+    }
+
+    fn sensor(&self, camera: &ChunkCamera) -> Result<&Sensor, Fault> {
+        let id = &camera.sensor_id;
+        self.sensors.get(id).ok_or_else(|| {
             let problem = Problem::Syntax {
                 expected: "the id of a sensor",
                 found: format!("sensor_id {id:?}"),
             };
-            Fault::new("", camera.at(), problem)
+            Fault::new("", camera.at, problem)
         })
     }
 
-    /// The placement of a camera in the chunk: its own, or by that of its master in a rig; `None`
-    /// if it is not aligned.
+    /// The placement of a camera in the chunk, its own or by that of its master in a rig, and the id
+    /// of its component; `None` if it is not aligned.
     fn placement<'a>(
-        &'a self,
+        &self,
         camera: &'a ChunkCamera,
         by_id: &HashMap<&str, &'a ChunkCamera>,
-    ) -> Result<Option<Placement<'a>>, Fault> {
-        if let Some(transform) = camera.element.child("transform") {
-            return Ok(Some(Placement::read(transform, &camera.element)?));
+    ) -> Result<Option<(Placement, &'a str)>, Fault> {
+        if let Some(own) = camera.placement.clone()? {
+            return Ok(Some((own, &camera.component_id)));
         }
-        let master = camera.element.attribute("master_id");
-        let master = master.and_then(|id| by_id.get(id));
-        let Some((master, transform)) =
-            master.and_then(|master| Some((master, master.element.child("transform")?)))
-        else {
+        let master = camera.master_id.as_deref().and_then(|id| by_id.get(id));
+        let Some(master) = master else {
             return Ok(None);
         };
-        let (_, sensor) = self.sensor(&camera.element)?;
-        let rotation = sensor.child("rotation").map(Element::numbers::<9>);
-        let location = sensor.child("location").map(Element::numbers::<3>);
-        let rotation = rotation.transpose()?.map(|r| Matrix3::from_row_slice(&r));
-        let location = location.transpose()?.map(Vector3::from);
-        let of_master = Placement::read(transform, &master.element)?;
-        Ok(Some(of_master.followed_by(
-            rotation.unwrap_or_else(Matrix3::identity),
-            location.unwrap_or_default(),
-        )))
+        let Some(of_master) = master.placement.clone()? else {
+            return Ok(None);
+        };
+        let (rotation, location) = self.sensor(camera)?.mounting.clone()?;
+        let placement = of_master.followed_by(rotation, location);
+        Ok(Some((placement, &master.component_id)))
     }
 }
 
 /// Rotation and centre of a camera, from its axes to the chunk's.
-struct Placement<'a> {
+#[derive(Clone)]
+struct Placement {
     rotation: Matrix3<f64>,
     centre: Vector3<f64>,
-    /// The camera in whose component it is.
-    component_of: &'a Element,
 }
 
-impl<'a> Placement<'a> {
+impl Placement {
     /// Reads a 4 x 4 matrix, row by row.
-    fn read(transform: &Element, component_of: &'a Element) -> Result<Self, Fault> {
+    fn read(transform: &Element) -> Result<Self, Fault> {
         let numbers = transform.numbers::<16>()?;
         let m = |row: usize, column: usize| numbers[4 * row + column];
         Ok(Self {
             rotation: Matrix3::from_fn(m),
             centre: Vector3::from_fn(|row, _| m(row, 3)),
-            component_of,
         })
     }
 
@@ -322,7 +362,6 @@ impl<'a> Placement<'a> {
         Self {
             centre: self.rotation * location + self.centre,
             rotation: self.rotation * rotation,
-            ..self
         }
     }
 
@@ -341,8 +380,8 @@ impl<'a> Placement<'a> {
     }
 }
 
-fn id_of(element: &Element, attribute: &str) -> String {
-    element.attribute(attribute).unwrap_or_default().to_owned()
+fn id_of(element: &Element) -> String {
+    element.attribute("id").unwrap_or_default().to_owned()
 }
 
 /// Scale, rotation and translation.
@@ -370,134 +409,6 @@ impl Similarity {
             scale: transform.number("scale")?.unwrap_or(1.0),
         })
     }
-}
-
-fn lens(sensor: &Element, id: u32, foreign: &mut ForeignModel) -> Result<Camera, Fault> {
-    let adjusted = sensor
-        .children("calibration")
-        .find(|one| one.attribute("class") != Some("initial"));
-    let calibration = adjusted.or(sensor.child("calibration"));
-    let kind = [calibration, Some(sensor)]
-        .into_iter()
-        .flatten()
-        .find_map(|element| element.attribute("type"));
-    let kind = kind.unwrap_or("frame");
-    let [width, height] = size(sensor, calibration)?;
-    let (w, h) = (width as f64, height as f64);
-    let (model, params) = if kind == "spherical" {
-        (CameraModel::Equirectangular, vec![w, h])
-    } else {
-        let calibration = calibration.ok_or_else(|| sensor.lacks("calibration"))?;
-        let terms = Terms::read(calibration, [w, h])?;
-        let Some((model, params, left_out)) = terms.in_colmap(kind, [w, h]) else {
-            let problem = Problem::CameraModel(format!("{kind} (Metashape)"));
-            return Err(Fault::new("", sensor.at(), problem));
-        };
-        refuse_much_left_out(left_out, calibration)?;
-        if left_out > NEGLIGIBLE_PX {
-            let text = format!(
-                "b2, k4, p3 and p4 of sensor {id} are left out, which moves pixels by up to {left_out:.1}"
-            );
-            foreign.warn(WarningKind::Format, text);
-        }
-        (model, params)
-    };
-    let lens = Camera::new(id, model, width, height, params);
-    camera(lens, || "its camera".into())
-}
-
-/// Width and height of the calibration's images, else of the sensor.
-fn size(sensor: &Element, calibration: Option<&Element>) -> Result<[u64; 2], Fault> {
-    let resolution = calibration
-        .and_then(|c| c.child("resolution"))
-        .or(sensor.child("resolution"));
-    let resolution = resolution.ok_or_else(|| sensor.lacks("resolution"))?;
-    let side = |name: &'static str| {
-        let side = resolution
-            .attribute(name)
-            .and_then(|side| side.parse::<u64>().ok());
-        side.ok_or_else(|| resolution.lacks(name))
-    };
-    Ok([side("width")?, side("height")?])
-}
-
-/// Terms of a calibration, pixels of COLMAP.
-struct Terms {
-    focal: [f64; 2],
-    centre: [f64; 2],
-    k: [f64; 4],
-    p: [f64; 4],
-    b2: f64,
-}
-
-impl Terms {
-    fn read(calibration: &Element, [w, h]: [f64; 2]) -> Result<Self, Fault> {
-        let value = |name: &str| calibration.number(name).map(Option::unwrap_or_default);
-        let k = [value("k1")?, value("k2")?, value("k3")?, value("k4")?];
-        let p = [value("p1")?, value("p2")?, value("p3")?, value("p4")?];
-        let (focal, centre) = match calibration.number("f")? {
-            Some(f) => (
-                [f + value("b1")?, f],
-                [w / 2.0 + value("cx")?, h / 2.0 + value("cy")?],
-            ),
-            None => (
-                calibration.required(["fx", "fy"])?,
-                calibration.required(["cx", "cy"])?,
-            ),
-        };
-        Ok(Self {
-            focal,
-            centre,
-            k,
-            p,
-            b2: value("b2")?,
-        })
-    }
-
-    /// Returns COLMAP's model of this kind with its parameters, and by how many pixels the terms
-    /// that it lacks move the corner of an image.
-    fn in_colmap(&self, kind: &str, [w, h]: [f64; 2]) -> Option<(CameraModel, Vec<f64>, f64)> {
-        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
-        let ([k1, k2, k3, k4], [p1, p2, p3, p4]) = (self.k, self.p);
-        let corner = (w / 2.0 / fx).hypot(h / 2.0 / fy);
-        let skew = self.b2.abs() * h / 2.0 / fy;
-        Some(match kind {
-            "frame" => {
-                let tangential =
-                    (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
-                let off = fx * (k4.abs() * corner.powi(9) + 3.0 * corner.powi(2) * tangential);
-                (
-                    CameraModel::FullOpenCv,
-                    vec![fx, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0],
-                    off + skew,
-                )
-            }
-            "fisheye" | "equidistant_fisheye" => {
-                let off = 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2);
-                (
-                    CameraModel::OpenCvFisheye,
-                    vec![fx, fy, cx, cy, k1, k2, k3, k4],
-                    off + skew,
-                )
-            }
-            _ => return None,
-        })
-    }
-}
-
-fn refuse_much_left_out(left_out_px: f64, calibration: &Element) -> Result<(), Fault> {
-    if left_out_px <= 100.0 * NEGLIGIBLE_PX {
-        return Ok(());
-    }
-    let what = format!(
-        "b2, k4, p3 or p4 of the calibration move pixels by {left_out_px:.0}, and COLMAP's models have no such term"
-    );
-    let hint = "undistort the photos in Metashape (Export > Undistort Photos), or fit the calibration without these terms";
-    Err(Fault::new(
-        "",
-        calibration.at(),
-        Problem::Unsupported { what, hint },
-    ))
 }
 
 #[cfg(test)]

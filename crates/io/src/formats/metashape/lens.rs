@@ -1,0 +1,160 @@
+//! The cameras of Metashape's sensors.
+
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
+
+use super::super::{
+    Fault, Problem,
+    foreign::{ForeignModel, camera},
+    xml::Element,
+};
+
+/// Largest error in pixels that leaving out a term of the distortion may cause.
+const NEGLIGIBLE_PX: f64 = 0.5;
+
+/// The camera of a sensor, and by how many pixels the terms that COLMAP's models lack move the
+/// corner of an image.
+#[derive(Clone)]
+pub(super) struct Lens {
+    pub camera: Camera,
+    left_out_px: f64,
+}
+
+impl Lens {
+    pub fn read(sensor: &Element, id: u32) -> Result<Self, Fault> {
+        let adjusted = sensor
+            .children("calibration")
+            .find(|one| one.attribute("class") != Some("initial"));
+        let calibration = adjusted.or(sensor.child("calibration"));
+        let kind = [calibration, Some(sensor)]
+            .into_iter()
+            .flatten()
+            .find_map(|element| element.attribute("type"));
+        let kind = kind.unwrap_or("frame");
+        let [width, height] = size(sensor, calibration)?;
+        let (w, h) = (width as f64, height as f64);
+        let (model, params, left_out_px) = if kind == "spherical" {
+            (CameraModel::Equirectangular, vec![w, h], 0.0)
+        } else {
+            let calibration = calibration.ok_or_else(|| sensor.lacks("calibration"))?;
+            let terms = Terms::read(calibration, [w, h])?;
+            let found = terms.in_colmap(kind, [w, h]).ok_or_else(|| {
+                let problem = Problem::CameraModel(format!("{kind} (Metashape)"));
+                Fault::new("", sensor.at(), problem)
+            })?;
+            refuse_much_left_out(found.2, calibration)?;
+            found
+        };
+        let lens = Camera::new(id, model, width, height, params);
+        Ok(Self {
+            camera: camera(lens, || "its camera".into())?,
+            left_out_px,
+        })
+    }
+
+    pub fn warn(&self, foreign: &mut ForeignModel) {
+        let (id, left_out) = (self.camera.id, self.left_out_px);
+        if left_out > NEGLIGIBLE_PX {
+            let text = format!(
+                "b2, k4, p3 and p4 of sensor {id} are left out, which moves pixels by up to {left_out:.1}"
+            );
+            foreign.warn(WarningKind::Format, text);
+        }
+    }
+}
+
+/// Width and height of the calibration's images, else of the sensor.
+fn size(sensor: &Element, calibration: Option<&Element>) -> Result<[u64; 2], Fault> {
+    let resolution = calibration
+        .and_then(|c| c.child("resolution"))
+        .or(sensor.child("resolution"));
+    let resolution = resolution.ok_or_else(|| sensor.lacks("resolution"))?;
+    let side = |name: &'static str| {
+        let side = resolution
+            .attribute(name)
+            .and_then(|side| side.parse::<u64>().ok());
+        side.ok_or_else(|| resolution.lacks(name))
+    };
+    Ok([side("width")?, side("height")?])
+}
+
+/// Terms of a calibration, pixels of COLMAP.
+struct Terms {
+    focal: [f64; 2],
+    centre: [f64; 2],
+    k: [f64; 4],
+    p: [f64; 4],
+    b2: f64,
+}
+
+impl Terms {
+    fn read(calibration: &Element, [w, h]: [f64; 2]) -> Result<Self, Fault> {
+        let value = |name: &str| calibration.number(name).map(Option::unwrap_or_default);
+        let k = [value("k1")?, value("k2")?, value("k3")?, value("k4")?];
+        let p = [value("p1")?, value("p2")?, value("p3")?, value("p4")?];
+        let (focal, centre) = match calibration.number("f")? {
+            Some(f) => (
+                [f + value("b1")?, f],
+                [w / 2.0 + value("cx")?, h / 2.0 + value("cy")?],
+            ),
+            None => (
+                calibration.required(["fx", "fy"])?,
+                calibration.required(["cx", "cy"])?,
+            ),
+        };
+        Ok(Self {
+            focal,
+            centre,
+            k,
+            p,
+            b2: value("b2")?,
+        })
+    }
+
+    /// Returns COLMAP's model of this kind with its parameters, and by how many pixels the terms
+    /// that it lacks move the corner of an image.
+    fn in_colmap(&self, kind: &str, [w, h]: [f64; 2]) -> Option<(CameraModel, Vec<f64>, f64)> {
+        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
+        let ([k1, k2, k3, k4], [p1, p2, p3, p4]) = (self.k, self.p);
+        let corner = (w / 2.0 / fx).hypot(h / 2.0 / fy);
+        let skew = self.b2.abs() * h / 2.0 / fy;
+        Some(match kind {
+            "frame" => {
+                let tangential =
+                    (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
+                let off = fx * (k4.abs() * corner.powi(9) + 3.0 * corner.powi(2) * tangential);
+                (
+                    CameraModel::FullOpenCv,
+                    vec![fx, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0],
+                    off + skew,
+                )
+            }
+            "fisheye" | "equidistant_fisheye" => {
+                let off = 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2);
+                (
+                    CameraModel::OpenCvFisheye,
+                    vec![fx, fy, cx, cy, k1, k2, k3, k4],
+                    off + skew,
+                )
+            }
+            _ => return None,
+        })
+    }
+}
+
+fn refuse_much_left_out(left_out_px: f64, calibration: &Element) -> Result<(), Fault> {
+    if left_out_px <= 100.0 * NEGLIGIBLE_PX {
+        return Ok(());
+    }
+    let what = format!(
+        "b2, k4, p3 or p4 of the calibration move pixels by {left_out_px:.0}, and COLMAP's models have no such term"
+    );
+    let hint = "undistort the photos in Metashape (Export > Undistort Photos), or fit the calibration without these terms";
+    Err(Fault::new(
+        "",
+        calibration.at(),
+        Problem::Unsupported { what, hint },
+    ))
+}
