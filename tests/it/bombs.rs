@@ -60,8 +60,12 @@ fn text(path: &Path) -> &str {
 
 /// The program within the limit of memory, on two threads: each reserves address space.
 fn viewrank(arguments: &[&str]) -> Command {
+    viewrank_within(MOST_MEMORY_KIB, arguments)
+}
+
+fn viewrank_within(most_memory_kib: u64, arguments: &[&str]) -> Command {
     let mut command = Command::new("sh");
-    let limited = format!("ulimit -c 0; ulimit -v {MOST_MEMORY_KIB}; exec \"$@\"");
+    let limited = format!("ulimit -c 0; ulimit -v {most_memory_kib}; exec \"$@\"");
     command
         .args(["-c", &limited, "sh", env!("CARGO_BIN_EXE_viewrank")])
         .args(arguments);
@@ -308,6 +312,71 @@ fn xml_of_more_records_than_any_model_has_is_refused() {
         fs::write(folder.path().join("model.xml"), text).unwrap();
         let error = fails(viewrank(&["inspect", self::text(folder.path())]));
         assert!(error.contains("at most 262144"), "{record}: {error}");
+    }
+}
+
+#[test]
+fn of_records_of_xml_only_what_they_say_is_kept() {
+    let inspected = |text: String| {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("cameras.xml"), text).unwrap();
+        viewrank_within(1 << 20, &["inspect", self::text(folder.path())])
+            .output()
+            .map(|output| (output.status.code(), said(&output)))
+            .unwrap()
+    };
+    let many = "<a/>".repeat(250_000);
+    let sensors: String = (0..24)
+        .map(|id| format!("<sensor id=\"{id}\">{many}</sensor>"))
+        .collect();
+    let in_chunk = |text: &str| format!("<document version=\"1\"><chunk>{text}</chunk></document>");
+    let (code, error) = inspected(in_chunk(&format!("<sensors>{sensors}</sensors>")));
+    assert_eq!(code, Some(0), "{error}");
+    // Of a group of many cameras, the label is one.
+    let label = "A".repeat(1 << 20);
+    let cameras = "<camera label=\"x\"/>".repeat(2000);
+    let group = format!("<cameras><group label=\"{label}\">{cameras}</group></cameras>");
+    let (code, error) = inspected(in_chunk(&group));
+    assert_eq!(code, Some(0), "{error}");
+    let attributes = format!("<a{}/>", " b=\"\"".repeat(1000)).repeat(300);
+    let (code, error) = inspected(in_chunk(&format!("<transform>{attributes}</transform>")));
+    assert_eq!(code, Some(1), "{error}");
+    assert!(error.contains("more than 262144 elements"), "{error}");
+}
+
+#[test]
+fn a_name_of_megabytes_is_refused_in_a_few_words() {
+    let name = "A".repeat(4 << 20);
+    let matrix = "[[1,0,0,0],[0,1,0,0],[0,0,1,0]]";
+    let of_file = format!(r#"{{"file_path":"{name}","transform_matrix":{matrix}}}"#);
+    let of_camera =
+        format!(r#"{{"file_path":"a.jpg","camera_model":"{name}","transform_matrix":{matrix}}}"#);
+    for (frame, why) in [
+        (of_file, "longer than 4096 bytes"),
+        (of_camera, "unknown camera model"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let transforms = format!(r#"{{"w":10,"h":10,"fl_x":9,"frames":[{frame}]}}"#);
+        fs::write(folder.path().join("transforms.json"), transforms).unwrap();
+        for arguments in [&["plan"][..], &["inspect", "--format", "json"]] {
+            let arguments = [arguments, &[text(folder.path())]].concat();
+            let output = viewrank(&arguments).output().unwrap();
+            assert_eq!(output.status.code(), Some(1), "{}", output.status);
+            assert!(
+                output.stdout.len() + output.stderr.len() < 10_000,
+                "{arguments:?}"
+            );
+            assert!(said(&output).contains(why), "{}", said(&output));
+        }
+        succeeds(viewrank(&[
+            "watch",
+            text(folder.path()),
+            "--once",
+            "--settle",
+            "10ms",
+        ]));
+        let status = fs::read(folder.path().join("viewrank/status.json")).unwrap();
+        assert!(status.len() < 10_000, "{}", status.len());
     }
 }
 

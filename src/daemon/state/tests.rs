@@ -370,3 +370,30 @@ fn a_plan_that_is_too_large_is_rarely_tried_again_unless_its_input_changes() {
     project.observe(stamped(7).1, now + SETTLE, OnBusy::Restart);
     assert_eq!(project.due(SETTLE), Some((now + SETTLE * 2, Work::Plan)));
 }
+
+#[test]
+fn what_a_job_says_at_length_is_shortened() {
+    let (_root, stamp) = stamped(5);
+    let long = || "A".repeat(1 << 20);
+    let outcomes = [
+        Outcome::Incomplete { reason: long() },
+        Outcome::Aside {
+            reason: long(),
+            hint: Some(long()),
+        },
+        Outcome::Followed {
+            done: 1,
+            clusters: 2,
+            share: None,
+            reached: false,
+            note: Some(long()),
+        },
+    ];
+    for outcome in outcomes {
+        let start = Instant::now();
+        let mut project = tracked(&stamp, start);
+        run(&mut project, Work::Plan, outcome, start);
+        let status = serde_json::to_string(&project.phase()).expect("JSON");
+        assert!(status.len() < 3000, "{}", status.len());
+    }
+}

@@ -494,3 +494,27 @@ impl Intrinsic {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_focal_length_is_one_number_or_two_and_read_once() {
+        let read = |text: &str| match json::<OneOrTwo>(text.as_bytes()) {
+            Ok(OneOrTwo::One(f)) => Ok(vec![f.0]),
+            Ok(OneOrTwo::Two(list)) => Ok(list.0.iter().map(|f| f.0).collect()),
+            Err(fault) => Err(fault.to_string()),
+        };
+        for (text, expected) in [
+            ("5", vec![5.0]),
+            ("\"5.5\"", vec![5.5]),
+            ("[\"4\", 5]", vec![4.0, 5.0]),
+        ] {
+            assert_eq!(read(text), Ok(expected), "{text}");
+        }
+        // The error is that of an element, not that nothing fits the whole.
+        let error = read("[0, \"x\", 0").unwrap_err();
+        assert!(error.contains("\"x\" is not a valid number"), "{error}");
+    }
+}

@@ -12,7 +12,10 @@
 //! file doesn't store image sizes.
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank_core::model::camera::{Camera, CameraModel};
+use viewrank_core::{
+    base::large_pages,
+    model::camera::{Camera, CameraModel},
+};
 
 use super::{
     Fault, Place, Problem, check_images,
@@ -60,15 +63,8 @@ pub fn read(bundle: &[u8], list: &[u8], size_of: SizeLookup) -> Result<ForeignMo
         );
         return Err(words.fault(Problem::Contradiction(message)));
     }
-    let numbered = |what: &'static str, n: usize| move || format!("{what} {}", n + 1);
-    let each_camera =
-        |n| bundler_camera(&mut words).map_err(|fault| fault.in_record(numbered("camera", n)));
-    let cameras = (0..cameras)
-        .map(each_camera)
-        .collect::<Result<Vec<_>, _>>()?;
-    let each_point =
-        |n| point(&mut words, cameras.len()).map_err(|fault| fault.in_record(numbered("point", n)));
-    let points = (0..points).map(each_point).collect::<Result<Vec<_>, _>>()?;
+    let cameras = words.records("camera", cameras, bundler_camera)?;
+    let points = words.records("point", points, |words| point(words, cameras.len()))?;
     assemble(&names, &cameras, &points, size_of)
 }
 
@@ -174,6 +170,7 @@ fn assemble(
         registered[n] = Some((foreign.model.images.len(), half));
         foreign.add_image(n as u32 + 1, name.clone(), n as u32 + 1, pose, at);
     }
+    foreign.model.points = large_pages::room_for(points.len());
     for (n, point) in points.iter().enumerate() {
         let observations = point.observations.iter().filter_map(|&(camera, [x, y])| {
             let (image, [half_width, half_height]) = registered[camera]?;

@@ -261,7 +261,93 @@ pub fn name_parts(name: &str) -> Option<Vec<&str>> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        foreign::{ForeignModel, json},
+        *,
+    };
+
+    /// The fault of a file that is refused.
+    #[track_caller]
+    fn fault<T>(read: Result<T, Fault>) -> Fault {
+        read.err().expect("it is refused")
+    }
+
+    #[test]
+    fn more_images_than_any_model_has_are_refused_before_they_are_read() {
+        let many = |before: &str, one: &dyn Fn(usize) -> String| {
+            (0..=MOST_IMAGES).fold(before.to_owned(), |text, n| text + &one(n))
+        };
+        // None of the files goes on behind them.
+        let cameras = many(r#"[{"shots":{},"cameras":{"#, &|n| format!("\"{n}\":{{}},"));
+        let recordings = many("[", &|n| {
+            format!(r#"{{"shots":{{}},"cameras":{{"{n}":{{}}}}}},"#)
+        });
+        let views = many(r#"{"version":[1],"views":["#, &|_| {
+            r#"{"viewId":0},"#.into()
+        });
+        let poses = many(r#"{"extrinsics":["#, &|_| {
+            r#"{"key":0,"value":{"rotation":[[0,0,0],[0,0,0],[0,0,0]],"center":[0,0,0]}},"#.into()
+        });
+        let frames = many(r#"{"frames":["#, &|_| "0,".into());
+        let faults = [
+            fault(opensfm::read(cameras.as_bytes(), None)),
+            fault(opensfm::read(recordings.as_bytes(), None)),
+            fault(alicevision::read(views.as_bytes())),
+            fault(openmvg::read(poses.as_bytes())),
+            fault(transforms::read(
+                frames.as_bytes(),
+                &|_| None,
+                &str::to_owned,
+            )),
+            fault(bundler::read(b"", &b"a\n".repeat(MOST_IMAGES + 1), &|_| {
+                None
+            })),
+            fault(colmap_text::read(&Bytes {
+                cameras: &b"x\n".repeat(MOST_IMAGES + 1),
+                ..Bytes::default()
+            })),
+        ];
+        for fault in faults {
+            assert_eq!(fault.problem.hint(), SPLIT, "{fault}");
+            assert!(fault.to_string().contains("262144"), "{fault}");
+        }
+    }
+
+    #[test]
+    fn names_of_images_that_are_longer_than_any_path_are_refused() {
+        let longest = "a".repeat(LONGEST_NAME);
+        assert_eq!(check_name(&longest), Ok(()));
+        let longer = longest + "b";
+        let is_refused = |problem: &Problem| matches!(problem, Problem::Name { .. });
+        assert!(is_refused(&check_name(&longer).unwrap_err()));
+        let without_pose = ForeignModel {
+            unregistered: vec![longer.clone()],
+            ..ForeignModel::default()
+        };
+        let left_out = ForeignModel {
+            left_out: vec![longer],
+            ..ForeignModel::default()
+        };
+        for model in [without_pose, left_out] {
+            assert!(is_refused(&fault(model.scene()).problem));
+        }
+    }
+
+    #[test]
+    fn a_fault_is_short_whatever_it_quotes() {
+        let long = "A".repeat(1 << 20);
+        let of_json = fault(json::<u8>(format!("\"{long}\"").as_bytes()));
+        let name = Problem::Name {
+            name: long.clone(),
+            why: "is an absolute path",
+        };
+        let of_name = Fault::new("", Place::Line(3), name).in_record(|| long);
+        for (fault, why) in [(of_json, "expected u8"), (of_name, "is an absolute path")] {
+            let text = fault.to_string();
+            assert!(text.len() < 3000, "{}", text.len());
+            assert!(text.starts_with("line ") && text.contains(why), "{text}");
+        }
+    }
 
     #[test]
     fn names_outside_the_project_are_refused() {

@@ -13,9 +13,12 @@
 //! models of a file the one with most cameras is read.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use viewrank_core::model::{
-    camera::{Camera, CameraModel},
-    scene::WarningKind,
+use viewrank_core::{
+    base::large_pages,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::WarningKind,
+    },
 };
 
 use super::{
@@ -91,18 +94,13 @@ fn model(words: &mut Words) -> Result<NvmModel, Fault> {
     let count = words.count("cameras", 22)?;
     check_images(count)?;
     words.line();
-    let each =
-        |n| nvm_camera(words).map_err(|fault| fault.in_record(|| format!("camera {}", n + 1)));
-    let cameras = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
+    let cameras = words.records("camera", count, nvm_camera)?;
     let count = if words.at_end() {
         0
     } else {
         words.count("points", 14)?
     };
-    let each = |n| {
-        point(words, cameras.len()).map_err(|fault| fault.in_record(|| format!("point {}", n + 1)))
-    };
-    let points = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
+    let points = words.records("point", count, |words| point(words, cameras.len()))?;
     Ok(NvmModel { cameras, points })
 }
 
@@ -187,6 +185,7 @@ fn assemble(
         foreign.add_image(id, nvm.name.clone(), id, pose, nvm.at);
         origins.push(if from_centre { half } else { [0.0; 2] });
     }
+    foreign.model.points = large_pages::room_for(points.len());
     for (n, point) in points.iter().enumerate() {
         let observations = point
             .observations

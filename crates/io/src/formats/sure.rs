@@ -361,3 +361,22 @@ pub fn write(image: &str, camera: &Camera, cam_from_world: &Pose) -> Option<Stri
     ];
     Some(lines.join("\n") + "\n")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_entries_that_are_read_are_kept() {
+        let unwanted: String = (0..1000).map(|n| format!("$a{n}\n{n}\n")).collect();
+        let text = format!(
+            "$ImageID__(v)\n\n\ta b.jpg \r\n{unwanted}$IntOri_PixelSize_(x|y)[mm]\n1\n 2\n"
+        );
+        let entries = entries(text.as_bytes()).unwrap();
+        assert_eq!(entries.len(), 2);
+        assert_eq!(entries["ImageID"].text.trim_ascii(), b"a b.jpg");
+        assert_eq!(numbers(&entries, "IntOri_PixelSize"), Ok([1.0, 2.0]));
+        assert!(numbers::<3>(&entries, "IntOri_PixelSize").is_err());
+        assert!(super::entries(b"\n1 2\n$ImageID\na").is_err());
+    }
+}

@@ -67,7 +67,6 @@ pub fn read(
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<(ForeignModel, Option<String>), Fault> {
     let (data, of_all): (Transforms, Lens) = (json(bytes)?, json(bytes)?);
-    of_all.check_model()?;
     let mut foreign = ForeignModel::default();
     // Camera ids by the text of the lens, as numbers have no hash.
     let mut known: HashMap<String, u32> = HashMap::new();
@@ -83,7 +82,6 @@ pub fn read(
         let (frame, lens): (Frame, Lens) =
             (json(text).map_err(in_frame)?, json(text).map_err(in_frame)?);
         let what = || format!("frame {n}, {:?}", frame.file_path);
-        lens.check_model().map_err(|fault| fault.in_record(what))?;
         let name = spelled(&frame.file_path.replace('\\', "/"))
             .trim_start_matches("./")
             .to_string();
@@ -148,14 +146,6 @@ impl Lens {
         }
     }
 
-    /// Refuses a name of a camera model that is far longer than any: each frame takes a copy of it.
-    fn check_model(&self) -> Result<(), Fault> {
-        match &self.camera_model {
-            Some(name) if name.len() > 100 => Err(unknown_model(name)),
-            _ => Ok(()),
-        }
-    }
-
     fn camera(&self, id: u32) -> Result<Camera, Fault> {
         let fault = |problem| Fault::new("", Place::File, problem);
         let size = self
@@ -207,17 +197,16 @@ impl Lens {
                 CameraModel::FullOpenCv,
                 vec![fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0],
             ),
-            _ => return Err(unknown_model(kind)),
+            _ => {
+                return Err(fault(Problem::CameraModel(format!(
+                    "{kind} (transforms.json)"
+                ))));
+            }
         };
         camera(Camera::new(id, model, w as u64, h as u64, params), || {
             "its camera".into()
         })
     }
-}
-
-fn unknown_model(name: &str) -> Fault {
-    let problem = Problem::CameraModel(format!("{name} (transforms.json)"));
-    Fault::new("", Place::File, problem)
 }
 
 #[cfg(test)]

@@ -10,6 +10,8 @@ use nom::{
     sequence::preceded,
 };
 
+use viewrank_core::base::large_pages;
+
 use super::{Fault, Place, Problem};
 
 /// Index of the camera in the file, and pixel.
@@ -85,6 +87,21 @@ impl<'a> Words<'a> {
                 room: room as u64,
             },
         ))
+    }
+
+    /// Parses records; a fault names the number of its record.
+    pub fn records<T>(
+        &mut self,
+        what: &'static str,
+        count: usize,
+        mut record: impl FnMut(&mut Self) -> Result<T, Fault>,
+    ) -> Result<Vec<T>, Fault> {
+        let mut records = large_pages::room_for(count);
+        for n in 1..=count {
+            let read = record(self).map_err(|fault| fault.in_record(|| format!("{what} {n}")));
+            records.push(read?);
+        }
+        Ok(records)
     }
 
     /// Parses the observations of a point in the format of Bundler and VisualSFM: their number,

@@ -37,6 +37,13 @@ fn assert_is_ramp(image: &Image) {
 }
 
 #[test]
+fn an_error_is_short_whatever_the_decoder_says() {
+    let said = std::io::Error::other("8, ".repeat(60_000));
+    let error = ImageError::Other(image::ImageError::IoError(said));
+    assert!(error.to_string().len() < 2000);
+}
+
+#[test]
 fn all_formats_show_the_same_picture() {
     let ramp = ramp(1600, 1200);
     let deep: DynamicImage = DynamicImage::ImageRgb16(ramp.to_rgb16());

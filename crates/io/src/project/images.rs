@@ -46,8 +46,10 @@ pub(super) fn find_by_names(
 }
 
 /// Most names that are looked for in vain: each takes up to a hundred calls of the system, and a
-/// small file may name a million.
+/// small file may name a million. A long name counts as several.
 const MOST_MISSING: usize = 10_000;
+/// Bytes of a name that count as one.
+const USUAL_NAME: usize = 256;
 
 /// Looks for the images of a model in some folders.
 pub(super) struct ImageSearch {
@@ -73,7 +75,7 @@ impl ImageSearch {
                 .iter()
                 .find_map(|folder| self.names.locate(folder, name))
         };
-        self.unless_most_are_missing(located)
+        self.unless_most_are_missing(name, located)
             .unwrap_or_else(|| name.into())
     }
 
@@ -91,16 +93,22 @@ impl ImageSearch {
                 .iter()
                 .find_map(|folder| in_folder(folder, name))
         };
-        self.unless_most_are_missing(|| last_parts(name).iter().find_map(in_folders))
+        self.unless_most_are_missing(name, || last_parts(name).iter().find_map(in_folders))
     }
 
-    fn unless_most_are_missing<T>(&self, look: impl FnOnce() -> Option<T>) -> Option<T> {
-        if self.missing.get() == MOST_MISSING {
+    fn unless_most_are_missing<T>(
+        &self,
+        name: &str,
+        look: impl FnOnce() -> Option<T>,
+    ) -> Option<T> {
+        if self.missing.get() >= MOST_MISSING {
             return None;
         }
         let found = look();
-        self.missing
-            .set(self.missing.get() + usize::from(found.is_none()));
+        if found.is_none() {
+            let names = 1 + name.len() / USUAL_NAME;
+            self.missing.set(self.missing.get() + names);
+        }
         found
     }
 }

@@ -292,6 +292,7 @@ impl ColmapPoint<'_> {
         observations: &mut Vec<(ViewIndex, [f64; 2])>,
     ) -> Result<(), Fault> {
         observations.clear();
+        observations.reserve(self.track.len());
         if !self.xyz.iter().all(|v| v.is_finite()) {
             return Err(self.fault(Problem::NotFinite("the position")));
         }
