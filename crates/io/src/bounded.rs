@@ -41,7 +41,7 @@ pub fn elements<'de, A: SeqAccess<'de>, T: Deserialize<'de>, const MOST: usize>(
 
 /// The error of a list or an object with more than `most` entries.
 pub fn too_many<E: Error>(most: usize) -> E {
-    E::custom(format_args!("{MORE_THAN} {most}"))
+    E::custom(format_args!("{MORE_THAN} {most} entries"))
 }
 
 struct Bounded<T, const MOST: usize>(PhantomData<T>);

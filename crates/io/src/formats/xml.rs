@@ -14,7 +14,7 @@ use super::{Fault, Place, Problem, words::parse};
 
 /// Deepest nesting of elements, and most elements and attributes in one record.
 const DEEPEST: usize = 64;
-const MOST_PARTS: usize = 1 << 18;
+const MOST_PARTS: usize = 1 << 16;
 /// Most attributes of an element.
 const MOST_ATTRIBUTES: usize = 1 << 10;
 

@@ -106,20 +106,21 @@ struct ChunkCamera {
 }
 
 impl ChunkCamera {
-    fn read(camera: &Element, group: Option<Rc<str>>) -> Self {
-        let text = |name| camera.attribute(name).unwrap_or_default().to_owned();
+    fn read(camera: &Element, group: Option<Rc<str>>) -> Result<Self, Fault> {
+        let label = camera.attribute("label").unwrap_or_default();
+        let id = |attribute| Ok(id_of(camera, attribute)?.map(str::to_owned));
         let transform = camera.child("transform").map(Placement::read);
-        Self {
+        Ok(Self {
             at: camera.at(),
             group,
-            label: text("label"),
-            id: camera.attribute("id").map(str::to_owned),
-            sensor_id: text("sensor_id"),
-            component_id: text("component_id"),
-            master_id: camera.attribute("master_id").map(str::to_owned),
+            label: label.to_owned(),
+            id: id("id")?,
+            sensor_id: id("sensor_id")?.unwrap_or_default(),
+            component_id: id("component_id")?.unwrap_or_default(),
+            master_id: id("master_id")?,
             is_enabled: !matches!(camera.attribute("enabled"), Some("false" | "0")),
             placement: transform.transpose(),
-        }
+        })
     }
 
     /// Returns whether it has a pose or a master.
@@ -166,7 +167,7 @@ impl Chunk {
                         let sensor = xml.whole(sensor)?;
                         let number = chunk.sensors.len() as u32 + 1;
                         let read = Sensor::read(&sensor, number);
-                        chunk.sensors.insert(id_of(&sensor), read);
+                        chunk.sensors.insert(own_id(&sensor)?, read);
                     }
                 }
                 "components" => {
@@ -176,7 +177,7 @@ impl Chunk {
                         let component = xml.whole(component)?;
                         if let Some(transform) = component.child("transform") {
                             let transform = Similarity::read(transform)?;
-                            chunk.components.insert(id_of(&component), transform);
+                            chunk.components.insert(own_id(&component)?, transform);
                         }
                     }
                 }
@@ -200,7 +201,8 @@ impl Chunk {
             match &*entered.name {
                 "camera" => {
                     let camera = xml.whole(entered)?;
-                    self.cameras.push(ChunkCamera::read(&camera, group.clone()));
+                    let camera = ChunkCamera::read(&camera, group.clone())?;
+                    self.cameras.push(camera);
                     check_images(self.cameras.len())?;
                 }
                 "group" => self.read_cameras(entered.attribute("label").map(Rc::from), xml)?,
@@ -380,8 +382,24 @@ impl Placement {
     }
 }
 
-fn id_of(element: &Element) -> String {
-    element.attribute("id").unwrap_or_default().to_owned()
+/// Longest id, bytes: that of a master's component is compared for each of its slaves.
+const LONGEST_ID: usize = 255;
+
+/// The id in an attribute, usually a number.
+fn id_of<'a>(element: &'a Element, attribute: &str) -> Result<Option<&'a str>, Fault> {
+    let id = element.attribute(attribute);
+    let Some(long) = id.filter(|id| id.len() > LONGEST_ID) else {
+        return Ok(id);
+    };
+    let problem = Problem::Syntax {
+        expected: "an id of at most 255 bytes",
+        found: long.to_owned(),
+    };
+    Err(Fault::new("", element.at(), problem))
+}
+
+fn own_id(element: &Element) -> Result<String, Fault> {
+    Ok(id_of(element, "id")?.unwrap_or_default().to_owned())
 }
 
 /// Scale, rotation and translation.
@@ -505,6 +523,9 @@ mod tests {
         assert!(said("<document><chunk></document>").contains("XML"));
         assert!(said(&file("&lol;", "")).contains("&lol;"));
         assert!(said(&format!("<document>{}", "<a>".repeat(1000))).contains("deeper"));
+        let long = format!("component_id=\"{}\"", "0".repeat(300));
+        let long = file("<f>80</f>", "").replace("component_id=\"0\"", &long);
+        assert!(said(&long).contains("an id of at most 255 bytes"));
         assert!(
             said(&file("<f>80</f>", "").replace("sensor_id=\"4\"", "sensor_id=\"5\""))
                 .contains("sensor")
