@@ -55,7 +55,7 @@ pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
     gate: Gate::OPEN,
     support: 3,
     source: "no gate, since the program pairs images itself; the confidence is that of OpenMVS, not measured here; support 3: the chosen \
-             images are all that it gets, so each place is to be seen by three",
+             images are all that RealityScan gets, so each place is to be seen by three",
     ..PATCH_MATCH
 };
 

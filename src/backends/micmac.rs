@@ -7,7 +7,7 @@
 //! one is silent. `MMLastNuage.xml` is there before the map is matched, so a map counts once
 //! `viewrank.recipe` is beside it.
 
-use std::{collections::BTreeMap, path::Path};
+use std::collections::BTreeMap;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     base::shell::quoted,
-    io::{depthmaps::MICMAC_MARK, output::Contents, project::is_image},
+    io::{depthmaps::MICMAC_MARK, output::Contents},
     model::cluster::RankedCluster,
 };
 
@@ -93,6 +93,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
+/// Ends of the names of MicMac's own files, and of those that viewrank writes beside the images.
+const OWN_FILES: [&str; 5] = [".xml", ".txt", ".dat", ".sh", ".json"];
+
 /// Names are relative to the working folder, a blank separates two of them, and Malt takes them as
 /// regular expressions and hands them to a shell without quotes. The remaining characters need no
 /// escape in XML.
@@ -101,8 +104,11 @@ fn check_name(name: &str) -> Result<(), BackendError> {
         "a blank separates the two names of a pair"
     } else if name.contains('/') {
         "images are in the working folder itself"
-    } else if !is_image(Path::new(name)) {
-        "without the extension of an image, MicMac may read or write it as a file of its own"
+    } else if OWN_FILES
+        .iter()
+        .any(|own| name.to_ascii_lowercase().ends_with(own))
+    {
+        "MicMac would read or write it as a file of its own"
     } else if name
         .contains(|c: char| c.is_ascii() && !c.is_ascii_alphanumeric() && !"._-".contains(c))
     {

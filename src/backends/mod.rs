@@ -153,7 +153,7 @@ impl Backend {
         Err(BackendError::Name {
             backend: self.name,
             name: name.into(),
-            why: "it has a control character, as a line break is".into(),
+            why: "it has a control character, such as a line break".into(),
         })
     }
 

@@ -246,11 +246,17 @@ fn nothing_chosen(selection: &Selection) -> Option<String> {
 fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
     let planned_for = by_name(selection.planned_for).ok()?;
     let (is, was) = (&backend.planning, &planned_for.planning);
-    let differs =
-        is.gate != was.gate || is.confidence != was.confidence || is.support != was.support;
-    let why = match backend.use_of_views {
-        Some(_) => "whose depth maps need other support",
-        None => "which matches other pairs or needs other support",
+    let takes_images = |backend: &Backend| backend.use_of_views.is_some();
+    let differs = is.gate != was.gate
+        || is.confidence != was.confidence
+        || is.support != was.support
+        || takes_images(backend) != takes_images(planned_for);
+    let why = if takes_images(backend) {
+        "which makes depth maps"
+    } else if takes_images(planned_for) {
+        "which makes none"
+    } else {
+        "which matches other pairs or needs other support"
     };
     differs.then(|| {
         format!(

@@ -241,7 +241,7 @@ pub fn absolute(path: &Path) -> String {
     absolute.to_string_lossy().into_owned()
 }
 
-/// Returns the command line, to be shown: in words that are no UTF-8, what is none is replaced.
+/// Returns the command line, to be shown: bytes that are not UTF-8 are replaced.
 pub fn typed_words() -> Vec<String> {
     let words = std::env::args_os();
     words

@@ -175,11 +175,22 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         undistorted(arguments, project, backend)?
     };
     let is_own = root == own;
-    let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
+    let mut typed = arguments.typed(Some(backend.name), is_own);
+    if let Some(region) = region_of_plan(&root).filter(|_| settings.region.is_none()) {
+        note(&format!("the region is that of the last plan: {region}"));
+        typed.set("--region", "region", Some(region));
+    }
+    let foreground = Foreground::new(&root, typed, &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
     say(work.plan_in_words())?;
     let ended = work.compute()?;
     work.end(ended)
+}
+
+/// Returns the region of the project's plan, which somebody may have typed.
+fn region_of_plan(project: &Path) -> Option<String> {
+    let plan = WrittenPlan::read(project).ok()?;
+    plan.settings.region.map(|region| region.to_string())
 }
 
 /// Why no more depth maps are computed.
@@ -249,6 +260,8 @@ impl Arguments {
             ("--budget", self.budget.clone()),
             ("-k", self.k.clone()),
             ("--scales", next::scales(self.scales.as_deref())),
+            ("--region", self.region.clone()),
+            ("--gsd", self.gsd.clone()),
             ("--images", self.images.as_ref().map(path)),
             ("--program", self.program.as_ref().map(path)),
             ("--threads", self.threads.map(|threads| threads.to_string())),

@@ -7,6 +7,7 @@ use std::{
 };
 
 use crate::{
+    backends,
     base::{
         error::{Advice, Hint},
         shell::command_path,
@@ -61,12 +62,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             return match (progress, planned_maps(&project)) {
                 (Some(progress), _) if is_json => print_json(&progress),
                 (Some(progress), _) => print(unwatched(&progress)),
-                (None, Some(planned)) if is_json => {
+                (None, Some((planned, _))) if is_json => {
                     print_json(&json!({ "done": 0, "clusters": planned }))
                 }
-                (None, Some(planned)) => {
-                    print([format!("0 of {planned} planned depth maps are finished.")])
-                }
+                (None, Some((planned, backend))) => print([planned_in_words(planned, &backend)]),
                 (None, None) => Err(NoStatus::NotWatched(project).into()),
             };
         }
@@ -131,6 +130,14 @@ impl Hint for NoStatus {
                 "make it readable, or start a daemon of this version, which rewrites it".into()
             }
         })
+    }
+}
+
+/// What is planned where no depth map is finished.
+fn planned_in_words(planned: usize, backend: &str) -> String {
+    match backends::by_name(backend).map(|backend| backend.use_of_views) {
+        Ok(Some(_)) => format!("{planned} images are planned; {backend} makes no depth maps."),
+        _ => format!("0 of {planned} planned depth maps are finished."),
     }
 }
 

@@ -220,12 +220,11 @@ impl StatusFiles {
             if let Some(metrics) = &mut self.metrics {
                 metrics.fresh = false;
             }
-            match root
-                .pace
-                .write(now, last, || write_status(&mut root.holder, &fresh, disk))
-            {
-                true => root.written = fresh,
-                false => wait(root.pace.next),
+            let write = || write_status(&mut root.holder, &fresh, disk);
+            if root.pace.write(now, last, write) {
+                root.written = fresh;
+            } else {
+                wait(root.pace.next);
             }
         }
         if let Some(metrics) = self.metrics.as_mut().filter(|metrics| !metrics.fresh) {

@@ -39,7 +39,7 @@ use crate::base::{
 /// Interval at which a waiting daemon notices that a job was cancelled.
 const PAUSE: Duration = Duration::from_millis(50);
 /// Longest time of a job: settings that ask for far too much would keep all other projects waiting.
-/// A plan of 10,000 views takes a tenth of it on two cores.
+/// A plan of 10,000 views takes less than a tenth of it on two cores.
 const LONGEST: Duration = Duration::from_secs(3 * 60 * 60);
 
 /// A line to a worker. Paths are as the system has them, for not all are text.

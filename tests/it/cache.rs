@@ -62,12 +62,13 @@ fn town() -> Scene {
 
 fn settings(text: &str) -> Settings {
     let settings: Settings = toml::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"));
-    match settings.backends.is_empty() {
-        true => Settings {
+    if settings.backends.is_empty() {
+        Settings {
             backends: vec!["sgm".into()],
             ..settings
-        },
-        false => settings,
+        }
+    } else {
+        settings
     }
 }
 
@@ -371,10 +372,11 @@ fn a_disk_that_is_full_has_room_for_a_plan_without_its_cache() {
         let folder = planned(&town());
         fs::remove_dir_all(folder.path().join("viewrank/cache")).unwrap();
         let changes = AtomicUsize::new(0);
-        let full_once = |_: Operation, _: &Path| match changes.fetch_add(1, Ordering::Relaxed) == at
-        {
-            true => Err(io::ErrorKind::StorageFull.into()),
-            false => Ok(()),
+        let full_once = |_: Operation, _: &Path| {
+            if changes.fetch_add(1, Ordering::Relaxed) == at {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            Ok(())
         };
         only_the_plan_is_written(
             folder.path(),

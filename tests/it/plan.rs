@@ -721,3 +721,53 @@ fn a_backend_that_matches_all_at_one_size_says_so() {
     ])];
     assert_eq!(error.status.code(), Some(2));
 }
+
+#[test]
+fn images_for_splats_are_ranked_by_what_they_draw_and_not_by_maps() {
+    let folder = project();
+    let (folder, maps) = (folder.path(), folder.path().join("maps"));
+    plan(folder, &["--backend", "openmvs"]);
+    let by_maps = manifest(folder);
+    let text = plan(folder, &["--backend", "splat"]);
+    let by_images = manifest(folder);
+    assert!(
+        text.contains(" images:") && text.contains("of what all 28 draw."),
+        "{text}"
+    );
+    assert!(
+        !text.contains("depth map") && !text.contains("likely"),
+        "{text}"
+    );
+    let keys = |manifest: &Value| -> Vec<String> {
+        let clusters = manifest["clusters"].as_array().unwrap();
+        let key = |cluster: &Value| cluster["key"].as_str().unwrap().to_owned();
+        clusters.iter().map(key).collect()
+    };
+    // The cache of the plan for maps is not taken for that for images, or back.
+    assert_ne!(keys(&by_maps), keys(&by_images));
+    plan(folder, &["--backend", "openmvs"]);
+    assert_eq!(keys(&manifest(folder)), keys(&by_maps));
+    plan(folder, &["--backend", "images"]);
+    assert_eq!(keys(&manifest(folder)), keys(&by_images));
+    let svg = fs::read_to_string(folder.join("viewrank/curve.svg")).unwrap();
+    assert!(
+        svg.contains(" of 28 images: ") && !svg.contains("depth maps"),
+        "{svg}"
+    );
+    let cut = &by_images["cut"];
+    assert_eq!(cut["share_band"]["low"], cut["share_band"]["high"]);
+    fs::create_dir(&maps).unwrap();
+    let finished = [
+        "plan",
+        folder.to_str().unwrap(),
+        "--backend",
+        "splat",
+        "--finished",
+        maps.to_str().unwrap(),
+    ];
+    let (code, said) = failure(&finished);
+    assert!(
+        code != 0 && said.contains("no depth maps to keep"),
+        "{code}: {said}"
+    );
+}

@@ -225,9 +225,10 @@ impl Scene {
         if self.chance(3) {
             self.has_maps = !self.has_maps;
             let project = self.root.path().join(COMPUTED);
-            match self.has_maps {
-                true => put_maps(&project, &self.keys),
-                false => fs::remove_dir_all(project.join("sgm")).expect("maps"),
+            if self.has_maps {
+                put_maps(&project, &self.keys)
+            } else {
+                fs::remove_dir_all(project.join("sgm")).expect("maps")
             }
             return COMPUTED;
         }

@@ -177,8 +177,9 @@ pub fn link_file(target: &Path, folder: &Dir, name: &str) -> io::Result<()> {
 
 /// Syncs the entries of a folder; Windows does so by itself, and opens no folders.
 pub fn sync_folder(folder: &Dir, name: &Path) -> io::Result<()> {
-    match cfg!(windows) {
-        true => Ok(()),
-        false => folder.open(name)?.sync_all(),
+    if cfg!(windows) {
+        Ok(())
+    } else {
+        folder.open(name)?.sync_all()
     }
 }

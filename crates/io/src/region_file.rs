@@ -369,8 +369,8 @@ fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
         .windows(2)
         .filter(|pair| pair[0] != pair[1])
         .count();
-    let is_keptd = changes > 0 && positions.first() == positions.last();
-    match (changes + 1).min(positions.len()) - usize::from(is_keptd) {
+    let is_closed = changes > 0 && positions.first() == positions.last();
+    match (changes + 1).min(positions.len()) - usize::from(is_closed) {
         3.. => Ok(positions),
         distinct => Err(few(distinct)),
     }
@@ -393,9 +393,10 @@ fn coordinates(crs: Option<Option<Crs>>, axes: Option<&RawValue>) -> Result<Coor
     let is_geodetic = ["CRS84", "CRS84h", "4326", "4979"]
         .iter()
         .any(|end| name.ends_with(end));
-    match is_geodetic {
-        true => Ok(Coordinates::Geodetic),
-        false => Err(format!("its coordinates are in {name:?}, not in WGS 84")),
+    if is_geodetic {
+        Ok(Coordinates::Geodetic)
+    } else {
+        Err(format!("its coordinates are in {name:?}, not in WGS 84"))
     }
 }
 

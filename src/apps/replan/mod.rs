@@ -131,6 +131,9 @@ pub fn replan(
     maps: &MapFolder,
     watcher: &dyn Watcher,
 ) -> Result<(Plan, Option<MeasuredClusters>), ReplanError> {
+    if !plan.stages.makes_maps {
+        return Err(ReplanError::NoMaps(plan.stages.backend));
+    }
     let (mut clusters, mut finished) = (Vec::new(), FinishedMaps::default());
     for found in look(&plan, earlier, maps, watcher)? {
         match found {
@@ -493,6 +496,8 @@ pub enum ReplanError {
     Plan(#[from] PlanError),
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+    #[error("{0} takes the images themselves: there are no depth maps to keep")]
+    NoMaps(&'static str),
 }
 
 impl Hint for ReplanError {
@@ -503,6 +508,7 @@ impl Hint for ReplanError {
             Self::Measure(error) => error.hint(),
             Self::Plan(error) => error.hint(),
             Self::Cancelled(_) => None,
+            Self::NoMaps(_) => Some("plan again without finished depth maps".into()),
         }
     }
 }

@@ -311,12 +311,14 @@ impl TrackedProject {
                 .record_measured(input.maps, now - job.started, now),
         }
         if outcome != Outcome::Abandoned {
-            self.conclude(job.work, outcome, now);
+            self.conclude(job.work, outcome, [job.started, now]);
         }
         true
     }
 
-    fn conclude(&mut self, work: Work, outcome: Outcome, now: Instant) {
+    /// `times`: start of the job, and now.
+    fn conclude(&mut self, work: Work, outcome: Outcome, times: [Instant; 2]) {
+        let [started, now] = times;
         let failures = self.failures + 1;
         (self.failures, self.retry) = (0, None);
         let result = match outcome {
@@ -331,7 +333,7 @@ impl TrackedProject {
                 self.maps.forget_measured();
                 self.planned = true;
                 match known {
-                    Some(known) => return self.conclude(work, *known, now),
+                    Some(known) => return self.conclude(work, *known, times),
                     None => Phase::Planned {
                         clusters,
                         share,
@@ -374,7 +376,11 @@ impl TrackedProject {
                 self.failures = failures;
                 self.fail(reason, hint, retry_after(failures), (now, work))
             }
-            Outcome::Aside { reason, hint } => self.fail(reason, hint, LONGEST_RETRY, (now, work)),
+            Outcome::Aside { reason, hint } => {
+                // A job that takes hours must not keep the others waiting most of the time.
+                let pause = LONGEST_RETRY.max(8 * (now - started));
+                self.fail(reason, hint, pause, (now, work))
+            }
         };
         self.result = result.shortened();
     }

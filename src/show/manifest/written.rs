@@ -138,10 +138,11 @@ pub fn planned_model(project: &Project) -> Option<String> {
     Some(RecordedPlan::read(project).ok()?.input.model)
 }
 
-/// Returns the number of depth maps that the project's plan chooses; `None` without a plan.
-pub fn planned_maps(root: &Path) -> Option<usize> {
+/// Returns the number of key views that the project's plan chooses, and its backend; `None` without
+/// a plan.
+pub fn planned_maps(root: &Path) -> Option<(usize, String)> {
     let (_, recorded) = RecordedPlan::open(root).ok()?;
-    Some(recorded.cut.clusters)
+    Some((recorded.cut.clusters, recorded.backend))
 }
 
 /// Returns what the photographs show of the region of the project's plan; `None` without a plan or

@@ -18,6 +18,8 @@ pub struct FulfilmentCurve {
     pub views: usize,
     /// True if the shares are those inside a region.
     pub of_region: bool,
+    /// True for a program that uses the images themselves.
+    pub of_images: bool,
 }
 
 impl FulfilmentCurve {
@@ -35,6 +37,7 @@ impl FulfilmentCurve {
             cut: plan.decision.cut,
             views: plan.stages.scene.views.len(),
             of_region: plan.stages.region.is_some(),
+            of_images: !plan.stages.makes_maps,
         }
     }
 
@@ -46,18 +49,31 @@ impl FulfilmentCurve {
 
     fn title(&self) -> String {
         match self.at_cut() {
-            Some((share, pairs)) => format!(
-                "{} of {} views as key views, {pairs} pairs: {:.1} % of what all depth maps give{} (predicted)",
-                self.cut.clusters,
-                self.views,
-                share * 100.0,
-                if self.of_region {
+            Some((share, pairs)) => {
+                let [chosen, views] = [self.cut.clusters, self.views];
+                let what = if self.of_images {
+                    format!("{chosen} of {views} images")
+                } else {
+                    format!("{chosen} of {views} views as key views, {pairs} pairs")
+                };
+                let share = 100.0 * share;
+                let inside = if self.of_region {
                     " inside the region"
                 } else {
                     ""
-                }
-            ),
+                };
+                let of = self.share_label().trim_start_matches("share ");
+                format!("{what}: {share:.1} % {of}{inside} (predicted)")
+            }
             None => "No view cluster fulfils anything".into(),
+        }
+    }
+
+    fn share_label(&self) -> &'static str {
+        if self.of_images {
+            "share of what all images draw"
+        } else {
+            SHARE_LABEL
         }
     }
 
@@ -69,7 +85,7 @@ impl FulfilmentCurve {
             fulfilment,
             ..
         } = self.cut;
-        if fulfilment <= 0.0 {
+        if fulfilment <= 0.0 || self.of_images {
             return String::new();
         }
         format!(
@@ -93,10 +109,12 @@ pub fn curve_svg(curve: &FulfilmentCurve) -> String {
     );
     let key_views = (1..=curve.share.len()).collect::<Vec<_>>();
     let mut height = 0.0;
-    for (i, (over, x)) in [("key views", &key_views), ("matching pairs", &curve.pairs)]
-        .into_iter()
-        .enumerate()
-    {
+    let overs: &[(&str, &Vec<usize>)] = if curve.of_images {
+        &[("images", &key_views)]
+    } else {
+        &[("key views", &key_views), ("matching pairs", &curve.pairs)]
+    };
+    for (i, &(over, x)) in overs.iter().enumerate() {
         let points = x.iter().map(|&n| n as f64).zip(curve.share.iter().copied());
         let points: Vec<(f64, f64)> = std::iter::once((0.0, 0.0)).chain(points).collect();
         let cut = points
@@ -111,7 +129,7 @@ pub fn curve_svg(curve: &FulfilmentCurve) -> String {
         }];
         let plot = Plot {
             over,
-            share_of: SHARE_LABEL,
+            share_of: curve.share_label(),
             lines: &lines,
             cut,
         };
@@ -143,6 +161,7 @@ mod tests {
             cut,
             views: 1236,
             of_region: false,
+            of_images: false,
         });
         assert!(svg.contains("184 of 1236 views as key views, 920 pairs: 90.0 %"));
         assert!(

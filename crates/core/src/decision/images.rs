@@ -10,25 +10,27 @@ use crate::{
     model::{cluster::MapScale, scene::ViewIndex},
 };
 
-/// Ranks the key views by how well all photographs can be drawn again from them: that is what the
-/// ranking keeps. f_o is that of the depth maps which nobody computes.
+/// Ranks the key views by how well the photographs of all of them can be drawn again: that is what
+/// the ranking keeps. f_o is that of the depth maps, which nobody computes.
 pub fn rank(tables: &Tables, watcher: &dyn Watcher) -> Result<Ranking, Cancelled> {
     let shown = (&tables.scene, &tables.surface, &tables.visibility);
     let factors = tables.region.as_ref().map(|region| &region.factors[..]);
     let sharpness = Sharpness::new(&tables.scene, &tables.agreement.detail);
     let keys: Vec<ViewIndex> = tables.clusters.iter().map(|cluster| cluster.key).collect();
-    let redrawing = Redrawing::new(shown, factors, &sharpness, &tables.without_image);
-    let RedrawnOrder { views, drawn } = redrawing.rank(&keys, watcher)?;
-    let cluster = |view| keys.binary_search(view).ok();
-    let order: Vec<u32> = views.iter().filter_map(cluster).map(|c| c as u32).collect();
+    let redrawing = Redrawing::new(shown, &keys, factors, &sharpness, watcher)?;
+    let RedrawnOrder { views, drawn } = redrawing.rank(watcher)?;
+    // Only key views are photographs there.
+    let cluster = |view: &ViewIndex| keys.partition_point(|key| key < view) as u32;
+    let order: Vec<u32> = views.iter().map(cluster).collect();
 
     let maps = tables.maps();
     let mut reached = Reached::new(&tables.objective);
-    let fulfilment = order.iter().map(|&cluster| {
+    let mut fulfilment = Vec::with_capacity(order.len());
+    for &cluster in &order {
+        watcher.check()?;
         reached.take(maps.row_at(cluster, MapScale::Full));
-        reached.fulfilment()
-    });
-    let fulfilment: Vec<f64> = fulfilment.collect();
+        fulfilment.push(reached.fulfilment());
+    }
     maps.release();
     let before = std::iter::once(0.0).chain(fulfilment.iter().copied());
     let gains = fulfilment

@@ -135,6 +135,8 @@ pub fn decide(
     order: &[(u32, MapScale)],
     watcher: &dyn Watcher,
 ) -> Result<Decision, DecisionError> {
+    // Where there are no maps, none are finished.
+    let order = if options.makes_maps { order } else { &[] };
     let finished = order.len();
     let ranked = match known {
         Some(known) if order.is_empty() => known.clone(),
@@ -163,11 +165,13 @@ pub fn decide(
             )
         },
     );
-    let share_band = if options.makes_maps {
-        Band::of_share(tables, cut.share, cut.reachable, &reachable_band)
+    let (share_band, reachable_band, given_up) = if options.makes_maps {
+        let of_share = Band::of_share(tables, cut.share, cut.reachable, &reachable_band);
+        (of_share, reachable_band, given_up)
     } else {
         // Nothing of it depends on matching.
-        Band::exactly(cut.share)
+        let [share, reachable] = [cut.share, cut.reachable].map(Band::exactly);
+        (share, reachable, GivenUp::default())
     };
     let cut = Cut {
         fulfilment_bound,

@@ -137,9 +137,10 @@ pub fn complete(model: &mut ColmapModel) {
         follow_lists(model);
     }
     if !has_tracks(model) && !model.points.is_empty() && model.images.len() > 1 {
-        let why = match model.points.iter().any(|point| !point.track.is_empty()) {
-            true => "no point is observed by two images",
-            false => "the points have no tracks",
+        let why = if model.points.iter().any(|point| !point.track.is_empty()) {
+            "no point is observed by two images"
+        } else {
+            "the points have no tracks"
         };
         let positions: Vec<Point3<f64>> = model.points.iter().map(|p| p.xyz.into()).collect();
         let used = used(model, &positions);

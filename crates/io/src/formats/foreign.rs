@@ -251,7 +251,7 @@ pub fn last_parts(name: &str) -> Vec<String> {
     } else {
         name.to_owned()
     };
-    let is_absolute = slashes != name || name.starts_with('/');
+    let is_absolute = is_of_windows(name) || name.starts_with('/');
     let ends = slashes
         .rmatch_indices('/')
         .filter(|_| is_absolute)
@@ -344,12 +344,13 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
             Place::File
         };
         let text = error.to_string();
-        let problem = match text.starts_with(MORE_THAN) {
-            true => Problem::Unsupported {
+        let problem = if text.starts_with(MORE_THAN) {
+            Problem::Unsupported {
                 what: text,
                 hint: SPLIT,
-            },
-            false => Problem::Json(text),
+            }
+        } else {
+            Problem::Json(text)
         };
         Fault::new("", place, problem)
     })

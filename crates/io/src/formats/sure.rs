@@ -44,14 +44,13 @@ pub fn read(bytes: &[u8], id: u32) -> Result<Orientation, Fault> {
         )
     })?;
     let [width, height] = numbers(&entries, "IntOri_SensorSize")?;
-    let matrix = match entries.contains_key("IntOri_CameraMatrix") {
-        true => numbers::<9>(&entries, "IntOri_CameraMatrix")?,
-        false => {
-            let [f] = numbers(&entries, "IntOri_FocalLength")?;
-            let [px, py] = numbers(&entries, "IntOri_PixelSize")?;
-            let [cx, cy] = numbers(&entries, "IntOri_PrincipalPoint")?;
-            [f / px, 0.0, cx, 0.0, f / py, cy, 0.0, 0.0, 1.0]
-        }
+    let matrix = if entries.contains_key("IntOri_CameraMatrix") {
+        numbers::<9>(&entries, "IntOri_CameraMatrix")?
+    } else {
+        let [f] = numbers(&entries, "IntOri_FocalLength")?;
+        let [px, py] = numbers(&entries, "IntOri_PixelSize")?;
+        let [cx, cy] = numbers(&entries, "IntOri_PrincipalPoint")?;
+        [f / px, 0.0, cx, 0.0, f / py, cy, 0.0, 0.0, 1.0]
     };
     let [cx, cy] = shift([matrix[2], matrix[5]]);
     let (model, params) = distortion(&entries, [matrix[0], matrix[4], cx, cy])?;
@@ -120,7 +119,9 @@ fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
             last = Some((key, end));
         } else if let Some((key, start)) = last {
             let entry = key.and_then(|key| entries.get_mut(key));
-            entry.map(|entry| entry.text = &bytes[start..end]);
+            if let Some(entry) = entry {
+                entry.text = &bytes[start..end];
+            }
         } else if !line.is_empty() {
             let problem = Problem::Syntax {
                 expected: "a key that begins with $",

@@ -443,12 +443,13 @@ fn inside(file: &Path, folder: &Path) -> Result<PathBuf, OutputError> {
     let real =
         |path: &Path| dunce::canonicalize(path).map_err(|error| OutputError::new(path, error));
     let (path, within) = (real(file)?, real(folder)?);
-    match path.starts_with(within) {
-        true => Ok(path),
-        false => Err(OutputError::CopyOut {
+    if path.starts_with(within) {
+        Ok(path)
+    } else {
+        Err(OutputError::CopyOut {
             path: file.into(),
             folder: folder.into(),
-        }),
+        })
     }
 }
 

@@ -41,9 +41,10 @@ pub(super) fn completed<'a>(
 
 /// The first PLY file in the folder of a model.
 pub(super) fn cloud_beside(location: &ModelLocation) -> Option<PathBuf> {
-    let folder = match location.format.is_colmap() {
-        true => &*location.path,
-        false => location.path.parent()?,
+    let folder = if location.format.is_colmap() {
+        &*location.path
+    } else {
+        location.path.parent()?
     };
     file_names(folder)
         .iter()

@@ -193,9 +193,12 @@ fn models_in(root: &Path, of_colmap: &[PathBuf], of_others: &[PathBuf]) -> Found
     let richest = found.models.iter().map(|model| model.contents).max();
     let are_read = richest < Some(ModelContents::Tracks);
     let others = of_others.iter().flat_map(|folder| foreign::listed(folder));
-    found.models.extend(others.map(|model| match are_read {
-        true => foreign::examined(root, model),
-        false => model,
+    found.models.extend(others.map(|model| {
+        if are_read {
+            foreign::examined(root, model)
+        } else {
+            model
+        }
     }));
     found
 }
@@ -413,16 +416,15 @@ pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> 
 
 /// Names of the registered images; `None` if the model cannot be read.
 pub(super) fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet<String>> {
-    match model.format.is_colmap() {
-        true => files::image_names(model),
-        false => {
-            let images = foreign::read(root, model).ok()?.0.model.images;
-            Some(
-                images
-                    .into_iter()
-                    .map(|image| image.name.into_owned())
-                    .collect(),
-            )
-        }
+    if model.format.is_colmap() {
+        files::image_names(model)
+    } else {
+        let images = foreign::read(root, model).ok()?.0.model.images;
+        Some(
+            images
+                .into_iter()
+                .map(|image| image.name.into_owned())
+                .collect(),
+        )
     }
 }

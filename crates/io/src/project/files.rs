@@ -132,10 +132,14 @@ impl ColmapFiles {
             path.is_file().then(|| read(&path)).transpose()
         };
         let [cameras, images, points3d] = REQUIRED.map(path);
-        let points = || match points3d.is_file() || cloud_beside(model).is_none() {
-            true => read(&points3d),
-            false if model.format == ModelFormat::ColmapText => Ok(Vec::new()),
-            false => Ok(NO_POINTS.to_vec()),
+        let points = || {
+            if points3d.is_file() || cloud_beside(model).is_none() {
+                read(&points3d)
+            } else if model.format == ModelFormat::ColmapText {
+                Ok(Vec::new())
+            } else {
+                Ok(NO_POINTS.to_vec())
+            }
         };
         let (images, points3d) = rayon::join(|| read(&images), points);
         Ok(Self {

@@ -274,9 +274,10 @@ pub(super) fn find(
     }
     let is_own = |folder: &Path| folder == root || model.starts_with(folder);
     let search = Names::new();
-    let below = match names.is_empty() {
-        true => Vec::new(),
-        false => folders_below(root),
+    let below = if names.is_empty() {
+        Vec::new()
+    } else {
+        folders_below(root)
     };
     let found = [
         usual.iter().chain(&below).cloned().collect(),

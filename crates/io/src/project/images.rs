@@ -388,9 +388,10 @@ fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
             return Ok(false);
         }
     }
-    match is_jpeg {
-        true => seek_first_scan(file)?,
-        false => file.rewind()?,
+    if is_jpeg {
+        seek_first_scan(file)?
+    } else {
+        file.rewind()?
     }
     Ok(!contains(file, end)?)
 }

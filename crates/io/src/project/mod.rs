@@ -240,9 +240,10 @@ impl Project {
     /// default.
     pub fn as_argument(&self) -> String {
         let root = command_path(&self.home);
-        match discover::is_first(&self.model, &self.other_models) {
-            true => root,
-            false => format!("{root} --model {}", command_word(&self.model.name)),
+        if discover::is_first(&self.model, &self.other_models) {
+            root
+        } else {
+            format!("{root} --model {}", command_word(&self.model.name))
         }
     }
 
@@ -419,9 +420,10 @@ impl Project {
     /// Returns an error if the model's files have changed since the project was opened: what is
     /// known of them is out of date.
     pub fn refuse_changed_model(&self) -> Result<(), ProjectError> {
-        match stamps(&self.root, &self.model) == self.model_stamps {
-            true => Ok(()),
-            false => Err(ProjectError::ModelChanged(self.model.path.clone())),
+        if stamps(&self.root, &self.model) == self.model_stamps {
+            Ok(())
+        } else {
+            Err(ProjectError::ModelChanged(self.model.path.clone()))
         }
     }
 
@@ -467,13 +469,10 @@ impl Project {
         others.extend((more > 0).then(|| format!("{more} more")));
         (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model_path();
-            let how = match self.model.path.is_dir() {
-                true => format!(
+            let how = if self.model.path.is_dir() { format!(
                     "`viewrank plan {}` plans another one",
                     command_path(&self.other_models[0].path)
-                ),
-                false => "choose another one with --model".into(),
-            };
+                ) } else { "choose another one with --model".into() };
             format!(
                 "there are several models: {used} ({registered} images) is used; not used: {}; {how}",
                 others.join(", ")

@@ -3,7 +3,7 @@
 
 use std::{
     cell::{Cell, RefCell},
-    collections::{HashMap, HashSet},
+    collections::HashMap,
     path::{Path, PathBuf},
     rc::Rc,
 };
@@ -11,12 +11,7 @@ use std::{
 use unicode_normalization::UnicodeNormalization;
 
 use super::image_files::{MOST_ENTRIES, is_image};
-use crate::formats::{
-    SEPARATORS,
-    colmap::{ColmapImage, ColmapModel},
-    foreign::last_parts,
-    name_parts,
-};
+use crate::formats::{SEPARATORS, colmap::ColmapModel, foreign::last_parts, name_parts};
 
 /// Names of the folder of images of which programs make reduced copies.
 const REDUCED: [&str; 3] = ["images", "image", "input"];
@@ -81,9 +76,10 @@ impl Names {
             path += &there;
             path.push('/');
         }
-        let file = match at.join(file).is_file() {
-            true => (*file).to_owned(),
-            false => self.listing(&at).only_image(file)?,
+        let file = if at.join(file).is_file() {
+            (*file).to_owned()
+        } else {
+            self.listing(&at).only_image(file)?
         };
         Some(path + &file)
     }
@@ -150,24 +146,21 @@ pub(super) fn take_names_of_files(model: &mut ColmapModel, images: &Path) {
         let separated = [name.replace('\\', "/")];
         let ends = last_parts(name).into_iter().skip(1);
         let moved = separated.into_iter().chain(ends);
-        let mut moved = moved.filter(|moved| moved != name && has_file(moved));
+        let is_inside =
+            |moved: &String| name_parts(moved).is_some_and(|parts| !parts.contains(&".."));
+        let mut moved = moved.filter(|moved| moved != name && is_inside(moved) && has_file(moved));
         if has_file(name) { None } else { moved.next() }
     };
-    let names: Vec<Option<String>> = model
-        .images
-        .iter()
-        .map(|image| named_here(&image.name))
-        .collect();
-    let named = |(image, name): (&ColmapImage, &Option<String>)| {
-        name.clone().unwrap_or_else(|| image.name.to_string())
-    };
-    let distinct: HashSet<String> = model.images.iter().zip(&names).map(named).collect();
-    // Two images of one name would be taken for each other.
-    if distinct.len() < names.len() {
-        return;
+    let names = model.images.iter().map(|image| named_here(&image.name));
+    let names: Vec<Option<String>> = names.collect();
+    let mut images_of: HashMap<String, usize> = HashMap::new();
+    for (image, name) in model.images.iter().zip(&names) {
+        let name = name.clone().unwrap_or_else(|| image.name.to_string());
+        *images_of.entry(name).or_default() += 1;
     }
     for (image, name) in model.images.iter_mut().zip(names) {
-        if let Some(name) = name {
+        // Two images of one name would be taken for each other.
+        if let Some(name) = name.filter(|name| images_of[name] == 1) {
             image.name = name.into();
         }
     }

@@ -69,7 +69,7 @@ function whyNot(view) {
   } else {
     parts.push(make('p', { class: 'answer' }, reason ? `Not chosen, because ${reason}${pairsOf(view)}.` : 'Not chosen: other views add more at every rank, until it adds nothing.'));
   }
-  if (substitute) {
+  if (substitute && data.makes_maps) {
     parts.push(make('p', {}, viewButton(ranking.keys[substitute.rank - 1]), ` (key view ${substitute.rank}) gives ${percent(substitute.share, 0)} of what it could do by itself.`));
   }
   if (rank && reason && state.cut === data.cut) parts.push(make('p', {}, `At the plan's cut it is not chosen because ${reason}${pairsOf(view)}.`));

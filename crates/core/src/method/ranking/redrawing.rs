@@ -4,7 +4,7 @@
 //! to be drawn well: each of their places by images that show it from about the same direction, the
 //! better the more there are. What counts is submodular, and so gains are evaluated lazily.
 
-use std::{cmp::Reverse, collections::BinaryHeap};
+use std::{cmp::Reverse, collections::BinaryHeap, sync::LazyLock};
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -29,7 +29,9 @@ const ALONE: f32 = 0.5;
 const SHARPNESS: f64 = 0.25;
 /// Pairs of views of one triangle that are compared, over all triangles; of more, every second,
 /// third, ... triangle counts.
-const MOST_PAIRS: u64 = 1 << 26;
+const MOST_PAIRS: u64 = 1 << 24;
+/// Gains that are computed at a time.
+const AT_ONCE: usize = 16;
 
 /// What views show of the places in each other.
 pub struct Redrawing {
@@ -41,12 +43,12 @@ pub struct Redrawing {
 }
 
 /// A place in a view.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Entry {
     place: u32,
     /// From the camera to the place.
     ray: Vector3<f32>,
-    /// Its part of what is to be drawn, as far as no chosen image draws it.
+    /// Its part of all photographs, as far as no chosen image draws it.
     left: f32,
     sharpness: f32,
 }
@@ -61,106 +63,124 @@ pub struct RedrawnOrder {
 }
 
 impl Redrawing {
-    /// Takes the triangles for places; `factors`: weights of triangles inside a region.
+    /// Takes the triangles for places, and the images of these views, ascending, for the
+    /// photographs. `factors`: weights of triangles inside a region.
     pub fn new(
         (scene, surface, visibility): (&Scene, &Surface, &Visibility),
+        views: &[ViewIndex],
         factors: Option<&[f32]>,
         sharpness: &Sharpness,
-        left_out: &[ViewIndex],
-    ) -> Self {
-        let seen = visibility.views_of_triangles(surface.triangles.len(), left_out);
-        let pairs: u64 = seen.iter().map(|&views| u64::from(views).pow(2)).sum();
+        watcher: &dyn Watcher,
+    ) -> Result<Self, Cancelled> {
+        let triangles = surface.triangles.len();
+        let left_out: Vec<ViewIndex> = scene
+            .view_indices()
+            .filter(|view| views.binary_search(view).is_err())
+            .collect();
+        let counts = |triangle: usize| factors.is_none_or(|factors| factors[triangle] > 0.0);
+        let seen = visibility.views_of_triangles(triangles, &left_out);
+        let seen = seen.iter().enumerate().filter(|(t, _)| counts(*t));
+        let pairs: u64 = seen.map(|(_, &views)| u64::from(views).pow(2)).sum();
         let step = pairs.div_ceil(MOST_PAIRS).max(1) as u32;
-        let views: Vec<ViewIndex> = visibility.views();
-        let views = views.into_par_iter();
-        let rows = views.map(|view| match left_out.binary_search(&view) {
-            Ok(_) => Vec::new(),
-            Err(_) => shown((scene, surface, visibility), view, step, factors, sharpness),
-        });
-        let rows: Vec<Vec<Entry>> = rows.collect();
-        Self::of_rows(&rows, surface.triangles.len())
+        let row = |view: ViewIndex| {
+            watcher.check()?;
+            Ok(match left_out.binary_search(&view) {
+                Ok(_) => Vec::new(),
+                Err(_) => shown((scene, surface, visibility), view, step, factors, sharpness),
+            })
+        };
+        let rows = visibility.views().into_par_iter().map(row);
+        let rows = rows.collect::<Result<Vec<_>, Cancelled>>()?;
+        visibility.triangles.release();
+        Ok(Self::of_rows(rows, triangles))
     }
 
-    /// Sorts what each view shows by place.
-    fn of_rows(rows: &[Vec<Entry>], places: usize) -> Self {
+    /// Sorts what each view shows by place; all together weigh 1.
+    fn of_rows(rows: Vec<Vec<Entry>>, places: usize) -> Self {
         let mut lengths = vec![0; places];
-        let all = || rows.iter().flatten();
-        all().for_each(|entry| lengths[entry.place as usize] += 1);
+        let mut whole = 0.0;
+        for entry in rows.iter().flatten() {
+            lengths[entry.place as usize] += 1;
+            whole += f64::from(entry.left);
+        }
         let by_place = Offsets::from_lengths(lengths);
         let mut next: Vec<usize> = (0..places).map(|place| by_place.row(place).start).collect();
-        let number = all().count();
-        let mut order = vec![0u32; number];
-        let mut of_view = Vec::with_capacity(rows.len());
-        let mut at = 0;
-        for row in rows {
-            let taken = row.iter().map(|entry| {
-                let slot = &mut next[entry.place as usize];
-                order[*slot] = at;
-                at += 1;
-                *slot += 1;
-                *slot as u32 - 1
-            });
-            of_view.push(taken.collect());
-        }
-        let flat: Vec<Entry> = all().copied().collect();
-        let entries: Vec<Entry> = order.iter().map(|&at| flat[at as usize]).collect();
+        let mut entries = vec![Entry::default(); by_place.entries()];
+        let mut take = |entry: Entry| {
+            let at = next[entry.place as usize];
+            next[entry.place as usize] += 1;
+            entries[at] = Entry {
+                left: (f64::from(entry.left) / whole) as f32,
+                ..entry
+            };
+            at as u32
+        };
+        let of_view = rows
+            .into_iter()
+            .map(|row| row.into_iter().map(&mut take).collect())
+            .collect();
         Self {
-            entries: weighed(entries),
             by_place,
+            entries,
             of_view,
         }
     }
 
-    /// Ranks views, each by what it adds to those before it. Ties go to the first.
-    pub fn rank(
-        mut self,
-        candidates: &[ViewIndex],
-        watcher: &dyn Watcher,
-    ) -> Result<RedrawnOrder, Cancelled> {
-        let first = candidates.par_iter().map(|&view| {
-            watcher.check()?;
-            Ok(Candidate::new(self.gain(view), view, 0))
-        });
-        let mut heap: BinaryHeap<Candidate> = first.collect::<Result<Vec<_>, Cancelled>>()?.into();
-        let mut order = RedrawnOrder::default();
-        let mut drawn = 0.0;
-        watcher.progress(Stage::Ranking, 0, candidates.len() as u64);
+    /// Ranks the views, each by what it adds to those before it. Ties go to the first.
+    pub fn rank(mut self, watcher: &dyn Watcher) -> Result<RedrawnOrder, Cancelled> {
+        let views: Vec<ViewIndex> = (0..self.of_view.len() as u32).map(ViewIndex).collect();
+        let mut heap: BinaryHeap<Candidate> = self.candidates(&views, 0, watcher)?.into();
+        let (mut order, mut drawn) = (RedrawnOrder::default(), 0.0);
+        watcher.progress(Stage::Ranking, 0, views.len() as u64);
         while let Some(best) = heap.pop() {
-            watcher.check()?;
             let chosen = order.views.len();
-            if best.chosen < chosen {
-                heap.push(Candidate::new(self.gain(best.view), best.view, chosen));
+            if best.chosen == chosen {
+                if best.gain <= 0.0 {
+                    break;
+                }
+                self.take(best.view);
+                drawn += best.gain;
+                order.views.push(best.view);
+                order.drawn.push(drawn);
+                watcher.progress(Stage::Ranking, chosen as u64 + 1, views.len() as u64);
                 continue;
             }
-            if best.gain <= 0.0 {
-                break;
+            // Gains only fall: those of before are bounds. The next ones are likely needed, too.
+            let mut stale = vec![best.view];
+            while stale.len() < AT_ONCE && heap.peek().is_some_and(|next| next.chosen < chosen) {
+                stale.extend(heap.pop().map(|next| next.view));
             }
-            self.take(best.view);
-            drawn += best.gain;
-            order.views.push(best.view);
-            order.drawn.push(drawn);
-            watcher.progress(Stage::Ranking, chosen as u64 + 1, candidates.len() as u64);
+            heap.extend(self.candidates(&stale, chosen, watcher)?);
         }
-        watcher.progress(
-            Stage::Ranking,
-            candidates.len() as u64,
-            candidates.len() as u64,
-        );
+        watcher.progress(Stage::Ranking, views.len() as u64, views.len() as u64);
         Ok(order)
     }
 
-    /// Part that the view would draw of what is left.
+    fn candidates(
+        &self,
+        views: &[ViewIndex],
+        chosen: usize,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<Candidate>, Cancelled> {
+        let candidate = |&view: &ViewIndex| {
+            watcher.check()?;
+            Ok(Candidate {
+                gain: self.gain(view),
+                view,
+                chosen,
+            })
+        };
+        views.par_iter().map(candidate).collect()
+    }
+
+    /// Part of all photographs that the view would draw of what is left.
     fn gain(&self, view: ViewIndex) -> f64 {
         let shown = self.of_view[view.index()].iter();
-        let entries = shown.map(|&entry| &self.entries[entry as usize]);
-        let gains = entries.map(|own| {
+        let gains = shown.map(|&entry| {
+            let own = &self.entries[entry as usize];
             let others = &self.entries[self.by_place.row(own.place as usize)];
-            f64::from(
-                others
-                    .iter()
-                    .map(|other| other.left * own.draws(other))
-                    .sum::<f32>(),
-            )
+            let gains = others.iter().map(|other| other.left * own.draws(other));
+            f64::from(gains.sum::<f32>())
         });
         gains.sum()
     }
@@ -175,23 +195,24 @@ impl Redrawing {
     }
 }
 
-/// Weighs the places in views so that all together weigh 1.
-fn weighed(mut entries: Vec<Entry>) -> Vec<Entry> {
-    let all: f64 = entries.iter().map(|entry| f64::from(entry.left)).sum();
-    for entry in &mut entries {
-        entry.left = (f64::from(entry.left) / all) as f32;
-    }
-    entries
-}
+/// Steps of [`DRAWN`].
+const STEPS: usize = 1 << 12;
+
+/// What an image draws of a place in another, by the sine of half the angle between their rays.
+static DRAWN: LazyLock<Vec<f32>> = LazyLock::new(|| {
+    let angle = |step| 2.0 * (step as f32 / STEPS as f32).asin();
+    (0..=STEPS)
+        .map(|step| ALONE * (-angle(step) / FALL).exp())
+        .collect()
+});
 
 impl Entry {
-    fn angle(&self, other: &Self) -> f32 {
-        self.ray.dot(&other.ray).clamp(-1.0, 1.0).acos()
-    }
-
     /// Returns the part of the same place in another view that this one draws.
     fn draws(&self, other: &Self) -> f32 {
-        ALONE * self.sharpness * (-self.angle(other) / FALL).exp()
+        // The chord of the two rays is exact where they are near each other, as their cosine is not.
+        let half_chord = 0.5 * (self.ray - other.ray).norm();
+        let step = (half_chord * STEPS as f32 + 0.5) as usize;
+        self.sharpness * DRAWN[step.min(STEPS)]
     }
 }
 
@@ -244,10 +265,6 @@ struct Candidate {
 }
 
 impl Candidate {
-    fn new(gain: f64, view: ViewIndex, chosen: usize) -> Self {
-        Self { gain, view, chosen }
-    }
-
     fn key(&self) -> (f64, Reverse<u32>) {
         (self.gain, Reverse(self.view.0))
     }
@@ -292,9 +309,8 @@ mod tests {
     }
 
     fn ranked(rows: &[Vec<Entry>], places: usize) -> RedrawnOrder {
-        let views: Vec<ViewIndex> = (0..rows.len() as u32).map(ViewIndex).collect();
-        let redrawing = Redrawing::of_rows(rows, places);
-        redrawing.rank(&views, &NoWatcher).unwrap()
+        let redrawing = Redrawing::of_rows(rows.to_vec(), places);
+        redrawing.rank(&NoWatcher).unwrap()
     }
 
     /// Part of all photographs that these views draw.

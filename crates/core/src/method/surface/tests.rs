@@ -162,7 +162,7 @@ fn built(shape: &Shape, gsd: f64, kind: SurfaceChoice) -> (Surface, SurfaceStats
 }
 
 #[test]
-fn a_ball_seen_from_all_sides_is_keptd() {
+fn a_ball_seen_from_all_sides_is_closed() {
     for offset in [
         Vector3::zeros(),
         Vector3::new(400_000.0, 5_800_000.0, 300.0),
