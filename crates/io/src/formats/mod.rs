@@ -289,6 +289,7 @@ mod tests {
             r#"{"key":0,"value":{"rotation":[[0,0,0],[0,0,0],[0,0,0]],"center":[0,0,0]}},"#.into()
         });
         let frames = many(r#"{"frames":["#, &|_| "0,".into());
+        let lines = many("", &|n| format!("{n} SIMPLE_PINHOLE 9 9 9 5 5\n"));
         let faults = [
             fault(opensfm::read(cameras.as_bytes(), None)),
             fault(opensfm::read(recordings.as_bytes(), None)),
@@ -303,7 +304,7 @@ mod tests {
                 None
             })),
             fault(colmap_text::read(&Bytes {
-                cameras: &b"x\n".repeat(MOST_IMAGES + 1),
+                cameras: lines.as_bytes(),
                 ..Bytes::default()
             })),
         ];

@@ -115,11 +115,12 @@ fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
         let (at, line) = (Place::Line(n), line.trim_ascii());
         if let Some(head) = line.strip_prefix(b"$") {
             let key = KEYS.into_iter().find(|key| key.as_bytes() == key_in(head));
-            key.map(|key| entries.insert(key, Entry { at, text: &[] }));
+            if let Some(key) = key {
+                entries.insert(key, Entry { at, text: &[] });
+            }
             last = Some((key, end));
         } else if let Some((key, start)) = last {
-            let entry = key.and_then(|key| entries.get_mut(key));
-            if let Some(entry) = entry {
+            if let Some(entry) = key.and_then(|key| entries.get_mut(key)) {
                 entry.text = &bytes[start..end];
             }
         } else if !line.is_empty() {

@@ -21,7 +21,7 @@ use viewrank_core::model::{
 };
 
 use super::{
-    Bytes, Fault, Place, Problem, check_images,
+    Bytes, Fault, MOST_IMAGES, Place, Problem, check_images,
     colmap::{
         ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose,
         TrackElement,
@@ -169,9 +169,10 @@ fn in_batches<L: Send, T: Send>(
 }
 
 fn cameras(bytes: &[u8]) -> Result<Vec<Camera>, Fault> {
-    let count = lines("cameras", bytes).filter(Line::is_record).count();
-    check_images(count).map_err(|fault| fault.in_file("cameras"))?;
-    records("cameras", bytes, camera)
+    let lines = || lines("cameras", bytes).filter(Line::is_record);
+    let cameras = in_batches(lines().take(MOST_IMAGES), camera)?;
+    check_images(lines().count()).map_err(|fault| fault.in_file("cameras"))?;
+    Ok(cameras)
 }
 
 fn camera(mut line: Line) -> Result<Camera, Fault> {
