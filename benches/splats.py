@@ -63,7 +63,7 @@ def natural(name):
 
 
 def read_scene(project, model, views, side):
-    """Small images, poses and sparse points; every eighth view held out."""
+    """Small images, poses and sparse points; every eighth view held out. What is transparent is white."""
     cameras = [model.cameras[view.camera_id] for view in views]
     scale = side / max(max(camera.width, camera.height) for camera in cameras)
     size = [round(scale * max(getattr(camera, of) for camera in cameras)) for of in ("height", "width")]
@@ -73,8 +73,11 @@ def read_scene(project, model, views, side):
         if camera.model.name != "PINHOLE":
             sys.exit(f"error: {view.name}: a {camera.model.name} camera; undistort the images (viewrank undistort)")
         width, height = round(scale * camera.width), round(scale * camera.height)
-        picture = cv2.resize(cv2.imread(str(project / "images" / view.name)), (width, height), interpolation=cv2.INTER_AREA)
-        images[i, :, :height, :width] = picture[:, :, ::-1].transpose(2, 0, 1) / 255
+        picture = cv2.imread(str(project / "images" / view.name), cv2.IMREAD_UNCHANGED).astype(np.float32) / 255
+        if picture.shape[2] == 4:
+            picture = picture[:, :, :3] * picture[:, :, 3:] + 1 - picture[:, :, 3:]
+        picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+        images[i, :, :height, :width] = picture[:, :, ::-1].transpose(2, 0, 1)
         inside[i, :height, :width] = 1
         fx, fy, cx, cy = camera.params
         # Centres of pixels at whole numbers.
@@ -94,8 +97,14 @@ def read_scene(project, model, views, side):
         points=np.array([point.xyz for point in of_points], np.float32),
         colours=np.array([point.color for point in of_points], np.float32) / 255,
         tracks=np.array(sorted(tracks)),
-        background=np.zeros(3, np.float32),
+        background=background(images),
     )
+
+
+def background(images):
+    """Colour of what nothing is drawn on: that of the corners if all have one, as rendered images do, else black."""
+    corners = images[:, :, [0, 0, -1, -1], [0, -1, 0, -1]].transpose(0, 2, 1).reshape(-1, 3)
+    return corners[0] if np.ptp(corners, axis=0).max() < 2 / 255 else np.zeros(3, np.float32)
 
 
 def ranked(name, args, scene, candidates, number):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the tables of the fused cloud into docs/benchmarks.md and README.md, from the cells.json that benches/cells.py wrote.
+"""Writes the tables of the fused cloud into docs/benchmarks.md and README.md, from the cells.json that benches/cells.py wrote, and splats.json of benches/splats.py.
 
     benches/tables.py RESULTS_FOLDER
 
@@ -37,6 +37,7 @@ def main():
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
     openmvs, sgm = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm"))
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
+    tables["splats"] = splats({path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("splats.json"))})
     replace(ROOT / "docs/benchmarks.md", tables)
     replace(ROOT / "README.md", {"saved": saved(openmvs)})
 
@@ -98,6 +99,18 @@ def checked(results):
         return []
     first = next(result for result in results if "check" in result)
     return table(["set: real, said", *(f"{of['order']}, {percent}" for of, percent in zip(first["check"], ("10 %", "10 %", "30 %", "30 %")))], rows)
+
+
+def splats(of_sets):
+    """PSNR of splats by the order that their images are taken in, means over the trainings."""
+    names = list(dict.fromkeys(row["order"] for rows in of_sets.values() for row in rows))
+    means = {name: [mean([row["psnr"] for row in rows if row["order"] == name]) for rows in of_sets.values()] for name in names}
+    rows = [[f"{of_set}, {rows[0]['images']} images", *(f"{means[name][i]:.2f}" for name in names)] for i, (of_set, rows) in enumerate(of_sets.items())]
+    return table(["PSNR, dB", *names], [*rows, ["mean", *(f"{mean(means[name]):.2f}" for name in names)]]) if rows else []
+
+
+def mean(values):
+    return sum(values) / len(values)
 
 
 def saved(results):

@@ -316,3 +316,21 @@ def greedy(tables, limit):
         t, f = of[most]
         best[t] = with_one_more(best[t], f)
     return order
+
+
+def drawn(model, tables, keys, chosen):
+    """Part of the photographs of `keys` that the chosen views draw (method 5.10), without sharpness."""
+    whole = missed = 0.0
+    for view in keys:
+        seen = tables.seen[view]
+        pixels = pixels_per_area(model, tables, view, seen) * tables.areas[seen]
+        left = np.ones(len(seen))
+        for other in chosen:
+            both = np.isin(seen, tables.seen[other])
+            rays = [tables.centroids[seen[both]] - model.centre(of) for of in (view, other)]
+            own, its = (of / np.linalg.norm(of, axis=1, keepdims=True) for of in rays)
+            angle = np.degrees(np.arccos(np.clip((own * its).sum(axis=1), -1, 1)))
+            left[both] *= 1 - 0.5 * np.exp(-angle / 40)
+        whole += 1
+        missed += (pixels * left).sum() / pixels.sum()
+    return 1 - missed / whole

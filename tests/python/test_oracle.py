@@ -1,4 +1,6 @@
 """The dumped tables of a plan against an independent implementation of the method."""
+import json
+
 import cv2
 import numpy as np
 import oracle
@@ -8,7 +10,7 @@ import pytest
 @pytest.fixture(scope="module", params=[
     ("sgm", ["--confidence", "geometric"]),
     ("colmap", ["--confidence", "geometric", "--gsd", "0.05"]),
-    ("images", ["--confidence", "none", "-k", "3", "--partners", "sampled"]),
+    ("realityscan", ["--confidence", "none", "-k", "3", "--partners", "sampled"]),
     ("sgm", ["--confidence", "photometric", "-k", "4"]),
     ("openmvs", ["--confidence", "geometric", "-k", "4"]),
 ], ids=["search", "absolute", "sampled", "photometric", "masks"])
@@ -51,7 +53,7 @@ def test_candidates_are_the_views_with_most_shared_points(planned):
     for view in range(len(model.views)):
         found = tables.candidates_of(view).tolist()
         every = oracle.candidates(model, view, None, oracle.has_baseline)
-        if tables.backend == "images":
+        if tables.backend == "realityscan":
             assert found == every[:count], "it refuses no pair"
         else:
             # What a backend refuses is tested with the backends: here, what it lets pass is in order.
@@ -76,3 +78,20 @@ def test_the_order_is_plain_greedys(planned):
     expected = oracle.greedy(tables, len(tables.order))
     assert [cluster for cluster, _ in expected] == tables.order.tolist()
     np.testing.assert_allclose(tables.gain, [gain for _, gain in expected], rtol=1e-5)
+
+
+def test_images_are_ranked_by_what_they_draw(viewrank, fixtures, tmp_path):
+    for part in ("sparse", "images"):
+        (tmp_path / part).symlink_to(fixtures / "valley" / part)
+    viewrank("plan", tmp_path, "--backend", "images", "--confidence", "none", "--dump-tables", tmp_path / "tables")
+    model, tables = oracle.Model(fixtures / "valley" / "sparse" / "0"), oracle.Tables(tmp_path / "tables")
+    clusters = json.loads((tmp_path / "viewrank/manifest.json").read_text())["clusters"]
+    names = [view["name"] for view in tables.views]
+    order = [names.index(cluster["key"]) for cluster in clusters]
+    keys = sorted(order)
+    shares = [oracle.drawn(model, tables, keys, order[: n + 1]) for n in range(len(order))]
+    # The oracle takes the pixels of a triangle from its centroid, not from its corners.
+    np.testing.assert_allclose([cluster["share"] for cluster in clusters], np.array(shares) / shares[-1], atol=0.01)
+    for n in (0, 1, 4, 9):
+        best = max(oracle.drawn(model, tables, keys, [*order[:n], other]) for other in order[n:])
+        assert shares[n] > 0.99 * best
