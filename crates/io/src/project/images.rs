@@ -49,7 +49,7 @@ pub(super) fn find_by_names(
 /// small file may name a million. A long name counts as several.
 const MOST_MISSING: usize = 10_000;
 /// Bytes of a name that count as one.
-const USUAL_NAME: usize = 256;
+const USUAL_NAME: usize = 128;
 
 /// Looks for the images of a model in some folders.
 pub(super) struct ImageSearch {

@@ -54,14 +54,25 @@ impl Lens {
         })
     }
 
-    pub fn warn(&self, foreign: &mut ForeignModel) {
-        let (id, left_out) = (self.camera.id, self.left_out_px);
-        if left_out > NEGLIGIBLE_PX {
-            let text = format!(
-                "b2, k4, p3 and p4 of sensor {id} are left out, which moves pixels by up to {left_out:.1}"
-            );
-            foreign.warn(WarningKind::Format, text);
-        }
+    /// Warns of the lens that loses most.
+    pub fn warn(lenses: &[Self], foreign: &mut ForeignModel) {
+        let losing = || {
+            lenses
+                .iter()
+                .filter(|lens| lens.left_out_px > NEGLIGIBLE_PX)
+        };
+        let Some(most) = losing().max_by(|a, b| a.left_out_px.total_cmp(&b.left_out_px)) else {
+            return;
+        };
+        let (id, left_out) = (most.camera.id, most.left_out_px);
+        let others = match losing().count() - 1 {
+            0 => String::new(),
+            others => format!(" and {others} others"),
+        };
+        let text = format!(
+            "b2, k4, p3 and p4 of sensor {id}{others} are left out, which moves pixels by up to {left_out:.1}"
+        );
+        foreign.warn(WarningKind::Format, text);
     }
 }
 

@@ -227,7 +227,7 @@ impl Chunk {
             .collect();
         let names = self.names(spelled);
         let mut used = HashSet::new();
-        let (mut components, mut disabled) = (Vec::new(), Vec::new());
+        let (mut components, mut disabled, mut lenses) = (Vec::new(), Vec::new(), Vec::new());
         for ((n, camera), name) in (1..).zip(&self.cameras).zip(names) {
             let what = || format!("camera {n}, {:?}", camera.label);
             if !camera.is_enabled {
@@ -245,7 +245,7 @@ impl Chunk {
             if used.insert(id) {
                 let lens = sensor.lens.clone();
                 let lens = lens.map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
-                lens.warn(&mut foreign);
+                lenses.push(lens.clone());
                 foreign.model.cameras.push(lens.camera);
             }
             let world = self
@@ -259,6 +259,7 @@ impl Chunk {
             foreign.add_image(n, name, id, pose, camera.at);
             components.push(component);
         }
+        Lens::warn(&lenses, &mut foreign);
         let (largest, others) = largest_component(components.iter().copied());
         foreign.keep_images(|image| components[image] == largest);
         foreign.warn_of_others("components", &others);
