@@ -20,7 +20,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 from scipy.spatial import cKDTree
 from sizes import OpenMvs, Reference, Sgm, read_cloud
 
@@ -59,9 +58,8 @@ def main():
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
     if args.matcher == "openmvs":
         reference = Reference(read_cloud(bench.work / "fused/fused.ply"), bench)
-        spread = [every["clusters"][i] for i in np.argsort([cluster["key"] for cluster in every["clusters"]])]
-        spread = [spread[i * len(spread) // len(clusters)] for i in range(len(clusters))]
-        clouds = [bench.fuse({**every, "clusters": of}, 1.0) for of in (spread, clusters)]
+        nth = every_nth(sorted(every["clusters"], key=lambda cluster: cluster["key"]), len(clusters))
+        clouds = [bench.fuse({**every, "clusters": of}, 1.0) for of in (nth, clusters)]
         plan["points"] = {"all": reference.number, "plan": len(clouds[1])}
         for of, cloud in zip((plan["every n-th"], plan), clouds):
             of["fused"] = reference.covered(cKDTree(cloud), 2)[0] / 100
@@ -69,6 +67,10 @@ def main():
             result["check"] = check(bench, reference, every, judged)
     (bench.work / "cells.json").write_text(json.dumps(result, indent=1) + "\n")
     show(result)
+
+
+def every_nth(items, number):
+    return [items[i * len(items) // number] for i in range(number)]
 
 
 def processor_seconds():
@@ -110,7 +112,7 @@ def check(bench, reference, every, judged):
     ranked, spread, found = list(by_key), sorted(by_key), []
     for tenth in CHECKED:
         number = max(2, round(tenth * judged["maps"]))
-        choices = {"ours": ranked[:number], "every n-th": [spread[i * len(spread) // number] for i in range(number)]}
+        choices = {"ours": ranked[:number], "every n-th": every_nth(spread, number)}
         for name, chosen in choices.items():
             cloud = bench.fuse({**every, "clusters": [by_key[key] for key in chosen]}, 1.0)
             real = reference.covered(cKDTree(cloud), 2)[0]

@@ -29,7 +29,7 @@ use crate::{
     model::cluster::MapScale,
     show::{
         files::report_path,
-        manifest::{WrittenPlan, warnings_with},
+        manifest::{WrittenPlan, planned_region, warnings_with},
     },
 };
 
@@ -176,7 +176,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let is_own = root == own;
     let mut typed = arguments.typed(Some(backend.name), is_own);
-    if let Some(region) = region_of_plan(&root).filter(|_| settings.region.is_none()) {
+    // Somebody may have typed it for that plan.
+    if let Some(region) = planned_region(&root).filter(|_| settings.region.is_none()) {
         note(&format!("the region is that of the last plan: {region}"));
         typed.set("--region", "region", Some(region));
     }
@@ -185,12 +186,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     say(work.plan_in_words())?;
     let ended = work.compute()?;
     work.end(ended)
-}
-
-/// Returns the region of the project's plan, which somebody may have typed.
-fn region_of_plan(project: &Path) -> Option<String> {
-    let plan = WrittenPlan::read(project).ok()?;
-    plan.settings.region.map(|region| region.to_string())
 }
 
 /// Why no more depth maps are computed.

@@ -133,7 +133,7 @@ impl Hint for NoStatus {
     }
 }
 
-/// What is planned where no depth map is finished.
+/// Says what the plan chooses, before any depth map is finished.
 fn planned_in_words(planned: usize, backend: &str) -> String {
     match backends::by_name(backend).map(|backend| backend.use_of_views) {
         Ok(Some(_)) => format!("{planned} images are planned; {backend} makes no depth maps."),

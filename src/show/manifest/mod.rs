@@ -17,7 +17,7 @@ pub use region::RegionSummary;
 pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{
     WrittenPlan, WrittenPlanError, planned_backend, planned_ground, planned_maps, planned_model,
-    planned_workspace, validate,
+    planned_region, planned_workspace, validate,
 };
 
 use crate::{

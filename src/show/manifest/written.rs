@@ -145,6 +145,12 @@ pub fn planned_maps(root: &Path) -> Option<(usize, String)> {
     Some((recorded.cut.clusters, recorded.backend))
 }
 
+/// Returns the region of the project's plan, as it was set; `None` without a plan or a region.
+pub fn planned_region(root: &Path) -> Option<String> {
+    let (_, recorded) = RecordedPlan::open(root).ok()?;
+    recorded.settings.region.map(|region| region.to_string())
+}
+
 /// Returns what the photographs show of the region of the project's plan; `None` without a plan or
 /// where the settings name another region.
 pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSummary> {

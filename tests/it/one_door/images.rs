@@ -75,7 +75,7 @@ fn separators_of_windows_are_separators_where_files_say_so() {
 }
 
 #[test]
-fn of_an_absolute_path_of_windows_the_end_is_found() {
+fn an_absolute_windows_path_is_found_by_its_end() {
     let folder = Folder::new();
     folder
         .colmap(

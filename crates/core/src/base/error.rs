@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_long_text_the_middle_is_left_out() {
+    fn the_middle_of_a_long_text_is_left_out() {
         let long = format!("{} is no number", "\u{e9}".repeat(1 << 20));
         let shown = shortened(&long);
         assert_eq!(shown.chars().count(), MOST_CHARACTERS);

@@ -154,25 +154,11 @@ pub fn decide(
             finished,
         ),
     )?;
-    // Band and what is given up take the clusters in their order, on one thread each.
     let counted = tables.counted();
-    let (fulfilment_bound, (reachable_band, given_up)) = rayon::join(
+    let (fulfilment_bound, (reachable_band, share_band, given_up)) = rayon::join(
         || ranking::most_of_any(cut.clusters, &counted.maps, counted.objective, ranking),
-        || {
-            rayon::join(
-                || Band::of_reachable(tables, ranking),
-                || GivenUp::new(tables, &ranked, cut.clusters),
-            )
-        },
+        || bands(tables, options, &ranked, &cut),
     );
-    let (share_band, reachable_band, given_up) = if options.makes_maps {
-        let of_share = Band::of_share(tables, cut.share, cut.reachable, &reachable_band);
-        (of_share, reachable_band, given_up)
-    } else {
-        // Nothing of it depends on matching.
-        let [share, reachable] = [cut.share, cut.reachable].map(Band::exactly);
-        (share, reachable, GivenUp::default())
-    };
     let cut = Cut {
         fulfilment_bound,
         share_band,
@@ -184,6 +170,28 @@ pub fn decide(
     let decision = decide_as(tables, options, finished, ranked, cut)?;
     watcher.check()?;
     Ok(decision)
+}
+
+/// Returns the bands of what all clusters give and of the share at the cut, and what the cut gives
+/// up.
+fn bands(
+    tables: &Tables,
+    options: &Options,
+    ranked: &UncutRanking,
+    cut: &Cut,
+) -> (Band, Band, GivenUp) {
+    if !options.makes_maps {
+        // Nothing of it depends on matching.
+        let [reachable, share] = [cut.reachable, cut.share].map(Band::exactly);
+        return (reachable, share, GivenUp::default());
+    }
+    // Both take the clusters in their order, on one thread each.
+    let (reachable, given_up) = rayon::join(
+        || Band::of_reachable(tables, &ranked.ranking),
+        || GivenUp::new(tables, ranked, cut.clusters),
+    );
+    let share = Band::of_share(tables, cut.share, cut.reachable, &reachable);
+    (reachable, share, given_up)
 }
 
 /// Ranks the clusters; if there is a choice of sizes, at several prices of work, and returns the
