@@ -2,8 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
-
 use super::PlanError;
 use crate::{
     base::{
@@ -59,6 +57,6 @@ impl PilotMaps {
             let depth = |at| map.interpolated(camera, &at, SAME_SURFACE);
             Ok(PilotMap::made_by_program(scene, cluster.key, depth))
         };
-        clusters.par_iter().map(read).collect()
+        depthmaps::in_parallel(clusters, scene, read)
     }
 }

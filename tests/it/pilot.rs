@@ -65,7 +65,7 @@ fn write_maps(plan: &Plan, folder: &Path, has: impl Fn(ViewIndex, Point2<f64>) -
     let [width, height] = SIZE.map(|side| side / 4);
     for view in scene.view_indices() {
         let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-        let front = visibility::front(scene, surface, view, width, height);
+        let front = visibility::front(scene, surface, view, [width, height], 0..height);
         let depth = |(at, &t): (usize, &u32)| {
             let (column, row) = (at as u32 % width, at as u32 / width);
             let at = Point2::new(4.0 * f64::from(column) + 2.0, 4.0 * f64::from(row) + 2.0);

@@ -159,8 +159,8 @@ fn depths(plan: &Plan, view: ViewIndex, keep: impl Fn(u32, u32) -> bool) -> Vec<
         &plan.stages.scene,
         &plan.stages.surface,
         view,
-        camera.width,
-        camera.height,
+        [camera.width, camera.height],
+        0..camera.height,
     );
     let depth = |(at, &t): (usize, &u32)| {
         let (column, row) = (at as u32 % camera.width, at as u32 / camera.width);
@@ -290,8 +290,8 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
             &planned.plan.stages.scene,
             &planned.plan.stages.surface,
             key,
-            400,
-            300,
+            [400, 300],
+            0..300,
         );
         let left = |&(at, _): &(usize, &u32)| at % 400 < 200;
         picture

@@ -69,10 +69,16 @@ fn matched(plan: &Plan, cluster: usize) -> Vec<f32> {
         Ok(row) if triangle != NOTHING && agreeing[row] >= 2 => 10.0,
         _ => 0.0,
     };
-    front(&stages.scene, &stages.surface, cluster.key, WIDTH, HEIGHT)
-        .iter()
-        .map(depth)
-        .collect()
+    front(
+        &stages.scene,
+        &stages.surface,
+        cluster.key,
+        [WIDTH, HEIGHT],
+        0..HEIGHT,
+    )
+    .iter()
+    .map(depth)
+    .collect()
 }
 
 #[test]

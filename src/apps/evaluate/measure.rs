@@ -22,6 +22,8 @@ const PLACE_WITHIN: f64 = 0.02;
 /// Relative difference of reference depths beyond which they belong to two surfaces and are not
 /// interpolated.
 const SAME_SURFACE: f64 = 0.02;
+/// Pixels whose frontmost triangles are drawn at once, of 12 bytes each.
+const BAND_PIXELS: u32 = 1 << 23;
 
 /// Quality of the depth map of a key view, or of several together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -141,14 +143,13 @@ impl JudgedPixels {
         elsewhere: f64,
     ) -> Self {
         let camera = model.scene.camera_of(key);
-        let picture = front(model.scene, model.surface, key, map.width, map.height);
         let seen = model.visibility.triangles_seen_by(key);
         let mut judged = Self {
             quality: Quality::default(),
-            right: vec![false; picture.len()],
+            right: vec![false; map.depth.len()],
             counts: vec![(0, 0); seen.len()],
         };
-        for (at, &triangle) in picture.iter().enumerate() {
+        for (at, triangle) in triangles_in_front(model, key, [map.width, map.height]).enumerate() {
             let (column, row) = (
                 (at % map.width as usize) as u32,
                 (at / map.width as usize) as u32,
@@ -181,6 +182,19 @@ impl JudgedPixels {
             self.right[row as usize * map.width as usize + column as usize]
         })
     }
+}
+
+/// Returns the frontmost triangle in each pixel of a map of this size, drawn in bands.
+fn triangles_in_front(
+    model: &Model,
+    key: ViewIndex,
+    [width, height]: [u32; 2],
+) -> impl Iterator<Item = u32> {
+    let rows = (BAND_PIXELS / width).max(1);
+    (0..height).step_by(rows as usize).flat_map(move |row| {
+        let band = row..height.min(row.saturating_add(rows));
+        front(model.scene, model.surface, key, [width, height], band)
+    })
 }
 
 /// Returns the places of the pilot that the map measured. A place is as exact as a thumbnail.

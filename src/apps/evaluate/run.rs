@@ -6,8 +6,6 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
 };
 
-use rayon::prelude::*;
-
 use super::{
     cells::{FusedCloudError, IncidenceError},
     curve::ReachCurve,
@@ -244,15 +242,18 @@ impl EvaluationInput<'_> {
     ) -> Result<Vec<Result<MapMeasurement, DepthMapError>>, EvaluateError> {
         let (done, all) = (AtomicU64::new(0), found.len() as u64);
         watcher.progress(Stage::Evaluate, 0, all);
-        let measured = found.par_iter().map(|FoundMap { cluster, file, .. }| {
-            watcher.check()?;
-            let reference = references.map(|set| map_of(set, cluster.key));
-            let measured = self.measure(cluster.key, file, reference)?;
-            let done = 1 + done.fetch_add(1, Ordering::Relaxed);
-            watcher.progress(Stage::Evaluate, done, all);
-            Ok(measured)
-        });
-        measured.collect()
+        depthmaps::in_parallel(
+            found,
+            self.model.scene,
+            |FoundMap { cluster, file, .. }| {
+                watcher.check()?;
+                let reference = references.map(|set| map_of(set, cluster.key));
+                let measured = self.measure(cluster.key, file, reference)?;
+                let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+                watcher.progress(Stage::Evaluate, done, all);
+                Ok(measured)
+            },
+        )
     }
 
     /// Measures a depth map. `reference` is `Some(None)` if there are references but none for this

@@ -107,7 +107,7 @@ impl Fixture {
     /// `damage` may change it.
     fn write_maps(&self, folder: &Path, count: u32, damage: impl Fn(u32, u32, f64) -> f64) {
         for view in (0..count).map(ViewIndex) {
-            let depth = visibility::front(&self.scene, &self.surface, view, SIZE[0], SIZE[1]);
+            let depth = visibility::front(&self.scene, &self.surface, view, SIZE, 0..SIZE[1]);
             let depth = depth.iter().enumerate().map(|(at, &t)| {
                 let (column, row) = (at as u32 % SIZE[0], at as u32 / SIZE[0]);
                 let exact = if t == visibility::NOTHING {
@@ -127,7 +127,7 @@ impl Fixture {
 
     /// Columns and rows of the pixels that show the surface.
     fn surface_pixels(&self, view: ViewIndex) -> Vec<(u32, u32)> {
-        let picture = visibility::front(&self.scene, &self.surface, view, SIZE[0], SIZE[1]);
+        let picture = visibility::front(&self.scene, &self.surface, view, SIZE, 0..SIZE[1]);
         let shown = picture
             .iter()
             .enumerate()

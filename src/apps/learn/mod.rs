@@ -9,8 +9,6 @@ mod score;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use rayon::prelude::*;
-
 use self::fit::{Outcomes, fit};
 pub use self::score::Scores;
 use super::evaluate::measure;
@@ -126,7 +124,7 @@ impl Lesson<'_> {
         };
         let mut maps: Vec<&DepthMapFile> = self.maps.iter().collect();
         maps.sort_by_key(|map| self.model.scene.name(map.view));
-        maps.par_iter().map(|map| of_map(map)).collect()
+        depthmaps::in_parallel(&maps, self.model.scene, |map| of_map(map))
     }
 
     /// The triangles of a map that enough cameras see, if all their pictures were compared.

@@ -13,8 +13,6 @@ use std::{
     path::Path,
 };
 
-use rayon::prelude::*;
-
 use self::movement::{MovedView, movement};
 pub use self::repeat::{RepeatError, as_written, repeat};
 use crate::{
@@ -316,7 +314,7 @@ fn look(
         .iter()
         .map(|file| (plan.stages.scene.name(file.view), file))
         .collect();
-    let found = earlier.clusters.par_iter().map(|(key, partners, _)| {
+    let check = |(key, partners, _): &(String, Vec<String>, MapScale)| {
         watcher.check()?;
         let file = file_of
             .get(key.as_str())
@@ -331,8 +329,9 @@ fn look(
             }
             .found()
         }))
-    });
-    let found: Vec<Option<MapVerdict>> = found.collect::<Result<_, Cancelled>>()?;
+    };
+    let found: Vec<Option<MapVerdict>> =
+        depthmaps::in_parallel::<_, _, Cancelled>(&earlier.clusters, &plan.stages.scene, check)?;
     // Includes views without partners in the earlier plan: earlier findings on their maps still
     // hold.
     let keys: BTreeSet<&str> = earlier.keys().collect();

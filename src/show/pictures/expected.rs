@@ -18,7 +18,13 @@ pub fn expected_success(
     height: u32,
 ) -> Vec<Option<f32>> {
     let seen = model.visibility.triangles_seen_by(cluster.key);
-    let shown = front(model.scene, model.surface, cluster.key, width, height);
+    let shown = front(
+        model.scene,
+        model.surface,
+        cluster.key,
+        [width, height],
+        0..height,
+    );
     let mut drawn: Vec<u32> = shown.iter().copied().filter(|&t| t != NOTHING).collect();
     drawn.sort_unstable();
     drawn.dedup();

@@ -16,6 +16,7 @@ mod tests;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
+use rayon::prelude::*;
 use viewrank_core::{
     base::{
         error::{Advice, Hint},
@@ -388,6 +389,30 @@ pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, Dept
         });
     }
     Ok(map.along_the_axis(camera))
+}
+
+/// Bytes of the depth maps that are in memory at once.
+const AT_ONCE: u64 = 1 << 30;
+/// Bytes per pixel of a map while it is compared: its depths, those of a reference, and what comes
+/// of it.
+const COMPARED_PIXEL: u64 = 10;
+
+/// Maps `work` over items that each read a depth map of a view, in order, on as many threads as
+/// there is memory for maps of the scene's largest camera.
+pub fn in_parallel<A: Sync, R: Send, E: Send>(
+    items: &[A],
+    scene: &Scene,
+    work: impl Fn(&A) -> Result<R, E> + Sync + Send,
+) -> Result<Vec<R>, E> {
+    let pixels = |camera: &Camera| camera.most_map_pixels().pixels();
+    let largest = scene.cameras.iter().map(pixels).max().unwrap_or(1);
+    let maps = usize::try_from(AT_ONCE / (COMPARED_PIXEL * largest)).unwrap_or(usize::MAX);
+    let mut results = Vec::with_capacity(items.len());
+    for part in items.chunks(maps.max(1)) {
+        let done: Result<Vec<R>, E> = part.par_iter().map(&work).collect();
+        results.extend(done?);
+    }
+    Ok(results)
 }
 
 /// Where PatchmatchNet and its relatives write the confidences of a map: `confidence/NNNNNNNN.pfm`

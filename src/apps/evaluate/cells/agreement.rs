@@ -11,7 +11,7 @@ use super::{CloudPart, FusedPoints, TakePart};
 use crate::{
     apps::evaluate::EvaluateError,
     base::progress::{Stage, Watcher},
-    io::depthmaps::{self, DepthMap, DepthMapSet},
+    io::depthmaps::{self, DepthMap, DepthMapFile, DepthMapSet},
     model::{
         camera::Camera,
         scene::{Pose, Scene, ViewIndex},
@@ -60,7 +60,7 @@ impl<'a> ThinnedMaps<'a> {
         let files: Vec<_> = views.iter().filter_map(file).collect();
         let most = MOST_DEPTHS / files.len().max(1) as u64;
         watcher.progress(Stage::Evaluate, 0, files.len() as u64);
-        let read = files.par_iter().map(|file| {
+        let read = |file: &&DepthMapFile| {
             watcher.check()?;
             let map = depthmaps::read_of_view(file, scene)?;
             Ok(Thinned {
@@ -68,8 +68,9 @@ impl<'a> ThinnedMaps<'a> {
                 pose: &scene.view(file.view).cam_from_world,
                 map: thinned(map, most),
             })
-        });
-        let maps: Vec<Thinned> = read.collect::<Result<_, EvaluateError>>()?;
+        };
+        let maps: Vec<Thinned> =
+            depthmaps::in_parallel::<_, _, EvaluateError>(&files, scene, read)?;
         let others = (0..maps.len()).into_par_iter().map(|one| {
             let shows = |&other: &u32| {
                 other as usize != one && maps[other as usize].shows_some_of(&maps[one])

@@ -1,6 +1,8 @@
 //! Software depth buffer of pinhole faces: the frontmost triangle and its inverse depth in each
 //! pixel.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
 use crate::{
@@ -76,9 +78,9 @@ impl Face {
         )]
     }
 
-    /// Returns a face with exactly the pixels of a pinhole camera's image, resized to `width` x
-    /// `height`.
-    pub fn pinhole(camera: &Camera, width: u32, height: u32) -> Self {
+    /// Returns a face with exactly the pixels of some rows of a pinhole camera's image, resized to
+    /// `width` x `height`.
+    pub fn pinhole(camera: &Camera, [width, height]: [u32; 2], rows: Range<u32>) -> Self {
         let scale = Vector2::new(
             f64::from(width) / f64::from(camera.width),
             f64::from(height) / f64::from(camera.height),
@@ -86,15 +88,9 @@ impl Face {
         let (focal, axis) = camera.pinhole_part();
         let (focal, axis) = (
             focal.component_mul(&scale),
-            axis.coords.component_mul(&scale),
+            axis.coords.component_mul(&scale) - Vector2::new(0.0, f64::from(rows.start)),
         );
-        Self::new(
-            Matrix3::identity(),
-            focal,
-            axis,
-            width as usize,
-            height as usize,
-        )
+        Self::new(Matrix3::identity(), focal, axis, width as usize, rows.len())
     }
 
     fn cube(focal: f64, right: [i8; 3], down: [i8; 3], forward: [i8; 3]) -> Self {

@@ -14,6 +14,7 @@ mod shown;
 
 use std::{
     iter,
+    ops::Range,
     sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
 };
 
@@ -84,7 +85,7 @@ impl Visibility {
 
     /// Returns the range of the view's rows. Tables parallel to this one (such as unary confidence)
     /// are indexed by row.
-    pub fn rows(&self, view: ViewIndex) -> std::ops::Range<usize> {
+    pub fn rows(&self, view: ViewIndex) -> Range<usize> {
         self.offsets.row(view.index())
     }
 
@@ -224,16 +225,17 @@ pub const NOTHING: u32 = u32::MAX;
 /// Near plane of [`front`], as a share of the surface's distance from the camera.
 const NEAR_SHARE: f64 = 1e-4;
 
-/// Returns the frontmost triangle in each pixel of a pinhole view's image, resized to `width` x
-/// `height`, row by row; [`NOTHING`] for empty pixels. Sampled at pixel centres.
+/// Returns the frontmost triangle in each pixel of some rows of a pinhole view's image, resized to
+/// `size` (width, height), row by row; [`NOTHING`] for empty pixels. Sampled at pixel centres. Takes
+/// 12 bytes per pixel of these rows.
 pub fn front(
     scene: &Scene,
     surface: &Surface,
     view: ViewIndex,
-    width: u32,
-    height: u32,
+    size: [u32; 2],
+    rows: Range<u32>,
 ) -> Vec<u32> {
-    let face = Face::pinhole(scene.camera_of(view), width, height);
+    let face = Face::pinhole(scene.camera_of(view), size, rows);
     let pose = &scene.view(view).cam_from_world;
     let vertices: Vec<Point3<f64>> = surface
         .vertices
