@@ -1,6 +1,6 @@
 //! The cells of a fused cloud, and the maps that take part in each.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -28,8 +28,12 @@ pub struct CloudCells {
     centres: Vec<Point3<f64>>,
     /// Index of the cell of each cube.
     cells: HashMap<Cube, u32>,
-    octaves: BTreeSet<i16>,
+    /// Bounds of the centres of each size of cube.
+    octaves: BTreeMap<i16, Bounds>,
 }
+
+/// Low and high corner.
+type Bounds = [Point3<f64>; 2];
 
 impl CloudCells {
     /// Finds the cells of the cloud that are inside the plan's region.
@@ -74,10 +78,17 @@ impl CloudCells {
             .into_iter()
             .filter_map(|(cube, cell)| Some((cube, new[cell as usize]?)))
             .collect();
+        let centres: Vec<Point3<f64>> = kept.iter().map(|&cell| centres[cell]).collect();
+        let mut octaves: BTreeMap<i16, Bounds> = BTreeMap::new();
+        for (&(octave, _), &cell) in &cells {
+            let centre = centres[cell as usize];
+            let [low, high] = octaves.entry(octave).or_insert([centre; 2]);
+            (*low, *high) = (low.inf(&centre), high.sup(&centre));
+        }
         Ok(Self {
-            centres: kept.iter().map(|&cell| centres[cell]).collect(),
-            octaves: cells.keys().map(|cube| cube.0).collect(),
+            centres,
             cells,
+            octaves,
         })
     }
 
@@ -125,8 +136,11 @@ impl CloudCells {
 
     /// Calls `take` with each cell whose centre is within its 2 `g_d` of the point.
     fn near(&self, point: &Point3<f64>, mut take: impl FnMut(usize)) {
-        for &octave in &self.octaves {
+        for (&octave, [low, high]) in &self.octaves {
             let (middle, edge) = (cube(point, octave), edge(octave));
+            if (low - point).max() > edge || (point - high).max() > edge {
+                continue;
+            }
             for offset in (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]) {
                 let position = [0, 1, 2].map(|axis| middle[axis].saturating_add(offset[axis]));
                 if let Some(&cell) = self.cells.get(&(octave, position))
