@@ -169,7 +169,7 @@ impl<'a> Summary<'a> {
         lines.extend(self.notes.iter().cloned());
         let region = self
             .region
-            .map(|region| region.describe(self.weight, self.metres_per_unit))
+            .map(|region| region.describe(self.metres_per_unit))
             .unwrap_or_default();
         lines.extend(region.lines().map(String::from));
         lines
@@ -189,12 +189,9 @@ impl<'a> Summary<'a> {
             format!("{}:", self.what()),
             format!("{share} of {}{band}.", self.whole()),
         ];
-        lines.extend(
-            [self.given_up(), self.beyond_gate(), self.done()]
-                .into_iter()
-                .flatten(),
-        );
+        lines.extend([self.beyond_gate(), self.done()].into_iter().flatten());
         if is_verbose {
+            lines.extend(self.given_up());
             lines.extend(self.other_shares());
         }
         lines
@@ -282,6 +279,7 @@ impl<'a> Summary<'a> {
                 100.0 * given_up.single_map / reachable
             ));
         }
+        lines.extend(self.region.map(|region| region.part_of_all(self.weight)));
         lines.push(format!(
             "All together give {} of what is wanted (likely {reachable_band}).",
             whole_percent(reachable)
@@ -555,6 +553,15 @@ fn notes_on_left_out(plan: &Plan) -> Vec<String> {
         notes.push(format!(
             "{} {views} no usable image and {it} neither matched nor planned.",
             grouped(missing)
+        ));
+    }
+    if let [first, ..] = &plan.stages.scene.unregistered[..] {
+        let (images, are) = match plan.stages.scene.unregistered.len() {
+            1 => ("1 image".to_owned(), "is"),
+            n => (format!("{} images", grouped(n)), "are"),
+        };
+        notes.push(format!(
+            "{images} {are} not in the model (e.g. {first}): what only they show does not count."
         ));
     }
     let twins = plan.stages.twins.len();

@@ -133,15 +133,20 @@ fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
     let missed: Value = serde_json::from_str(&missed).unwrap();
     let unseen = &missed["features"][0];
     assert_eq!(unseen["properties"]["photographs"], 0);
-    let strips = unseen["geometry"]["coordinates"].as_array().unwrap();
-    let length = |strip: &Value| {
-        let x = |corner: usize| strip[0][corner][0].as_f64().unwrap();
-        assert_eq!(strip[0][0], strip[0][4]);
-        x(1) - x(0)
-    };
-    let longest = strips.iter().map(length).fold(0.0, f64::max) / (east(1.0) - LONGITUDE);
-    // From the last photograph's reach to the end of the site.
-    assert!((45.0..70.0).contains(&longest), "{longest}");
+    let outline = unseen["geometry"]["coordinates"][0].as_array().unwrap();
+    assert_eq!(outline.first(), outline.last());
+    let longitudes = outline.iter().map(|corner| corner[0].as_f64().unwrap());
+    let (west, east_end) = longitudes.fold((f64::MAX, f64::MIN), |(low, high), x| {
+        (low.min(x), high.max(x))
+    });
+    let length = (east_end - west) / (east(1.0) - LONGITUDE);
+    // From the last photograph's reach to the end of the site, 20 m wide.
+    assert!((45.0..70.0).contains(&length), "{length}");
+    let area = unseen["properties"]["area_m2"].as_f64().unwrap();
+    assert!(
+        (0.8 * 20.0 * length..1.05 * 20.0 * length).contains(&area),
+        "{area}"
+    );
     let page = fs::read_to_string(folder.at("viewrank/report.html")).unwrap();
     let data = page
         .split_once("<script id=\"data\" type=\"application/json\">")

@@ -234,7 +234,7 @@ impl RegionData {
         let region = stages.region.as_ref()?;
         let inside = surface.original.iter().map(|&t| region.is_inside(t));
         Some(Self {
-            words: summary.describe(stages.settings.ranking.weight, stages.metres),
+            words: summary.describe(stages.metres),
             inside: list(inside.map(u8::from)),
             border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
             outline: outline(plan, frame),
@@ -273,7 +273,7 @@ impl Contents {
             flight = flight.and_then(&bare);
         }
         let ground = plan.stages.ground.as_ref();
-        let missed = ground.and_then(|ground| flight::missed(ground, &frame, &place));
+        let missed = ground.and_then(|ground| flight::missed(ground, &frame, &place, metres));
         let missing: Vec<String> = listed.iter().map(|hole| hole.missing.clone()).collect();
         Ok(Self {
             title: title(&project.root),

@@ -54,7 +54,7 @@ impl RegionSummary {
 
     /// Returns a description of a few lines; for `auto` and a box it includes the corners as
     /// `--region` takes them.
-    pub fn describe(&self, weight: TriangleWeight, metres: Option<f64>) -> String {
+    pub fn describe(&self, metres: Option<f64>) -> String {
         let corners = self.bounds.map(|x| short(x, &self.bounds)).join(",");
         let what = match self.kind {
             RegionKind::Polygons => "polygons".into(),
@@ -62,22 +62,27 @@ impl RegionSummary {
             RegionKind::Box => format!("the box {corners}"),
             RegionKind::Auto => format!("auto, the box {corners}"),
         };
-        let [area, weighed] = [self.share_of_area, self.share_of_weight].map(|share| 100.0 * share);
-        let of_all = match weight {
-            TriangleWeight::Pixels => {
-                format!("It has {weighed:.1} % of the pixels and {area:.1} % of the surface.")
-            }
-            _ => format!("It has {area:.1} % of the surface."),
-        };
         let ground = self
             .ground
             .map(|ground| [ground.covered("It", metres), ground.missed("it", metres)]);
         [format!("Region: {what}.")]
             .into_iter()
             .chain(ground.into_iter().flatten())
-            .chain([of_all])
             .collect::<Vec<_>>()
             .join("\n")
+    }
+
+    /// Says how much of all the region is, in a line.
+    pub fn part_of_all(&self, weight: TriangleWeight) -> String {
+        let [area, weighed] = [self.share_of_area, self.share_of_weight].map(|share| 100.0 * share);
+        match weight {
+            TriangleWeight::Pixels => {
+                format!(
+                    "The region has {weighed:.1} % of the pixels and {area:.1} % of the surface."
+                )
+            }
+            _ => format!("The region has {area:.1} % of the surface."),
+        }
     }
 }
 
@@ -106,7 +111,7 @@ mod tests {
                 share_of_weight: 0.5,
                 ground: None,
             };
-            summary.describe(TriangleWeight::Pixels, None)
+            summary.describe(None)
         };
         assert!(
             words([-2.40123, -1.0, 0.9, -1.8, -0.8, 1.61])

@@ -2,74 +2,64 @@
 
 use serde_json::{Value, json};
 
-use super::files::{collection, rounded};
+use super::{
+    files::{collection, rounded},
+    outlines::{Area, Place, areas},
+};
 use crate::{
-    method::region::{Ground, GroundCell},
+    method::region::Ground,
     model::georeference::{Geodetic, Georeference, MapFrame},
     show::pictures::views_file,
 };
 
-/// Name and text of the file, GeoJSON below the plan's folder; `None` where nothing was missed.
+/// Name and text of the file, GeoJSON below the plan's folder: a feature for each area, those that
+/// no photograph shows and of these the largest first. `None` where nothing was missed. `metres`:
+/// in a scene unit, if known.
 pub fn missed(
     ground: &Ground,
     frame: &MapFrame,
     place: &Georeference,
+    metres: Option<f64>,
 ) -> Option<(&'static str, String)> {
     let is_local = views_file(place) != "views.geojson";
-    let feature = |photographs: u32| {
-        let polygon =
-            |ring: &Ring| json!([ring.map(|corner| position(ground, corner, frame, place))]);
-        let polygons: Vec<Value> = strips(ground, photographs).iter().map(polygon).collect();
-        (!polygons.is_empty()).then(|| {
-            json!({
-                "type": "Feature",
-                "geometry": { "type": "MultiPolygon", "coordinates": polygons },
-                "properties": { "photographs": photographs },
-            })
+    let origin = ground.cells.first()?.place;
+    let position = |corner: &Place| {
+        let at = [0, 1].map(|axis| origin[axis] + (f64::from(corner[axis]) - 0.5) * ground.side);
+        position(ground, at, frame, place)
+    };
+    let (unit, scale) = match metres {
+        Some(metres) => ("area_m2", metres),
+        None => ("area_units2", 1.0),
+    };
+    let feature = |photographs: u32, Area { cells, rings }: Area| {
+        let rings: Vec<Vec<[f64; 2]>> = rings
+            .iter()
+            .map(|ring| ring.iter().map(position).collect())
+            .collect();
+        let area = cells as f64 * (ground.side * scale).powi(2);
+        json!({
+            "type": "Feature",
+            "geometry": { "type": "Polygon", "coordinates": rings },
+            "properties": { "photographs": photographs, unit: rounded(area, 3) },
         })
     };
-    let features: Vec<Value> = [0, 1].into_iter().filter_map(feature).collect();
+    let shown_by = |photographs: u32| {
+        let cells = ground.cells.iter().filter(move |c| c.views == photographs);
+        // Positions are multiples of the side, up to rounding.
+        let number = |at: [f64; 2]| -> Place {
+            [0, 1].map(|axis| ((at[axis] - origin[axis]) / ground.side).round() as i32)
+        };
+        areas(cells.map(|cell| number(cell.place)))
+            .into_iter()
+            .map(move |area| feature(photographs, area))
+    };
+    let features: Vec<Value> = [0, 1].into_iter().flat_map(shown_by).collect();
     let name = if is_local {
         "flight/missed_local.json"
     } else {
         "flight/missed.geojson"
     };
     (!features.is_empty()).then(|| (name, collection(features, is_local)))
-}
-
-/// A closed ring on the map, counterclockwise.
-type Ring = [[f64; 2]; 5];
-
-/// Joins neighbouring cells of a row that this number of photographs show to rectangles.
-fn strips(ground: &Ground, photographs: u32) -> Vec<Ring> {
-    let side = ground.side;
-    let mut strips: Vec<(GroundCell, GroundCell)> = Vec::new();
-    for cell in ground.cells.iter().filter(|c| c.views == photographs) {
-        // Positions are multiples of the side, up to rounding.
-        let follows = |last: &GroundCell| {
-            let [right, up] = [0, 1].map(|axis| cell.place[axis] - last.place[axis]);
-            (right - side).abs() < 0.1 * side && up.abs() < 0.1 * side
-        };
-        match strips.last_mut() {
-            Some((_, last)) if follows(last) => *last = *cell,
-            _ => strips.push((*cell, *cell)),
-        }
-    }
-    let half = 0.5 * side;
-    let ring = |(first, last): (GroundCell, GroundCell)| {
-        let ([left, low], [right, high]) = (
-            first.place.map(|at| at - half),
-            last.place.map(|at| at + half),
-        );
-        [
-            [left, low],
-            [right, low],
-            [right, high],
-            [left, high],
-            [left, low],
-        ]
-    };
-    strips.into_iter().map(ring).collect()
 }
 
 /// Longitude and latitude of a place on the ground, or x and y on the map.

@@ -8,6 +8,7 @@ mod candidates;
 mod choice;
 mod files;
 mod missed;
+mod outlines;
 
 use nalgebra::{Point3, Vector3};
 
