@@ -317,12 +317,22 @@ fn missing(inputs: &Inputs) -> Option<Finding> {
             inputs.scene.views.len(),
             images.display()
         );
+        let candidates = |view| images.candidates_for(inputs.scene.name(view));
+        let of_two = if views.iter().any(|&view| candidates(view).is_some()) {
+            "; where two files fit a name, move one away, or name the folder of the other with --images"
+        } else {
+            ""
+        };
         let cure = format!(
-            "copy them to {}/NAME, with the names in the model",
+            "copy them to {}/NAME, with the names in the model{of_two}",
             images.display()
         );
+        let of_view = |&view: &ViewIndex| match candidates(view) {
+            Some([one, other]) => inputs.view_finding(view, format!("{one} or {other}?")),
+            None => inputs.view_finding(view, ""),
+        };
         Finding::new(severity(inputs), "missing-images", what, cure)
-            .of_views(inputs.named(views.iter().copied()))
+            .of_views(views.iter().map(of_view).collect())
     })
 }
 

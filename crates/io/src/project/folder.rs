@@ -2,7 +2,7 @@
 //! names are spelled otherwise there.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::{BTreeMap, HashMap, hash_map::Entry},
     ops::Deref,
     path::{Path, PathBuf},
     sync::{Arc, OnceLock},
@@ -48,9 +48,17 @@ pub struct ImageFolder {
     path: PathBuf,
     /// The path is neither given by the user or the model nor one of the usual places.
     pub is_searched: bool,
-    /// Paths relative to the folder, by name in the model, of images that are not there under that
-    /// name. Known once the model is read.
-    others: Arc<OnceLock<BTreeMap<String, String>>>,
+    /// The images that are not there under their names. Known once the model is read.
+    others: Arc<OnceLock<Others>>,
+}
+
+/// Images of a model that are not in the folder under their names.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Others {
+    /// Paths relative to the folder, by name in the model.
+    found: BTreeMap<String, String>,
+    /// Two files that fit a name alike, by name in the model.
+    ambiguous: BTreeMap<String, [String; 2]>,
 }
 
 impl ImageFolder {
@@ -70,7 +78,12 @@ impl ImageFolder {
     /// Path in the folder of an image that is there under another name.
     pub fn other_name(&self, name: &str) -> Option<&str> {
         let others = self.others.get()?;
-        others.get(name).map(String::as_str)
+        others.found.get(name).map(String::as_str)
+    }
+
+    /// Two files in the folder of which either may be that of a missing image.
+    pub fn candidates_for(&self, name: &str) -> Option<&[String; 2]> {
+        self.others.get()?.ambiguous.get(name)
     }
 
     /// The name with the extension of its file, which programs may go by.
@@ -100,7 +113,7 @@ impl ImageFolder {
         self.others
             .get()
             .into_iter()
-            .flatten()
+            .flat_map(|others| &others.found)
             .map(|(name, other)| (name.as_str(), other.as_str()))
     }
 
@@ -114,7 +127,7 @@ impl ImageFolder {
             .map(|view| &*view.name)
             .partition(is_missing);
         _ = self.others.set(if missing.is_empty() {
-            BTreeMap::new()
+            Others::default()
         } else {
             others(&self.path, &missing, &there)
         });
@@ -141,11 +154,12 @@ impl AsRef<Path> for ImageFolder {
     }
 }
 
-/// Paths in a folder of images that are `missing` under their names, by name. `taken`: names of the
-/// other images.
-fn others(folder: &Path, missing: &[&str], taken: &[&str]) -> BTreeMap<String, String> {
+/// Looks in a folder for images that are `missing` under their names. `taken`: names of the other
+/// images.
+fn others(folder: &Path, missing: &[&str], taken: &[&str]) -> Others {
     let names = Names::new();
     let mut found: BTreeMap<&str, String> = BTreeMap::new();
+    let mut ambiguous = BTreeMap::new();
     for name in missing {
         found.extend(names.locate(folder, name).map(|file| (*name, file)));
     }
@@ -155,29 +169,42 @@ fn others(folder: &Path, missing: &[&str], taken: &[&str]) -> BTreeMap<String, S
         .filter(|name| !found.contains_key(name))
         .collect();
     if !moved.is_empty() {
-        found.extend(in_other_folders(folder, &moved));
+        for (name, files) in in_other_folders(folder, &moved) {
+            match files {
+                Fitting::One(file) => drop(found.insert(name, file)),
+                Fitting::Several(two) => drop(ambiguous.insert(name.to_owned(), two)),
+            }
+        }
     }
     let mut uses: HashMap<String, usize> = HashMap::new();
     let files = found.values().map(String::as_str);
     for file in files.chain(taken.iter().copied()) {
         *uses.entry(file.to_owned()).or_default() += 1;
     }
-    found
-        .into_iter()
-        .filter(|(_, file)| uses[file] == 1)
-        .map(|(name, file)| (name.to_owned(), file))
-        .collect()
+    let found = found.into_iter().filter(|(_, file)| uses[file] == 1);
+    Others {
+        found: found.map(|(name, file)| (name.to_owned(), file)).collect(),
+        ambiguous,
+    }
 }
 
-/// Paths of images whose file is in another sub-folder, if there is only one of that name. Images
-/// of one name in several folders of the model are told apart by their folders alone.
-fn in_other_folders<'a>(folder: &Path, missing: &[&'a str]) -> BTreeMap<&'a str, String> {
+/// Files that fit the name of an image.
+#[derive(Clone)]
+enum Fitting {
+    One(String),
+    /// The first two.
+    Several([String; 2]),
+}
+
+/// Images with a file of their name in any sub-folder. Images of one name in several folders of the
+/// model are told apart by their folders alone.
+fn in_other_folders<'a>(folder: &Path, missing: &[&'a str]) -> BTreeMap<&'a str, Fitting> {
     let key = |name: &str| folded(stem(last(name)));
     let mut wanted: HashMap<String, Vec<&str>> = HashMap::new();
     for name in missing {
         wanted.entry(key(name)).or_default().push(*name);
     }
-    let mut files: HashMap<String, Option<String>> = HashMap::new();
+    let mut files: HashMap<String, Fitting> = HashMap::new();
     let entries = WalkDir::new(folder)
         .follow_links(true)
         .sort_by_file_name()
@@ -190,13 +217,18 @@ fn in_other_folders<'a>(folder: &Path, missing: &[&'a str]) -> BTreeMap<&'a str,
             continue;
         };
         let path = slashes(path);
-        let of_name = files.entry(key(&path));
-        of_name
-            .and_modify(|file| *file = None)
-            .or_insert(Some(path));
+        match files.entry(key(&path)) {
+            Entry::Vacant(none) => drop(none.insert(Fitting::One(path))),
+            Entry::Occupied(mut held) => {
+                if let Fitting::One(first) = held.get() {
+                    let two = [first.clone(), path];
+                    held.insert(Fitting::Several(two));
+                }
+            }
+        }
     }
     let only = |(key, names): (String, Vec<&'a str>)| match names[..] {
-        [name] => Some((name, files.get(&key)?.clone()?)),
+        [name] => Some((name, files.get(&key)?.clone())),
         _ => None,
     };
     wanted.into_iter().filter_map(only).collect()
@@ -424,7 +456,7 @@ mod tests {
     #[test]
     fn no_file_is_that_of_two_images() {
         let folder = folder_with(&["a.jpg", "b.png"]);
-        let found = |missing: &[&str], taken: &[&str]| others(folder.path(), missing, taken);
+        let found = |missing: &[&str], taken: &[&str]| others(folder.path(), missing, taken).found;
         assert_eq!(found(&["A.jpg"], &["a.jpg"]), BTreeMap::new());
         assert_eq!(found(&["b.jpg", "b.tif"], &[]), BTreeMap::new());
         assert_eq!(found(&["b.jpg"], &["a.jpg"]).len(), 1);
@@ -444,7 +476,13 @@ mod tests {
             "a.jpg", "b.jpg", "c.jpg", "x/d.jpg", "p/e.jpg", "q/e.jpg", "f.jpg",
         ];
         let others = others(folder.path(), &names, &[]);
+        let two = ["x/c.jpg", "y/c.jpg"].map(str::to_owned);
+        assert_eq!(
+            others.ambiguous,
+            BTreeMap::from([("c.jpg".to_owned(), two)])
+        );
         let others: Vec<_> = others
+            .found
             .iter()
             .map(|(name, file)| (name.as_str(), file.as_str()))
             .collect();

@@ -281,8 +281,11 @@ impl ImageFaults {
         let all = scene.views.len();
         let missing = self.missing.first().map(|first| {
             let (count, name) = (self.missing.len(), scene.name(*first));
+            let two = folder
+                .candidates_for(name)
+                .map_or_else(String::new, |[one, other]| format!(" ({one} or {other}?)"));
             format!(
-                "{MISSING} {}: {count} of {all}, e.g. {name}: {doctor}",
+                "{MISSING} {}: {count} of {all}, e.g. {name}{two}: {doctor}",
                 folder.display()
             )
         });
