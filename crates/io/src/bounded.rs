@@ -5,8 +5,9 @@ use std::{collections::BTreeMap, fmt, marker::PhantomData};
 
 use serde::{
     Deserialize, Deserializer,
-    de::{Error, MapAccess, SeqAccess, Visitor},
+    de::{DeserializeOwned, Error, MapAccess, SeqAccess, Visitor},
 };
+use serde_json::value::RawValue;
 
 /// Beginning of the error of a list or an object that is too long.
 pub(crate) const MORE_THAN: &str = "more than";
@@ -37,6 +38,17 @@ pub fn elements<'de, A: SeqAccess<'de>, T: Deserialize<'de>, const MOST: usize>(
         list.push(element);
     }
     Ok(list)
+}
+
+/// Reads a value of any form from at most `MOST` bytes of JSON.
+pub fn text<'de, D: Deserializer<'de>, T: DeserializeOwned, const MOST: usize>(
+    deserializer: D,
+) -> Result<T, D::Error> {
+    let text = Box::<RawValue>::deserialize(deserializer)?;
+    if text.get().len() > MOST {
+        return Err(D::Error::custom(format_args!("{MORE_THAN} {MOST} bytes")));
+    }
+    serde_json::from_str(text.get()).map_err(D::Error::custom)
 }
 
 /// The error of a list or an object with more than `most` entries.
@@ -95,6 +107,16 @@ mod tests {
         assert_eq!(read("[1,2]"), Some(Short(vec![1, 2])));
         assert_eq!(read("[]"), Some(Short(Vec::new())));
         assert_eq!(read("[1,2,3]"), None);
+    }
+
+    #[test]
+    fn a_text_that_is_too_long_is_refused_whatever_it_holds() {
+        #[derive(Debug, PartialEq, Deserialize)]
+        struct Brief(#[serde(deserialize_with = "super::text::<_, _, 8>")] Vec<u8>);
+        let read = |text: &str| serde_json::from_str::<Brief>(text).ok();
+        assert_eq!(read("[1,2,30]"), Some(Brief(vec![1, 2, 30])));
+        assert_eq!(read("[1,2,3,4]"), None);
+        assert_eq!(read("[1,2,x]"), None);
     }
 
     #[test]

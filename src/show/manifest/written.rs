@@ -12,6 +12,7 @@ use super::{FingerprintError, RegionSummary, VERSION, ViewEntry, check::check, f
 use crate::{
     backends::{ExportRecord, Selection},
     base::{
+        bounded,
         error::{Advice, Hint},
         input::FileKind,
         shell::command_path,
@@ -53,11 +54,15 @@ pub struct WrittenPlan {
     pub warnings: Vec<String>,
 }
 
+/// Most bytes of a manifest's settings, as of a file of settings.
+const SETTINGS_BYTES: usize = 1 << 20;
+
 /// The part of a manifest that viewrank reads back; views are names.
 #[derive(Debug, Deserialize)]
 pub(crate) struct RecordedPlan {
     input: Input,
     pub backend: String,
+    #[serde(deserialize_with = "bounded::text::<_, _, SETTINGS_BYTES>")]
     pub settings: Settings,
     #[serde(default)]
     pub own_size: bool,
@@ -67,6 +72,7 @@ pub(crate) struct RecordedPlan {
     pub outdated: Vec<OutdatedMap>,
     pub cut: Cut,
     pub exports: Vec<ExportRecord>,
+    #[serde(deserialize_with = "bounded::list::<_, _, 10_000>")]
     pub warnings: Vec<String>,
     #[serde(default)]
     region: Option<RegionSummary>,
@@ -138,11 +144,24 @@ pub fn planned_model(project: &Project) -> Option<String> {
     Some(RecordedPlan::read(project).ok()?.input.model)
 }
 
-/// Returns the number of key views that the project's plan chooses, and its backend; `None` without
-/// a plan.
-pub fn planned_maps(root: &Path) -> Option<(usize, String)> {
+/// The depth maps (or images) that a plan chooses.
+pub struct PlannedMaps {
+    pub clusters: usize,
+    /// Their predicted share of the fulfilment of all view clusters, 0 to 1.
+    pub share: f64,
+    pub backend: String,
+}
+
+/// Returns what the project's plan chooses; `None` without a plan.
+pub fn planned_maps(root: &Path) -> Option<PlannedMaps> {
     let (_, recorded) = RecordedPlan::open(root).ok()?;
-    Some((recorded.cut.clusters, recorded.backend))
+    let last = recorded.cut.clusters.checked_sub(1);
+    let share = last.and_then(|last| Some(recorded.clusters.get(last)?.share));
+    Some(PlannedMaps {
+        clusters: recorded.cut.clusters,
+        share: share.unwrap_or_default(),
+        backend: recorded.backend,
+    })
 }
 
 /// Returns the region of the project's plan, as it was set; `None` without a plan or a region.

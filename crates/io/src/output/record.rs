@@ -6,6 +6,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    ffi::OsString,
     fs::File,
     io::{self, Read},
     time::UNIX_EPOCH,
@@ -18,6 +19,8 @@ use crate::input::{self, FileKind};
 
 /// Folder of the records, relative to the root.
 pub(super) const FOLDER: &str = "viewrank/.sets";
+/// Bytes of all records together: those of exports of 100,000 images have 13 MB.
+const MOST_BYTES: u64 = 1 << 26;
 /// Files with this prefix are viewrank's, whoever recorded them.
 const OWN: &str = "viewrank/";
 
@@ -51,11 +54,16 @@ pub(super) struct Claim {
 }
 
 impl<'a> Records<'a> {
-    /// Reads all records. Damaged ones are skipped: their files count as the user's and are kept.
+    /// Reads all records. Damaged ones, and those that no longer fit in [`MOST_BYTES`], are
+    /// skipped: their files count as the user's and are kept.
     pub fn read(root: &'a Folder) -> Self {
-        let records = root.names(FOLDER).into_iter().flatten().filter_map(|name| {
+        let mut names: Vec<OsString> = root.names(FOLDER).into_iter().flatten().collect();
+        names.sort_unstable();
+        let mut left = MOST_BYTES;
+        let records = names.into_iter().filter_map(|name| {
             let name = name.to_str()?.strip_suffix(".json")?.to_owned();
             let file = root.file(&format!("{FOLDER}/{name}.json")).ok()?;
+            left = left.checked_sub(file.metadata().ok()?.len())?;
             let bytes = input::read_all(file, FileKind::Record).ok()?;
             let record: Record = serde_json::from_slice(&bytes).ok()?;
             let sound = record
