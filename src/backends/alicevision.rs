@@ -46,17 +46,10 @@ pub static BACKEND: Backend = Backend {
         notes: "one call per key view, partners by the landmarks of a scene file of its own; their order is that of common landmarks",
     },
     planning: PATCH_MATCH,
-    options: &[],
-    use_of_views: None,
     // `--downscale` is 2 by default.
     own_scale: |_| 0.5,
-    takes_distorted: false,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
-    traps: |_| Vec::new(),
     export,
+    ..Backend::DEFAULT
 };
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

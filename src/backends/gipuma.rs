@@ -26,16 +26,9 @@ pub static BACKEND: Backend = Backend {
         notes: "one call per key view",
     },
     planning: PATCH_MATCH,
-    options: &[],
-    use_of_views: None,
-    own_scale: super::full_size,
-    takes_distorted: false,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

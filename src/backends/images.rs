@@ -21,14 +21,9 @@ pub static BACKEND: Backend = Backend {
     planning: ANY_PROGRAM,
     options: &["--refs"],
     use_of_views: Some("Take"),
-    own_scale: super::full_size,
     takes_distorted: true,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
-    traps: |_| Vec::new(),
     export,
+    ..Backend::DEFAULT
 };
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

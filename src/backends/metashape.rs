@@ -26,16 +26,10 @@ pub static BACKEND: Backend = Backend {
         support: 2,
         ..ANY_PROGRAM
     },
-    options: &[],
-    use_of_views: None,
-    own_scale: super::full_size,
     takes_distorted: true,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 /// Finds equal file names: they are the labels by which the script finds cameras.

@@ -35,16 +35,10 @@ pub static BACKEND: Backend = Backend {
         notes: "Malt GeomImage, one call per key view; with the pair file (C3DC, PIMs) pairs are undirected and the order is lost",
     },
     planning: PATCH_MATCH,
-    options: &[],
-    use_of_views: None,
-    own_scale: super::full_size,
     takes_distorted: true,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

@@ -117,6 +117,39 @@ pub struct Backend {
 }
 
 impl Backend {
+    /// What most rows have in common: a program for whole runs that matches undistorted images at
+    /// one size, their own. Names, numbers and export are each row's.
+    const DEFAULT: Self = Self {
+        name: "",
+        aliases: &[],
+        program: "",
+        last_run: LastRun::Never(""),
+        capabilities: Capabilities {
+            partners: Honours::Yes,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "",
+            notes: "",
+        },
+        planning: PATCH_MATCH,
+        options: &[],
+        use_of_views: None,
+        own_scale: full_size,
+        takes_distorted: false,
+        takes_masks: false,
+        serves: |_| false,
+        mixes_sizes: false,
+        tasks: |_, _| None,
+        traps: |_| Vec::new(),
+        export: |_, _| {
+            Err(BackendError::Needs {
+                backend: "",
+                what: "an export of its own".into(),
+                hint: "write one in src/backends".into(),
+            })
+        },
+    };
+
     /// Makes the files for a selection, at the backend's default image size unless the user has set
     /// one; writes nothing.
     ///
@@ -214,8 +247,14 @@ pub fn by_names(names: &[String]) -> Result<Vec<&'static Backend>, UnknownBacken
     Ok(backends)
 }
 
+/// Longest name that is compared with the known ones, bytes: the time grows with its length.
+const LONGEST_NAME: usize = 100;
+
 /// Returns the known name most similar to the given one.
 fn nearest(name: &str) -> Option<&'static str> {
+    if name.len() > LONGEST_NAME {
+        return None;
+    }
     let wanted = plain(name);
     let others = BACKENDS
         .iter()
@@ -330,6 +369,10 @@ mod tests {
             );
             assert_eq!(plain(name), name);
         }
+        let rows = BACKENDS
+            .iter()
+            .map(|b| [b.name, b.program, b.capabilities.fusion]);
+        assert!(rows.flatten().all(|own| !own.is_empty()));
         assert!(
             by_name("nothing").is_err_and(|e| e.hint().unwrap().to_string().contains("openmvs"))
         );

@@ -59,16 +59,11 @@ pub static BACKEND: Backend = Backend {
                  gate: the numbers of OpenMVS (method 7.1)",
         ..PATCH_MATCH
     },
-    options: &[],
-    use_of_views: None,
     own_scale,
-    takes_distorted: false,
-    takes_masks: false,
     mixes_sizes: true,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 /// Smallest power of two that reduces the image to at most `--max-pixels`, 1.5 million by default.

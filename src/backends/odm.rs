@@ -35,16 +35,10 @@ pub static BACKEND: Backend = Backend {
                 views is loaded for each of them",
     },
     planning: openmvs::PLANNING,
-    options: &[],
-    use_of_views: None,
     own_scale,
-    takes_distorted: false,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 /// `get_depthmap_resolution` and `stages/openmvs.py` with the default `--pc-quality medium`: an

@@ -45,16 +45,9 @@ pub static BACKEND: Backend = Backend {
         source: "not measured: the numbers of OpenMVS and COLMAP, also a PatchMatch; support 1: patches are not checked against depth maps",
         ..PATCH_MATCH
     },
-    options: &[],
-    use_of_views: None,
-    own_scale: super::full_size,
-    takes_distorted: false,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

@@ -27,16 +27,10 @@ pub static BACKEND: Backend = Backend {
         notes: "an image is either used for meshing or not: key views and partners together",
     },
     planning: ANY_PROGRAM,
-    options: &[],
-    use_of_views: None,
-    own_scale: super::full_size,
     takes_distorted: true,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

@@ -50,14 +50,10 @@ pub static BACKEND: Backend = Backend {
     planning: ANY_PROGRAM,
     options: &["--refs"],
     use_of_views: Some("Train on"),
-    own_scale: super::full_size,
     takes_distorted: true,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

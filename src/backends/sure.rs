@@ -61,16 +61,11 @@ pub static BACKEND: Backend = Backend {
         notes: "no public file names pairs: exact partners need one project per cluster",
     },
     planning: RECTIFYING,
-    options: &[],
-    use_of_views: None,
-    own_scale: super::full_size,
-    takes_distorted: false,
-    takes_masks: false,
     mixes_sizes: true,
     serves: |project| project.kind == ProjectKind::Sure,
-    tasks: |_, _| None,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

@@ -53,7 +53,6 @@ const BATCH: usize = 10;
 
 pub static BACKEND: Backend = Backend {
     name: "colmap",
-    aliases: &[],
     program: "COLMAP",
     last_run: LastRun::At {
         date: "2026-11-28",
@@ -76,15 +75,12 @@ pub static BACKEND: Backend = Backend {
         ..PATCH_MATCH
     },
     options: &["--refs", "--geometric"],
-    use_of_views: None,
-    own_scale: super::full_size,
-    takes_distorted: false,
-    takes_masks: false,
     mixes_sizes: true,
     serves: |project| project.dense_workspace.is_some(),
     tasks,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {

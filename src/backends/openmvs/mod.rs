@@ -103,15 +103,13 @@ pub static BACKEND: Backend = Backend {
     },
     planning: PLANNING,
     options: &["--scene", "--scale"],
-    use_of_views: None,
     own_scale,
-    takes_distorted: false,
-    takes_masks: false,
     mixes_sizes: true,
     serves: |project| project.kind == ProjectKind::OpenMvs,
     tasks,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {

@@ -2,7 +2,6 @@
 
 use super::super::{
     Backend, Capabilities, ExaminedProject, Honours, LastRun, PATCH_MATCH, PlanningNumbers, Trap,
-    full_size,
 };
 use crate::method::confidence::Photometric;
 
@@ -75,16 +74,9 @@ pub static MVSNET: Backend = Backend {
         ..CAPABILITIES
     },
     planning: PATCH_MATCH,
-    options: &[],
-    use_of_views: None,
-    own_scale: full_size,
-    takes_distorted: false,
-    takes_masks: false,
-    mixes_sizes: false,
-    serves: |_| false,
-    tasks: |_, _| None,
     traps,
     export: |selection, options| MVSNET_DIALECT.export(selection, options),
+    ..Backend::DEFAULT
 };
 
 const MVSNET_DIALECT: Dialect = Dialect {

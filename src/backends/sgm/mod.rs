@@ -66,7 +66,6 @@ const MATCHER: [(&str, &str); 7] = [
 
 pub static BACKEND: Backend = Backend {
     name: "sgm",
-    aliases: &[],
     program: "sgm",
     last_run: LastRun::At {
         date: "2026-11-28",
@@ -81,16 +80,12 @@ pub static BACKEND: Backend = Backend {
         notes: "pairs that it refuses are named in its report.json, with the reason",
     },
     planning: NUMBERS,
-    options: &[],
-    use_of_views: None,
-    own_scale: super::full_size,
-    takes_distorted: false,
     takes_masks: true,
     mixes_sizes: true,
-    serves: |_| false,
     tasks,
     traps,
     export,
+    ..Backend::DEFAULT
 };
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {
