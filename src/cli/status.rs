@@ -9,7 +9,7 @@ use std::{
 use crate::{
     backends,
     base::{
-        error::{Advice, Hint},
+        error::{Advice, Hint, shortened},
         shell::command_path,
     },
     daemon::{
@@ -19,7 +19,7 @@ use crate::{
         read_status, status_file,
     },
     io::project::Project,
-    show::manifest::{planned_maps, planned_workspace},
+    show::manifest::{PlannedMaps, planned_maps, planned_workspace},
 };
 use clap::Args;
 use serde_json::json;
@@ -60,12 +60,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             let progress = Progress::read(&project).or_else(workspace);
             let is_json = arguments.json || arguments.format == Format::Json;
             return match (progress, planned_maps(&project)) {
-                (Some(progress), _) if is_json => print_json(&progress),
+                (Some(progress), _) if is_json => print_json(&alone(&project, phase(progress))),
                 (Some(progress), _) => print(unwatched(&progress)),
-                (None, Some((planned, _))) if is_json => {
-                    print_json(&json!({ "done": 0, "clusters": planned }))
+                (None, Some(plan)) if is_json => {
+                    let (clusters, share, note) = (plan.clusters, plan.share, None);
+                    let planned = Phase::Planned {
+                        clusters,
+                        share,
+                        note,
+                    };
+                    print_json(&alone(&project, planned))
                 }
-                (None, Some((planned, backend))) => print([planned_in_words(planned, &backend)]),
+                (None, Some(plan)) => print([planned_in_words(&plan)]),
                 (None, None) => Err(NoStatus::NotWatched(project).into()),
             };
         }
@@ -134,7 +140,12 @@ impl Hint for NoStatus {
 }
 
 /// Says what the plan chooses, before any depth map is finished.
-fn planned_in_words(planned: usize, backend: &str) -> String {
+fn planned_in_words(plan: &PlannedMaps) -> String {
+    let PlannedMaps {
+        clusters: planned,
+        backend,
+        ..
+    } = plan;
     match backends::by_name(backend).map(|backend| backend.use_of_views) {
         Ok(Some(_)) => format!("{planned} images are planned; {backend} makes no depth maps."),
         _ => format!("0 of {planned} planned depth maps are finished."),
@@ -158,6 +169,44 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     lines.extend(progress.note.clone());
     lines.push("No daemon watches the project: this is how things stood at its last map.".into());
     lines
+}
+
+/// The phase that a daemon would show.
+fn phase(progress: Progress) -> Phase {
+    let Progress {
+        done,
+        clusters,
+        share,
+        note,
+        ..
+    } = progress;
+    match share.filter(|_| progress.target_reached) {
+        Some(share) => Phase::Reached {
+            done,
+            clusters,
+            share,
+            note,
+        },
+        None => Phase::Computing {
+            done,
+            clusters,
+            share,
+            unmeasured: 0,
+            note,
+        },
+    }
+}
+
+/// The status of a project that no daemon watches, as [`as_json`] gives that of a watched folder.
+fn alone(project: &Path, phase: Phase) -> serde_json::Value {
+    let mut own = serde_json::to_value(phase).expect("a phase is JSON");
+    own["project"] = ".".into();
+    json!({
+        "root": project.to_string_lossy(),
+        "running": false,
+        "notices": [],
+        "projects": [own],
+    })
 }
 
 fn as_json(root: &Path, line: &Line) -> serde_json::Value {
@@ -189,7 +238,7 @@ fn as_text(root: &Path, line: &Line) -> Vec<String> {
         .unwrap_or(0)
         .min(32);
     for project in &status.projects {
-        let name = printable(&project.project);
+        let name = printable(&shortened(&project.project));
         let measuring = if project.measuring {
             ", being measured"
         } else {
