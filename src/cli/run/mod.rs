@@ -1,0 +1,228 @@
+//! `viewrank run`: plans, matches and fuses a project on this machine, best first, until the target
+//! is reached.
+
+mod result;
+mod work;
+
+use std::{path::PathBuf, sync::atomic::Ordering};
+
+use clap::Args;
+
+use self::work::Work;
+use super::{
+    Exit, Failure, Format, arguments, config, next, note, print, progress::ProgressDisplay, ready,
+    warn,
+};
+use crate::{
+    apps::{dispatch::Dispatch, planning, undistort},
+    backends::{self, Backend},
+    base::{platform, shell::command_path},
+    config::CommandLineSettings,
+    daemon::foreground::Foreground,
+    io::project::Project,
+    show::manifest::planned_region,
+};
+
+/// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
+///
+/// Undistorts the images if the backend needs that, and matches with the backend that the project
+/// is set up for, else with OpenMVS (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else
+/// with integrations/sgm (Python with numpy and opencv). Each depth map is measured;
+/// PROJECT/viewrank/report.html shows the progress. Ctrl-C stops and fuses what is there, a second
+/// one ends at once; the same command resumes.
+#[derive(Args)]
+pub struct Arguments {
+    /// Folder of the project, or its model
+    #[arg(value_parser = super::arguments::project())]
+    project: PathBuf,
+
+    /// Backend to match with [default: as the project is set up, else what is installed]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<String>,
+    /// Stop at P % of what all view clusters together reach [default: 90%, or the settings']
+    #[arg(long, value_name = "P%")]
+    target: Option<String>,
+    /// Compute at most N depth maps, or those of P % of the registered views (with --scales, of the
+    /// work of all)
+    #[arg(long, value_name = "N|P%")]
+    budget: Option<String>,
+    /// Matching partners per key view [default: 5]
+    #[arg(short, value_name = "N")]
+    k: Option<String>,
+    /// Sizes that a key view may be matched at, as in viewrank plan
+    #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = super::arguments::scale)]
+    scales: Option<Vec<f64>>,
+    /// Part of the scene to plan for, as in viewrank plan
+    #[arg(
+        long,
+        value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto",
+        allow_hyphen_values = true
+    )]
+    region: Option<String>,
+    /// Wanted ground sampling distance, as in viewrank plan
+    #[arg(long, value_name = "L")]
+    gsd: Option<String>,
+    /// Folder to which the image names of the model are relative [default: where they are found]
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    /// The backend's program [default: $DENSIFY, $COLMAP, $SGM, else from the PATH]
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// Threads of the backend [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// No report page
+    #[arg(long)]
+    no_report: bool,
+    /// No progress and no results; warnings and errors only
+    #[arg(long, short)]
+    quiet: bool,
+    /// Format of the results on stdout
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let stop = platform::stop_flag()
+        .map_err(|error| Failure::new(Exit::Failed, error.to_string(), None))?;
+    let project = Project::open(&arguments.project, None)?;
+    let settings = config::load(Some(&project), arguments.typed(None, true))?.settings;
+    let project = project.with_images(settings.images.as_deref());
+    let (backend, choice) = backends::chosen(&project, &settings)?;
+    let say = |line: String| {
+        if arguments.is_silent() {
+            Ok(())
+        } else {
+            print([line])
+        }
+    };
+    say(format!(
+        "Backend: {} ({}).",
+        backend.name,
+        choice.describe()
+    ))?;
+    let own = project.root.clone();
+    let scene = project.read_scene()?;
+    let is_distorted = scene
+        .view_indices()
+        .any(|view| !scene.camera_of(view).is_pinhole());
+    // Ctrl-C also ends the programs that are asked what they can do.
+    let stopped = || Failure::new(Exit::Failed, "stopped before planning", arguments.go_on());
+    ready::check(backend, &project, scene, arguments.program.as_deref()).map_err(|failure| {
+        if stop.load(Ordering::Relaxed) {
+            stopped()
+        } else {
+            failure
+        }
+    })?;
+    Dispatch::refuse_if_at_work(&project)?;
+    let root = if backend.takes_distorted || !is_distorted {
+        project.root
+    } else {
+        undistorted(arguments, project, backend)?
+    };
+    let is_own = root == own;
+    let mut typed = arguments.typed(Some(backend.name), is_own);
+    // Somebody may have typed it for that plan.
+    if let Some(region) = planned_region(&root).filter(|_| settings.region.is_none()) {
+        note(&format!("the region is that of the last plan: {region}"));
+        typed.set("--region", "region", Some(region));
+    }
+    let foreground = Foreground::new(&root, typed, &stop);
+    let mut work = Work::new(arguments, backend, &foreground, &stop)?;
+    say(work.plan_in_words())?;
+    let ended = work.compute()?;
+    work.end(ended)
+}
+
+/// Finds the workspace of undistorted images of another program, else undistorts the images;
+/// returns their project.
+fn undistorted(
+    arguments: &Arguments,
+    project: Project,
+    backend: &Backend,
+) -> Result<PathBuf, Failure> {
+    // Its own may be of earlier images.
+    if !project.has_undistorted_workspace()
+        && let Some(workspace) = planning::undistorted_workspace(&project, backend)?
+    {
+        note(&format!(
+            "{} needs undistorted images: {}",
+            backend.name,
+            workspace.root.display()
+        ));
+        Dispatch::refuse_if_at_work(&workspace)?;
+        return Ok(workspace.root);
+    }
+    let dense = project.root.join("dense");
+    if let Ok(earlier) = Project::open(&dense, None) {
+        Dispatch::refuse_if_at_work(&earlier)?;
+    }
+    note(&format!(
+        "{} needs undistorted images: {}",
+        backend.name,
+        dense.display()
+    ));
+    let progress = ProgressDisplay::new(arguments.is_silent());
+    let done = undistort::undistort(
+        &project,
+        &undistort::UndistortOptions::default(),
+        &dense,
+        &project.disk(),
+        &progress,
+    )?;
+    progress.finish();
+    done.warning().iter().for_each(|warning| warn(warning));
+    Ok(dense)
+}
+
+impl Arguments {
+    /// Returns the command that continues with the same choices, up to that target.
+    fn again(&self, target: Option<&str>) -> String {
+        let path = |path: &PathBuf| path.display().to_string();
+        let options = [
+            ("--backend", self.backend.clone()),
+            ("--target", target.map(str::to_owned)),
+            ("--budget", self.budget.clone()),
+            ("-k", self.k.clone()),
+            ("--scales", next::scales(self.scales.as_deref())),
+            ("--region", self.region.clone()),
+            ("--gsd", self.gsd.clone()),
+            ("--images", self.images.as_ref().map(path)),
+            ("--program", self.program.as_ref().map(path)),
+            ("--threads", self.threads.map(|threads| threads.to_string())),
+        ];
+        next::with_options(
+            format!("viewrank run {}", command_path(&self.project)),
+            options,
+        )
+    }
+
+    /// Says how to continue.
+    fn go_on(&self) -> String {
+        format!("to go on: {}", self.again(self.target.as_deref()))
+    }
+
+    fn is_silent(&self) -> bool {
+        self.quiet || self.format == Format::Json
+    }
+
+    /// Command-line options as settings; `backend`: the chosen one. An undistorted workspace has
+    /// its images beside its model, so that `--images` is not for it.
+    fn typed(&self, backend: Option<&str>, with_images: bool) -> CommandLineSettings {
+        let mut typed = CommandLineSettings::default();
+        let backend = backend.map(str::to_owned).or(self.backend.clone());
+        typed.set("--backend", "backends", backend.map(|name| vec![name]));
+        typed.set("--target", "cut.target", self.target.clone());
+        typed.set("--budget", "cut.budget", self.budget.clone());
+        let k = self.k.as_deref();
+        typed.set("-k", "partners.k", k.map(arguments::number));
+        typed.set("--scales", "ranking.scales", self.scales.clone());
+        let region = self.region.as_deref();
+        typed.set("--region", "region", region.map(arguments::region));
+        typed.set("--gsd", "target.gsd", self.gsd.clone());
+        let images = self.images.as_deref().filter(|_| with_images);
+        typed.set("--images", "images", images.map(arguments::absolute));
+        typed
+    }
+}

@@ -1,0 +1,192 @@
+//! What `viewrank run` says at its end.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::work::Work;
+use crate::{
+    cli::{summary::duration, wrapped},
+    daemon::follow,
+    show::files::report_path,
+};
+
+/// Said at the end of a run that leaves nothing of the plan.
+const ALL_DONE: &str = "the list is done, with all that the plan has";
+
+/// JSON output: state at the end.
+#[derive(Serialize)]
+pub struct RunSummary {
+    project: PathBuf,
+    backend: &'static str,
+    /// Numbers of finished and planned depth maps.
+    done: usize,
+    tasks: usize,
+    failed: usize,
+    /// Depth maps that the project could have.
+    all: usize,
+    /// All of them that can be made are there.
+    is_whole: bool,
+    /// Share of the cloud of all of them, 0 to 1, estimated from the finished maps; null before
+    /// the first measurement.
+    share: Option<f64>,
+    /// The same as the plan predicted it for as many maps.
+    predicted: Option<f64>,
+    /// Seconds that this run matched for, and that all depth maps would take at that speed; null
+    /// if it computed none.
+    seconds: Option<[f64; 2]>,
+    /// Target of the share; null if only other limits were set.
+    target: Option<f64>,
+    target_reached: bool,
+    /// Stopped before its end.
+    stopped: bool,
+    /// Point cloud; null if none was made.
+    cloud: Option<PathBuf>,
+    /// Report page; null if none was written.
+    report: Option<PathBuf>,
+}
+
+/// Why no more depth maps are computed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    TargetReached,
+    ListDone,
+    /// By Ctrl-C.
+    Stopped,
+}
+
+/// Suggests a higher target after the whole list reached only `share` (measured): raised by the
+/// shortfall, at least by five points. `None` if the list has all maps.
+fn higher(target: f64, share: Option<f64>) -> Option<String> {
+    let missing = share.map_or(0.0, |share| target - share);
+    (target < 1.0).then(|| format!("{:.0}%", (100.0 * (target + missing.max(0.05))).min(100.0)))
+}
+
+impl Work<'_> {
+    pub fn result(&self, ended: Ended) -> RunSummary {
+        let report = report_path(self.foreground.root());
+        let (done, all) = (
+            self.dispatch.finished_maps().count(),
+            self.plan.scene.views.len(),
+        );
+        let progress = follow::Progress::read(self.foreground.root());
+        RunSummary {
+            project: self.foreground.root().into(),
+            backend: self.backend.name,
+            done,
+            all,
+            is_whole: done == self.plan.clusters.len(),
+            tasks: self.dispatch.tasks.len(),
+            failed: self.failed.len(),
+            share: progress.as_ref().and_then(|progress| progress.share),
+            predicted: done
+                .checked_sub(1)
+                .and_then(|last| Some(self.plan.clusters.get(last)?.share)),
+            seconds: self.seconds(
+                done,
+                progress.and_then(|progress| progress.seconds_per_pair),
+            ),
+            target: self.target(),
+            target_reached: ended == Ended::TargetReached,
+            stopped: ended == Ended::Stopped,
+            cloud: Some(self.dispatch.runner().cloud.clone()).filter(|cloud| cloud.is_file()),
+            report: report.is_file().then_some(report),
+        }
+    }
+
+    /// Time of matching the first maps of the list, and all maps: by the times of all finished maps
+    /// where these are known, for earlier runs made some of them, else by this run's.
+    fn seconds(&self, done: usize, per_pair: Option<f64>) -> Option<[f64; 2]> {
+        let pairs = |maps: usize| {
+            let clusters = self.plan.clusters.iter().take(maps);
+            clusters
+                .map(|cluster| cluster.partners.len())
+                .sum::<usize>() as f64
+        };
+        let (computed, took) = self.computed;
+        let of_run = || (computed > 0).then(|| took.as_secs_f64() / f64::from(computed));
+        let in_all = self.plan.clusters.len();
+        match per_pair {
+            Some(each) => Some([done, in_all].map(|maps| each * pairs(maps))),
+            None => of_run().map(|each| [done, in_all].map(|maps| each * maps as f64)),
+        }
+    }
+
+    pub fn describe(&self, result: &RunSummary) -> Vec<String> {
+        let target = self.target();
+        let higher = target.and_then(|target| higher(target, result.share));
+        let verdict = if result.target_reached {
+            "the target is reached".to_owned()
+        } else if result.stopped {
+            format!("stopped; {}", self.arguments.go_on())
+        } else if result.failed > 0 {
+            let again = self.arguments.again(self.arguments.target.as_deref());
+            format!("{} failed; to try again: {again}", result.failed)
+        } else if result.tasks == self.plan.clusters.len() {
+            ALL_DONE.to_owned()
+        } else if self.arguments.budget.is_some() || target.is_none() {
+            "the budget is spent; raise --budget for more".to_owned()
+        } else if let Some(higher) = higher {
+            let again = self.arguments.again(Some(&higher));
+            format!("the list is done below the target; for more: {again}")
+        } else {
+            ALL_DONE.to_owned()
+        };
+        let result_line = format!("{}; {verdict}.", result.in_words());
+        let mut lines = vec![String::new()];
+        lines.extend(wrapped("", &result_line));
+        if let Some(cloud) = &result.cloud {
+            lines.push(format!("Point cloud: {}", cloud.display()));
+        }
+        if let Some(report) = &result.report {
+            lines.push(format!("Report: {}", report.display()));
+        }
+        lines
+    }
+}
+
+impl RunSummary {
+    /// Says what was computed, what that gives of what, how that is known, and what it saved.
+    fn in_words(&self) -> String {
+        let Self { done, all, .. } = *self;
+        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let share = match (self.share, self.predicted) {
+            _ if self.is_whole => "the whole cloud".to_owned(),
+            (Some(share), Some(predicted)) => format!(
+                "about {} of the cloud that all {all} would give (estimated from these maps; the plan said {})",
+                percent(share),
+                percent(predicted)
+            ),
+            _ => format!("their share of the cloud that all {all} would give is not known"),
+        };
+        let seconds =
+            self.seconds
+                .filter(|_| !self.is_whole)
+                .map_or_else(String::new, |[here, whole]| {
+                    let [here, whole] = [here, whole].map(duration);
+                    format!(", in {here} of matching, where all would take about {whole}")
+                });
+        format!("{done} of {all} depth maps: {share}{seconds}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_list_that_fell_short_asks_for_a_higher_target() {
+        let cases = [
+            ((0.7, Some(0.695)), Some("75%")),
+            ((0.8, None), Some("85%")),
+            ((0.7, Some(0.6)), Some("80%")),
+            ((0.98, Some(0.97)), Some("100%")),
+            ((1.0, Some(0.9)), None),
+        ];
+        for ((target, share), expected) in cases {
+            assert_eq!(
+                super::higher(target, share).as_deref(),
+                expected,
+                "{target} {share:?}"
+            );
+        }
+    }
+}
