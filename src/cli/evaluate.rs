@@ -14,7 +14,7 @@ use crate::{
             MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
         },
         replan,
-        report::folders_of_maps,
+        report::{folders_of_maps, own_folder_of_maps},
     },
     io::{
         depthmaps,
@@ -121,7 +121,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (_, _, Some(folder)) => measure(arguments, &project, &plan, folder, &progress),
         (None, None, None) => match found_maps(arguments, &project, &plan) {
             // Else what was measured of other maps would be said of these.
-            Some(folder) => measure(arguments, &project, &plan, &folder, &progress),
+            Some(folder) => {
+                if folder != own_folder_of_maps(&plan, &project) {
+                    warn(&format!(
+                        "{} has made no depth maps for this plan: those of another program are measured, in {}",
+                        plan.stages.backend,
+                        folder.display()
+                    ));
+                }
+                measure(arguments, &project, &plan, &folder, &progress)
+            }
             None => judge(arguments, &project, &plan, &progress),
         },
     }
@@ -220,7 +229,7 @@ fn measure(
     }
     progress.finish();
     warnings(plan, &evaluation, &run);
-    output(arguments, &evaluation, || text(&evaluation, &out))
+    output(arguments, &evaluation, || text(&evaluation, folder, &out))
 }
 
 fn compared_clouds(arguments: &Arguments, plan: &Plan) -> Result<Option<CloudComparison>, Failure> {
@@ -379,8 +388,9 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
     }
 }
 
-fn text(e: &Evaluation, out: &Path) -> Vec<String> {
-    let mut lines = summary(e);
+fn text(e: &Evaluation, depth_maps: &Path, out: &Path) -> Vec<String> {
+    let mut lines = vec![format!("Depth maps: {}", depth_maps.display())];
+    lines.extend(summary(e));
     lines.push(String::new());
     if e.inside < 1.0 {
         lines.extend(["Fulfilment and shares are those inside the region.", ""].map(String::from));

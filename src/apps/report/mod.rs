@@ -20,7 +20,7 @@ use bytemuck::NoUninit;
 
 pub use contents::{Contents, ReportError};
 pub use holes::{Hole, Holes, holes};
-pub use real::{DepthMapFolders, folders_of_maps};
+pub use real::{DepthMapFolders, folders_of_maps, own_folder_of_maps};
 
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");

@@ -147,14 +147,19 @@ fn counted(plan: &Plan, run: &MeasuredClusters) -> ReachCurve {
 
 /// Returns the folders that may hold depth maps, that of the plan's backend first.
 pub fn folders_of_maps(plan: &Plan, project: &Project) -> Vec<PathBuf> {
-    let own = depthmaps::folder_of(
-        &project.home,
-        project.dense_workspace.as_deref(),
-        plan.stages.backend,
-    );
+    let own = own_folder_of_maps(plan, project);
     let mut folders = depthmaps::folders(&project.home);
     folders.sort_by_key(|folder| *folder != own);
     folders
+}
+
+/// Folder in which the plan's program writes its depth maps.
+pub fn own_folder_of_maps(plan: &Plan, project: &Project) -> PathBuf {
+    depthmaps::folder_of(
+        &project.home,
+        project.dense_workspace.as_deref(),
+        plan.stages.backend,
+    )
 }
 
 /// Warns of further folders with depth maps of the plan's views, which are not measured.
