@@ -46,10 +46,10 @@ def main():
     path = args.work / "splats.json"
     rows = json.loads(path.read_text()) if path.exists() else []
     for name in args.orders.split(","):
-        order = ranked(name, args, scene, candidates, number)
         for seed in range(args.seeds):
             if any((row["order"], row["images"], row["seed"]) == (name, number, seed) for row in rows):
                 continue
+            order = ranked(name, args, scene, candidates, number, seed)
             renderer, splat = train(scene, np.array(order), ITERATIONS, GAUSSIANS, seed)
             found = measure(scene, renderer, splat)
             rows.append({"order": name, "images": number, "seed": seed, "psnr": float(found["psnr"]), "ssim": float(found["ssim"])})
@@ -107,12 +107,12 @@ def background(images):
     return corners[0] if np.ptp(corners, axis=0).max() < 2 / 255 else np.zeros(3, np.float32)
 
 
-def ranked(name, args, scene, candidates, number):
-    """Indices of the first images of an order."""
+def ranked(name, args, scene, candidates, number, seed):
+    """Indices of the first images of an order; only the random one depends on the seed."""
     if name == "every n-th":
         return [candidates[int((i + 0.5) * len(candidates) / number)] for i in range(number)]
     if name == "random":
-        return list(np.random.default_rng(100).permutation(candidates)[:number])
+        return list(np.random.default_rng(100 + seed).permutation(candidates)[:number])
     if name == "farthest view":
         return [candidates[i] for i in farthest(scene, candidates, number)]
     return [scene.names.index(key) for key in planned(args, scene)[:number]]
