@@ -38,14 +38,14 @@ def run(viewrank):
     return done
 
 
-def test_one_command_plans_matches_and_reports(run, valley):
+def test_one_command_plans_matches_and_reports(run, viewrank, valley):
     out, err = run(valley, "--backend", "sgm", "--budget", "3", "--no-report", "--format", "json")
     result = json.loads(out)
     assert (result["backend"], result["done"], result["tasks"], result["failed"]) == ("sgm", 3, 3, 0) and 0 < result["share"] <= 1
     assert result["target"] is None and not result["target_reached"], "three maps were asked for, and no share"
     maps = {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")}
     assert len(maps) == 3
-    status = json.loads(subprocess.run([PROGRAM, "status", valley, "--format", "json"], capture_output=True, check=True).stdout)
+    status = json.loads(viewrank("status", valley, "--format", "json").stdout)
     assert (status["running"], [(of["project"], of["done"], of["clusters"]) for of in status["projects"]]) == (False, [(".", 3, 3)])
     # Again: nothing is computed twice, and the page is there.
     out, err = run(valley, "--backend", "sgm", "--budget", "3")
