@@ -87,8 +87,13 @@ impl Stages {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let mut inputs = Inputs::new(project, scene, settings, matcher, timings)?;
-        let pixels = inputs.most_pixels;
-        let memory = Memory::before_surface(&inputs.scene, &mut inputs.settings, pixels, watcher)?;
+        let memory = Memory::before_surface(
+            &inputs.scene,
+            &mut inputs.settings,
+            inputs.most_pixels,
+            matcher.makes_maps,
+            watcher,
+        )?;
         let mut run = Run {
             timings,
             memory,

@@ -6,7 +6,7 @@ use crate::{
     config::{Bytes, ConfidenceSource, Settings},
     method::{
         fulfilment::{BATCH, block::Block},
-        ranking::PRICES,
+        ranking::{PRICES, Redrawing},
     },
     model::scene::Scene,
 };
@@ -51,11 +51,20 @@ pub struct Basis {
     pub picture: u64,
     /// Bytes per triangle while clusters are ranked at several prices at once.
     pub ranked: u64,
+    /// True if the images themselves are ranked, by what they draw (method 5.10).
+    pub redrawn: bool,
 }
 
 impl Basis {
-    /// `pixels`: of the largest picture; `most`: see the field.
-    pub fn new(scene: &Scene, settings: &Settings, pixels: u64, most: Option<u64>) -> Self {
+    /// `pixels`: of the largest picture; `most`: see the field. `makes_maps`: false if the images
+    /// themselves are ranked.
+    pub fn new(
+        scene: &Scene,
+        settings: &Settings,
+        pixels: u64,
+        makes_maps: bool,
+        most: Option<u64>,
+    ) -> Self {
         let compared = settings.confidence.source == ConfidenceSource::Photometric;
         let (views, threads) = (
             scene.views.len() as u64,
@@ -73,6 +82,7 @@ impl Basis {
             candidates,
             choosers: threads.min(views).min(BATCH as u64),
             picture: where_true(compared, PICTURE_PIXEL * PixelBound::new(pixels).pixels()),
+            redrawn: !makes_maps,
             ranked: where_true(
                 has_half,
                 threads.min(u64::from(PRICES) + 1) * size_of::<f32>() as u64 * support,
@@ -96,6 +106,7 @@ impl Basis {
     pub fn in_memory(&self, rows: Rows, triangles: u64) -> u64 {
         let samples = self.most_samples().min(self.samples_row * rows.all);
         let ranking = BY_TRIANGLE_ROW * rows.all + self.ranked * triangles;
+        let ranking = ranking.max(self.redrawing(rows, triangles));
         self.row * rows.all + samples.max(self.blocks(rows)).max(ranking)
     }
 
@@ -105,6 +116,16 @@ impl Basis {
         (self.row * at_once)
             .max(self.blocks(rows) + VALUES_ROW * at_once)
             .max(self.ranked * triangles)
+            .max(self.redrawing(rows, triangles))
+    }
+
+    /// Returns the memory of what images show, while they are ranked by what they draw.
+    fn redrawing(&self, rows: Rows, triangles: u64) -> u64 {
+        if self.redrawn {
+            Redrawing::bytes(rows.all, triangles)
+        } else {
+            0
+        }
     }
 
     /// Returns the memory of all threads while partners are chosen.

@@ -105,17 +105,18 @@ pub struct Memory {
 
 impl Memory {
     /// Forecasts the surface; sets a tile size in the settings if it is too large. `pixels`: of the
-    /// largest picture that can be read.
+    /// largest picture that can be read. `makes_maps`: false if the images themselves are ranked.
     pub(super) fn before_surface(
         scene: &Scene,
         settings: &mut Settings,
         pixels: u64,
+        makes_maps: bool,
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let points = scene.points.len() as u64;
         let held =
             BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
-        let basis = Basis::new(scene, settings, pixels, watcher.most_memory());
+        let basis = Basis::new(scene, settings, pixels, makes_maps, watcher.most_memory());
         let mut memory = Self {
             read: held,
             basis,
@@ -182,6 +183,7 @@ impl Memory {
             samples_row,
             candidates,
             ranked,
+            redrawn,
             ..
         } = self.basis;
         let threads = rayon::current_num_threads();
@@ -193,6 +195,7 @@ impl Memory {
                 samples_row,
                 candidates,
                 ranked,
+                redrawn,
                 threads,
             )
         })

@@ -13,7 +13,8 @@ fn pictures(town: &SeenTown, limit: Option<u64>) -> Result<(SampleRoom, Memory),
         max_memory: limit.map(Bytes),
         ..Settings::default()
     };
-    let mut memory = Memory::before_surface(&town.scene, &mut settings, 1_000_000, &NoWatcher)?;
+    let mut memory =
+        Memory::before_surface(&town.scene, &mut settings, 1_000_000, true, &NoWatcher)?;
     let room = memory.before_pictures(&town.geometry(1.0), 0)?;
     Ok((room, memory))
 }
@@ -67,7 +68,7 @@ fn a_limit_lets_fewer_masks_be_read_at_once_but_not_none() {
             max_memory: limit.map(Bytes),
             ..Settings::default()
         };
-        let mut memory = Memory::before_surface(&town.scene, &mut settings, 0, &NoWatcher)?;
+        let mut memory = Memory::before_surface(&town.scene, &mut settings, 0, true, &NoWatcher)?;
         let views_at_once = memory.before_masks(&town.geometry(1.0), OF_MASK)?;
         Ok::<_, PlanError>((views_at_once, memory.confidence))
     };
@@ -125,7 +126,7 @@ fn a_limit_that_is_too_small_for_the_surface_is_answered_with_one_for_the_larges
             ..Settings::default()
         };
         settings.confidence.source = source;
-        match Memory::before_surface(&town.scene, &mut settings, pixels, &NoWatcher) {
+        match Memory::before_surface(&town.scene, &mut settings, pixels, true, &NoWatcher) {
             Err(PlanError::Memory {
                 stage: SURFACE,
                 need,
@@ -164,6 +165,35 @@ fn an_overview_counts_in_the_rows_of_the_view_that_sees_most() {
     );
 }
 
+#[test]
+fn images_ranked_by_what_they_draw_need_memory_for_what_they_show() {
+    let SeenTown {
+        scene,
+        surface,
+        visibility,
+        ..
+    } = town(Storage::Memory);
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    let forecast = |makes_maps| {
+        let mut settings = Settings::default();
+        settings.partners.candidates = 1;
+        let mut memory =
+            Memory::before_surface(&scene, &mut settings, 0, makes_maps, &NoWatcher).unwrap();
+        memory
+            .before_partners(&scene, &surface, &visibility)
+            .unwrap();
+        memory.partners
+    };
+    let (of_maps, of_images) = one_thread
+        .unwrap()
+        .install(|| (forecast(true), forecast(false)));
+    let rows = visibility.triangles.len() as u64;
+    assert!(
+        of_images > of_maps && of_images - of_maps < 60 * rows,
+        "{of_maps} {of_images} {rows}"
+    );
+}
+
 /// Permits a number of bytes.
 struct Permits(u64);
 
@@ -194,7 +224,8 @@ fn what_a_run_may_take_refuses_but_changes_nothing() {
         };
         let after_all = |most| {
             let mut settings = original.clone();
-            let mut memory = Memory::before_surface(&scene, &mut settings, 0, &Permits(most))?;
+            let mut memory =
+                Memory::before_surface(&scene, &mut settings, 0, true, &Permits(most))?;
             let keep = memory.before_visibility(&scene, &surface, &settings.visibility)?;
             memory.before_partners(&scene, &surface, &visibility)?;
             assert_eq!((settings, keep), (original.clone(), Storage::Memory));

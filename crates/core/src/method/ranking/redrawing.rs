@@ -63,6 +63,15 @@ pub struct RedrawnOrder {
 }
 
 impl Redrawing {
+    /// Memory of ranking, bytes: what each of `rows` views of a triangle shows, twice while
+    /// it is sorted by place, and where the places begin.
+    pub fn bytes(rows: u64, triangles: u64) -> u64 {
+        let of_entry = 2 * size_of::<Entry>() + size_of::<u32>();
+        let of_triangle = 3 * size_of::<usize>() + size_of::<u32>();
+        // Each place has at least as many pairs as views.
+        of_entry as u64 * rows.min(MOST_PAIRS) + of_triangle as u64 * triangles
+    }
+
     /// Takes the triangles for places, and the images of these views, ascending, for the
     /// photographs. `factors`: weights of triangles inside a region.
     pub fn new(
@@ -347,6 +356,33 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn the_memory_of_ranking_is_that_of_all_lists() {
+        let rows: Vec<Vec<Entry>> = (0..50)
+            .map(|view| {
+                (0..40)
+                    .map(|place| entry(place, view as f32, 1.0))
+                    .collect()
+            })
+            .collect();
+        let before = rows.iter().map(|row| size_of_val(&row[..])).sum::<usize>();
+        let sorted = Redrawing::of_rows(rows, 40);
+        let after = size_of_val(&sorted.entries[..]);
+        let of_views = sorted.of_view.iter().map(|row| size_of_val(&row[..]));
+        let lists = (before + after + of_views.sum::<usize>()) as u64;
+        let forecast = Redrawing::bytes(2000, 40);
+        assert!(
+            forecast >= lists && forecast - lists < 40 * 40,
+            "{forecast} {lists}"
+        );
+        let most = Redrawing::bytes(MOST_PAIRS, 0);
+        assert_eq!(
+            Redrawing::bytes(u64::MAX, 0),
+            most,
+            "only some places count"
+        );
     }
 
     #[test]
