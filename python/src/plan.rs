@@ -99,6 +99,12 @@ impl Plan {
         self.0.plan.stages.backend
     }
 
+    /// False for a backend that uses the images themselves.
+    #[getter]
+    fn makes_maps(&self) -> bool {
+        self.0.plan.stages.makes_maps
+    }
+
     /// Folder of the project; `None` where it is temporary.
     #[getter]
     fn folder(&self) -> Option<PathBuf> {

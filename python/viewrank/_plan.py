@@ -192,7 +192,8 @@ class Plan:
 
         Fields: ``clusters`` and ``pairs`` (int64, cumulative); ``share`` (0 to 1, of what fusion keeps of all clusters); ``kept`` (0 to 1, weight of
         the triangles that fusion keeps); ``fulfilment`` (0 to 1); ``points`` (pixels that will be measured, before fusion); ``seconds`` (of matching;
-        NaN unless ``forecast.seconds_per_pair`` or ``forecast.seconds_per_map`` is set).
+        NaN unless ``forecast.seconds_per_pair`` or ``forecast.seconds_per_map`` is set). Of a backend that uses the images themselves, ``share``,
+        ``kept`` and ``fulfilment`` count how well all photographs can be drawn again, and ``pairs`` and ``points`` are 0.
         """
         columns = self._native.curve()
         table = np.empty(len(columns["clusters"]), dtype=[(name, column.dtype) for name, column in columns.items()])
@@ -310,10 +311,8 @@ class Plan:
 
     def __repr__(self) -> str:
         cut = self.cut
-        return (
-            f"Plan({cut['clusters']} of {len(self.names)} depth maps, {cut['pairs']} pairs, "
-            f"share {cut['share']:.3f}, for {self.backend})"
-        )
+        what = f"depth maps, {cut['pairs']} pairs" if self._native.makes_maps else "images"
+        return f"Plan({cut['clusters']} of {len(self.names)} {what}, share {cut['share']:.3f}, for {self.backend})"
 
     def _repr_html_(self) -> str:
         style = 'style="display:flex;flex-wrap:wrap;gap:12px;align-items:flex-start"'

@@ -49,6 +49,12 @@ pub enum PlanError {
     Backend(#[from] UnknownBackend),
     #[error(transparent)]
     Decision(DecisionError),
+    /// A limit of what is matched, for a program that matches nothing.
+    #[error("{backend} makes no depth maps, whose number {limit} could limit")]
+    NoMaps {
+        backend: &'static str,
+        limit: &'static str,
+    },
     #[error(
         "the {stage} needs about {} of memory, but max_memory is {}",
         memory::readable(*need),
@@ -131,6 +137,12 @@ impl Hint for PlanError {
             Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
             Self::Decision(error) => return error.hint(),
+            Self::NoMaps { limit, .. } => Advice::text("leave ")
+                .set(limit)
+                .and(" out, and limit the images: ")
+                .set_to("cut.budget", "25%")
+                .and(" or ")
+                .set_to("cut.target", "80%"),
             Self::PilotMaps(_) => {
                 Advice::text("give the folder of finished small maps (viewrank pilot makes their list): ")
                     .set("pilot.maps")
@@ -181,7 +193,7 @@ impl Hint for PlanError {
 
     fn is_usage(&self) -> bool {
         match self {
-            Self::OtherImages { .. } => true,
+            Self::OtherImages { .. } | Self::NoMaps { .. } => true,
             Self::Decision(error) => error.is_usage(),
             Self::Project(error) => error.is_usage(),
             Self::Backend(error) => error.is_usage(),

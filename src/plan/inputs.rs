@@ -63,6 +63,7 @@ impl<'a> Inputs<'a> {
         matcher: &'a Matcher,
         timings: &mut Timings,
     ) -> Result<Self, PlanError> {
+        refuse_unfit(settings, matcher)?;
         let given_units = settings.units;
         let own_size = settings.image_scale.is_none();
         let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
@@ -137,6 +138,19 @@ impl<'a> Inputs<'a> {
             image_scale: settings.image_scale(),
             confidence: self.confidence,
         }
+    }
+}
+
+/// Returns an error if a setting has no sense for the program: a limit of maps where none are made.
+fn refuse_unfit(settings: &Settings, matcher: &Matcher) -> Result<(), PlanError> {
+    let backend = matcher.name;
+    let limits = [
+        ("cut.time", settings.cut.time.is_some()),
+        ("cut.points", settings.cut.points.is_some()),
+    ];
+    match limits.into_iter().find(|(_, is_set)| *is_set) {
+        Some((limit, _)) if !matcher.makes_maps => Err(PlanError::NoMaps { backend, limit }),
+        _ => Ok(()),
     }
 }
 

@@ -76,7 +76,7 @@ impl Plan {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let mut timings = Timings::start();
-        if settings.cut.time.is_some() && !settings.forecast.knows_times() {
+        if settings.cut.time.is_some() && matcher.makes_maps && !settings.forecast.knows_times() {
             return Err(DecisionError::NoTimes.into());
         }
         watcher.progress(Stage::Read, 0, 1);

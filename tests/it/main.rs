@@ -22,6 +22,7 @@ mod region;
 mod replan;
 mod round_trips;
 mod schema;
+mod splats;
 mod train;
 mod twins;
 mod valley;

@@ -92,6 +92,8 @@ def test_images_are_ranked_by_what_they_draw(viewrank, fixtures, tmp_path):
     shares = [oracle.drawn(model, tables, keys, order[: n + 1]) for n in range(len(order))]
     # The oracle takes the pixels of a triangle from its centroid, not from its corners.
     np.testing.assert_allclose([cluster["share"] for cluster in clusters], np.array(shares) / shares[-1], atol=0.01)
+    np.testing.assert_allclose([cluster["fulfilment"] for cluster in clusters], shares, atol=0.01)
+    np.testing.assert_allclose(np.cumsum(tables.gain), shares, atol=0.01)
     for n in (0, 1, 4, 9):
         best = max(oracle.drawn(model, tables, keys, [*order[:n], other]) for other in order[n:])
         assert shares[n] > 0.99 * best

@@ -57,7 +57,7 @@ fn with_ranking(
         clusters: recorded.cut.clusters.min(ranking.order.len()),
         ..recorded.cut
     };
-    let ranking = UncutRanking::new(&stages, ranking);
+    let ranking = UncutRanking::new(&stages, ranking, stages.makes_maps);
     let mut decision = decide_as(&stages, recorded.finished(), ranking, cut)?;
     for written in &recorded.views {
         if let Some(view) = stages.scene.find(&written.name) {

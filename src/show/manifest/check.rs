@@ -20,6 +20,8 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
             .map_err(|error| format!("{error}{}", hint(&error)))
     };
     known(&manifest.backend).map_err(|what| format!("backend: {what}"))?;
+    let matches_pairs =
+        backends::by_name(&manifest.backend).is_ok_and(|backend| backend.use_of_views.is_none());
     for (i, export) in manifest.exports.iter().enumerate() {
         known(&export.backend).map_err(|what| format!("exports[{i}].backend: {what}"))?;
     }
@@ -36,7 +38,7 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
             ));
         }
     }
-    check_cut(manifest)?;
+    check_cut(manifest, matches_pairs)?;
     let mut keys = BTreeSet::new();
     let mut previous = Previous {
         fulfilment: 0.0,
@@ -70,7 +72,8 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
     Ok(())
 }
 
-fn check_cut(manifest: &RecordedPlan) -> Result<(), String> {
+/// `matches_pairs`: false for a program that uses the images themselves.
+fn check_cut(manifest: &RecordedPlan, matches_pairs: bool) -> Result<(), String> {
     let (cut, all) = (&manifest.cut, manifest.clusters.len());
     if cut.clusters > all {
         return Err(format!(
@@ -82,7 +85,14 @@ fn check_cut(manifest: &RecordedPlan) -> Result<(), String> {
         .iter()
         .map(|cluster| cluster.partners.len())
         .sum();
-    if cut.pairs != pairs {
+    if !matches_pairs && cut.pairs > 0 {
+        // The shares of such a plan are those of depth maps, too.
+        return Err(format!(
+            "cut.pairs: {}, but {} matches none; another version of viewrank ranked for it",
+            cut.pairs, manifest.backend
+        ));
+    }
+    if matches_pairs && cut.pairs != pairs {
         return Err(format!(
             "cut.pairs: {}, but its clusters have {pairs}",
             cut.pairs

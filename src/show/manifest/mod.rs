@@ -155,15 +155,19 @@ pub struct ClusterEntry {
     pub beyond_gate: Vec<String>,
     /// Size at which the key view is matched, over `settings.image_scale`: 1 or 0.5.
     pub scale: MapScale,
-    /// Work of the clusters up to this one, over that of all clusters at full size.
+    /// Work of the clusters up to this one, over that of all clusters at full size; 0 for a program
+    /// that makes no depth maps.
     pub work: f64,
-    /// Fulfilment f_o that it adds to the clusters before it.
+    /// Fulfilment that it adds to the clusters before it.
     pub gain: f64,
-    /// Fulfilment f_o of the clusters up to this one, 0 to 1.
+    /// Fulfilment of the clusters up to this one, 0 to 1: f_o or, of images that a program uses
+    /// themselves, the part of all photographs that they draw (method 5.10).
     pub fulfilment: f64,
     /// Weight that fusion keeps of the clusters up to this one, over that of all clusters, 0 to 1.
+    /// Of images that a program uses themselves: their fulfilment over that of all.
     pub share: f64,
-    /// The same by area: what the fused cloud of these clusters covers of the fused cloud of all.
+    /// The same by area: what the fused cloud of these clusters covers of the fused cloud of all; 0
+    /// for a program that makes no depth maps.
     #[serde(default)]
     pub area: f64,
     /// True if its depth map is finished; gain and fulfilment are then measured. Finished clusters
@@ -338,10 +342,12 @@ fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
     };
     let mut work = 0.0;
     let mut work_to = |i: usize| {
-        work += plan.stages.share_of_work(
-            plan.decision.ranking.order[i],
-            plan.decision.ranking.scales[i],
-        );
+        if plan.stages.makes_maps {
+            work += plan.stages.share_of_work(
+                plan.decision.ranking.order[i],
+                plan.decision.ranking.scales[i],
+            );
+        }
         work
     };
     let entry = |(i, cluster): (usize, RankedCluster)| ClusterEntry {

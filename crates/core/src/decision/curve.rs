@@ -7,7 +7,7 @@ use super::{Decision, Options, Tables, cost, forecast};
 pub struct CurvePoint {
     /// Number of clusters, from 1.
     pub clusters: usize,
-    /// Their (key view, partner) pairs.
+    /// Their (key view, partner) pairs; 0, as are points, for a program that makes no depth maps.
     pub pairs: usize,
     /// Weight that fusion keeps of them over that of all clusters, 0 to 1.
     pub share: f64,
@@ -47,7 +47,7 @@ impl Decision {
         let next = |sum: &mut CurvePoint, rank: usize| {
             *sum = CurvePoint {
                 clusters: rank + 1,
-                pairs: sum.pairs + tables.clusters[ranking.order[rank] as usize].partners.len(),
+                pairs: sum.pairs + cost.pairs_of(rank),
                 share: ranking.share(rank + 1),
                 kept: ranking.kept[rank],
                 fulfilment: ranking.fulfilment[rank],

@@ -29,7 +29,7 @@ pub struct Cut {
     /// more are finished than the limits allow. Plans of viewrank 0.1 lack it.
     #[serde(default)]
     pub limit: Option<CutLimit>,
-    /// Their (key view, partner) pairs.
+    /// Their (key view, partner) pairs; 0 for a program that matches none.
     pub pairs: usize,
     /// Weight that fusion keeps of them over that of all clusters (`kept` over `reachable`), 0 to
     /// 1.
@@ -37,7 +37,8 @@ pub struct Cut {
     /// Band in which the measured share is expected.
     #[serde(default)]
     pub share_band: Band,
-    /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1.
+    /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1. Of images that a
+    /// program uses themselves: the part of all photographs that they draw (method 5.10).
     #[serde(default)]
     pub kept: f64,
     /// The same for all clusters: the share of the target that these photographs can reach.
@@ -46,15 +47,16 @@ pub struct Cut {
     /// Band in which the measured value of that is expected.
     #[serde(default)]
     pub reachable_band: Band,
-    /// Their fulfilment f_o, 0 to 1.
+    /// Their fulfilment f_o, 0 to 1; of images that a program uses themselves, `kept`.
     pub fulfilment: f64,
     /// Proven upper bound on f_o of any choice with this number of clusters; with a choice of
-    /// sizes, of this work.
+    /// sizes, of this work. Of images that a program uses themselves: `reachable`.
     #[serde(default)]
     pub fulfilment_bound: f64,
     /// Pairs that are beyond the gate of the backend.
     #[serde(default)]
     pub pairs_beyond_gate: usize,
+    /// What the cut leaves out; nothing where no depth maps are made.
     #[serde(default)]
     pub given_up: GivenUp,
 }

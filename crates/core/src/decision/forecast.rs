@@ -19,7 +19,9 @@ use crate::{
     model::cluster::{MapScale, ViewCluster},
 };
 
-/// The backend's work for the plan, with its duration where the times per map or pair are set.
+/// The backend's work for the plan, with its duration where the times per map or pair are set. A
+/// program that uses the images themselves matches nothing: only `maps` and `all_maps` count, the
+/// images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Forecast {
@@ -82,15 +84,26 @@ impl Cost<'_> {
         &self.tables.clusters[self.ranking.order[rank] as usize]
     }
 
-    /// Number of pairs of the first `clusters` clusters.
+    /// Number of pairs that the first `clusters` clusters match.
     pub fn pairs(&self, clusters: usize) -> usize {
-        (0..clusters)
-            .map(|rank| self.cluster(rank).partners.len())
-            .sum()
+        (0..clusters).map(|rank| self.pairs_of(rank)).sum()
     }
 
-    /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset.
+    /// Number of pairs that a cluster matches.
+    pub fn pairs_of(&self, rank: usize) -> usize {
+        if self.options.makes_maps {
+            self.cluster(rank).partners.len()
+        } else {
+            0
+        }
+    }
+
+    /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset or nothing is
+    /// matched.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
+        if !self.options.makes_maps {
+            return None;
+        }
         let (cluster, scale) = (self.ranking.order[rank] as usize, self.ranking.scales[rank]);
         let [full, half] = self.tables.work[cluster];
         let size = if scale == MapScale::Half {
@@ -144,8 +157,15 @@ impl Cost<'_> {
 }
 
 pub fn forecast(cost: &Cost, clusters: usize) -> Forecast {
-    let pairs = cost.pairs(clusters);
     let clusters_of_all = &cost.tables.clusters;
+    if !cost.options.makes_maps {
+        return Forecast {
+            maps: clusters,
+            all_maps: clusters_of_all.len(),
+            ..Forecast::default()
+        };
+    }
+    let pairs = cost.pairs(clusters);
     let all_pairs = clusters_of_all
         .iter()
         .map(|cluster| cluster.partners.len())
@@ -173,6 +193,9 @@ pub fn forecast(cost: &Cost, clusters: usize) -> Forecast {
 
 /// Pixels that the depth map of each of the first `clusters` clusters will measure.
 pub fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
+    if !cost.options.makes_maps {
+        return vec![0.0; clusters];
+    }
     let at_full_size = match cost.options.forecast.points_per_map {
         Some(points) => vec![points; clusters],
         None => {

@@ -5,13 +5,13 @@ use crate::{
     base::progress::{Cancelled, Watcher},
     method::{
         confidence::Sharpness,
-        ranking::{Ranking, Reached, Redrawing, RedrawnOrder},
+        ranking::{Ranking, Redrawing, RedrawnOrder},
     },
     model::{cluster::MapScale, scene::ViewIndex},
 };
 
 /// Ranks the key views by how well the photographs of all of them can be drawn again: that is what
-/// the ranking keeps. f_o is that of the depth maps, which nobody computes.
+/// the ranking gains, fulfils and keeps.
 pub fn rank(tables: &Tables, watcher: &dyn Watcher) -> Result<Ranking, Cancelled> {
     let shown = (&tables.scene, &tables.surface, &tables.visibility);
     let factors = tables.region.as_ref().map(|region| &region.factors[..]);
@@ -21,28 +21,17 @@ pub fn rank(tables: &Tables, watcher: &dyn Watcher) -> Result<Ranking, Cancelled
     let RedrawnOrder { views, drawn } = redrawing.rank(watcher)?;
     // Only key views are photographs there.
     let cluster = |view: &ViewIndex| keys.partition_point(|key| key < view) as u32;
-    let order: Vec<u32> = views.iter().map(cluster).collect();
-
-    let maps = tables.maps();
-    let mut reached = Reached::new(&tables.objective);
-    let mut fulfilment = Vec::with_capacity(order.len());
-    for &cluster in &order {
-        watcher.check()?;
-        reached.take(maps.row_at(cluster, MapScale::Full));
-        fulfilment.push(reached.fulfilment());
-    }
-    maps.release();
-    let before = std::iter::once(0.0).chain(fulfilment.iter().copied());
-    let gains = fulfilment
+    let before = std::iter::once(0.0).chain(drawn.iter().copied());
+    let gains = drawn
         .iter()
         .zip(before)
         .map(|(after, before)| after - before);
     Ok(Ranking {
         gains: gains.collect(),
-        scales: vec![MapScale::Full; order.len()],
+        scales: vec![MapScale::Full; views.len()],
         reachable: drawn.last().copied().unwrap_or_default(),
+        fulfilment: drawn.clone(),
         kept: drawn,
-        fulfilment,
-        order,
+        order: views.iter().map(cluster).collect(),
     })
 }

@@ -62,7 +62,7 @@ pub struct Decision {
     pub finished: usize,
     pub cut: Cut,
     /// Area that fusion is expected to keep of the clusters up to each rank, over that of all
-    /// clusters, 0 to 1.
+    /// clusters, 0 to 1; all 0 for a program that makes no depth maps.
     pub area_shares: Vec<f64>,
     pub forecast: Forecast,
     /// Status and reason of each view.
@@ -72,7 +72,8 @@ pub struct Decision {
     /// By triangle, true at the border of the surveyed site (method 5.3).
     pub border: Vec<bool>,
     /// Pixels that the depth map of each of the first clusters is expected to measure at full size;
-    /// those up to the cut are among them, unless `forecast.points_per_map` is set.
+    /// those up to the cut are among them, unless `forecast.points_per_map` is set; empty for a
+    /// program that makes none.
     pub pixels: Vec<f64>,
 }
 
@@ -140,7 +141,10 @@ pub fn decide(
     let finished = order.len();
     let ranked = match known {
         Some(known) if order.is_empty() => known.clone(),
-        _ => UncutRanking::new(tables, rank(tables, options, order, watcher)?),
+        _ => {
+            let ranking = rank(tables, options, order, watcher)?;
+            UncutRanking::new(tables, ranking, options.makes_maps)
+        }
     };
     let ranking = &ranked.ranking;
     let cut = cut::cut(
@@ -154,9 +158,8 @@ pub fn decide(
             finished,
         ),
     )?;
-    let counted = tables.counted();
     let (fulfilment_bound, (reachable_band, share_band, given_up)) = rayon::join(
-        || ranking::most_of_any(cut.clusters, &counted.maps, counted.objective, ranking),
+        || most_of_any(tables, options, ranking, &cut),
         || bands(tables, options, &ranked, &cut),
     );
     let cut = Cut {
@@ -170,6 +173,16 @@ pub fn decide(
     let decision = decide_as(tables, options, finished, ranked, cut)?;
     watcher.check()?;
     Ok(decision)
+}
+
+/// Returns an upper bound on the fulfilment of any choice of as many clusters as the cut.
+fn most_of_any(tables: &Tables, options: &Options, ranking: &Ranking, cut: &Cut) -> f64 {
+    if !options.makes_maps {
+        // No choice of images draws more than all of them.
+        return cut.reachable;
+    }
+    let counted = tables.counted();
+    ranking::most_of_any(cut.clusters, &counted.maps, counted.objective, ranking)
 }
 
 /// Returns the bands of what all clusters give and of the share at the cut, and what the cut gives
@@ -294,7 +307,7 @@ pub fn decide_as(
         border,
         mut pixels,
     } = ranked;
-    if options.forecast.points_per_map.is_none() {
+    if options.makes_maps && options.forecast.points_per_map.is_none() {
         let more = forecast::full_size_pixels(
             &cost(tables, &model, options, &ranking, &pixels, finished),
             pixels.len()..cut.clusters,
@@ -306,7 +319,9 @@ pub fn decide_as(
         cut.clusters,
     );
     let reasons = Reasons::of(tables, &model);
-    let views = reasons.views(&ranking.order[..cut.clusters], options.k)?;
+    // A program that matches no pairs lacks none.
+    let wanted_partners = if options.makes_maps { options.k } else { 0 };
+    let views = reasons.views(&ranking.order[..cut.clusters], wanted_partners)?;
     Ok(Decision {
         ranking,
         finished,

@@ -22,12 +22,22 @@ pub struct UncutRanking {
 }
 
 impl UncutRanking {
-    /// Computes all but the pixels, which only the clusters up to the cut need.
-    pub fn new(tables: &Tables, ranking: Ranking) -> Self {
-        let by_area = tables.counted_by_area();
+    /// Computes all but the pixels, which only the clusters up to the cut need. `makes_maps`: see
+    /// [`super::Options::makes_maps`].
+    pub fn new(tables: &Tables, ranking: Ranking, makes_maps: bool) -> Self {
+        let by_area = || {
+            let area = tables.counted_by_area();
+            ranking::shares_by(&area, &ranking, &tables.counted().kept.1)
+        };
         // The shares take the clusters in their order, on one thread.
         let (area_shares, (triangle_reasons, border)) = rayon::join(
-            || ranking::shares_by(&by_area, &ranking, &tables.counted().kept.1),
+            || {
+                if makes_maps {
+                    by_area()
+                } else {
+                    vec![0.0; ranking.order.len()]
+                }
+            },
             || {
                 let border = || {
                     border(

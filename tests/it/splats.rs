@@ -1,0 +1,183 @@
+//! Plans for programs that use the images themselves, as Gaussian splatting does.
+
+use std::{fs, path::Path};
+
+use serde_json::Value;
+
+use super::valley::{printed, project, viewrank};
+
+/// Plans, and returns what was printed on stdout.
+fn plan(project: &Path, options: &[&str]) -> String {
+    printed(&[&["plan", project.to_str().unwrap()], options].concat())
+}
+
+/// Exit code and stderr of a call that must fail.
+fn failure(arguments: &[&str]) -> (i32, String) {
+    let output = viewrank(arguments);
+    assert!(output.stdout.is_empty(), "errors go to stderr");
+    let said = String::from_utf8(output.stderr).unwrap();
+    (output.status.code().unwrap(), said)
+}
+
+fn manifest(project: &Path) -> Value {
+    serde_json::from_slice(&fs::read(project.join("viewrank/manifest.json")).unwrap()).unwrap()
+}
+
+/// Numbers of a field of all clusters, best first.
+fn numbers(manifest: &Value, field: &str) -> Vec<f64> {
+    let clusters = manifest["clusters"].as_array().unwrap();
+    let number = |cluster: &Value| cluster[field].as_f64().unwrap();
+    clusters.iter().map(number).collect()
+}
+
+fn lines(path: &Path) -> Vec<String> {
+    let text = fs::read_to_string(path).unwrap();
+    text.lines().map(String::from).collect()
+}
+
+#[test]
+fn images_for_splats_are_ranked_by_what_they_draw_and_not_by_maps() {
+    let folder = project();
+    let (folder, maps) = (folder.path(), folder.path().join("maps"));
+    plan(folder, &["--backend", "openmvs"]);
+    let by_maps = manifest(folder);
+    let text = plan(folder, &["--backend", "splat"]);
+    let by_images = manifest(folder);
+    assert!(
+        text.contains(" images:") && text.contains("of what all 28 draw."),
+        "{text}"
+    );
+    assert!(
+        !text.contains("depth map") && !text.contains("likely"),
+        "{text}"
+    );
+    let keys = |manifest: &Value| -> Vec<String> {
+        let clusters = manifest["clusters"].as_array().unwrap();
+        let key = |cluster: &Value| cluster["key"].as_str().unwrap().to_owned();
+        clusters.iter().map(key).collect()
+    };
+    // The cache of the plan for maps is not taken for that for images, or back.
+    assert_ne!(keys(&by_maps), keys(&by_images));
+    plan(folder, &["--backend", "openmvs"]);
+    assert_eq!(keys(&manifest(folder)), keys(&by_maps));
+    plan(folder, &["--backend", "images"]);
+    assert_eq!(keys(&manifest(folder)), keys(&by_images));
+    let svg = fs::read_to_string(folder.join("viewrank/curve.svg")).unwrap();
+    assert!(
+        svg.contains(" of 28 images: ") && !svg.contains("depth maps"),
+        "{svg}"
+    );
+    let cut = &by_images["cut"];
+    assert_eq!(cut["share_band"]["low"], cut["share_band"]["high"]);
+    fs::create_dir(&maps).unwrap();
+    let finished = [
+        "plan",
+        folder.to_str().unwrap(),
+        "--backend",
+        "splat",
+        "--finished",
+        maps.to_str().unwrap(),
+    ];
+    let (code, said) = failure(&finished);
+    assert!(
+        code != 0 && said.contains("no depth maps to keep"),
+        "{code}: {said}"
+    );
+}
+
+#[test]
+fn all_numbers_of_a_plan_for_images_are_of_what_they_draw() {
+    let folder = project();
+    let folder = folder.path();
+    plan(folder, &["--backend", "splat", "--budget", "7"]);
+    let written = manifest(folder);
+    let [gains, fulfilment, shares] = ["gain", "fulfilment", "share"].map(|f| numbers(&written, f));
+    let all = fulfilment.last().unwrap();
+    let mut sum = 0.0;
+    for ((gain, reached), share) in gains.iter().zip(&fulfilment).zip(&shares) {
+        sum += gain;
+        assert!((sum - reached).abs() < 1e-12 && (reached / all - share).abs() < 1e-12);
+    }
+    assert!(
+        gains.is_sorted_by(|a, b| a >= b),
+        "what counts is submodular"
+    );
+    let cut = &written["cut"];
+    assert_eq!(
+        (&cut["fulfilment"], &cut["kept"]),
+        (&fulfilment[6].into(), &fulfilment[6].into())
+    );
+    assert_eq!(
+        (&cut["reachable"], &cut["fulfilment_bound"]),
+        (&(*all).into(), &(*all).into())
+    );
+    // Nothing is matched.
+    assert!(
+        ["work", "area"]
+            .iter()
+            .all(|f| numbers(&written, f).iter().all(|&x| x == 0.0))
+    );
+    let forecast = written["forecast"].as_object().unwrap();
+    for (name, number) in forecast {
+        let images = match name.as_str() {
+            "maps" => 7.0,
+            "all_maps" => 28.0,
+            _ => 0.0,
+        };
+        assert_eq!(number.as_f64(), Some(images), "{name}");
+    }
+    assert_eq!(cut["pairs"], 0);
+    let key_with_reason = |view: &&Value| view["status"] == "key" && !view["reason"].is_null();
+    assert!(
+        !written["views"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|view| key_with_reason(&view))
+    );
+    // Later commands read it.
+    printed(&["export", folder.to_str().unwrap(), "--budget", "3"]);
+    assert_eq!(
+        lines(&folder.join("viewrank/splat/train_list.txt")).len(),
+        3
+    );
+    printed(&["status", folder.to_str().unwrap()]);
+    printed(&["report", folder.to_str().unwrap()]);
+}
+
+#[test]
+fn limits_of_depth_maps_are_refused_for_images() {
+    let folder = project();
+    let folder = folder.path().to_str().unwrap();
+    for (options, word) in [
+        (["--backend", "splat", "--points", "1M"], "cut.points"),
+        (["--backend", "images", "--time", "2h"], "cut.time"),
+        (
+            "whole number",
+        ),
+    ] {
+        let (code, said) = failure(&[&["plan", folder], &options[..]].concat());
+        assert!(
+            code == 2 && said.contains(word) && said.contains("hint: "),
+            "{options:?}: {said}"
+        );
+    }
+}
+
+#[test]
+fn a_plan_for_images_that_counts_pairs_is_another_versions() {
+    let folder = project();
+    plan(folder.path(), &["--backend", "splat"]);
+    let mut old = manifest(folder.path());
+    old["cut"]["pairs"] = 5.into();
+    fs::write(
+        folder.path().join("viewrank/manifest.json"),
+        old.to_string(),
+    )
+    .unwrap();
+    let (code, said) = failure(&["export", folder.path().to_str().unwrap(), "--budget", "3"]);
+    assert!(
+        code != 0 && said.contains("another version") && said.contains("viewrank plan"),
+        "{said}"
+    );
+}
