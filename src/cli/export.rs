@@ -38,7 +38,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N|P%")]
     budget: Option<Budget>,
     /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's
-    /// cut]
+    /// cut]; for splat and images, of a plan for one of them
     #[arg(long, value_name = "P%")]
     target: Option<Share>,
     /// Folder to write to; with several backends each gets a folder of its name in it
@@ -121,6 +121,7 @@ struct PreparedExport {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plan = WrittenPlan::read(&arguments.project)?;
     let backends = arguments.backends(&plan)?;
+    arguments.refuse_other_share(&backends, &plan)?;
     let clusters = &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)];
     warn_of_end(arguments, &plan, clusters.len());
     let image_faults = plan.project.image_faults(&plan.scene);
@@ -173,8 +174,12 @@ fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
     let missed =
         wanted.filter(|(target, last)| length == plan.clusters.len() && last.share < target.0);
     if let Some((target, last)) = missed {
+        let made = match backends::by_name(&plan.backend) {
+            Ok(backend) if backend.use_of_views.is_some() => "images of the plan draw",
+            _ => "depth maps of the plan give",
+        };
         warn(&format!(
-            "all {length} depth maps of the plan give {:.1} %, less than --target: plan again with --target {}",
+            "all {length} {made} {:.1} %, less than --target: plan again with --target {}",
             100.0 * last.share,
             String::from(target)
         ));
@@ -203,6 +208,36 @@ impl Arguments {
             }
         }
         Ok(backends)
+    }
+
+    /// Fails if the share of --target is not what a backend would count: how much fusion keeps of
+    /// depth maps says nothing of images that a program uses themselves.
+    fn refuse_other_share(
+        &self,
+        backends: &[&'static Backend],
+        plan: &WrittenPlan,
+    ) -> Result<(), BackendError> {
+        let planned_for = backends::by_name(&plan.backend)?;
+        let takes_images = |backend: &Backend| backend.use_of_views.is_some();
+        let is_other = |b: &&&'static Backend| takes_images(b) != takes_images(planned_for);
+        let (Some(target), Some(other)) = (self.target, backends.iter().find(is_other)) else {
+            return Ok(());
+        };
+        Err(BackendError::OtherShare {
+            backend: other.name,
+            planned_for: planned_for.name,
+            counted: if takes_images(planned_for) {
+                "images"
+            } else {
+                "depth maps"
+            },
+            plan: format!(
+                "viewrank plan {} --backend {} --target {}",
+                plan.project.as_argument(),
+                other.name,
+                String::from(target)
+            ),
+        })
     }
 
     /// Typed options of some backends.

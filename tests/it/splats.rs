@@ -165,6 +165,32 @@ fn limits_of_depth_maps_are_refused_for_images() {
 }
 
 #[test]
+fn a_share_of_depth_maps_is_no_share_of_images() {
+    for (planned, other) in [("openmvs", "splat"), ("splat", "openmvs")] {
+        let folder = project();
+        let export = |backend, options: &[&str]| {
+            let arguments = [
+                "export",
+                folder.path().to_str().unwrap(),
+                "--backend",
+                backend,
+            ];
+            viewrank(&[&arguments, options].concat())
+        };
+        plan(folder.path(), &["--backend", planned]);
+        let refused = export(other, &["--target", "50%"]);
+        let said = String::from_utf8(refused.stderr).unwrap();
+        let advice = format!("--backend {other} --target 50%");
+        assert!(
+            refused.status.code() == Some(2) && said.contains(&advice),
+            "{said}"
+        );
+        assert!(!folder.path().join("viewrank").join(other).exists());
+        assert!(export(planned, &["--target", "50%"]).status.success());
+    }
+}
+
+#[test]
 fn a_plan_for_images_that_counts_pairs_is_another_versions() {
     let folder = project();
     plan(folder.path(), &["--backend", "splat"]);
