@@ -33,6 +33,12 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way = format!("{} images, best first", views.len());
     record.not_honoured = vec!["matching partners".into()];
     record.fusion = "the program's own".into();
+    if selection.project.images.is_none() {
+        record.warnings.push(
+            "there is no image folder: the images were ranked by geometry alone, sharp or not"
+                .into(),
+        );
+    }
     let folder = selection.images_in_commands();
     record.commands = vec![format!(
         "rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/"

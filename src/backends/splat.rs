@@ -8,14 +8,14 @@
 
 use std::collections::HashMap;
 
-use nalgebra::{Matrix3, Matrix4};
+use nalgebra::{Matrix3, Matrix4, Vector3};
 use serde_json::json;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
-    workspace::add_workspace,
+    workspace::{Folders, add_workspace},
 };
 use crate::{
     base::shell::command_path,
@@ -71,20 +71,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let near = selection.near_origin();
     let views = listed_views(selection, options.refs);
     let mut files = options.file_set(&BACKEND, selection);
-    add_workspace(
-        BACKEND.name,
-        &mut files,
-        selection,
-        &views,
-        "sparse/0",
-        2,
-        near.origin,
-    )?;
+    let without_images = add_models(&mut files, selection, near.origin, &views)?;
     let selection = &near.selection();
-    files.add(
-        "sparse/0/points3D.ply",
-        Contents::Bytes(seeds(selection, &views)),
-    );
+    let seeds = seeds(selection, &views);
+    files.add("sparse/0/points3D.ply", Contents::Bytes(seeds));
     add_lists(&mut files, selection, &views);
     let mut record = ExportRecord::new(&BACKEND, selection, |v| {
         format!("images/{}", selection.scene.name(v))
@@ -93,19 +83,50 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
     record.way = format!("reduced model of {} images", views.len());
     record.commands = commands(selection, &views);
-    record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
+    record.not_honoured = not_honoured(selection, &views);
+    record.note_own_scale(selection);
+    record.fusion = "none".into();
+    record.warnings.extend(without_images);
+    record.warnings.extend(warnings(selection, &views));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+/// Adds the model of the images, and links to them. Returns a warning if they are not there.
+fn add_models(
+    files: &mut FileSet,
+    selection: &Selection,
+    origin: Vector3<f64>,
+    views: &[ViewIndex],
+) -> Result<Option<String>, BackendError> {
+    let (images, warning) = match selection.images(BACKEND.name) {
+        Ok(images) => (Some(images), None),
+        Err(BackendError::Needs { what, hint, .. }) => {
+            let why = format!("images/ is left out, since the program needs {what}");
+            (None, Some(format!("{why}: {hint}, and export again")))
+        }
+        Err(error) => return Err(error),
+    };
+    let folders = Folders {
+        model: "sparse/0",
+        images: images.map(|images| ("images", images)),
+    };
+    add_workspace(BACKEND.name, files, selection, views, folders, 2, origin)?;
+    Ok(warning)
+}
+
+fn not_honoured(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     let first = views.iter().min().map(|&v| {
         format!(
             "{}: gsplat holds the first image by name out of training, always",
             selection.scene.name(v)
         )
     });
-    record.not_honoured.extend(first);
-    record.note_own_scale(selection);
-    record.fusion = "none".into();
-    record.warnings.extend(warnings(selection, &views));
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    ["matching partners", "the rank order"]
+        .into_iter()
+        .map(String::from)
+        .chain(first)
+        .collect()
 }
 
 /// Commands, one for each program; gaussian-splatting only if it supports the images.
@@ -176,7 +197,7 @@ fn transforms(
 
 fn world_from_nerf_camera(pose: &crate::model::scene::Pose) -> [[f64; 4]; 4] {
     let rotation = pose.rotation.matrix().transpose()
-        * Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0));
+        * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
     matrix

@@ -9,25 +9,32 @@ use crate::{
     io::{
         formats::{colmap::ColmapModel, colmap_bin},
         output::{Contents, FileSet},
-        project::ProjectError,
+        project::{ImageFolder, ProjectError},
     },
     model::scene::ViewIndex,
 };
 
-/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views, in coordinates
-/// relative to `origin`, without points that fewer than `least_views` of them observe.
+/// Folders of a workspace, relative to the export.
+#[derive(Clone, Copy)]
+pub struct Folders<'a> {
+    pub model: &'a str,
+    /// Where the images are to be, and where they are; `None`: without images.
+    pub images: Option<(&'a str, &'a ImageFolder)>,
+}
+
+/// Adds `{cameras,images,points3D}.bin` of the model and links to the images for the views, in
+/// coordinates relative to `origin`, without points that fewer than `least_views` of them observe.
 pub fn add_workspace(
     backend: &'static str,
     files: &mut FileSet,
     selection: &Selection,
     views: &[ViewIndex],
-    model_folder: &str,
+    folders: Folders,
     least_views: usize,
     origin: Vector3<f64>,
 ) -> Result<(), BackendError> {
-    let images = selection.images(backend)?;
     for (name, bytes) in reduced_model(selection, views, least_views, origin)? {
-        files.add(format!("{model_folder}/{name}"), Contents::Bytes(bytes));
+        files.add(format!("{}/{name}", folders.model), Contents::Bytes(bytes));
     }
     for &view in views {
         let name = selection.scene.name(view);
@@ -39,7 +46,9 @@ pub fn add_workspace(
                 why,
             });
         }
-        files.add(format!("images/{name}"), images.link(name));
+        if let Some((folder, images)) = folders.images {
+            files.add(format!("{folder}/{name}"), images.link(name));
+        }
     }
     Ok(())
 }

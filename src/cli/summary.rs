@@ -495,7 +495,12 @@ fn whole_percent(share: f64) -> String {
 fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     let mut notes = notes_on_folder(project);
     if project.images.is_none() {
-        notes.push("There are no images: what will match is predicted from geometry alone.".into());
+        let what = if plan.stages.makes_maps {
+            "what will match is predicted"
+        } else {
+            "they are ranked"
+        };
+        notes.push(format!("There are no images: {what} from geometry alone."));
     } else if plan.stages.settings.confidence.source == ConfidenceSource::Photometric
         && plan.stages.agreement.is_empty()
     {

@@ -207,3 +207,26 @@ fn a_plan_for_images_that_counts_pairs_is_another_versions() {
         "{said}"
     );
 }
+
+#[test]
+fn images_that_are_not_there_are_ranked_by_geometry_and_listed() {
+    let folder = project();
+    let folder = folder.path();
+    fs::remove_dir_all(folder.join("images")).unwrap();
+    for backend in ["images", "splat"] {
+        let said = plan(folder, &["--backend", backend, "--budget", "6"]);
+        assert!(said.contains("There are no images"), "{said}");
+        let exports = &manifest(folder)["exports"];
+        assert_ne!(
+            exports[0]["warnings"],
+            Value::Array(Vec::new()),
+            "{exports}"
+        );
+    }
+    assert_eq!(lines(&folder.join("viewrank/images/images.txt")).len(), 6);
+    let splat = folder.join("viewrank/splat");
+    assert_eq!(lines(&splat.join("train_list.txt")).len(), 6);
+    assert!(splat.join("sparse/0/images.bin").is_file() && !splat.join("images").exists());
+    let record = fs::read_to_string(splat.join("export.json")).unwrap();
+    assert!(record.contains("put the images"), "{record}");
+}

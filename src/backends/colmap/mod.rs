@@ -28,7 +28,7 @@ use super::{
     Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
     record::{at_full_size, capped_scale},
     selection,
-    workspace::add_workspace,
+    workspace::{Folders, add_workspace},
 };
 use crate::{
     io::output::{Contents, FileSet},
@@ -157,7 +157,10 @@ fn own_workspace(
         &mut files,
         selection,
         &views,
-        "sparse",
+        Folders {
+            model: "sparse",
+            images: Some(("images", selection.images(BACKEND.name)?)),
+        },
         1,
         origin,
     )?;
