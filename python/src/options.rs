@@ -17,8 +17,9 @@ use viewrank::{
 use crate::failure::Failure;
 
 /// Keywords and the settings that they set; the program has an option `--KEYWORD` for each.
-const KEYWORDS: [(&str, &str); 19] = [
+const KEYWORDS: [(&str, &str); 20] = [
     ("mesh_as_is", "surface.mesh_as_is"),
+    ("test_every", "test_every"),
     ("max_memory", "max_memory"),
     ("confidence", "confidence.source"),
     ("accuracy", "target.accuracy"),

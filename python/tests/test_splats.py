@@ -1,5 +1,7 @@
 """Plans for programs that use the images themselves."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -19,3 +21,18 @@ def test_settings_without_sense_are_refused(valley):
     with pytest.raises(viewrank.SettingsError) as raised:
         viewrank.plan(valley, backend="splat", points="1M")
     assert "budget=" in raised.value.hint
+    with pytest.raises(viewrank.SettingsError) as raised:
+        viewrank.plan(valley, backend="openmvs", test_every=8)
+    assert "test_every=" in raised.value.hint
+    with pytest.raises(viewrank.SettingsError):
+        viewrank.plan(valley, backend="splat", test_every=1)
+
+
+def test_test_images_are_neither_ranked_nor_exported_for_training(valley, tmp_path):
+    plan = viewrank.plan(valley, backend="splat", confidence="geometric", target=1, test_every=4)
+    kept = set(plan.names[::4])
+    assert not kept & {cluster.key for cluster in plan.ranking} and plan.settings["test_every"] == 4
+    export = plan.export("splat", tmp_path / "splat")
+    splits = json.loads((export.folder / "transforms.json").read_text())
+    assert {f"images/{name}" for name in kept} == set(splits["test_filenames"])
+    assert not kept & set((export.folder / "train_list.txt").read_text().splitlines())

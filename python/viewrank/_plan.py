@@ -331,6 +331,7 @@ def plan(
     k: Optional[int] = None,
     target: Union[float, str, None] = None,
     budget: Union[int, float, str, None] = None,
+    test_every: Optional[int] = None,
     time: Union[float, str, None] = None,
     points: Union[float, str, None] = None,
     region: Union[PathLike, Sequence[float], None] = None,
@@ -369,6 +370,8 @@ def plan(
         Stop at this share of what all clusters together reach: 0.9, 90 or ``"90%"``; 1 is all. Default: 0.9, if no other limit is set.
     budget : int, float or str, optional
         Stop after this number of clusters, or this share (0 to 1, or ``"5%"``) of the views.
+    test_every : int, optional
+        Keep every n-th view by name, from the first, apart for tests: of ``"splat"`` and ``"images"``, which use the images themselves.
     time : float or str, optional
         Stop before the forecast time of matching exceeds this, seconds or ``"2h"``.
     points : float or str, optional
@@ -444,6 +447,7 @@ def plan(
         "up": up,
         "mesh": mesh,
         "mesh_as_is": mesh_as_is,
+        "test_every": test_every,
         "pilot": pilot,
         "seed": seed,
         "max_memory": max_memory,

@@ -61,7 +61,7 @@ pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
 };
 
 /// Returns the views for a program without partner lists, best first: the key views, each followed
-/// by its partners if wanted.
+/// by its partners if wanted, then all others if wanted but those kept for tests.
 pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> Vec<ViewIndex> {
     let mut listed = vec![false; selection.scene.views.len()];
     let with_partners = refs.is_some_and(|r| r != References::Keys);
@@ -73,6 +73,8 @@ pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> V
         .filter(|v| !std::mem::replace(&mut listed[v.index()], true))
         .collect();
     if refs == Some(References::All) {
+        let tests = selection.kept_for_tests();
+        tests.iter().for_each(|v| listed[v.index()] = true);
         views.extend(
             selection
                 .scene

@@ -160,7 +160,11 @@ impl Backend {
         selection: &Selection,
         options: &ExportOptions,
     ) -> Result<Export, BackendError> {
-        for view in selection.views() {
+        for view in selection
+            .views()
+            .into_iter()
+            .chain(selection.kept_for_tests())
+        {
             self.check_line(selection.scene.name(view))?;
         }
         if selection.own_size {

@@ -29,6 +29,8 @@ pub struct Selection<'a> {
     pub planned_for: &'a str,
     /// Faults of the scene's image files.
     pub image_faults: &'a ImageFaults,
+    /// Every n-th view by name is kept apart for tests.
+    pub test_every: Option<u32>,
 }
 
 /// A selection whose scene is near its origin, for programs that compute in f32.
@@ -77,6 +79,15 @@ impl Selection<'_> {
         views.sort_unstable();
         views.dedup();
         views
+    }
+
+    /// Returns the views that are kept apart for tests and have an image, ascending by name.
+    pub fn kept_for_tests(&self) -> Vec<ViewIndex> {
+        let kept = self.test_every.map(|n| self.scene.every_nth_view(n));
+        let mut kept: Vec<ViewIndex> = kept.into_iter().flatten().collect();
+        let lost = self.image_faults.without_image(self.scene.views.len());
+        kept.retain(|view| lost.binary_search(view).is_err());
+        kept
     }
 
     /// Returns the folder of the images.

@@ -5,6 +5,11 @@
 //! gaussian-splatting takes all images of `sparse/0`, PINHOLE only, and cuts names at folders and
 //! the first dot; gsplat holds out every `--test_every`-th image by name; brush takes the largest
 //! model in the folder; nerfstudio requires all of its lists.
+//!
+//! Images kept for tests are listed for nerfstudio, whose model must have them. The others hold out
+//! every n-th image, if any: gaussian-splatting with `--eval` (its `test.txt` is read with `llffhold`
+//! 0 only, for which it has no option), brush and LichtFeld likewise. For them `train/` is a
+//! workspace without the test images.
 
 use std::collections::HashMap;
 
@@ -23,7 +28,7 @@ use crate::{
     model::scene::{PointIndex, ViewIndex},
 };
 
-/// Every such image is also in the test lists.
+/// Where no images are kept for tests, every such image is also in the test lists.
 const JUDGED: usize = 8;
 
 pub static BACKEND: Backend = Backend {
@@ -70,34 +75,46 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     let near = selection.near_origin();
     let views = listed_views(selection, options.refs);
+    let tests = selection.kept_for_tests();
+    let all = [&views[..], &tests].concat();
     let mut files = options.file_set(&BACKEND, selection);
-    let without_images = add_models(&mut files, selection, near.origin, &views)?;
+    let without_images = add_models(&mut files, selection, near.origin, &views, &tests)?;
     let selection = &near.selection();
     let seeds = seeds(selection, &views);
+    if !tests.is_empty() {
+        let seeds = Contents::Bytes(seeds.clone());
+        files.add("train/sparse/0/points3D.ply", seeds);
+        files.add_text("sparse/0/test.txt", name_lines(selection, &tests));
+    }
     files.add("sparse/0/points3D.ply", Contents::Bytes(seeds));
-    add_lists(&mut files, selection, &views);
+    add_lists(&mut files, selection, &views, &tests);
     let mut record = ExportRecord::new(&BACKEND, selection, |v| {
         format!("images/{}", selection.scene.name(v))
     });
     record.moved(near.origin);
     record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
     record.way = format!("reduced model of {} images", views.len());
-    record.commands = commands(selection, &views);
-    record.not_honoured = not_honoured(selection, &views);
+    if !tests.is_empty() {
+        record.way += &format!(", and {} for tests", tests.len());
+    }
+    record.commands = commands(selection, &views, !tests.is_empty());
+    record.not_honoured = not_honoured(selection, &views, !tests.is_empty());
     record.note_own_scale(selection);
     record.fusion = "none".into();
     record.warnings.extend(without_images);
-    record.warnings.extend(warnings(selection, &views));
+    record.warnings.extend(warnings(selection, &all));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
 
-/// Adds the model of the images, and links to them. Returns a warning if they are not there.
+/// Adds the model of all images and, if some are kept for tests, that of the others. Returns a
+/// warning if the images themselves are not there.
 fn add_models(
     files: &mut FileSet,
     selection: &Selection,
     origin: Vector3<f64>,
     views: &[ViewIndex],
+    tests: &[ViewIndex],
 ) -> Result<Option<String>, BackendError> {
     let (images, warning) = match selection.images(BACKEND.name) {
         Ok(images) => (Some(images), None),
@@ -107,15 +124,20 @@ fn add_models(
         }
         Err(error) => return Err(error),
     };
-    let folders = Folders {
-        model: "sparse/0",
-        images: images.map(|images| ("images", images)),
+    let mut add = |views: &[ViewIndex], model, folder| {
+        let images = images.map(|images| (folder, images));
+        let folders = Folders { model, images };
+        add_workspace(BACKEND.name, files, selection, views, folders, 2, origin)
     };
-    add_workspace(BACKEND.name, files, selection, views, folders, 2, origin)?;
+    add(&[views, tests].concat(), "sparse/0", "images")?;
+    if !tests.is_empty() {
+        add(views, "train/sparse/0", "train/images")?;
+    }
     Ok(warning)
 }
 
-fn not_honoured(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
+fn not_honoured(selection: &Selection, views: &[ViewIndex], has_tests: bool) -> Vec<String> {
+    let tests = "the choice of test images, but by nerfstudio: others take every n-th, so train/ has none of them";
     let first = views.iter().min().map(|&v| {
         format!(
             "{}: gsplat holds the first image by name out of training, always",
@@ -124,43 +146,51 @@ fn not_honoured(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     });
     ["matching partners", "the rank order"]
         .into_iter()
+        .chain(has_tests.then_some(tests))
         .map(String::from)
         .chain(first)
         .collect()
 }
 
-/// Commands, one for each program; gaussian-splatting only if it supports the images.
-fn commands(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
+/// Commands, one for each program; gaussian-splatting only if it supports the images. Only
+/// nerfstudio leaves the test images of the folder itself out.
+fn commands(selection: &Selection, views: &[ViewIndex], has_tests: bool) -> Vec<String> {
+    let folder = if has_tests { "train" } else { "." };
     let pinhole = views
         .iter()
         .all(|&v| selection.scene.camera_of(v).is_pinhole());
     let gsplat = format!(
-        "python \"${{GSPLAT:?folder of gsplat}}\"/examples/simple_trainer.py default --data_dir . --data_factor 1 --test_every {}",
+        "python \"${{GSPLAT:?folder of gsplat}}\"/examples/simple_trainer.py default --data_dir {folder} --data_factor 1 --test_every {}",
         views.len() + 1
     );
-    let original =
-        "python \"${GAUSSIAN_SPLATTING:?folder of gaussian-splatting}\"/train.py -s .".to_owned();
+    let original = format!(
+        "python \"${{GAUSSIAN_SPLATTING:?folder of gaussian-splatting}}\"/train.py -s {folder}"
+    );
     let nerfstudio = "ns-train splatfacto --data . colmap --colmap-path sparse/0 --images-path images --downscale-factor 1";
     [gsplat]
         .into_iter()
         .chain(pinhole.then_some(original))
-        .chain(["brush .".into(), nerfstudio.into()])
+        .chain([format!("brush {folder}"), nerfstudio.into()])
         .collect()
 }
 
 /// Adds nerfstudio's lists. It requires all splits if one exists; it checks for
 /// `validation_list.txt` but opens `val_list.txt`.
-fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex]) {
-    let judged: Vec<ViewIndex> = views.iter().copied().step_by(JUDGED).collect();
+fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex], tests: &[ViewIndex]) {
+    let judged: Vec<ViewIndex> = match tests {
+        [] => views.iter().copied().step_by(JUDGED).collect(),
+        tests => tests.to_vec(),
+    };
+    let all = [views, tests].concat();
     files.add_text("train_list.txt", name_lines(selection, views));
     for list in ["test_list.txt", "val_list.txt", "validation_list.txt"] {
         files.add_text(list, name_lines(selection, &judged));
     }
-    if views
+    if all
         .iter()
         .all(|&v| selection.scene.camera_of(v).is_pinhole())
     {
-        let text = serde_json::to_string_pretty(&transforms(selection, views, &judged))
+        let text = serde_json::to_string_pretty(&transforms(selection, &all, views, &judged))
             .expect("string keys");
         files.add_text("transforms.json", text + "\n");
     }
@@ -169,6 +199,7 @@ fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex]) {
 /// Returns nerfstudio's `transforms.json`: camera to world, with y up and z backward in the camera.
 fn transforms(
     selection: &Selection,
+    all: &[ViewIndex],
     views: &[ViewIndex],
     judged: &[ViewIndex],
 ) -> serde_json::Value {
@@ -188,7 +219,7 @@ fn transforms(
     json!({
         "camera_model": "OPENCV",
         "ply_file_path": "sparse/0/points3D.ply",
-        "frames": views.iter().map(frame).collect::<Vec<_>>(),
+        "frames": all.iter().map(frame).collect::<Vec<_>>(),
         "train_filenames": paths(views),
         "val_filenames": paths(judged),
         "test_filenames": paths(judged),
@@ -196,8 +227,8 @@ fn transforms(
 }
 
 fn world_from_nerf_camera(pose: &crate::model::scene::Pose) -> [[f64; 4]; 4] {
-    let rotation = pose.rotation.matrix().transpose()
-        * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+    let rotation =
+        pose.rotation.matrix().transpose() * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
     matrix

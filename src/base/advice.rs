@@ -3,12 +3,13 @@
 use viewrank_core::base::error::Advice;
 
 /// Settings whose option has not the name of their key.
-const OPTIONS: [(&str, &str); 11] = [
+const OPTIONS: [(&str, &str); 12] = [
     ("target.gsd", "--gsd"),
     ("surface.mesh", "--mesh"),
     ("pilot.maps", "--pilot"),
     ("confidence.source", "--confidence"),
     ("max_memory", "--max-memory"),
+    ("test_every", "--test-every"),
     ("backends", "--backend"),
     ("partners.k", "-k"),
     ("cut.target", "--target"),

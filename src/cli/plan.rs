@@ -65,6 +65,10 @@ pub struct Arguments {
     /// set]
     #[arg(long, value_name = "P%", help_heading = "Selection")]
     target: Option<String>,
+    /// Keep every N-th image by name, from the first, apart for tests: neither chosen nor drawn
+    /// (splat, images)
+    #[arg(long, value_name = "N", help_heading = "Selection")]
+    test_every: Option<String>,
     /// Stop before the forecast time of matching exceeds T, such as 2h or 90min
     #[arg(long, value_name = "T", help_heading = "Selection")]
     time: Option<String>,
@@ -398,6 +402,8 @@ impl Arguments {
         typed.set("--budget", "cut.budget", self.budget.clone());
         typed.set("--target", "cut.target", self.target.clone());
         typed.set("--time", "cut.time", self.time.clone());
+        let test_every = self.test_every.as_deref().map(arguments::number);
+        typed.set("--test-every", "test_every", test_every);
         typed.set("--points", "cut.points", self.points.clone());
         let region = self.region.as_deref();
         typed.set("--region", "region", region.map(arguments::region));

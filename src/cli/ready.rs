@@ -46,6 +46,7 @@ pub fn check(
         own_size: true,
         planned_for: backend.name,
         image_faults: &image_faults,
+        test_every: None,
     };
     let export = match backend.export(&selection, &Default::default()) {
         Ok(export) => export,

@@ -548,6 +548,14 @@ fn notes_on_folder(project: &Project) -> Vec<String> {
 /// Notes on views that are neither key views nor partners.
 fn notes_on_left_out(plan: &Plan) -> Vec<String> {
     let mut notes = Vec::new();
+    match plan.stages.kept_for_tests.len() {
+        0 => {}
+        1 => notes.push("1 image is kept apart for tests.".into()),
+        tests => notes.push(format!(
+            "{} images are kept apart for tests.",
+            grouped(tests)
+        )),
+    }
     let missing = plan.stages.without_image.len();
     if missing > 0 {
         let (it, views) = if missing == 1 {

@@ -69,6 +69,11 @@ pub struct Settings {
     /// Folder to which the image names of the model are relative. Unset: where the images are
     /// found.
     pub images: Option<PathBuf>,
+    /// Keeps every n-th view by name, from the first, apart for tests: of programs that use the
+    /// images themselves, such as "splat" (method 5.10). Unset: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 2), extend("unit" = "views"))]
+    pub test_every: Option<u32>,
     pub target: TargetSettings,
     pub coverage: CoverageSettings,
     pub fulfilment: FulfilmentSettings,

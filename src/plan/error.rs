@@ -55,6 +55,9 @@ pub enum PlanError {
         backend: &'static str,
         limit: &'static str,
     },
+    /// Images kept apart for tests, for a program that does not train on the others.
+    #[error("{0} makes depth maps, and keeps no images apart for tests")]
+    NoTests(&'static str),
     #[error(
         "the {stage} needs about {} of memory, but max_memory is {}",
         memory::readable(*need),
@@ -143,6 +146,10 @@ impl Hint for PlanError {
                 .set_to("cut.budget", "25%")
                 .and(" or ")
                 .set_to("cut.target", "80%"),
+            Self::NoTests(_) => Advice::text("leave ")
+                .set("test_every")
+                .and(" out, or plan for images: ")
+                .set_to("backends", "splat"),
             Self::PilotMaps(_) => {
                 Advice::text("give the folder of finished small maps (viewrank pilot makes their list): ")
                     .set("pilot.maps")
@@ -193,7 +200,7 @@ impl Hint for PlanError {
 
     fn is_usage(&self) -> bool {
         match self {
-            Self::OtherImages { .. } | Self::NoMaps { .. } => true,
+            Self::OtherImages { .. } | Self::NoMaps { .. } | Self::NoTests(_) => true,
             Self::Decision(error) => error.is_usage(),
             Self::Project(error) => error.is_usage(),
             Self::Backend(error) => error.is_usage(),

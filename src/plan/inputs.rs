@@ -45,6 +45,8 @@ pub(super) struct Inputs<'a> {
     pub most_pixels: u64,
     /// Views whose image is missing or unreadable, ascending.
     pub without_image: Vec<ViewIndex>,
+    /// Views that are kept apart for tests, ascending.
+    pub kept_for_tests: Vec<ViewIndex>,
     pub pictures: PictureFolders,
     mask_bytes: OnceLock<u64>,
     /// How p_i is predicted (method 3.4).
@@ -99,6 +101,9 @@ impl<'a> Inputs<'a> {
         let confidence = Confidence::new(source, own, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let without_image = image_faults.without_image(scene.views.len());
+        let kept_for_tests = settings
+            .test_every
+            .map(|n| scene.every_nth_view(n).collect());
         Ok(Self {
             matcher,
             settings,
@@ -114,10 +119,21 @@ impl<'a> Inputs<'a> {
             image_faults,
             most_pixels,
             without_image,
+            kept_for_tests: kept_for_tests.unwrap_or_default(),
             confidence,
             region,
             fingerprints,
         })
+    }
+
+    /// Views that are neither key views nor partners, ascending: those without an image, and those
+    /// kept apart for tests.
+    pub fn left_out(&self) -> Vec<ViewIndex> {
+        let (missing, tests) = (&self.without_image, &self.kept_for_tests);
+        let mut left_out = [&missing[..], tests].concat();
+        left_out.sort_unstable();
+        left_out.dedup();
+        left_out
     }
 
     /// Memory of reading the largest mask, bytes: from the headers of all, so it is looked up only
@@ -141,7 +157,8 @@ impl<'a> Inputs<'a> {
     }
 }
 
-/// Returns an error if a setting has no sense for the program: a limit of maps where none are made.
+/// Returns an error if a setting has no sense for the program: limits of maps where none are made,
+/// or tests where nothing is trained.
 fn refuse_unfit(settings: &Settings, matcher: &Matcher) -> Result<(), PlanError> {
     let backend = matcher.name;
     let limits = [
@@ -150,6 +167,9 @@ fn refuse_unfit(settings: &Settings, matcher: &Matcher) -> Result<(), PlanError>
     ];
     match limits.into_iter().find(|(_, is_set)| *is_set) {
         Some((limit, _)) if !matcher.makes_maps => Err(PlanError::NoMaps { backend, limit }),
+        _ if matcher.makes_maps && settings.test_every.is_some() => {
+            Err(PlanError::NoTests(backend))
+        }
         _ => Ok(()),
     }
 }

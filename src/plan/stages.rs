@@ -262,6 +262,7 @@ impl Found {
                 region: self.region,
                 target: self.target,
                 without_image,
+                kept_for_tests: inputs.kept_for_tests,
                 twins: self.twins.result,
                 candidates: self.candidates.result,
                 unary: self.unary.result.unary,

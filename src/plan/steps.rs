@@ -52,19 +52,20 @@ impl Step for TwinsStep<'_> {
             points,
             pictures,
             settings,
-            without_image,
             ..
         } = self.inputs;
         let seen = (
             pictures as &dyn confidence::Pictures,
             settings.image_scale(),
         );
-        Ok(twins::twins(scene, points, without_image, seen, watcher)?)
+        let left_out = self.inputs.left_out();
+        Ok(twins::twins(scene, points, &left_out, seen, watcher)?)
     }
 }
 
 /// Returns the surface, and the candidate partners of each view within the gate, among pairs that
-/// the backend can match, that have images and are not set aside.
+/// the backend can match, that have images and are neither set
+/// aside nor kept for tests.
 pub(super) fn surface_and_candidates(
     inputs: &Inputs,
     twins: &[Twin],
@@ -74,20 +75,20 @@ pub(super) fn surface_and_candidates(
         scene,
         points,
         settings,
-        without_image,
         ..
     } = inputs;
+    let left_out = inputs.left_out();
     let PlanningNumbers { reach, gate, .. } = inputs.matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
     let program = reach.map(|_| inputs.matcher.name);
     let file = inputs
         .fingerprints
-        .candidates(settings, program, &gate, (without_image, twins));
+        .candidates(settings, program, &gate, (&left_out, twins));
     let known = cached::read(file, |(), bytes| {
         cached::candidates::unpack(bytes, scene.views.len())
     });
     let takes_no_part = |view: &ViewIndex| {
-        without_image.binary_search(view).is_ok()
+        left_out.binary_search(view).is_ok()
             || twins.binary_search_by_key(view, |twin| twin.view).is_ok()
     };
     let refusals_of = |key| -> Refuses {
@@ -164,8 +165,7 @@ pub(super) fn region(
     run.timings.time(Stage::Visibility, || {
         let frame = MapFrame::new(&inputs.scene, inputs.settings.surface.up);
         let twins = twins.iter().map(|twin| twin.view);
-        let mut left_out: Vec<ViewIndex> =
-            inputs.without_image.iter().copied().chain(twins).collect();
+        let mut left_out: Vec<ViewIndex> = inputs.left_out().into_iter().chain(twins).collect();
         left_out.sort_unstable();
         let triangles = seen.surface.triangles.len();
         let views = seen.visibility.views_of_triangles(triangles, &left_out);

@@ -193,6 +193,7 @@ fn selection<'a>(
         own_size: plan.stages.own_size,
         planned_for: plan.stages.backend,
         image_faults,
+        test_every: plan.stages.settings.test_every,
     }
 }
 

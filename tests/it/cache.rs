@@ -238,7 +238,7 @@ fn changes(folder: &Path) -> BTreeMap<&'static str, String> {
         | cut.target = '50%'; ranking.scales = [1.0, 0.5] | cut.time = '1h'; forecast.seconds_per_pair = 2.0 | cut.points = '1M' \
         | forecast.seconds_per_pair = 2.0 | forecast.seconds_per_map = 2.0 | forecast.points_per_map = 2.0 \
         | frame.origin = [50.0, 20.0, 100.0] | frame.utm = '33N' | frame.offset = [1.0, 2.0]; frame.utm = '33N' \
-        | frame.gps = false";
+        | frame.gps = false | test_every = 4; backends = ['images']";
     let change = |part: &'static str| {
         (
             part.split(" =").next().unwrap().trim(),

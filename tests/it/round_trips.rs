@@ -201,6 +201,7 @@ fn exported(scene: &Scene, backend: &str, path: &str) -> (Vec<u8>, Vector3<f64>)
         own_size: false,
         planned_for: backend,
         image_faults,
+        test_every: None,
     };
     let export = by_name(backend)
         .unwrap()

@@ -1,6 +1,6 @@
 //! Plans for programs that use the images themselves, as Gaussian splatting does.
 
-use std::{fs, path::Path};
+use std::{collections::BTreeSet, fs, path::Path};
 
 use serde_json::Value;
 
@@ -146,13 +146,16 @@ fn all_numbers_of_a_plan_for_images_are_of_what_they_draw() {
 }
 
 #[test]
-fn limits_of_depth_maps_are_refused_for_images() {
+fn limits_of_depth_maps_are_refused_for_images_and_tests_for_depth_maps() {
     let folder = project();
     let folder = folder.path().to_str().unwrap();
     for (options, word) in [
         (["--backend", "splat", "--points", "1M"], "cut.points"),
         (["--backend", "images", "--time", "2h"], "cut.time"),
+        (["--backend", "openmvs", "--test-every", "8"], "for tests"),
+        (["--backend", "splat", "--test-every", "1"], "at least 2"),
         (
+            ["--backend", "splat", "--test-every", "few"],
             "whole number",
         ),
     ] {
@@ -162,6 +165,92 @@ fn limits_of_depth_maps_are_refused_for_images() {
             "{options:?}: {said}"
         );
     }
+}
+
+/// Names of images, and of those that are kept for tests, by the rule that trainers use.
+fn names_and_tests(folder: &Path, every: usize) -> (BTreeSet<String>, Vec<String>) {
+    let entries = fs::read_dir(folder.join("images")).unwrap();
+    let name = |entry: std::io::Result<fs::DirEntry>| entry.unwrap().file_name();
+    let names: BTreeSet<String> = entries.map(|e| name(e).into_string().unwrap()).collect();
+    let tests = names.iter().step_by(every).cloned().collect();
+    (names, tests)
+}
+
+#[test]
+fn test_images_are_neither_chosen_nor_drawn_and_every_export_knows_them() {
+    let folder = project();
+    let folder = folder.path();
+    plan(folder, &["--backend", "splat", "--target", "100%"]);
+    let with_all = manifest(folder);
+    let said = plan(
+        folder,
+        &[
+            "--backend",
+            "splat",
+            "--target",
+            "100%",
+            "--test-every",
+            "5",
+        ],
+    );
+    assert!(
+        said.contains("6 images are kept apart for tests."),
+        "{said}"
+    );
+    let written = manifest(folder);
+    let (names, tests) = names_and_tests(folder, 5);
+    let train = names.len() - tests.len();
+    let clusters = written["clusters"].as_array().unwrap();
+    let is_test = |name: &Value| tests.iter().any(|test| name == test);
+    for cluster in clusters {
+        let partners = cluster["partners"].as_array().unwrap();
+        assert!(!is_test(&cluster["key"]) && !partners.iter().any(is_test));
+    }
+    assert_eq!(written["forecast"]["all_maps"], train);
+    for view in written["views"].as_array().unwrap() {
+        let is_kept = view["reason"] == "kept_for_tests";
+        assert_eq!(is_kept, is_test(&view["name"]), "{view}");
+    }
+    // Not among the photographs: those that remain draw another part of themselves.
+    assert_ne!(written["cut"]["reachable"], with_all["cut"]["reachable"]);
+    // `plan` and `export` write the same, also with every image that is left.
+    let list = |name: &str| lines(&folder.join("viewrank/splat").join(name));
+    let by_plan = list("train_list.txt");
+    assert_eq!(list("test_list.txt"), tests);
+    let project = folder.to_str().unwrap();
+    printed(&["export", project]);
+    assert_eq!(
+        (list("train_list.txt"), list("sparse/0/test.txt")),
+        (by_plan, tests.clone())
+    );
+    printed(&[
+        "export",
+        project,
+        "--backend",
+        "splat,images",
+        "--refs",
+        "all",
+    ]);
+    let whole: BTreeSet<String> = list("train_list.txt").into_iter().collect();
+    assert!(whole.len() == train && tests.iter().all(|test| !whole.contains(test)));
+    let plain = lines(&folder.join("viewrank/images/images.txt"));
+    assert_eq!(plain.into_iter().collect::<BTreeSet<_>>(), whole);
+}
+
+#[test]
+fn a_setting_keeps_test_images_too() {
+    let folder = project();
+    let folder = folder.path();
+    fs::write(
+        folder.join("viewrank.toml"),
+        "test_every = 7\nbackends = [\"images\"]\n",
+    )
+    .unwrap();
+    plan(folder, &["--target", "100%"]);
+    let (names, tests) = names_and_tests(folder, 7);
+    let listed = lines(&folder.join("viewrank/images/images.txt"));
+    assert_eq!(listed.len(), names.len() - tests.len());
+    assert!(tests.iter().all(|test| !listed.contains(test)));
 }
 
 #[test]

@@ -80,7 +80,7 @@ impl<'a> Fingerprints<'a> {
             let mut hasher = self.of_scene();
             add(
                 &mut hasher,
-                &(inputs.settings.image_scale(), &inputs.without_image),
+                &(inputs.settings.image_scale(), inputs.left_out()),
             );
             for view in inputs.scene.view_indices() {
                 let name = inputs.scene.name(view);
@@ -97,7 +97,7 @@ impl<'a> Fingerprints<'a> {
         settings: &Settings,
         program: Option<&str>,
         gate: &Gate,
-        (without_image, twins): (&[ViewIndex], &[Twin]),
+        (left_out, twins): (&[ViewIndex], &[Twin]),
     ) -> CacheFile {
         let mut hasher = self.of_scene();
         let PartnerSettings { k, candidates, .. } = settings.partners;
@@ -109,7 +109,7 @@ impl<'a> Fingerprints<'a> {
                 gate,
                 program,
                 settings.image_scale(),
-                without_image,
+                left_out,
                 twins.iter().map(|twin| twin.view).collect::<Vec<_>>(),
             ),
         );

@@ -233,6 +233,7 @@ impl WrittenPlan {
             own_size: self.own_size,
             planned_for: &self.backend,
             image_faults,
+            test_every: self.settings.test_every,
         }
     }
 

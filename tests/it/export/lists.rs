@@ -131,11 +131,20 @@ fn trap_3dgs_basename_collision() {
 }
 
 fn model(files: &super::Files) -> viewrank_io::formats::colmap::ColmapModel<'static> {
-    let leak = |name: &str| -> &'static [u8] { Vec::leak(files.bytes(name).to_vec()) };
+    model_in(files, "sparse/0")
+}
+
+fn model_in(
+    files: &super::Files,
+    folder: &str,
+) -> viewrank_io::formats::colmap::ColmapModel<'static> {
+    let leak = |name: &str| -> &'static [u8] {
+        Vec::leak(files.bytes(&format!("{folder}/{name}")).to_vec())
+    };
     let bytes = viewrank_io::formats::Bytes {
-        cameras: leak("sparse/0/cameras.bin"),
-        images: leak("sparse/0/images.bin"),
-        points3d: leak("sparse/0/points3D.bin"),
+        cameras: leak("cameras.bin"),
+        images: leak("images.bin"),
+        points3d: leak("points3D.bin"),
         rigs: None,
         frames: None,
     };
@@ -202,4 +211,91 @@ fn images_are_listed_best_first() {
     assert_eq!(with_partners[..3], [key, &partners[0], &partners[1]]);
     let all = fixture.export_with("images", &refs(References::All));
     assert_eq!(all.lines("images.txt").len(), fixture.scene.views.len());
+}
+
+/// A fixture of which every seventh view is kept for tests, as no cluster has it.
+fn with_tests() -> (Fixture, Vec<String>) {
+    let mut fixture = Fixture::new(3);
+    let tests: Vec<_> = fixture.scene.every_nth_view(7).collect();
+    let others: Vec<_> = fixture
+        .matchable()
+        .into_iter()
+        .filter(|view| !tests.contains(view))
+        .collect();
+    for (cluster, key) in fixture.clusters.iter_mut().zip(&others) {
+        cluster.key = *key;
+        cluster.partners.clear();
+    }
+    fixture.test_every = Some(7);
+    let names = tests.iter().map(|&view| fixture.name(view).to_owned());
+    let names = names.collect();
+    (fixture, names)
+}
+
+fn images_of(files: &super::Files, folder: &str) -> BTreeSet<String> {
+    let below = |name: &&str| name.strip_prefix(folder).map(String::from);
+    files.names().iter().filter_map(below).collect()
+}
+
+#[test]
+fn test_images_are_in_the_lists_for_tests_and_never_trained_on() {
+    let (fixture, tests) = with_tests();
+    let files = fixture.export("splat");
+    let train: BTreeSet<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
+    let all: BTreeSet<String> = train.iter().chain(&tests).cloned().collect();
+    assert_eq!(all.len(), train.len() + tests.len());
+    for list in [
+        "val_list.txt",
+        "validation_list.txt",
+        "test_list.txt",
+        "sparse/0/test.txt",
+    ] {
+        assert_eq!(files.lines(list), tests, "{list}");
+    }
+    let listed: BTreeSet<String> = files
+        .lines("train_list.txt")
+        .iter()
+        .map(|&n| n.into())
+        .collect();
+    assert_eq!(listed, train);
+    let json = files.json("transforms.json");
+    let frames = json["frames"].as_array().unwrap().len();
+    let splits = ["train_filenames", "val_filenames", "test_filenames"]
+        .map(|split| json[split].as_array().unwrap().len());
+    assert_eq!(
+        (frames, splits),
+        (all.len(), [train.len(), tests.len(), tests.len()])
+    );
+    let in_model = |folder| -> BTreeSet<String> {
+        let images = model_in(&files, folder).images;
+        images.into_iter().map(|image| image.name.into()).collect()
+    };
+    assert_eq!(
+        (in_model("sparse/0"), images_of(&files, "images/")),
+        (all.clone(), all)
+    );
+    let without = (
+        in_model("train/sparse/0"),
+        images_of(&files, "train/images/"),
+    );
+    assert_eq!(without, (train.clone(), train));
+    for command in &files.0.record.commands {
+        let reads_lists = command.starts_with("ns-train");
+        let is_in_train = command.split(' ').any(|word| word == "train");
+        assert_ne!(reads_lists, is_in_train, "{command}");
+    }
+    assert!(files.says("nerfstudio: others take every n-th"));
+}
+
+#[test]
+fn test_images_are_in_no_plain_list() {
+    let (fixture, tests) = with_tests();
+    let all = ExportOptions {
+        refs: Some(References::All),
+        ..Default::default()
+    };
+    let files = fixture.export_with("images", &all);
+    let listed = files.lines("images.txt");
+    assert_eq!(listed.len() + tests.len(), fixture.scene.views.len());
+    assert!(tests.iter().all(|name| !listed.contains(&name.as_str())));
 }

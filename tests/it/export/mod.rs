@@ -35,6 +35,7 @@ pub struct Fixture {
     pub image_scale: f64,
     pub own_size: bool,
     pub image_faults: ImageFaults,
+    pub test_every: Option<u32>,
 }
 
 /// Square pixels would hide a width taken for a height.
@@ -76,6 +77,7 @@ impl Fixture {
             image_scale: 1.0,
             own_size: false,
             image_faults: ImageFaults::default(),
+            test_every: None,
         };
         fixture.choose(&[12, 3, 30, 24], k);
         fixture
@@ -146,6 +148,7 @@ impl Fixture {
             own_size: self.own_size,
             planned_for: backend.name,
             image_faults: &self.image_faults,
+            test_every: self.test_every,
         };
         backend.export(&selection, options)
     }

@@ -45,6 +45,7 @@ pub struct Reasons<'a> {
     viewers: &'a [u32],
     candidates: &'a Candidates,
     without_image: &'a [ViewIndex],
+    kept_for_tests: &'a [ViewIndex],
     twins: &'a [Twin],
     clusters: &'a [ViewCluster],
     fulfilment: &'a FulfilmentTable,
@@ -59,6 +60,7 @@ impl<'a> Reasons<'a> {
             viewers: &tables.shown.views,
             candidates: &tables.candidates,
             without_image: &tables.without_image,
+            kept_for_tests: &tables.kept_for_tests,
             twins: &tables.twins,
             clusters: &tables.clusters,
             fulfilment: &tables.fulfilment,
@@ -128,6 +130,8 @@ impl<'a> Reasons<'a> {
     fn no_cluster(&self, view: ViewIndex) -> Reason {
         if self.without_image.binary_search(&view).is_ok() {
             Reason::NoImage
+        } else if self.kept_for_tests.binary_search(&view).is_ok() {
+            Reason::KeptForTests
         } else if self.is_set_aside(view) {
             Reason::TwinOfSharperView
         } else if self.model.visibility.triangles_seen_by(view).is_empty() {

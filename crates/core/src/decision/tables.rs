@@ -34,6 +34,8 @@ pub struct Tables {
     /// Views whose image is missing, unreadable or rejected ([`Agreement::rejected`]), ascending:
     /// neither key views nor partners.
     pub without_image: Vec<ViewIndex>,
+    /// Views that are kept apart for tests, ascending: neither key views nor partners.
+    pub kept_for_tests: Vec<ViewIndex>,
     /// Views that are set aside for a sharper one from the same place, ascending: neither key views
     /// nor partners.
     pub twins: Vec<Twin>,

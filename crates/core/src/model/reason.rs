@@ -32,11 +32,13 @@ pub enum Reason {
     NoImage,
     /// Another view shows the same from the same place, and sharper.
     TwinOfSharperView,
+    /// It is kept apart for tests (`test_every`).
+    KeptForTests,
 }
 
 impl Reason {
     /// The reasons in the order of their numbers in files, from 1; 0 stands for no reason.
-    pub const NUMBERED: [Self; 12] = [
+    pub const NUMBERED: [Self; 13] = [
         Self::NoSharedPoints,
         Self::RotationOnly,
         Self::DuplicateOfBetterView,
@@ -49,6 +51,7 @@ impl Reason {
         Self::OutsideRegion,
         Self::NoImage,
         Self::TwinOfSharperView,
+        Self::KeptForTests,
     ];
 
     /// Returns the number of a reason, from 1; 0 for `None`.
@@ -86,6 +89,7 @@ impl Reason {
             Self::OutsideRegion => "all that it could give is outside the region",
             Self::NoImage => "its image is missing, cannot be read or is not of this view",
             Self::TwinOfSharperView => "a sharper view shows the same from the same place",
+            Self::KeptForTests => "it is kept apart for tests",
             Self::NoGainLeft => "its gain is zero or below the cut",
         }
     }

@@ -206,6 +206,11 @@ impl Scene {
         found.ok().map(|i| ViewIndex(i as u32))
     }
 
+    /// Returns every n-th view by name, from the first: those that trainers keep apart for tests.
+    pub fn every_nth_view(&self, n: u32) -> impl Iterator<Item = ViewIndex> {
+        self.view_indices().step_by(n.max(1) as usize)
+    }
+
     /// Returns whether both scenes have the same view names and poses, to the precision of text
     /// files.
     pub fn has_same_views(&self, other: &Self) -> bool {
