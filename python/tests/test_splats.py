@@ -1,11 +1,34 @@
-"""Plans for programs that use the images themselves."""
+"""Plans for programs that use the images themselves, and the lines of integrations/splat/README.md."""
 
 import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import viewrank
+
+README = Path(__file__).resolve().parents[2] / "integrations/splat/README.md"
+
+
+def test_the_lines_of_the_readme_plan_and_export(valley, tmp_path, monkeypatch):
+    (lines,) = re.findall("```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(lines.splitlines()) <= 10
+    shutil.copytree(valley, tmp_path / "room", ignore=shutil.ignore_patterns("viewrank"))
+    monkeypatch.chdir(tmp_path)
+    trained = []
+    monkeypatch.setattr(subprocess, "run", lambda command, **options: trained.append((command, options)))
+    exec(compile(lines, str(README), "exec"), {})
+    ((command, options),) = trained
+    folder = Path(options["cwd"])
+    assert command.startswith("ns-train ") and folder.samefile(tmp_path / "room/viewrank/splat")
+    names = sorted(path.name for path in (tmp_path / "room/images").iterdir())
+    train = (folder / "train_list.txt").read_text().splitlines()
+    assert (folder / "test_list.txt").read_text().splitlines() == names[::8]
+    assert len(train) == len(names) // 4 and not set(train) & set(names[::8])
 
 
 def test_a_plan_for_images_counts_no_pairs(valley):
