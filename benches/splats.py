@@ -52,7 +52,7 @@ def main():
             order = ranked(name, args, scene, candidates, number, seed)
             renderer, splat = train(scene, np.array(order), ITERATIONS, GAUSSIANS, seed)
             found = measure(scene, renderer, splat)
-            rows.append({"order": name, "images": number, "seed": seed, "psnr": float(found["psnr"]), "ssim": float(found["ssim"])})
+            rows.append({"order": name, "share": args.share, "images": number, "seed": seed, "psnr": float(found["psnr"]), "ssim": float(found["ssim"])})
             path.write_text(json.dumps(rows, indent=1) + "\n")
     for row in rows:
         print(f"{row['order']:14} {row['images']:4} images, seed {row['seed']}: {row['psnr']:.2f} dB, SSIM {row['ssim']:.3f}")

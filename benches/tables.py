@@ -102,11 +102,18 @@ def checked(results):
 
 
 def splats(of_sets):
-    """PSNR of splats by the order that their images are taken in, means over the trainings."""
+    """PSNR of splats by the order that their images are taken in, means over the trainings; for each share of the images the sets, then their mean."""
     names = list(dict.fromkeys(row["order"] for rows in of_sets.values() for row in rows))
-    means = {name: [mean([row["psnr"] for row in rows if row["order"] == name]) for rows in of_sets.values()] for name in names}
-    rows = [[f"{of_set}, {rows[0]['images']} images", *(f"{means[name][i]:.2f}" for name in names)] for i, (of_set, rows) in enumerate(of_sets.items())]
-    return table(["PSNR, dB", *names], [*rows, ["mean", *(f"{mean(means[name]):.2f}" for name in names)]]) if rows else []
+    lines = []
+    for share in sorted({row["share"] for rows in of_sets.values() for row in rows}):
+        means = []
+        for of_set, rows in of_sets.items():
+            rows = [row for row in rows if row["share"] == share]
+            if rows:
+                means.append([mean([row["psnr"] for row in rows if row["order"] == name]) for name in names])
+                lines.append([f"{of_set}, {rows[0]['images']} images", *(f"{psnr:.2f}" for psnr in means[-1])])
+        lines.append([f"mean at {100 * share:.0f} %", *(f"{mean(of_order):.2f}" for of_order in zip(*means))])
+    return table(["PSNR, dB", *names], lines) if lines else []
 
 
 def mean(values):
