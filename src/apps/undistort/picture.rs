@@ -2,9 +2,6 @@
 
 use std::{io::Cursor, path::Path};
 
-use fast_image_resize::{
-    FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels,
-};
 use image::{
     DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat,
     codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder},
@@ -15,7 +12,10 @@ use rayon::prelude::*;
 use super::camera::at_size_of;
 use crate::{
     base::pixels::{PixelBound, TooManyPixels},
-    io::picture,
+    io::{
+        image::{FilterType, resized},
+        picture,
+    },
     model::camera::{Camera, CameraError},
 };
 
@@ -144,24 +144,12 @@ impl Raster {
         if (self.width, self.height) == (camera.width, camera.height) {
             return self;
         }
-        let kind = if self.channels == 1 {
-            PixelType::U8
-        } else {
-            PixelType::U8x3
-        };
-        let sized = "as many bytes as the size and the kind of pixels ask for, and the same kind";
-        let from = Pixels::from_vec_u8(self.width, self.height, self.values, kind).expect(sized);
-        let mut to = Pixels::new(camera.width, camera.height, kind);
-        let bilinear =
-            ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
-        Resizer::new()
-            .resize(&from, &mut to, &bilinear)
-            .expect(sized);
+        let (from, to) = ([self.width, self.height], [camera.width, camera.height]);
         Self {
             width: camera.width,
             height: camera.height,
             channels: self.channels,
-            values: to.into_vec(),
+            values: resized(self.values, from, to, self.channels, FilterType::Bilinear),
         }
     }
 

@@ -4,15 +4,14 @@
 //! Pixels keep their position in the file: EXIF orientation is never applied, because poses and
 //! observations refer to the file.
 
+mod resize;
+
 use std::{io::BufReader, path::Path};
 
 use crate::{
     input::{self, FileKind},
     picture,
     project::Unread,
-};
-use fast_image_resize::{
-    FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels,
 };
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
 use jpeg_decoder::PixelFormat;
@@ -28,6 +27,8 @@ use zune_jpeg::{
     zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
 };
 
+pub use self::resize::{FilterType, resized};
+
 /// Minimum number of pixels of a reduced picture, unless the file has fewer.
 const LEAST_PIXELS: f64 = 750_000.0;
 /// Minimum side relative to the file's.
@@ -35,6 +36,8 @@ const LEAST_SCALE: f64 = 0.25;
 /// Limit on the scans of a JPEG, each of which may visit all its pixels in a few hundred bytes;
 /// programs write about ten.
 const MOST_SCANS: usize = 100;
+/// Averages the pixels that a larger one covers.
+const BY_AREA: FilterType = FilterType::Box;
 
 /// A reduced picture: RGB, 8 bit, row-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,18 +131,12 @@ impl Image {
             }
         };
         let [width, height] = wanted(full);
-        let sized = "a byte a pixel, and the kind of pixels is the same";
-        let from = Pixels::from_vec_u8(full[0], full[1], pixels, PixelType::U8).expect(sized);
-        let mut to = Pixels::new(width, height, PixelType::U8);
-        let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
-        Resizer::new()
-            .resize(&from, &mut to, &by_areas)
-            .expect(sized);
+        let pixels = resized(pixels, full, [width, height], 1, BY_AREA);
         Ok((
             GreyImage {
                 width,
                 height,
-                pixels: to.into_vec(),
+                pixels,
             },
             full,
         ))
@@ -150,18 +147,11 @@ impl Image {
         if (self.width, self.height) == (width, height) {
             return self;
         }
-        let sized = "three bytes a pixel, and the kind of pixels is the same";
-        let from =
-            Pixels::from_vec_u8(self.width, self.height, self.rgb, PixelType::U8x3).expect(sized);
-        let mut to = Pixels::new(width, height, PixelType::U8x3);
-        let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
-        Resizer::new()
-            .resize(&from, &mut to, &by_areas)
-            .expect(sized);
+        let from = [self.width, self.height];
         Self {
             width,
             height,
-            rgb: to.into_vec(),
+            rgb: resized(self.rgb, from, [width, height], 3, BY_AREA),
             full: self.full,
         }
     }

@@ -60,8 +60,9 @@ fn rings(cells: &BTreeSet<Place>) -> Vec<Vec<Place>> {
         loop {
             sides.remove(&(at, direction));
             at = beside(at, DIRECTIONS[direction]);
-            // Where four sides meet, a turn to the left stays with the cell.
-            let turns = [1, 0, 3].map(|turn| (at, (direction + turn) % 4));
+            // Where four sides meet, a turn to the right goes round a hole that begins there: it
+            // becomes a ring of its own, since none may touch itself.
+            let turns = [3, 0, 1].map(|turn| (at, (direction + turn) % 4));
             let next = turns
                 .into_iter()
                 .find(|side| *side == start || sides.contains(side));
@@ -130,6 +131,8 @@ mod tests {
                 prop_assert!(doubled(&rings[0]) > 0);
                 for ring in &rings {
                     prop_assert_eq!(ring.first(), ring.last());
+                    let corners: BTreeSet<&Place> = ring.iter().collect();
+                    prop_assert_eq!(corners.len(), ring.len() - 1);
                 }
                 for hole in &rings[1..] {
                     prop_assert!(doubled(hole) < 0);
