@@ -40,13 +40,11 @@ def test_a_plan_for_images_counts_no_pairs(valley):
     assert "depth map" not in plan._repr_html_().split("</svg>")[0]
 
 
-def test_settings_without_sense_are_refused(valley):
-    with pytest.raises(viewrank.SettingsError) as raised:
-        viewrank.plan(valley, backend="splat", points="1M")
-    assert "budget=" in raised.value.hint
-    with pytest.raises(viewrank.SettingsError) as raised:
-        viewrank.plan(valley, backend="openmvs", test_every=8)
-    assert "test_every=" in raised.value.hint
+def test_settings_without_sense_count_as_not_set(valley):
+    plan = viewrank.plan(valley, backend="splat", confidence="geometric", points="1M")
+    assert any("cut.points counts as not set" in warning for warning in plan.warnings)
+    plan = viewrank.plan(valley, backend="openmvs", confidence="geometric", test_every=8)
+    assert any("test_every counts as not set" in warning for warning in plan.warnings) and plan.settings.get("test_every") is None
     with pytest.raises(viewrank.SettingsError):
         viewrank.plan(valley, backend="splat", test_every=1)
 

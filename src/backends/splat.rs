@@ -97,7 +97,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     if !tests.is_empty() {
         record.way += &format!(", and {} for tests", tests.len());
     }
-    record.commands = commands(selection, &views, !tests.is_empty());
+    if without_images.is_none() {
+        record.commands = commands(selection, &views, !tests.is_empty());
+    }
     record.not_honoured = not_honoured(selection, &views, !tests.is_empty());
     record.note_own_scale(selection);
     record.fusion = "none".into();
@@ -118,8 +120,9 @@ fn add_models(
 ) -> Result<Option<String>, BackendError> {
     let (images, warning) = match selection.images(BACKEND.name) {
         Ok(images) => (Some(images), None),
-        Err(BackendError::Needs { what, hint, .. }) => {
-            let why = format!("images/ is left out, since the program needs {what}");
+        Err(BackendError::Needs { hint, .. }) => {
+            let why =
+                "the images are not there, so images/ is left out, and nothing can be trained yet";
             (None, Some(format!("{why}: {hint}, and export again")))
         }
         Err(error) => return Err(error),

@@ -14,12 +14,12 @@ use crate::{
     },
     daemon::{
         Line,
-        follow::Progress,
-        phase::{Phase, ProjectStatus},
+        follow::{Progress, progress_file},
+        phase::{Phase, ProjectStatus, STATUS_VERSION},
         read_status, status_file,
     },
     io::project::Project,
-    show::manifest::{PlannedMaps, planned_maps, planned_workspace},
+    show::manifest::{self, PlannedMaps, planned_maps, planned_workspace},
 };
 use clap::Args;
 use serde_json::json;
@@ -199,10 +199,18 @@ fn phase(progress: Progress) -> Phase {
 
 /// The status of a project that no daemon watches, as [`as_json`] gives that of a watched folder.
 fn alone(project: &Path, phase: Phase) -> serde_json::Value {
+    let written = [progress_file(project), project.join(manifest::FILE)];
+    let since = written.iter().find_map(|file| {
+        let modified = file.metadata().ok()?.modified().ok()?;
+        Some(modified.duration_since(UNIX_EPOCH).ok()?.as_secs())
+    });
     let mut own = serde_json::to_value(phase).expect("a phase is JSON");
     own["project"] = ".".into();
+    own["since"] = since.unwrap_or_default().into();
+    let root = dunce::canonicalize(project).unwrap_or_else(|_| project.into());
     json!({
-        "root": project.to_string_lossy(),
+        "version": STATUS_VERSION,
+        "root": root.to_string_lossy(),
         "running": false,
         "notices": [],
         "projects": [own],

@@ -168,6 +168,9 @@ impl fmt::Display for Phase {
     }
 }
 
+/// Version of the format of [`Status`].
+pub const STATUS_VERSION: u32 = 1;
+
 /// `ROOT/viewrank/status.json`: all projects of a root, for `viewrank status`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {

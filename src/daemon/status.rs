@@ -13,7 +13,7 @@ use tracing::warn;
 use super::{
     DaemonError,
     discover::{self, OUTPUT_FOLDER},
-    phase::{Phase, ProjectStatus, Status},
+    phase::{Phase, ProjectStatus, STATUS_VERSION, Status},
     platform::host,
     state::TrackedProject,
 };
@@ -317,7 +317,7 @@ impl RootStatus {
             .checked_sub(NOTICES + 1)
             .map(|n| format!("and {} more: see the log", n + 1));
         Status {
-            version: 1,
+            version: STATUS_VERSION,
             pid: std::process::id(),
             host: host(),
             notices: notices.iter().take(NOTICES).cloned().chain(more).collect(),

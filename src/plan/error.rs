@@ -49,15 +49,6 @@ pub enum PlanError {
     Backend(#[from] UnknownBackend),
     #[error(transparent)]
     Decision(DecisionError),
-    /// A limit of what is matched, for a program that matches nothing.
-    #[error("{backend} makes no depth maps, whose number {limit} could limit")]
-    NoMaps {
-        backend: &'static str,
-        limit: &'static str,
-    },
-    /// Images kept apart for tests, for a program that does not train on the others.
-    #[error("{0} makes depth maps, and keeps no images apart for tests")]
-    NoTests(&'static str),
     #[error(
         "the {stage} needs about {} of memory, but max_memory is {}",
         memory::readable(*need),
@@ -140,16 +131,6 @@ impl Hint for PlanError {
             Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
             Self::Decision(error) => return error.hint(),
-            Self::NoMaps { limit, .. } => Advice::text("leave ")
-                .set(limit)
-                .and(" out, and limit the images: ")
-                .set_to("cut.budget", "25%")
-                .and(" or ")
-                .set_to("cut.target", "80%"),
-            Self::NoTests(_) => Advice::text("leave ")
-                .set("test_every")
-                .and(" out, or plan for images: ")
-                .set_to("backends", "splat"),
             Self::PilotMaps(_) => {
                 Advice::text("give the folder of finished small maps (viewrank pilot makes their list): ")
                     .set("pilot.maps")
@@ -200,7 +181,7 @@ impl Hint for PlanError {
 
     fn is_usage(&self) -> bool {
         match self {
-            Self::OtherImages { .. } | Self::NoMaps { .. } | Self::NoTests(_) => true,
+            Self::OtherImages { .. } => true,
             Self::Decision(error) => error.is_usage(),
             Self::Project(error) => error.is_usage(),
             Self::Backend(error) => error.is_usage(),

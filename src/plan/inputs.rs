@@ -31,6 +31,8 @@ pub(super) struct Inputs<'a> {
     pub own_size: bool,
     /// True if maps of half the size were requested, but the backend supports only one size.
     pub refused_half: bool,
+    /// Keys of settings that mean nothing for the backend, and count as not set.
+    pub unfit: Vec<&'static str>,
     pub scene: Scene,
     pub points: ViewPoints,
     /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
@@ -65,7 +67,7 @@ impl<'a> Inputs<'a> {
         matcher: &'a Matcher,
         timings: &mut Timings,
     ) -> Result<Self, PlanError> {
-        refuse_unfit(settings, matcher)?;
+        let unfit = unfit(settings, matcher);
         let given_units = settings.units;
         let own_size = settings.image_scale.is_none();
         let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
@@ -109,6 +111,7 @@ impl<'a> Inputs<'a> {
             settings,
             own_size,
             refused_half,
+            unfit,
             pictures: PictureFolders::new(project).without(&without_image),
             mask_bytes: OnceLock::new(),
             scene,
@@ -157,21 +160,25 @@ impl<'a> Inputs<'a> {
     }
 }
 
-/// Returns an error if a setting has no sense for the program: limits of maps where none are made,
-/// or tests where nothing is trained.
-fn refuse_unfit(settings: &Settings, matcher: &Matcher) -> Result<(), PlanError> {
-    let backend = matcher.name;
-    let limits = [
-        ("cut.time", settings.cut.time.is_some()),
-        ("cut.points", settings.cut.points.is_some()),
+/// Keys of the settings that mean nothing for the program: limits of maps where none are made, or
+/// tests where nothing is trained.
+fn unfit(settings: &Settings, matcher: &Matcher) -> Vec<&'static str> {
+    let keys = [
+        (
+            "cut.time",
+            settings.cut.time.is_some() && !matcher.makes_maps,
+        ),
+        (
+            "cut.points",
+            settings.cut.points.is_some() && !matcher.makes_maps,
+        ),
+        (
+            "test_every",
+            settings.test_every.is_some() && matcher.makes_maps,
+        ),
     ];
-    match limits.into_iter().find(|(_, is_set)| *is_set) {
-        Some((limit, _)) if !matcher.makes_maps => Err(PlanError::NoMaps { backend, limit }),
-        _ if matcher.makes_maps && settings.test_every.is_some() => {
-            Err(PlanError::NoTests(backend))
-        }
-        _ => Ok(()),
-    }
+    let unfit = keys.into_iter().filter(|(_, is_unfit)| *is_unfit);
+    unfit.map(|(key, _)| key).collect()
 }
 
 /// Returns an error if the image folder that the user has set holds no image of the scene.
@@ -228,6 +235,11 @@ fn in_force(
         all.coverage.min_cameras = 2;
     }
     let cut = &mut all.cut;
+    if matcher.makes_maps {
+        all.test_every = None;
+    } else {
+        (cut.time, cut.points) = (None, None);
+    }
     if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
         cut.target.get_or_insert(Share(DEFAULT_TARGET));
     }

@@ -57,6 +57,6 @@ impl PilotMaps {
             let depth = |at| map.interpolated(camera, &at, SAME_SURFACE);
             Ok(PilotMap::made_by_program(scene, cluster.key, depth))
         };
-        depthmaps::in_parallel(clusters, scene, read)
+        depthmaps::in_parallel(clusters, |cluster| Some(cluster.key), scene, read)
     }
 }

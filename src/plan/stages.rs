@@ -48,6 +48,8 @@ pub struct Stages {
     pub makes_maps: bool,
     /// True if maps of half the size were requested, but the backend supports only one size.
     pub refused_half: bool,
+    /// Keys of settings that mean nothing for the backend, and count as not set.
+    pub unfit: Vec<&'static str>,
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
     /// Median ground sampling distance of the model's images, scene units per pixel; `None` without
@@ -245,6 +247,7 @@ impl Found {
             mixes_sizes: inputs.matcher.mixes_sizes,
             makes_maps: inputs.matcher.makes_maps,
             refused_half: inputs.refused_half,
+            unfit: inputs.unfit,
             backend: inputs.matcher.name,
             image_gsd: inputs.image_gsd,
             place: inputs.place,

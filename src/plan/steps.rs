@@ -64,8 +64,7 @@ impl Step for TwinsStep<'_> {
 }
 
 /// Returns the surface, and the candidate partners of each view within the gate, among pairs that
-/// the backend can match, that have images and are neither set
-/// aside nor kept for tests.
+/// the backend can match, that have images and are neither set aside nor kept for tests.
 pub(super) fn surface_and_candidates(
     inputs: &Inputs,
     twins: &[Twin],
@@ -165,7 +164,9 @@ pub(super) fn region(
     run.timings.time(Stage::Visibility, || {
         let frame = MapFrame::new(&inputs.scene, inputs.settings.surface.up);
         let twins = twins.iter().map(|twin| twin.view);
-        let mut left_out: Vec<ViewIndex> = inputs.left_out().into_iter().chain(twins).collect();
+        // Images kept for tests are photographs all the same.
+        let missing = inputs.without_image.iter().copied();
+        let mut left_out: Vec<ViewIndex> = missing.chain(twins).collect();
         left_out.sort_unstable();
         let triangles = seen.surface.triangles.len();
         let views = seen.visibility.views_of_triangles(triangles, &left_out);

@@ -42,6 +42,7 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(no_3d_surface(stages));
     warnings.extend(without_effect(stages));
     warnings.extend(one_size(stages));
+    warnings.extend(unfit(stages));
     warnings.extend(single_partner(stages));
     if stages.makes_maps {
         warnings.extend(little_fulfilled(ranking));
@@ -103,6 +104,22 @@ fn one_size(stages: &Stages) -> Option<String> {
         format!(
             "{} matches all key views at one size: ranking.scales counts as [1] (`viewrank backends NAME` says which programs match at two)",
             stages.backend
+        )
+    })
+}
+
+/// Warns of settings that mean nothing for the backend.
+fn unfit(stages: &Stages) -> Option<String> {
+    let makes = if stages.makes_maps {
+        "makes depth maps"
+    } else {
+        "makes no depth maps"
+    };
+    (!stages.unfit.is_empty()).then(|| {
+        format!(
+            "{} {makes}: {} counts as not set",
+            stages.backend,
+            stages.unfit.join(", ")
         )
     })
 }

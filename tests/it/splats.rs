@@ -146,23 +146,44 @@ fn all_numbers_of_a_plan_for_images_are_of_what_they_draw() {
 }
 
 #[test]
-fn limits_of_depth_maps_are_refused_for_images_and_tests_for_depth_maps() {
+fn limits_of_depth_maps_mean_nothing_for_images_nor_tests_for_depth_maps() {
     let folder = project();
     let folder = folder.path().to_str().unwrap();
-    for (options, word) in [
+    for (options, key) in [
         (["--backend", "splat", "--points", "1M"], "cut.points"),
         (["--backend", "images", "--time", "2h"], "cut.time"),
-        (["--backend", "openmvs", "--test-every", "8"], "for tests"),
-        (["--backend", "splat", "--test-every", "1"], "at least 2"),
-        (
-            ["--backend", "splat", "--test-every", "few"],
-            "whole number",
-        ),
+        (["--backend", "openmvs", "--test-every", "8"], "test_every"),
     ] {
-        let (code, said) = failure(&[&["plan", folder], &options[..]].concat());
+        let with = printed(
+            &[
+                &["plan", folder, "--dry-run", "--format", "json"],
+                &options[..],
+            ]
+            .concat(),
+        );
+        let with: Value = serde_json::from_str(&with).unwrap();
+        let warnings = with["warnings"].to_string();
+        assert!(
+            warnings.contains(&format!("{key} counts as not set")),
+            "{options:?}: {warnings}"
+        );
+        let without = printed(&[
+            "plan",
+            folder,
+            "--dry-run",
+            "--format",
+            "json",
+            options[0],
+            options[1],
+        ]);
+        let without: Value = serde_json::from_str(&without).unwrap();
+        assert_eq!(with["cut"], without["cut"]);
+    }
+    for (every, word) in [("1", "at least 2"), ("few", "whole number")] {
+        let (code, said) = failure(&["plan", folder, "--backend", "splat", "--test-every", every]);
         assert!(
             code == 2 && said.contains(word) && said.contains("hint: "),
-            "{options:?}: {said}"
+            "{said}"
         );
     }
 }

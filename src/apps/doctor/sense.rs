@@ -319,7 +319,7 @@ fn missing(inputs: &Inputs) -> Option<Finding> {
         );
         let candidates = |view| images.candidates_for(inputs.scene.name(view));
         let of_two = if views.iter().any(|&view| candidates(view).is_some()) {
-            "; where two files fit a name, move one away, or name the folder of the other with --images"
+            "; where two files fit a name, move one of them out of the folder"
         } else {
             ""
         };

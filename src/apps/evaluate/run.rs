@@ -244,6 +244,7 @@ impl EvaluationInput<'_> {
         watcher.progress(Stage::Evaluate, 0, all);
         depthmaps::in_parallel(
             found,
+            |map| Some(map.cluster.key),
             self.model.scene,
             |FoundMap { cluster, file, .. }| {
                 watcher.check()?;

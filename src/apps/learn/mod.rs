@@ -124,7 +124,12 @@ impl Lesson<'_> {
         };
         let mut maps: Vec<&DepthMapFile> = self.maps.iter().collect();
         maps.sort_by_key(|map| self.model.scene.name(map.view));
-        depthmaps::in_parallel(&maps, self.model.scene, |map| of_map(map))
+        depthmaps::in_parallel(
+            &maps,
+            |map| Some(map.view),
+            self.model.scene,
+            |map| of_map(map),
+        )
     }
 
     /// The triangles of a map that enough cameras see, if all their pictures were compared.

@@ -314,6 +314,7 @@ fn look(
         .iter()
         .map(|file| (plan.stages.scene.name(file.view), file))
         .collect();
+    let view = |(key, ..): &(String, Vec<String>, MapScale)| plan.stages.scene.find(key);
     let check = |(key, partners, _): &(String, Vec<String>, MapScale)| {
         watcher.check()?;
         let file = file_of
@@ -330,8 +331,12 @@ fn look(
             .found()
         }))
     };
-    let found: Vec<Option<MapVerdict>> =
-        depthmaps::in_parallel::<_, _, Cancelled>(&earlier.clusters, &plan.stages.scene, check)?;
+    let found: Vec<Option<MapVerdict>> = depthmaps::in_parallel::<_, _, Cancelled>(
+        &earlier.clusters,
+        view,
+        &plan.stages.scene,
+        check,
+    )?;
     // Includes views without partners in the earlier plan: earlier findings on their maps still
     // hold.
     let keys: BTreeSet<&str> = earlier.keys().collect();

@@ -118,23 +118,22 @@ impl Work<'_> {
         let verdict = if result.target_reached {
             "the target is reached".to_owned()
         } else if result.stopped {
-            format!("stopped; {}", self.arguments.go_on())
+            "stopped".to_owned()
         } else if result.failed > 0 {
-            let again = self.arguments.again(self.arguments.target.as_deref());
-            format!("{} failed; to try again: {again}", result.failed)
+            format!("{} failed", result.failed)
         } else if result.tasks == self.plan.clusters.len() {
             ALL_DONE.to_owned()
         } else if self.arguments.budget.is_some() || target.is_none() {
             "the budget is spent; raise --budget for more".to_owned()
-        } else if let Some(higher) = higher {
-            let again = self.arguments.again(Some(&higher));
-            format!("the list is done below the target; for more: {again}")
+        } else if higher.is_some() {
+            "the list is done below the target".to_owned()
         } else {
             ALL_DONE.to_owned()
         };
         let result_line = format!("{}; {verdict}.", result.in_words());
         let mut lines = vec![String::new()];
         lines.extend(wrapped("", &result_line));
+        lines.extend(self.next(result, higher.as_deref()));
         if let Some(cloud) = &result.cloud {
             lines.push(format!("Point cloud: {}", cloud.display()));
         }
@@ -142,6 +141,20 @@ impl Work<'_> {
             lines.push(format!("Report: {}", report.display()));
         }
         lines
+    }
+
+    /// The command to type next, on a line of its own. `higher`: target for more than the list.
+    fn next(&self, result: &RunSummary, higher: Option<&str>) -> Option<String> {
+        if result.stopped {
+            Some(self.arguments.go_on())
+        } else if result.failed > 0 {
+            Some(format!("to try again: {}", self.again()))
+        } else if result.target_reached || self.arguments.budget.is_some() {
+            None
+        } else {
+            let higher = higher.filter(|_| result.tasks < self.plan.clusters.len())?;
+            Some(format!("for more: {}", self.arguments.again(Some(higher))))
+        }
     }
 }
 

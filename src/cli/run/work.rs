@@ -311,7 +311,11 @@ impl<'a> Work<'a> {
             Format::Text => print(self.describe(&result))?,
         }
         if ended == Ended::Stopped {
-            return Err(Failure::already_printed(Exit::Failed));
+            return Err(if self.arguments.is_silent() {
+                self.stopped().behind_result()
+            } else {
+                Failure::already_printed(Exit::Failed)
+            });
         }
         match self.failed.len() {
             0 => Ok(()),
@@ -331,7 +335,7 @@ impl<'a> Work<'a> {
     }
 
     /// Returns the command that continues.
-    fn again(&self) -> String {
+    pub(super) fn again(&self) -> String {
         self.arguments.again(self.arguments.target.as_deref())
     }
 

@@ -245,7 +245,14 @@ impl WrittenPlan {
             Some(Budget::Views(share)) if self.settings.ranking.has_half() => {
                 self.work.partition_point(|&work| work <= share.0)
             }
-            Some(budget) => budget.clusters(self.scene.views.len()),
+            Some(budget) => {
+                let tests = self
+                    .settings
+                    .test_every
+                    .map(|n| self.scene.every_nth_view(n));
+                let kept_apart = tests.map_or(0, Iterator::count);
+                budget.clusters(self.scene.views.len() - kept_apart)
+            }
             None => all,
         };
         let by_target = target.map_or(all, |target| {

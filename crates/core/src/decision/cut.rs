@@ -97,7 +97,10 @@ pub fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, DecisionError> {
             Budget::Views(share) if cost.options.has_half => {
                 longest_within(end.0, share.0, |rank| Ok(cost.work(rank)))?
             }
-            budget => budget.clusters(cost.model.scene.views.len()),
+            budget => {
+                let kept_apart = cost.tables.kept_for_tests.len();
+                budget.clusters(cost.model.scene.views.len() - kept_apart)
+            }
         };
         end = sooner(end, length, CutLimit::Budget);
     }

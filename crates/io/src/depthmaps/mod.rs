@@ -22,7 +22,10 @@ use viewrank_core::{
         error::{Advice, Hint},
         pixels::PixelBound,
     },
-    model::{camera::Camera, scene::Scene},
+    model::{
+        camera::Camera,
+        scene::{Scene, ViewIndex},
+    },
 };
 
 use crate::input::{self, FileKind};
@@ -392,25 +395,38 @@ pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, Dept
 }
 
 /// Bytes of the depth maps that are in memory at once.
-const AT_ONCE: u64 = 1 << 30;
-/// Bytes per pixel of a map while it is compared: its depths, those of a reference, and what comes
-/// of it.
-const COMPARED_PIXEL: u64 = 10;
+const AT_ONCE: u64 = 1 << 32;
+/// Bytes per pixel of a map while it is compared: its depths, those of a reference, what comes of
+/// it, and the surface in front.
+const COMPARED_PIXEL: u64 = 22;
 
-/// Maps `work` over items that each read a depth map of a view, in order, on as many threads as
-/// there is memory for maps of the scene's largest camera.
+/// Maps `work` over items that each read the depth map of a view, in order, on as many threads as
+/// there are maps of their cameras in [`AT_ONCE`]. A map of any size may be behind a name.
 pub fn in_parallel<A: Sync, R: Send, E: Send>(
-    items: &[A],
+    mut items: &[A],
+    view_of: impl Fn(&A) -> Option<ViewIndex>,
     scene: &Scene,
     work: impl Fn(&A) -> Result<R, E> + Sync + Send,
 ) -> Result<Vec<R>, E> {
-    let pixels = |camera: &Camera| camera.most_map_pixels().pixels();
-    let largest = scene.cameras.iter().map(pixels).max().unwrap_or(1);
-    let maps = usize::try_from(AT_ONCE / (COMPARED_PIXEL * largest)).unwrap_or(usize::MAX);
+    let bytes = |item: &A| {
+        let camera = view_of(item).map(|view| scene.camera_of(view));
+        camera.map_or(0, |camera| {
+            COMPARED_PIXEL * camera.most_map_pixels().pixels()
+        })
+    };
     let mut results = Vec::with_capacity(items.len());
-    for part in items.chunks(maps.max(1)) {
+    while !items.is_empty() {
+        let mut left = AT_ONCE;
+        let fits = |item: &&A| {
+            let rest = left.checked_sub(bytes(item));
+            left = rest.unwrap_or_default();
+            rest.is_some()
+        };
+        let number = items.iter().take_while(fits).count().max(1);
+        let (part, rest) = items.split_at(number);
         let done: Result<Vec<R>, E> = part.par_iter().map(&work).collect();
         results.extend(done?);
+        items = rest;
     }
     Ok(results)
 }

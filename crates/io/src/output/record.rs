@@ -20,7 +20,7 @@ use crate::input::{self, FileKind};
 /// Folder of the records, relative to the root.
 pub(super) const FOLDER: &str = "viewrank/.sets";
 /// Bytes of all records together: those of exports of 100,000 images have 13 MB.
-const MOST_BYTES: u64 = 1 << 26;
+const MOST_BYTES: u64 = 1 << 27;
 /// Files with this prefix are viewrank's, whoever recorded them.
 const OWN: &str = "viewrank/";
 
@@ -63,9 +63,14 @@ impl<'a> Records<'a> {
         let records = names.into_iter().filter_map(|name| {
             let name = name.to_str()?.strip_suffix(".json")?.to_owned();
             let file = root.file(&format!("{FOLDER}/{name}.json")).ok()?;
-            left = left.checked_sub(file.metadata().ok()?.len())?;
+            let length = file
+                .metadata()
+                .ok()
+                .filter(|found| found.len() <= left)?
+                .len();
             let bytes = input::read_all(file, FileKind::Record).ok()?;
             let record: Record = serde_json::from_slice(&bytes).ok()?;
+            left -= length;
             let sound = record
                 .files
                 .keys()

@@ -86,6 +86,16 @@ impl ImageFolder {
         self.others.get()?.ambiguous.get(name)
     }
 
+    /// The files of all [`Self::candidates_for`].
+    pub fn candidates(&self) -> impl Iterator<Item = &str> {
+        let ambiguous = self
+            .others
+            .get()
+            .into_iter()
+            .flat_map(|others| others.ambiguous.values());
+        ambiguous.flatten().map(String::as_str)
+    }
+
     /// The name with the extension of its file, which programs may go by.
     pub fn name_of_kind(&self, name: &str) -> String {
         let extension = |name: &str| Some(Path::new(name).extension()?.to_str()?.to_owned());

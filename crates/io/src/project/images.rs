@@ -474,7 +474,8 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .iter()
         .map(|view| &*view.name)
         .chain(scene.left_out.iter().map(String::as_str))
-        .chain(folder.other_names().map(|(_, file)| file));
+        .chain(folder.other_names().map(|(_, file)| file))
+        .chain(folder.candidates());
     let registered: HashSet<PathBuf> = names.map(|name| normal(Path::new(name))).collect();
     images_below(folder, |name| {
         !registered.contains(name) && !name.starts_with(MASKS)

@@ -69,8 +69,12 @@ impl<'a> ThinnedMaps<'a> {
                 map: thinned(map, most),
             })
         };
-        let maps: Vec<Thinned> =
-            depthmaps::in_parallel::<_, _, EvaluateError>(&files, scene, read)?;
+        let maps: Vec<Thinned> = depthmaps::in_parallel::<_, _, EvaluateError>(
+            &files,
+            |file| Some(file.view),
+            scene,
+            read,
+        )?;
         let others = (0..maps.len()).into_par_iter().map(|one| {
             let shows = |&other: &u32| {
                 other as usize != one && maps[other as usize].shows_some_of(&maps[one])

@@ -262,6 +262,8 @@ fn shown(
     entries
         .iter_mut()
         .for_each(|entry| entry.left /= whole as f32);
+    // All views' entries are held at once.
+    entries.shrink_to_fit();
     entries
 }
 
