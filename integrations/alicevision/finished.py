@@ -3,14 +3,45 @@
 import os
 import sys
 
-# The folder may be a stranger's: a json.py that he put there is not imported.
-sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
+if __name__ == "__main__":
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
 
 import json
+import stat
 from pathlib import Path
 
+# Of the scene, of which most are the points.
+MOST_BYTES_OF_A_RECORD = 1 << 30
+
+
+def read_record(path):
+    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read."""
+    found = path.lstat()
+    if not stat.S_ISREG(found.st_mode) or found.st_size > MOST_BYTES_OF_A_RECORD:
+        sys.exit(f"error: {path}: a link, not a file, or longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so not of viewrank's; move it away")
+    return path.read_text(encoding="utf-8", errors="surrogateescape")
+
+
 folder = Path(__file__).resolve().parent
-scene = json.loads((folder / "keys.sfm").read_text(encoding="utf-8"))
+if not (folder / "keys.sfm").exists():
+    sys.exit(f"error: no {folder / 'keys.sfm'}: export again")
+scene = json.loads(read_record(folder / "keys.sfm"))
 scene["views"] = [view for view in scene["views"] if (folder / f"depthMaps/{view['viewId']}_depthMap.exr").is_file()]
 ids = {view["viewId"] for view in scene["views"]}
 if not ids:

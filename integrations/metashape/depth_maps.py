@@ -11,9 +11,24 @@ is done.
 import os
 import sys
 
-# The folder may be untrusted: a json.py in it, or in the current folder, is not imported.
-_HERE = {os.path.realpath(os.path.dirname(os.path.abspath(__file__))), os.path.realpath(os.curdir)}
-sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in _HERE]
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
+if __name__ == "__main__":
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
 
 import json
 
@@ -23,8 +38,10 @@ COPY = " (viewrank)"
 
 
 def main():
-    here = os.path.dirname(os.path.abspath(__file__))
-    with open(os.path.join(here, "clusters.json"), encoding="utf-8") as file:
+    path = os.path.join(os.path.dirname(os.path.abspath(__file__)), "clusters.json")
+    if os.path.islink(path) or not os.path.isfile(path):
+        sys.exit(f"error: {path}: not the list that viewrank wrote; export again")
+    with open(path, encoding="utf-8") as file:
         clusters = json.load(file)
     document = Metashape.Document()
     document.open(sys.argv[1])
@@ -38,15 +55,10 @@ def main():
         camera.enabled = camera.key in enabled
     copy.buildDepthMaps(downscale=int(clusters["downscale"]), filter_mode=Metashape.MildFiltering, cameras=keys, reuse_depth=False, max_neighbors=clusters["max_neighbors"])
     document.save()
-    print(f"{len(keys)} depth maps in the chunk {shown(copy.label)}")
+    print(f"{len(keys)} depth maps in the chunk {copy.label}")
     build = getattr(copy, "buildPointCloud", None) or copy.buildDenseCloud
     build()
     document.save()
-
-
-def shown(text):
-    """Text that may be a stranger's, without what a terminal would obey."""
-    return "".join(sign if sign.isprintable() else "?" for sign in text)
 
 
 def chosen_chunk(document, label):
@@ -74,7 +86,7 @@ def find(chunk, names):
         if len(cameras) == 1:
             found.append(cameras[0])
         else:
-            wrong.append(f"{shown(name)}: {len(cameras)} cameras")
+            wrong.append(f"{name}: {len(cameras)} cameras")
     if wrong:
         sys.exit("error: labels that are not found or not unique:\n  " + "\n  ".join(wrong))
     return found

@@ -7,12 +7,29 @@ those whose camera has changed since this script first saw them (fuse/seen.json)
 import os
 import sys
 
-# The folder may be a stranger's: a json.py that he put there is not imported.
-sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
+if __name__ == "__main__":
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
 
 import contextlib
 import json
 import shutil
+import stat
 from array import array
 from pathlib import Path
 
@@ -20,6 +37,18 @@ folder = Path(__file__).resolve().parent
 
 # Maps that the fusion compares with one: the best of those that are finished.
 FUSED_WITH = 24
+MOST_BYTES_OF_A_RECORD = 32 << 20
+
+
+def read_record(path):
+    """Text of a list or a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read. Empty where there is none."""
+    try:
+        found = path.lstat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > MOST_BYTES_OF_A_RECORD:
+            sys.exit(f"error: {path}: a link, not a file, or longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so not of viewrank's; move it away")
+        return path.read_text(encoding="utf-8", errors="surrogateescape")
+    except FileNotFoundError:
+        return ""
 
 
 def opened(path):
@@ -82,7 +111,7 @@ def resize(path, to, wide, high):
 def own_folder(path):
     """A folder of this script; a link in its place would lead somewhere else."""
     if path.is_symlink():
-        sys.exit(f"error: {ascii(str(path))}: a link in place of a folder of this script; move it away")
+        sys.exit(f"error: {path}: a link in place of a folder of this script; move it away")
     path.mkdir(exist_ok=True)
     return path
 
@@ -112,17 +141,15 @@ def place(view, size):
 
 def seen_now(view):
     """The time of a map, and the camera that it has now, without the range of depths."""
-    lines = (folder / f"cams/{int(view):08}_cam.txt").read_text().splitlines()
+    lines = read_record(folder / f"cams/{int(view):08}_cam.txt").splitlines()
     return [(folder / f"depths/depth_est/{int(view):08}.pfm").stat().st_mtime_ns, " ".join(lines[:10])]
 
 
 def seen_before():
     try:
-        if not (fuse / "seen.json").is_file():
-            return {}
-        seen = json.loads((fuse / "seen.json").read_text())
+        seen = json.loads(read_record(fuse / "seen.json"))
         return {key: [time, camera] for key, (time, camera) in seen.items() if isinstance(time, int) and isinstance(camera, str)}
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+    except (ValueError, TypeError, AttributeError, RecursionError):
         return {}
 
 
@@ -141,10 +168,10 @@ if not (folder / "sizes.txt").exists():
 fuse = own_folder(folder / "fuse")
 # Of each key view the size in which its map is fused, then the other.
 sizes = {}
-for view, *sides in map(str.split, (folder / "sizes.txt").read_text().splitlines()):
+for view, *sides in map(str.split, read_record(folder / "sizes.txt").splitlines()):
     width, height, *other = map(int, sides)
     sizes[view] = ((width, height), tuple(other))
-lines = (folder / "pair_fuse.txt").read_text().splitlines()[1:]
+lines = read_record(folder / "pair_fuse.txt").splitlines()[1:]
 lists = {key: line.split()[1:] for key, line in zip(lines[::2], lines[1::2])}
 found = {key: size for key in lists for size in [finished_size(key)] if size}
 before = seen_before()

@@ -21,9 +21,24 @@ ranges are read from the .dmap files. fused.ply and fused.mvs are replaced when 
 import os
 import sys
 
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
 if __name__ == "__main__":
-    # The folder may be a stranger's: a json.py that he put there is not imported.
-    sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
 
 import argparse
 import array
@@ -41,6 +56,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 FILLED_LEAST = 0.01  # share of pixels with a depth below which a map counts as empty
+MOST_BYTES_OF_A_RECORD = 32 << 20
 NO_POSE = 0xFFFFFFFF  # DensifyPointCloud passes over such images and does not load them
 # Kinds of .dmap by their first letters: bytes of the head, and bytes per pixel of the planes of depths, normals, confidences and views. OpenMVS v2.0 to v2.4.0 writes DR, in
 # floats; develop of 2026 D2, with depths as halves and confidences as bytes. It reads only maps of the kind that it writes.
@@ -60,7 +76,7 @@ SHORT = {"w": "working-folder", "i": "input-file", "o": "output-file", "p": "poi
 def main():
     args = arguments()
     refuse_strangers()
-    run = json.loads((HERE / "run.json").read_text(encoding="utf-8"))
+    run = json.loads(read_record(HERE / "run.json") or sys.exit(f"error: no {HERE / 'run.json'}: export again"))
     refuse_other_pictures(run.get("pictures", {}))
     program = Densify(args.densify, run, args.threads, args.options)
     report = Report(program.options)
@@ -93,9 +109,9 @@ def refuse_strangers():
     """Ends where anything here is neither a file nor a folder: it would be followed out of this folder, or a pipe waited for. links.txt lists the links that viewrank made;
     those of a run are in its folder below unfinished/. Links to folders or pipes are refused, too: viewrank links pictures alone, one of which may be missing."""
     listed = HERE / "links.txt"
-    if listed.is_symlink() or not listed.is_file():
-        sys.exit(f"error: {listed}: not the list that viewrank wrote; export again")
-    links = set(listed.read_text(encoding="utf-8", errors="surrogateescape").split("\n"))
+    if not listed.exists():
+        sys.exit(f"error: no {listed}: export again")
+    links = set(read_record(listed).split("\n"))
     for folder, folders, files in os.walk(HERE, onerror=refuse_unlisted):
         is_of_a_run = Path(folder).parent == UNFINISHED
         for name in [*folders, *files]:
@@ -113,13 +129,20 @@ def refuse_unlisted(error):
         sys.exit(f"error: {ascii(error.filename)}: {error.strerror}")
 
 
-def shown(text):
-    """Text that may have names of strangers in it, without what a terminal would obey."""
-    return "".join(sign if sign.isprintable() else "?" for sign in text)
+def read_record(path):
+    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read. Empty where there is none."""
+    try:
+        found = path.lstat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > MOST_BYTES_OF_A_RECORD:
+            sys.exit(f"error: {path}: a link, not a file, or longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so no record of viewrank's\nhint: move it away")
+        return path.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError:  # another run was faster
+        return ""
 
 
 def say(text):
-    print(shown(text), flush=True)
+    """Prints one line: no name in it begins another."""
+    print(text.replace("\n", "?"), flush=True)
 
 
 def at_full_size(row, program, report):
@@ -187,8 +210,8 @@ def stop_rule(args):
 
 def target_reached(path):
     try:
-        return json.loads(path.read_text(encoding="utf-8")).get("target_reached") is True
-    except (OSError, ValueError, AttributeError, RecursionError):
+        return json.loads(read_record(path)).get("target_reached") is True
+    except (ValueError, AttributeError, RecursionError):
         return False
 
 
@@ -236,8 +259,8 @@ class Densify:
         found = os.stat(self.program)
         self.identity = f"{os.path.realpath(self.program)} {found.st_size} {found.st_mtime_ns}"
         self.kinds = {}  # of the maps of each program that made one here
-        with contextlib.suppress(OSError, ValueError, AttributeError, RecursionError):
-            self.kinds = {name: kind for name, kind in json.loads(KINDS_NOTED.read_text(encoding="utf-8")).items() if kind in ("DR", "D2")}
+        with contextlib.suppress(ValueError, AttributeError, RecursionError):
+            self.kinds = {name: kind for name, kind in json.loads(read_record(KINDS_NOTED)).items() if kind in ("DR", "D2")}
 
     def note_kind(self, kind):
         if self.kinds.get(self.identity) != kind:
@@ -295,7 +318,7 @@ class Densify:
                 log.unlink()
         refused = next((line for line in lines_of(done) if done.returncode != 0 and "option '" in line), None)
         if refused:
-            sys.exit(f"error: DensifyPointCloud refuses the options: {shown(refused)}")
+            sys.exit(f"error: DensifyPointCloud refuses the options: {refused}")
         return done
 
 
@@ -337,7 +360,7 @@ def compute(row, program, report):
         if done.returncode != 0 or not made.exists():
             result["problems"].append(last_words(done))
         report.add(row, result)
-        if is_whole(made) and not map_of(row).exists():  # to be looked at
+        if is_whole(made, row["size"]) and not map_of(row).exists():  # to be looked at
             made.replace(map_of(row))
 
 
@@ -373,7 +396,7 @@ def check(row, path):
     if not path.exists():
         return {"problems": ["no depth map"], "partner_ids": [], "filled": 0.0}
     try:
-        found = read_map(path)
+        found = read_map(path, row["size"])
     except Newer:
         raise
     except (OSError, struct.error, ValueError) as error:
@@ -397,10 +420,10 @@ class Newer(ValueError):
     """A map of a kind that came after this script."""
 
 
-def read_map(path):
+def read_map(path, most):
     """Head of a .dmap and the share of its pixels that have a depth."""
     with open(path, "rb") as file:
-        head = read_head(file)
+        head = read_head(file, most)
         width, height = head["size"]
         filled = 0
         for _ in range(height):
@@ -411,8 +434,8 @@ def read_map(path):
     return {**head, "filled": filled / max(1, width * height)}
 
 
-def read_head(file):
-    """Head of a .dmap that is whole; ValueError and struct.error otherwise."""
+def read_head(file, most):
+    """Head of a .dmap that is whole and not larger than `most`, width and height; ValueError and struct.error otherwise."""
     head = file.read(28)
     kind, bits = head[:2], head[2] if len(head) > 2 else 1
     # Each bit of the type of DR is a plane; D2 also has bits that say how it was made.
@@ -431,11 +454,14 @@ def read_head(file):
         raise ValueError(f"{count} images")
     ids = struct.unpack(f"<{count}I", file.read(4 * count))
     file.read(21 * 8)
-    if not (width and height):
-        raise ValueError("no pixels")
+    if not (width and height and bits & 1):
+        raise ValueError("no depths")
+    wide, high = (side + 1 for side in most)  # programs round up
+    if max(width, height) > max(wide, high) or width * height > wide * high:
+        raise ValueError(f"{width} x {height} pixels, more than the image has")
     if file.tell() + planes * width * height > os.fstat(file.fileno()).st_size:
         raise ValueError("cut off")
-    return {"kind": kind.decode(), "ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height]}
+    return {"bytes": planes * width * height, "kind": kind.decode(), "ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height]}
 
 
 def kind_of(path):
@@ -447,8 +473,8 @@ def enlarged(path, size):
     """Bytes of a .dmap with each pixel repeated to a larger size. Its confidences fall as those of a match do whose deviation is twice as large, so that fusion averages finer maps
     with four times the weight."""
     with open(path, "rb") as file:
-        head = read_head(file)
-        start, planes = file.tell(), file.read()
+        head = read_head(file, size)
+        start, planes = file.tell(), file.read(head["bytes"])
     (width, height), (wide, high) = head["size"], size
     columns = [min(x * width // wide, width - 1) for x in range(wide)]
     rows = [min(y * height // high, height - 1) for y in range(high)]
@@ -484,10 +510,10 @@ def of_doubled_deviation(plane, head):
     return plane.translate(bytes(min(255, round(lowered(byte * unit) / unit)) for byte in range(256)))
 
 
-def is_whole(path):
+def is_whole(path, most):
     try:
         with open(path, "rb") as file:
-            read_head(file)
+            read_head(file, most)
     except (OSError, struct.error, ValueError):
         return False
     return True
@@ -511,8 +537,8 @@ class Report:
         self.path = HERE / "report.json"
         self.rows = {}
         for path in (self.path, *sorted((HERE / "rows").glob("*.json"))):
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-                found = json.loads(path.read_text(encoding="utf-8"))
+            with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                found = json.loads(read_record(path))
                 self.rows.update({row["key"]: row for row in [*found.get("older", []), *found["clusters"]] if is_row(row)})
         self.older = []
         self.options = options
@@ -528,17 +554,17 @@ class Report:
 
     def is_good(self, row, digest):
         """Is its map there, whole and as planned?"""
-        return self.has(row, digest) and not self.rows[row["key"]]["problems"] and is_whole(map_of(row))
+        return self.has(row, digest) and not self.rows[row["key"]]["problems"] and is_whole(map_of(row), row["size"])
 
     def settle(self, row, checked=None):
         """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between. What is not as planned stays where it is, as the
         folder may be a stranger's. `checked`: the folder of a map that is known to be as planned."""
         for note in UNFINISHED.glob(f"{row['id']:04d}-*/row.json"):
             made = note.parent / map_of(row).name
-            if note.is_symlink() or made.is_symlink():
+            if made.is_symlink():
                 sys.exit(f"error: {ascii(str(note.parent))}: not made by this script; move it away")
             with contextlib.suppress(FileNotFoundError, ValueError, RecursionError):  # another run was faster; not a row
-                result = json.loads(note.read_text(encoding="utf-8"))
+                result = json.loads(read_record(note))
                 if not is_row(result) or result["key"] != row["key"]:
                     continue
                 if note.parent != checked and check(row, made if made.exists() else map_of(row))["problems"]:

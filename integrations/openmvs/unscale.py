@@ -7,8 +7,24 @@ Binary little-endian PLY; everything else in the file stays as it is.
 import os
 import sys
 
-# The folder may be a stranger's: a json.py that he put there is not imported.
-sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
+if __name__ == "__main__":
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
 
 import struct
 from pathlib import Path
@@ -21,15 +37,20 @@ def main():
     if len(sys.argv) != 4:
         sys.exit(__doc__)
     source, target, scale = sys.argv[1], sys.argv[2], float(sys.argv[3])
+    if not os.path.isfile(source):
+        sys.exit(f"error: {source}: not a file")
     with open(source, "rb") as file:
         data = bytearray(file.read())
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    at = end
-    for name, count, properties in elements(data[:end].decode("ascii", "replace")):
-        if name == "vertex":
-            divide(data, at, count, properties, scale)
-            break
-        at = skip(data, at, count, properties)
+    try:
+        end = data.index(b"end_header\n") + len(b"end_header\n")
+        at = end
+        for name, count, properties in elements(data[:end].decode("ascii", "replace")):
+            if name == "vertex":
+                divide(data, at, count, properties, scale)
+                break
+            at = skip(data, at, count, properties)
+    except (ValueError, IndexError, KeyError, struct.error) as error:
+        sys.exit(f"error: {source}: not a whole PLY ({error!r})")
     # A new file: what somebody has put in the place of a draft is not written.
     draft = Path(target + ".tmp")
     draft.unlink(missing_ok=True)
@@ -43,7 +64,7 @@ def elements(header):
     for line in header.splitlines():
         words = line.split()
         if words[:1] == ["format"] and words[1] != "binary_little_endian":
-            sys.exit(f"error: {ascii(words[1])}: only binary little-endian files can be unscaled")
+            sys.exit(f"error: {words[1]}: only binary little-endian files can be unscaled")
         if words[:1] == ["element"]:
             found.append((words[1], int(words[2]), []))
         if words[:1] == ["property"]:

@@ -1,31 +1,68 @@
 #!/usr/bin/env python3
 """Puts the side files beside the images: python3 switch.py IMAGES
 
-A side file that is there already is replaced if it holds the two switches and nothing else, as one of an earlier plan does. Any other holds
-poses or settings of somebody's: it stays as it is and is named.
+xmp.txt lists them. A side file that is there already is replaced if it holds the two switches and nothing else, as one of an earlier plan does.
+Any other holds poses or settings of somebody's: it stays as it is and is named.
 """
 
 import os
 import sys
 
-# The folder may be a stranger's: a json.py that he put there is not imported.
-sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
+if __name__ == "__main__":
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
 
 import re
 import stat
 import tempfile
 from pathlib import Path
 
-SWITCHES = re.compile(rb'xcr:In(Meshing|Texturing)="[01]"')
+HERE = Path(__file__).resolve().parent
+MOST_BYTES_OF_A_RECORD = 32 << 20
+# A side file without its white space.
+SIDE_FILE = re.compile(
+    re.escape(b'<x:xmpmetaxmlns:x="adobe:ns:meta/"><rdf:RDFxmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">')
+    + re.escape(b'<rdf:Descriptionxmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#"')
+    + rb'xcr:InMeshing="[01]"xcr:InTexturing="[01]"'
+    + re.escape(b"/></rdf:RDF></x:xmpmeta>")
+)
 
 
-def without_switches(side_file):
-    return b"".join(SWITCHES.sub(b"", side_file).split())
+def refuse_strangers():
+    """Ends where anything here is neither a file nor a folder: it would be followed, or waited for."""
+    for folder, folders, files in os.walk(HERE, onerror=lambda error: sys.exit(f"error: {error.filename}: {error.strerror}")):
+        for path in (Path(folder, name) for name in [*folders, *files]):
+            mode = path.lstat().st_mode
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                sys.exit(f"error: {path}: not made by viewrank; move it away")
 
 
-def shown(path):
-    """A path, which may be a stranger's, without what a terminal would obey."""
-    return "".join(sign if sign.isprintable() else "?" for sign in str(path))
+def listed():
+    """Names below xmp/ of the side files that viewrank wrote."""
+    path = HERE / "xmp.txt"
+    if not path.is_file() or path.stat().st_size > MOST_BYTES_OF_A_RECORD:
+        sys.exit(f"error: {path}: missing, or not the list that viewrank wrote; export again")
+    return [name for name in path.read_text(encoding="utf-8").split("\n") if name]
+
+
+def holds_only_switches(path):
+    """Is it a side file with the two switches and nothing else?"""
+    return path.is_file() and path.stat().st_size < 1 << 12 and bool(SIDE_FILE.fullmatch(b"".join(path.read_bytes().split())))
 
 
 def write(target, content):
@@ -48,20 +85,23 @@ def umask():
 
 
 def main(images):
-    ours = Path(__file__).resolve().parent / "xmp"
-    left = []
-    for path in sorted(ours.rglob("*.xmp")):
-        target = images / path.relative_to(ours)
+    refuse_strangers()
+    names, left = listed(), []
+    for name in names:
+        path, target = HERE / "xmp" / name, images / name
+        if HERE / "xmp" not in path.resolve().parents or not holds_only_switches(path):
+            sys.exit(f"error: {path}: not the side file that viewrank wrote; export again")
         if images.resolve() not in target.resolve().parents:
-            sys.exit(f"error: {shown(target)}: a link leads out of {shown(images)}; move it away")
-        new = path.read_bytes()
-        if target.is_symlink() or target.exists() and not target.is_file() or target.exists() and without_switches(target.read_bytes()) != without_switches(new):
+            sys.exit(f"error: {target}: a link leads out of {images}; move it away")
+    for name in names:
+        target = images / name
+        if target.is_symlink() or target.exists() and not holds_only_switches(target):
             left.append(target)
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
-        write(target, new)
+        write(target, (HERE / "xmp" / name).read_bytes())
     for target in left:
-        print(f"{shown(target)}: holds more than the two switches, left as it is: add xcr:InMeshing and xcr:InTexturing by hand", file=sys.stderr)
+        print(f"{target}: holds more than the two switches, left as it is: add xcr:InMeshing and xcr:InTexturing by hand", file=sys.stderr)
     return 1 if left else 0
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from pairs import write_whole
-from workspace import InputError, decoded, shown
+from workspace import InputError, decoded, read_array
 
 # Cells along each axis that a whole number of 63 bits can address; what is further from the middle of the sparse points is left out.
 ACROSS = 1 << 21
@@ -75,14 +75,14 @@ def points_of(view, depth):
 
 def colours_of(workspace, view, depth):
     """Red, green and blue (n x 3) of the same pixels; grey where the image cannot be read."""
-    image = decoded(workspace.images / view.name, COLOUR_AS_STORED)
+    image = decoded(workspace.images / view.name, COLOUR_AS_STORED, view)
     if image is None:
         return np.full(((depth > 0).sum(), 3), 128.0)
     return cv2.resize(image, depth.shape[::-1], interpolation=cv2.INTER_AREA)[depth > 0][:, ::-1].astype(float)
 
 
 def fuse(workspaces, clusters, out):
-    """Writes OUT/fused.ply of the maps that are there and have their planned size; returns the number of maps and of points. `workspaces`: one for each size."""
+    """Writes OUT/fused.ply of the maps that are there, whole and of their planned size; returns the number of maps and of points. `workspaces`: one for each size."""
     workspace = workspaces[1.0]
     middle = np.median(workspace.xyz, axis=0) if len(workspace.xyz) else np.zeros(3)
     cells, maps, strange = Cells(middle, workspace.gsd()), 0, []
@@ -90,18 +90,20 @@ def fuse(workspaces, clusters, out):
         path, view = out / "depth_maps" / f"{key}.npy", workspaces[size].views[key]
         if not path.is_file():
             continue
-        depth = np.load(path)
-        if depth.shape != view.size[::-1]:
-            strange.append(f"{path} is {depth.shape[1]} x {depth.shape[0]}, and the key view is matched at {view.size[0]} x {view.size[1]}")
+        try:
+            with open(path, "rb") as file:
+                depth = np.nan_to_num(read_array(file, "<f4", *view.size[::-1]), copy=True, nan=0, posinf=0, neginf=0)
+        except (OSError, ValueError) as error:
+            strange.append(f"{path}: {error}")
             continue
         cells.add(points_of(view, depth), colours_of(workspace, view, depth))
         maps += 1
     if strange and not maps:
-        raise InputError(f"{strange[0]}: give the --image-scale it was made with")
+        raise InputError(f"{strange[0]}. Give the --image-scale that it was made with, or match again")
     if not maps:
         raise InputError(f"no depth maps of these clusters in {out}: run match first")
     if strange:
-        print(shown(f"left out {len(strange)} maps of another size: {strange[0]}"), file=sys.stderr)
+        print(f"left out: {len(strange)} maps, the first {strange[0]}", file=sys.stderr)
     vertices = cells.vertices()
     write_ply(out / "fused.ply", vertices)
     return maps, len(vertices)

@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import os
+import stat
 import time
 import zipfile
 from dataclasses import dataclass, field
@@ -13,9 +14,8 @@ import numpy as np
 import matching
 import rectify
 from rectify import Parallax, Refused
-from workspace import ImageError
+from workspace import ImageError, read_array
 
-MOST_BYTES = 1 << 29  # of a pair in the cache, unpacked: 2 bytes per pixel of the largest images
 VERSION = 2  # raised when the same input gives other maps
 
 
@@ -63,7 +63,7 @@ class Pairs:
         around = self.workspace.xyz[np.union1d(a.points, b.points)]
         path = self.cache and self.cache / key / (partner + ".npz")
         mark = path and fingerprint(self.workspace, a, b, shared, around)
-        found = path and load(path, mark)
+        found = path and load(path, mark, a.size)
         if found:
             return found
         start = time.perf_counter()
@@ -135,21 +135,32 @@ def save(path, pair, mark):
     write_whole(path, lambda file: write_npz(file, arrays))
 
 
-def load(path, mark):
-    """The matched pair at `path` if it is whole and has this fingerprint, else None."""
+def load(path, mark, size):
+    """The matched pair at `path` if it is whole, of this fingerprint and of a key view of this size, else None: the cache may be anybody's, and a pair is soon matched again."""
     try:
+        found = path.lstat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > 3 * size[0] * size[1] + (1 << 20):
+            return None
         with zipfile.ZipFile(path) as archive:
-            # Deflated, a small file may hold any number of zeros.
-            if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
+            if str(packed(archive, "fingerprint", f"<U{len(mark)}")) != mark:
                 return None
-        with np.load(path) as file:
-            if str(file["fingerprint"]) != mark:
+            angle, octaves, seconds = (float(packed(archive, name, "<f8")) for name in ("angle", "octaves", "seconds"))
+            low, step, gain, coarse = numbers = [float(packed(archive, name, "<f8")) for name in ("low", "step", "gain", "coarse")]
+            plane, epipole = packed(archive, "plane", "<f8", 3), packed(archive, "epipole", "<f8", 2)
+            if not np.isfinite([*numbers, *plane, *epipole]).all() or not (gain and step > 0 and coarse >= 1):
                 return None
-            number = lambda name: float(file[name])
-            parallax = Parallax(file["plane"], file["epipole"], number("gain"), number("coarse"))
-            return PairMap("", file["code"], number("low"), number("step"), parallax, number("angle"), number("octaves"), number("seconds"), cached=True)
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+            return PairMap("", packed(archive, "code", "<u2", *size[::-1]), low, step, Parallax(plane, epipole, gain, coarse), angle, octaves, seconds, cached=True)
+    except Exception:  # OSError, and all that zipfile and its decompressors raise on damaged files
         return None
+
+
+def packed(archive, name, kind, *shape):
+    """An array of the cache. Only the method that we write: others may ask for memory by their head."""
+    entry = archive.getinfo(f"{name}.npy")
+    if entry.compress_type != zipfile.ZIP_DEFLATED:
+        raise ValueError(f"{name}: packed otherwise")
+    with archive.open(entry) as file:
+        return read_array(file, kind, *shape)
 
 
 def write_npz(file, arrays):

@@ -11,10 +11,26 @@
 import os
 import sys
 
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
+if __name__ in ("__main__", "__mp_main__"):
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
+
 HERE = os.path.dirname(os.path.realpath(__file__))
-if __name__ == "__main__":
-    # The folder may be a stranger's: a numpy.py that he put there is not imported.
-    sys.path[:] = [path for path in sys.path if os.path.realpath(path) != HERE]
 
 import argparse
 import concurrent.futures
@@ -28,13 +44,6 @@ import time
 import types
 from pathlib import Path
 
-try:
-    import cv2
-    import numpy as np
-except ModuleNotFoundError as error:
-    sys.exit(f"error: {error}; pip install numpy opencv-python-headless")
-
-
 
 def read_module(name):
     """Imports a module that lies here from its source, whatever lies here compiled."""
@@ -44,13 +53,19 @@ def read_module(name):
         exec(compile(path.read_text(encoding="utf-8"), path, "exec"), module.__dict__)
 
 
-for name in ("workspace", "rectify", "matching", "merge", "pairs", "fuse"):
-    read_module(name)
+try:
+    for name in ("workspace", "rectify", "matching", "merge", "pairs", "fuse"):
+        read_module(name)
+except ModuleNotFoundError as error:
+    sys.exit(f"error: {error}; pip install numpy opencv-python-headless")
+
+import cv2
+import numpy as np
 
 from fuse import fuse
 from merge import MIN_AGREE, SIGMA_PX, merge
 from pairs import VERSION, Pairs, made_of, write_whole
-from workspace import InputError, Workspace, shown
+from workspace import InputError, Workspace, read_record
 
 MAX_PARTNERS = 255  # counts are 8 bit
 MANIFEST_VERSION = 2  # of manifest.json; the fields of others may mean something else
@@ -62,7 +77,7 @@ MANIFEST_VERSION = 2  # of manifest.json; the fields of others may mean somethin
 def read_clusters(path, workspace):
     """[(key view, partners, size)] in rank order from clusters.txt, with the sizes of sizes.txt beside it, or from a manifest up to its cut."""
     try:
-        text = path.read_text(encoding="utf-8", errors="surrogateescape")
+        text = read_record(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}. Write it with: viewrank plan {workspace.folder}") from error
     rows, sizes = manifest_clusters(path, text, workspace) if path.suffix == ".json" else (tabbed_rows(text), sizes_beside(path))
@@ -101,7 +116,7 @@ def manifest_clusters(path, text, workspace):
 def sizes_beside(path):
     """Size over that of the others, by key view; those that are not in sizes.txt have 1."""
     try:
-        text = path.with_name("sizes.txt").read_text(encoding="utf-8", errors="surrogateescape")
+        text = read_record(path.with_name("sizes.txt"))
     except OSError:
         return {}
     try:
@@ -184,7 +199,7 @@ class Report:
         self.kept, self.before = kept, {}
         for path in (self.path, *sorted((out / "rows").rglob("*.json"))):
             try:
-                old = json.loads(path.read_text(encoding="utf-8"))
+                old = json.loads(read_record(path))
                 if old["settings"] == settings:
                     self.rows |= {row["key"]: row for row in old["clusters"]}
                     self.rows = {key: row for key, row in self.rows.items() if is_row(row)}  # others are being computed
@@ -266,7 +281,7 @@ def parse_limit(text):
 
 def target_reached(path):
     try:
-        return json.loads(path.read_text(encoding="utf-8")).get("target_reached") is True
+        return json.loads(read_record(path)).get("target_reached") is True
     except (OSError, ValueError, AttributeError, RecursionError):
         return False
 
@@ -365,16 +380,16 @@ def match(args):
         report.stopped = run(todo, args, args.out, Stop(seconds, args.progress), done)
     finally:
         report.write()
-    print(shown(summary(report, [key for key, *_ in all_clusters])), file=sys.stderr)
+    print(summary(report, [key for key, *_ in all_clusters]), file=sys.stderr)
     return line.failure()
 
 
 def kept_by_plan(workspace):
     """Key views whose depth maps the plan stands around: those of views that hardly moved since they were made are as good as new ones."""
     try:
-        manifest = json.loads((workspace.folder / "viewrank" / "manifest.json").read_text(encoding="utf-8"))
+        manifest = json.loads(read_record(workspace.folder / "viewrank" / "manifest.json"))
         return {cluster["key"] for cluster in manifest["clusters"] if cluster["finished"] and manifest["version"] == MANIFEST_VERSION}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, InputError, ValueError, KeyError, TypeError, RecursionError):
         return set()
 
 
@@ -397,7 +412,7 @@ def join(args):
     workspace = Workspace(args.workspace, args.image_scale)
     clusters = wanted(args, workspace)
     maps, points = fuse({size: Workspace(args.workspace, args.image_scale * size) for size in {1.0} | {size for *_, size in clusters}}, clusters, args.out)
-    print(f"{maps} depth maps, {points:,} points: {shown(str(args.out / 'fused.ply'))}", file=sys.stderr)
+    print(f"{maps} depth maps, {points:,} points: {args.out / 'fused.ply'}", file=sys.stderr)
     return ""
 
 
@@ -417,11 +432,11 @@ class Line:
         if "failed" in row:
             self.failed.append(row["failed"])
             if self.total > 1:
-                print(shown(f"error: no depth map of {row['key']}: {row['failed']}"), file=sys.stderr, flush=True)
+                print(f"error: no depth map of {row['key']}: {row['failed']}", file=sys.stderr, flush=True)
         if now - self.last > 10 or self.count == self.total:
             self.last = now
             left = (now - self.begin) / self.count * (self.total - self.count)
-            print(shown(f"{self.count}/{self.total} key views, {now - self.begin:.0f} s, {left:.0f} s left; last: {row['key']}"), file=sys.stderr, flush=True)
+            print(f"{self.count}/{self.total} key views, {now - self.begin:.0f} s, {left:.0f} s left; last: {row['key']}", file=sys.stderr, flush=True)
 
     def failure(self):
         """What went wrong in all; empty if nothing did."""
@@ -478,11 +493,11 @@ def main(argv=None):
     try:
         failure = {"match": match, "fuse": join, "pairs": fill}[args.command](args)
     except InputError as error:
-        sys.exit(shown(f"error: {error}"))
+        sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; finished maps stay, run again to go on")
     if failure:
-        sys.exit(shown(f"error: {failure}"))
+        sys.exit(f"error: {failure}")
 
 
 if __name__ == "__main__":

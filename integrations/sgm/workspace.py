@@ -4,9 +4,16 @@ Pixel coordinates here are OpenCV's: the centre of the first pixel is (0, 0). CO
 """
 
 import hashlib
+import os
+import re
+import stat
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
+
+# Read when OpenCV is loaded: a second bound beside that of each view, should a decoder see another size than `size_of`.
+MOST_PIXELS = 1 << 29
+os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"] = str(MOST_PIXELS)
 
 import cv2
 import numpy as np
@@ -15,13 +22,10 @@ PINHOLE_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
 PINHOLE_IDS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE"}
 GREY_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the model knows nothing of EXIF
 MASK_AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH  # so that the darkest colours are not black
+COPY_PIXELS = 1 << 25  # which images may have, however small their camera is: they may be those before a reduction
+MOST_BYTES_OF_A_RECORD = 32 << 20
 LARGEST_ROUNDING = 0.02  # of an aspect ratio
 UNDISTORT = "undistort first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path WORKSPACE"
-
-
-def shown(text):
-    """Lines that may have names of strangers in them, without what a terminal would obey."""
-    return "".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text)
 
 
 class InputError(Exception):
@@ -52,6 +56,11 @@ class View:
     def centre(self):
         return -self.R.T @ self.t
 
+    @property
+    def most_picture_pixels(self):
+        """Pixels that an image or a mask of the view may have: as many as its camera, or as a picture of COPY_PIXELS."""
+        return max(self.full_size[0] * self.full_size[1], COPY_PIXELS)
+
     def project(self, xyz):
         """Pixels (n x 2) and z-depths (n) of points."""
         p = (xyz @ self.R.T + self.t) @ self.K.T
@@ -79,9 +88,9 @@ class Workspace:
     def grey(self, name):
         """The image as it is matched: grey, 8 bit, scaled from whatever size its file has."""
         path, view = self.images / name, self.views[name]
-        image = decoded(path, GREY_AS_STORED)
+        image = decoded(path, GREY_AS_STORED, view)
         if image is None:
-            raise ImageError(path, "no image that OpenCV can read")
+            raise ImageError(path, f"no JPEG, PNG or TIFF of at most {view.most_picture_pixels} pixels that OpenCV can read")
         size = image.shape[::-1]
         if not same_aspect_ratio(size, view.full_size):
             raise ImageError(path, f"{size[0]} x {size[1]} pixels, but the model says {view.full_size[0]} x {view.full_size[1]}: are these the images that were undistorted with this model?")
@@ -90,7 +99,7 @@ class Workspace:
     def mask(self, name):
         """True where the view may be matched (height x width, as matched); None if all of it may, as with a mask that can't be used."""
         path, view = self.mask_file(name), self.views[name]
-        mask = decoded(path, MASK_AS_STORED) if path else None
+        mask = decoded(path, MASK_AS_STORED, view) if path else None
         if mask is None or not same_aspect_ratio(mask.shape[1::-1], view.full_size):
             return None
         usable = mask.any(axis=2).astype(np.float32)
@@ -100,7 +109,7 @@ class Workspace:
         """SHA-256 of the view's mask, read once; empty without one that can be read."""
         if name not in self.digests:
             path = self.mask_file(name)
-            data = bytes_of(path) if path else b""
+            data = bytes_of(path, self.views[name]) if path else b""
             self.digests[name] = hashlib.sha256(data).digest() if data else b""
         return self.digests[name]
 
@@ -123,18 +132,96 @@ class Workspace:
         return float(np.median(each))
 
 
-def decoded(path, how):
-    """The image as OpenCV reads it; None if it can't."""
-    data = np.frombuffer(bytes_of(path), np.uint8)
-    return cv2.imdecode(data, how) if data.size else None
+def decoded(path, how, view):
+    """The image as OpenCV reads it; None if it can't, or if it has more pixels than one of the view may have: a file of a few bytes may claim any number."""
+    data = bytes_of(path, view)
+    size = size_of(data)
+    if not size or size[0] * size[1] > view.most_picture_pixels:
+        return None
+    return cv2.imdecode(np.frombuffer(data, np.uint8), how)
 
 
-def bytes_of(path):
-    """The content of a file; empty if it can't be read."""
+def bytes_of(path, view):
+    """The content of an image or a mask of the view; empty if it can't be read, or is longer than four channels of 16 bit with a long profile."""
     try:
-        return path.read_bytes() if path.is_file() else b""
+        found = path.stat()
+        return path.read_bytes() if stat.S_ISREG(found.st_mode) and found.st_size <= 8 * view.most_picture_pixels + (1 << 24) else b""
     except OSError:
         return b""
+
+
+def size_of(data):
+    """Width and height in the head of a JPEG, PNG or TIFF, which are what viewrank reads; None if it is none."""
+    try:
+        if data[:8] == b"\x89PNG\r\n\x1a\n":
+            return struct.unpack_from(">2I", data, 16) if data[12:16] == b"IHDR" else None
+        if data[:2] == b"\xff\xd8":
+            return size_of_jpeg(data)
+        if data[:4] in (b"II*\0", b"MM\0*"):
+            return size_of_tiff(data, "<" if data[:1] == b"I" else ">")
+    except (struct.error, IndexError):
+        pass
+    return None
+
+
+MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd8\xff]")  # of a segment with a length
+MOST_SEGMENTS = 1 << 14  # before that of the size, which follows profiles
+
+
+def size_of_jpeg(data):
+    at = 2
+    for _ in range(MOST_SEGMENTS):
+        found = MARKER.search(data, at)
+        marker = found[0][1] if found else 0xD9
+        if marker in (0xD9, 0xDA):
+            return None
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            return struct.unpack_from(">2H", data, found.end() + 3)[::-1]
+        at = found.end() + struct.unpack_from(">H", data, found.end())[0]
+    return None
+
+
+def size_of_tiff(data, order):
+    """That of the first image, or of one of its tiles if these are larger: OpenCV decodes tile by tile."""
+    (at,) = struct.unpack_from(order + "I", data, 4)
+    tags = {}
+    for entry in range(struct.unpack_from(order + "H", data, at)[0]):
+        tag, kind, _ = struct.unpack_from(order + "HHI", data, at + 2 + 12 * entry)
+        if kind in (3, 4):
+            (tags[tag],) = struct.unpack_from(order + {3: "H", 4: "I"}[kind], data, at + 10 + 12 * entry)
+    (width, height), (tile_width, tile_height) = ([tags.get(tag, 0) for tag in pair] for pair in ((256, 257), (322, 323)))
+    return (width, height) if tile_width * tile_height <= max(width * height, COPY_PIXELS) else None
+
+
+def read_record(path):
+    """Text of a list or a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read. OSError where there is none."""
+    found = path.lstat()
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(f"{path}: a link, or not a file. Move it away")
+    if found.st_size > MOST_BYTES_OF_A_RECORD:
+        raise InputError(f"{path}: longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so no list or record of viewrank's. Move it away")
+    return path.read_text(encoding="utf-8", errors="surrogateescape")
+
+
+ARRAY = re.compile(rb"\{'descr': '([^']{1,8})', 'fortran_order': False, 'shape': \(([0-9, ]{0,40})\), \} *\n")
+
+
+def read_array(file, kind, *shape):
+    """The array of a .npy as numpy.save writes it; ValueError if it is not of this type and shape: a head may claim any, and memory for it would be asked for."""
+    head = file.read(10)
+    if head[:8] != b"\x93NUMPY\1\0":
+        raise ValueError("not a .npy")
+    found = ARRAY.fullmatch(file.read(*struct.unpack_from("<H", head, 8)))
+    if not found:
+        raise ValueError("not a .npy of numbers")
+    kind_found, shape_found = found[1].decode(), tuple(int(side) for side in found[2].replace(b",", b" ").split())
+    if (kind_found, shape_found) != (np.dtype(kind).str, shape):
+        raise ValueError(f"{kind_found} of the shape {shape_found}, not {np.dtype(kind).str} of the shape {shape}")
+    length = np.dtype(kind).itemsize * int(np.prod(shape, dtype=np.int64))
+    data = file.read(length + 1)
+    if len(data) != length:
+        raise ValueError("not of the length that its head says")
+    return np.frombuffer(data, kind).reshape(shape)
 
 
 def same_aspect_ratio(size, full_size):
@@ -152,6 +239,8 @@ def rows_of(wanted, ids, order):
 
 def reduced_view(name, camera, R, t, points, scale):
     width, height, fx, fy, cx, cy = camera
+    if min(width, height) < 1 or width * height > MOST_PIXELS:
+        raise InputError(f"view {name}: its camera has {width} x {height} pixels, not 1 to {MOST_PIXELS}")
     size = max(1, round(width * scale)), max(1, round(height * scale))
     sx, sy = size[0] / width, size[1] / height
     K = np.array([[fx * sx, 0, cx * sx - 0.5], [0, fy * sy, cy * sy - 0.5], [0, 0, 1]])
@@ -195,6 +284,8 @@ def read_model(folder):
     for name, reader in zip(("cameras", "images", "points3D"), readers, strict=True):
         path = folder / (name + (".bin" if binary else ".txt"))
         try:
+            if not path.is_file():  # a pipe would be waited for
+                raise InputError(f"{path}: no such file")
             result.append(reader(path))
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}") from error

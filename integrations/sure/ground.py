@@ -8,12 +8,39 @@ takes it where there is no cloud: which images overlap then follows from their f
 unless given. Needs Python 3.8 and nothing else.
 """
 
-import math
-import statistics
+import os
 import sys
+
+
+class Printable:
+    """Standard output or error, without what a terminal would obey: names in messages may be a stranger's, and so may this folder's name in those of Python itself."""
+
+    def __init__(self, stream):
+        self.stream = stream
+
+    def write(self, text):
+        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+
+    def flush(self):
+        self.stream.flush()
+
+
+if __name__ == "__main__":
+    sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
+
+import math
+import stat
+import statistics
 from pathlib import Path
 
 MOST_POINTS = 1_000_000
+MOST_BYTES_OF_A_RECORD = 1 << 20  # an orientation has some 1,000
+# The keys of an orientation that are read.
+CAMERA_MATRIX, SIZE, ROTATION, CENTRE = "IntOri_CameraMatrix", "IntOri_SensorSize", "ExtOri_RotationMatrix", "ExtOri_TranslationVector"
+FOCAL_LENGTH, PIXEL_SIZE, PRINCIPAL_POINT = "IntOri_FocalLength", "IntOri_PixelSize", "IntOri_PrincipalPoint"
+KNOWN = {CAMERA_MATRIX, SIZE, ROTATION, CENTRE, FOCAL_LENGTH, PIXEL_SIZE, PRINCIPAL_POINT}
 
 
 def main():
@@ -23,7 +50,7 @@ def main():
     target = project / "ground.ply"
     if target.exists():
         sys.exit(f"error: {target} is there; move it away")
-    cameras = [read(path) for path in sorted((project / "ori").glob("*.ori")) if path.is_file()]
+    cameras = [read(path) for path in sorted((project / "ori").glob("*.ori"))]
     if not cameras:
         sys.exit(f"error: no ori/*.ori in {project}")
     above = statistics.median(abs(camera["centre"][2] - height) for camera in cameras)
@@ -39,25 +66,37 @@ def main():
     print(f"{count} points, {spacing:g} apart, in {target}")
 
 
+def read_record(path):
+    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read."""
+    found = path.lstat()
+    if not stat.S_ISREG(found.st_mode) or found.st_size > MOST_BYTES_OF_A_RECORD:
+        sys.exit(f"error: {path}: a link, not a file, or longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so no orientation; move it away")
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
 def read(path):
     """Camera matrix, size, rotation and centre: the numbers below each key."""
     entries, key = {}, None
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in read_record(path).splitlines():
         if line.startswith("$"):
             key = line[1:].split("__")[0].split("(")[0].rstrip("_")
             entries[key] = []
-        elif key != "ImageID":
-            entries.setdefault(key, []).extend(line.split())
-    numbers = lambda key: [float(word) for word in entries[key]]
+        elif key in KNOWN:
+            entries[key] += line.split()
     try:
-        if "IntOri_CameraMatrix" in entries:
-            k = numbers("IntOri_CameraMatrix")
+        numbers = {key: [float(word) for word in entries[key]] for key in KNOWN & entries.keys()}
+        if CAMERA_MATRIX in numbers:
+            k = numbers[CAMERA_MATRIX]
         else:
-            (f,), (px, py), (cx, cy) = (numbers(f"IntOri_{key}") for key in ("FocalLength", "PixelSize", "PrincipalPoint"))
+            (f,), (px, py), (cx, cy) = (numbers[key] for key in (FOCAL_LENGTH, PIXEL_SIZE, PRINCIPAL_POINT))
             k = [f / px, 0, cx, 0, f / py, cy, 0, 0, 1]
-        return {"k": k, "size": numbers("IntOri_SensorSize"), "r": numbers("ExtOri_RotationMatrix"), "centre": numbers("ExtOri_TranslationVector")}
-    except (KeyError, ValueError) as error:
-        sys.exit(f"error: {ascii(str(path))}: {ascii(str(error))}")
+        camera = {"k": k, "size": numbers[SIZE], "r": numbers[ROTATION], "centre": numbers[CENTRE]}
+    except (KeyError, ValueError, ZeroDivisionError) as error:
+        sys.exit(f"error: {path}: {error!r}")
+    numbers = [number for values in camera.values() for number in values]
+    if [len(values) for values in camera.values()] != [9, 2, 9, 3] or not all(map(math.isfinite, numbers)) or not (k[0] and k[4]):
+        sys.exit(f"error: {path}: not the numbers of a camera")
+    return camera
 
 
 def footprint(camera, height, farthest):

@@ -46,6 +46,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let (scene, used) = (selection.scene, selection.views());
     let mut files = options.file_set(&BACKEND, selection);
     let mut by_stem: HashMap<&str, &str> = HashMap::new();
+    let mut side_files = String::new();
     for view in scene.view_indices() {
         let name = scene.name(view);
         let stem = stem(name);
@@ -61,7 +62,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             format!("xmp/{stem}.xmp"),
             side_file(used.binary_search(&view).is_ok()),
         );
+        side_files += &format!("{stem}.xmp\n");
     }
+    files.add_text("xmp.txt", side_files);
     files.add_text("images.txt", name_lines(selection, &used));
     let mut record = ExportRecord::new(&BACKEND, selection, |v| {
         format!("xmp/{}.xmp", stem(scene.name(v)))

@@ -249,16 +249,24 @@ def test_realityscan_side_files_are_xml(export, planned):
         assert description.attrib == {f"{switch}InMeshing": value, f"{switch}InTexturing": value}
 
 
+SIDE_FILE = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
+  <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+    <rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:InMeshing="{0}" xcr:InTexturing="{0}"/>
+  </rdf:RDF>
+</x:xmpmeta>
+"""
+
+
 def test_realityscan_side_files_spare_poses(tmp_path):
     script = ROOT / "integrations/realityscan/switch.py"
     ours, images = tmp_path / "xmp/a b", tmp_path / "images"
     ours.mkdir(parents=True), images.mkdir()
     shutil.copy(script, tmp_path)
-    text = '<d xcr:InMeshing="{0}" xcr:InTexturing="{0}"/>\n'
+    (tmp_path / "xmp.txt").write_text("a b/1.xmp\na b/2.xmp\n")
 
     def switched(state):
         for name in ("1", "2"):
-            (ours / f"{name}.xmp").write_text(text.format(state))
+            (ours / f"{name}.xmp").write_text(SIDE_FILE.format(state))
         return subprocess.run([sys.executable, tmp_path / "switch.py", images], capture_output=True, text=True)
 
     assert switched(1).returncode == 0
@@ -266,7 +274,7 @@ def test_realityscan_side_files_spare_poses(tmp_path):
     (images / "a b/2.xmp").write_text(pose)
     again = switched(0)
     assert again.returncode == 1 and "a b/2.xmp: holds more" in again.stderr and "1.xmp" not in again.stderr
-    assert (images / "a b/1.xmp").read_text() == text.format(0)
+    assert (images / "a b/1.xmp").read_text() == SIDE_FILE.format(0)
     assert (images / "a b/2.xmp").read_text() == pose
 
 

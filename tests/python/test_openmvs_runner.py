@@ -84,7 +84,7 @@ for made in json.loads((home / "made.json").read_text()).get(scene, []):
 @pytest.fixture
 def folder(tmp_path):
     shutil.copy(RUNNER, tmp_path / "run.py")
-    rows = [dict(rank=i + 1, scene=f"clusters/{i}.mvs", key=f"k{i}", image=f"images/k{i}", id=10 + i, partner_ids=[1, 2], share=(i + 1) / 3, depths=[100, 200]) for i in range(3)]
+    rows = [dict(rank=i + 1, scene=f"clusters/{i}.mvs", key=f"k{i}", image=f"images/k{i}", id=10 + i, partner_ids=[1, 2], share=(i + 1) / 3, depths=[100, 200], size=[400, 300]) for i in range(3)]
     (tmp_path / "clusters").mkdir()
     for row in rows:
         (tmp_path / row["scene"]).write_text(row["key"])

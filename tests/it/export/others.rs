@@ -522,10 +522,15 @@ fn realityscan_union_only() {
             .collect::<BTreeSet<_>>(),
         used
     );
+    let listed = files.lines("xmp.txt");
+    assert_eq!(listed.len(), fixture.scene.views.len());
     for view in &fixture.scene.views {
-        let xmp = files.text(&format!("xmp/{}.xmp", view.name.trim_end_matches(".jpg")));
+        let name = format!("{}.xmp", view.name.trim_end_matches(".jpg"));
+        assert!(listed.contains(&name.as_str()));
         assert_eq!(
-            xmp.contains("xcr:InMeshing=\"1\""),
+            files
+                .text(&format!("xmp/{name}"))
+                .contains("xcr:InMeshing=\"1\""),
             used.contains(&view.name)
         );
     }
