@@ -31,17 +31,21 @@ MOST_BYTES_OF_A_RECORD = 1 << 30
 
 
 def read_record(path):
-    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read."""
-    found = path.lstat()
+    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read. Empty where there is none."""
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return ""
     if not stat.S_ISREG(found.st_mode) or found.st_size > MOST_BYTES_OF_A_RECORD:
         sys.exit(f"error: {path}: a link, not a file, or longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so not of viewrank's; move it away")
     return path.read_text(encoding="utf-8", errors="surrogateescape")
 
 
 folder = Path(__file__).resolve().parent
-if not (folder / "keys.sfm").exists():
-    sys.exit(f"error: no {folder / 'keys.sfm'}: export again")
-scene = json.loads(read_record(folder / "keys.sfm"))
+try:
+    scene = json.loads(read_record(folder / "keys.sfm"))
+except (ValueError, RecursionError):
+    sys.exit(f"error: {folder / 'keys.sfm'}: missing, or not what viewrank wrote: export again")
 scene["views"] = [view for view in scene["views"] if (folder / f"depthMaps/{view['viewId']}_depthMap.exr").is_file()]
 ids = {view["viewId"] for view in scene["views"]}
 if not ids:

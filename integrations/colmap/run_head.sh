@@ -17,7 +17,14 @@ case $#${1:-} in
     exit 2
     ;;
 esac
-cd "$(dirname "$0")/../.."
+# sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own.
+case $0 in
+.//stereo/viewrank/run.sh) ;;
+*)
+    cd "$(dirname "$0")/../.." && exec sh .//stereo/viewrank/run.sh "$@"
+    exit 1
+    ;;
+esac
 @REFUSE_STRANGERS@
 refuse_strangers /dev/null stereo sparse
 # The folder of pictures may be a link, too.

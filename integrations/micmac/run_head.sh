@@ -1,7 +1,10 @@
 # usage: run.sh PATH/TO/Ori-NAME
 # mm3d ($MM3D) is called. A copy of the orientations, Ori-viewrank, takes the ImSec files: the folder that is named stays as it is.
 usage="usage: run.sh PATH/TO/Ori-NAME"
-ori=$(cd "$OLDPWD" && cd "${1:?$usage}" && pwd -P) || exit 2
+ori=$(cd "$OLDPWD" && [ $# -eq 1 ] && cd "$1" 2>/dev/null && pwd -P) || {
+    say "error: no folder ${1:-} of orientations; $usage" >&2
+    exit 2
+}
 copy="$(pwd -P)/Ori-viewrank"
 case "$copy/" in
 "${ori%/}"/*)

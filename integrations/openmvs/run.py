@@ -76,7 +76,10 @@ SHORT = {"w": "working-folder", "i": "input-file", "o": "output-file", "p": "poi
 def main():
     args = arguments()
     refuse_strangers()
-    run = json.loads(read_record(HERE / "run.json") or sys.exit(f"error: no {HERE / 'run.json'}: export again"))
+    try:
+        run = json.loads(read_record(HERE / "run.json"))
+    except (ValueError, RecursionError):
+        sys.exit(f"error: {HERE / 'run.json'}: missing, or not what viewrank wrote: export again")
     refuse_other_pictures(run.get("pictures", {}))
     program = Densify(args.densify, run, args.threads, args.options)
     report = Report(program.options)

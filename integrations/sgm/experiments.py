@@ -14,12 +14,17 @@ PROJECT (sparse/, images/) stays as it is; everything goes to DIR:
 Depth maps that are there already are kept, single pairs come from the cache, so a second run costs little.
 """
 
+import os
+import sys
+
+if __name__ == "__main__":
+    # The current folder may be a stranger's: a json.py that he put there is not imported.
+    sys.path[1:] = [path for path in sys.path[1:] if os.path.realpath(path) != os.path.realpath(os.curdir)]
+
 import argparse
 import csv
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np

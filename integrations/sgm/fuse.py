@@ -33,7 +33,7 @@ class Cells:
 
     def add(self, points, colours):
         offsets = points - self.middle
-        places = np.floor(offsets / self.size).astype(np.int64) + ACROSS // 2
+        places = np.floor(offsets / self.size).clip(-ACROSS, ACROSS).astype(np.int64) + ACROSS // 2
         inside = ((places >= 0) & (places < ACROSS)).all(1)
         x, y, z = places[inside].T
         rows = np.hstack([offsets[inside], colours[inside], np.ones((inside.sum(), 1))])

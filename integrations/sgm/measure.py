@@ -10,6 +10,13 @@ Errors are distances along the pixel's ray; an outlier is off by more than 3 g_d
 images, or --gsd.
 """
 
+import os
+import sys
+
+if __name__ == "__main__":
+    # The current folder may be a stranger's: a json.py that he put there is not imported.
+    sys.path[1:] = [path for path in sys.path[1:] if os.path.realpath(path) != os.path.realpath(os.curdir)]
+
 import argparse
 import functools
 import itertools

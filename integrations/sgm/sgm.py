@@ -65,7 +65,7 @@ import numpy as np
 from fuse import fuse
 from merge import MIN_AGREE, SIGMA_PX, merge
 from pairs import VERSION, Pairs, made_of, write_whole
-from workspace import InputError, Workspace, read_record
+from workspace import InputError, Workspace, read_record, refuse_links
 
 MAX_PARTNERS = 255  # counts are 8 bit
 MANIFEST_VERSION = 2  # of manifest.json; the fields of others may mean something else
@@ -336,25 +336,6 @@ def run(clusters, args, out, stop, done):
             ready, running = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
             for future in ready:
                 done(future.result())
-
-
-def refuse_links(out):
-    """Links at and below OUT would lead out of a project, which may be a stranger's, and a pipe would be waited for. Files that are links are replaced, not written."""
-    if os.path.islink(out):
-        raise InputError(f"{out}: a symbolic link in place of a folder of sgm.py's. Name the folder itself with --out")
-
-    def unlisted(error):
-        if not isinstance(error, FileNotFoundError):
-            raise InputError(f"{error.filename}: {error.strerror}. Move it away, or name another --out")
-
-    for folder, names, files in os.walk(out, onerror=unlisted):
-        for name in names:
-            if os.path.islink(os.path.join(folder, name)):
-                raise InputError(f"{os.path.join(folder, name)}: a symbolic link in place of a folder of sgm.py's. Move it away, or name another --out")
-        for name in files:
-            path = os.path.join(folder, name)
-            if os.path.exists(path) and not os.path.isfile(path):
-                raise InputError(f"{path}: not a file. Move it away, or name another --out")
 
 
 def match(args):

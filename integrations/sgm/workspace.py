@@ -3,6 +3,7 @@
 Pixel coordinates here are OpenCV's: the centre of the first pixel is (0, 0). COLMAP's files put it at (0.5, 0.5).
 """
 
+import contextlib
 import hashlib
 import os
 import re
@@ -138,7 +139,21 @@ def decoded(path, how, view):
     size = size_of(data)
     if not size or size[0] * size[1] > view.most_picture_pixels:
         return None
-    return cv2.imdecode(np.frombuffer(data, np.uint8), how)
+    with silent_libraries():
+        return cv2.imdecode(np.frombuffer(data, np.uint8), how)
+
+
+@contextlib.contextmanager
+def silent_libraries():
+    """Drops what libraries print: libpng names a broken profile as the file does, with what a terminal would obey."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def bytes_of(path, view):
@@ -201,6 +216,25 @@ def read_record(path):
     if found.st_size > MOST_BYTES_OF_A_RECORD:
         raise InputError(f"{path}: longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so no list or record of viewrank's. Move it away")
     return path.read_text(encoding="utf-8", errors="surrogateescape")
+
+
+def refuse_links(out):
+    """Links at and below OUT would lead out of a project, which may be a stranger's, and a pipe would be waited for. Files that are links are replaced, not written."""
+    if os.path.islink(out):
+        raise InputError(f"{out}: a symbolic link in place of a folder of sgm.py's. Name the folder itself with --out")
+
+    def unlisted(error):
+        if not isinstance(error, FileNotFoundError):
+            raise InputError(f"{error.filename}: {error.strerror}. Move it away, or name another --out")
+
+    for folder, names, files in os.walk(out, onerror=unlisted):
+        for name in names:
+            if os.path.islink(os.path.join(folder, name)):
+                raise InputError(f"{os.path.join(folder, name)}: a symbolic link in place of a folder of sgm.py's. Move it away, or name another --out")
+        for name in files:
+            path = os.path.join(folder, name)
+            if os.path.exists(path) and not os.path.isfile(path):
+                raise InputError(f"{path}: not a file. Move it away, or name another --out")
 
 
 ARRAY = re.compile(rb"\{'descr': '([^']{1,8})', 'fortran_order': False, 'shape': \(([0-9, ]{0,40})\), \} *\n")

@@ -1,6 +1,14 @@
 #!/bin/sh
 # Computes the depth map of one view cluster of viewrank's plan: task.sh RANK, or in a job array: task.sh array OFFSET.
 # Leaves at once when the map is there or the target is reached, so that it may be started any number of times.
+# sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own. A copy of a queue's has one.
+case $0 in
+.//task.sh) ;;
+*/task.sh)
+    cd "$(dirname "$0")" && exec sh .//task.sh "$@"
+    exit 1
+    ;;
+esac
 @HEAD@
 set -u
 @REFUSE_STRANGERS@

@@ -3,12 +3,14 @@ the terminal that it would obey."""
 import json
 import os
 import shutil
+import struct
 import subprocess
 import sys
 
 import pytest
 
 from conftest import ROOT
+from test_export_formats import SIDE_FILE
 from test_openmvs_runner import folder, make, maps, run  # noqa: F401 (a fixture)
 from test_run_scripts import COLMAP, DMRECON, RUN, SCENE2PSET, Work, plans, work  # noqa: F401 (fixtures)
 
@@ -179,7 +181,8 @@ def test_realityscan_names_a_side_file_without_escape_sequences(tmp_path):
     shutil.copy(ROOT / "integrations/realityscan/switch.py", tmp_path)
     (tmp_path / f"xmp/{ESCAPE}").mkdir(parents=True)
     (tmp_path / f"images/{ESCAPE}").mkdir(parents=True)
-    (tmp_path / f"xmp/{ESCAPE}/a.xmp").write_text('<d xcr:InMeshing="0" xcr:InTexturing="0"/>\n')
+    (tmp_path / f"xmp/{ESCAPE}/a.xmp").write_text(SIDE_FILE.format(0))
+    (tmp_path / "xmp.txt").write_text(f"{ESCAPE}/a.xmp\n")
     (tmp_path / f"images/{ESCAPE}/a.xmp").write_text("a pose")
     done = subprocess.run([sys.executable, tmp_path / "switch.py", tmp_path / "images"], capture_output=True, text=True)
     assert done.returncode == 1 and "a.xmp: holds more" in done.stderr and "\x1b" not in done.stderr
@@ -192,14 +195,117 @@ def test_realityscan_replaces_no_file_of_another_name(tmp_path):
     shutil.copy(ROOT / "integrations/realityscan/switch.py", tmp_path)
     (tmp_path / "xmp").mkdir()
     (tmp_path / "images").mkdir()
-    (tmp_path / "xmp/a.xmp").write_text('<d xcr:InMeshing="0" xcr:InTexturing="0"/>\n')
+    (tmp_path / "xmp/a.xmp").write_text(SIDE_FILE.format(0))
+    (tmp_path / "xmp.txt").write_text("a.xmp\n")
     (tmp_path / "images/a.xmp.new").write_text("the user's")
     subprocess.run([sys.executable, tmp_path / "switch.py", tmp_path / "images"], check=True)
     assert {path.name: path.read_text() for path in (tmp_path / "images").iterdir()} == {"a.xmp.new": "the user's", "a.xmp": (tmp_path / "xmp/a.xmp").read_text()}
     assert (tmp_path / "images/a.xmp").stat().st_mode == (tmp_path / "xmp/a.xmp").stat().st_mode
 
 
+SECRET = "the user's"
+
+
+@pytest.mark.parametrize("name", ["a.xmp", "b/a.xmp", "b", "xmp.txt"])
+@pytest.mark.parametrize("how", ["link", "pipe", "other", "two", "long"])
+def test_realityscan_takes_only_side_files_that_viewrank_wrote(tmp_path, name, how):
+    shutil.copy(ROOT / "integrations/realityscan/switch.py", tmp_path)
+    (tmp_path / "xmp/b").mkdir(parents=True)
+    (tmp_path / "images").mkdir()
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home/secret").write_text(SECRET)
+    for listed in ("a.xmp", "b/a.xmp"):
+        (tmp_path / "xmp" / listed).write_text(SIDE_FILE.format(0))
+    (tmp_path / "xmp.txt").write_text("a.xmp\nb/a.xmp\n")
+    path = tmp_path / "xmp.txt" if name == "xmp.txt" else tmp_path / "xmp" / name
+    path.rename(tmp_path / "before")
+    put = {
+        "link": lambda: path.symlink_to(tmp_path / ("home" if name == "b" else "home/secret")),
+        "pipe": lambda: os.mkfifo(path),
+        "other": lambda: path.write_text(SECRET),
+        "two": lambda: path.write_text(SIDE_FILE.format(0) * 2),
+        "long": lambda: (path.touch(), os.truncate(path, 1 << 36)),
+    }
+    put[how]()
+    done = subprocess.run([sys.executable, tmp_path / "switch.py", tmp_path / "images"], capture_output=True, text=True, timeout=20)
+    assert done.returncode == 1 and done.stderr.startswith("error: ") and not list((tmp_path / "images").iterdir()), done.stderr
+
+
+def test_realityscan_takes_only_what_is_listed(tmp_path):
+    shutil.copy(ROOT / "integrations/realityscan/switch.py", tmp_path)
+    (tmp_path / "xmp").mkdir()
+    (tmp_path / "images").mkdir()
+    for name in ("a.xmp", "planted.xmp", "../images.xmp"):
+        (tmp_path / "xmp" / name).write_text(SIDE_FILE.format(1))
+    (tmp_path / "xmp.txt").write_text("a.xmp\n")
+    command = [sys.executable, tmp_path / "switch.py", tmp_path / "images"]
+    assert subprocess.run(command).returncode == 0 and [path.name for path in (tmp_path / "images").iterdir()] == ["a.xmp"]
+    (tmp_path / "xmp.txt").write_text("a.xmp\n../images.xmp\n")
+    assert subprocess.run(command, capture_output=True).returncode == 1
+
+
 # OpenMVS
+
+
+@pytest.mark.parametrize("kind, bits, size", [(b"DR", 0, (1, 0xFFFFFFFF)), (b"DR", 14, (4, 4)), (b"DR", 1, (0xFFFFFFFF, 1)), (b"DR", 1, (1, 0xFFFFFFFF)), (b"D2", 1, (402, 300)),
+                                              (b"DR", 15, (401, 302)), (b"DR", 1, (10_000, 10))])
+def test_a_planted_map_without_depths_or_larger_than_its_image_is_not_read(folder, kind, bits, size):  # noqa: F811
+    place = planted_row(folder)
+    head = kind + bytes([bits, 0]) + struct.pack("<4I2f", *size, *size, 90, 220) + (b"" if kind == b"DR" else bytes(4))
+    head += struct.pack("<H", 1) + b"a" + struct.pack("<4I", 3, 10, 1, 2) + bytes(168)
+    (place / "depth0010.dmap").write_bytes(head)
+    os.truncate(place / "depth0010.dmap", len(head) + 24 * size[0] * size[1])
+    command = [sys.executable, folder / "run.py", "--densify", folder / "densify", "--rank", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "Traceback" not in done.stderr and (folder / "depth0010.dmap").stat().st_size < 1000, done.stderr
+
+
+def put(path, how):
+    """Puts an odd thing in the place of a record."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    {"pipe": lambda: os.mkfifo(path), "link": lambda: path.symlink_to("/dev/zero"), "long": lambda: (path.touch(), os.truncate(path, 1 << 36))}[how]()
+
+
+ODD = ["pipe", "link", "long"]
+
+
+@pytest.mark.parametrize("how", ODD)
+@pytest.mark.parametrize("name", ["report.json", "rows/0010.json", "kinds.json", "unfinished/0010-a/row.json", "run.json", "links.txt", "../progress.json"])
+def test_odd_records_end_the_run_with_one_error(folder, name, how):  # noqa: F811
+    inside = folder / "export"
+    inside.mkdir()
+    for path in list(folder.iterdir()):
+        if path != inside:
+            path.rename(inside / path.name)
+    put(inside / name, how)
+    command = [sys.executable, inside / "run.py", "--densify", inside / "densify", "--progress", inside / "../progress.json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and done.stderr.startswith("error: ") and len(done.stderr.splitlines()) <= 2, done.stderr
+
+
+@pytest.mark.parametrize("how", ODD)
+@pytest.mark.parametrize("script, record", [("alicevision/finished.py", "keys.sfm"), ("sure/ground.py", "ori/a.ori"), ("metashape/depth_maps.py", "clusters.json")])
+def test_odd_records_end_other_scripts_with_one_error(tmp_path, script, record, how):
+    shutil.copy(ROOT / "integrations" / script, tmp_path / "script.py")
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules/Metashape.py").touch()
+    put(tmp_path / record, how)
+    if script == "metashape/depth_maps.py" and how == "long":
+        return
+    done = subprocess.run([sys.executable, tmp_path / "script.py", tmp_path, "0"], capture_output=True, text=True, timeout=60, env={**os.environ, "PYTHONPATH": str(tmp_path / "modules")})
+    assert done.returncode == 1 and done.stderr.startswith("error: ") and len(done.stderr.splitlines()) == 1, done.stderr
+
+
+ORIENTATION = "$ImageID\na.jpg\n$IntOri_SensorSize\n600 400\n$IntOri_CameraMatrix\n500 0 300\n0 500 200\n0 0 1\n$ExtOri_RotationMatrix\n1 0 0\n0 -1 0\n0 0 -1\n$ExtOri_TranslationVector\n0 0 100\n"
+
+
+@pytest.mark.parametrize("more", ["", "$IntOri_CameraMatrix\n1 2\n", "$IntOri_CameraMatrix\n" + "nan " * 9, "$IntOri_CameraMatrix\n" + "0 " * 9, "$ExtOri_TranslationVector\n1e999 0 0\n", "$IntOri_SensorSize\n"])
+def test_planted_orientations_end_with_one_error(tmp_path, more):
+    (tmp_path / "ori").mkdir()
+    (tmp_path / "ori/a.ori").write_text(ORIENTATION + more)
+    done = subprocess.run([sys.executable, ROOT / "integrations/sure/ground.py", tmp_path, "0"], capture_output=True, text=True)
+    assert done.returncode == bool(more) and len(done.stderr.splitlines()) == bool(more), done.stderr
 
 
 def planted_row(folder, name="0010-evil", **changes):  # noqa: F811
@@ -270,3 +376,41 @@ def test_planted_times_of_cameras_count_as_none(viewrank, plans, tmp_path):  # n
         (net.folder / "fuse/seen.json").write_text(text)
         done = subprocess.run([sys.executable, net.folder / "finished.py"], capture_output=True, text=True)
         assert done.returncode == 1 and "nothing to join" in done.stderr and "Traceback" not in done.stderr, done.stderr
+    for name in ("fuse/seen.json", "sizes.txt", "pair_fuse.txt"):
+        for how in ODD:
+            kept = (net.folder / name).read_bytes()
+            put(net.folder / name, how)
+            done = subprocess.run([sys.executable, net.folder / "finished.py"], capture_output=True, text=True, timeout=20)
+            assert done.returncode == 1 and done.stderr.startswith("error: ") and name in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+            (net.folder / name).unlink()
+            (net.folder / name).write_bytes(kept)
+
+
+# Names of folders
+
+
+@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
+                                    "sure/ground.py", "sgm/sgm.py"])
+def test_no_message_of_a_script_has_escape_sequences(tmp_path, script):
+    """Nor does a traceback; the folder is a stranger's."""
+    folder = tmp_path / ESCAPE
+    folder.mkdir()
+    shutil.copy(ROOT / "integrations" / script, folder / "script.py")
+    (folder / "sizes.txt").write_text("not a number\n")
+    words = {"openmvs/unscale.py": [folder / "no.ply", "x.ply", "2"], "realityscan/switch.py": [folder], "sure/ground.py": [folder, "0"]}
+    done = subprocess.run([sys.executable, folder / "script.py", *words.get(script, [])], capture_output=True, text=True)
+    assert done.returncode != 0 and "owned" in done.stderr and "\x1b" not in done.stdout + done.stderr and "\x07" not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("backend", ["mve", "gipuma", "alicevision", "sure", "micmac", "odm", "patchmatchnet", "colmap"])
+def test_no_message_of_sh_has_escape_sequences(viewrank, plans, tmp_path, backend):  # noqa: F811
+    """It names the script where a program is missing, and where a variable is."""
+    folder = tmp_path / ESCAPE
+    viewrank("export", plans[4], "--backend", backend, "--out", folder)
+    script = folder / ("stereo/viewrank/run.sh" if backend == "colmap" else "run.sh")
+    (tmp_path / "Ori-a").mkdir()
+    (tmp_path / "Ori-a/Orientation-a.xml").write_text("<x/>")
+    for words in ([], ["Ori-a"], ["--rank", "1"], ["Ori-missing"]):
+        environment = {"PATH": "/usr/bin:/bin", "COLMAP": "missing", "MM3D": "missing"}
+        done = subprocess.run(["sh", script, *words], cwd=tmp_path, env=environment, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+        assert done.returncode != 0 and "run.sh" in done.stderr + "run.sh" * (words != []) and "\x1b" not in done.stdout + done.stderr, done.stderr

@@ -10,11 +10,14 @@ import pytest
 
 PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
 INTEGRATIONS = Path(__file__).parents[2] / "integrations"
-SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py"]
+SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py", "sure/ground.py"]
+# These take their modules from their own folder.
+OF_A_FOLDER = ["sgm/sgm.py", "sgm/measure.py", "sgm/experiments.py"]
 
 
-@pytest.mark.parametrize("script", SCRIPTS)
+@pytest.mark.parametrize("script", [*SCRIPTS, *OF_A_FOLDER])
 def test_planted_modules_are_not_imported(script, tmp_path):
+    """Neither from the script's folder nor, where PYTHONPATH has an empty entry, from the current one."""
     text = (INTEGRATIONS / script).read_text()
     names = set(re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)) - {"os", "sys"}
     assert names, "it imports something"
@@ -22,8 +25,16 @@ def test_planted_modules_are_not_imported(script, tmp_path):
     trap = tmp_path / "trapped"
     for name in names:
         (tmp_path / f"{name}.py").write_text(f"open({str(trap)!r}, 'w').close()")
-    done = subprocess.run([sys.executable, "script.py", "--help"], cwd=tmp_path, capture_output=True, text=True)
-    assert not trap.exists() and "has no attribute" not in done.stderr and "cannot import" not in done.stderr, done.stderr
+    for path in [tmp_path / "script.py", INTEGRATIONS / script][script in OF_A_FOLDER :]:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep}
+        done = subprocess.run([sys.executable, path, "--help"], cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert not trap.exists() and "has no attribute" not in done.stderr and "cannot import" not in done.stderr, done.stderr
+
+
+def test_all_scripts_print_alike():
+    """They have no module in common, as each lies alone in an export."""
+    own = {re.search(r"^class Printable:.*?(?=^if __name__)", (INTEGRATIONS / script).read_text(), re.MULTILINE | re.DOTALL)[0] for script in [*SCRIPTS, "sgm/sgm.py"]}
+    assert len(own) == 1
 
 
 def test_workers_of_sgm_import_nothing_planted(fixtures, tmp_path):
@@ -34,7 +45,7 @@ def test_workers_of_sgm_import_nothing_planted(fixtures, tmp_path):
     (export / "multiprocessing").mkdir()
     (export / "multiprocessing/__init__.py").write_text(f"open({str(trap)!r}, 'w').close()")
     # A Python before 3.11 has no PYTHONSAFEPATH; it must hold without.
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"} | {"PYTHONPATH": os.pathsep}
     command = [sys.executable, "sgm.py", "match", "../..", "--clusters", "clusters.txt", "--out", "depth_maps", "--image-scale", "0.2", "--stop-at", "1"]
     done = subprocess.run(command, cwd=export, env=environment, capture_output=True, text=True)
     assert done.returncode == 0 and not trap.exists(), done.stderr
