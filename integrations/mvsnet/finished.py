@@ -37,7 +37,7 @@ folder = Path(__file__).resolve().parent
 
 # Maps that the fusion compares with one: the best of those that are finished.
 FUSED_WITH = 24
-MOST_BYTES_OF_A_RECORD = 32 << 20
+MOST_BYTES_OF_A_RECORD = 16 << 20
 
 
 def read_record(path):

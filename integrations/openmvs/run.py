@@ -56,7 +56,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 FILLED_LEAST = 0.01  # share of pixels with a depth below which a map counts as empty
-MOST_BYTES_OF_A_RECORD = 32 << 20
+MOST_BYTES_OF_A_RECORD = 16 << 20
 NO_POSE = 0xFFFFFFFF  # DensifyPointCloud passes over such images and does not load them
 # Kinds of .dmap by their first letters: bytes of the head, and bytes per pixel of the planes of depths, normals, confidences and views. OpenMVS v2.0 to v2.4.0 writes DR, in
 # floats; develop of 2026 D2, with depths as halves and confidences as bytes. It reads only maps of the kind that it writes.

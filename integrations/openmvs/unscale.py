@@ -45,6 +45,8 @@ def main():
         end = data.index(b"end_header\n") + len(b"end_header\n")
         at = end
         for name, count, properties in elements(data[:end].decode("ascii", "replace")):
+            if count > len(data):
+                raise ValueError(f"{count} of {name}")
             if name == "vertex":
                 divide(data, at, count, properties, scale)
                 break

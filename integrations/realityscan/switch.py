@@ -33,7 +33,7 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-MOST_BYTES_OF_A_RECORD = 32 << 20
+MOST_BYTES_OF_A_RECORD = 16 << 20
 # A side file without its white space.
 SIDE_FILE = re.compile(
     re.escape(b'<x:xmpmetaxmlns:x="adobe:ns:meta/"><rdf:RDFxmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">')

@@ -162,7 +162,7 @@ def test_a_rank_without_map_is_named_without_escape_sequences(colmap):
 
 
 def test_tasks_of_a_queue_name_views_without_escape_sequences(viewrank, plans, tmp_path):  # noqa: F811
-    project = tmp_path / "project"
+    project = tmp_path / f"{ESCAPE}project"
     shutil.copytree(plans[4], project, symlinks=True)
     program = tmp_path / "colmap"
     program.write_text("#!/bin/sh\nexit 1\n")
@@ -171,10 +171,17 @@ def test_tasks_of_a_queue_name_views_without_escape_sequences(viewrank, plans, t
     viewrank("dispatch", project, "--backend", "colmap", "--scheduler", "shell", "--program", program)
     queue = project / "viewrank/dispatch/colmap"
     (tasks,) = queue.glob("*.tsv")
+    before = tasks.read_text()
     tasks.write_text("\n".join(f"{line}{ESCAPE}\\033[2J" for line in tasks.read_text().splitlines()) + "\n")
     done = subprocess.run(["sh", queue / "task.sh", "1"], capture_output=True, text=True)
     assert done.returncode == 1 and "rank 1" in done.stdout and "\\033[2J failed" in done.stderr
     assert "\x1b" not in done.stdout + done.stderr
+    tasks.write_text(before)
+    program.unlink()
+    for script, words in (("task.sh", ["1"]), ("fuse.sh", []), ("task.sh", ["array"])):
+        done = subprocess.run(["sh", queue / script, *words], capture_output=True, text=True)
+        assert "\x1b" not in done.stdout + done.stderr, done.stderr
+    assert "task.sh: " in done.stderr, "sh names the script"
 
 
 def test_realityscan_names_a_side_file_without_escape_sequences(tmp_path):
@@ -298,6 +305,13 @@ def test_odd_records_end_other_scripts_with_one_error(tmp_path, script, record, 
 
 
 ORIENTATION = "$ImageID\na.jpg\n$IntOri_SensorSize\n600 400\n$IntOri_CameraMatrix\n500 0 300\n0 500 200\n0 0 1\n$ExtOri_RotationMatrix\n1 0 0\n0 -1 0\n0 0 -1\n$ExtOri_TranslationVector\n0 0 100\n"
+
+
+def test_a_planted_cloud_of_any_number_of_points_is_not_unscaled(tmp_path):
+    (tmp_path / "a.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement face 999999999999999\nelement vertex 1\nend_header\n")
+    command = [sys.executable, ROOT / "integrations/openmvs/unscale.py", tmp_path / "a.ply", tmp_path / "b.ply", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1 and not (tmp_path / "b.ply").exists(), done.stderr
 
 
 @pytest.mark.parametrize("more", ["", "$IntOri_CameraMatrix\n1 2\n", "$IntOri_CameraMatrix\n" + "nan " * 9, "$IntOri_CameraMatrix\n" + "0 " * 9, "$ExtOri_TranslationVector\n1e999 0 0\n", "$IntOri_SensorSize\n"])
