@@ -54,9 +54,9 @@ def read_record(path):
 def opened(path):
     """The file of a PFM behind its header, its number of channels, and its width and height."""
     file = open(path, "rb")
-    channels = 3 if file.readline().strip() == b"PF" else 1
-    width, height = map(int, file.readline().split())
-    file.readline()
+    channels = 3 if file.readline(100).strip() == b"PF" else 1
+    width, height = map(int, file.readline(100).split())
+    file.readline(100)
     return file, channels, (width, height)
 
 

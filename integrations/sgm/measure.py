@@ -28,7 +28,7 @@ import numpy as np
 
 from merge import merge
 from pairs import Pairs
-from workspace import Workspace
+from workspace import Workspace, read_record
 
 RIGHT_PX = 2  # a single match is right when it is off by less, in disparity
 WORKED = 0.5  # a pair works when it gets this share of what both views show right
@@ -72,7 +72,7 @@ def ray_lengths(view):
 
 
 def measure_maps(args):
-    report = json.loads((args.out / "report.json").read_text(encoding="utf-8"))
+    report = json.loads(read_record(args.out / "report.json"))
     workspace = Workspace(args.workspace, report["settings"]["image_scale"])
     limit = 3 * (args.gsd or 1.25 * Workspace(args.workspace).gsd())
     rows = []

@@ -115,7 +115,7 @@ def test_planted_maps_are_left_out_of_the_fusion(planes, tmp_path, capsys):  # n
     clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png", SIDES[1]))
     run(planes, tmp_path / "out", clusters)
     planted = tmp_path / f"out/depth_maps/{SIDES[0]}.npy"
-    for content in (b"nonsense", b"", planted_npy("<f4", "(100000000000, 4)"), planted_npy("<f4", f"({WIDTH},)", bytes(4 * WIDTH)), planted_npy("<f4", f"({HEIGHT}, {WIDTH})"),
+    for content in (b"nonsense", b"", b"\x93NUMPY\1\0", planted_npy("<f4", "(100000000000, 4)"), planted_npy("<f4", f"({WIDTH},)", bytes(4 * WIDTH)), planted_npy("<f4", f"({HEIGHT}, {WIDTH})"),
                     planted_npy("|O", f"({HEIGHT}, {WIDTH})"), b"\x93NUMPY\1\0\xff\xff" + b"(" * 65535):
         planted.write_bytes(content)
         sgm.main(["fuse", str(planes), "--out", str(tmp_path / "out"), "--clusters", str(clusters)])

@@ -137,7 +137,7 @@ def decoded(path, how, view):
     """The image as OpenCV reads it; None if it can't, or if it has more pixels than one of the view may have: a file of a few bytes may claim any number."""
     data = bytes_of(path, view)
     size = size_of(data)
-    if not size or size[0] * size[1] > view.most_picture_pixels:
+    if not size or not 0 < size[0] * size[1] <= view.most_picture_pixels:
         return None
     with silent_libraries():
         return cv2.imdecode(np.frombuffer(data, np.uint8), how)
@@ -243,7 +243,7 @@ ARRAY = re.compile(rb"\{'descr': '([^']{1,8})', 'fortran_order': False, 'shape':
 def read_array(file, kind, *shape):
     """The array of a .npy as numpy.save writes it; ValueError if it is not of this type and shape: a head may claim any, and memory for it would be asked for."""
     head = file.read(10)
-    if head[:8] != b"\x93NUMPY\1\0":
+    if len(head) < 10 or head[:8] != b"\x93NUMPY\1\0":
         raise ValueError("not a .npy")
     found = ARRAY.fullmatch(file.read(*struct.unpack_from("<H", head, 8)))
     if not found:

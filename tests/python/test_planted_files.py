@@ -398,6 +398,11 @@ def test_planted_times_of_cameras_count_as_none(viewrank, plans, tmp_path):  # n
             assert done.returncode == 1 and done.stderr.startswith("error: ") and name in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
             (net.folder / name).unlink()
             (net.folder / name).write_bytes(kept)
+    for kind in ("depth_est", "confidence"):
+        for view in (net.folder / "sizes.txt").read_text().splitlines():
+            put(net.folder / f"depths/{kind}/{int(view.split()[0]):08}.pfm", "long")
+    done = subprocess.run(["sh", "-c", 'ulimit -v 1000000; exec "$@"', "sh", sys.executable, net.folder / "finished.py"], capture_output=True, text=True, timeout=20)
+    assert done.returncode == 1 and "nothing to join" in done.stderr and "Traceback" not in done.stderr, done.stderr
 
 
 # Names of folders
