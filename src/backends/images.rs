@@ -45,6 +45,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     )];
     let mut files = options.file_set(&BACKEND, selection);
     files.add_text("images.txt", name_lines(selection, &views));
+    let tests = selection.kept_for_tests();
+    if !tests.is_empty() {
+        files.add_text("test.txt", name_lines(selection, &tests));
+    }
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }

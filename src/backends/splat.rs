@@ -76,7 +76,6 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let near = selection.near_origin();
     let views = listed_views(selection, options.refs);
     let tests = selection.kept_for_tests();
-    let all = [&views[..], &tests].concat();
     let mut files = options.file_set(&BACKEND, selection);
     let without_images = add_models(&mut files, selection, near.origin, &views, &tests)?;
     let selection = &near.selection();
@@ -104,7 +103,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.note_own_scale(selection);
     record.fusion = "none".into();
     record.warnings.extend(without_images);
-    record.warnings.extend(warnings(selection, &all));
+    record.warnings.extend(warnings(selection, &views));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -123,33 +122,38 @@ fn add_models(
         Err(BackendError::Needs { hint, .. }) => {
             let why =
                 "the images are not there, so images/ is left out, and nothing can be trained yet";
-            (None, Some(format!("{why}: {hint}, and export again")))
+            let hint = format!("{why}: {hint}, or name their folder with --images, and plan again");
+            (None, Some(hint))
         }
         Err(error) => return Err(error),
     };
-    let mut add = |views: &[ViewIndex], model, folder| {
+    let mut add = |tests, model, folder| {
         let images = images.map(|images| (folder, images));
         let folders = Folders { model, images };
-        add_workspace(BACKEND.name, files, selection, views, folders, 2, origin)
+        let of_model = (views, tests, 2);
+        add_workspace(BACKEND.name, files, selection, of_model, folders, origin)
     };
-    add(&[views, tests].concat(), "sparse/0", "images")?;
+    add(tests, "sparse/0", "images")?;
     if !tests.is_empty() {
-        add(views, "train/sparse/0", "train/images")?;
+        add(&[], "train/sparse/0", "train/images")?;
     }
     Ok(warning)
 }
 
 fn not_honoured(selection: &Selection, views: &[ViewIndex], has_tests: bool) -> Vec<String> {
-    let tests = "the choice of test images, but by nerfstudio: others take every n-th, so train/ has none of them";
+    let tests = if has_tests {
+        "the choice of test images, but by nerfstudio: others take every n-th, so train/ has none of them"
+    } else {
+        "tests: test_list.txt repeats training images, since nerfstudio must have one (plan with --test-every N)"
+    };
     let first = views.iter().min().map(|&v| {
         format!(
             "{}: gsplat holds the first image by name out of training, always",
             selection.scene.name(v)
         )
     });
-    ["matching partners", "the rank order"]
+    ["matching partners", "the rank order", tests]
         .into_iter()
-        .chain(has_tests.then_some(tests))
         .map(String::from)
         .chain(first)
         .collect()

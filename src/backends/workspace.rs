@@ -7,7 +7,10 @@ use nalgebra::Vector3;
 use super::{BackendError, Selection};
 use crate::{
     io::{
-        formats::{colmap::ColmapModel, colmap_bin},
+        formats::{
+            colmap::{ColmapImage, ColmapModel, ImageUse},
+            colmap_bin,
+        },
         output::{Contents, FileSet},
         project::{ImageFolder, ProjectError},
     },
@@ -22,21 +25,21 @@ pub struct Folders<'a> {
     pub images: Option<(&'a str, &'a ImageFolder)>,
 }
 
-/// Adds `{cameras,images,points3D}.bin` of the model and links to the images for the views, in
-/// coordinates relative to `origin`, without points that fewer than `least_views` of them observe.
+/// Adds `{cameras,images,points3D}.bin` of the model and links to the images for the views and for
+/// those kept for tests, in coordinates relative to `origin`, without points that fewer than
+/// `least_views` of the former observe.
 pub fn add_workspace(
     backend: &'static str,
     files: &mut FileSet,
     selection: &Selection,
-    views: &[ViewIndex],
+    (views, tests, least_views): (&[ViewIndex], &[ViewIndex], usize),
     folders: Folders,
-    least_views: usize,
     origin: Vector3<f64>,
 ) -> Result<(), BackendError> {
-    for (name, bytes) in reduced_model(selection, views, least_views, origin)? {
+    for (name, bytes) in reduced_model(selection, (views, tests, least_views), origin)? {
         files.add(format!("{}/{name}", folders.model), Contents::Bytes(bytes));
     }
-    for &view in views {
+    for &view in views.iter().chain(tests) {
         let name = selection.scene.name(view);
         if name.split('/').any(|part| matches!(part, "" | "." | "..")) {
             let why = "it leads out of the image folder".into();
@@ -57,13 +60,24 @@ pub fn add_workspace(
 /// coordinates is kept.
 fn reduced_model(
     selection: &Selection,
-    views: &[ViewIndex],
-    least_views: usize,
+    (views, tests, least_views): (&[ViewIndex], &[ViewIndex], usize),
     origin: Vector3<f64>,
 ) -> Result<Vec<(&'static str, Vec<u8>)>, BackendError> {
-    let names: HashSet<&str> = views.iter().map(|&v| selection.scene.name(v)).collect();
+    let names = |views: &[ViewIndex]| -> HashSet<&str> {
+        views.iter().map(|&v| selection.scene.name(v)).collect()
+    };
+    let (counting, others) = (names(views), names(tests));
     let write = |model: &ColmapModel| {
-        let reduced = model.reduced(|image| names.contains(&*image.name), least_views)?;
+        let use_of = |image: &ColmapImage| {
+            if counting.contains(&*image.name) {
+                ImageUse::Counting
+            } else if others.contains(&*image.name) {
+                ImageUse::Kept
+            } else {
+                ImageUse::Removed
+            }
+        };
+        let reduced = model.reduced(use_of, least_views)?;
         Ok(colmap_bin::write(&reduced.moved(origin)?))
     };
     let fault = |fault| ProjectError::Fault {

@@ -584,7 +584,7 @@ fn notes_on_left_out(plan: &Plan) -> Vec<String> {
             _ => ("images", "are"),
         };
         notes.push(format!(
-            "{} {image} from the place of a sharper one {is} set aside.",
+            "{} {image} from the place of another {is} set aside.",
             grouped(twins)
         ));
     }

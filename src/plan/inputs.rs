@@ -103,9 +103,10 @@ impl<'a> Inputs<'a> {
         let confidence = Confidence::new(source, own, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let without_image = image_faults.without_image(scene.views.len());
+        let is_there = |view: &ViewIndex| without_image.binary_search(view).is_err();
         let kept_for_tests = settings
             .test_every
-            .map(|n| scene.every_nth_view(n).collect());
+            .map(|n| scene.every_nth_view(n).filter(is_there).collect());
         Ok(Self {
             matcher,
             settings,

@@ -58,8 +58,11 @@ impl Step for TwinsStep<'_> {
             pictures as &dyn confidence::Pictures,
             settings.image_scale(),
         );
-        let left_out = self.inputs.left_out();
-        Ok(twins::twins(scene, points, &left_out, seen, watcher)?)
+        let left_out = (
+            &self.inputs.without_image[..],
+            &self.inputs.kept_for_tests[..],
+        );
+        Ok(twins::twins(scene, points, left_out, seen, watcher)?)
     }
 }
 

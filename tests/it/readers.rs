@@ -9,7 +9,7 @@ use viewrank_core::{
 use viewrank_io::{
     formats::{
         Bytes,
-        colmap::{ColmapModel, Point2d},
+        colmap::{ColmapImage, ColmapModel, ImageUse, Point2d},
         colmap_bin, colmap_text,
     },
     project::{ModelFormat, Project, ProjectError, ProjectKind},
@@ -232,7 +232,14 @@ fn reduced_models_are_consistent() {
         let whole = model.scene().unwrap();
         let kept: Vec<_> = whole.view_indices().filter(|v| v.0 % 3 != 0).collect();
         let ids: Vec<u32> = kept.iter().map(|&v| whole.view(v).image_id).collect();
-        let reduced = model.reduced(|image| ids.contains(&image.id), 2).unwrap();
+        let use_of = |image: &ColmapImage| {
+            if ids.contains(&image.id) {
+                ImageUse::Counting
+            } else {
+                ImageUse::Removed
+            }
+        };
+        let reduced = model.reduced(use_of, 2).unwrap();
         assert!(reduced.rigs.is_none() && reduced.frames.is_none());
         let used: Vec<u32> = reduced.images.iter().map(|i| i.camera_id).collect();
         assert!(

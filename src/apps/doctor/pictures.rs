@@ -63,7 +63,14 @@ fn twins(inputs: &Inputs) -> Option<Finding> {
         1.0,
     );
     let without_image = faults.without_image(scene.views.len());
-    let twins = twins::twins(scene, inputs.points, &without_image, seen, &NoWatcher).ok()?;
+    let twins = twins::twins(
+        scene,
+        inputs.points,
+        (&without_image, &[]),
+        seen,
+        &NoWatcher,
+    )
+    .ok()?;
     (!twins.is_empty()).then(|| {
         let of = format!("{} of {} images", twins.len(), scene.views.len());
         let show = if twins.len() == 1 { "shows" } else { "show" };

@@ -28,7 +28,7 @@ use crate::{
     },
     io::{
         formats::{
-            colmap::{ColmapModel, Point2d},
+            colmap::{ColmapModel, ImageUse, Point2d},
             colmap_bin,
         },
         output::{self, Contents, Disk, FileSet, OutputError},
@@ -354,7 +354,7 @@ impl<'a> Undistortion<'a> {
         };
         let write = |model: &ColmapModel| {
             Ok(colmap_bin::write(
-                &self.undistorted(model.reduced(|_| true, 1)?),
+                &self.undistorted(model.reduced(|_| ImageUse::Counting, 1)?),
             ))
         };
         Ok(self

@@ -156,12 +156,11 @@ fn own_workspace(
         BACKEND.name,
         &mut files,
         selection,
-        &views,
+        (&views, &[], 1),
         Folders {
             model: "sparse",
             images: Some(("images", selection.images(BACKEND.name)?)),
         },
-        1,
         origin,
     )?;
     Ok(files)

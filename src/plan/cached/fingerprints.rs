@@ -80,7 +80,11 @@ impl<'a> Fingerprints<'a> {
             let mut hasher = self.of_scene();
             add(
                 &mut hasher,
-                &(inputs.settings.image_scale(), inputs.left_out()),
+                &(
+                    inputs.settings.image_scale(),
+                    inputs.left_out(),
+                    &inputs.kept_for_tests,
+                ),
             );
             for view in inputs.scene.view_indices() {
                 let name = inputs.scene.name(view);

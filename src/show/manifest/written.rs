@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use super::{FingerprintError, RegionSummary, VERSION, ViewEntry, check::check, fingerprint};
 use crate::{
-    backends::{ExportRecord, Selection},
+    backends::{ExportRecord, Selection, by_name},
     base::{
         bounded,
         error::{Advice, Hint},
@@ -45,6 +45,8 @@ pub struct WrittenPlan {
     pub work: Vec<f64>,
     /// Clusters up to the plan's own cut.
     pub cut: usize,
+    /// Images that could be chosen; `None` for a program that makes depth maps.
+    pub images: Option<usize>,
     /// Number of clusters at the start that had a finished depth map when the plan was made, even
     /// if their views have moved since.
     pub finished: usize,
@@ -71,6 +73,7 @@ pub(crate) struct RecordedPlan {
     pub views: Vec<ViewEntry>,
     pub outdated: Vec<OutdatedMap>,
     pub cut: Cut,
+    forecast: RecordedForecast,
     pub exports: Vec<ExportRecord>,
     #[serde(deserialize_with = "bounded::list::<_, _, 10_000>")]
     pub warnings: Vec<String>,
@@ -85,6 +88,11 @@ pub(crate) struct RecordedPlan {
 #[derive(Debug, Deserialize)]
 struct Versioned {
     version: u32,
+}
+
+#[derive(Debug, Deserialize)]
+struct RecordedForecast {
+    all_maps: usize,
 }
 
 #[derive(Debug, Deserialize)]
@@ -204,6 +212,7 @@ impl WrittenPlan {
         let (finished, settings, own_size) =
             (recorded.finished(), recorded.settings, recorded.own_size);
         let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
+        let uses_images = by_name(&recorded.backend).is_ok_and(|b| b.use_of_views.is_some());
         Ok(Self {
             project,
             backend: recorded.backend,
@@ -212,6 +221,7 @@ impl WrittenPlan {
             clusters,
             work,
             cut,
+            images: uses_images.then_some(recorded.forecast.all_maps),
             finished,
             target,
             scene,
@@ -245,14 +255,7 @@ impl WrittenPlan {
             Some(Budget::Views(share)) if self.settings.ranking.has_half() => {
                 self.work.partition_point(|&work| work <= share.0)
             }
-            Some(budget) => {
-                let tests = self
-                    .settings
-                    .test_every
-                    .map(|n| self.scene.every_nth_view(n));
-                let kept_apart = tests.map_or(0, Iterator::count);
-                budget.clusters(self.scene.views.len() - kept_apart)
-            }
+            Some(budget) => budget.clusters(self.images.unwrap_or(self.scene.views.len())),
             None => all,
         };
         let by_target = target.map_or(all, |target| {

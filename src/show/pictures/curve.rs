@@ -35,7 +35,11 @@ impl FulfilmentCurve {
                 .collect(),
             pairs: pairs.collect(),
             cut: plan.decision.cut,
-            views: plan.stages.scene.views.len(),
+            views: if plan.stages.makes_maps {
+                plan.stages.scene.views.len()
+            } else {
+                plan.decision.forecast.all_maps
+            },
             of_region: plan.stages.region.is_some(),
             of_images: !plan.stages.makes_maps,
         }

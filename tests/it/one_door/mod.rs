@@ -21,7 +21,10 @@ use viewrank_core::{
     },
 };
 use viewrank_io::{
-    formats::{colmap::ColmapModel, colmap_bin, colmap_text},
+    formats::{
+        colmap::{ColmapImage, ColmapModel, ImageUse},
+        colmap_bin, colmap_text,
+    },
     project::Project,
 };
 

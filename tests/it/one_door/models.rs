@@ -11,7 +11,11 @@ fn model() -> ColmapModel<'static> {
 /// Writes the model with its first images only.
 fn part(folder: &Folder, place: &str, images: usize) {
     let model = model();
-    let kept = model.reduced(|image| number(&image.name) < images, 1);
+    let use_of = |image: &ColmapImage| match number(&image.name) {
+        number if number < images => ImageUse::Counting,
+        _ => ImageUse::Removed,
+    };
+    let kept = model.reduced(use_of, 1);
     folder.colmap(place, &kept.unwrap());
 }
 

@@ -97,10 +97,10 @@ pub fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, DecisionError> {
             Budget::Views(share) if cost.options.has_half => {
                 longest_within(end.0, share.0, |rank| Ok(cost.work(rank)))?
             }
-            budget => {
-                let kept_apart = cost.tables.kept_for_tests.len();
-                budget.clusters(cost.model.scene.views.len() - kept_apart)
-            }
+            // Of all views, some of which may lack an image or partners; of images, those that can
+            // be chosen.
+            budget if cost.options.makes_maps => budget.clusters(cost.model.scene.views.len()),
+            budget => budget.clusters(cost.tables.clusters.len()),
         };
         end = sooner(end, length, CutLimit::Budget);
     }

@@ -27,17 +27,18 @@ const SAMPLES: usize = 128;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Twin {
     pub view: ViewIndex,
-    /// The view that takes part for it.
+    /// The view that takes part for it, or is kept for tests.
     pub sharper: ViewIndex,
 }
 
-/// Finds the views to set aside, ascending. `without_image`, ascending, takes no part anyway. With
-/// pictures the sharpest view of a place remains, without them that which observes most points;
-/// ties go to the first.
+/// Finds the views to set aside, ascending. `without_image`, ascending, takes no part anyway. Where
+/// a view is kept for tests (`tests`, ascending), all others from its place are set aside: training
+/// on them would be training on the test. Else with pictures the sharpest view of a place remains,
+/// without them that which observes most points; ties go to the first.
 pub fn twins(
     scene: &Scene,
     points: &ViewPoints,
-    without_image: &[ViewIndex],
+    (without_image, tests): (&[ViewIndex], &[ViewIndex]),
     (pictures, image_scale): (&dyn Pictures, f64),
     watcher: &dyn Watcher,
 ) -> Result<Vec<Twin>, Cancelled> {
@@ -66,15 +67,16 @@ pub fn twins(
             Err(cancelled) => Some(Err(cancelled)),
         })
         .collect::<Result<_, Cancelled>>()?;
+    let is_test = |view: ViewIndex| tests.binary_search(&view).is_ok();
     ranked.sort_by(|a, b| {
         let better = b.0.total_cmp(&a.0).then(b.1.cmp(&a.1));
-        better.then(a.2.view.cmp(&b.2.view))
+        let first = is_test(b.2.view).cmp(&is_test(a.2.view));
+        first.then(better).then(a.2.view.cmp(&b.2.view))
     });
-    set_aside(
-        scene,
-        ranked.into_iter().map(|(.., placed)| placed),
-        watcher,
-    )
+    let best_first = ranked.into_iter().map(|(.., placed)| placed);
+    let mut aside = set_aside(scene, best_first, watcher)?;
+    aside.retain(|twin| !is_test(twin.view));
+    Ok(aside)
 }
 
 /// Goes through the views, best first: each is set aside if a better one that remains is its twin.
@@ -251,10 +253,21 @@ mod tests {
     }
 
     fn found(scene: &Scene, contrasts: &[u8], without_image: &[u32]) -> Vec<(u32, u32)> {
-        let without: Vec<ViewIndex> = without_image.iter().copied().map(ViewIndex).collect();
+        found_with_tests(scene, contrasts, (without_image, &[]))
+    }
+
+    fn found_with_tests(
+        scene: &Scene,
+        contrasts: &[u8],
+        (without_image, tests): (&[u32], &[u32]),
+    ) -> Vec<(u32, u32)> {
+        let views =
+            |views: &[u32]| -> Vec<ViewIndex> { views.iter().copied().map(ViewIndex).collect() };
+        let (without, tests) = (views(without_image), views(tests));
         let boards = Boards(contrasts.to_vec());
         let points = scene.view_points();
-        let twins = twins(scene, &points, &without, (&boards, 1.0), &NoWatcher).unwrap();
+        let kinds = (&without[..], &tests[..]);
+        let twins = twins(scene, &points, kinds, (&boards, 1.0), &NoWatcher).unwrap();
         twins
             .iter()
             .map(|twin| (twin.view.0, twin.sharper.0))
@@ -270,6 +283,15 @@ mod tests {
         assert_eq!(found(&scene, &[], &[]), [(2, 0), (3, 0)]);
         // A view whose image is missing takes no part for others.
         assert_eq!(found(&scene, &[50, 9, 80, 60], &[2]), [(0, 3)]);
+    }
+
+    #[test]
+    fn all_from_the_place_of_a_test_are_set_aside_but_no_test() {
+        let scene = scene(&[(0.0, 100.0), (1.0, 100.0), (0.02, 100.0), (0.05, 100.0)]);
+        let aside = |tests: &[u32]| found_with_tests(&scene, &[50, 9, 80, 60], (&[], tests));
+        assert_eq!(aside(&[0]), [(2, 0), (3, 0)]);
+        assert_eq!(aside(&[0, 3]), [(2, 3)]);
+        assert_eq!(aside(&[1]), [(0, 2), (3, 2)]);
     }
 
     #[test]

@@ -18,6 +18,7 @@ use viewrank_core::model::{
     scene::{CameraIndex, ModelWarning, Pose, Scene, View},
 };
 
+pub use self::reduce::ImageUse;
 use self::tracks::{ImageIds, ImageLists};
 use super::{Fault, Place, Problem, check_name};
 

@@ -8,24 +8,33 @@ use viewrank_core::model::scene::{PointIndex, Scene, mean};
 use super::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement, tracks::ImageLists};
 use crate::formats::{Fault, Place};
 
+/// Use of an image in a part of a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageUse {
+    /// Kept, and a view that counts for its points.
+    Counting,
+    Kept,
+    Removed,
+}
+
 impl ColmapModel<'_> {
     /// Reduces the model to some of its images. Ids don't change. The kept images keep their lists
     /// of 2D points, in which removed points become "no point". Points keep the track elements of
-    /// kept images; those that fewer than `min_views` kept images observe are removed, as are
+    /// kept images; those that fewer than `min_views` counting images observe are removed, as are
     /// unused cameras. Rigs and frames are removed: those of the whole model would contradict the
     /// rest.
     pub fn reduced(
         &self,
-        keep: impl Fn(&ColmapImage) -> bool,
+        use_of: impl Fn(&ColmapImage) -> ImageUse,
         min_views: usize,
     ) -> Result<ColmapModel<'_>, Fault> {
         let (_, view_of_image) = self.views(&self.cameras_by_id()?)?;
         let lists = ImageLists::new(&self.images, &view_of_image);
-        let kept: Vec<bool> = self.images.iter().map(keep).collect();
+        let uses: Vec<ImageUse> = self.images.iter().map(use_of).collect();
         let points = self
             .points
             .iter()
-            .map(|point| point.reduced(&lists, &kept, min_views));
+            .map(|point| point.reduced(&lists, &uses, min_views));
         let points: Vec<ColmapPoint> = points
             .filter_map(Result::transpose)
             .collect::<Result<_, _>>()?;
@@ -33,8 +42,8 @@ impl ColmapModel<'_> {
         let images = self
             .images
             .iter()
-            .zip(&kept)
-            .filter(|(_, kept)| **kept)
+            .zip(&uses)
+            .filter(|(_, used)| **used != ImageUse::Removed)
             .map(|(image, _)| image.reduced(&ids));
         let images: Vec<ColmapImage> = images.collect();
         let used: HashSet<u32> = images.iter().map(|image| image.camera_id).collect();
@@ -152,18 +161,21 @@ impl ColmapPoint<'_> {
     fn reduced(
         &self,
         lists: &ImageLists,
-        kept: &[bool],
+        uses: &[ImageUse],
         min_views: usize,
     ) -> Result<Option<ColmapPoint<'static>>, Fault> {
-        let mut track = Vec::new();
+        let (mut track, mut views) = (Vec::new(), HashSet::new());
         self.resolve(lists, |image_view, index, _| {
-            if kept[image_view.position as usize] {
-                let image = lists.links[image_view.position as usize].image.id;
+            let position = image_view.position as usize;
+            let image = lists.links[position].image.id;
+            if uses[position] != ImageUse::Removed {
                 track.push(TrackElement::new(image, index));
+            }
+            if uses[position] == ImageUse::Counting {
+                views.insert(image);
             }
             Ok(())
         })?;
-        let views: HashSet<u32> = track.iter().map(TrackElement::image).collect();
         let Self {
             id,
             xyz,
