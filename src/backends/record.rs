@@ -254,7 +254,7 @@ fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
     let why = if takes_images(backend) {
         "which makes depth maps"
     } else if takes_images(planned_for) {
-        "which makes none"
+        "which uses the images themselves"
     } else {
         "which matches other pairs or needs other support"
     };

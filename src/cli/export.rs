@@ -402,11 +402,7 @@ fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> Ve
     let would = if dry_run { "would be " } else { "" };
     let folder = folder.display();
     let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views.is_none());
-    let what = if matched {
-        "view clusters"
-    } else {
-        "key views"
-    };
+    let what = if matched { "view clusters" } else { "images" };
     let what = if r.clusters.len() == 1 {
         what.trim_end_matches('s')
     } else {

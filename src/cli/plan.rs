@@ -57,8 +57,8 @@ pub struct Arguments {
     /// Matching partners per key view; more give more image pairs to match [default: 5]
     #[arg(short, value_name = "N", help_heading = "Selection")]
     k: Option<String>,
-    /// Stop after N view clusters, or after P % of the registered views (with --scales, of the work
-    /// of all)
+    /// Stop after N view clusters (or images), or after P % of the registered views (of images, of
+    /// those that can be chosen; with --scales, of the work of all)
     #[arg(long, value_name = "N|P%", help_heading = "Selection")]
     budget: Option<String>,
     /// Stop at P % of what all view clusters together reach [default: 90%, if no other limit is

@@ -401,13 +401,16 @@ pub enum WrittenPlanError {
     Project(#[from] ProjectError),
 }
 
-/// The command that writes the manifest at `path`.
+/// The command that writes the manifest at `path`, for the same program.
 fn plan_command(path: &Path) -> String {
     let root = path
         .parent()
         .and_then(Path::parent)
         .unwrap_or(Path::new("."));
-    format!("viewrank plan {}", command_path(root))
+    let recorded = RecordedPlan::open(root).ok();
+    let known = recorded.and_then(|(_, recorded)| by_name(&recorded.backend).ok());
+    let backend = known.map_or_else(String::new, |known| format!(" --backend {}", known.name));
+    format!("viewrank plan {}{backend}", command_path(root))
 }
 
 impl Hint for WrittenPlanError {
