@@ -101,6 +101,8 @@ pub struct Backend {
     pub own_scale: fn(&Camera) -> f64,
     /// True if it supports cameras with lens distortion.
     pub takes_distorted: bool,
+    /// True if its program reads the project's own model, which must be COLMAP's.
+    pub reads_colmap: bool,
     /// True if it takes the masks where viewrank finds them.
     pub takes_masks: bool,
     /// True if the project is set up for it; `plan` then writes its files by default.
@@ -136,6 +138,7 @@ impl Backend {
         use_of_views: None,
         own_scale: full_size,
         takes_distorted: false,
+        reads_colmap: false,
         takes_masks: false,
         serves: |_| false,
         mixes_sizes: false,

@@ -18,7 +18,7 @@ use crate::{
         phase::{Phase, ProjectStatus, STATUS_VERSION},
         read_status, status_file,
     },
-    io::project::Project,
+    io::{depthmaps, project::Project},
     show::manifest::{self, PlannedMaps, planned_maps, planned_workspace},
 };
 use clap::Args;
@@ -58,20 +58,19 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
                 Progress::read(planned_workspace(&project)?)
             };
             let progress = Progress::read(&project).or_else(workspace);
+            let progress = progress.filter(|_| !is_of_earlier_plan(&project));
             let is_json = arguments.json || arguments.format == Format::Json;
             return match (progress, planned_maps(&project)) {
                 (Some(progress), _) if is_json => print_json(&alone(&project, phase(progress))),
                 (Some(progress), _) => print(unwatched(&progress)),
-                (None, Some(plan)) if is_json => {
-                    let (clusters, share, note) = (plan.clusters, plan.share, None);
-                    let planned = Phase::Planned {
-                        clusters,
-                        share,
-                        note,
-                    };
-                    print_json(&alone(&project, planned))
+                (None, Some(plan)) => {
+                    let maps = maps_of(&project, &plan.backend);
+                    if is_json {
+                        print_json(&alone(&project, unmeasured(&plan, maps)))
+                    } else {
+                        print([planned_in_words(&plan, maps)])
+                    }
                 }
-                (None, Some(plan)) => print([planned_in_words(&plan)]),
                 (None, None) => Err(NoStatus::NotWatched(project).into()),
             };
         }
@@ -139,8 +138,46 @@ impl Hint for NoStatus {
     }
 }
 
-/// Says what the plan chooses, before any depth map is finished.
-fn planned_in_words(plan: &PlannedMaps) -> String {
+/// Returns whether the project was planned again after its depth maps were last measured.
+fn is_of_earlier_plan(project: &Path) -> bool {
+    let written = [progress_file(project), project.join(manifest::FILE)]
+        .map(|file| file.metadata().and_then(|found| found.modified()).ok());
+    matches!(written, [Some(measured), Some(planned)] if measured < planned)
+}
+
+/// Number of depth maps that the plan's program has made of the project's views.
+fn maps_of(project: &Path, backend: &str) -> usize {
+    let count = || {
+        let project = Project::open(project, None).ok()?;
+        let dense = project.dense_workspace.as_deref();
+        let folder = depthmaps::folder_of(&project.home, dense, backend);
+        let found = depthmaps::list(&folder, &project.read_scene().ok()?).ok()?;
+        Some(found.maps.len())
+    };
+    count().unwrap_or_default()
+}
+
+/// The phase of a project whose depth maps, if any, were not measured.
+fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
+    let (clusters, share, note) = (plan.clusters, plan.share, None);
+    if maps == 0 {
+        return Phase::Planned {
+            clusters,
+            share,
+            note,
+        };
+    }
+    Phase::Computing {
+        done: maps,
+        clusters,
+        share: None,
+        unmeasured: maps,
+        note,
+    }
+}
+
+/// Says what the plan chooses, before any depth map is measured.
+fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
     let PlannedMaps {
         clusters: planned,
         backend,
@@ -148,6 +185,9 @@ fn planned_in_words(plan: &PlannedMaps) -> String {
     } = plan;
     match backends::by_name(backend).map(|backend| backend.use_of_views) {
         Ok(Some(_)) => format!("{planned} images are planned; {backend} makes no depth maps."),
+        _ if maps > 0 => format!(
+            "{planned} depth maps are planned; {maps} are there, not measured yet (viewrank evaluate)."
+        ),
         _ => format!("0 of {planned} planned depth maps are finished."),
     }
 }

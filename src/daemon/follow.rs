@@ -35,7 +35,7 @@ const PROGRESS: &str = "progress.json";
 const PROGRESS_FILE: &str = "viewrank/progress.json";
 /// A gap longer than this multiple of the median time between two maps is a pause, not time of
 /// matching.
-const PAUSE: f64 = 20.0;
+const PAUSE: f64 = 3.0;
 
 /// `viewrank/progress.json`: progress of the backend, for queues and people. `viewrank watch`
 /// writes it after each measurement.
@@ -451,5 +451,7 @@ fn seconds_per_pair(plan: &Plan, run: &MeasuredClusters, folder: &Path) -> Optio
     let usual = gaps.get(gaps.len() / 2)?.0;
     gaps.retain(|(seconds, _)| usual == 0.0 || *seconds <= PAUSE * usual);
     let pairs: usize = gaps.iter().map(|(_, pairs)| pairs).sum();
-    (pairs > 0).then(|| gaps.iter().map(|(seconds, _)| seconds).sum::<f64>() / pairs as f64)
+    let seconds: f64 = gaps.iter().map(|(seconds, _)| seconds).sum();
+    // Copies have the time of copying.
+    (pairs > 0 && seconds > 0.0).then(|| seconds / pairs as f64)
 }

@@ -80,6 +80,7 @@ pub static BACKEND: Backend = Backend {
         notes: "pairs that it refuses are named in its report.json, with the reason",
     },
     planning: NUMBERS,
+    reads_colmap: true,
     takes_masks: true,
     mixes_sizes: true,
     tasks,

@@ -116,10 +116,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     })?;
     Dispatch::refuse_if_at_work(&project)?;
-    let root = if backend.takes_distorted || !is_distorted {
-        project.root
+    let lacks = if is_distorted && !backend.takes_distorted {
+        Some("undistorted images")
+    } else if backend.reads_colmap && !project.model.format.is_colmap() {
+        Some("a COLMAP model")
     } else {
-        undistorted(arguments, project, backend)?
+        None
+    };
+    let root = match lacks {
+        None => project.root,
+        Some(what) => undistorted(arguments, project, backend, what)?,
     };
     let is_own = root == own;
     let mut typed = arguments.typed(Some(backend.name), is_own);
@@ -135,19 +141,20 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     work.end(ended)
 }
 
-/// Finds the workspace of undistorted images of another program, else undistorts the images;
-/// returns their project.
+/// Finds the workspace of undistorted images of another program, else undistorts the images, which
+/// writes a COLMAP model; returns their project. `what`: what the backend needs it for.
 fn undistorted(
     arguments: &Arguments,
     project: Project,
     backend: &Backend,
+    what: &str,
 ) -> Result<PathBuf, Failure> {
     // Its own may be of earlier images.
     if !project.has_undistorted_workspace()
         && let Some(workspace) = planning::undistorted_workspace(&project, backend)?
     {
         note(&format!(
-            "{} needs undistorted images: {}",
+            "{} needs {what}: {}",
             backend.name,
             workspace.root.display()
         ));
@@ -159,7 +166,7 @@ fn undistorted(
         Dispatch::refuse_if_at_work(&earlier)?;
     }
     note(&format!(
-        "{} needs undistorted images: {}",
+        "{} needs {what}: {}",
         backend.name,
         dense.display()
     ));

@@ -270,15 +270,15 @@ impl<'a> Work<'a> {
             return;
         }
         let done = self.dispatch.finished_maps().count();
-        let target = self
-            .target()
-            .map_or_else(String::new, |target| format!(" of {:.1} %", 100.0 * target));
+        let target = self.target().map_or_else(String::new, |target| {
+            format!(" (target {:.0} %)", 100.0 * target)
+        });
         let share = self.share.map_or_else(String::new, |share| {
             format!("{:5.1} %{target}", 100.0 * share)
         });
         let (all, took) = (self.dispatch.tasks.len(), took.as_secs_f64());
         complain(&format!(
-            "{done:4} of {all}  {share:<14}  {:<28} {took:6.1} s, at most {} left",
+            "{done:4} of {all}  {share:<22}  {:<28} {took:6.1} s, at most {} left",
             task.key,
             duration(left)
         ));

@@ -90,7 +90,7 @@ fn no_points(location: &ModelLocation) -> ModelWarning {
              make a ground.ply with integrations/sure/ground.py"
         }
         _ => {
-            "export the tie points or a cloud as PLY, in the coordinates of the cameras, into the folder of the model"
+            "export the tie points or a cloud as PLY into the folder of the model, in the coordinates of the cameras (of a georeferenced chunk: EPSG:4978)"
         }
     };
     ModelWarning::new(WarningKind::NoPoints, "the model has no points").with_cure(cure)

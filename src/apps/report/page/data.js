@@ -117,7 +117,9 @@ function statusOf(view, cut) {
 }
 
 // State of the page; listeners redraw what depends on the changed keys.
-const state = { cut: data.cut, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
+// The page begins with the maps that are finished, if those are the first, so that its headline is what was measured; else with the plan.
+const begun = finishedUpTo(Infinity);
+const state = { cut: begun && finishedUpTo(begun) === begun ? begun : data.cut, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
 const listeners = [];
 
 function change(what) {

@@ -11,9 +11,10 @@ function drawCut() {
   byId('slider').value = byId('number').value = cut;
   byId('slider').setAttribute('aria-valuetext', `${cut} ${products}, ${percent(shareAt(cut))}`);
   const halves = halvesUpTo[cut], atHalf = halves ? ` (${grouped.format(halves)} of them at half size)` : '';
-  const chosen = make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} ${data.makes_maps ? 'views' : 'images'}`);
-  const mapped = data.makes_maps ? [` get a depth map${atHalf}, `, make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`)] : [];
-  byId('verdict').replaceChildren(chosen, ...mapped, `: ${percent(shareAt(cut))} of what ${allGive}${inRegion}.`);
+  const all = data.makes_maps ? `${grouped.format(views.count)} views` : `${grouped.format(data.clusters_total)} images`;
+  const chosen = make('b', {}, `${grouped.format(cut)} of ${all}`), finished = finishedUpTo(cut), isMeasured = finished && finished === cut;
+  const mapped = data.makes_maps ? [` ${isMeasured ? 'have' : 'get'} a depth map${atHalf}, `, make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`)] : [];
+  byId('verdict').replaceChildren(chosen, ...mapped, `: ${isMeasured ? `about ${percent(data.real.share[finished - 1])}` : percent(shareAt(cut))} of what ${allGive}${inRegion}.`);
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
 
@@ -54,7 +55,7 @@ function drawNumbers() {
   const given = finished && finished === cut ? [measured, `estimated from these maps; the plan said ${percent(shareAt(cut))}`]
     : [percent(shareAt(cut)), finished ? `${likely}; the ${counted(finished, 'finished depth map')}: ${measured}` : likely];
   const numbers = !data.makes_maps ? [
-    ['Images', grouped.format(cut), `of ${grouped.format(views.count)}`],
+    ['Images', grouped.format(cut), `of ${grouped.format(data.clusters_total)}`],
     ['Of what all images draw', percent(shareAt(cut)), 'how well every photograph can be drawn again, as predicted'],
   ] : [
     ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views${sizes}`],
