@@ -107,7 +107,7 @@ impl Finished {
             let corner = pose.camera_from_world(&surface.corners(triangle)[0]);
             (normal.dot(&corner.coords) / normal.dot(&ray) * ray.z) as f32
         };
-        front(scene, surface, view, WIDTH, HEIGHT)
+        front(scene, surface, view, [WIDTH, HEIGHT], 0..HEIGHT)
             .iter()
             .enumerate()
             .map(depth)

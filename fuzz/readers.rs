@@ -6,7 +6,7 @@ use viewrank_core::model::scene::Scene;
 use viewrank_io::{
     formats::{
         Bytes, Fault, alicevision, blocks, bundler,
-        colmap::ColmapModel,
+        colmap::{ColmapImage, ColmapModel, ImageUse},
         colmap_bin, colmap_text,
         foreign::ForeignModel,
         metashape::{self, Frame},
@@ -312,8 +312,13 @@ fn check(model: &ColmapModel, scene: &Scene) {
     if let Ok(files) = colmap_text::write(model) {
         assert_round_trip(scene, &files, true);
     }
+    let use_of = |image: &ColmapImage| match image.id % 3 {
+        0 => ImageUse::Removed,
+        1 => ImageUse::Counting,
+        _ => ImageUse::Kept,
+    };
     let reduced = model
-        .reduced(|image| image.id % 2 == 1, 2)
+        .reduced(use_of, 2)
         .expect("a valid model can be reduced");
     reduced.scene().expect("a reduced model is consistent");
 }

@@ -348,7 +348,7 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
     if missing > 0 {
         let what = counted(missing, "key view");
         warn(&format!(
-            "{what} of the plan without a depth map; shares are relative to the others"
+            "{what} of the plan without a depth map; shares are of what those with one give"
         ));
     }
     let beyond = run

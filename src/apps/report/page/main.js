@@ -140,7 +140,7 @@ function setUpColours() {
 
 function drawHoles() {
   const area = size => `${rounded(size * perUnit ** 2)} ${unit}²`;
-  const whole = data.region ? 'region' : 'surface';
+  const whole = data.region ? 'surface inside the region' : 'surface';
   const share = data.area > 0 ? percent(data.holes_area / data.area) : percent(0);
   const background = `more than ${data.far} times the usual camera distance of sparse points away from every camera`;
   if (!data.holes.length) {
@@ -159,7 +159,9 @@ function drawHoles() {
       + 'The largest holes within the subject, numbered on the map:'),
     make('table', {}, make('tr', {}, ...['where', 'area', 'what is missing', 'what would fill it'].map(text => make('th', { scope: 'col' }, text))), ...rows),
     ...flightText(),
-    make('p', { class: 'note advice' }, 'Parts of the scene without sparse points have no surface and are not listed.'));
+    make('p', { class: 'note advice' }, data.holes.some(hole => hole.missing.includes('no surface'))
+      ? 'The last row is ground of the region without surface; elsewhere, parts without sparse points have none and are not listed.'
+      : 'Parts of the scene without sparse points have no surface and are not listed.'));
 }
 
 // What would fill a hole: the images planned for it, or advice where none are.
@@ -171,7 +173,7 @@ function fillText(hole, i) {
     const [low, high] = [Math.min(...values), Math.max(...values)].map(value => digits === 0 ? `${Math.round(100 * value)}` : rounded(value));
     return low === high ? low : `${low} to ${high}`;
   };
-  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w] * perUnit))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; they fill ${percent(filled, 0)} of it`;
+  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w] * perUnit))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; they fill ${filled < 0.005 ? 'hardly any' : percent(filled, 0)} of it`;
 }
 
 function flightText() {
