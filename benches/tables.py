@@ -37,9 +37,10 @@ def main():
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
     openmvs, sgm = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm"))
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
-    tables["splats"] = splats({path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("splats.json"))})
+    trained = {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("splats.json"))}
+    tables["splats"], means = splats(trained), [line for line in splats(trained) if not line.startswith(tuple(f"| {name}," for name in trained))]
     replace(ROOT / "docs/benchmarks.md", tables)
-    replace(ROOT / "README.md", {"saved": saved(openmvs)})
+    replace(ROOT / "README.md", {"saved": saved(openmvs), "splats": means})
 
 
 def replace(path, tables):

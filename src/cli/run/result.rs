@@ -30,7 +30,7 @@ pub struct RunSummary {
     /// Share of the cloud of all of them, 0 to 1, estimated from the finished maps; null before
     /// the first measurement.
     share: Option<f64>,
-    /// The same as the plan predicted it for as many maps.
+    /// The same as the plan predicted it for as many maps; null if it was made around finished ones.
     predicted: Option<f64>,
     /// Seconds that this run matched for, and that all depth maps would take at that speed; null
     /// if it computed none.
@@ -81,6 +81,7 @@ impl Work<'_> {
             share: progress.as_ref().and_then(|progress| progress.share),
             predicted: done
                 .checked_sub(1)
+                .filter(|_| self.plan.finished == 0)
                 .and_then(|last| Some(self.plan.clusters.get(last)?.share)),
             seconds: self.seconds(
                 done,
@@ -165,11 +166,15 @@ impl RunSummary {
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let share = match (self.share, self.predicted) {
             _ if self.is_whole => "the whole cloud".to_owned(),
-            (Some(share), Some(predicted)) => format!(
-                "about {} of the cloud that all {all} would give (estimated from these maps; the plan said {})",
-                percent(share),
-                percent(predicted)
-            ),
+            (Some(share), predicted) => {
+                let said = predicted.map_or_else(String::new, |predicted| {
+                    format!("; the plan said {}", percent(predicted))
+                });
+                let about = percent(share);
+                format!(
+                    "about {about} of the cloud that all {all} would give (estimated from these maps{said})"
+                )
+            }
             _ => format!("their share of the cloud that all {all} would give is not known"),
         };
         let seconds =

@@ -73,7 +73,8 @@ pub(crate) struct RecordedPlan {
     pub views: Vec<ViewEntry>,
     pub outdated: Vec<OutdatedMap>,
     pub cut: Cut,
-    forecast: RecordedForecast,
+    #[serde(default)]
+    forecast: Option<RecordedForecast>,
     pub exports: Vec<ExportRecord>,
     #[serde(deserialize_with = "bounded::list::<_, _, 10_000>")]
     pub warnings: Vec<String>,
@@ -221,7 +222,10 @@ impl WrittenPlan {
             clusters,
             work,
             cut,
-            images: uses_images.then_some(recorded.forecast.all_maps),
+            images: recorded
+                .forecast
+                .filter(|_| uses_images)
+                .map(|forecast| forecast.all_maps),
             finished,
             target,
             scene,

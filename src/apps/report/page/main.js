@@ -52,7 +52,7 @@ function drawNumbers() {
   const halves = halvesUpTo[cut], sizes = halves ? `, ${grouped.format(cut - halves)} at full and ${grouped.format(halves)} at half size` : '';
   const finished = finishedUpTo(cut), measured = finished && percent(data.real.share[finished - 1]);
   const likely = planned ? `likely ${range(share)}` : 'predicted';
-  const given = finished && finished === cut ? [measured, `estimated from these maps; the plan said ${percent(shareAt(cut))}`]
+  const given = finished && finished === cut ? [measured, `estimated from these maps${data.finished ? '' : `; the plan said ${percent(shareAt(cut))}`}`]
     : [percent(shareAt(cut)), finished ? `${likely}; the ${counted(finished, 'finished depth map')}: ${measured}` : likely];
   const numbers = !data.makes_maps ? [
     ['Images', grouped.format(cut), `of ${grouped.format(data.clusters_total)}`],
