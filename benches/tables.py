@@ -107,13 +107,15 @@ def splats(of_sets):
     names = list(dict.fromkeys(row["order"] for rows in of_sets.values() for row in rows))
     lines = []
     for share in sorted({row["share"] for rows in of_sets.values() for row in rows}):
-        means = []
+        psnr, ssim = [], []
         for of_set, rows in of_sets.items():
             rows = [row for row in rows if row["share"] == share]
             if rows:
-                means.append([mean([row["psnr"] for row in rows if row["order"] == name]) for name in names])
-                lines.append([f"{of_set}, {rows[0]['images']} images", *(f"{psnr:.2f}" for psnr in means[-1])])
-        lines.append([f"mean at {100 * share:.0f} %", *(f"{mean(of_order):.2f}" for of_order in zip(*means))])
+                for means, kind in ((psnr, "psnr"), (ssim, "ssim")):
+                    means.append([mean([row[kind] for row in rows if row["order"] == name]) for name in names])
+                lines.append([f"{of_set}, {rows[0]['images']} images", *(f"{of_order:.2f}" for of_order in psnr[-1])])
+        both = zip(zip(*psnr), zip(*ssim))
+        lines.append([f"mean at {100 * share:.0f} % (SSIM)", *(f"{mean(of_psnr):.2f} ({mean(of_ssim):.3f})" for of_psnr, of_ssim in both)])
     return table(["PSNR, dB", *names], lines) if lines else []
 
 
