@@ -38,9 +38,9 @@ def main():
     openmvs, sgm = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm"))
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
     trained = {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("splats.json"))}
-    tables["splats"], means = splats(trained), [line for line in splats(trained) if not line.startswith(tuple(f"| {name}," for name in trained))]
+    tables["splats"] = splats(trained)
     replace(ROOT / "docs/benchmarks.md", tables)
-    replace(ROOT / "README.md", {"saved": saved(openmvs), "splats": means})
+    replace(ROOT / "README.md", {"saved": saved(openmvs), "splats": splats(trained, with_sets=False)})
 
 
 def replace(path, tables):
@@ -102,7 +102,7 @@ def checked(results):
     return table(["set: real, said", *(f"{of['order']}, {percent}" for of, percent in zip(first["check"], ("10 %", "10 %", "30 %", "30 %")))], rows)
 
 
-def splats(of_sets):
+def splats(of_sets, with_sets=True):
     """PSNR of splats by the order that their images are taken in, means over the trainings; for each share of the images the sets, then their mean."""
     names = list(dict.fromkeys(row["order"] for rows in of_sets.values() for row in rows))
     lines = []
@@ -113,7 +113,8 @@ def splats(of_sets):
             if rows:
                 for means, kind in ((psnr, "psnr"), (ssim, "ssim")):
                     means.append([mean([row[kind] for row in rows if row["order"] == name]) for name in names])
-                lines.append([f"{of_set}, {rows[0]['images']} images", *(f"{of_order:.2f}" for of_order in psnr[-1])])
+                if with_sets:
+                    lines.append([f"{of_set}, {rows[0]['images']} images", *(f"{of_order:.2f}" for of_order in psnr[-1])])
         both = zip(zip(*psnr), zip(*ssim))
         lines.append([f"mean at {100 * share:.0f} % (SSIM)", *(f"{mean(of_psnr):.2f} ({mean(of_ssim):.3f})" for of_psnr, of_ssim in both)])
     return table(["PSNR, dB", *names], lines) if lines else []

@@ -31,7 +31,7 @@ MOST_BYTES_OF_A_RECORD = 1 << 30
 
 
 def read_record(path):
-    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read. Empty where there is none."""
+    """Reads a record that may not be ours: follows no link, waits for no pipe, and refuses long files. Empty if there is no such file."""
     try:
         found = path.lstat()
     except FileNotFoundError:

@@ -133,7 +133,7 @@ def refuse_unlisted(error):
 
 
 def read_record(path):
-    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read. Empty where there is none."""
+    """Reads a record that may not be ours: follows no link, waits for no pipe, and refuses long files. Empty if there is no such file."""
     try:
         found = path.lstat()
         if not stat.S_ISREG(found.st_mode) or found.st_size > MOST_BYTES_OF_A_RECORD:

@@ -166,7 +166,7 @@ def bytes_of(path, view):
 
 
 def size_of(data):
-    """Width and height in the head of a JPEG, PNG or TIFF, which are what viewrank reads; None if it is none."""
+    """Width and height by the header of a JPEG, PNG or TIFF, the formats that viewrank reads; None for any other file."""
     try:
         if data[:8] == b"\x89PNG\r\n\x1a\n":
             return struct.unpack_from(">2I", data, 16) if data[12:16] == b"IHDR" else None
@@ -209,7 +209,7 @@ def size_of_tiff(data, order):
 
 
 def read_record(path):
-    """Text of a list or a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read. OSError where there is none."""
+    """Reads a list or a record that may not be ours: follows no link, waits for no pipe, and refuses long files. OSError if there is no such file."""
     found = path.lstat()
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: a link, or not a file. Move it away")

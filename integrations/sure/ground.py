@@ -67,7 +67,7 @@ def main():
 
 
 def read_record(path):
-    """Text of a record, which may be anybody's: no link is followed, no pipe waited for, and no file of any length read."""
+    """Reads a record that may not be ours: follows no link, waits for no pipe, and refuses long files."""
     found = path.lstat()
     if not stat.S_ISREG(found.st_mode) or found.st_size > MOST_BYTES_OF_A_RECORD:
         sys.exit(f"error: {path}: a link, not a file, or longer than {MOST_BYTES_OF_A_RECORD >> 20} MiB, so no orientation; move it away")

@@ -25,15 +25,6 @@ pub enum BackendError {
         option: &'static str,
         backends: String,
     },
-    /// A share of the target of a plan that counts another thing: depth maps, or images.
-    #[error("--target counts {counted} in this plan, which was made for {planned_for}")]
-    OtherShare {
-        backend: &'static str,
-        planned_for: &'static str,
-        counted: &'static str,
-        /// The command that plans for the backend.
-        plan: String,
-    },
     #[error("{backend} needs {what}")]
     Needs {
         backend: &'static str,
@@ -76,7 +67,6 @@ impl Hint for BackendError {
                 )
                 .into()
             }
-            Self::OtherShare { backend, plan, .. } => format!("plan for {backend}: {plan}").into(),
             Self::Needs { hint, .. } => hint.clone().into(),
             Self::OwnFile(_) => Advice::text("write to another folder with ").set("out"),
             Self::OtherModel(_) => Advice::text("write to another folder with ")
@@ -91,10 +81,7 @@ impl Hint for BackendError {
     }
 
     fn is_usage(&self) -> bool {
-        matches!(
-            self,
-            Self::Unknown(_) | Self::Option { .. } | Self::OtherShare { .. }
-        )
+        matches!(self, Self::Unknown(_) | Self::Option { .. })
     }
 
     fn path(&self) -> Option<&Path> {

@@ -119,8 +119,8 @@ pub struct Backend {
 }
 
 impl Backend {
-    /// What most rows have in common: a program for whole runs that matches undistorted images at
-    /// one size, their own. Names, numbers and export are each row's.
+    /// Fields that most rows share: the program can only run as a whole, on undistorted images at
+    /// their own size. Names, numbers and the export are set by each row.
     const DEFAULT: Self = Self {
         name: "",
         aliases: &[],
@@ -203,8 +203,13 @@ impl Backend {
             numbers: self.planning,
             own_scale: self.own_scale,
             mixes_sizes: self.mixes_sizes,
-            makes_maps: self.use_of_views.is_none(),
+            makes_maps: self.makes_maps(),
         }
+    }
+
+    /// Returns whether the program makes depth maps; if not, it uses the images themselves.
+    pub fn makes_maps(&self) -> bool {
+        self.use_of_views.is_none()
     }
 }
 

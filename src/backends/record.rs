@@ -246,7 +246,7 @@ fn nothing_chosen(selection: &Selection) -> Option<String> {
 fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
     let planned_for = by_name(selection.planned_for).ok()?;
     let (is, was) = (&backend.planning, &planned_for.planning);
-    let takes_images = |backend: &Backend| backend.use_of_views.is_some();
+    let takes_images = |backend: &Backend| !backend.makes_maps();
     let differs = is.gate != was.gate
         || is.confidence != was.confidence
         || is.support != was.support

@@ -83,11 +83,8 @@ impl Selection<'_> {
 
     /// Returns the views that are kept apart for tests and have an image, ascending by name.
     pub fn kept_for_tests(&self) -> Vec<ViewIndex> {
-        let kept = self.test_every.map(|n| self.scene.every_nth_view(n));
-        let mut kept: Vec<ViewIndex> = kept.into_iter().flatten().collect();
-        let lost = self.image_faults.without_image(self.scene.views.len());
-        kept.retain(|view| lost.binary_search(view).is_err());
-        kept
+        let without_image = self.image_faults.without_image(self.scene.views.len());
+        self.scene.kept_for_tests(self.test_every, &without_image)
     }
 
     /// Returns the folder of the images.

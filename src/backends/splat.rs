@@ -20,7 +20,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
-    workspace::{Folders, add_workspace},
+    workspace::{Workspace, add_workspace},
 };
 use crate::{
     base::shell::command_path,
@@ -129,9 +129,14 @@ fn add_models(
     };
     let mut add = |tests, model, folder| {
         let images = images.map(|images| (folder, images));
-        let folders = Folders { model, images };
-        let of_model = (views, tests, 2);
-        add_workspace(BACKEND.name, files, selection, of_model, folders, origin)
+        let workspace = Workspace {
+            views,
+            tests,
+            least_views: 2,
+            model,
+            images,
+        };
+        add_workspace(BACKEND.name, files, selection, workspace, origin)
     };
     add(tests, "sparse/0", "images")?;
     if !tests.is_empty() {
@@ -142,7 +147,7 @@ fn add_models(
 
 fn not_honoured(selection: &Selection, views: &[ViewIndex], has_tests: bool) -> Vec<String> {
     let tests = if has_tests {
-        "the choice of test images, but by nerfstudio: others take every n-th, so train/ has none of them"
+        "test images, except by nerfstudio: other trainers hold out every n-th image, so train/ has no test images"
     } else {
         "tests: test_list.txt repeats training images, since nerfstudio must have one (plan with --test-every N)"
     };

@@ -17,29 +17,37 @@ use crate::{
     model::scene::ViewIndex,
 };
 
-/// Folders of a workspace, relative to the export.
+/// A part of the model with its images, below the folder of an export.
 #[derive(Clone, Copy)]
-pub struct Folders<'a> {
+pub struct Workspace<'a> {
+    /// Views whose points are taken.
+    pub views: &'a [ViewIndex],
+    /// Further views: those kept for tests.
+    pub tests: &'a [ViewIndex],
+    /// A point that fewer of `views` observe is left out.
+    pub least_views: usize,
+    /// Folder of the model.
     pub model: &'a str,
     /// Where the images are to be, and where they are; `None`: without images.
     pub images: Option<(&'a str, &'a ImageFolder)>,
 }
 
-/// Adds `{cameras,images,points3D}.bin` of the model and links to the images for the views and for
-/// those kept for tests, in coordinates relative to `origin`, without points that fewer than
-/// `least_views` of the former observe.
+/// Adds `{cameras,images,points3D}.bin` of the model and links to the images, in coordinates
+/// relative to `origin`.
 pub fn add_workspace(
     backend: &'static str,
     files: &mut FileSet,
     selection: &Selection,
-    (views, tests, least_views): (&[ViewIndex], &[ViewIndex], usize),
-    folders: Folders,
+    workspace: Workspace,
     origin: Vector3<f64>,
 ) -> Result<(), BackendError> {
-    for (name, bytes) in reduced_model(selection, (views, tests, least_views), origin)? {
-        files.add(format!("{}/{name}", folders.model), Contents::Bytes(bytes));
+    for (name, bytes) in reduced_model(selection, &workspace, origin)? {
+        files.add(
+            format!("{}/{name}", workspace.model),
+            Contents::Bytes(bytes),
+        );
     }
-    for &view in views.iter().chain(tests) {
+    for &view in workspace.views.iter().chain(workspace.tests) {
         let name = selection.scene.name(view);
         if name.split('/').any(|part| matches!(part, "" | "." | "..")) {
             let why = "it leads out of the image folder".into();
@@ -49,7 +57,7 @@ pub fn add_workspace(
                 why,
             });
         }
-        if let Some((folder, images)) = folders.images {
+        if let Some((folder, images)) = workspace.images {
             files.add(format!("{folder}/{name}"), images.link(name));
         }
     }
@@ -60,13 +68,13 @@ pub fn add_workspace(
 /// coordinates is kept.
 fn reduced_model(
     selection: &Selection,
-    (views, tests, least_views): (&[ViewIndex], &[ViewIndex], usize),
+    workspace: &Workspace,
     origin: Vector3<f64>,
 ) -> Result<Vec<(&'static str, Vec<u8>)>, BackendError> {
     let names = |views: &[ViewIndex]| -> HashSet<&str> {
         views.iter().map(|&v| selection.scene.name(v)).collect()
     };
-    let (counting, others) = (names(views), names(tests));
+    let (counting, others) = (names(workspace.views), names(workspace.tests));
     let write = |model: &ColmapModel| {
         let use_of = |image: &ColmapImage| {
             if counting.contains(&*image.name) {
@@ -77,7 +85,7 @@ fn reduced_model(
                 ImageUse::Removed
             }
         };
-        let reduced = model.reduced(use_of, least_views)?;
+        let reduced = model.reduced(use_of, workspace.least_views)?;
         Ok(colmap_bin::write(&reduced.moved(origin)?))
     };
     let fault = |fault| ProjectError::Fault {

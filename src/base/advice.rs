@@ -3,19 +3,17 @@
 use viewrank_core::base::error::Advice;
 
 /// Settings whose option has not the name of their key.
-const OPTIONS: [(&str, &str); 12] = [
+const OPTIONS: [(&str, &str); 10] = [
     ("target.gsd", "--gsd"),
     ("surface.mesh", "--mesh"),
     ("pilot.maps", "--pilot"),
     ("confidence.source", "--confidence"),
     ("max_memory", "--max-memory"),
-    ("test_every", "--test-every"),
     ("backends", "--backend"),
     ("partners.k", "-k"),
     ("cut.target", "--target"),
     ("cut.budget", "--budget"),
     ("cut.time", "--time"),
-    ("cut.points", "--points"),
 ];
 
 /// Writes settings as options of the program.

@@ -51,7 +51,7 @@ impl Entry {
                 &[1.0]
             },
             run_here: backend.last_run.describe(),
-            matches: backend.use_of_views.is_none(),
+            matches: backend.makes_maps(),
         }
     }
 }

@@ -18,7 +18,7 @@ use crate::{
 use clap::{Args, builder::PossibleValue};
 use serde::Serialize;
 
-use super::{Failure, Format, print, print_json, warn, wrapped};
+use super::{Exit, Failure, Format, print, print_json, warn, wrapped};
 
 /// Write the input files of MVS programs for the chosen view clusters of a plan.
 ///
@@ -175,7 +175,7 @@ fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
         wanted.filter(|(target, last)| length == plan.clusters.len() && last.share < target.0);
     if let Some((target, last)) = missed {
         let made = match backends::by_name(&plan.backend) {
-            Ok(backend) if backend.use_of_views.is_some() => "images of the plan draw",
+            Ok(backend) if !backend.makes_maps() => "images of the plan draw",
             _ => "depth maps of the plan give",
         };
         warn(&format!(
@@ -216,28 +216,28 @@ impl Arguments {
         &self,
         backends: &[&'static Backend],
         plan: &WrittenPlan,
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), Failure> {
         let planned_for = backends::by_name(&plan.backend)?;
-        let takes_images = |backend: &Backend| backend.use_of_views.is_some();
-        let is_other = |b: &&&'static Backend| takes_images(b) != takes_images(planned_for);
+        let is_other = |b: &&&'static Backend| b.makes_maps() != planned_for.makes_maps();
         let (Some(target), Some(other)) = (self.target, backends.iter().find(is_other)) else {
             return Ok(());
         };
-        Err(BackendError::OtherShare {
-            backend: other.name,
-            planned_for: planned_for.name,
-            counted: if takes_images(planned_for) {
-                "images"
-            } else {
-                "depth maps"
-            },
-            plan: format!(
-                "viewrank plan {} --backend {} --target {}",
-                plan.project.as_argument(),
-                other.name,
-                String::from(target)
-            ),
-        })
+        let counted = if planned_for.makes_maps() {
+            "depth maps"
+        } else {
+            "images"
+        };
+        let message = format!(
+            "--target counts {counted} in this plan, which was made for {}",
+            planned_for.name
+        );
+        let hint = format!(
+            "plan for {name}: viewrank plan {} --backend {name} --target {}",
+            plan.project.as_argument(),
+            String::from(target),
+            name = other.name,
+        );
+        Err(Failure::new(Exit::Usage, message, hint))
     }
 
     /// Typed options of some backends.
@@ -401,7 +401,7 @@ impl Report {
 fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> Vec<String> {
     let would = if dry_run { "would be " } else { "" };
     let folder = folder.display();
-    let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views.is_none());
+    let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.makes_maps());
     let what = if matched { "view clusters" } else { "images" };
     let what = if r.clusters.len() == 1 {
         what.trim_end_matches('s')

@@ -61,7 +61,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             let progress = progress.filter(|_| !is_of_earlier_plan(&project));
             let is_json = arguments.json || arguments.format == Format::Json;
             return match (progress, planned_maps(&project)) {
-                (Some(progress), _) if is_json => print_json(&alone(&project, phase(progress))),
+                (Some(progress), _) if is_json => print_json(&alone(&project, progress.phase())),
                 (Some(progress), _) => print(unwatched(&progress)),
                 (None, Some(plan)) => {
                     let maps = maps_of(&project, &plan.backend);
@@ -140,9 +140,13 @@ impl Hint for NoStatus {
 
 /// Returns whether the project was planned again after its depth maps were last measured.
 fn is_of_earlier_plan(project: &Path) -> bool {
-    let written = [progress_file(project), project.join(manifest::FILE)]
-        .map(|file| file.metadata().and_then(|found| found.modified()).ok());
+    let written =
+        [progress_file(project), project.join(manifest::FILE)].map(|file| modified(&file));
     matches!(written, [Some(measured), Some(planned)] if measured < planned)
+}
+
+fn modified(file: &Path) -> Option<SystemTime> {
+    file.metadata().ok()?.modified().ok()
 }
 
 /// Number of depth maps that the plan's program has made of the project's views.
@@ -211,39 +215,11 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     lines
 }
 
-/// The phase that a daemon would show.
-fn phase(progress: Progress) -> Phase {
-    let Progress {
-        done,
-        clusters,
-        share,
-        note,
-        ..
-    } = progress;
-    match share.filter(|_| progress.target_reached) {
-        Some(share) => Phase::Reached {
-            done,
-            clusters,
-            share,
-            note,
-        },
-        None => Phase::Computing {
-            done,
-            clusters,
-            share,
-            unmeasured: 0,
-            note,
-        },
-    }
-}
-
 /// The status of a project that no daemon watches, as [`as_json`] gives that of a watched folder.
 fn alone(project: &Path, phase: Phase) -> serde_json::Value {
     let written = [progress_file(project), project.join(manifest::FILE)];
-    let since = written.iter().find_map(|file| {
-        let modified = file.metadata().ok()?.modified().ok()?;
-        Some(modified.duration_since(UNIX_EPOCH).ok()?.as_secs())
-    });
+    let since = written.iter().find_map(|file| modified(file));
+    let since = since.and_then(|time| Some(time.duration_since(UNIX_EPOCH).ok()?.as_secs()));
     let mut own = serde_json::to_value(phase).expect("a phase is JSON");
     own["project"] = ".".into();
     own["since"] = since.unwrap_or_default().into();

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     maps::{MapFiles, map_files},
+    phase::Phase,
     state::Outcome,
 };
 use crate::apps::replan;
@@ -109,6 +110,17 @@ impl Progress {
     pub(super) fn keep_announced(&mut self, root: &Path) {
         let same_target = |p: &Self| p.announced && p.target == self.target;
         self.announced = self.target_reached && Self::read(root).as_ref().is_some_and(same_target);
+    }
+
+    /// The phase of a project at this progress.
+    pub fn phase(self) -> Phase {
+        Phase::followed(
+            self.done,
+            self.clusters,
+            self.share,
+            self.target_reached,
+            self.note,
+        )
     }
 
     /// Converts to the outcome of a job, with a further note.

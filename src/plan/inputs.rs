@@ -103,10 +103,7 @@ impl<'a> Inputs<'a> {
         let confidence = Confidence::new(source, own, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let without_image = image_faults.without_image(scene.views.len());
-        let is_there = |view: &ViewIndex| without_image.binary_search(view).is_err();
-        let kept_for_tests = settings
-            .test_every
-            .map(|n| scene.every_nth_view(n).filter(is_there).collect());
+        let kept_for_tests = scene.kept_for_tests(settings.test_every, &without_image);
         Ok(Self {
             matcher,
             settings,
@@ -123,7 +120,7 @@ impl<'a> Inputs<'a> {
             image_faults,
             most_pixels,
             without_image,
-            kept_for_tests: kept_for_tests.unwrap_or_default(),
+            kept_for_tests,
             confidence,
             region,
             fingerprints,
@@ -136,7 +133,6 @@ impl<'a> Inputs<'a> {
         let (missing, tests) = (&self.without_image, &self.kept_for_tests);
         let mut left_out = [&missing[..], tests].concat();
         left_out.sort_unstable();
-        left_out.dedup();
         left_out
     }
 

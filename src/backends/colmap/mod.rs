@@ -28,7 +28,7 @@ use super::{
     Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
     record::{at_full_size, capped_scale},
     selection,
-    workspace::{Folders, add_workspace},
+    workspace::{Workspace, add_workspace},
 };
 use crate::{
     io::output::{Contents, FileSet},
@@ -156,8 +156,10 @@ fn own_workspace(
         BACKEND.name,
         &mut files,
         selection,
-        (&views, &[], 1),
-        Folders {
+        Workspace {
+            views: &views,
+            tests: &[],
+            least_views: 1,
             model: "sparse",
             images: Some(("images", selection.images(BACKEND.name)?)),
         },

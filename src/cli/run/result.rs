@@ -1,4 +1,4 @@
-//! What `viewrank run` says at its end.
+//! The summary at the end of `viewrank run`.
 
 use std::path::PathBuf;
 
@@ -114,27 +114,11 @@ impl Work<'_> {
     }
 
     pub fn describe(&self, result: &RunSummary) -> Vec<String> {
-        let target = self.target();
-        let higher = target.and_then(|target| higher(target, result.share));
-        let verdict = if result.target_reached {
-            "the target is reached".to_owned()
-        } else if result.stopped {
-            "stopped".to_owned()
-        } else if result.failed > 0 {
-            format!("{} failed", result.failed)
-        } else if result.tasks == self.plan.clusters.len() {
-            ALL_DONE.to_owned()
-        } else if self.arguments.budget.is_some() || target.is_none() {
-            "the budget is spent; raise --budget for more".to_owned()
-        } else if higher.is_some() {
-            "the list is done below the target".to_owned()
-        } else {
-            ALL_DONE.to_owned()
-        };
-        let result_line = format!("{}; {verdict}.", result.in_words());
+        let (verdict, next) = self.verdict(result);
         let mut lines = vec![String::new()];
-        lines.extend(wrapped("", &result_line));
-        lines.extend(self.next(result, higher.as_deref()));
+        lines.extend(wrapped("", &format!("{}; {verdict}.", result.in_words())));
+        // On a line of its own, to be copied.
+        lines.extend(next);
         if let Some(cloud) = &result.cloud {
             lines.push(format!("Point cloud: {}", cloud.display()));
         }
@@ -144,17 +128,30 @@ impl Work<'_> {
         lines
     }
 
-    /// The command to type next, on a line of its own. `higher`: target for more than the list.
-    fn next(&self, result: &RunSummary, higher: Option<&str>) -> Option<String> {
+    /// Why the run ended, and the command to type next, if there is more to be had.
+    fn verdict(&self, result: &RunSummary) -> (String, Option<String>) {
+        if result.target_reached {
+            return ("the target is reached".into(), None);
+        }
         if result.stopped {
-            Some(self.arguments.go_on())
-        } else if result.failed > 0 {
-            Some(format!("to try again: {}", self.again()))
-        } else if result.target_reached || self.arguments.budget.is_some() {
-            None
-        } else {
-            let higher = higher.filter(|_| result.tasks < self.plan.clusters.len())?;
-            Some(format!("for more: {}", self.arguments.again(Some(higher))))
+            return ("stopped".into(), Some(self.arguments.go_on()));
+        }
+        if result.failed > 0 {
+            let again = format!("to try again: {}", self.again());
+            return (format!("{} failed", result.failed), Some(again));
+        }
+        if result.tasks == self.plan.clusters.len() {
+            return (ALL_DONE.into(), None);
+        }
+        match self.target().filter(|_| self.arguments.budget.is_none()) {
+            None => ("the budget is spent; raise --budget for more".into(), None),
+            Some(target) => match higher(target, result.share) {
+                None => (ALL_DONE.into(), None),
+                Some(higher) => {
+                    let more = format!("for more: {}", self.arguments.again(Some(&higher)));
+                    ("the list is done below the target".into(), Some(more))
+                }
+            },
         }
     }
 }

@@ -344,28 +344,10 @@ impl TrackedProject {
             Outcome::Followed {
                 done,
                 clusters,
-                share: Some(share),
-                reached: true,
-                note,
-            } => Phase::Reached {
-                done,
-                clusters,
                 share,
+                reached,
                 note,
-            },
-            Outcome::Followed {
-                done,
-                clusters,
-                share,
-                note,
-                ..
-            } => Phase::Computing {
-                done,
-                clusters,
-                share,
-                unmeasured: 0,
-                note,
-            },
+            } => Phase::followed(done, clusters, share, reached, note),
             Outcome::Incomplete { reason } => {
                 // New depth maps would belong to a plan whose model is gone.
                 self.planned = false;

@@ -82,7 +82,7 @@ impl<'a> Fingerprints<'a> {
                 &mut hasher,
                 &(
                     inputs.settings.image_scale(),
-                    inputs.left_out(),
+                    &inputs.without_image,
                     &inputs.kept_for_tests,
                 ),
             );

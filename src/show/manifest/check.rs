@@ -21,7 +21,7 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
     };
     known(&manifest.backend).map_err(|what| format!("backend: {what}"))?;
     let matches_pairs =
-        backends::by_name(&manifest.backend).is_ok_and(|backend| backend.use_of_views.is_none());
+        backends::by_name(&manifest.backend).is_ok_and(|backend| backend.makes_maps());
     for (i, export) in manifest.exports.iter().enumerate() {
         known(&export.backend).map_err(|what| format!("exports[{i}].backend: {what}"))?;
     }

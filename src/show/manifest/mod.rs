@@ -160,11 +160,11 @@ pub struct ClusterEntry {
     pub work: f64,
     /// Fulfilment that it adds to the clusters before it.
     pub gain: f64,
-    /// Fulfilment of the clusters up to this one, 0 to 1: f_o or, of images that a program uses
-    /// themselves, the part of all photographs that they draw (method 5.10).
+    /// Fulfilment of the clusters up to this one, 0 to 1: f_o or, for a program that uses the
+    /// images themselves, the part of all photographs that they draw (method 5.10).
     pub fulfilment: f64,
     /// Weight that fusion keeps of the clusters up to this one, over that of all clusters, 0 to 1.
-    /// Of images that a program uses themselves: their fulfilment over that of all.
+    /// For a program that uses the images themselves: their fulfilment over that of all.
     pub share: f64,
     /// The same by area: what the fused cloud of these clusters covers of the fused cloud of all; 0
     /// for a program that makes no depth maps.

@@ -213,7 +213,7 @@ impl WrittenPlan {
         let (finished, settings, own_size) =
             (recorded.finished(), recorded.settings, recorded.own_size);
         let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
-        let uses_images = by_name(&recorded.backend).is_ok_and(|b| b.use_of_views.is_some());
+        let uses_images = by_name(&recorded.backend).is_ok_and(|backend| !backend.makes_maps());
         Ok(Self {
             project,
             backend: recorded.backend,

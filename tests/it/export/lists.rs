@@ -216,7 +216,7 @@ fn images_are_listed_best_first() {
 /// A fixture of which every seventh view is kept for tests, as no cluster has it.
 fn with_tests() -> (Fixture, Vec<String>) {
     let mut fixture = Fixture::new(3);
-    let tests: Vec<_> = fixture.scene.every_nth_view(7).collect();
+    let tests = fixture.scene.kept_for_tests(Some(7), &[]);
     let others: Vec<_> = fixture
         .matchable()
         .into_iter()
@@ -284,7 +284,7 @@ fn test_images_are_in_the_lists_for_tests_and_never_trained_on() {
         let is_in_train = command.split(' ').any(|word| word == "train");
         assert_ne!(reads_lists, is_in_train, "{command}");
     }
-    assert!(files.says("nerfstudio: others take every n-th"));
+    assert!(files.says("nerfstudio: other trainers hold out every n-th image"));
 }
 
 #[test]

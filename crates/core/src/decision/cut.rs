@@ -37,8 +37,9 @@ pub struct Cut {
     /// Band in which the measured share is expected.
     #[serde(default)]
     pub share_band: Band,
-    /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1. Of images that a
-    /// program uses themselves: the part of all photographs that they draw (method 5.10).
+    /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1. For a
+    /// program that uses the images themselves: the part of all photographs that they draw (method
+    /// 5.10).
     #[serde(default)]
     pub kept: f64,
     /// The same for all clusters: the share of the target that these photographs can reach.
@@ -47,10 +48,10 @@ pub struct Cut {
     /// Band in which the measured value of that is expected.
     #[serde(default)]
     pub reachable_band: Band,
-    /// Their fulfilment f_o, 0 to 1; of images that a program uses themselves, `kept`.
+    /// Their fulfilment f_o, 0 to 1; for a program that uses the images themselves, `kept`.
     pub fulfilment: f64,
     /// Proven upper bound on f_o of any choice with this number of clusters; with a choice of
-    /// sizes, of this work. Of images that a program uses themselves: `reachable`.
+    /// sizes, of this work. For a program that uses the images themselves: `reachable`.
     #[serde(default)]
     pub fulfilment_bound: f64,
     /// Pairs that are beyond the gate of the backend.

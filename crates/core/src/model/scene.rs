@@ -206,9 +206,22 @@ impl Scene {
         found.ok().map(|i| ViewIndex(i as u32))
     }
 
-    /// Returns every n-th view by name, from the first: those that trainers keep apart for tests.
-    pub fn every_nth_view(&self, n: u32) -> impl Iterator<Item = ViewIndex> {
-        self.view_indices().step_by(n.max(1) as usize)
+    /// Returns the views that are kept apart for tests, ascending: every n-th by name, from the
+    /// first, as trainers count them, without those whose image is missing (`without_image`,
+    /// ascending).
+    pub fn kept_for_tests(
+        &self,
+        every: Option<u32>,
+        without_image: &[ViewIndex],
+    ) -> Vec<ViewIndex> {
+        let step = every.map_or(usize::MAX, |n| n.max(1) as usize);
+        let every_nth = self
+            .view_indices()
+            .step_by(step)
+            .filter(|_| every.is_some());
+        every_nth
+            .filter(|view| without_image.binary_search(view).is_err())
+            .collect()
     }
 
     /// Returns whether both scenes have the same view names and poses, to the precision of text

@@ -400,8 +400,8 @@ const AT_ONCE: u64 = 1 << 32;
 /// it, and the surface in front.
 const COMPARED_PIXEL: u64 = 22;
 
-/// Maps `work` over items that each read the depth map of a view, in order, on as many threads as
-/// there are maps of their cameras in [`AT_ONCE`]. A map of any size may be behind a name.
+/// Maps `work` over items that each read the depth map of a view, in order, in parallel, but on no
+/// more at once than fit in [`AT_ONCE`]: a map may be as large as the image of its camera.
 pub fn in_parallel<A: Sync, R: Send, E: Send>(
     mut items: &[A],
     view_of: impl Fn(&A) -> Option<ViewIndex>,

@@ -63,11 +63,10 @@ impl<'a> Records<'a> {
         let records = names.into_iter().filter_map(|name| {
             let name = name.to_str()?.strip_suffix(".json")?.to_owned();
             let file = root.file(&format!("{FOLDER}/{name}.json")).ok()?;
-            let length = file
-                .metadata()
-                .ok()
-                .filter(|found| found.len() <= left)?
-                .len();
+            let length = file.metadata().ok()?.len();
+            if length > left {
+                return None;
+            }
             let bytes = input::read_all(file, FileKind::Record).ok()?;
             let record: Record = serde_json::from_slice(&bytes).ok()?;
             left -= length;

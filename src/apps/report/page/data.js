@@ -119,7 +119,7 @@ function statusOf(view, cut) {
 // State of the page; listeners redraw what depends on the changed keys.
 // The page begins with the maps that are finished, if those are the first, so that its headline is what was measured; else with the plan.
 const begun = finishedUpTo(Infinity);
-const state = { cut: begun && finishedUpTo(begun) === begun ? begun : data.cut, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
+const state = { cut: measuredAt(begun) === null ? data.cut : begun, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
 const listeners = [];
 
 function change(what) {
@@ -136,6 +136,11 @@ function percent(share, digits = 1) {
 // Number of finished depth maps among those up to a rank.
 function finishedUpTo(rank) {
   return data.real ? data.real.ranks.filter(finished => finished <= rank).length : 0;
+}
+
+// Measured share of the maps up to a rank; null unless all of them are finished.
+function measuredAt(rank) {
+  return rank && finishedUpTo(rank) === rank ? data.real.share[rank - 1] : null;
 }
 
 // Share added by a cluster at its rank, with more digits where it is small. None where another map has to confirm it first.

@@ -12,9 +12,9 @@ function drawCut() {
   byId('slider').setAttribute('aria-valuetext', `${cut} ${products}, ${percent(shareAt(cut))}`);
   const halves = halvesUpTo[cut], atHalf = halves ? ` (${grouped.format(halves)} of them at half size)` : '';
   const all = data.makes_maps ? `${grouped.format(views.count)} views` : `${grouped.format(data.clusters_total)} images`;
-  const chosen = make('b', {}, `${grouped.format(cut)} of ${all}`), finished = finishedUpTo(cut), isMeasured = finished && finished === cut;
-  const mapped = data.makes_maps ? [` ${isMeasured ? 'have' : 'get'} a depth map${atHalf}, `, make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`)] : [];
-  byId('verdict').replaceChildren(chosen, ...mapped, `: ${isMeasured ? `about ${percent(data.real.share[finished - 1])}` : percent(shareAt(cut))} of what ${allGive}${inRegion}.`);
+  const chosen = make('b', {}, `${grouped.format(cut)} of ${all}`), measured = measuredAt(cut);
+  const mapped = data.makes_maps ? [` ${measured === null ? 'get' : 'have'} a depth map${atHalf}, `, make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`)] : [];
+  byId('verdict').replaceChildren(chosen, ...mapped, `: ${measured === null ? percent(shareAt(cut)) : `about ${percent(measured)}`} of what ${allGive}${inRegion}.`);
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
 
@@ -50,10 +50,10 @@ function drawNumbers() {
   const { cut } = state, { reachable, share_band: share, reachable_band: band } = data.limits, planned = cut === data.cut;
   const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
   const halves = halvesUpTo[cut], sizes = halves ? `, ${grouped.format(cut - halves)} at full and ${grouped.format(halves)} at half size` : '';
-  const finished = finishedUpTo(cut), measured = finished && percent(data.real.share[finished - 1]);
+  const finished = finishedUpTo(cut), soFar = finished && percent(data.real.share[finished - 1]), measured = measuredAt(cut);
   const likely = planned ? `likely ${range(share)}` : 'predicted';
-  const given = finished && finished === cut ? [measured, `estimated from these maps${data.finished ? '' : `; the plan said ${percent(shareAt(cut))}`}`]
-    : [percent(shareAt(cut)), finished ? `${likely}; the ${counted(finished, 'finished depth map')}: ${measured}` : likely];
+  const given = measured !== null ? [percent(measured), `estimated from these maps${data.finished ? '' : `; the plan said ${percent(shareAt(cut))}`}`]
+    : [percent(shareAt(cut)), finished ? `${likely}; the ${counted(finished, 'finished depth map')}: ${soFar}` : likely];
   const numbers = !data.makes_maps ? [
     ['Images', grouped.format(cut), `of ${grouped.format(data.clusters_total)}`],
     ['Of what all images draw', percent(shareAt(cut)), 'how well every photograph can be drawn again, as predicted'],
@@ -160,7 +160,7 @@ function drawHoles() {
     make('table', {}, make('tr', {}, ...['where', 'area', 'what is missing', 'what would fill it'].map(text => make('th', { scope: 'col' }, text))), ...rows),
     ...flightText(),
     make('p', { class: 'note advice' }, data.holes.some(hole => hole.missing.includes('no surface'))
-      ? 'The last row is ground of the region without surface; elsewhere, parts without sparse points have none and are not listed.'
+      ? 'The last row is ground inside the region that has no surface. Other parts without sparse points are not listed.'
       : 'Parts of the scene without sparse points have no surface and are not listed.'));
 }
 
