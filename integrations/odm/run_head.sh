@@ -1,5 +1,6 @@
 #!/bin/sh
-# Puts viewrank's scene in the place of the engine's own, and runs ODX; ENGINE=opendronemap/odm run.sh runs ODM.
+# usage: run.sh PROJECT, the folder of the engine's project, whole path
+# Puts viewrank's scene in the place of the engine's own, and runs ODX; ENGINE=opendronemap/odm run.sh PROJECT runs ODM.
 set -eu
 # sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own.
 case $0 in
@@ -12,8 +13,19 @@ esac
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
 # A link on the way to the folder that is replaced would lead out of the project.
-project=${DATASETS:?folder of the projects, whole path}/${NAME:?name of the project}
-for folder in "$project/opensfm" "$project/opensfm/undistorted"; do
+PROJECT=${1:?folder of the project of ODX or ODM, whole path}
+case $PROJECT in
+/*) ;;
+*)
+    echo "run.sh: the project's folder must be a whole path, that begins with /" >&2
+    exit 1
+    ;;
+esac
+if [ ! -d "$PROJECT/opensfm/undistorted" ]; then
+    echo "run.sh: $PROJECT/opensfm/undistorted: no such folder; is that the project of ODX or ODM?" >&2
+    exit 1
+fi
+for folder in "$PROJECT/opensfm" "$PROJECT/opensfm/undistorted"; do
     if [ -L "$folder" ]; then
         refuse "$folder"
     fi

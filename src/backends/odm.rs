@@ -3,20 +3,21 @@
 //! view shares points with its partners only, and every other image is too poorly connected to be
 //! computed.
 
+use std::path::{Path, PathBuf};
+
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, Selection, Trap, openmvs, selection,
     strangers::{list_links, with_refusal},
 };
 use crate::{
-    base::shell::command_path,
+    base::shell::{command_path, quoted_path},
     io::{output::Contents, project::ModelFormat},
     model::camera::Camera,
 };
 
-/// Environment variables that the commands need; unset, the commands fail and name them.
-const DATASETS: &str = "${DATASETS:?folder of the projects, whole path}";
-const NAME: &str = "${NAME:?name of the project}";
+/// Variable that the commands need; unset, they fail and name it. `run.sh` sets it to its argument.
+const PROJECT: &str = "${PROJECT:?folder of the engine's project, whole path}";
 /// Image of the engine: ODX unless the variable names another, such as `opendronemap/odm`.
 const ENGINE: &str = "${ENGINE:-webodm/odx}";
 const RUNNER_HEAD: &str = include_str!("../../integrations/odm/run_head.sh");
@@ -65,7 +66,7 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     let folder = if inside.is_dir() { inside } else { below };
     let [dense, scene] =
         ["scene_dense_dense_filtered.ply", "scene.mvs"].map(|file| folder.join(file));
-    let there = |name, path: &std::path::Path, what: &str, cure: &str| {
+    let there = |name, path: &Path, what: &str, cure: &str| {
         path.is_file().then(|| Trap {
             name,
             what: format!("{} is there, {what}", path.display()),
@@ -88,6 +89,17 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     skipped.or(kept).into_iter().collect()
 }
 
+/// The engine's project of a folder that viewrank plans: the folder itself, or that of which it is
+/// `opensfm/undistorted`.
+fn project_of(root: &Path) -> Option<PathBuf> {
+    let root = std::path::absolute(root).ok()?;
+    let is_project = |folder: &&Path| folder.join("opensfm").is_dir();
+    root.ancestors()
+        .take(3)
+        .find(is_project)
+        .map(Path::to_path_buf)
+}
+
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     openmvs::check_names(BACKEND.name, selection)?;
     let images = selection.undistorted_images(BACKEND.name)?;
@@ -107,15 +119,17 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way =
         "openmvs/scene.mvs in place of the engine's own; ENGINE=opendronemap/odm runs ODM, not ODX"
             .into();
-    record.commands = vec![
-        format!("rm -rf \"{DATASETS}/{NAME}/opensfm/undistorted/openmvs\""),
-        format!("cp -rL openmvs \"{DATASETS}/{NAME}/opensfm/undistorted/\""),
+    let steps = [
+        format!("rm -rf \"{PROJECT}/opensfm/undistorted/openmvs\""),
+        format!("cp -rL openmvs \"{PROJECT}/opensfm/undistorted/\""),
         format!(
-            "docker run --rm -v \"{DATASETS}\":/datasets \"{ENGINE}\" --project-path /datasets \"{NAME}\""
+            "docker run --rm -v \"$(dirname \"{PROJECT}\")\":/datasets \"{ENGINE}\" --project-path /datasets \"$(basename \"{PROJECT}\")\""
         ),
     ];
-    record.runner = Some("run.sh".into());
-    let script = format!("{RUNNER_HEAD}{}\n", record.commands.join("\n"));
+    let script = format!("{RUNNER_HEAD}{}\n", steps.join("\n"));
+    let project = project_of(&selection.project.root)
+        .map_or_else(|| format!("\"{PROJECT}\""), |path| quoted_path(&path));
+    record.commands = vec![format!("./run.sh {project}")];
     files.add(
         "run.sh",
         Contents::Script(with_refusal(&script).into_bytes()),

@@ -102,24 +102,44 @@ impl Selection<'_> {
         };
         let views = self.views();
         let faults = self.image_faults.among(&views);
-        if views.is_empty() || faults.missing.len() + faults.unreadable.len() < views.len() {
+        if views.is_empty() || faults.is_any_usable(views.len()) {
             return Ok(folder);
         }
-        Err(match faults.unreadable.first() {
-            None => needs(
-                format!("the images, and none of them is in {}", folder.display()),
-                folder,
-            ),
-            Some((view, why)) => BackendError::Needs {
-                backend,
-                what: format!(
-                    "the images, and none of those in {} can be read: {} is {why}",
-                    folder.display(),
+        let at = folder.display();
+        let unusable = |what| BackendError::Needs {
+            backend,
+            what,
+            hint: faults.cure().unwrap_or_default().into(),
+        };
+        Err(
+            match (faults.unreadable.first(), faults.other_aspect_ratio.first()) {
+                (Some((view, why)), _) => unusable(format!(
+                    "the images, and none of those in {at} can be read: {} is {why}",
                     self.scene.name(*view)
-                ),
-                hint: faults.cure().unwrap_or_default().into(),
+                )),
+                (None, Some((view, [width, height]))) => {
+                    let (name, camera) = (self.scene.name(*view), self.scene.camera_of(*view));
+                    unusable(format!(
+                        "the model's images, and those in {at} are others: {name} has {width} x {height} pixels, its camera {} x {}",
+                        camera.width, camera.height
+                    ))
+                }
+                (None, None) => {
+                    let name = faults.missing.first().map(|view| self.scene.name(*view));
+                    let others =
+                        folder
+                            .first_image()
+                            .zip(name)
+                            .map_or_else(String::new, |(other, name)| {
+                                format!(", which has others ({other}; the model's is {name})")
+                            });
+                    needs(
+                        format!("the images, and none of them is in {at}{others}"),
+                        folder,
+                    )
+                }
             },
-        })
+        )
     }
 
     /// Returns the folder of the images for a command that runs in any folder; if unknown, a shell
@@ -147,6 +167,10 @@ impl Selection<'_> {
         let Some(view) = distorted else {
             return self.images(backend);
         };
+        // To undistort other images than the model's would fail next.
+        if !self.image_faults.other_aspect_ratio.is_empty() {
+            self.images(backend)?;
+        }
         let camera = self.scene.camera_of(view).model().name();
         let hint = match &self.project.dense_workspace {
             Some(dense) => {

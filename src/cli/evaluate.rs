@@ -442,15 +442,16 @@ fn summary(e: &Evaluation) -> Vec<String> {
         ));
     }
     lines.push(format!(
-        "  fulfilment of these: {:.3} predicted, {:.3} real",
-        e.predicted, e.real
+        "  they give {:.1} % of what is wanted (fulfilment); {:.1} % was predicted",
+        100.0 * e.real,
+        100.0 * e.predicted
     ));
     lines
 }
 
 fn shares_of_cells(e: &Evaluation) -> Vec<String> {
     let mut lines = vec![
-        "share predicted, and real, of the cells that these maps give".into(),
+        "share of the cloud (cells) that the plan's first maps give: predicted, and real".into(),
         "predicted share   key views   pairs   real share   three maps agree".into(),
     ];
     for gap in e

@@ -51,7 +51,7 @@ pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<Strin
         && plan
             .stages
             .image_faults
-            .is_any_readable(plan.stages.scene.views.len());
+            .is_any_usable(plan.stages.scene.views.len());
     let can_match = || cfg!(unix) && has_images && backend.is_some_and(backends::can_match_here);
     let distorted = || {
         plan.stages
@@ -59,9 +59,9 @@ pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<Strin
             .view_indices()
             .any(|view| !plan.stages.scene.camera_of(view).is_pinhole())
     };
-    match (run.filter(|_| can_match()), &files.command) {
+    match (run.filter(|_| can_match()), &files.next) {
         (Some(run), _) => run,
-        (None, Some(command)) => command.clone(),
+        (None, Some(next)) => next.clone(),
         (None, None) if !has_images => {
             let images = project
                 .images

@@ -26,7 +26,7 @@ pub fn check(
     program: Option<&Path>,
 ) -> Result<(), Failure> {
     let image_faults = project.image_faults(&scene);
-    let has_images = project.images.is_some() && image_faults.is_any_readable(scene.views.len());
+    let has_images = project.images.is_some() && image_faults.is_any_usable(scene.views.len());
     let scene = undistort::with_undistorted_cameras(scene);
     let mut views = scene.view_indices();
     let (Some(key), Some(partner)) = (views.next(), views.next()) else {

@@ -201,7 +201,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
-            ": about {:.0} % of the cloud of all, of {:.0} % wanted",
+            ": about {:.0} % of the cloud of all maps ({:.0} % is the aim)",
             100.0 * share,
             100.0 * progress.target
         ),

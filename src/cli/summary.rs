@@ -8,7 +8,7 @@ use crate::{
     config::{ConfidenceSource, TriangleWeight},
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
-    plan::{Cut, CutLimit, Forecast, GivenUp, Memory, Plan, Timings},
+    plan::{Cut, CutLimit, Forecast, GivenUp, Memory, Plan, Timings, positions_in_images},
     show::{
         files::PlanFiles,
         manifest::{Manifest, RegionSummary, warnings_with},
@@ -513,15 +513,30 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
         notes.push("Of two sizes, full size alone gives most within these limits.".into());
     }
-    if let Georeference::Fitted { support, .. } = place {
-        notes.push(format!(
+    notes.extend(note_on_gps(project, plan, place));
+    notes
+}
+
+/// Says whether the positions in the images place the model on earth, if there are any.
+fn note_on_gps(project: &Project, plan: &Plan, place: &Georeference) -> Option<String> {
+    match place {
+        Georeference::Fitted { support, .. } => Some(format!(
             "On earth by the GPS of {} of {} images, {} m off in the median (not with --no-gps).",
             grouped(support.fitting),
             grouped(support.positions),
             rounded(support.median)
-        ));
+        )),
+        Georeference::Local if plan.stages.settings.frame.gps => {
+            let (_, positions) = positions_in_images(project, &plan.stages.scene);
+            (positions.len() > 1).then(|| {
+                format!(
+                    "The GPS positions of {} images are not used: they do not fit the model's cameras, or are on one line.",
+                    grouped(positions.len())
+                )
+            })
+        }
+        _ => None,
     }
-    notes
 }
 
 /// Where the images are, unless they are where and as the model says.

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::Deserialize;
 
@@ -43,7 +44,16 @@ const MOST_POSITIONS: usize = 300;
 
 /// Fits the model to the GPS positions in its images.
 fn from_images(project: &Project, scene: &Scene) -> Option<Georeference> {
-    let folder = project.images.as_ref()?;
+    let (centres, positions) = positions_in_images(project, scene);
+    Georeference::fitted(&centres, &positions)
+}
+
+/// Returns the cameras of the images that say where on earth they were taken, scene units, and where
+/// that was; of a part of the images, if there are many.
+pub fn positions_in_images(project: &Project, scene: &Scene) -> (Vec<Vector3<f64>>, Vec<Geodetic>) {
+    let Some(folder) = project.images.as_ref() else {
+        return Default::default();
+    };
     let step = scene.views.len().div_ceil(MOST_POSITIONS).max(1);
     let views: Vec<&View> = scene.views.iter().step_by(step).collect();
     let position = |view: &&View| {
@@ -52,8 +62,7 @@ fn from_images(project: &Project, scene: &Scene) -> Option<Georeference> {
             exif::position(&folder.file(&view.name))?,
         ))
     };
-    let (centres, positions): (Vec<_>, Vec<_>) = views.par_iter().filter_map(position).unzip();
-    Georeference::fitted(&centres, &positions)
+    views.par_iter().filter_map(position).unzip()
 }
 
 fn from_settings(settings: &FrameSettings) -> Option<Georeference> {

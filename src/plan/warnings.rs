@@ -45,9 +45,12 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(unfit(stages));
     warnings.extend(single_partner(stages));
     if stages.makes_maps {
-        warnings.extend(little_fulfilled(ranking));
+        let is_unsure = is_unsure(stages, ranking.reachable, &cut.reachable_band);
+        let little = little_fulfilled(ranking, is_unsure.then_some(&cut.reachable_band));
+        let has_said_so = little.is_some();
+        warnings.extend(little);
         warnings.extend(unconfirmed(stages, cut));
-        warnings.extend(unsure(stages, ranking.reachable, &cut.reachable_band));
+        warnings.extend((is_unsure && !has_said_so).then(|| unsure(&cut.reachable_band)));
     }
     warnings.extend(unused_pilot(stages));
     warnings.extend(contradictions(stages));
@@ -204,12 +207,14 @@ fn single_partner(stages: &Stages) -> Option<String> {
 }
 
 /// Warns where all clusters together reach next to nothing: the plan's shares are relative to that.
-fn little_fulfilled(ranking: &Ranking) -> Option<String> {
+/// `band`: what they may give, where that is unsure.
+fn little_fulfilled(ranking: &Ranking, band: Option<&Band>) -> Option<String> {
     let given = ranking.reachable;
+    let band = band.map_or_else(String::new, |band| format!(" (likely {band})"));
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
-            "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \
-             more partners (-k) or a coarser resolution (viewrank plan --gsd) may give more, and viewrank doctor knows whether the cameras are sound",
+            "all images together can give only {:.0} %{band} of what is wanted, and shares are of that: the report says where and why; a \
+             coarser --gsd, more partners (-k) or a --region without the background may give more",
             100.0 * given
         )
     })
@@ -239,15 +244,16 @@ fn unconfirmed(stages: &Stages, cut: &Cut) -> Option<String> {
     })
 }
 
-/// Warns where the pictures leave open what can be matched, so that the plan may be far off.
-fn unsure(stages: &Stages, all: f64, reachable: &Band) -> Option<String> {
-    (!stages.agreement.is_empty() && reachable.high - reachable.low > UNSURE * all).then(|| {
-        format!(
-            "the pictures leave open how much can be matched here: all together may give {reachable} of what is wanted; plan for the \
-             subject alone (viewrank plan --region), use more partners (-k) or other limits of pairs ([partners.gate]), and plan again \
-             with the first depth maps (viewrank plan --finished)"
-        )
-    })
+/// Returns whether the pictures leave open what can be matched, so that the plan may be far off.
+fn is_unsure(stages: &Stages, all: f64, reachable: &Band) -> bool {
+    !stages.agreement.is_empty() && reachable.high - reachable.low > UNSURE * all
+}
+
+fn unsure(reachable: &Band) -> String {
+    format!(
+        "the pictures leave open how much will match: all images together may give {reachable} of what is wanted; plan again with the \
+         first depth maps (viewrank plan --finished)"
+    )
 }
 
 fn contradictions(stages: &Stages) -> Option<String> {

@@ -52,8 +52,9 @@ pub struct PlanFiles {
     pub place: Georeference,
     /// Backends without files, one line each with the reason.
     pub not_exported: Vec<String>,
-    /// Shell command that runs the first backend on its files.
-    pub command: Option<String>,
+    /// Shell command that runs the first backend on its files, or what to do with files that no one
+    /// program reads.
+    pub next: Option<String>,
 }
 
 impl PlanFiles {
@@ -151,7 +152,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     manifest
         .warnings
         .extend(of_images.into_iter().chain(missing));
-    let command = exports.first().and_then(command);
+    let next = exports.first().map(next_step);
     let stale = stale_page(project, &manifest);
     let mut own = own_files(plan, project, &manifest);
     for (name, text) in pair_files {
@@ -175,7 +176,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         outdated_exports,
         place,
         not_exported,
-        command,
+        next,
     })
 }
 
@@ -254,18 +255,15 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
 }
 
 /// Returns the shell command that enters the folder of the export and starts its runner, or else
-/// its first command.
-fn command(export: &Export) -> Option<String> {
+/// its first command; without one, what to do with the folder.
+fn next_step(export: &Export) -> String {
     let folder = command_path(&export.files.root);
-    let runner = export
-        .record
-        .runner
-        .as_ref()
-        .map(|runner| format!("./{runner}"));
-    Some(one_after_other(
-        &format!("cd {folder}"),
-        runner.as_ref().or(export.record.commands.first())?,
-    ))
+    let record = &export.record;
+    let runner = record.runner.as_ref().map(|runner| format!("./{runner}"));
+    match runner.as_ref().or(record.commands.first()) {
+        Some(command) => one_after_other(&format!("cd {folder}"), command),
+        None => format!("give {folder} to your program"),
+    }
 }
 
 /// Makes the files of a backend for the first `clusters` clusters of a plan in memory;

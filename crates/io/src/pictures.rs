@@ -318,7 +318,7 @@ impl From<ImageError> for PictureError {
             is_unusable: error.is_unusable(),
             is_known: match &error {
                 ImageError::Io(error) => error.kind() == ErrorKind::NotFound,
-                ImageError::Unread(_) => true,
+                ImageError::Unread(_) | ImageError::Shape { .. } => true,
                 _ => false,
             },
             cause: error.into(),

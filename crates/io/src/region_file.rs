@@ -85,10 +85,45 @@ pub fn parse(bytes: &[u8]) -> Result<RegionFile, RegionFault> {
         }
         _ => Err(RegionFault::Unknown),
     }
-    .map_err(|fault| match (fault, mistaken::by_start(bytes)) {
-        (RegionFault::Unknown, Some(mistaken)) => RegionFault::Mistaken(mistaken),
-        (fault, _) => fault,
+    .map_err(|fault| {
+        match (
+            fault,
+            other_map(bytes).or_else(|| mistaken::by_start(bytes)),
+        ) {
+            (RegionFault::Unknown, Some(mistaken)) => RegionFault::Mistaken(mistaken),
+            (fault, _) => fault,
+        }
     })
+}
+
+/// A map in another format, by its first bytes, with the command of GDAL that converts it.
+fn other_map(bytes: &[u8]) -> Option<Mistaken> {
+    let head = &bytes[..bytes.len().min(1024)];
+    let has = |word: &[u8]| head.windows(word.len()).any(|window| window == word);
+    let (what, cure) = if has(b"<kml") {
+        (
+            "KML",
+            "convert it: ogr2ogr -f GeoJSON region.geojson FILE.kml",
+        )
+    } else if head.starts_with(b"PK\x03\x04") && has(b".kml") {
+        (
+            "KMZ",
+            "convert it: ogr2ogr -f GeoJSON region.geojson FILE.kmz",
+        )
+    } else if head.starts_with(b"\0\0\x27\x0a") {
+        (
+            "a shapefile",
+            "convert it: ogr2ogr -f GeoJSON -t_srs EPSG:4326 region.geojson FILE.shp",
+        )
+    } else if head.starts_with(b"SQLite format 3\0") {
+        (
+            "a GeoPackage",
+            "convert it: ogr2ogr -f GeoJSON -t_srs EPSG:4326 region.geojson FILE.gpkg",
+        )
+    } else {
+        return None;
+    };
+    Some(Mistaken { what, cure })
 }
 
 /// Reads six finite numbers, separated by commas or blanks; `None` where there are others.
@@ -490,6 +525,23 @@ mod tests {
         );
         let ply = ply::write(&[Default::default(); 3], &[[0, 1, 2]], &[], &[]);
         assert!(matches!(parse(&ply), Ok(RegionFile::Mesh(mesh)) if mesh.triangles == [[0, 1, 2]]));
+    }
+
+    #[test]
+    fn maps_in_other_formats_are_named_with_their_conversion() {
+        for (start, name) in [
+            (&b"<?xml version=\"1.0\"?>\n<kml xmlns=\"\">"[..], "KML"),
+            (b"PK\x03\x04\x14\0\0\0\x08\0doc.kml", "KMZ"),
+            (b"\0\0\x27\x0a\0\0\0\0", "a shapefile"),
+            (b"SQLite format 3\0", "a GeoPackage"),
+        ] {
+            let file = [start, &[0; 5000]].concat();
+            assert!(
+                matches!(parse(&file), Err(RegionFault::Mistaken(Mistaken { what, cure }))
+                    if what == name && cure.contains("ogr2ogr")),
+                "{name}"
+            );
+        }
     }
 
     #[test]

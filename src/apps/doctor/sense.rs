@@ -268,14 +268,9 @@ fn foreign(inputs: &Inputs) -> Option<Finding> {
         (Severity::Error, "images-of-another-size"),
         &inputs.images.other_aspect_ratio,
     );
-    let cure = "give the images that the model was made from, or the undistorted workspace with its own model";
-    of_another_size(
-        inputs,
-        kind,
-        images,
-        "these are not the model's images",
-        cure,
-    )
+    let what = "these are not the model's images";
+    let cure = inputs.images.cure().unwrap_or_default();
+    of_another_size(inputs, kind, images, what, cure)
 }
 
 /// Reports these images with the sizes of the first.

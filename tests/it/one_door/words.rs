@@ -23,6 +23,101 @@ fn images_that_cannot_be_read_are_no_images() {
 }
 
 #[test]
+fn images_of_other_names_or_shapes_are_others() {
+    let renamed = Folder::new();
+    renamed
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/photo_of_{name}"));
+    let (code, _, stderr) = renamed.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 1);
+    assert!(
+        stderr.contains("none of them is in") && stderr.contains("photo_of_view_0.png"),
+        "{stderr}"
+    );
+    // The pictures have 100 x 75 pixels.
+    let mut wide = scene();
+    for camera in &mut wide.cameras {
+        camera.width *= 2;
+    }
+    let other = Folder::new();
+    other
+        .colmap("sparse/0", &ColmapModel::from_scene(&wide))
+        .pictures(&wide, |name| format!("images/{name}"));
+    for backend in ["openmvs", "colmap", "pairs"] {
+        let (code, stdout, stderr) = other.plan(&["--backend", backend]);
+        assert_eq!(code, 1, "{backend}");
+        assert!(
+            stderr.contains("has 100 x 75 pixels, its camera 200 x 75"),
+            "{stderr}"
+        );
+        assert!(
+            !stdout.contains("run.py") && stdout.contains("Next: give the images that"),
+            "{stdout}"
+        );
+    }
+}
+
+#[test]
+fn positions_that_do_not_fit_are_named() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let (_, stdout, _) = folder.plan(&["--dry-run"]);
+    assert!(!stdout.contains("GPS"), "{stdout}");
+    // All from one place.
+    for n in 0..9 {
+        folder.write(&format!("images/view_{n}.png"), with_position());
+    }
+    let (_, stdout, _) = folder.plan(&["--dry-run"]);
+    assert!(
+        stdout.contains("The GPS positions of 9 images are not used"),
+        "{stdout}"
+    );
+}
+
+/// A picture of 100 x 75 pixels taken at 52° north, 21° east.
+fn with_position() -> Vec<u8> {
+    let mut picture = std::io::Cursor::new(Vec::new());
+    let grey = image::GrayImage::new(100, 75);
+    grey.write_to(&mut picture, image::ImageFormat::Jpeg)
+        .unwrap();
+    let entry = |tag: u16, kind: u16, count: u32, value: u32| {
+        let [tag, kind] = [tag, kind].map(u16::to_le_bytes).map(Vec::from);
+        let [count, value] = [count, value].map(u32::to_le_bytes).map(Vec::from);
+        [tag, kind, count, value].concat()
+    };
+    let directory = |entries: &[Vec<u8>]| {
+        let count = (entries.len() as u16).to_le_bytes();
+        [&count[..], &entries.concat(), &[0; 4]].concat()
+    };
+    let degrees = |degrees: u32| -> Vec<u8> {
+        let numbers = [degrees, 1, 0, 1, 0, 1];
+        numbers.into_iter().flat_map(u32::to_le_bytes).collect()
+    };
+    // The GPS directory follows that of the image, and its numbers follow it.
+    let first = directory(&[entry(0x8825, 4, 1, 26)]);
+    let numbers = 26 + 2 + 4 * 12 + 4;
+    let gps = directory(&[
+        entry(1, 2, 2, u32::from(b'N')),
+        entry(2, 5, 3, numbers),
+        entry(3, 2, 2, u32::from(b'E')),
+        entry(4, 5, 3, numbers + 24),
+    ]);
+    let exif = [
+        b"Exif\0\0II*\0\x08\0\0\0".as_slice(),
+        &first,
+        &gps,
+        &degrees(52),
+        &degrees(21),
+    ]
+    .concat();
+    let jpeg = picture.into_inner();
+    let length = (exif.len() as u16 + 2).to_be_bytes();
+    [&jpeg[..2], b"\xff\xe1", &length, &exif, &jpeg[2..]].concat()
+}
+
+#[test]
 fn files_of_a_model_are_named_for_what_they_are() {
     let model = ColmapModel::from_scene(&scene());
     let folder = Folder::new();

@@ -12,7 +12,7 @@ use viewrank_core::model::scene::Scene;
 use walkdir::{DirEntry, WalkDir};
 
 use super::{
-    image_files::{MOST_ENTRIES, is_image, slashes},
+    image_files::{MOST_ENTRIES, images_below, is_image, slashes},
     names::{Names, folded, last, stem},
 };
 use crate::{
@@ -107,6 +107,13 @@ impl ImageFolder {
             Some(own) => format!("{}{kind}", &name[..name.len() - own.len()]),
             None => format!("{name}.{kind}"),
         }
+    }
+
+    /// The first image in the folder, by name, whether the model knows it or not.
+    pub fn first_image(&self) -> Option<String> {
+        images_below(&self.path, |name| !name.starts_with(MASKS))
+            .into_iter()
+            .next()
     }
 
     /// An image among the files of an export.

@@ -136,10 +136,17 @@ pub struct ImageFaults {
 }
 
 impl ImageFaults {
-    /// What to do about the images that cannot be read; `None` if all can.
+    /// What to do about the images that cannot be read or are other pictures; `None` without such.
     pub fn cure(&self) -> Option<&'static str> {
-        let (_, why) = self.unreadable.first()?;
-        Some(mistaken::cure_of(why).unwrap_or("copy them again from the source"))
+        match (self.unreadable.first(), self.other_aspect_ratio.first()) {
+            (Some((_, why)), _) => {
+                Some(mistaken::cure_of(why).unwrap_or("copy them again from the source"))
+            }
+            (None, Some(_)) => Some(
+                "give the images that the model was made from, or the undistorted workspace with its own model",
+            ),
+            (None, None) => None,
+        }
     }
 
     /// Checks the image files of all views, in parallel.
@@ -244,9 +251,14 @@ impl ImageFaults {
         }
     }
 
-    /// Returns true if at least one image of the scene's `views` views is readable.
-    pub fn is_any_readable(&self, views: usize) -> bool {
+    fn is_any_readable(&self, views: usize) -> bool {
         self.missing_or_unreadable().count() < views
+    }
+
+    /// Returns true if at least one of `views` views has an image that can be read and has the
+    /// shape of its camera.
+    pub fn is_any_usable(&self, views: usize) -> bool {
+        self.missing_or_unreadable().count() + self.other_aspect_ratio.len() < views
     }
 
     /// The faults of these views, which must be ascending.

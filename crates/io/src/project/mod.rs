@@ -469,15 +469,9 @@ impl Project {
         others.extend((more > 0).then(|| format!("{more} more")));
         (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model_path();
-            let how = if self.model.path.is_dir() {
-                let other = command_path(&self.other_models[0].path);
-                format!("`viewrank plan {other}` plans another one")
-            } else {
-                "choose another one with --model".into()
-            };
             format!(
-                "there are several models: {used} ({registered} images) is used; not used: {}; {how}",
-                others.join(", ")
+                "the model is {used} ({registered} images), not {} (--model names another)",
+                others.join(" or ")
             )
         })
     }

@@ -29,7 +29,7 @@ impl CellsEvaluation {
                 cells[0], self.maps, cells[1]
             ),
             String::new(),
-            "share of the cells that the first maps of an order cover, %".into(),
+            "share of the cloud (cells) that the first maps of an order give, %".into(),
             row("", ["all cells".into(), "three maps agree".into()]),
         ];
         let head = of_columns(numbers.map(|number| format!("{number:6}")));
@@ -39,11 +39,14 @@ impl CellsEvaluation {
             lines.push(row(both[0].orders[i].name, shares));
         }
         let way = both.map(|kind| of_columns(kind.ours().way.map(way)));
-        lines.push(row("way of viewrank's", way));
-        lines.push("  (0: every n-th, 1: the oracle, known only afterwards)".into());
+        lines.push(row("viewrank's way", way));
+        lines.push(
+            "  way: from every n-th, 0, to the oracle, 1, the best order that these maps allow"
+                .into(),
+        );
         lines.extend([
             String::new(),
-            "maps of an order that cover a share of the cells".into(),
+            "maps that an order takes for a share of the cloud (cells)".into(),
         ]);
         let head = NEEDED
             .map(|share| format!("{:>6}", format!("{:.0} %", 100.0 * share)))

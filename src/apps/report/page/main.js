@@ -154,7 +154,7 @@ function drawHoles() {
     make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, where(hole, i))),
     make('td', {}, area(hole.area)), make('td', {}, hole.missing), make('td', {}, fillText(hole, i))));
   byId('holes').replaceChildren(
-    make('p', {}, `${share} of the ${whole} (${area(data.holes_area)} of ${area(data.area)}) is fulfilled by less than a tenth by every view cluster`
+    make('p', {}, `${share} of the ${whole} (${area(data.holes_area)} of ${area(data.area)}, slopes included) is fulfilled by less than a tenth by every view cluster`
       + ` (striped on the map). ${data.far_area > 0 ? `${area(data.far_area)} of that is background, ${background}. ` : ''}`
       + 'The largest holes within the subject, numbered on the map:'),
     make('table', {}, make('tr', {}, ...['where', 'area', 'what is missing', 'what would fill it'].map(text => make('th', { scope: 'col' }, text))), ...rows),
