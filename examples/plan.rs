@@ -30,8 +30,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Writes all files or none.
     let files = files::files(&plan, &project)?;
     output::write_all(&files.sets, &output::Disk::REAL)?;
-    if let Some(command) = files.command {
-        println!("run the backend with: {command}");
+    if let Some(next) = files.next {
+        println!("next: {next}");
     }
     Ok(())
 }
