@@ -50,7 +50,7 @@ def measure(name, options):
             (project / folder).symlink_to((data / folder).resolve())
     (project / "viewrank.toml").write_text("image_scale = 0.5\n")
     run(options.viewrank, "plan", project, "--backend", "sgm", "-k", options.k, "--quiet")
-    run(options.viewrank, "evaluate", project, "--write-baselines", project / "rules", "-k", options.k, "--quiet")
+    run(options.viewrank.with_name("viewrank-bench"), "partners", project, project / "rules", "-k", options.k)
     maps = project / f"rules/k{options.k}/ours"
     run(sys.executable, ROOT / "integrations/sgm/sgm.py", "match", project, "--out", maps, "--image-scale", 0.5, "--clusters", maps / "clusters.txt")
     truth = ["--reference", project / "truth/depth"] if (project / "truth/depth").exists() else []

@@ -47,6 +47,11 @@ class Experiments:
             sys.exit(f"viewrank {' '.join(map(str, arguments))} ended with {done.returncode}")
         return done.stdout
 
+    def bench(self, *arguments):
+        """The program of crates/bench, which is built beside viewrank."""
+        program = Path(self.args.viewrank).with_name("viewrank-bench")
+        return subprocess.run([program, *map(str, arguments)], stdout=subprocess.PIPE, text=True, check=True).stdout
+
     def evaluate(self, *arguments):
         return json.loads(self.viewrank("evaluate", self.project, "--quiet", "--format", "json", *arguments))
 
@@ -66,7 +71,7 @@ class Experiments:
         if not self.args.reference:
             self.args.reference = self.args.out / "reference22"
             self.match(self.args.reference, "--connected", CONNECTED)
-        self.viewrank("evaluate", self.project, "--quiet", "--write-baselines", self.rules, "-k", ",".join(map(str, self.args.k)))
+        self.bench("partners", self.project, self.rules, "-k", ",".join(map(str, self.args.k)))
         for clusters in sorted(self.rules.glob("k*/*/clusters.txt")):
             if not self.args.rules or clusters.parent.name in self.args.rules:
                 self.match(clusters.parent, "--clusters", clusters)
@@ -78,7 +83,8 @@ class Experiments:
         folder.mkdir(parents=True, exist_ok=True)
         compared = {}
         for k in self.args.k:
-            compared |= {(k, row["name"]): row for row in self.evaluate("--compare", self.rules / f"k{k}", "--reference", reference)}
+            rows = self.bench("compare", self.project, self.rules / f"k{k}", "--reference", reference, "--json")
+            compared |= {(k, row["name"]): row for row in json.loads(rows)}
         orders = {}
         for rule in ("ours", "maxcon"):
             maps = self.rules / "k5" / rule

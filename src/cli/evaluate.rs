@@ -10,7 +10,7 @@ use crate::{
     apps::{
         doctor::counted,
         evaluate::{
-            self, CloudComparison, Comparison, Evaluation, EvaluationInput, EvaluationOptions,
+            self, CloudComparison, Evaluation, EvaluationInput, EvaluationOptions,
             MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
         },
         replan,
@@ -66,7 +66,7 @@ pub struct Arguments {
     clusters: Option<PathBuf>,
     /// Table of an earlier evaluation, to judge the plan's order by [default:
     /// PROJECT/viewrank/evaluation/cells.tsv]
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["depth_maps", "write_baselines", "compare"])]
+    #[arg(long, value_name = "FILE", conflicts_with = "depth_maps")]
     cells: Option<PathBuf>,
     /// Folder of depth maps of the same clusters, matched at half the size, to compare with
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
@@ -75,17 +75,6 @@ pub struct Arguments {
     /// view, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
-
-    /// Write the view clusters of other partner rules to DIR/kK/RULE/clusters.txt, to be matched
-    /// there
-    #[arg(long, value_name = "DIR", conflicts_with = "depth_maps")]
-    write_baselines: Option<PathBuf>,
-    /// Partners per key view of those clusters
-    #[arg(short, value_name = "K,...", value_delimiter = ',', default_values_t = [2, 3, 5, 11], requires = "write_baselines")]
-    k: Vec<u32>,
-    /// Compare the folders in DIR that hold a clusters.txt and its depth maps
-    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), conflicts_with_all = ["depth_maps", "write_baselines"])]
-    compare: Option<PathBuf>,
 
     /// Also write the tables of the plan and of the real fulfilment as NumPy files
     #[arg(long, value_name = "DIR", requires = "depth_maps")]
@@ -111,15 +100,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
     let progress = ProgressDisplay::new(arguments.quiet);
     let (project, plan, _) = replan::as_written(&arguments.project, &progress)?;
-    match (
-        &arguments.write_baselines,
-        &arguments.compare,
-        &arguments.depth_maps,
-    ) {
-        (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
-        (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
-        (_, _, Some(folder)) => measure(arguments, &project, &plan, folder, &progress),
-        (None, None, None) => match found_maps(arguments, &project, &plan) {
+    match &arguments.depth_maps {
+        Some(folder) => measure(arguments, &project, &plan, folder, &progress),
+        None => match found_maps(arguments, &project, &plan) {
             // Else what was measured of other maps would be said of these.
             Some(folder) => {
                 if folder != own_folder_of_maps(&plan, &project) {
@@ -264,62 +247,6 @@ fn task(
         &EvaluationInput::new(&plan.stages, clusters, depth_maps, reference),
         progress,
     )?)
-}
-
-fn write_baselines(
-    arguments: &Arguments,
-    plan: &Plan,
-    folder: &Path,
-    progress: &ProgressDisplay,
-) -> Result<(), Failure> {
-    let mut files = FileSet::new(folder, "baselines");
-    for &k in &arguments.k {
-        for choice in evaluate::choices(plan, k, progress)? {
-            files.add_text(
-                format!("k{k}/{}/clusters.txt", choice.rule),
-                choice.text(plan),
-            );
-        }
-    }
-    files.write(&Disk::REAL)?;
-    progress.finish();
-    let names: Vec<&String> = files.files.keys().collect();
-    output(arguments, &names, || {
-        let mut lines = vec![folder.display().to_string()];
-        lines.extend(names.iter().map(|name| format!("  {name}")));
-        lines.push("Match each, maps beside its clusters.txt, then: viewrank evaluate PROJECT --compare DIR".into());
-        lines
-    })
-}
-
-fn compare(
-    arguments: &Arguments,
-    plan: &Plan,
-    folder: &Path,
-    progress: &ProgressDisplay,
-) -> Result<(), Failure> {
-    let mut runs = Vec::new();
-    for path in evaluate::clusters::folders(folder)? {
-        let clusters = clusters::read(&path.join("clusters.txt"), &plan.stages.scene)?;
-        let name = path
-            .strip_prefix(folder)
-            .unwrap_or(&path)
-            .to_string_lossy()
-            .into_owned();
-        runs.push((
-            name,
-            task(
-                plan,
-                &clusters,
-                &path,
-                arguments.reference.as_deref(),
-                progress,
-            )?,
-        ));
-    }
-    let compared = evaluate::compare(plan, &runs, progress)?;
-    progress.finish();
-    output(arguments, &compared, || compared_text(&compared))
 }
 
 fn output(
@@ -491,25 +418,6 @@ fn missing(e: &Evaluation) -> Vec<String> {
             "  {:6.1} % {}",
             100.0 * *count as f64 / e.triangles.max(1) as f64,
             missing.describe()
-        ));
-    }
-    lines
-}
-
-fn compared_text(compared: &[Comparison]) -> Vec<String> {
-    let mut lines = vec![format!(
-        "{:17} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}",
-        "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"
-    )];
-    for row in compared {
-        let [outliers, rmse] = row.quality.errors();
-        lines.push(format!(
-            "{:17} {:9} {:7} {:11.2} % {outliers:>9} {rmse:>9} {:10.4}",
-            row.name,
-            row.clusters,
-            row.pairs,
-            100.0 * row.quality.completeness,
-            row.real
         ));
     }
     lines

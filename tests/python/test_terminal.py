@@ -132,7 +132,7 @@ def calls(subcommand, project, maps, matcher, forged):
         "plan": [["--budget", "3"], ["--backend", "openmvs", "--report"], ["--dry-run", "--format", "json"], ["--finished", maps, "--backend", "sgm"]],
         "pilot": [[], ["--backend", "openmvs"], out],
         "run": [["--backend", "openmvs", "--program", matcher], ["--backend", "colmap", "--program", matcher, "--format", "json"], ["--backend", "mve"]],
-        "evaluate": [["--depth-maps", maps], ["--depth-maps", maps, "--format", "json"], ["--depth-maps", maps, "--baselines"], ["--compare", project]],
+        "evaluate": [["--depth-maps", maps], ["--depth-maps", maps, "--format", "json"], ["--depth-maps", maps, "--baselines"]],
         "train": [["--depth-maps", maps], ["--depth-maps", maps, "--format", "json"]],
         "predict": [out, [*out, "--format", "json"]],
         "export": [[*more, "--backend", backend] for backend in backends() for more in ([], ["--dry-run"])] + [["--format", "json"], ["--tiles", "2", *out]],

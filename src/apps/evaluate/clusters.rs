@@ -6,8 +6,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use walkdir::WalkDir;
-
 use crate::{
     base::{
         error::{Advice, Hint},
@@ -27,8 +25,6 @@ pub enum ClustersError {
         path: PathBuf,
         source: std::io::Error,
     },
-    #[error("no clusters.txt in {} or its folders", .0.display())]
-    None(PathBuf),
     #[error("{}: line {line}: {what}", path.display())]
     Line {
         path: PathBuf,
@@ -85,25 +81,6 @@ pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersErro
         });
     }
     Ok(clusters)
-}
-
-/// Returns the folders that contain a `clusters.txt`, `folder` and those below it, sorted by path;
-/// an error if no folder has one.
-pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, ClustersError> {
-    let mut found = Vec::new();
-    for entry in WalkDir::new(folder).sort_by_file_name() {
-        let entry = entry.map_err(|e| ClustersError::Io {
-            path: folder.into(),
-            source: input::cause(e),
-        })?;
-        if entry.file_name() == "clusters.txt" {
-            found.extend(entry.path().parent().map(Path::to_path_buf));
-        }
-    }
-    if found.is_empty() {
-        return Err(ClustersError::None(folder.into()));
-    }
-    Ok(found)
 }
 
 /// Returns the text of a `clusters.txt`.

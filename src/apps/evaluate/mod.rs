@@ -2,14 +2,13 @@
 //! and with other choices.
 //!
 //! [`MeasuredClusters`] holds the measured depth maps of one folder: `measure` compares a map with
-//! its reference, `matched` reads which partners were really matched. [`orders`] and [`rules`] are
-//! the choices of other authors.
+//! its reference, `matched` reads which partners were really matched. [`orders`] are those that the
+//! plan's is compared with.
 
 pub mod baselines;
 pub mod cells;
 mod clouds;
 pub mod clusters;
-mod compare;
 pub mod curve;
 mod evaluation;
 mod half_size;
@@ -19,7 +18,6 @@ mod missing;
 mod of_plan;
 pub mod orders;
 mod page;
-pub mod rules;
 mod run;
 mod size;
 mod so_far;
@@ -29,8 +27,7 @@ pub mod tables;
 mod tests;
 
 pub use clouds::{CloudComparison, Within};
-pub use compare::{Comparison, RuleClusters, choices, compare};
-pub use evaluation::{Evaluation, EvaluationOptions};
+pub use evaluation::{Evaluation, EvaluationOptions, QualityRow};
 pub use half_size::HalfSize;
 pub use matched::{MatcherReportError, tried};
 pub use measure::Quality;

@@ -168,7 +168,7 @@ pub fn random(clusters: usize, seed: u64) -> Vec<u32> {
 }
 
 /// Shuffles the values (Fisher-Yates).
-pub(super) fn shuffle<T>(values: &mut [T], seed: u64) {
+pub fn shuffle<T>(values: &mut [T], seed: u64) {
     let mut generator = Pcg64::seed_from_u64(seed);
     for i in (1..values.len()).rev() {
         let below = i as u128 + 1;

@@ -6,7 +6,7 @@
 //! limits of theta; of these, the k with the smallest theta d are chosen.
 
 use super::Neighbourhood;
-use crate::model::scene::{PointIndex, ViewIndex};
+use viewrank_core::model::scene::{PointIndex, ViewIndex};
 
 pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     let angled = hood

@@ -9,7 +9,7 @@
 //! 1 to 2, r below 1.
 
 use super::Neighbourhood;
-use crate::model::scene::{PointIndex, ViewIndex};
+use viewrank_core::model::scene::{PointIndex, ViewIndex};
 
 /// Parallax from which a pair counts in full, degrees.
 const FULL_ANGLE: f64 = 10.0;

@@ -1,7 +1,8 @@
 //! The simplest rules: the closest camera centres, the most shared points, chance.
 
 use super::Neighbourhood;
-use crate::{apps::evaluate::orders::shuffle, model::scene::ViewIndex};
+use viewrank::evaluate::orders::shuffle;
+use viewrank_core::model::scene::ViewIndex;
 
 /// Views from which `random` draws: the n of the paper.
 const RANDOM_AMONG: usize = 22;

@@ -2,7 +2,7 @@
 //! most shared points whose 75th percentile of triangulation angles is at least 1 degree.
 
 use super::Neighbourhood;
-use crate::model::scene::{PointIndex, ViewIndex};
+use viewrank_core::model::scene::{PointIndex, ViewIndex};
 
 /// `PatchMatchStereo.min_triangulation_angle`, degrees.
 const MIN_ANGLE: f64 = 1.0;

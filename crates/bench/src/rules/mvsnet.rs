@@ -3,7 +3,7 @@
 //! that the first of the two views observes twice counts twice.
 
 use super::Neighbourhood;
-use crate::model::scene::ViewIndex;
+use viewrank_core::model::scene::ViewIndex;
 
 pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     let weight = |degrees: f64| {

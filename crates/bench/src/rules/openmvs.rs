@@ -9,7 +9,7 @@
 //! first, as long as more than 9 are left.
 
 use super::Neighbourhood;
-use crate::model::scene::{PointIndex, ViewIndex};
+use viewrank_core::model::scene::{PointIndex, ViewIndex};
 
 const OPTIMAL_ANGLE: f64 = 12.0;
 /// Cells per side of the grid that measures the covered area.

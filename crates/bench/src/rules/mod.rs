@@ -4,7 +4,6 @@
 //! All work on the sparse model alone. A rule looks at every view of the model unless its own text
 //! says otherwise, knows nothing of what a backend can match, and may find fewer than k partners.
 
-mod bailer;
 mod colmap;
 mod goesele;
 mod mvsnet;
@@ -16,12 +15,12 @@ mod tests;
 
 use nalgebra::Point3;
 
-use crate::model::{
+use viewrank_core::model::{
     cluster::ViewCluster,
     scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };
 
-/// A rule, as named in `--write-baselines`.
+/// A rule, as the folders of `viewrank-bench partners` are named.
 pub struct SelectionRule {
     pub name: &'static str,
     choose: fn(&Neighbourhood, usize) -> Vec<ViewIndex>,
@@ -44,10 +43,6 @@ pub const RULES: &[SelectionRule] = &[
     SelectionRule {
         name: "goesele",
         choose: goesele::choose,
-    },
-    SelectionRule {
-        name: "bailer",
-        choose: bailer::choose,
     },
     SelectionRule {
         name: "shen",

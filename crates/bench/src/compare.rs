@@ -1,19 +1,24 @@
 //! The same key views with the partners of other rules: the clusters to match, and the results once
 //! matched (method 8).
 
-use serde::Serialize;
+use std::{error::Error, path::Path};
 
-use super::{
-    clusters, curve::ReachCurve, evaluation::QualityRow, measure::Quality, orders, rules::RULES,
-    run::MeasuredClusters,
-};
-use crate::{
-    base::{column::TableError, progress::Watcher},
+use serde::Serialize;
+use viewrank::{
+    NoWatcher, Plan,
     config::PartnerSettings,
+    evaluate::{
+        EvaluationInput, MeasuredClusters, Quality, QualityRow, clusters, curve::ReachCurve, orders,
+    },
+};
+use viewrank_core::{
+    base::column::TableError,
     method::{confidence::Confidence, partners},
     model::{cluster::ViewCluster, scene::ViewIndex},
-    plan::Plan,
 };
+use walkdir::WalkDir;
+
+use crate::rules::RULES;
 
 /// View clusters that one rule chose, in the order in which they are to be computed.
 pub struct RuleClusters {
@@ -23,11 +28,7 @@ pub struct RuleClusters {
 
 /// Returns each rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp`
 /// in their own order, the others in the order of `maxpts`.
-pub fn choices(
-    plan: &Plan,
-    k: u32,
-    watcher: &dyn Watcher,
-) -> Result<Vec<RuleClusters>, TableError> {
+pub fn choices(plan: &Plan, k: u32) -> Result<Vec<RuleClusters>, TableError> {
     let model = plan.stages.model();
     let mut certain = model;
     certain.rule.confidence = Confidence::None;
@@ -42,9 +43,9 @@ pub fn choices(
             &plan.stages.candidates,
             &settings,
             plan.stages.settings.seed,
-            watcher,
+            &NoWatcher,
         )?;
-        let order = orders::greedy(&table, &plan.stages.objective, watcher)?;
+        let order = orders::greedy(&table, &plan.stages.objective, &NoWatcher)?;
         let clusters = order
             .iter()
             .map(|&c| clusters[c as usize].clone())
@@ -56,7 +57,6 @@ pub fn choices(
     }
     let keys: Vec<ViewIndex> = plan.stages.clusters.iter().map(|c| c.key).collect();
     for rule in RULES {
-        watcher.check()?;
         let clusters = rule.clusters(&plan.stages.scene, &keys, k as usize);
         let order = orders::max_points(&plan.stages.scene, &clusters);
         let clusters = order
@@ -95,11 +95,41 @@ pub struct Comparison {
     pub optimum: ReachCurve,
 }
 
+/// Compares the choices in a folder and those below it: each has a `clusters.txt` with the depth
+/// maps of its clusters beside it.
+pub fn in_folders(
+    plan: &Plan,
+    folder: &Path,
+    reference: Option<&Path>,
+) -> Result<Vec<Comparison>, Box<dyn Error>> {
+    let mut runs = Vec::new();
+    for entry in WalkDir::new(folder).sort_by_file_name() {
+        let entry = entry?;
+        let Some(choice) = entry
+            .path()
+            .parent()
+            .filter(|_| entry.file_name() == "clusters.txt")
+        else {
+            continue;
+        };
+        let clusters = clusters::read(entry.path(), &plan.stages.scene)?;
+        let input = EvaluationInput::new(&plan.stages, &clusters, choice, reference);
+        let name = choice.strip_prefix(folder).unwrap_or(choice);
+        runs.push((
+            name.to_string_lossy().into_owned(),
+            MeasuredClusters::new(&input, &NoWatcher)?,
+        ));
+    }
+    if runs.is_empty() {
+        return Err(format!("no clusters.txt in {} or its folders", folder.display()).into());
+    }
+    Ok(compare(plan, &runs)?)
+}
+
 /// Compares the measured runs of several choices, each with its name.
-pub fn compare(
+fn compare(
     plan: &Plan,
     runs: &[(String, MeasuredClusters)],
-    watcher: &dyn Watcher,
 ) -> Result<Vec<Comparison>, TableError> {
     let objective = &plan.stages.objective;
     // A view without partners has no map: all pixels of its reference count as missing.
@@ -112,7 +142,7 @@ pub fn compare(
     let one = |(name, run): &(String, MeasuredClusters)| {
         let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let curve = run.real_curve(objective, &run.order);
-        let best = orders::greedy(&run.real, objective, watcher)?;
+        let best = orders::greedy(&run.real, objective, &NoWatcher)?;
         let quality = Quality {
             reference: reference.iter().sum(),
             ..run.pooled()
@@ -129,4 +159,24 @@ pub fn compare(
         })
     };
     runs.iter().map(one).collect()
+}
+
+/// The results as text, a line for each choice.
+pub fn table(compared: &[Comparison]) -> String {
+    let mut lines = vec![format!(
+        "{:17} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}",
+        "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"
+    )];
+    for row in compared {
+        let [outliers, rmse] = row.quality.errors();
+        lines.push(format!(
+            "{:17} {:9} {:7} {:11.2} % {outliers:>9} {rmse:>9} {:10.4}",
+            row.name,
+            row.clusters,
+            row.pairs,
+            100.0 * row.quality.completeness,
+            row.real
+        ));
+    }
+    lines.join("\n") + "\n"
 }
