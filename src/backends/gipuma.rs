@@ -8,9 +8,12 @@ use super::{
     pmvs, selection,
     strangers::list_links,
 };
-use crate::model::{
-    cluster::RankedCluster,
-    scene::{ViewIndex, ViewPoints},
+use crate::{
+    io::{output::FileSet, project::ImageFolder},
+    model::{
+        cluster::RankedCluster,
+        scene::{ViewIndex, ViewPoints},
+    },
 };
 
 pub static BACKEND: Backend = Backend {
@@ -46,23 +49,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let selection = &near.selection();
     let images = selection.undistorted_images(BACKEND.name)?;
     let views = selection.keys_first();
-    let mut names = vec![String::new(); selection.scene.views.len()];
     let mut files = options.file_set(&BACKEND, selection);
-    for &view in &views {
-        // Result folders are named by the name less four characters: an extension of three letters.
-        // The id of the image is the same in each plan, so that no result is taken for that of
-        // another image.
-        let name = format!("{:08}.jpg", selection.scene.view(view).image_id);
-        files.add_text(
-            format!("p/{name}.P"),
-            pmvs::projection(selection.scene, view),
-        );
-        files.add(
-            format!("images/{name}"),
-            images.link(selection.scene.name(view)),
-        );
-        names[view.index()] = name;
-    }
+    let names = add_views(&mut files, selection, images, &views);
     let points = selection.scene.view_points();
     let mut record = ExportRecord::new(&BACKEND, selection, |v| names[v.index()].clone());
     record.moved(near.origin);
@@ -95,12 +83,32 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     );
     files.add("run.sh", script.finish(&[]));
     list_links(&mut files);
-    let table = views
-        .iter()
-        .map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
-    files.add_text("view_names.txt", table.collect::<String>());
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
+}
+
+/// Adds images, projections and the table of names. Returns the names in the files, by view.
+fn add_views(
+    files: &mut FileSet,
+    selection: &Selection,
+    images: &ImageFolder,
+    views: &[ViewIndex],
+) -> Vec<String> {
+    let scene = selection.scene;
+    let mut names = vec![String::new(); scene.views.len()];
+    let mut table = String::new();
+    for &view in views {
+        // Result folders are named by the name less four characters: an extension of three letters.
+        // The id of the image is the same in each plan, so that no result is taken for that of
+        // another image.
+        let name = format!("{:08}.jpg", scene.view(view).image_id);
+        files.add_text(format!("p/{name}.P"), pmvs::projection(scene, view));
+        files.add(format!("images/{name}"), images.link(scene.name(view)));
+        table += &format!("{name}\t{}\n", scene.name(view));
+        names[view.index()] = name;
+    }
+    files.add_text("view_names.txt", table);
+    names
 }
 
 /// Joins the maps where two agree, as the plan assumes (support 2): `num_consistent` counts the

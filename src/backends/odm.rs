@@ -100,6 +100,17 @@ fn project_of(root: &Path) -> Option<PathBuf> {
         .map(Path::to_path_buf)
 }
 
+/// What `run.sh` does in the engine's project.
+fn steps() -> [String; 3] {
+    [
+        format!("rm -rf \"{PROJECT}/opensfm/undistorted/openmvs\""),
+        format!("cp -rL openmvs \"{PROJECT}/opensfm/undistorted/\""),
+        format!(
+            "docker run --rm -v \"$(dirname \"{PROJECT}\")\":/datasets \"{ENGINE}\" --project-path /datasets \"$(basename \"{PROJECT}\")\""
+        ),
+    ]
+}
+
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     openmvs::check_names(BACKEND.name, selection)?;
     let images = selection.undistorted_images(BACKEND.name)?;
@@ -119,14 +130,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way =
         "openmvs/scene.mvs in place of the engine's own; ENGINE=opendronemap/odm runs ODM, not ODX"
             .into();
-    let steps = [
-        format!("rm -rf \"{PROJECT}/opensfm/undistorted/openmvs\""),
-        format!("cp -rL openmvs \"{PROJECT}/opensfm/undistorted/\""),
-        format!(
-            "docker run --rm -v \"$(dirname \"{PROJECT}\")\":/datasets \"{ENGINE}\" --project-path /datasets \"$(basename \"{PROJECT}\")\""
-        ),
-    ];
-    let script = format!("{RUNNER_HEAD}{}\n", steps.join("\n"));
+    let script = format!("{RUNNER_HEAD}{}\n", steps().join("\n"));
     let project = project_of(&selection.project.root)
         .map_or_else(|| format!("\"{PROJECT}\""), |path| quoted_path(&path));
     record.commands = vec![format!("./run.sh {project}")];
@@ -146,8 +150,18 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
          maps are kept"
             .into(),
     ]);
+    record.warnings.extend(of_other_coordinates(selection));
+    record.pixel_shift = -0.5;
+    record.fusion = "options of ODX and ODM: number-views-fuse 2".into();
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+/// Warns of coordinates that are not the engine's, or that its files would round.
+fn of_other_coordinates(selection: &Selection) -> Vec<String> {
+    let mut warnings = Vec::new();
     if selection.project.model.format != ModelFormat::OpenSfm {
-        record.warnings.push(
+        warnings.push(
             "ODX and ODM take the points as they are: the model must be in the coordinates of their own reconstruction, as that in \
              opensfm/undistorted of their project is"
                 .into(),
@@ -158,11 +172,6 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             "{rounding}: the cloud would be ruined, and the engine's own coordinates are smaller"
         )
     };
-    record
-        .warnings
-        .extend(selection::rounding(selection.scene).map(ruined));
-    record.pixel_shift = -0.5;
-    record.fusion = "options of ODX and ODM: number-views-fuse 2".into();
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    warnings.extend(selection::rounding(selection.scene).map(ruined));
+    warnings
 }

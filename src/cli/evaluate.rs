@@ -168,32 +168,25 @@ fn measure(
         Some(file) => clusters::read(file, &plan.stages.scene)?,
         None => planned(plan),
     };
-    let run = task(
-        plan,
-        &clusters,
-        folder,
-        arguments.reference.as_deref(),
-        progress,
-    )?;
+    let reference = arguments.reference.as_deref();
+    let input = EvaluationInput::new(&plan.stages, &clusters, folder, reference);
+    let run = MeasuredClusters::new(&input, progress)?;
     let model = plan.stages.model();
     let reached = MeasuredSurface::new(&model, &run);
-    let so_far = MeasuredProgress::new(&plan.stages, &run);
-    let clouds = compared_clouds(arguments, plan)?;
-    let reference = arguments.reference.as_deref();
     let half = |folder: &PathBuf| {
         MeasuredClusters::at_half_size(&plan.stages, &clusters, folder, reference, progress)
     };
     let half = arguments.half_size.as_ref().map(half).transpose()?;
     let cloud = arguments.cloud.as_deref();
     let cells = evaluate::cells::incidence(&plan.stages, &run, folder, cloud, progress)?;
-    let table = cells.0.text();
+    let cell_table = cells.0.text();
     let how = EvaluationOptions {
         objective: &plan.stages.objective,
         pilot: plan.stages.pilot.as_ref(),
         cells,
         baselines: arguments.baselines,
-        so_far,
-        clouds,
+        so_far: MeasuredProgress::new(&plan.stages, &run),
+        clouds: compared_clouds(arguments, plan)?,
         half: half.as_ref(),
     };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
@@ -201,7 +194,7 @@ fn measure(
     let title = name.unwrap_or(project.root.as_os_str()).to_string_lossy();
     let mut files = FileSet::new(&out, "evaluation");
     files.add_text("evaluation.json", json(&evaluation));
-    files.add_text(CELLS, table);
+    files.add_text(CELLS, cell_table);
     files.add_text("evaluation.html", evaluate::page(&evaluation, &title));
     files.add("evaluation.ply", Contents::Bytes(reached.ply(&model)));
     files.write(&project.disk())?;
@@ -234,19 +227,6 @@ fn planned(plan: &Plan) -> Vec<ViewCluster> {
         .iter()
         .map(|&c| plan.stages.clusters[c as usize].clone())
         .collect()
-}
-
-fn task(
-    plan: &Plan,
-    clusters: &[ViewCluster],
-    depth_maps: &Path,
-    reference: Option<&Path>,
-    progress: &ProgressDisplay,
-) -> Result<MeasuredClusters, Failure> {
-    Ok(MeasuredClusters::new(
-        &EvaluationInput::new(&plan.stages, clusters, depth_maps, reference),
-        progress,
-    )?)
 }
 
 fn output(

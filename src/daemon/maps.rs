@@ -49,63 +49,87 @@ pub fn scan(
     project: &Path,
     follow_links: bool,
 ) -> (Vec<PathBuf>, Result<MapFiles, UnreadableMaps>) {
-    let (mut folders, mut files, mut unreadable) = (Vec::new(), MapFiles::new(), None);
-    let mut seen = |path: &Path, found: io::Result<fs::Metadata>| match found {
-        Ok(metadata) => Some(metadata),
-        Err(source)
-            if matches!(
-                source.kind(),
-                io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
-            ) =>
-        {
-            None
-        }
-        Err(source) => {
-            unreadable.get_or_insert(UnreadableMaps {
-                path: path.into(),
-                source,
-            });
-            None
-        }
-    };
+    let mut found = Found::default();
     for place in depthmaps::default_folders(project) {
         if !place.starts_with(project.join(discover::OUTPUT_FOLDER)) {
             let above = place
                 .ancestors()
                 .skip(1)
                 .take_while(|above| *above != project);
-            folders.extend(above.filter(|above| above.is_dir()).map(Path::to_path_buf));
+            let above = above.filter(|above| above.is_dir());
+            found.folders.extend(above.map(Path::to_path_buf));
         }
-        let is_folder =
-            seen(&place, fs::metadata(&place)).is_some_and(|metadata| metadata.is_dir());
-        if !is_folder || !discover::may_enter(project, &place, follow_links) {
-            continue;
-        }
-        for entry in WalkDir::new(&place) {
-            let entry = match entry {
-                Ok(entry) => entry,
-                Err(error) => {
-                    let path = error.path().unwrap_or(&place).to_path_buf();
-                    seen(&path, Err(error.into()));
-                    continue;
-                }
-            };
-            if entry.file_type().is_dir() {
-                folders.push(entry.into_path());
-            } else {
-                let read = depthmaps::files_of(&place, entry.path());
-                let metadata =
-                    |path: &PathBuf| seen(path, fs::metadata(path)).filter(fs::Metadata::is_file);
-                let found: Vec<_> = read.iter().map_while(metadata).collect();
-                let entries = found.iter().map(Entry::from_metadata).reduce(Entry::with);
-                files.extend(entries.map(|entries| (entry.into_path(), entries)));
-            }
+        let is_folder = found
+            .metadata(&place, fs::metadata(&place))
+            .is_some_and(|metadata| metadata.is_dir());
+        if is_folder && discover::may_enter(project, &place, follow_links) {
+            found.add_maps_in(&place);
         }
     }
+    let Found {
+        mut folders,
+        files,
+        unreadable,
+    } = found;
     folders.retain(|folder| discover::may_enter(project, folder, follow_links));
     folders.sort();
     folders.dedup();
     (folders, unreadable.map_or(Ok(files), Err))
+}
+
+/// What a scan has found so far.
+#[derive(Default)]
+struct Found {
+    folders: Vec<PathBuf>,
+    files: MapFiles,
+    /// The first file or folder that could not be read.
+    unreadable: Option<UnreadableMaps>,
+}
+
+impl Found {
+    /// Returns the metadata of a path; `None` if nothing is there, or if it cannot be read.
+    fn metadata(&mut self, path: &Path, found: io::Result<fs::Metadata>) -> Option<fs::Metadata> {
+        let source = match found {
+            Ok(metadata) => return Some(metadata),
+            Err(source) => source,
+        };
+        let is_gone = matches!(
+            source.kind(),
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
+        );
+        if !is_gone {
+            self.unreadable.get_or_insert(UnreadableMaps {
+                path: path.into(),
+                source,
+            });
+        }
+        None
+    }
+
+    fn add_maps_in(&mut self, place: &Path) {
+        for entry in WalkDir::new(place) {
+            match entry {
+                Ok(entry) if entry.file_type().is_dir() => self.folders.push(entry.into_path()),
+                Ok(entry) => self.add_map(place, entry.into_path()),
+                Err(error) => {
+                    let path = error.path().unwrap_or(place).to_path_buf();
+                    self.metadata(&path, Err(error.into()));
+                }
+            }
+        }
+    }
+
+    /// Adds a file if it is a depth map, with all files that are read for it.
+    fn add_map(&mut self, place: &Path, file: PathBuf) {
+        let read = depthmaps::files_of(place, &file);
+        let metadata = |path: &PathBuf| {
+            self.metadata(path, fs::metadata(path))
+                .filter(fs::Metadata::is_file)
+        };
+        let found: Vec<_> = read.iter().map_while(metadata).collect();
+        let entries = found.iter().map(Entry::from_metadata).reduce(Entry::with);
+        self.files.extend(entries.map(|entries| (file, entries)));
+    }
 }
 
 /// History of the depth map files of a project.

@@ -359,44 +359,54 @@ fn metrics_text(projects: &BTreeMap<PathBuf, TrackedProject>) -> String {
     for (state, count) in counts {
         text += &format!("viewrank_projects{{state=\"{state}\"}} {count}\n");
     }
-    let mut gauge = |name: &str, help: &str, value: fn(&Phase) -> Option<f64>| {
+    for Gauge { name, help, value } in GAUGES {
         text += &format!("# HELP {name} {help}\n# TYPE {name} gauge\n");
-        for (root, value) in phases
+        let values = phases
             .iter()
-            .filter_map(|(root, phase)| Some((root, value(phase)?)))
-        {
+            .filter_map(|(root, phase)| Some((root, value(phase)?)));
+        for (root, value) in values {
             text += &format!("{name}{{project=\"{}\"}} {value}\n", label(root));
         }
-    };
-    gauge(
-        "viewrank_depth_maps_done",
-        "Key views with a depth map.",
-        |phase| match phase {
+    }
+    text
+}
+
+/// A number that each project with depth maps has.
+struct Gauge {
+    name: &'static str,
+    help: &'static str,
+    value: fn(&Phase) -> Option<f64>,
+}
+
+const GAUGES: [Gauge; 3] = [
+    Gauge {
+        name: "viewrank_depth_maps_done",
+        help: "Key views with a depth map.",
+        value: |phase| match phase {
             Phase::Computing { done, .. } | Phase::Reached { done, .. } => Some(*done as f64),
             _ => None,
         },
-    );
-    gauge(
-        "viewrank_depth_maps_wanted",
-        "Key views to the cut, and those beyond it that have a depth map.",
-        |phase| match phase {
+    },
+    Gauge {
+        name: "viewrank_depth_maps_wanted",
+        help: "Key views to the cut, and those beyond it that have a depth map.",
+        value: |phase| match phase {
             Phase::Computing { clusters, .. } | Phase::Reached { clusters, .. } => {
                 Some(*clusters as f64)
             }
             _ => None,
         },
-    );
-    gauge(
-        "viewrank_share_reached",
-        "What fusion keeps of the finished depth maps over what it would of all.",
-        |phase| match phase {
+    },
+    Gauge {
+        name: "viewrank_share_reached",
+        help: "What fusion keeps of the finished depth maps over what it would of all.",
+        value: |phase| match phase {
             Phase::Computing { share, .. } => *share,
             Phase::Reached { share, .. } => Some(*share),
             _ => None,
         },
-    );
-    text
-}
+    },
+];
 
 /// Escapes a path for the value of a label.
 fn label(path: &Path) -> String {

@@ -136,37 +136,10 @@ impl Hint for PlanError {
                     .set("pilot.maps")
             }
             Self::Memory {
-                stage: memory::SURFACE,
+                stage,
                 with_picture,
                 ..
-            } => allow(*with_picture).and(
-                " or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
-            ),
-            Self::Memory {
-                stage: memory::PICTURES | memory::PILOT,
-                with_picture,
-                ..
-            } => allow(*with_picture)
-                .and(" (max_memory in viewrank.toml), or plan without pictures: ")
-                .set_to("confidence.source", "geometric"),
-            Self::Memory {
-                stage: memory::MASKS,
-                with_picture,
-                ..
-            } => allow(*with_picture).and(
-                " (max_memory in viewrank.toml), or make the masks smaller: copies of the same shape will do",
-            ),
-            Self::Memory { with_picture, .. } => {
-                let allow = allow(*with_picture).and(" (max_memory in viewrank.toml),");
-                let allow = match rayon::current_num_threads() {
-                    0 | 1 => allow,
-                    _ => allow.and(" use fewer ").set("threads").and(","),
-                };
-                allow
-                    .and(" or reduce the triangles with a coarser ")
-                    .set("target.gsd")
-                    .and(" or a larger surface.edge_factor")
-            }
+            } => more_memory(stage, *with_picture),
             Self::Refused { with_picture, .. } => Advice::text("give ")
                 .run("watch ")
                 .set_to("max_memory", memory::enough(*with_picture))
@@ -199,6 +172,32 @@ impl Hint for PlanError {
             Self::Region(error) => error.path(),
             Self::Disk(error) => error.path(),
             _ => None,
+        }
+    }
+}
+
+/// What to do where a stage needs more memory than is allowed.
+fn more_memory(stage: &str, need: u64) -> Advice {
+    match stage {
+        memory::SURFACE => allow(need).and(
+            " or more (max_memory in viewrank.toml); what the tables need is forecast once the surface is built",
+        ),
+        memory::PICTURES | memory::PILOT => allow(need)
+            .and(" (max_memory in viewrank.toml), or plan without pictures: ")
+            .set_to("confidence.source", "geometric"),
+        memory::MASKS => allow(need).and(
+            " (max_memory in viewrank.toml), or make the masks smaller: copies of the same shape will do",
+        ),
+        _ => {
+            let allow = allow(need).and(" (max_memory in viewrank.toml),");
+            let allow = match rayon::current_num_threads() {
+                0 | 1 => allow,
+                _ => allow.and(" use fewer ").set("threads").and(","),
+            };
+            allow
+                .and(" or reduce the triangles with a coarser ")
+                .set("target.gsd")
+                .and(" or a larger surface.edge_factor")
         }
     }
 }

@@ -68,9 +68,7 @@ impl<'a> Inputs<'a> {
         timings: &mut Timings,
     ) -> Result<Self, PlanError> {
         let unfit = unfit(settings, matcher);
-        let given_units = settings.units;
-        let own_size = settings.image_scale.is_none();
-        let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
+        let given = settings;
         let source = settings
             .confidence
             .source
@@ -107,15 +105,15 @@ impl<'a> Inputs<'a> {
         Ok(Self {
             matcher,
             settings,
-            own_size,
-            refused_half,
+            own_size: given.image_scale.is_none(),
+            refused_half: given.ranking.has_half() && !matcher.mixes_sizes,
             unfit,
             pictures: PictureFolders::new(project).without(&without_image),
             mask_bytes: OnceLock::new(),
             scene,
             points,
             image_gsd,
-            metres: metres(given_units, &place),
+            metres: metres(given.units, &place),
             place,
             image_faults,
             most_pixels,

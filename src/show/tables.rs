@@ -16,67 +16,63 @@ use crate::{
 
 /// Adds the tables of method 6 to a set of files.
 pub fn add(plan: &Plan, files: &mut FileSet) {
-    let Tables {
-        surface,
-        visibility,
-        target,
-        candidates,
-        unary,
-        agreement,
-        rule,
-        objective,
-        clusters,
-        fulfilment,
-        ..
-    } = &plan.stages.tables;
-    let mut table = |name: &str, bytes: Vec<u8>| add_table(files, name, bytes);
+    let tables = &plan.stages.tables;
+    add_surface(tables, files);
+    add_visibility(tables, files);
+    add_clusters(tables, files);
+    add_table(files, "order", list(&plan.decision.ranking.order));
+    add_table(files, "gain", list(&plan.decision.ranking.gains));
+    add_json(plan, files);
+}
+
+fn add_surface(tables: &Tables, files: &mut FileSet) {
+    let surface = &tables.surface;
     let vertices = surface
         .vertices
         .iter()
         .flat_map(|v| v.coords.iter().copied());
-    table(
-        "vertices",
-        npy::write(&[surface.vertices.len(), 3], vertices),
-    );
+    let vertices = npy::write(&[surface.vertices.len(), 3], vertices);
+    add_table(files, "vertices", vertices);
     let corners = surface.triangles.iter().flatten().copied();
-    table(
-        "triangles",
-        npy::write(&[surface.triangles.len(), 3], corners),
-    );
-    table("triangle_gsd", list(&target.gsd));
-    table("weight", list(&objective.weights));
-    let (seen, offsets_of_views) = (&visibility.triangles, visibility.offsets.as_slice());
-    table("visible", pairs(offsets_of_views, seen));
-    let confidence = || (0..seen.len()).map(|row| unary.at(row));
-    table(
-        "unary",
-        npy::write(&[seen.len()], confidence().map(|at| at.observed)),
-    );
-    table(
-        "allowed",
-        npy::write(&[seen.len()], confidence().map(|at| at.allowed)),
-    );
-    if let Confidence::Photometric { .. } = rule.confidence {
-        table("agreement_partners", indices(&agreement.partners));
-        table("agreement_offsets", offsets(&agreement.offsets));
-        table("agreement", list(&agreement.values));
+    let triangles = npy::write(&[surface.triangles.len(), 3], corners);
+    add_table(files, "triangles", triangles);
+    add_table(files, "triangle_gsd", list(&tables.target.gsd));
+    add_table(files, "weight", list(&tables.objective.weights));
+}
+
+/// Adds what is known of each triangle in each view that sees it, and of its partners.
+fn add_visibility(tables: &Tables, files: &mut FileSet) {
+    let (seen, views) = (&tables.visibility.triangles, &tables.visibility.offsets);
+    add_table(files, "visible", pairs(views.as_slice(), seen));
+    let confidence = || (0..seen.len()).map(|row| tables.unary.at(row));
+    let observed = npy::write(&[seen.len()], confidence().map(|at| at.observed));
+    add_table(files, "unary", observed);
+    let allowed = npy::write(&[seen.len()], confidence().map(|at| at.allowed));
+    add_table(files, "allowed", allowed);
+    if let Confidence::Photometric { .. } = tables.rule.confidence {
+        let agreement = &tables.agreement;
+        add_table(files, "agreement_partners", indices(&agreement.partners));
+        add_table(files, "agreement_offsets", offsets(&agreement.offsets));
+        add_table(files, "agreement", list(&agreement.values));
     }
-    table("candidates", indices(&candidates.views));
-    table("candidate_offsets", offsets(candidates.offsets.as_slice()));
+    let candidates = &tables.candidates;
+    add_table(files, "candidates", indices(&candidates.views));
+    let of_views = offsets(candidates.offsets.as_slice());
+    add_table(files, "candidate_offsets", of_views);
+}
+
+fn add_clusters(tables: &Tables, files: &mut FileSet) {
+    let clusters = &tables.clusters;
     let partners: Vec<ViewIndex> = clusters.iter().flat_map(|c| c.partners.clone()).collect();
-    let partner_offsets = Offsets::from_lengths(clusters.iter().map(|c| c.partners.len()));
+    let of_clusters = Offsets::from_lengths(clusters.iter().map(|c| c.partners.len()));
     let keys: Vec<ViewIndex> = clusters.iter().map(|c| c.key).collect();
-    table("partners", indices(&partners));
-    table("partner_offsets", offsets(partner_offsets.as_slice()));
-    table("cluster_key", indices(&keys));
-    table(
-        "fulfilment",
-        pairs(&fulfilment.offsets, &fulfilment.triangles),
-    );
-    table("fulfilment_value", list(&fulfilment.values));
-    table("order", list(&plan.decision.ranking.order));
-    table("gain", list(&plan.decision.ranking.gains));
-    add_json(plan, files);
+    add_table(files, "partners", indices(&partners));
+    add_table(files, "partner_offsets", offsets(of_clusters.as_slice()));
+    add_table(files, "cluster_key", indices(&keys));
+    let fulfilment = &tables.fulfilment;
+    let triangles = pairs(&fulfilment.offsets, &fulfilment.triangles);
+    add_table(files, "fulfilment", triangles);
+    add_table(files, "fulfilment_value", list(&fulfilment.values));
 }
 
 fn add_json(plan: &Plan, files: &mut FileSet) {

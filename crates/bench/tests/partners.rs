@@ -13,7 +13,11 @@ fn each_rule_has_clusters_of_the_plans_key_views() {
         fs::copy(fixture.join(file), model.join(file)).unwrap();
     }
     let opened = viewrank::Project::open(&project, None).unwrap();
-    let plan = viewrank::plan(&opened, &viewrank::Settings::default(), &viewrank::NoWatcher);
+    let plan = viewrank::plan(
+        &opened,
+        &viewrank::Settings::default(),
+        &viewrank::NoWatcher,
+    );
     let plan = plan.unwrap();
     let files = viewrank::files::files(&plan, &opened).unwrap();
     viewrank::output::write_all(&files.sets, &viewrank::output::Disk::REAL).unwrap();
@@ -34,8 +38,16 @@ fn each_rule_has_clusters_of_the_plans_key_views() {
     assert_eq!(
         names,
         [
-            "colmap", "goesele", "maxcon", "mindist", "mvsnet", "openmvs", "ours", "ours-nocp",
-            "random", "shen"
+            "colmap",
+            "goesele",
+            "maxcon",
+            "mindist",
+            "mvsnet",
+            "openmvs",
+            "ours",
+            "ours-nocp",
+            "random",
+            "shen"
         ]
     );
     for name in names {

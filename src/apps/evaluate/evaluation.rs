@@ -22,7 +22,10 @@ use crate::{
         fulfilment::{FulfilmentTable, Model},
         ranking::Objective,
     },
-    model::{cluster::ViewCluster, scene::ViewIndex},
+    model::{
+        cluster::ViewCluster,
+        scene::{Scene, ViewIndex},
+    },
 };
 
 /// Everything that finished depth maps say about the view clusters that they were made for.
@@ -257,27 +260,19 @@ impl Evaluation {
             None => by_triangle.clone(),
         };
         let real = run.real_curve(objective, &run.order);
-        let names = |views: &[ViewIndex]| {
-            views
-                .iter()
-                .map(|&v| model.scene.name(v).to_string())
-                .collect()
-        };
         let orders = if baselines {
             baselines::compare(run, model, objective, watcher)?
         } else {
             Vec::new()
         };
+        let names = |views: &[ViewIndex]| names_of(model.scene, views);
+        let weighs = |t: usize| objective.weights[t] > 0.0;
         Ok(Self {
             version: 1,
             reference: run.has_reference,
             support: objective.support,
             inside: objective.inside,
-            triangles: objective
-                .weights
-                .iter()
-                .filter(|&&weight| weight > 0.0)
-                .count(),
+            triangles: (0..objective.weights.len()).filter(|&t| weighs(t)).count(),
             quality: QualityRow::new(&run.pooled(), run.has_reference),
             reached: so_far,
             predicted: by_triangle.total(),
@@ -296,12 +291,8 @@ impl Evaluation {
                 fulfilment: real.fulfilment,
                 pairs: real.pairs,
             },
-            missing: reached.counts(|t| objective.weights[t] > 0.0),
-            key_views: run
-                .order
-                .iter()
-                .map(|&c| key_view(model, run, c as usize))
-                .collect(),
+            missing: reached.counts(weighs),
+            key_views: key_views(model, run),
             without_map: names(&run.without_map),
             other_sizes: names(&run.other_sizes),
             other_partners: names(&run.other_partners),
@@ -309,6 +300,10 @@ impl Evaluation {
             orders,
         })
     }
+}
+
+fn names_of(scene: &Scene, views: &[ViewIndex]) -> Vec<String> {
+    views.iter().map(|&v| scene.name(v).to_string()).collect()
 }
 
 impl EvaluationOptions<'_> {
@@ -366,13 +361,16 @@ fn gaps(predicted: &ReachCurve, real: &[f64], agreeing: &[f64]) -> Vec<Gap> {
     SHARES.iter().filter_map(|&share| gap(share)).collect()
 }
 
+/// The key views in the order of the run.
+fn key_views(model: &Model, run: &MeasuredClusters) -> Vec<KeyView> {
+    let clusters = run.order.iter();
+    clusters
+        .map(|&c| key_view(model, run, c as usize))
+        .collect()
+}
+
 fn key_view(model: &Model, run: &MeasuredClusters, cluster: usize) -> KeyView {
-    let names = |views: &[ViewIndex]| {
-        views
-            .iter()
-            .map(|&v| model.scene.name(v).to_string())
-            .collect()
-    };
+    let names = |views: &[ViewIndex]| names_of(model.scene, views);
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum();
     KeyView {
         name: model.scene.name(run.clusters[cluster].key).into(),

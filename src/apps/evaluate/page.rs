@@ -58,63 +58,7 @@ fn summary(e: &Evaluation) -> String {
         "<p class=\"verdict\">{}</p>\n<section><dl>",
         e.enough_in_words()
     );
-    let [outliers, rmse] = e.quality.errors();
-    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let completeness = if e.reference {
-        "of the reference's pixels are right"
-    } else {
-        "of the pixels have a depth on the surface"
-    };
-    let measured = match e.at_half_size() {
-        0 => "measured".to_owned(),
-        half => format!("measured, {half} at half the size"),
-    };
-    let numbers = [
-        (
-            "Depth maps",
-            e.key_views.len().to_string(),
-            measured.as_str(),
-        ),
-        (
-            "Reached",
-            e.reached.share.map_or("–".into(), percent),
-            "of what all depth maps of the plan would give, estimated",
-        ),
-        (
-            "Completeness",
-            percent(e.quality.completeness),
-            completeness,
-        ),
-        (
-            "Outliers",
-            outliers,
-            if e.reference {
-                "against the reference"
-            } else {
-                "not measured without a reference"
-            },
-        ),
-        (
-            "RMSE",
-            rmse,
-            if e.reference {
-                "scene units, of the right pixels"
-            } else {
-                "not measured without a reference"
-            },
-        ),
-        (
-            "Fulfilment, measured",
-            format!("{:.3}", e.real),
-            "of what is wanted",
-        ),
-        (
-            "Fulfilment, predicted",
-            format!("{:.3}", e.predicted),
-            "for the same depth maps",
-        ),
-    ];
-    for (what, value, of) in numbers {
+    for (what, value, of) in numbers(e) {
         let _ = write!(
             html,
             "<div><dt>{what}</dt><dd><b>{value}</b><small>{of}</small></dd></div>"
@@ -129,6 +73,48 @@ fn summary(e: &Evaluation) -> String {
         );
     }
     html + "</section>\n"
+}
+
+/// The numbers at the top of the page: what each is, its value, and of what.
+fn numbers(e: &Evaluation) -> [(&'static str, String, String); 7] {
+    let [outliers, rmse] = e.quality.errors();
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let measured = match e.at_half_size() {
+        0 => "measured".to_owned(),
+        half => format!("measured, {half} at half the size"),
+    };
+    let [completeness, of_outliers, of_rmse] = if e.reference {
+        [
+            "of the reference's pixels are right",
+            "against the reference",
+            "scene units, of the right pixels",
+        ]
+    } else {
+        let unknown = "not measured without a reference";
+        [
+            "of the pixels have a depth on the surface",
+            unknown,
+            unknown,
+        ]
+    };
+    let maps = e.key_views.len().to_string();
+    let reached = e.reached.share.map_or("–".into(), percent);
+    let of_all = "of what all depth maps of the plan would give, estimated";
+    let complete = percent(e.quality.completeness);
+    let [real, predicted] = [e.real, e.predicted].map(|fulfilment| format!("{fulfilment:.3}"));
+    [
+        ("Depth maps", maps, measured),
+        ("Reached", reached, of_all.into()),
+        ("Completeness", complete, completeness.into()),
+        ("Outliers", outliers, of_outliers.into()),
+        ("RMSE", rmse, of_rmse.into()),
+        ("Fulfilment, measured", real, "of what is wanted".into()),
+        (
+            "Fulfilment, predicted",
+            predicted,
+            "for the same depth maps".into(),
+        ),
+    ]
 }
 
 fn plots(e: &Evaluation) -> String {

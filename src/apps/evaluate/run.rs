@@ -303,14 +303,11 @@ impl EvaluationInput<'_> {
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
         let has_sizes = self.half_worth.is_some();
-        let scale = |m: &MapMeasurement| {
-            if has_sizes {
-                m.size.scale
-            } else {
-                MapScale::Full
-            }
+        let scales = if has_sizes {
+            measured.iter().map(|m| m.size.scale).collect()
+        } else {
+            vec![MapScale::Full; measured.len()]
         };
-        let scales: Vec<MapScale> = measured.iter().map(scale).collect();
         let other_sizes = clusters
             .iter()
             .zip(measured)
@@ -328,13 +325,9 @@ impl EvaluationInput<'_> {
         let attainable = table(&certain, &matched)?;
         let predicted = table(&self.model, &clusters)?;
         let nocp = table(&certain, &clusters)?;
-        let other_partners = clusters.iter().filter(|c| {
-            let tried = report.get(&c.key).map(|r| sorted(&r.tried));
-            tried.is_some_and(|tried| tried != sorted(&c.partners))
-        });
         Ok(MeasuredClusters {
             has_reference: self.reference.is_some(),
-            other_partners: other_partners.map(|c| c.key).collect(),
+            other_partners: with_other_partners(&clusters, report),
             quality: measured.iter().map(|m| m.quality).collect(),
             places: measured.iter().map(|m| m.places.clone()).collect(),
             attempts: (0..clusters.len())
@@ -435,6 +428,15 @@ fn table_at(
             .collect()
     };
     Ok(FulfilmentTable::new(scales.iter().enumerate().map(row)))
+}
+
+/// Key views whose maps were made with other partners than planned, as far as the matcher says.
+fn with_other_partners(clusters: &[ViewCluster], report: &Report) -> Vec<ViewIndex> {
+    let is_other = |c: &&ViewCluster| {
+        let tried = report.get(&c.key).map(|r| sorted(&r.tried));
+        tried.is_some_and(|tried| tried != sorted(&c.partners))
+    };
+    clusters.iter().filter(is_other).map(|c| c.key).collect()
 }
 
 fn sorted(views: &[ViewIndex]) -> Vec<ViewIndex> {

@@ -337,26 +337,33 @@ fn look(
         &plan.stages.scene,
         check,
     )?;
-    // Includes views without partners in the earlier plan: earlier findings on their maps still
-    // hold.
+    Ok(found
+        .into_iter()
+        .flatten()
+        .chain(outdated_beyond(earlier, &file_of))
+        .chain(unreadable)
+        .collect())
+}
+
+/// Outdated maps of views without partners in the earlier plan: earlier findings on them still
+/// hold.
+fn outdated_beyond(
+    earlier: &EarlierPlan,
+    file_of: &BTreeMap<&str, &DepthMapFile>,
+) -> Vec<MapVerdict> {
     let keys: BTreeSet<&str> = earlier.keys().collect();
     let beyond = earlier
         .outdated
         .iter()
         .filter(|outdated| !keys.contains(outdated.key.as_str()));
-    let beyond = beyond.filter_map(|OutdatedMap { key, .. }| {
+    let verdict = |OutdatedMap { key, .. }: &OutdatedMap| {
         let hash = hash(file_of.get(key.as_str())?).ok()?;
         Some(MapVerdict::Outdated {
             outdated: earlier.outdated(key, &hash)?,
             hash,
         })
-    });
-    Ok(found
-        .into_iter()
-        .flatten()
-        .chain(beyond)
-        .chain(unreadable)
-        .collect())
+    };
+    beyond.filter_map(verdict).collect()
 }
 
 /// Hash of the files that hold the depths of a map.

@@ -13,7 +13,7 @@ use super::{
     bytes,
     flight::{self, BareGround, Flight, bare_ground},
     history::History,
-    holes::{FAR, Hole, holes},
+    holes::{FAR, Hole, Holes, holes},
     ranking::RankingData,
     real::{DepthMapFolders, Real},
     shown::DrawnSurface,
@@ -259,22 +259,8 @@ impl Contents {
             None => BTreeMap::new(),
         };
         let holes = holes(plan, HOLES);
-        let mut flight = flight::flight(plan, &holes.largest, watcher)?;
-        let needed = plan.stages.settings.coverage.min_cameras;
-        let (place, metres) = (plan.stages.place, plan.stages.metres);
+        let missing = MissingParts::new(plan, &holes, &frame, watcher)?;
         let summary = RegionSummary::from_plan(plan);
-        let of_surface = holes.largest.iter();
-        let mut listed: Vec<HoleData> = of_surface
-            .map(|hole| HoleData::new(hole, &frame, &place, needed))
-            .collect();
-        let for_holes = flight.waypoints.len();
-        if let Some(bare) = bare_ground(plan, &frame, needed, listed.len(), &flight.waypoints) {
-            listed.push(HoleData::of_ground(&bare, &frame, &place, needed));
-            flight = flight.and_then(&bare);
-        }
-        let ground = plan.stages.ground.as_ref();
-        let missed = ground.and_then(|ground| flight::missed(ground, &frame, &place, metres));
-        let missing: Vec<String> = listed.iter().map(|hole| hole.missing.clone()).collect();
         Ok(Self {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
@@ -303,12 +289,9 @@ impl Contents {
             region: summary.and_then(|summary| RegionData::new(plan, &summary, &surface, &frame)),
             surface: SurfaceData::new(plan, &surface, &frame),
             subject: Corners::shown_first(plan, &frame),
-            holes: listed,
-            flight: FlightData::new(&flight, for_holes, &frame),
-            flight_files: flight::files(&flight, &missing, &frame, &place, metres)
-                .into_iter()
-                .chain(missed)
-                .collect(),
+            flight: FlightData::new(&missing.flight, missing.for_holes, &frame),
+            flight_files: missing.files(plan, &frame),
+            holes: missing.holes,
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,
@@ -319,6 +302,54 @@ impl Contents {
             most_thumbnails: MOST,
             ramp: RAMP,
         })
+    }
+}
+
+/// What no key view shows, and the images to take of it.
+struct MissingParts {
+    /// The largest holes of the surface, and ground without surface.
+    holes: Vec<HoleData>,
+    flight: Flight,
+    /// Waypoints for the holes of the surface, which come first.
+    for_holes: usize,
+}
+
+impl MissingParts {
+    fn new(
+        plan: &Plan,
+        holes: &Holes,
+        frame: &MapFrame,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, ReportError> {
+        let needed = plan.stages.settings.coverage.min_cameras;
+        let place = &plan.stages.place;
+        let mut flight = flight::flight(plan, &holes.largest, watcher)?;
+        let of_surface = holes.largest.iter();
+        let mut listed: Vec<HoleData> = of_surface
+            .map(|hole| HoleData::new(hole, frame, place, needed))
+            .collect();
+        let for_holes = flight.waypoints.len();
+        if let Some(bare) = bare_ground(plan, frame, needed, listed.len(), &flight.waypoints) {
+            listed.push(HoleData::of_ground(&bare, frame, place, needed));
+            flight = flight.and_then(&bare);
+        }
+        Ok(Self {
+            holes: listed,
+            flight,
+            for_holes,
+        })
+    }
+
+    /// The files for the flight, and the outlines of ground that no image shows.
+    fn files(&self, plan: &Plan, frame: &MapFrame) -> Vec<(&'static str, String)> {
+        let (place, metres) = (&plan.stages.place, plan.stages.metres);
+        let ground = plan.stages.ground.as_ref();
+        let missed = ground.and_then(|ground| flight::missed(ground, frame, place, metres));
+        let missing: Vec<String> = self.holes.iter().map(|hole| hole.missing.clone()).collect();
+        flight::files(&self.flight, &missing, frame, place, metres)
+            .into_iter()
+            .chain(missed)
+            .collect()
     }
 }
 

@@ -28,47 +28,62 @@ pub(super) struct Lists<'a> {
     compared: Vec<Vec<(u32, u32)>>,
 }
 
+/// Number of points that a view shares with each view of the scene.
+struct SharedPoints<'a> {
+    /// Position of each view of the scene in the files.
+    positions: &'a [u32],
+    shared: Vec<u32>,
+}
+
+impl SharedPoints<'_> {
+    /// A list of these views: ACMM drops partners with a score of 0.
+    fn row(&self, views: impl Iterator<Item = ViewIndex>) -> Vec<(u32, u32)> {
+        views
+            .map(|v| (self.positions[v.index()], self.shared[v.index()].max(1)))
+            .collect()
+    }
+
+    /// A list of the views that share most points, if any.
+    fn most(&self, among: &[ViewIndex], most: usize) -> Vec<(u32, u32)> {
+        let shared = |v: &ViewIndex| self.shared[v.index()];
+        let mut others: Vec<ViewIndex> = among.iter().copied().filter(|v| shared(v) > 0).collect();
+        others.sort_by_key(|v| std::cmp::Reverse(shared(v)));
+        self.row(others.into_iter().take(most))
+    }
+}
+
+/// Keeps those of a list with which the map of the key view at `position` is fused.
+fn retain_fused(compared: &mut Vec<(u32, u32)>, position: usize) {
+    let others: Vec<usize> = compared.iter().map(|(other, _)| *other as usize).collect();
+    let fused: BTreeSet<usize> = selection::fused_with(position, &others)
+        .into_iter()
+        .collect();
+    compared.retain(|(other, _)| fused.contains(&(*other as usize)));
+}
+
 impl<'a> Lists<'a> {
     pub fn new(dialect: &Dialect, selection: &Selection, views: &'a [ViewIndex]) -> Self {
         let scene = selection.scene;
         let points = scene.view_points();
-        let mut index = vec![u32::MAX; scene.views.len()];
-        (0..).zip(views).for_each(|(i, v)| index[v.index()] = i);
-        // ACMM drops partners with a score of 0.
-        let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
-            partners
-                .map(|p| (index[p.index()], shared[p.index()].max(1)))
-                .collect::<Vec<_>>()
-        };
-        let most_shared = |shared: &[u32], among: &[ViewIndex], most: usize| {
-            let mut others: Vec<_> = among
-                .iter()
-                .copied()
-                .filter(|v| shared[v.index()] > 0)
-                .collect();
-            others.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
-            scored(shared, &mut others.into_iter().take(most))
+        let mut positions = vec![u32::MAX; scene.views.len()];
+        (0..).zip(views).for_each(|(i, v)| positions[v.index()] = i);
+        let shared_with = |view| SharedPoints {
+            positions: &positions,
+            shared: selection::shared_points(scene, &points, view),
         };
         let keys = &views[..selection.clusters.len()];
-        let key_rows = |(i, c): (usize, &RankedCluster)| {
-            let shared = selection::shared_points(scene, &points, c.key);
-            let mut compared = most_shared(&shared, keys, keys.len());
+        let key_rows = |(i, cluster): (usize, &RankedCluster)| {
+            let shared = shared_with(cluster.key);
+            let mut compared = shared.most(keys, keys.len());
             if dialect.join.is_some() {
-                let others: Vec<usize> = compared.iter().map(|(o, _)| *o as usize).collect();
-                let kept: BTreeSet<usize> = selection::fused_with(i, &others).into_iter().collect();
-                compared.retain(|(other, _)| kept.contains(&(*other as usize)));
+                retain_fused(&mut compared, i);
             } else {
                 compared.truncate(FUSED_WITH);
             }
-            (scored(&shared, &mut c.partners.iter().copied()), compared)
+            (shared.row(cluster.partners.iter().copied()), compared)
         };
-        let other_row = |&view: &ViewIndex| {
-            most_shared(
-                &selection::shared_points(scene, &points, view),
-                views,
-                selection.most_partners(),
-            )
-        };
+        let other_row =
+            |&view: &ViewIndex| shared_with(view).most(views, selection.most_partners());
         let (mut rows, compared): (Vec<_>, Vec<_>) =
             selection.clusters.iter().enumerate().map(key_rows).unzip();
         if dialect.all_are_problems {

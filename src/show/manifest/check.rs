@@ -29,6 +29,13 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
         .settings
         .check()
         .map_err(|what| format!("settings.{what}"))?;
+    let names = names(manifest)?;
+    check_cut(manifest, matches_pairs)?;
+    check_clusters(manifest, &names)
+}
+
+/// The names of the views, each once.
+fn names(manifest: &RecordedPlan) -> Result<BTreeSet<&str>, String> {
     let mut names = BTreeSet::new();
     for (i, view) in manifest.views.iter().enumerate() {
         if !names.insert(view.name.as_str()) {
@@ -38,7 +45,11 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
             ));
         }
     }
-    check_cut(manifest, matches_pairs)?;
+    Ok(names)
+}
+
+/// Checks ranks, key views and the rise of the curve.
+fn check_clusters(manifest: &RecordedPlan, names: &BTreeSet<&str>) -> Result<(), String> {
     let mut keys = BTreeSet::new();
     let mut previous = Previous {
         fulfilment: 0.0,
@@ -60,7 +71,7 @@ pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
                 cluster.key
             )));
         }
-        check_views(cluster, &names)
+        check_views(cluster, names)
             .and_then(|()| previous.check(cluster))
             .map_err(fault)?;
         previous = Previous {

@@ -56,16 +56,22 @@ pub fn map_svg(plan: &Plan) -> String {
         "<text x=\"{MARGIN}\" y=\"22\" font-weight=\"600\">{title}</text>"
     );
     draw_surface(&mut svg, &sheet, &triangles, &triangle_states(plan, chosen));
-    let mut rank = vec![None; views.len()];
+    draw_views(&mut svg, &sheet, plan, &views);
+    plot::document(WIDTH, sheet.height, &title, &svg)
+}
+
+/// Draws the chosen key views as discs, the others as rings.
+fn draw_views(svg: &mut String, sheet: &Sheet, plan: &Plan, places: &[Point3<f64>]) {
+    let mut rank = vec![None; places.len()];
     plan.ranked()
-        .take(chosen)
+        .take(plan.decision.cut.clusters)
         .enumerate()
         .for_each(|(i, cluster)| rank[cluster.key.index()] = Some(i + 1));
     // Draws the best ones last, on top.
-    let mut order: Vec<usize> = (0..views.len()).collect();
+    let mut order: Vec<usize> = (0..places.len()).collect();
     order.sort_by_key(|&v| std::cmp::Reverse(rank[v].unwrap_or(usize::MAX)));
     for v in order {
-        let (x, y) = sheet.at([views[v].x, views[v].y]);
+        let (x, y) = sheet.at([places[v].x, places[v].y]);
         let name = quick_xml::escape::escape(&plan.stages.scene.views[v].name);
         let (style, label) = match rank[v] {
             Some(rank) => (
@@ -82,7 +88,6 @@ pub fn map_svg(plan: &Plan) -> String {
             "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" {style}><title>{label}</title></circle>"
         );
     }
-    plot::document(WIDTH, sheet.height, &title, &svg)
 }
 
 /// Draws the state of each cell, summed over the triangles in it; cells without triangles stay
