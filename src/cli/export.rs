@@ -126,17 +126,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     warn_of_end(arguments, &plan, clusters.len());
     let image_faults = plan.project.image_faults(&plan.scene);
     let selection = plan.selection(clusters, &image_faults);
-    let tiles = arguments
-        .tiles
-        .map(|count| clusters_by_area(&selection, count as usize));
-    if let (Some(count), Some(tiles)) = (arguments.tiles, &tiles)
-        && tiles.len() < count as usize
-    {
-        warn(&format!(
-            "the key views of the plan fill only {} of {count} tiles",
-            tiles.len()
-        ));
-    }
+    let tiles = arguments.tiles.map(|count| tiles(&selection, count));
     // All exports are built and checked before any is written: an error in one stops the others,
     // too.
     let make =
@@ -148,12 +138,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     made.iter()
         .try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
     for (made, backend) in made.iter().zip(&backends).filter(|_| !arguments.dry_run) {
-        // A run works in this folder.
-        let own = std::path::absolute(plan.project.output_folder().join(backend.name));
-        if own.is_ok_and(|own| std::path::absolute(&made.folder).is_ok_and(|folder| folder == own))
-        {
-            Dispatch::refuse_if_at_work_with(backend, &plan.project)?;
-        }
+        refuse_if_run_is_in(&made.folder, backend, &plan.project)?;
     }
     let reports = made
         .into_iter()
@@ -165,6 +150,31 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             .iter()
             .try_for_each(|report| print(report.text(arguments.dry_run))),
     }
+}
+
+/// The clusters of each tile; warns if there are fewer than `count`.
+fn tiles(selection: &Selection, count: u32) -> Vec<Vec<RankedCluster>> {
+    let tiles = clusters_by_area(selection, count as usize);
+    if tiles.len() < count as usize {
+        warn(&format!(
+            "the key views of the plan fill only {} of {count} tiles",
+            tiles.len()
+        ));
+    }
+    tiles
+}
+
+/// Refuses to write into the folder in which `viewrank run` works, while it does.
+fn refuse_if_run_is_in(
+    folder: &Path,
+    backend: &Backend,
+    project: &Project,
+) -> Result<(), Failure> {
+    let own = std::path::absolute(project.output_folder().join(backend.name));
+    if own.is_ok_and(|own| std::path::absolute(folder).is_ok_and(|folder| folder == own)) {
+        Dispatch::refuse_if_at_work_with(backend, project)?;
+    }
+    Ok(())
 }
 
 /// Warns if the list of the plan ends below the wanted share, and of another end than the plan's at

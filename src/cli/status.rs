@@ -50,29 +50,11 @@ pub struct Arguments {
 const FOLLOW: Duration = Duration::from_millis(500);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let is_json = arguments.json || arguments.format == Format::Json;
     let root = match watched_root(&arguments.root) {
         // A project that `viewrank run` or a queue works on needs no daemon.
         Err(NoStatus::NotWatched(project)) if !arguments.follow => {
-            let workspace = || {
-                let project = Project::open(&project, None).ok()?;
-                Progress::read(planned_workspace(&project)?)
-            };
-            let progress = Progress::read(&project).or_else(workspace);
-            let progress = progress.filter(|_| !is_of_earlier_plan(&project));
-            let is_json = arguments.json || arguments.format == Format::Json;
-            return match (progress, planned_maps(&project)) {
-                (Some(progress), _) if is_json => print_json(&alone(&project, progress.phase())),
-                (Some(progress), _) => print(unwatched(&progress)),
-                (None, Some(plan)) => {
-                    let maps = maps_of(&project, &plan.backend);
-                    if is_json {
-                        print_json(&alone(&project, unmeasured(&plan, maps)))
-                    } else {
-                        print([planned_in_words(&plan, maps)])
-                    }
-                }
-                (None, None) => Err(NoStatus::NotWatched(project).into()),
-            };
+            return print_unwatched(project, is_json);
         }
         root => root?,
     };
@@ -80,10 +62,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     loop {
         let line = read_status(&root).filter(|line| last.as_ref() != Some(line));
         if let Some(line) = line {
-            match (
-                arguments.json || arguments.format == Format::Json,
-                arguments.follow,
-            ) {
+            match (is_json, arguments.follow) {
                 (false, _) => print(as_text(&root, &line))?,
                 (true, false) => print_json(&as_json(&root, &line))?,
                 (true, true) => print_json_line(&as_json(&root, &line))?,
@@ -94,6 +73,29 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             return Ok(());
         }
         thread::sleep(FOLLOW);
+    }
+}
+
+/// Prints the state of a project by its own files.
+fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
+    let workspace = || {
+        let project = Project::open(&project, None).ok()?;
+        Progress::read(planned_workspace(&project)?)
+    };
+    let progress = Progress::read(&project).or_else(workspace);
+    let progress = progress.filter(|_| !is_of_earlier_plan(&project));
+    match (progress, planned_maps(&project)) {
+        (Some(progress), _) if is_json => print_json(&alone(&project, progress.phase())),
+        (Some(progress), _) => print(unwatched(&progress)),
+        (None, Some(plan)) => {
+            let maps = maps_of(&project, &plan.backend);
+            if is_json {
+                print_json(&alone(&project, unmeasured(&plan, maps)))
+            } else {
+                print([planned_in_words(&plan, maps)])
+            }
+        }
+        (None, None) => Err(NoStatus::NotWatched(project).into()),
     }
 }
 

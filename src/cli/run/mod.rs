@@ -116,14 +116,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     })?;
     Dispatch::refuse_if_at_work(&project)?;
-    let lacks = if is_distorted && !backend.takes_distorted {
-        Some("undistorted images")
-    } else if backend.reads_colmap && !project.model.format.is_colmap() {
-        Some("a COLMAP model")
-    } else {
-        None
-    };
-    let root = match lacks {
+    let root = match lacks(backend, &project, is_distorted) {
         None => project.root,
         Some(what) => undistorted(arguments, project, backend, what)?,
     };
@@ -139,6 +132,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     say(work.plan_in_words())?;
     let ended = work.compute()?;
     work.end(ended)
+}
+
+/// What the backend needs and the project does not have, but its workspace of undistorted images
+/// would.
+fn lacks(backend: &Backend, project: &Project, is_distorted: bool) -> Option<&'static str> {
+    if is_distorted && !backend.takes_distorted {
+        Some("undistorted images")
+    } else if backend.reads_colmap && !project.model.format.is_colmap() {
+        Some("a COLMAP model")
+    } else {
+        None
+    }
 }
 
 /// Finds the workspace of undistorted images of another program, else undistorts the images, which

@@ -60,12 +60,9 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         .map(|cluster| cluster.key.0)
         .eq(views.iter().copied());
     let is_possible = centres.iter().all(|x| x.is_finite())
-        && [&sizes, &measured_area]
+        && [&sizes, &measured_area, &densities]
             .iter()
             .all(|list| list.iter().all(|&size| size.is_finite() && size > 0.0))
-        && densities
-            .iter()
-            .all(|density| density.is_finite() && *density > 0.0)
         && weights.iter().all(|weight| (0.0..=1.0).contains(weight));
     if !(is_whole && of_clusters && is_possible) {
         return None;

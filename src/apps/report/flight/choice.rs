@@ -101,6 +101,30 @@ impl Extended {
     fn is_candidate(&self, view: ViewIndex) -> bool {
         view.index() >= self.taken
     }
+
+    /// Returns the views among `among` whose rays to the target of a candidate, the view `key`, are
+    /// about a step from its own, the best first.
+    fn partners(
+        &self,
+        key: usize,
+        candidate: &Candidate,
+        among: std::ops::Range<usize>,
+        most: usize,
+    ) -> Vec<ViewIndex> {
+        let own = candidate.centre - candidate.target;
+        let ray = |view: usize| self.scene.views[view].cam_from_world.centre() - candidate.target;
+        let angle = |view: usize| ray(view).angle(&own).to_degrees();
+        let fits = |&view: &usize| {
+            view != key
+                && (4.0..=3.0 * STEP_DEG).contains(&angle(view))
+                && (0.6..1.7).contains(&(ray(view).norm() / own.norm()))
+        };
+        let mut views: Vec<usize> = among.filter(fits).collect();
+        let off = |view: &usize| (angle(*view) - STEP_DEG).abs();
+        views.sort_by(|a, b| off(a).total_cmp(&off(b)).then(a.cmp(b)));
+        let best = views.into_iter().take(most);
+        best.map(|view| ViewIndex(view as u32)).collect()
+    }
 }
 
 pub fn choose(
@@ -141,16 +165,7 @@ pub fn choose(
         distance: (candidates[i].centre - candidates[i].target).norm(),
         overlap: overlap(plan, &extended, extended.taken + i, &flown.used),
     };
-    let of_hole = |hole: &Hole| {
-        let weight = |t: &&u32| objective.weights[**t as usize];
-        let all: f64 = hole.members.iter().map(|t| weight(&t)).sum();
-        let kept: f64 = hole
-            .members
-            .iter()
-            .map(|t| weight(&t) * f64::from(reached.agreed(*t)))
-            .sum();
-        if all > 0.0 { kept / all } else { 0.0 }
-    };
+    let of_hole = |hole: &Hole| share_filled(hole, &objective, &reached);
     Ok(Flight {
         of_holes: holes.iter().map(of_hole).collect(),
         waypoints: flown.images.par_iter().enumerate().map(waypoint).collect(),
@@ -159,49 +174,34 @@ pub fn choose(
     })
 }
 
+/// Returns the share of a hole that fusion keeps, by weight.
+fn share_filled(hole: &Hole, objective: &Objective, reached: &Reached) -> f64 {
+    let weight = |t: u32| objective.weights[t as usize];
+    let all: f64 = hole.members.iter().map(|&t| weight(t)).sum();
+    let kept = |&t: &u32| weight(t) * f64::from(reached.agreed(t));
+    let kept: f64 = hole.members.iter().map(kept).sum();
+    if all > 0.0 { kept / all } else { 0.0 }
+}
+
 /// Returns the clusters of each candidate with other candidates, with existing images, and with
 /// both; and of existing images with candidates.
 fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<ViewCluster> {
+    let most = k.max(2);
     let of_candidate = |i: usize| {
-        let own = &candidates[i];
-        let angle = |view: usize| {
-            let centre = extended.scene.views[view].cam_from_world.centre();
-            ((centre - own.target).angle(&(own.centre - own.target))).to_degrees()
-        };
-        let fits = |&view: &usize| {
-            let distance = (extended.scene.views[view].cam_from_world.centre() - own.target).norm();
-            let ratio = distance / (own.centre - own.target).norm();
-            view != extended.taken + i
-                && (4.0..=3.0 * STEP_DEG).contains(&angle(view))
-                && (0.6..1.7).contains(&ratio)
-        };
-        let best = |views: std::ops::Range<usize>, most: usize| {
-            let mut views: Vec<usize> = views.filter(fits).collect();
-            let off = |view: &usize| (angle(*view) - STEP_DEG).abs();
-            views.sort_by(|a, b| off(a).total_cmp(&off(b)).then(a.cmp(b)));
-            views.truncate(most);
-            views
-                .into_iter()
-                .map(|v| ViewIndex(v as u32))
-                .collect::<Vec<_>>()
-        };
-        let new = best(
-            extended.taken..extended.scene.views.len(),
-            NEAREST.min(k.max(2)),
-        );
-        let taken = best(0..extended.taken, TAKEN.min(k.max(2)));
-        let key = ViewIndex((extended.taken + i) as u32);
-        let mixed: Vec<ViewIndex> = taken.iter().chain(&new).copied().take(k.max(2)).collect();
+        let (key, own) = (extended.taken + i, &candidates[i]);
+        let all = extended.scene.views.len();
+        let new = extended.partners(key, own, extended.taken..all, NEAREST.min(most));
+        let taken = extended.partners(key, own, 0..extended.taken, TAKEN.min(most));
+        let key = ViewIndex(key as u32);
+        let mixed: Vec<ViewIndex> = taken.iter().chain(&new).copied().take(most).collect();
         let few: Vec<ViewIndex> = new.iter().copied().take(2).collect();
         let mut found: Vec<ViewCluster> = [new.clone(), taken.clone(), mixed, few]
             .map(|partners| ViewCluster { key, partners })
             .to_vec();
         // The new images may give an existing one a depth map.
         found.extend(taken.iter().map(|&old| {
-            let partners = std::iter::once(key)
-                .chain(new.iter().copied())
-                .take(k.max(2))
-                .collect();
+            let with_key = std::iter::once(key).chain(new.iter().copied());
+            let partners = with_key.take(most).collect();
             ViewCluster { key: old, partners }
         }));
         found
