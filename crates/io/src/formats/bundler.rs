@@ -12,15 +12,13 @@
 //! file doesn't store image sizes.
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank_core::{
-    base::large_pages,
-    model::camera::{Camera, CameraModel},
-};
+use viewrank_core::model::camera::{Camera, CameraModel};
 
 use super::{
     Fault, Place, Problem, check_images,
     foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose},
-    words::{Observation, Words},
+    measured::{MeasuredPoints, image_id},
+    words::Words,
 };
 
 /// Least number of bytes of a camera (15 one-digit numbers) and of a point (7).
@@ -35,11 +33,10 @@ struct BundlerCamera {
     at: Place,
 }
 
-struct BundlerPoint {
-    xyz: [f64; 3],
-    colour: [u8; 3],
-    observations: Vec<Observation>,
-    at: Place,
+impl BundlerCamera {
+    fn is_registered(&self) -> bool {
+        self.focal != 0.0
+    }
 }
 
 /// Reads `bundle.out` and its image list: one line per image with the name, sometimes followed by
@@ -64,8 +61,9 @@ pub fn read(bundle: &[u8], list: &[u8], size_of: SizeLookup) -> Result<ForeignMo
         return Err(words.fault(Problem::Contradiction(message)));
     }
     let cameras = words.records("camera", cameras, bundler_camera)?;
-    let points = words.records("point", points, |words| point(words, cameras.len()))?;
-    assemble(&names, &cameras, &points, size_of)
+    let is_registered: Vec<bool> = cameras.iter().map(BundlerCamera::is_registered).collect();
+    let points = MeasuredPoints::read(&mut words, points, &is_registered, colour)?;
+    assemble(&names, &cameras, points, size_of)
 }
 
 fn bundler_camera(words: &mut Words) -> Result<BundlerCamera, Fault> {
@@ -83,19 +81,12 @@ fn bundler_camera(words: &mut Words) -> Result<BundlerCamera, Fault> {
     })
 }
 
-fn point(words: &mut Words, cameras: usize) -> Result<BundlerPoint, Fault> {
-    let at = words.place();
-    let xyz = words.numbers("a position")?;
+fn colour(words: &mut Words) -> Result<[u8; 3], Fault> {
     let mut colour = [0; 3];
     for c in &mut colour {
         *c = words.number("a colour from 0 to 255")?;
     }
-    Ok(BundlerPoint {
-        xyz,
-        colour,
-        observations: words.observations(cameras)?,
-        at,
-    })
+    Ok(colour)
 }
 
 fn names(list: &[u8]) -> Result<Vec<String>, Fault> {
@@ -126,64 +117,38 @@ fn names(list: &[u8]) -> Result<Vec<String>, Fault> {
 fn assemble(
     names: &[String],
     cameras: &[BundlerCamera],
-    points: &[BundlerPoint],
+    mut points: MeasuredPoints,
     size_of: SizeLookup,
 ) -> Result<ForeignModel, Fault> {
     let mut foreign = ForeignModel::default();
-    let mut farthest = vec![[0.0f64; 2]; cameras.len()];
-    for &(camera, [x, y]) in points.iter().flat_map(|point| &point.observations) {
-        farthest[camera] = [
-            farthest[camera][0].max(x.abs()),
-            farthest[camera][1].max(y.abs()),
-        ];
-    }
-    // Index among the registered images, and half the image size.
-    let mut registered = vec![None; cameras.len()];
     let mut guessed = 0;
     for (n, bundler) in cameras.iter().enumerate() {
-        let (name, at) = (&names[n], bundler.at);
-        if bundler.focal == 0.0 {
+        let (name, id, at) = (&names[n], image_id(n), bundler.at);
+        if !bundler.is_registered() {
             foreign.unregistered.push(name.clone());
             continue;
         }
         let (w, h) = size_of(name).unwrap_or_else(|| {
             guessed += 1;
-            guessed_size(farthest[n], true)
+            guessed_size(points.farthest(n), true)
         });
         let half = [f64::from(w) / 2.0, f64::from(h) / 2.0];
         let params = vec![bundler.focal, half[0], half[1], bundler.k1, bundler.k2];
-        let intrinsics = Camera::new(
-            n as u32 + 1,
-            CameraModel::Radial,
-            w.into(),
-            h.into(),
-            params,
-        );
-        foreign.model.cameras.push(camera(intrinsics, || {
-            format!("camera {}, {name:?}", n + 1)
-        })?);
+        let intrinsics = Camera::new(id, CameraModel::Radial, w.into(), h.into(), params);
+        foreign
+            .model
+            .cameras
+            .push(camera(intrinsics, || format!("camera {id}, {name:?}"))?);
         let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
         let pose = pose(flip * bundler.rotation, flip * bundler.translation);
-        let pose = pose.map_err(|problem| {
-            Fault::new("", at, problem).in_record(|| format!("camera {}", n + 1))
-        })?;
-        registered[n] = Some((foreign.model.images.len(), half));
-        foreign.add_image(n as u32 + 1, name.clone(), n as u32 + 1, pose, at);
+        let pose = pose
+            .map_err(|problem| Fault::new("", at, problem).in_record(|| format!("camera {id}")))?;
+        foreign.add_image(id, name.clone(), id, pose, at);
+        if let Some(image) = foreign.model.images.last_mut() {
+            image.points2d = points.take_points2d(n, |[x, y]| [half[0] + x, half[1] - y]);
+        }
     }
-    foreign.model.points = large_pages::room_for(points.len());
-    for (n, point) in points.iter().enumerate() {
-        let observations = point.observations.iter().filter_map(|&(camera, [x, y])| {
-            let (image, [half_width, half_height]) = registered[camera]?;
-            Some((image, [half_width + x, half_height - y]))
-        });
-        foreign.add_point(
-            n as u64 + 1,
-            point.xyz,
-            point.colour,
-            observations,
-            point.at,
-        );
-    }
+    foreign.model.points = points.points;
     foreign.warn_of_guessed_sizes(guessed);
     Ok(foreign)
 }

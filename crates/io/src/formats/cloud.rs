@@ -220,6 +220,10 @@ fn place_2d_points(model: &mut ColmapModel) {
 
 /// Makes the tracks of points without any from the images' lists of 2D points.
 fn follow_lists(model: &mut ColmapModel) {
+    let mut listed = model.images.iter().flat_map(|image| image.points2d.iter());
+    if listed.all(|point2d| point2d.point().is_none()) {
+        return;
+    }
     let positions: HashMap<u64, usize> = (0..model.points.len())
         .map(|n| (model.points[n].id, n))
         .collect();

@@ -11,6 +11,7 @@ pub mod colmap_bin;
 pub mod colmap_text;
 pub mod exif;
 pub mod foreign;
+mod measured;
 pub mod metashape;
 pub mod micmac;
 pub mod mve;

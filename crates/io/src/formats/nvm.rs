@@ -13,31 +13,22 @@
 //! models of a file the one with most cameras is read.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use viewrank_core::{
-    base::large_pages,
-    model::{
-        camera::{Camera, CameraModel},
-        scene::WarningKind,
-    },
+use viewrank_core::model::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
 };
 
 use super::{
     Fault, Place, Problem, check_images,
     foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose_with_centre},
-    words::{Observation, Words, name_and_numbers},
+    measured::{MeasuredPoints, image_id},
+    words::{Words, name_and_numbers},
 };
 
 struct NvmCamera {
     name: String,
     /// f, quaternion, centre, r, 0
     numbers: [f64; 10],
-    at: Place,
-}
-
-struct NvmPoint {
-    xyz: [f64; 3],
-    colour: [u8; 3],
-    observations: Vec<Observation>,
     at: Place,
 }
 
@@ -71,7 +62,7 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
         }
         others.push((format!("model {left}"), next.cameras.len()));
     }
-    let mut foreign = assemble(&largest.cameras, &largest.points, size_of)?;
+    let mut foreign = assemble(largest, size_of)?;
     if !fixed.trim_ascii().is_empty() {
         foreign.warn(
             WarningKind::Format,
@@ -87,7 +78,7 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
 
 struct NvmModel {
     cameras: Vec<NvmCamera>,
-    points: Vec<NvmPoint>,
+    points: MeasuredPoints,
 }
 
 fn model(words: &mut Words) -> Result<NvmModel, Fault> {
@@ -100,7 +91,7 @@ fn model(words: &mut Words) -> Result<NvmModel, Fault> {
     } else {
         words.count("points", 14)?
     };
-    let points = words.records("point", count, |words| point(words, cameras.len()))?;
+    let points = MeasuredPoints::read(words, count, &vec![true; cameras.len()], colour)?;
     Ok(NvmModel { cameras, points })
 }
 
@@ -128,46 +119,28 @@ fn nvm_camera(words: &mut Words) -> Result<NvmCamera, Fault> {
     })
 }
 
-fn point(words: &mut Words, cameras: usize) -> Result<NvmPoint, Fault> {
-    let at = words.place();
-    let xyz = words.numbers("a position")?;
+fn colour(words: &mut Words) -> Result<[u8; 3], Fault> {
     // Some writers print colours as floating-point numbers.
-    let colour = words
-        .numbers::<3>("a colour")?
-        .map(|c| c.round().clamp(0.0, 255.0) as u8);
-    Ok(NvmPoint {
-        xyz,
-        colour,
-        observations: words.observations(cameras)?,
-        at,
-    })
+    let colour = words.numbers::<3>("a colour")?;
+    Ok(colour.map(|c| c.round().clamp(0.0, 255.0) as u8))
 }
 
-fn assemble(
-    cameras: &[NvmCamera],
-    points: &[NvmPoint],
-    size_of: SizeLookup,
-) -> Result<ForeignModel, Fault> {
+fn assemble(nvm: NvmModel, size_of: SizeLookup) -> Result<ForeignModel, Fault> {
+    let NvmModel {
+        cameras,
+        mut points,
+    } = nvm;
     let mut foreign = ForeignModel::default();
-    let observations = || points.iter().flat_map(|point| &point.observations);
-    let from_centre = observations().any(|&(_, [x, y])| x < 0.0 || y < 0.0);
-    let mut farthest = vec![[0.0f64; 2]; cameras.len()];
-    for &(camera, [x, y]) in observations() {
-        farthest[camera] = [
-            farthest[camera][0].max(x.abs()),
-            farthest[camera][1].max(y.abs()),
-        ];
-    }
+    let from_centre = points.are_from_centre();
     let mut guessed = 0;
-    let mut origins = Vec::with_capacity(cameras.len());
     for (n, nvm) in cameras.iter().enumerate() {
         let [f, w, x, y, z, cx, cy, cz, r, _] = nvm.numbers;
         let (width, height) = size_of(&nvm.name).unwrap_or_else(|| {
             guessed += 1;
-            guessed_size(farthest[n], from_centre)
+            guessed_size(points.farthest(n), from_centre)
         });
         let half = [f64::from(width) / 2.0, f64::from(height) / 2.0];
-        let id = n as u32 + 1;
+        let id = image_id(n);
         let what = || format!("camera {id}, {:?}", nvm.name);
         let params = vec![f, half[0], half[1], -r];
         let intrinsics = Camera::new(
@@ -183,22 +156,11 @@ fn assemble(
         let pose = pose_with_centre(rotation, Vector3::new(cx, cy, cz));
         let pose = pose.map_err(|problem| Fault::new("", nvm.at, problem).in_record(what))?;
         foreign.add_image(id, nvm.name.clone(), id, pose, nvm.at);
-        origins.push(if from_centre { half } else { [0.0; 2] });
+        let [x, y] = if from_centre { half } else { [0.0; 2] };
+        foreign.model.images[n].points2d =
+            points.take_points2d(n, |pixel| [pixel[0] + x, pixel[1] + y]);
     }
-    foreign.model.points = large_pages::room_for(points.len());
-    for (n, point) in points.iter().enumerate() {
-        let observations = point
-            .observations
-            .iter()
-            .map(|&(image, [x, y])| (image, [x + origins[image][0], y + origins[image][1]]));
-        foreign.add_point(
-            n as u64 + 1,
-            point.xyz,
-            point.colour,
-            observations,
-            point.at,
-        );
-    }
+    foreign.model.points = points.points;
     foreign.warn_of_guessed_sizes(guessed);
     Ok(foreign)
 }

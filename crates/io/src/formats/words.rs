@@ -14,9 +14,6 @@ use viewrank_core::base::large_pages;
 
 use super::{Fault, Place, Problem};
 
-/// Index of the camera in the file, and pixel.
-pub(super) type Observation = (usize, [f64; 2]);
-
 /// The unread part of a text file.
 #[derive(Clone)]
 pub(super) struct Words<'a> {
@@ -102,26 +99,6 @@ impl<'a> Words<'a> {
             records.push(read?);
         }
         Ok(records)
-    }
-
-    /// Parses the observations of a point in the format of Bundler and VisualSFM: their number,
-    /// then camera, key, x and y of each. The key is dropped.
-    pub fn observations(&mut self, cameras: usize) -> Result<Vec<Observation>, Fault> {
-        let count = self.count("observations", 8)?;
-        let mut observations = Vec::with_capacity(count);
-        for _ in 0..count {
-            let camera: usize = self.number("a camera")?;
-            let _key: i64 = self.number("a key")?;
-            let pixel = self.numbers("x and y")?;
-            if camera >= cameras {
-                return Err(self.fault(Problem::Absent {
-                    what: "camera",
-                    id: camera as u64,
-                }));
-            }
-            observations.push((camera, pixel));
-        }
-        Ok(observations)
     }
 
     pub fn at_end(&self) -> bool {
