@@ -28,6 +28,12 @@ refuse_no_files() {
     } | head -n 1)
     [ "$found" = none ] || refuse "$found"
 }
+# Gives files that have other names, which may be somebody else's, a file of their own, before a program writes into what is there: PATH...
+own_files() {
+    find "$@" -type f -links +1 2>/dev/null | while IFS= read -r file; do
+        own=$(mktemp "${file%/*}/XXXXXX") && cp -p "$file" "$own" 2>/dev/null && mv "$own" "$file" || refuse "$file"
+    done || exit 1
+}
 # Ends the script because of a path.
 refuse() {
     say "error: $1: not made by viewrank: move it away, or put the file or folder itself in the place of a link" >&2

@@ -26,6 +26,7 @@ refuse_strangers /dev/null "$ori"
 # MicMac obeys the rules in this file, which may hold commands, wherever it is called.
 rules=MicMac-LocalChantierDescripteur.xml
 [ ! -e "$rules" ] || refuse "$rules"
+own_files .
 rm -rf Ori-viewrank
 mkdir Ori-viewrank && : >Ori-viewrank/made-by-viewrank && cp -R "$ori"/. Ori-viewrank/ || exit 1
 # With other orientations all is to be computed anew.

@@ -9,6 +9,7 @@ for view in views/*.mve; do
     # MVE opens no scene with a view that has no meta.ini, as an older plan may leave it.
     [ -f "$view/meta.ini" ] || rmdir "$view" 2>/dev/null || put_aside "$view"
 done
+own_files .
 for name in $results; do
     [ ! -d "kept/$name" ] || present "$name" "views/${name%-*}.mve"
 done

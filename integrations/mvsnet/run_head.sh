@@ -11,9 +11,4 @@ case $0 in
 esac
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
-# The program writes into the files that are there, and so under all of their names: each gets a file of its own first.
-find depths fuse/fused.ply -type f -links +1 2> /dev/null | while IFS= read -r map; do
-    own=$(mktemp "${map%/*}/XXXXXX")
-    cp -p "$map" "$own"
-    mv "$own" "$map"
-done
+own_files depths fuse/fused.ply

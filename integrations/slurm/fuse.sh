@@ -15,6 +15,7 @@ refuse_strangers /dev/null "$folder"
 tab=$(printf '\t')
 found=$folder/fused.$(uname -n).$$
 trap 'rm -f "$found"' EXIT
+rm -f "$found"
 missing=0
 while IFS=$tab read -r rank marker id map key; do
     if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(cat "$folder/done/$marker" 2>/dev/null)" = "$id" ]; }; then

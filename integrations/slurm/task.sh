@@ -60,6 +60,7 @@ if ! compute || [ ! -s "$map" ]; then
     exit 1
 fi
 draft=$marker.$(uname -n).$$
+rm -f "$draft"
 printf '%s\n' "$id" > "$draft" && mv "$draft" "$marker" || exit 1
 if reached; then
     stop

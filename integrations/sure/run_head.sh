@@ -5,3 +5,4 @@ for project in projects/*; do
     # Of an earlier version of this script.
     [ ! -f "$project/viewrank.recipe" ] || put_aside "$project"
 done
+own_files .

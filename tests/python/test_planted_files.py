@@ -73,6 +73,38 @@ def test_a_known_link_that_leads_to_no_file_is_refused(work, target, tmp_path): 
     assert mve.run()[1], "the other clusters are computed without the picture"
 
 
+# Programs that write into the files that are there
+
+WRITES = """#!PYTHON
+import os, sys
+from pathlib import Path
+print("called", file=open("calls.txt", "a"))
+for folder, _, names in os.walk("."):
+    for name in names:
+        if name.startswith("product"):
+            Path(folder, name).write_text("of the program")
+"""
+
+
+@pytest.mark.parametrize("backend, programs", [("micmac", ["mm3d"]), ("sure", ["sure"]), ("mve", ["dmrecon", "scene2pset"])])
+def test_no_program_writes_into_files_that_have_other_names(work, tmp_path, backend, programs):  # noqa: F811
+    export = work(backend, dict.fromkeys(programs, WRITES))
+    (tmp_path / "Ori-a").mkdir()
+    (tmp_path / "Ori-a/Orientation-a.xml").write_text("<x/>")
+    folder = {"micmac": "MM-Malt-Img-a", "sure": "projects/mine", "mve": "log"}[backend]
+    (export.folder / folder).mkdir(parents=True)
+    planted = [export.folder / name for name in ("product.log", f"{folder}/product \\ x.tif")]
+    outside = [tmp_path / f"outside{i}" for i in range(len(planted))]
+    for path, user in zip(planted, outside):
+        user.write_text(SECRET)
+        user.chmod(0o640)
+        os.link(user, path)
+    done, calls = export.run(*([tmp_path / "Ori-a"] if backend == "micmac" else []))
+    assert calls and [path.read_text() for path in planted] == ["of the program"] * 2, done.stderr
+    assert all(path.read_text() == SECRET and path.stat().st_nlink == 1 for path in outside)
+    assert all(path.stat().st_mode == user.stat().st_mode for path, user in zip(planted, outside))
+
+
 # COLMAP
 
 
