@@ -1,6 +1,6 @@
 //! The cells of a fused cloud, and the maps that take part in each.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -19,6 +19,9 @@ const MOST_CELLS: usize = 500_000;
 /// Maps that agree on a point of a cell that counts as sure.
 const AGREEING: usize = 3;
 
+/// Edge of a block, cubes.
+const BLOCK: i64 = 4;
+
 /// A cube: exponent of its `g_d`, and its position in multiples of its edge.
 type Cube = (i16, [i64; 3]);
 
@@ -28,12 +31,17 @@ pub struct CloudCells {
     centres: Vec<Point3<f64>>,
     /// Index of the cell of each cube.
     cells: HashMap<Cube, u32>,
-    /// Bounds of the centres of each size of cube.
-    octaves: BTreeMap<i16, Bounds>,
+    /// The cubes by their size.
+    octaves: BTreeMap<i16, Octave>,
 }
 
-/// Low and high corner.
-type Bounds = [Point3<f64>; 2];
+/// The cubes of a size: of depths over many octaves, a place is within the bounds of most.
+struct Octave {
+    /// Low and high corner of the centres.
+    bounds: [Point3<f64>; 2],
+    /// The blocks of 4 x 4 x 4 cubes in which a cube or a neighbour of one is.
+    blocks: HashSet<[i64; 3]>,
+}
 
 impl CloudCells {
     /// Finds the cells of the cloud that are inside the plan's region.
@@ -79,17 +87,32 @@ impl CloudCells {
             .filter_map(|(cube, cell)| Some((cube, new[cell as usize]?)))
             .collect();
         let centres: Vec<Point3<f64>> = kept.iter().map(|&cell| centres[cell]).collect();
-        let mut octaves: BTreeMap<i16, Bounds> = BTreeMap::new();
-        for (&(octave, _), &cell) in &cells {
+        Ok(Self::new(centres, cells))
+    }
+
+    fn new(centres: Vec<Point3<f64>>, cells: HashMap<Cube, u32>) -> Self {
+        let mut octaves: BTreeMap<i16, Octave> = BTreeMap::new();
+        for (&(octave, position), &cell) in &cells {
             let centre = centres[cell as usize];
-            let [low, high] = octaves.entry(octave).or_insert([centre; 2]);
+            let of_size = octaves.entry(octave).or_insert_with(|| Octave {
+                bounds: [centre; 2],
+                blocks: HashSet::new(),
+            });
+            let [low, high] = &mut of_size.bounds;
             (*low, *high) = (low.inf(&centre), high.sup(&centre));
+            for corner in 0..8 {
+                let neighbour = [0, 1, 2].map(|axis| {
+                    let step = if corner >> axis & 1 == 1 { 1 } else { -1 };
+                    position[axis].saturating_add(step)
+                });
+                of_size.blocks.insert(block(neighbour));
+            }
         }
-        Ok(Self {
+        Self {
             centres,
             cells,
             octaves,
-        })
+        }
     }
 
     /// Returns which of the maps take part in which cells: those that agree on a point within
@@ -136,20 +159,32 @@ impl CloudCells {
 
     /// Calls `take` with each cell whose centre is within its 2 `g_d` of the point.
     fn near(&self, point: &Point3<f64>, mut take: impl FnMut(usize)) {
-        for (&octave, [low, high]) in &self.octaves {
-            let (middle, edge) = (cube(point, octave), edge(octave));
-            if (low - point).max() > edge || (point - high).max() > edge {
-                continue;
-            }
-            for offset in (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]) {
-                let position = [0, 1, 2].map(|axis| middle[axis].saturating_add(offset[axis]));
-                if let Some(&cell) = self.cells.get(&(octave, position))
-                    && (self.centres[cell as usize] - point).norm() <= edge
-                {
-                    take(cell as usize);
-                }
+        for cube in self.cubes_around(point) {
+            if let Some(&cell) = self.cells.get(&cube)
+                && (self.centres[cell as usize] - point).norm() <= edge(cube.0)
+            {
+                take(cell as usize);
             }
         }
+    }
+
+    /// Returns the cubes, of a cell or not, in which a centre so near may be.
+    fn cubes_around(&self, point: &Point3<f64>) -> impl Iterator<Item = Cube> {
+        self.octaves
+            .iter()
+            .filter_map(move |(&octave, of_size)| {
+                let (middle, edge) = (cube(point, octave), edge(octave));
+                let [low, high] = &of_size.bounds;
+                let is_outside = (low - point).max() > edge || (point - high).max() > edge;
+                (!is_outside && of_size.blocks.contains(&block(middle))).then_some((octave, middle))
+            })
+            .flat_map(|(octave, middle)| {
+                let offsets = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
+                offsets.map(move |offset| {
+                    let position = [0, 1, 2].map(|axis| middle[axis].saturating_add(offset[axis]));
+                    (octave, position)
+                })
+            })
     }
 }
 
@@ -161,6 +196,11 @@ fn edge(octave: i16) -> f64 {
 fn cube(point: &Point3<f64>, octave: i16) -> [i64; 3] {
     let edge = edge(octave);
     [0, 1, 2].map(|axis| (point[axis] / edge).floor() as i64)
+}
+
+/// The block of a cube.
+fn block(cube: [i64; 3]) -> [i64; 3] {
+    cube.map(|position| position.div_euclid(BLOCK))
 }
 
 /// Returns which places are inside the plan's region, as the triangle nearest to each is.
@@ -175,4 +215,70 @@ fn inside(places: &[Point3<f64>], stages: &Stages) -> Vec<bool> {
     let tree = KdTree::new(&centroids);
     let inside = |place: &Point3<f64>| region.is_inside(tree.nearest::<1>(place)[0]);
     places.par_iter().map(inside).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    /// Points at depths over thirty octaves, each in a cell of the octave of its depth.
+    fn cone(points: usize) -> Vec<(i16, Point3<f64>)> {
+        let point = |n: usize| {
+            // Steps of these shares fill a cube evenly.
+            let [x, y, z] =
+                [0.8191725, 0.6710436, 0.5497004].map(|step: f64| (n as f64 * step).fract());
+            let depth = (30.0 * z).exp2();
+            let point = Point3::new(depth * (x - 0.5), depth * (y - 0.5), depth);
+            (depth.log2().round() as i16 - 8, point)
+        };
+        (0..points).map(point).collect()
+    }
+
+    fn cells(points: &[(i16, Point3<f64>)]) -> CloudCells {
+        let mut cells = HashMap::new();
+        let mut centres = Vec::new();
+        for &(octave, point) in points {
+            cells
+                .entry((octave, cube(&point, octave)))
+                .or_insert_with(|| {
+                    centres.push(point);
+                    centres.len() as u32 - 1
+                });
+        }
+        CloudCells::new(centres, cells)
+    }
+
+    #[test]
+    fn cells_near_a_point_are_those_of_a_search_through_all() {
+        let points = cone(2000);
+        let table = cells(&points);
+        let mut found = 0;
+        for (n, &(octave, point)) in points.iter().enumerate() {
+            let point = point
+                + nalgebra::Vector3::new(1.0, -0.5, 0.7) * edge(octave) * (n % 3) as f64 / 2.0;
+            let mut near = Vec::new();
+            table.near(&point, |cell| near.push(cell));
+            near.sort_unstable();
+            let within = |(&(octave, _), &cell): (&Cube, &u32)| {
+                ((table.centres[cell as usize] - point).norm() <= edge(octave))
+                    .then_some(cell as usize)
+            };
+            let mut all: Vec<usize> = table.cells.iter().filter_map(within).collect();
+            all.sort_unstable();
+            assert_eq!(near, all);
+            found += all.len();
+        }
+        assert!(found > points.len() / 3);
+    }
+
+    #[test]
+    fn depths_over_many_octaves_cost_no_more_than_those_of_one() {
+        let points = cone(20_000);
+        let table = cells(&points);
+        assert!(table.octaves.len() > 25);
+        let looked_at: usize = points
+            .iter()
+            .map(|(_, point)| table.cubes_around(point).count())
+            .sum();
+        assert!(looked_at < 2 * 27 * points.len(), "{looked_at}");
+    }
 }
