@@ -1,8 +1,9 @@
-//! The ground floor of this crate: that of the crates below, signals and processes, and how the
-//! command line says advice.
+//! The ground floor of this crate: that of the crates below, signals and processes, how the command
+//! line says advice, and what is printable.
 
 pub mod advice;
 pub mod platform;
+pub mod printable;
 
 pub use viewrank_core::base::*;
 pub use viewrank_io::{bounded, input, packed, paths, shell};

@@ -12,8 +12,12 @@ use clap::{
     error::{ContextKind, ContextValue, Error, ErrorKind},
 };
 
-use super::{Arguments, Exit, Failure, terminal::printable};
-use crate::{base::shell::command_word, config::RegionChoice, io::project};
+use super::{Arguments, Exit, Failure};
+use crate::{
+    base::{printable::printable, shell::command_word},
+    config::RegionChoice,
+    io::project,
+};
 
 /// Other words for subcommands.
 const SUBCOMMANDS: [(&str, &[&str]); 13] = [

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::backends;
 use crate::{
+    base::printable::printable,
     config::{CommandLineSettings, Configuration, Files, Key, Settings, Source, keys, user_file},
     io::project::{Project, ProjectError},
     model::scene::Units,
@@ -14,7 +15,7 @@ use serde_json::{Value, json};
 
 use super::{
     COLUMNS, Failure, Format, print_json,
-    terminal::{print_data, printable, toml_escaped},
+    terminal::{print_data, toml_escaped},
 };
 
 /// Print all settings in force: value, unit, default, and where each value comes from.

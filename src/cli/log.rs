@@ -4,7 +4,8 @@ use std::io::{self, Write};
 
 use tracing_subscriber::{EnvFilter, field::MakeExt, fmt::format};
 
-use super::terminal::{is_stderr_terminal, json_escaped, printable};
+use super::terminal::is_stderr_terminal;
+use crate::base::printable::{json_escaped, printable};
 
 /// Format of the log.
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -10,6 +10,7 @@ use crate::{
     backends,
     base::{
         error::{Advice, Hint, shortened},
+        printable::printable,
         shell::command_path,
     },
     daemon::{
@@ -24,10 +25,7 @@ use crate::{
 use clap::Args;
 use serde_json::json;
 
-use super::{
-    Failure, Format, print, print_json,
-    terminal::{print_json_line, printable},
-};
+use super::{Failure, Format, print, print_json, terminal::print_json_line};
 
 /// Show the state of the projects under a watched folder, even while the daemon is down.
 #[derive(Args)]

@@ -3,19 +3,17 @@
 //! are fixed words.
 //!
 //! Names, messages and settings of a project may come from a stranger, and may hold what a terminal
-//! obeys. So text is a list of lines, and of each line only [printable](is_printable) characters
+//! obeys. So text is a list of lines, and of each line only [printable](crate::base::printable) characters
 //! are printed; others are shown escaped, line breaks too. Data ([`print_json`], [`print_data`])
 //! has the escapes of its own format.
 
-use std::{
-    fmt::Write as _,
-    io::{ErrorKind, IsTerminal, Write},
-};
+use std::io::{ErrorKind, IsTerminal, Write};
 
 use clap::builder::styling::{AnsiColor, Style};
 use serde::Serialize;
 
 use super::{Exit, Failure};
+use crate::base::printable::{escaped, json_escaped, printable};
 
 /// Width of text output, characters.
 pub const COLUMNS: usize = 80;
@@ -146,28 +144,9 @@ pub fn wrapped(heading: &str, words: &str) -> Vec<String> {
     lines
 }
 
-/// Escapes what a terminal would not show but obey, as Rust does: `\n`, `\u{1b}`.
-pub fn printable(text: &str) -> String {
-    escaped(text, |c| c.escape_default().to_string())
-}
-
 /// Formats a value as indented JSON with a final newline.
 pub fn json(value: &impl Serialize) -> String {
     json_escaped(&serde_json::to_string_pretty(value).expect("what is printed is JSON")) + "\n"
-}
-
-/// Escapes in JSON what is not printable; JSON itself escapes C0 controls only.
-pub fn json_escaped(text: &str) -> String {
-    let escape = |c: char| {
-        let units = &mut [0; 2];
-        c.encode_utf16(units)
-            .iter()
-            .fold(String::new(), |mut text, unit| {
-                _ = write!(text, "\\u{unit:04x}");
-                text
-            })
-    };
-    escaped(text, |c| if c == '\n' { c.into() } else { escape(c) })
 }
 
 /// Escapes in a string of TOML what is not printable.
@@ -175,46 +154,10 @@ pub fn toml_escaped(text: &str) -> String {
     escaped(text, |c| format!("\\U{:08x}", u32::from(c)))
 }
 
-fn escaped(text: &str, escape: impl Fn(char) -> String) -> String {
-    text.chars()
-        .fold(String::with_capacity(text.len()), |mut shown, c| {
-            if is_printable(c) {
-                shown.push(c)
-            } else {
-                shown += &escape(c)
-            }
-            shown
-        })
-}
-
-/// Returns whether a character is a graphic one or a blank: no control, no format character (as
-/// those that change the direction of text), no separator of lines, nothing unassigned.
-fn is_printable(c: char) -> bool {
-    // Of a string, the standard library escapes just the others, and quotes and backslashes; at its
-    // start combining accents, too.
-    let shown = |c: char| String::from_iter(['a', c]).escape_debug().count() == 2;
-    matches!(c, ' '..='~') || shown(c)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_a_terminal_obeys_is_escaped() {
-        let shown = [
-            ("a b/é\u{301} 名 😀 \"'\\", "a b/é\u{301} 名 😀 \"'\\"),
-            ("c\nd\x1b[2J\u{7f}\r\t", r"c\nd\u{1b}[2J\u{7f}\r\t"),
-            (
-                "\u{9b}31m\u{202e}\u{2066}\u{200b}\u{2028}\u{feff}",
-                r"\u{9b}31m\u{202e}\u{2066}\u{200b}\u{2028}\u{feff}",
-            ),
-            ("\u{e0041}\u{fff9}\u{ad}", r"\u{e0041}\u{fff9}\u{ad}"),
-        ];
-        for (text, expected) in shown {
-            assert_eq!(printable(text), expected);
-        }
-    }
+    use crate::base::printable::is_printable;
 
     #[test]
     fn escaped_data_says_the_same() {

@@ -1,19 +1,19 @@
 //! Names in tables for spreadsheets.
 
+use crate::base::printable::printable;
+
 /// Beginnings of formulas, in full width too.
 const FORMULAS: [char; 8] = ['=', '+', '-', '@', '＝', '＋', '－', '＠'];
 /// Characters that begin a cell in a table of some language or program.
-const SEPARATORS: [char; 6] = [',', ';', '|', '\t', '\r', '\n'];
+const SEPARATORS: [char; 3] = [',', ';', '|'];
 
-/// Writes a name so that no spreadsheet takes it, or a part of it, for a formula: an apostrophe
+/// Writes a name, [printable], so that no spreadsheet takes it, or a part of it, for a formula: an apostrophe
 /// before each character that would begin one, and before an apostrophe in such a place, at the
-/// start and after a separator. Without the apostrophes in these places, a cell is the name again.
+/// start and after a separator. Without the apostrophes in these places, a cell is the printable name again.
 pub fn cell(name: &str) -> String {
     let mut before = None;
-    name.chars().fold(String::new(), |mut cell, c| {
-        if begins(before)
-            && (c == '\'' || FORMULAS.contains(&c) || before.is_none() && c.is_control())
-        {
+    printable(name).chars().fold(String::new(), |mut cell, c| {
+        if begins(before) && (c == '\'' || FORMULAS.contains(&c)) {
             cell.push('\'');
         }
         before = Some(c);
@@ -56,7 +56,8 @@ mod tests {
         for (name, expected) in [
             ("IMG-1=2.jpg", "IMG-1=2.jpg"),
             ("=1+2.jpg", "'=1+2.jpg"),
-            ("\t=1", "'\t'=1"),
+            ("\t=1", r"\t=1"),
+            ("a\x1b]0;=1\x07", r"a\u{1b}]0;'=1\u{7}"),
             ("a;=1,-2", "a;'=1,'-2"),
             ("'a'", "''a'"),
             ("＠a", "'＠a"),
@@ -67,8 +68,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_name_comes_back_from_its_cell(original in "[-=+@',;|\t\r\na＝]{0,12}") {
-            prop_assert_eq!(name(&cell(&original)), original);
+        fn a_name_comes_back_from_its_cell(original in "[-=+@',;|\t\r\n\x1b\u{9b}a＝]{0,12}") {
+            prop_assert_eq!(name(&cell(&original)), printable(&original));
         }
     }
 }

@@ -24,6 +24,7 @@ use crate::{
         error::{Advice, Hint},
         input::FileKind,
         platform,
+        printable::printable,
         shell::quoted_path,
     },
     config::{DispatchSettings, Share},
@@ -180,7 +181,7 @@ impl Dispatch {
     /// Returns the lines of the list. The line of a rank changes only if its cluster does.
     fn list(&self) -> String {
         let line = |t: &Task| {
-            let key = t.key.replace(char::is_control, " ");
+            let key = printable(&t.key);
             format!(
                 "{}\t{}\t{}\t{}\t{key}\n",
                 t.rank,

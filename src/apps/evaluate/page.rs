@@ -8,11 +8,15 @@ use super::{
     evaluation::{Evaluation, KeyView},
     half_size::HalfSize,
 };
-use crate::show::pictures::plot::{self, COLOURS, Line, Plot};
+use crate::{
+    base::printable::printable,
+    show::pictures::plot::{self, COLOURS, Line, Plot},
+};
 
 /// Escapes text for HTML.
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
+    printable(text)
+        .replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
         .replace('"', "&quot;")

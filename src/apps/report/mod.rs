@@ -18,6 +18,8 @@ mod thumbnails;
 use base64::{Engine, prelude::BASE64_STANDARD};
 use bytemuck::NoUninit;
 
+use crate::base::printable::json_escaped;
+
 pub use contents::{Contents, ReportError};
 pub use holes::{Hole, Holes, holes};
 pub use real::{DepthMapFolders, folders_of_maps, own_folder_of_maps};
@@ -38,9 +40,8 @@ const SCRIPT: &str = concat!(
 /// Returns the whole page.
 pub fn page(contents: &Contents) -> String {
     // "</" would end the script element; JSON allows "<" to be escaped anywhere.
-    let data = serde_json::to_string(contents)
-        .expect("string keys and finite numbers are JSON")
-        .replace('<', "\\u003c");
+    let data = serde_json::to_string(contents).expect("string keys and finite numbers are JSON");
+    let data = json_escaped(&data).replace('<', "\\u003c");
     let mut page = String::with_capacity(PAGE.len() + STYLE.len() + SCRIPT.len() + data.len());
     let mut rest = PAGE;
     for (mark, text) in [

@@ -22,6 +22,7 @@ pub use written::{
 
 use crate::{
     backends::ExportRecord,
+    base::printable::json_escaped,
     config::Settings,
     io::project::{ImageFaults, Project},
     method::surface::{SurfaceKind, SurfaceStats},
@@ -221,8 +222,8 @@ impl Manifest {
 
     /// Returns the contents of `manifest.json`.
     pub fn to_json(&self) -> String {
-        serde_json::to_string_pretty(self).expect("a manifest has string keys and finite numbers")
-            + "\n"
+        let text = serde_json::to_string_pretty(self);
+        json_escaped(&text.expect("a manifest has string keys and finite numbers")) + "\n"
     }
 
     /// Returns the contents of `manifest.csv`: a line per cluster, for spreadsheets, with names as

@@ -8,7 +8,7 @@ use super::{
     plot,
     surface::{TriangleState, colour, triangle_states},
 };
-use crate::{model::georeference::MapFrame, plan::Plan};
+use crate::{base::printable::printable, model::georeference::MapFrame, plan::Plan};
 
 /// Width of the map, pixels.
 const WIDTH: f64 = 460.0;
@@ -72,7 +72,8 @@ fn draw_views(svg: &mut String, sheet: &Sheet, plan: &Plan, places: &[Point3<f64
     order.sort_by_key(|&v| std::cmp::Reverse(rank[v].unwrap_or(usize::MAX)));
     for v in order {
         let (x, y) = sheet.at([places[v].x, places[v].y]);
-        let name = quick_xml::escape::escape(&plan.stages.scene.views[v].name);
+        let name = printable(&plan.stages.scene.views[v].name);
+        let name = quick_xml::escape::escape(&name);
         let (style, label) = match rank[v] {
             Some(rank) => (
                 format!("r=\"5\" fill=\"{CHOSEN}\" stroke=\"#fff\""),

@@ -8,6 +8,7 @@ use std::{
 use crate::base::{
     error::{Advice, Hint},
     input::{self, FileKind},
+    printable::printable,
 };
 
 /// Most rows of a table, and most maps of all rows together: what is beyond needs a gigabyte.
@@ -250,14 +251,8 @@ fn row(text: &str, maps: usize, most: usize) -> Result<Row, &'static str> {
 }
 
 /// Names may hold what separates them.
-const ESCAPES: [(&str, &str); 4] = [("\\", "\\\\"), ("\t", "\\t"), ("\n", "\\n"), ("\r", "\\r")];
-
 fn escaped(name: &str) -> String {
-    ESCAPES
-        .iter()
-        .fold(name.to_owned(), |name, (plain, escape)| {
-            name.replace(plain, escape)
-        })
+    printable(&name.replace('\\', r"\\"))
 }
 
 fn unescaped(name: &str) -> String {
@@ -266,17 +261,33 @@ fn unescaped(name: &str) -> String {
     while let Some(at) = rest.find('\\') {
         plain += &rest[..at];
         rest = &rest[at..];
-        let found = ESCAPES.iter().find(|(_, escape)| rest.starts_with(escape));
-        let (text, length) = found.map_or(("\\", 1), |(text, escape)| (*text, escape.len()));
-        plain += text;
+        let (c, length) = character(rest).unwrap_or(('\\', 1));
+        plain.push(c);
         rest = &rest[length..];
     }
     plain + rest
 }
 
+/// Reads an escape at the start of a text; returns the character, and the length of the escape.
+fn character(text: &str) -> Option<(char, usize)> {
+    let short = [('\\', r"\\"), ('\t', r"\t"), ('\n', r"\n"), ('\r', r"\r")];
+    let found = short
+        .into_iter()
+        .find(|(_, escape)| text.starts_with(escape));
+    if let Some((c, escape)) = found {
+        return Some((c, escape.len()));
+    }
+    let (digits, _) = text.strip_prefix(r"\u{")?.split_once('}')?;
+    let c = u32::from_str_radix(digits, 16)
+        .ok()
+        .and_then(char::from_u32)?;
+    Some((c, digits.len() + r"\u{}".len()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::base::printable::is_printable;
 
     fn table() -> Incidence {
         let row = |maps: &[u32], cells, agreeing| Row {
@@ -316,6 +327,22 @@ mod tests {
                 line,
                 "{damaged:?}"
             );
+        }
+    }
+
+    #[test]
+    fn names_come_back_from_what_a_terminal_shows() {
+        for name in [
+            "a\\u{1b}",
+            "a\x1b]0;x\x07\u{9b}2J",
+            "\\",
+            r"\u{",
+            r"\u{x}\u{110000}",
+            "\u{202e}é",
+        ] {
+            let shown = escaped(name);
+            assert!(shown.chars().all(is_printable), "{shown}");
+            assert_eq!(unescaped(&shown), name);
         }
     }
 
