@@ -1,6 +1,8 @@
 //! Nearest points by an implicit k-d tree.
 
-use nalgebra::Point3;
+use std::ops::Range;
+
+use nalgebra::{Point3, Vector3};
 
 /// Points of a part of the tree that is not split.
 const LEAF: usize = 8;
@@ -12,6 +14,8 @@ pub struct KdTree {
     indices: Vec<u32>,
     /// Axis along which each point splits its range.
     axes: Vec<u8>,
+    /// Low and high corner of all points.
+    bounds: [Point3<f64>; 2],
 }
 
 impl KdTree {
@@ -23,10 +27,16 @@ impl KdTree {
             .iter()
             .map(|&index| points[index as usize])
             .collect();
+        let mut bounds = [f64::INFINITY, f64::NEG_INFINITY].map(|x| Point3::new(x, x, x));
+        for (point, axis) in points.iter().flat_map(|p| [0, 1, 2].map(|axis| (p, axis))) {
+            bounds[0][axis] = point[axis].min(bounds[0][axis]);
+            bounds[1][axis] = point[axis].max(bounds[1][axis]);
+        }
         Self {
             places,
             indices,
             axes,
+            bounds,
         }
     }
 
@@ -34,38 +44,51 @@ impl KdTree {
     /// followed by `u32::MAX`.
     pub fn nearest<const N: usize>(&self, to: &Point3<f64>) -> [u32; N] {
         let mut found = [(f64::INFINITY, u32::MAX); N];
-        self.look(to, 0, self.places.len(), &mut found);
+        let [low, high] = &self.bounds;
+        let away = |axis: usize| (low[axis] - to[axis]).max(to[axis] - high[axis]).max(0.0);
+        let away = Vector3::new(away(0), away(1), away(2));
+        self.look(to, 0..self.places.len(), away, &mut found);
         found.map(|(_, index)| index)
     }
 
+    /// `away`: distance to the box of the range along each axis. From far away all points of a cloud
+    /// are about equally far along the axis of a split, but not in space.
     fn look<const N: usize>(
         &self,
         to: &Point3<f64>,
-        from: usize,
-        end: usize,
+        range: Range<usize>,
+        away: Vector3<f64>,
         found: &mut [(f64, u32); N],
     ) {
-        if end - from <= LEAF {
-            (from..end).for_each(|at| self.offer(to, at, found));
+        if range.len() <= LEAF {
+            range.for_each(|at| self.offer(to, at, found));
             return;
         }
-        let middle = from + (end - from) / 2;
+        let middle = range.start + range.len() / 2;
         let axis = self.axes[middle] as usize;
         let ahead = to[axis] - self.places[middle][axis];
+        let (before, after) = (range.start..middle, middle + 1..range.end);
         let (near, far) = if ahead < 0.0 {
-            ([from, middle], [middle + 1, end])
+            (before, after)
         } else {
-            ([middle + 1, end], [from, middle])
+            (after, before)
         };
-        self.look(to, near[0], near[1], found);
+        self.look(to, near, away, found);
         self.offer(to, middle, found);
-        if found[N - 1].1 == u32::MAX || ahead * ahead <= found[N - 1].0 {
-            self.look(to, far[0], far[1], found);
+        let mut beyond = away;
+        beyond[axis] = ahead.abs();
+        // As the distance of a point is computed, so that rounding hides none.
+        let (farthest, last) = found[N - 1];
+        let is_too_far = farthest < beyond.norm_squared();
+        if last == u32::MAX || !is_too_far {
+            self.look(to, far, beyond, found);
         }
     }
 
     #[inline]
     fn offer<const N: usize>(&self, to: &Point3<f64>, at: usize, found: &mut [(f64, u32); N]) {
+        #[cfg(test)]
+        tests::OFFERED.with(|offered| offered.set(offered.get() + 1));
         // Not a number counts as infinitely far.
         let entry = (
             (self.places[at] - to).norm_squared().min(f64::INFINITY),
@@ -112,9 +135,16 @@ fn split(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+
     use proptest::prelude::*;
 
     use super::*;
+
+    thread_local! {
+        /// Points that searches of this thread have looked at.
+        pub(super) static OFFERED: Cell<usize> = const { Cell::new(0) };
+    }
 
     fn by_sorting<const N: usize>(points: &[Point3<f64>], to: &Point3<f64>) -> [u32; N] {
         let mut all: Vec<u32> = (0..points.len() as u32).collect();
@@ -129,13 +159,31 @@ mod tests {
         fn the_nearest_are_those_that_sorting_finds(
             // Integers, so that points coincide and distances tie.
             points in proptest::collection::vec(proptest::array::uniform3(-4i8..5), 0..200),
-            to in proptest::array::uniform3(-6i8..7),
+            to in proptest::array::uniform3(prop_oneof![-6i8..7, -100i8..100]),
         ) {
             let point = |x: [i8; 3]| Point3::from(x.map(f64::from));
             let (points, to): (Vec<_>, _) = (points.into_iter().map(point).collect(), point(to));
             let tree = KdTree::new(&points);
             prop_assert_eq!(tree.nearest::<8>(&to), by_sorting(&points, &to));
             prop_assert_eq!(tree.nearest::<1>(&to), by_sorting(&points, &to));
+        }
+    }
+
+    #[test]
+    fn a_search_from_far_away_looks_at_few_points() {
+        let points: Vec<_> = (0..20)
+            .flat_map(|x| (0..20).map(move |y| (x, y)))
+            .flat_map(|(x, y)| (0..20).map(move |z| Point3::new(x, y, z).map(f64::from)))
+            .collect();
+        let tree = KdTree::new(&points);
+        for to in [
+            Point3::new(1e4, 2e4, -3e4),
+            Point3::new(1e4, 5.2, 0.0),
+            Point3::new(9.4, 9.6, 9.7),
+        ] {
+            assert_eq!(tree.nearest::<8>(&to), by_sorting(&points, &to));
+            let offered = OFFERED.with(|offered| offered.replace(0));
+            assert!(offered < points.len() / 8, "{offered} of {}", points.len());
         }
     }
 
