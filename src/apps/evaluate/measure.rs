@@ -223,7 +223,7 @@ struct Pixel {
     /// Reference depth. `None`: no reference was given; `Some(None)`: the reference has no depth at
     /// this pixel.
     reference: Option<Option<f64>>,
-    /// Length of the pixel's ray per unit of depth.
+    /// Length of the pixel's ray per unit of depth; 1 where no error is measured.
     ray: f64,
     shows_surface: bool,
 }
@@ -237,11 +237,17 @@ impl Pixel {
         row: u32,
         shows_surface: bool,
     ) -> Self {
-        let position = map.image_position(camera, column, row);
+        let position = || map.image_position(camera, column, row);
+        let depth = map.depth_at(column, row);
+        let reference = reference.map(|r| r.interpolated(camera, &position(), SAME_SURFACE));
+        let ray = match (depth, reference) {
+            (Some(_), Some(Some(_))) => camera.ray(&position()).map_or(1.0, |ray| 1.0 / ray.z),
+            _ => 1.0,
+        };
         Self {
-            depth: map.depth_at(column, row),
-            reference: reference.map(|r| r.interpolated(camera, &position, SAME_SURFACE)),
-            ray: camera.ray(&position).map_or(1.0, |ray| 1.0 / ray.z),
+            depth,
+            reference,
+            ray,
             shows_surface,
         }
     }

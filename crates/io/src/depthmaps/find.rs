@@ -46,6 +46,16 @@ pub struct DepthMapFile {
     pub format: DepthMapFormat,
 }
 
+impl DepthMapFile {
+    /// Length of the file, bytes; `u64::MAX` for MicMac's, which only names that of the depths.
+    pub fn data_bytes(&self) -> u64 {
+        match self.format {
+            DepthMapFormat::MicMac => u64::MAX,
+            _ => std::fs::metadata(&self.path).map_or(0, |found| found.len()),
+        }
+    }
+}
+
 /// The depth maps found under a folder.
 #[derive(Debug, Default)]
 pub struct DepthMapSet {

@@ -22,6 +22,10 @@ use crate::{
 const AGREE_WITHIN: f64 = 0.01;
 /// Depths that are held at once; of more, every second, third, ... row and column counts.
 const MOST_DEPTHS: u64 = 1 << 28;
+/// Depths that are held of a map for each byte of its file, and of any map: what is packed closer
+/// says little, and would cost as much as the largest images.
+const DEPTHS_OF_BYTE: u64 = 8;
+const DEPTHS_OF_ANY: u64 = 1 << 24;
 /// Places of a map at which it is looked whether another shows the same, along each axis.
 const PROBES: u32 = 12;
 
@@ -58,7 +62,6 @@ impl<'a> ThinnedMaps<'a> {
     ) -> Result<Self, EvaluateError> {
         let file = |view: &ViewIndex| maps.maps.iter().find(|map| map.view == *view);
         let files: Vec<_> = views.iter().filter_map(file).collect();
-        let most = MOST_DEPTHS / files.len().max(1) as u64;
         watcher.progress(Stage::Evaluate, 0, files.len() as u64);
         let read = |file: &&DepthMapFile| {
             watcher.check()?;
@@ -66,7 +69,7 @@ impl<'a> ThinnedMaps<'a> {
             Ok(Thinned {
                 camera: scene.camera_of(file.view),
                 pose: &scene.view(file.view).cam_from_world,
-                map: thinned(map, most),
+                map: thinned(map, most_depths(files.len(), file.data_bytes())),
             })
         };
         let maps: Vec<Thinned> = depthmaps::in_parallel::<_, _, EvaluateError>(
@@ -157,6 +160,12 @@ impl Thinned<'_> {
     }
 }
 
+/// Number of depths that are held of one of so many maps, whose file has so many bytes.
+fn most_depths(maps: usize, file_bytes: u64) -> u64 {
+    let of_file = file_bytes.saturating_mul(DEPTHS_OF_BYTE);
+    (MOST_DEPTHS / maps.max(1) as u64).min(of_file.max(DEPTHS_OF_ANY))
+}
+
 /// Keeps every n-th row and column, so that at most about `most` depths are left.
 fn thinned(map: DepthMap, most: u64) -> DepthMap {
     let step = (1u32..).find(|step| {
@@ -193,7 +202,8 @@ impl FusedPoints for ThinnedMaps<'_> {
             .iter()
             .map(|map| vec![false; map.map.depth.len()])
             .collect();
-        for own in 0..self.maps.len() {
+        let may_agree = |own: &usize| 1 + self.others[*own].len() >= self.support;
+        for own in (0..self.maps.len()).filter(may_agree) {
             let pixels = (0..self.maps[own].map.depth.len()).into_par_iter();
             let points: Vec<AgreedPoint> = pixels
                 .filter_map(|pixel| self.point(own, pixel, &used))
@@ -213,5 +223,21 @@ impl FusedPoints for ThinnedMaps<'_> {
             take(&part)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_are_held_whole_unless_their_files_say_little() {
+        let phase_one = 14_204 * 10_652;
+        for bytes in [4 * phase_one, phase_one / 2, u64::MAX] {
+            assert!(most_depths(1, bytes) >= phase_one, "{bytes}");
+        }
+        assert!(most_depths(1, 400_000) < phase_one / 8);
+        assert!(most_depths(1, 0) >= 4000 * 4000, "a map without depths");
+        assert!(100 * most_depths(100, u64::MAX) <= MOST_DEPTHS);
     }
 }
