@@ -79,10 +79,10 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     let surface = clean::clean(&raw.surface, &raw.seen);
     clock.step("clean");
     let wanted = WantedGsd::finest(&scene, gsd, GSD_MARGIN);
-    let shortest = wanted.lengths(&surface.vertices, settings.edge_factor);
+    let shortest = wanted.lengths(&surface.vertices, settings.edge_factor, &NoWatcher)?;
     let surface = simplify::simplify(surface, shortest, &NoWatcher)?;
     clock.step(&format!("simplify, {}", surface.triangles.len()));
-    let longest = wanted.lengths(&surface.vertices, settings.max_edge_factor);
+    let longest = wanted.lengths(&surface.vertices, settings.max_edge_factor, &NoWatcher)?;
     let surface = refine::refine(surface, longest, refine::MAX_TRIANGLES, &NoWatcher)?;
     clock.step(&format!("refine, {}", surface.triangles.len()));
     println!(

@@ -12,7 +12,7 @@ use crate::{
     config::UnknownBackend,
     decision::DecisionError,
     io::{depthmaps::DepthMapError, project::ProjectError},
-    method::{region::RegionError, surface::SurfaceError},
+    method::{region::RegionError, surface::SurfaceError, visibility::VisibilityError},
 };
 
 /// Planning failed.
@@ -39,6 +39,8 @@ pub enum PlanError {
     NoScale,
     #[error(transparent)]
     Surface(#[from] SurfaceError),
+    #[error(transparent)]
+    Visibility(VisibilityError),
     #[error(transparent)]
     Mesh(#[from] MeshError),
     #[error(transparent)]
@@ -98,6 +100,15 @@ impl From<DecisionError> for PlanError {
     }
 }
 
+impl From<VisibilityError> for PlanError {
+    fn from(error: VisibilityError) -> Self {
+        match error {
+            VisibilityError::Table(error) => error.into(),
+            error => Self::Visibility(error),
+        }
+    }
+}
+
 impl From<TableError> for PlanError {
     fn from(error: TableError) -> Self {
         match error {
@@ -126,6 +137,7 @@ impl Hint for PlanError {
             },
             Self::NoScale => Advice::text("look for wrong poses: ").run("doctor"),
             Self::Surface(error) => return error.hint(),
+            Self::Visibility(error) => return error.hint(),
             Self::Mesh(error) => return error.hint(),
             Self::RegionFile(error) => return error.hint(),
             Self::Region(error) => return error.hint(),

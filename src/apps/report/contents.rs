@@ -31,7 +31,7 @@ use crate::{
     },
     config::ForecastSettings,
     io::project::Project,
-    method::region::Ground,
+    method::{region::Ground, visibility::VisibilityError},
     model::{
         cluster::Gate,
         georeference::{Georeference, MapFrame},
@@ -637,6 +637,8 @@ pub enum ReportError {
     #[error(transparent)]
     Table(#[from] TableError),
     #[error(transparent)]
+    Visibility(#[from] VisibilityError),
+    #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
@@ -647,6 +649,7 @@ impl Hint for ReportError {
             Self::NothingToCompare(_) => Some("name their folder with --depth-maps".into()),
             Self::Disk(error) => error.hint(),
             Self::Table(error) => error.hint(),
+            Self::Visibility(error) => error.hint(),
             Self::Cancelled(error) => error.hint(),
         }
     }
@@ -657,7 +660,7 @@ impl Hint for ReportError {
             Self::NothingToCompare(path) => Some(path),
             Self::Disk(error) => error.path(),
             Self::Table(error) => error.path(),
-            Self::Cancelled(_) => None,
+            Self::Visibility(_) | Self::Cancelled(_) => None,
         }
     }
 }

@@ -9,15 +9,12 @@ use super::{
     candidates::{Candidate, STEP_DEG},
 };
 use crate::{
-    base::{
-        column::{Storage, TableError},
-        progress::Watcher,
-    },
+    base::{column::Storage, progress::Watcher},
     method::{
         confidence::{Agreement, Unary},
         fulfilment::{self, Model},
         ranking::{Objective, Reached},
-        visibility::{self, Visibility},
+        visibility::{self, Visibility, VisibilityError},
     },
     model::{
         cluster::ViewCluster,
@@ -52,7 +49,7 @@ impl Extended {
         holes: &[Hole],
         candidates: &[Candidate],
         watcher: &dyn Watcher,
-    ) -> Result<Self, TableError> {
+    ) -> Result<Self, VisibilityError> {
         let stages = &plan.stages;
         let has_image = |v: &ViewIndex| stages.without_image.binary_search(v).is_err();
         let sees = |v: &ViewIndex| {
@@ -133,7 +130,7 @@ pub fn choose(
     candidates: &[Candidate],
     frame: &MapFrame,
     watcher: &dyn Watcher,
-) -> Result<Flight, TableError> {
+) -> Result<Flight, VisibilityError> {
     let stages = &plan.stages;
     let extended = Extended::new(plan, holes, candidates, watcher)?;
     let mut raw = vec![0.0; stages.surface.triangles.len()];

@@ -14,8 +14,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::holes::Hole;
 use crate::{
-    base::{column::TableError, progress::Watcher},
-    model::georeference::MapFrame,
+    base::progress::Watcher, method::visibility::VisibilityError, model::georeference::MapFrame,
     plan::Plan,
 };
 
@@ -56,7 +55,11 @@ pub struct Flight {
 }
 
 /// Plans the images for the holes.
-pub fn flight(plan: &Plan, holes: &[Hole], watcher: &dyn Watcher) -> Result<Flight, TableError> {
+pub fn flight(
+    plan: &Plan,
+    holes: &[Hole],
+    watcher: &dyn Watcher,
+) -> Result<Flight, VisibilityError> {
     let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
     let poses = candidates::around(plan, holes, &frame);
     if poses.is_empty() {

@@ -428,3 +428,40 @@ proptest! {
         }
     }
 }
+
+/// Each vertex of a heap of triangles has many fans, and none of its edges a partner.
+#[test]
+fn a_heap_of_triangles_is_no_surface() {
+    let from = |triangles: Vec<[u32; 3]>| {
+        let at = |v: u32| {
+            Point3::new(
+                f64::from(v % 10),
+                f64::from(v / 10 % 10),
+                f64::from(v / 100),
+            )
+        };
+        build(
+            &Scene::default(),
+            &WantedGsd::uniform(0.01),
+            &SurfaceSettings::default(),
+            Some(Mesh {
+                vertices: (0..1000).map(at).collect(),
+                triangles,
+            }),
+            refine::MAX_TRIANGLES,
+            &NoWatcher,
+        )
+    };
+    let heap = |t: u32| [t % 1000, t * 7919 % 1000, t * 104_729 % 1000 / 3];
+    let refused = from((1..5000).map(heap).collect());
+    assert!(
+        matches!(refused, Err(SurfaceError::NoSurface { split }) if split > 1000),
+        "{refused:?}"
+    );
+    // Single triangles, as converted from STL, are many surfaces.
+    let apart = from((0..333).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect());
+    assert!(
+        !matches!(apart, Err(SurfaceError::NoSurface { .. })),
+        "{apart:?}"
+    );
+}

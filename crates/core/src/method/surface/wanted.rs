@@ -5,13 +5,18 @@ use rayon::prelude::*;
 
 use super::points::usable_points;
 use crate::{
-    base::kd_tree::KdTree,
+    base::{
+        kd_tree::KdTree,
+        progress::{Cancelled, Watcher},
+    },
     model::scene::{PointIndex, Scene},
 };
 
 /// Approximate maximum number of sparse points that sample the wanted resolution, which changes
 /// slowly over a surface.
 const MOST_POINTS: usize = 50_000;
+/// Positions between two checks for cancellation; well under 50 ms.
+const CHECK_INTERVAL: usize = 4096;
 /// Largest factor between a local wanted resolution and that of the scene: a single outlier close
 /// to a camera could demand any resolution.
 const MOST_OFF: f64 = 32.0;
@@ -78,17 +83,27 @@ impl WantedGsd {
     }
 
     /// Returns the GSD at each position, times `factor`.
-    pub fn lengths(&self, places: &[Point3<f64>], factor: f64) -> Vec<f64> {
+    pub fn lengths(
+        &self,
+        places: &[Point3<f64>],
+        factor: f64,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<f64>, Cancelled> {
+        let mut lengths = vec![factor * self.everywhere; places.len()];
         let Some(known) = &self.points else {
-            return vec![factor * self.everywhere; places.len()];
+            return Ok(lengths);
         };
-        let wanted = |place: &Point3<f64>| {
-            let [nearest] = known.points.nearest(place);
-            known.gsd[nearest as usize]
-        };
-        places
-            .par_iter()
-            .map(|place| factor * wanted(place))
-            .collect()
+        let parts = lengths.par_chunks_mut(CHECK_INTERVAL);
+        parts
+            .zip(places.par_chunks(CHECK_INTERVAL))
+            .try_for_each(|(lengths, places)| {
+                watcher.check()?;
+                for (length, place) in lengths.iter_mut().zip(places) {
+                    let [nearest] = known.points.nearest(place);
+                    *length = factor * known.gsd[nearest as usize];
+                }
+                Ok(())
+            })?;
+        Ok(lengths)
     }
 }

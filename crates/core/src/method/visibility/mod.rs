@@ -31,6 +31,7 @@ use crate::{
     base::{
         bits,
         column::{self, Column, ColumnBuilder, DiskError, Storage, TableError},
+        error::{Advice, Hint},
         progress::{Cancelled, Stage, Watcher},
         rows::Offsets,
     },
@@ -45,6 +46,32 @@ use crate::{
 const FEW_PIXELS: u32 = 4;
 /// Near plane, edge lengths: nothing closer to the camera is drawn.
 const NEAR_EDGES: f64 = 0.05;
+
+/// Layers of the surface, one behind the other, that are drawn in a view on average over its
+/// pixels. Streets and rooms are seen through tens of walls; a heap of triangles has any number.
+const MOST_LAYERS: u64 = 256;
+
+/// Error of computing what the views see.
+#[derive(Debug, thiserror::Error)]
+pub enum VisibilityError {
+    #[error(
+        "cannot use the surface: view {view:?} looks at more than {MOST_LAYERS} layers of it, one behind the other"
+    )]
+    Layers { view: String },
+    #[error(transparent)]
+    Table(#[from] TableError),
+}
+
+impl Hint for VisibilityError {
+    fn hint(&self) -> Option<Advice> {
+        match self {
+            Self::Layers { .. } => {
+                Some(Advice::text("give a mesh of what the images show with ").set("surface.mesh"))
+            }
+            Self::Table(error) => error.hint(),
+        }
+    }
+}
 
 /// Sparse table of (view, triangle) pairs; CSR by view, triangles ascending within a view.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -162,6 +189,9 @@ impl Visibility {
 
 /// Computes which view sees which triangle. `edge_length`: r g_d, the edge length of the simplified
 /// surface, scene units; `keep`: storage of the table.
+///
+/// # Errors
+/// Cancelled, the disk, or the first view that looks at too many layers of the surface.
 pub fn estimate(
     scene: &Scene,
     points: &ViewPoints,
@@ -170,15 +200,18 @@ pub fn estimate(
     edge_length: f64,
     keep: Storage,
     watcher: &dyn Watcher,
-) -> Result<Visibility, TableError> {
+) -> Result<Visibility, VisibilityError> {
     let stage = Estimator::new(scene, surface, settings, edge_length);
     let observations = Observations::new(scene.points.len());
     let views: Vec<ViewIndex> = scene.view_indices().collect();
-    let done = AtomicU64::new(0);
+    let (done, first_crowded) = (AtomicU64::new(0), AtomicU32::new(u32::MAX));
     watcher.progress(Stage::Visibility, 0, views.len() as u64);
     let look = |picture: &mut RenderedView, &view: &ViewIndex| {
         watcher.check()?;
-        stage.draw(view, picture);
+        if !stage.draw(view, picture) {
+            first_crowded.fetch_min(view.0, Ordering::Relaxed);
+            return Ok(Vec::new());
+        }
         let seen = stage.visible(view, picture);
         stage.observe(view, points.observed_by(view), picture, &observations);
         watcher.progress(
@@ -188,7 +221,8 @@ pub fn estimate(
         );
         Ok(seen)
     };
-    let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(keep)?);
+    let triangles = ColumnBuilder::new(keep).map_err(TableError::Disk)?;
+    let (mut offsets, mut triangles) = (Offsets::default(), triangles);
     column::in_order(
         &views,
         column::READ_AT_ONCE,
@@ -202,9 +236,14 @@ pub fn estimate(
             Ok(())
         },
     )?;
+    if let Some(&view) = views.get(first_crowded.into_inner() as usize) {
+        let view = scene.name(view).to_owned();
+        return Err(VisibilityError::Layers { view });
+    }
+    let triangles = triangles.finish().map_err(TableError::Disk)?;
     Ok(Visibility {
         offsets,
-        triangles: triangles.finish()?,
+        triangles,
         contradictions: observations.contradictions(),
     })
 }
@@ -376,8 +415,9 @@ impl<'a> Estimator<'a> {
         }
     }
 
-    /// Renders everything in the view's field and collects the triangles that may be visible.
-    fn draw(&self, view: ViewIndex, picture: &mut RenderedView) {
+    /// Renders everything in the view's field and collects the triangles that may be visible;
+    /// returns whether all is drawn, which it is up to [`MOST_LAYERS`].
+    fn draw(&self, view: ViewIndex, picture: &mut RenderedView) -> bool {
         let (camera, faces) = self.camera(view);
         let pose = &self.scene.view(view).cam_from_world;
         picture.candidates.clear();
@@ -388,6 +428,8 @@ impl<'a> Estimator<'a> {
             .iter_mut()
             .zip(faces)
             .for_each(|(buffer, face)| buffer.clear(face));
+        let pixels: u64 = faces.iter().map(Face::pixels).sum();
+        let mut left = MOST_LAYERS * pixels;
         for (index, patch) in self.patches.patches.iter().enumerate() {
             let centre = pose.camera_from_world(&patch.centre);
             if !faces.iter().any(|face| face.meets(&centre, patch.radius)) {
@@ -402,6 +444,11 @@ impl<'a> Estimator<'a> {
                     .map(|v| pose.camera_from_world(v)),
             );
             self.draw_patch(patch, faces, picture);
+            let drawn: u64 = picture.covered.iter().map(|&n| u64::from(n)).sum();
+            let Some(rest) = left.checked_sub(drawn) else {
+                return false;
+            };
+            left = rest;
             for ((triangle, corners), &covered) in
                 self.patches.triangles(patch).zip(&picture.covered)
             {
@@ -417,6 +464,7 @@ impl<'a> Estimator<'a> {
             }
         }
         picture.count_in_front(&self.patches);
+        true
     }
 
     /// Renders the triangles of a patch, whose vertices are already in `picture`, and counts the

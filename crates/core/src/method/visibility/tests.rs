@@ -119,3 +119,42 @@ fn a_share_is_free_whatever_is_not_looked_at() {
         }
     }
 }
+
+/// Layers below the ground, which fill each picture.
+#[test]
+fn a_heap_of_layers_is_refused_whatever_its_triangles_cost() {
+    let town = Town::default();
+    let scene = town.scene();
+    let with_layers = |layers: u32| {
+        let mut surface = town.surface();
+        for layer in 0..layers {
+            let (z, first) = (-10.0 - f64::from(layer), surface.vertices.len() as u32);
+            let corners = [[-1e5, -1e5], [1e5, -1e5], [1e5, 1e5], [-1e5, 1e5]];
+            let corner = |[x, y]: [f64; 2]| Point3::new(x, y, z);
+            surface.vertices.extend(corners.map(corner));
+            surface
+                .triangles
+                .extend([[0, 1, 2], [0, 2, 3]].map(|t| t.map(|v| first + v)));
+        }
+        let settings = VisibilitySettings {
+            buffer_px: 100,
+            ..VisibilitySettings::default()
+        };
+        estimate(
+            &scene,
+            &scene.view_points(),
+            &surface,
+            &settings,
+            town.edge,
+            Storage::Memory,
+            &NoWatcher,
+        )
+    };
+    assert!(with_layers(100).is_ok());
+    let refused = with_layers(300);
+    let first = scene.name(ViewIndex(0));
+    assert!(
+        matches!(&refused, Err(VisibilityError::Layers { view }) if view == first),
+        "{refused:?}"
+    );
+}
