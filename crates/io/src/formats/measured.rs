@@ -102,3 +102,54 @@ fn track(
     }
     Ok(track)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str, count: usize, is_registered: &[bool]) -> MeasuredPoints {
+        let colour = |words: &mut Words| Ok(words.numbers("a colour")?.map(|c: f64| c as u8));
+        MeasuredPoints::read(
+            &mut Words::new(text.as_bytes()),
+            count,
+            is_registered,
+            colour,
+        )
+        .unwrap()
+    }
+
+    #[test]
+    fn points_take_no_more_memory_than_their_list_and_their_observations() {
+        let read = read(&"1 2 3 4 5 6 0\n".repeat(1000), 1000, &[true; 2]);
+        assert_eq!(read.points.capacity(), 1000);
+        assert!(read.points2d.iter().all(|points| points.capacity() == 0));
+        let allocated = |point: &ColmapPoint| match &point.track {
+            Cow::Owned(track) => track.capacity(),
+            Cow::Borrowed(_) => 0,
+        };
+        assert_eq!(read.points.iter().map(allocated).sum::<usize>(), 0);
+    }
+
+    #[test]
+    fn observations_of_cameras_without_an_image_are_dropped() {
+        let text = "0 0 0 0 0 0 3 0 7 -5 4 1 7 9 9 2 7 1 -2\n0 0 0 0 0 0 1 2 7 3 3\n";
+        let mut read = read(text, 2, &[true, false, true]);
+        assert!(read.are_from_centre());
+        assert_eq!(
+            [0, 1, 2].map(|camera| read.farthest(camera)),
+            [[5.0, 4.0], [0.0; 2], [3.0, 3.0]]
+        );
+        let tracks: Vec<&[TrackElement]> = read.points.iter().map(|p| &*p.track).collect();
+        let element = |camera, index| TrackElement::new(image_id(camera), index);
+        assert_eq!(tracks[0], [element(0, 0), element(2, 0)]);
+        assert_eq!(tracks[1], [element(2, 1)]);
+        let points2d = read.take_points2d(2, |[x, y]| [10.0 + x, 10.0 - y]);
+        assert_eq!(
+            *points2d,
+            [
+                Point2d::new([11.0, 12.0], Some(1)),
+                Point2d::new([13.0, 7.0], Some(2))
+            ]
+        );
+    }
+}
