@@ -165,11 +165,7 @@ fn tiles(selection: &Selection, count: u32) -> Vec<Vec<RankedCluster>> {
 }
 
 /// Refuses to write into the folder in which `viewrank run` works, while it does.
-fn refuse_if_run_is_in(
-    folder: &Path,
-    backend: &Backend,
-    project: &Project,
-) -> Result<(), Failure> {
+fn refuse_if_run_is_in(folder: &Path, backend: &Backend, project: &Project) -> Result<(), Failure> {
     let own = std::path::absolute(project.output_folder().join(backend.name));
     if own.is_ok_and(|own| std::path::absolute(folder).is_ok_and(|folder| folder == own)) {
         Dispatch::refuse_if_at_work_with(backend, project)?;

@@ -211,7 +211,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
         "{done} of {clusters} planned depth maps are finished{share}."
     )];
     lines.extend(progress.note.clone());
-    lines.push("No daemon watches the project: this is how things stood at its last map.".into());
+    lines.push("As of its last map; no daemon watches the project.".into());
     lines
 }
 

@@ -52,6 +52,13 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
         warnings.extend(unconfirmed(stages, cut));
         warnings.extend((is_unsure && !has_said_so).then(|| unsure(&cut.reachable_band)));
     }
+    if !stages.makes_maps && stages.settings.cut.limits() == 0 {
+        warnings.push(
+            "no number of images was given: the share says how well these draw the others, and a training gains from more; set it \
+             (--budget 60 or --budget 25%)"
+                .into(),
+        );
+    }
     warnings.extend(unused_pilot(stages));
     warnings.extend(contradictions(stages));
     warnings.extend(outdated(stages, finished));

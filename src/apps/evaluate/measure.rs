@@ -19,6 +19,9 @@ use crate::{
 const RIGHT_WITHIN: f64 = 3.0;
 /// Relative difference of a depth to that of a place of the pilot.
 const PLACE_WITHIN: f64 = 0.02;
+/// Part of that difference within which fusion is expected to keep the depth, as it is of the
+/// pilot's own: 1 %.
+const KEPT_WITHIN: f64 = 0.5;
 /// Relative difference of reference depths beyond which they belong to two surfaces and are not
 /// interpolated.
 const SAME_SURFACE: f64 = 0.02;
@@ -207,11 +210,11 @@ fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec
             .and_then(|at| map.pixel_at(camera, &at))
             .and_then(|(column, row)| map.depth_at(column, row));
         let tolerance = (PLACE_WITHIN * x.z).max(f64::from(places.sizes[place as usize]));
-        let agrees = depth.is_some_and(|depth| (depth - x.z).abs() <= tolerance);
-        agrees.then(|| Part {
+        let off = (depth? - x.z).abs() / tolerance;
+        (off <= 1.0).then(|| Part {
             place,
             density: places.density(place, camera, x.z),
-            is_kept: true,
+            is_kept: off <= KEPT_WITHIN,
         })
     };
     (0..places.centres.len() as u32).filter_map(part).collect()

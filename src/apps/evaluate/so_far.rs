@@ -15,6 +15,9 @@ use crate::{
     plan::Stages,
 };
 
+/// Maps that the pilot's word counts as much as, at each place.
+const PRIOR_MAPS: f32 = 0.3;
+
 /// Measured weight that fusion keeps of the finished depth maps, over the weight that it is
 /// expected to keep of all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -80,6 +83,13 @@ impl MeasuredProgress {
     fn by_places(stages: &Stages, pilot: &CountedPlaces, run: &MeasuredClusters) -> Self {
         let mut all = Reached::new(&pilot.kept.objective);
         let mut kept = Reached::new(&pilot.kept.objective);
+        let mut beliefs = PlaceBeliefs::new(pilot.kept.objective.weights.len());
+        let planned: BTreeMap<ViewIndex, usize> = stages
+            .clusters
+            .iter()
+            .map(|cluster| cluster.key)
+            .zip(0..)
+            .collect();
         for (finished, cluster) in run.clusters.iter().enumerate() {
             let size = run.scales[finished];
             let real = run.real.row(finished);
@@ -88,6 +98,9 @@ impl MeasuredProgress {
             };
             let measured = row(&run.places[finished], size);
             kept.take((&measured.0, &measured.1));
+            if let Some(&c) = planned.get(&cluster.key) {
+                beliefs.learn(pilot.kept.table.row(c), (&measured.0, &measured.1));
+            }
             // At full size a map at half the size would give what the pilot shows.
             let at_full = match size {
                 MapScale::Full => measured,
@@ -97,7 +110,8 @@ impl MeasuredProgress {
         }
         for (c, cluster) in stages.clusters.iter().enumerate() {
             if run.finished(cluster.key).is_none() {
-                all.take(pilot.kept.table.row(c));
+                let (places, values) = pilot.kept.table.row(c);
+                all.take((places, &beliefs.believed(places, values)));
             }
         }
         Self::of(&kept, &all)
@@ -110,5 +124,64 @@ impl MeasuredProgress {
             reachable,
             share: (reachable > 0.0).then(|| kept / reachable),
         }
+    }
+}
+
+/// What finished maps say of the places at which further maps will look: where they gave less than
+/// the pilot had shown, others will, too.
+struct PlaceBeliefs {
+    /// Sums over the finished maps, by place.
+    predicted: Vec<f32>,
+    measured: Vec<f32>,
+}
+
+impl PlaceBeliefs {
+    fn new(places: usize) -> Self {
+        Self {
+            predicted: vec![0.0; places],
+            measured: vec![0.0; places],
+        }
+    }
+
+    /// Learns from a finished map: rows of places and of what fusion keeps there.
+    fn learn(&mut self, predicted: (&[u32], &[f32]), measured: (&[u32], &[f32])) {
+        let add = |sums: &mut [f32], (places, values): (&[u32], &[f32])| {
+            let values = places.iter().zip(values);
+            values.for_each(|(&place, &value)| sums[place as usize] += value);
+        };
+        add(&mut self.predicted, predicted);
+        add(&mut self.measured, measured);
+    }
+
+    /// Returns what is left of the predicted values of a map at these places.
+    fn believed(&self, places: &[u32], values: &[f32]) -> Vec<f32> {
+        let share = |place: u32| {
+            let [measured, predicted] =
+                [&self.measured, &self.predicted].map(|sums| sums[place as usize] + PRIOR_MAPS);
+            (measured / predicted).min(1.0)
+        };
+        let believed = |(&place, &value): (&u32, &f32)| value * share(place);
+        places.iter().zip(values).map(believed).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_where_maps_failed_count_less_for_others() {
+        let mut beliefs = PlaceBeliefs::new(3);
+        let believed = |beliefs: &PlaceBeliefs| beliefs.believed(&[0, 1, 2], &[0.5; 3]);
+        assert_eq!(believed(&beliefs), [0.5; 3]);
+        for _ in 0..3 {
+            beliefs.learn((&[0, 1], &[0.5, 0.5]), (&[0], &[0.9]));
+        }
+        let [better, failed, unseen] = believed(&beliefs)[..] else {
+            panic!("three places")
+        };
+        // More than was shown makes no place better than the pilot says.
+        assert_eq!([better, unseen], [0.5, 0.5]);
+        assert!((failed - 0.5 * PRIOR_MAPS / (PRIOR_MAPS + 1.5)).abs() < 1e-6);
     }
 }

@@ -20,7 +20,7 @@ use crate::{
     config::CommandLineSettings,
     daemon::foreground::Foreground,
     io::project::Project,
-    show::manifest::planned_region,
+    show::manifest::{PlannedMaps, planned_maps, planned_region},
 };
 
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
@@ -96,6 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             print([line])
         }
     };
+    refuse_plan_for_images(arguments, &project)?;
     say(format!(
         "Backend: {} ({}).",
         backend.name,
@@ -132,6 +133,26 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     say(work.plan_in_words())?;
     let ended = work.compute()?;
     work.end(ended)
+}
+
+/// Fails where the project's plan is for a program that uses the images themselves, unless a backend
+/// is named: another plan would take its place.
+fn refuse_plan_for_images(arguments: &Arguments, project: &Project) -> Result<(), Failure> {
+    let planned = planned_maps(&project.home).filter(|_| arguments.backend.is_none());
+    let is_for_images = |plan: &PlannedMaps| {
+        backends::by_name(&plan.backend).is_ok_and(|backend| !backend.makes_maps())
+    };
+    match planned.filter(is_for_images) {
+        Some(plan) => Err(Failure::new(
+            Exit::Usage,
+            format!(
+                "the plan of this project chooses images for {}, which run does not start",
+                plan.backend
+            ),
+            Some("name a backend for depth maps (--backend), whose plan takes its place".into()),
+        )),
+        None => Ok(()),
+    }
 }
 
 /// What the backend needs and the project does not have, but its workspace of undistorted images

@@ -115,6 +115,54 @@ fn a_cloud_beside_a_model_has_its_points() {
 }
 
 #[test]
+fn a_cloud_far_from_the_cameras_is_in_other_coordinates() {
+    let mut far = scene();
+    let pose = &far.views[0].cam_from_world;
+    let ahead = pose.rotation.inverse() * nalgebra::Vector3::new(0.0, 0.0, 1e6);
+    far.points.iter_mut().for_each(|point| *point += ahead);
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &without_points())
+        .cloud("sparse/0/cloud.ply", &far);
+    let (code, _, stderr) = folder.plan(&[]);
+    assert_eq!(code, 1);
+    assert!(
+        stderr.contains("different coordinates") && stderr.contains("EPSG:4978"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn photographs_alone_need_structure_from_motion() {
+    let folder = Folder::new();
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    let (code, _, stderr) = folder.plan(&[]);
+    assert_eq!(code, 1);
+    assert!(stderr.contains("only photographs"), "{stderr}");
+}
+
+#[test]
+fn run_does_not_take_the_place_of_a_plan_for_images() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let (code, _, stderr) = folder.plan(&["--backend", "images", "--budget", "4"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(!stderr.contains("no number of images"), "{stderr}");
+    let manifest = std::fs::read(folder.at("viewrank/manifest.json")).unwrap();
+    let (code, _, stderr) = said(&viewrank(&["run", folder.path().to_str().unwrap()]));
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("chooses images for images"), "{stderr}");
+    assert_eq!(
+        std::fs::read(folder.at("viewrank/manifest.json")).unwrap(),
+        manifest
+    );
+    let (_, _, stderr) = folder.plan(&["--backend", "images"]);
+    assert!(stderr.contains("no number of images"), "{stderr}");
+}
+
+#[test]
 fn a_model_without_points_is_refused_with_what_inspect_says() {
     let advice = |folder: &Folder, words: &str| {
         let path = folder.path().to_str().unwrap();

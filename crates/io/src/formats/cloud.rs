@@ -70,6 +70,34 @@ pub fn views_per_point(model: &ColmapModel, points: &[Point3<f64>]) -> f64 {
     seen.sum::<usize>() as f64 / sample.len().max(1) as f64
 }
 
+/// Distance of a cloud from the cameras, in extents of both together, from which on they are in
+/// different coordinates: from so far away every camera sees all of it.
+const FAR: f64 = 30.0;
+
+/// Returns whether points and cameras are so far from each other that they cannot belong together.
+pub fn is_far_away(model: &ColmapModel, points: &[Point3<f64>]) -> bool {
+    let centre =
+        |image: &super::colmap::ColmapImage| Some(image.cam_from_world.pose().ok()?.centre());
+    let centres: Vec<Point3<f64>> = model.images.iter().filter_map(centre).collect();
+    let (Some((cameras, around)), Some((cloud, across))) = (middle(&centres), middle(points))
+    else {
+        return false;
+    };
+    (cameras - cloud).norm() > FAR * (around + across)
+}
+
+/// The middle of places, and their median distance from it.
+fn middle(places: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
+    let median = |mut values: Vec<f64>| {
+        let middle = values.len() / 2;
+        (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    let along = |axis: usize| median(places.iter().map(|place| place[axis]).collect());
+    let centre = Point3::new(along(0)?, along(1)?, along(2)?);
+    let distances = places.iter().map(|place| (place - centre).norm());
+    Some((centre, median(distances.collect())?))
+}
+
 /// Adds points without tracks to a model that has none.
 pub fn add_cloud(model: &mut ColmapModel, points: &[Point3<f64>]) {
     let used = used(model, points);

@@ -32,7 +32,13 @@ pub(super) fn completed<'a>(
     match path.filter(|_| !points.is_empty()) {
         None => model.warnings.push(no_points(location)),
         Some(path) if cloud::views_per_point(&model, &points) == 0.0 => {
-            return Err(other_coordinates(path));
+            return Err(other_coordinates(path, "no point projects into any image"));
+        }
+        Some(path) if cloud::is_far_away(&model, &points) => {
+            return Err(other_coordinates(
+                path,
+                "the points are far from the cameras",
+            ));
         }
         Some(_) => cloud::add_cloud(&mut model, &points),
     }
@@ -61,10 +67,10 @@ pub(super) fn vertices(path: &Path) -> Result<Vec<Point3<f64>>, ProjectError> {
     Ok(cloud.vertices)
 }
 
-fn other_coordinates(path: PathBuf) -> ProjectError {
-    let what =
-        "no point projects into any image: points and cameras are in different coordinates".into();
-    let hint = "export both in the same coordinate system, such as Metashape's Local Coordinates";
+/// `how`: what shows it.
+fn other_coordinates(path: PathBuf, how: &str) -> ProjectError {
+    let what = format!("{how}: points and cameras are in different coordinates");
+    let hint = "export both in the same coordinate system: of Metashape, the points in Local Coordinates, or of a georeferenced chunk in EPSG:4978";
     let problem = Problem::Unsupported { what, hint };
     ProjectError::Fault {
         path,
@@ -88,6 +94,9 @@ fn no_points(location: &ModelLocation) -> ModelWarning {
         ModelFormat::Sure => {
             "copy a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; if only the height of the ground is known, \
              make a ground.ply with integrations/sure/ground.py"
+        }
+        ModelFormat::Transforms => {
+            "copy a PLY cloud in the coordinates of the cameras beside transforms.json (ply_file_path names it), or plan the COLMAP model that they come from"
         }
         _ => {
             "export the tie points or a cloud as PLY into the folder of the model, in the coordinates of the cameras (of a georeferenced chunk: EPSG:4978)"

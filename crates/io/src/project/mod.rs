@@ -557,6 +557,10 @@ impl Hint for ProjectError {
                 "this file is no sparse model, and none is beside it: name the project folder, which contains `sparse`"
                     .into()
             }
+            Self::NoModel { path, .. } if ImageFolder::new(path).first_image().is_some() => {
+                "these are only photographs: run structure from motion first (such as colmap automatic_reconstructor), then name the folder that contains its model"
+                    .into()
+            }
             Self::NoModel { .. } => "name a folder that contains `sparse`, or the folder of the model itself".into(),
             Self::SeveralProjects { below, .. } => {
                 let named = below.iter().take(3).map(|folder| command_path(folder));

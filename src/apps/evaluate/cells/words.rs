@@ -25,7 +25,7 @@ impl CellsEvaluation {
         let mut lines = vec![
             format!("cells of {}", self.source.describe()),
             format!(
-                "  {:.0} cells of all {} maps, {:.0} where three maps agree",
+                "  {:.0} cells of these {} maps, {:.0} where three maps agree",
                 cells[0], self.maps, cells[1]
             ),
             String::new(),
