@@ -6,7 +6,8 @@ use super::{Band, Cut, Decision, FinishedMaps, GroundSummary, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     base::error::shortened,
-    config::{Settings, SurfaceChoice},
+    config::{Settings, Share, SurfaceChoice},
+    decision::DEFAULT_TARGET,
     method::{
         confidence::{Confidence, Sharpness},
         surface::SurfaceKind,
@@ -52,13 +53,7 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
         warnings.extend(unconfirmed(stages, cut));
         warnings.extend((is_unsure && !has_said_so).then(|| unsure(&cut.reachable_band)));
     }
-    if !stages.makes_maps && stages.settings.cut.limits() == 0 {
-        warnings.push(
-            "no number of images was given: the share says how well these draw the others, and a training gains from more; set it \
-             (--budget 60 or --budget 25%)"
-                .into(),
-        );
-    }
+    warnings.extend(no_number_of_images(stages));
     warnings.extend(unused_pilot(stages));
     warnings.extend(contradictions(stages));
     warnings.extend(outdated(stages, finished));
@@ -224,6 +219,17 @@ fn little_fulfilled(ranking: &Ranking, band: Option<&Band>) -> Option<String> {
              coarser --gsd, more partners (-k) or a --region without the background may give more",
             100.0 * given
         )
+    })
+}
+
+/// Warns of a choice of images that nobody limited, which is rarely what a training wants.
+fn no_number_of_images(stages: &Stages) -> Option<String> {
+    let limits = &stages.settings.cut;
+    let is_default = limits.limits() == 1 && limits.target == Some(Share(DEFAULT_TARGET));
+    (!stages.makes_maps && is_default).then(|| {
+        "no number of images was given: the share says how well these draw the others, and a training gains from more; set it \
+         (--budget 60 or --budget 25%)"
+            .into()
     })
 }
 

@@ -96,7 +96,7 @@ fn no_points(location: &ModelLocation) -> ModelWarning {
              make a ground.ply with integrations/sure/ground.py"
         }
         ModelFormat::Transforms => {
-            "copy a PLY cloud in the coordinates of the cameras beside transforms.json (ply_file_path names it), or plan the COLMAP model that they come from"
+            "copy the points as PLY, in the coordinates of the cameras, beside transforms.json (ply_file_path names it), or plan the COLMAP model that they come from"
         }
         _ => {
             "export the tie points or a cloud as PLY into the folder of the model, in the coordinates of the cameras (of a georeferenced chunk: EPSG:4978)"
