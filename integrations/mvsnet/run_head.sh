@@ -11,4 +11,4 @@ case $0 in
 esac
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
-own_files depths fuse/fused.ply
+own_files depths fuse/fused.ply fuse/mask

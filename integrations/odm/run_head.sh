@@ -25,6 +25,13 @@ if [ ! -d "$PROJECT/opensfm/undistorted" ]; then
     echo "run.sh: $PROJECT/opensfm/undistorted: no such folder; is that the project of ODX or ODM?" >&2
     exit 1
 fi
+# As the engine is told it: the name of a folder, not of an option, in a folder that docker can mount.
+PROJECT=$(cd "$PROJECT" && pwd -P && echo .) && PROJECT=${PROJECT%??}
+case ${PROJECT##*/}:$PROJECT in
+-* | *:*:* | *[[:cntrl:]]*)
+    refuse "$PROJECT"
+    ;;
+esac
 for folder in "$PROJECT/opensfm" "$PROJECT/opensfm/undistorted"; do
     if [ -L "$folder" ]; then
         refuse "$folder"

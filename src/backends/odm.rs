@@ -93,11 +93,10 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
 /// `opensfm/undistorted`.
 fn project_of(root: &Path) -> Option<PathBuf> {
     let root = std::path::absolute(root).ok()?;
-    let is_project = |folder: &&Path| folder.join("opensfm").is_dir();
-    root.ancestors()
-        .take(3)
-        .find(is_project)
-        .map(Path::to_path_buf)
+    if root.ends_with("opensfm/undistorted") {
+        return root.ancestors().nth(2).map(Path::to_path_buf);
+    }
+    root.join("opensfm").is_dir().then_some(root)
 }
 
 /// What `run.sh` does in the engine's project.

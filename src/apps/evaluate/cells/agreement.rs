@@ -25,7 +25,7 @@ const MOST_DEPTHS: u64 = 1 << 28;
 /// Depths that are held of a map for each byte of its file, and of any map: what is packed closer
 /// says little, and would cost as much as the largest images.
 const DEPTHS_OF_BYTE: u64 = 8;
-const DEPTHS_OF_ANY: u64 = 1 << 24;
+const DEPTHS_OF_ANY: u64 = 1 << 20;
 /// Places of a map at which it is looked whether another shows the same, along each axis.
 const PROBES: u32 = 12;
 

@@ -169,10 +169,6 @@ pub enum SurfaceError {
     Gsd(f64),
     #[error("cannot use the surface: no view sees any part of it")]
     Empty,
-    #[error(
-        "cannot use the mesh: it is no surface, as its triangles meet in {split} more places than it has vertices"
-    )]
-    NoSurface { split: usize },
     #[error(transparent)]
     Delaunay(DelaunayError),
     #[error(transparent)]
@@ -193,9 +189,6 @@ impl Hint for SurfaceError {
                 .set("target.gsd")
                 .and(", or give a surface with ")
                 .set("surface.mesh"),
-            Self::NoSurface { .. } => {
-                Advice::text("give a mesh of what the images show with ").set("surface.mesh")
-            }
             Self::Gsd(_) => Advice::text("set target.gsd, or type ").set("target.gsd"),
             Self::Delaunay(_) => {
                 "check the model: its points cannot be triangulated as they are".into()
@@ -260,17 +253,12 @@ pub fn build(
             vertices,
             triangles,
         }) => {
-            let before = vertices.len();
             let surface = clean::make_manifold(Surface {
                 kind: SurfaceKind::Mesh,
                 vertices,
                 triangles,
             });
             watcher.check()?;
-            let split = surface.vertices.len().saturating_sub(before);
-            if split > most_split(surface.triangles.len()) {
-                return Err(SurfaceError::NoSurface { split });
-            }
             stats.cleaned_triangles = surface.triangles.len();
             if settings.mesh_as_is {
                 surface
@@ -287,12 +275,6 @@ pub fn build(
     } else {
         Ok((surface, stats))
     }
-}
-
-/// Vertices that repairing a mesh may add for so many triangles. Those of a surface hang together
-/// in one fan around most vertices; those of a heap, by chance.
-fn most_split(triangles: usize) -> usize {
-    16 + triangles / 4
 }
 
 /// Progress of one tile among all.
