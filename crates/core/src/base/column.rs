@@ -236,24 +236,30 @@ pub fn in_order<A: Sync, S: Send, R: Send>(
     work: impl Fn(&mut S, &A) -> Result<R, Cancelled> + Sync + Send,
     mut take: impl FnMut(&[A], Vec<R>) -> Result<(), DiskError>,
 ) -> Result<(), TableError> {
-    let resting = Mutex::new(Vec::new());
-    let wake = || {
-        resting
-            .lock()
-            .ok()
-            .and_then(|mut resting| resting.pop())
-            .unwrap_or_else(&start)
+    let resting = Resting(Mutex::new(Vec::new()));
+    let one = |item: &A| {
+        let mut scratch = resting.wake().unwrap_or_else(&start);
+        let done = work(&mut scratch, item);
+        resting.rest(scratch);
+        done
     };
     for batch in items.chunks(at_a_time) {
-        let one = |item: &A| {
-            let mut value = wake();
-            let done = work(&mut value, item);
-            resting.lock().map(|mut resting| resting.push(value)).ok();
-            done
-        };
         take(batch, batch.par_iter().map(one).collect::<Result<_, _>>()?)?;
     }
     Ok(())
+}
+
+/// Scratch that waits for the next item.
+struct Resting<S>(Mutex<Vec<S>>);
+
+impl<S> Resting<S> {
+    fn wake(&self) -> Option<S> {
+        self.0.lock().ok()?.pop()
+    }
+
+    fn rest(&self, scratch: S) {
+        self.0.lock().map(|mut all| all.push(scratch)).ok();
+    }
 }
 
 /// Views or clusters whose rows are read between two releases of a table on disk.

@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use nalgebra::{Point3, Vector3};
 
+use super::tiles::longest_axis;
+
 /// Points of a part of the tree that is not split.
 const LEAF: usize = 8;
 
@@ -109,18 +111,7 @@ fn split(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
     if order.len() <= LEAF {
         return;
     }
-    let length = |axis: usize| {
-        let along = order.iter().map(|&p| points[p as usize][axis]);
-        along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
-    };
-    let lengths = [0, 1, 2].map(length);
-    let axis = (0..3).fold(0, |longest, axis| {
-        if lengths[axis] > lengths[longest] {
-            axis
-        } else {
-            longest
-        }
-    });
+    let axis = longest_axis(order.iter().map(|&p| &points[p as usize]));
     let middle = order.len() / 2;
     let along = |p: &u32| points[*p as usize][axis];
     order.select_nth_unstable_by(middle, |a, b| along(a).total_cmp(&along(b)).then(a.cmp(b)));

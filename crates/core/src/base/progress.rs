@@ -1,6 +1,8 @@
 //! Progress and cancellation of a running stage. Terminal bars are in `cli/`, state files in
 //! `daemon/`.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use super::error::{Advice, Hint};
 
 /// The stages of a plan, in the order in which they run.
@@ -44,6 +46,42 @@ pub trait Watcher: Sync {
         } else {
             Ok(())
         }
+    }
+}
+
+/// Counts the steps of a stage, which several threads finish, and reports each.
+pub struct StepCounter<'a> {
+    watcher: &'a dyn Watcher,
+    stage: Stage,
+    done: AtomicU64,
+    total: u64,
+}
+
+impl<'a> StepCounter<'a> {
+    /// Reports the start of the stage.
+    pub fn start(watcher: &'a dyn Watcher, stage: Stage, total: usize) -> Self {
+        let total = total as u64;
+        watcher.progress(stage, 0, total);
+        Self {
+            watcher,
+            stage,
+            done: AtomicU64::new(0),
+            total,
+        }
+    }
+
+    /// Takes a step unless the run is cancelled.
+    pub fn run<T>(&self, step: impl FnOnce() -> T) -> Result<T, Cancelled> {
+        self.watcher.check()?;
+        let result = step();
+        let done = 1 + self.done.fetch_add(1, Ordering::Relaxed);
+        self.watcher.progress(self.stage, done, self.total);
+        Ok(result)
+    }
+
+    /// Reports the end: the report of another step may have come after that of the last.
+    pub fn end(self) {
+        self.watcher.progress(self.stage, self.total, self.total);
     }
 }
 

@@ -100,23 +100,31 @@ fn cut_at(
 /// Returns the axis of the longest side and the coordinate of that rank along it; `None` if no cut
 /// separates the points.
 fn cut(points: &mut [Point3<f64>], rank: usize) -> Option<(usize, f64)> {
-    let extent = |axis: usize| {
-        let coordinates = || points.iter().map(|point| point[axis]);
-        coordinates().fold(f64::NEG_INFINITY, f64::max)
-            - coordinates().fold(f64::INFINITY, f64::min)
-    };
-    let mut axes: Vec<(f64, usize)> = (0..3).map(|axis| (extent(axis), axis)).collect();
-    axes.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let (_, axis) = *axes.first()?;
-    let at = points
-        .select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis]))
-        .1[axis];
+    let axis = longest_axis(points.iter());
+    let (_, median, _) = points.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis]));
+    let at = median[axis];
     if points.iter().any(|point| point[axis] < at) {
         return Some((axis, at));
     }
     // The points up to this rank share the smallest coordinate: cut at the next one.
     let beyond = points.iter().map(|point| point[axis]).filter(|x| *x > at);
     beyond.min_by(f64::total_cmp).map(|at| (axis, at))
+}
+
+/// Returns the axis along which points extend most, the first of equals.
+pub(super) fn longest_axis<'a>(points: impl Iterator<Item = &'a Point3<f64>> + Clone) -> usize {
+    let extent = |axis: usize| {
+        let along = points.clone().map(|point| point[axis]);
+        along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
+    };
+    let extents = [0, 1, 2].map(extent);
+    (1..3).fold(0, |longest, axis| {
+        if extents[axis] > extents[longest] {
+            axis
+        } else {
+            longest
+        }
+    })
 }
 
 #[cfg(test)]

@@ -148,24 +148,29 @@ impl Town {
             (view.image_id, view.file_position) = (i as u32 + 1, i as u32);
         }
         while scene.points.len() < self.points as usize {
-            let (x, y) = (
-                self.side * (unit(&mut random) - 0.5),
-                self.side * (unit(&mut random) - 0.5),
-            );
-            let point = Point3::new(x, y, self.height(x, y));
-            for view in (0..scene.views.len() as u32).map(ViewIndex) {
-                let found = unit(&mut random) < self.found;
-                if let Some(pixel) = self.observation(&scene, view, &point).filter(|_| found) {
-                    scene.track_views.push(view);
-                    scene.track_pixels.push([pixel.x, pixel.y]);
-                }
-            }
-            scene.points.push(point);
-            scene.point_ids.push(scene.points.len() as u64);
-            scene.colours.push([128; 3]);
-            scene.track_offsets.push(scene.track_views.len());
+            self.add_point(&mut scene, &mut random);
         }
         scene
+    }
+
+    /// Adds a sparse point at a random place, with some of the views that see it.
+    fn add_point(&self, scene: &mut Scene, random: &mut Pcg64) {
+        let (x, y) = (
+            self.side * (unit(random) - 0.5),
+            self.side * (unit(random) - 0.5),
+        );
+        let point = Point3::new(x, y, self.height(x, y));
+        for view in (0..scene.views.len() as u32).map(ViewIndex) {
+            let found = unit(random) < self.found;
+            if let Some(pixel) = self.observation(scene, view, &point).filter(|_| found) {
+                scene.track_views.push(view);
+                scene.track_pixels.push([pixel.x, pixel.y]);
+            }
+        }
+        scene.points.push(point);
+        scene.point_ids.push(scene.points.len() as u64);
+        scene.colours.push([128; 3]);
+        scene.track_offsets.push(scene.track_views.len());
     }
 
     /// Returns the scene with what its views see.
@@ -232,31 +237,30 @@ impl Town {
     }
 
     fn views(&self) -> Vec<View> {
-        let n = self.grid;
-        let at = |i: u32| 0.8 * self.side * ((f64::from(i) + 0.5) / f64::from(n) - 0.5);
-        let mut views = Vec::new();
-        for i in 0..n * n {
-            let centre = Point3::new(at(i % n), at(i / n), self.altitude + f64::from(i % 3));
-            views.push(view(format!("nadir_{i:04}.jpg"), centre, 0.0, 0.0));
-        }
-        for i in (0..n * n).filter(|_| self.tilt.is_some()) {
-            // Between the nadir views: at the same position, the two would differ by a rotation
-            // only.
-            let half = 0.4 * self.side / f64::from(n);
-            let centre = Point3::new(
-                at(i % n) + half,
-                at(i / n) + half,
-                self.altitude - f64::from(i % 2),
-            );
-            let heading = f64::from(i % 4) * std::f64::consts::FRAC_PI_2;
-            views.push(view(
-                format!("oblique_{i:04}.jpg"),
-                centre,
-                heading,
-                self.tilt.unwrap_or(0.0).to_radians(),
-            ));
+        let nadir = (0..self.grid * self.grid).map(|i| {
+            let centre = self.on_grid(i, 0.0, self.altitude + f64::from(i % 3));
+            view(format!("nadir_{i:04}.jpg"), centre, 0.0, 0.0)
+        });
+        let mut views: Vec<View> = nadir.collect();
+        if let Some(tilt) = self.tilt {
+            views.extend((0..self.grid * self.grid).map(|i| {
+                // Between the nadir views: at the same position, the two would differ by a rotation
+                // only.
+                let half = 0.4 * self.side / f64::from(self.grid);
+                let centre = self.on_grid(i, half, self.altitude - f64::from(i % 2));
+                let heading = f64::from(i % 4) * std::f64::consts::FRAC_PI_2;
+                let name = format!("oblique_{i:04}.jpg");
+                view(name, centre, heading, tilt.to_radians())
+            }));
         }
         views
+    }
+
+    /// Returns a place of the grid of views, shifted along both axes.
+    fn on_grid(&self, i: u32, shift: f64, altitude: f64) -> Point3<f64> {
+        let n = self.grid;
+        let at = |i: u32| 0.8 * self.side * ((f64::from(i) + 0.5) / f64::from(n) - 0.5);
+        Point3::new(at(i % n) + shift, at(i / n) + shift, altitude)
     }
 
     /// Returns the pixel of a point if the view sees it, by marching over the heights.

@@ -111,37 +111,19 @@ impl Scene {
     pub fn from_arrays(arrays: &SceneArrays) -> Result<Self, ArraysError> {
         arrays.check_lengths()?;
         let cameras = arrays.cameras()?;
-        let mut order: Vec<usize> = (0..arrays.names.len()).collect();
-        order.sort_by(|&a, &b| arrays.names[a].cmp(&arrays.names[b]));
-        if let Some(same) = order
-            .windows(2)
-            .find(|pair| arrays.names[pair[0]] == arrays.names[pair[1]])
-        {
-            return Err(ArraysError::SameName(arrays.names[same[0]].clone()));
-        }
-        let views: Vec<View> = order
+        let order = arrays.rows_by_name()?;
+        let views = order
             .iter()
             .map(|&row| arrays.view(row))
             .collect::<Result<_, _>>()?;
         let mut view_of_row = vec![ViewIndex(0); order.len()];
-        order
-            .iter()
-            .enumerate()
-            .for_each(|(v, &row)| view_of_row[row] = ViewIndex(v as u32));
-        if let Some(row) = arrays
-            .points
-            .iter()
-            .position(|x| x.iter().any(|v| !v.is_finite()))
-        {
-            return Err(ArraysError::NotFinite {
-                array: "points",
-                row,
-            });
+        for (v, &row) in (0..).zip(&order) {
+            view_of_row[row] = ViewIndex(v);
         }
         let scene = Self {
             cameras,
             views,
-            points: arrays.points.iter().map(|&x| Point3::from(x)).collect(),
+            points: arrays.points()?,
             point_ids: (1..=arrays.points.len() as u64).collect(),
             colours: vec![[128; 3]; arrays.points.len()],
             track_offsets: vec![0; arrays.points.len() + 1],
@@ -194,9 +176,42 @@ impl SceneArrays {
         self.cameras.iter().enumerate().map(camera).collect()
     }
 
+    /// Returns the rows of the views in the order of their names, which are unique.
+    fn rows_by_name(&self) -> Result<Vec<usize>, ArraysError> {
+        let names = &self.names;
+        let mut rows: Vec<usize> = (0..names.len()).collect();
+        rows.sort_by(|&a, &b| names[a].cmp(&names[b]));
+        let mut neighbours = rows.windows(2);
+        match neighbours.find(|pair| names[pair[0]] == names[pair[1]]) {
+            Some(same) => Err(ArraysError::SameName(names[same[0]].clone())),
+            None => Ok(rows),
+        }
+    }
+
+    fn points(&self) -> Result<Vec<Point3<f64>>, ArraysError> {
+        let is_finite = |x: &[f64; 3]| x.iter().all(|v| v.is_finite());
+        match self.points.iter().position(|x| !is_finite(x)) {
+            Some(row) => Err(ArraysError::NotFinite {
+                array: "points",
+                row,
+            }),
+            None => Ok(self.points.iter().map(|&x| Point3::from(x)).collect()),
+        }
+    }
+
     fn view(&self, row: usize) -> Result<View, ArraysError> {
         let camera = self.camera[row];
         check_index("camera", row, camera, "cameras", self.cameras.len())?;
+        Ok(View {
+            name: self.names[row].clone(),
+            image_id: row as u32 + 1,
+            file_position: row as u32,
+            camera: CameraIndex(camera as u32),
+            cam_from_world: self.pose(row)?,
+        })
+    }
+
+    fn pose(&self, row: usize) -> Result<Pose, ArraysError> {
         let pose = &self.cam_from_world[row];
         if pose.iter().any(|v| !v.is_finite()) {
             return Err(ArraysError::NotFinite {
@@ -212,15 +227,9 @@ impl SceneArrays {
                 name: self.names[row].clone(),
             });
         }
-        Ok(View {
-            name: self.names[row].clone(),
-            image_id: row as u32 + 1,
-            file_position: row as u32,
-            camera: CameraIndex(camera as u32),
-            cam_from_world: Pose {
-                rotation: Rotation3::from_matrix_unchecked(rotation),
-                translation: Vector3::new(pose[3], pose[7], pose[11]),
-            },
+        Ok(Pose {
+            rotation: Rotation3::from_matrix_unchecked(rotation),
+            translation: Vector3::new(pose[3], pose[7], pose[11]),
         })
     }
 
@@ -229,26 +238,9 @@ impl SceneArrays {
     fn tracks(&self, mut scene: Scene, view_of_row: &[ViewIndex]) -> Result<Scene, ArraysError> {
         let mut observed = Vec::with_capacity(self.observations.len());
         for (row, &[point, view]) in self.observations.iter().enumerate() {
-            check_index("observations", row, point, "points", self.points.len())?;
-            check_index("observations", row, view, "names", self.names.len())?;
+            self.check_observation(row)?;
             let view = view_of_row[view];
-            let x_cam = scene
-                .view(view)
-                .cam_from_world
-                .camera_from_world(&scene.points[point]);
-            let pixel = match self.pixels.get(row) {
-                Some(pixel) => Some(*pixel),
-                None => scene
-                    .camera_of(view)
-                    .project(&x_cam)
-                    .map(|pixel| [pixel.x, pixel.y]),
-            };
-            if pixel.is_some_and(|pixel| pixel.iter().any(|v| !v.is_finite())) {
-                return Err(ArraysError::NotFinite {
-                    array: "pixels",
-                    row,
-                });
-            }
+            let pixel = self.pixel(row, &scene, view, point)?;
             observed.extend(pixel.map(|pixel| (point, view, row, pixel)));
         }
         observed.sort_unstable_by_key(|&(point, view, row, _)| (point, view, row));
@@ -259,6 +251,39 @@ impl SceneArrays {
         }
         (0..self.points.len()).for_each(|p| scene.track_offsets[p + 1] += scene.track_offsets[p]);
         Ok(scene)
+    }
+
+    fn check_observation(&self, row: usize) -> Result<(), ArraysError> {
+        let [point, view] = self.observations[row];
+        check_index("observations", row, point, "points", self.points.len())?;
+        check_index("observations", row, view, "names", self.names.len())
+    }
+
+    /// Returns the pixel of an observation, the projection of its point where none is given; `None`
+    /// if that does not exist.
+    fn pixel(
+        &self,
+        row: usize,
+        scene: &Scene,
+        view: ViewIndex,
+        point: usize,
+    ) -> Result<Option<[f64; 2]>, ArraysError> {
+        let pixel = match self.pixels.get(row) {
+            Some(pixel) => Some(*pixel),
+            None => {
+                let pose = &scene.view(view).cam_from_world;
+                let x_cam = pose.camera_from_world(&scene.points[point]);
+                let pixel = scene.camera_of(view).project(&x_cam);
+                pixel.map(|pixel| [pixel.x, pixel.y])
+            }
+        };
+        match pixel {
+            Some(pixel) if pixel.iter().any(|v| !v.is_finite()) => Err(ArraysError::NotFinite {
+                array: "pixels",
+                row,
+            }),
+            pixel => Ok(pixel),
+        }
     }
 }
 

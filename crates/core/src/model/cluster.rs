@@ -79,6 +79,15 @@ impl Reach {
     pub fn is_nothing(&self) -> bool {
         matches!(self, Self::Nothing)
     }
+
+    /// Returns whether a point of the scene can be matched; it is computed only where that matters.
+    pub fn includes(&self, point: impl FnOnce() -> Point3<f64>) -> bool {
+        match self {
+            Self::Nothing => false,
+            Self::Everything => true,
+            Self::Part(is_reached) => is_reached(&point()),
+        }
+    }
 }
 
 /// Limits on the pairs of views that a backend can match (method 7.1).

@@ -137,45 +137,38 @@ impl Projection {
     }
 }
 
+fn check_degrees(polygons: &[Polygon]) -> Result<(), ShapeError> {
+    let on_earth = |p: &&[f64; 2]| p[0].abs() <= 180.0 && p[1].abs() <= 90.0;
+    match polygons.iter().flatten().flatten().find(|p| !on_earth(p)) {
+        Some(&[x, y]) => Err(ShapeError::NotDegrees { x, y }),
+        None => Ok(()),
+    }
+}
+
 impl MapAreas {
     pub fn new(areas: Areas, place: &Georeference, frame: &MapFrame) -> Result<Self, ShapeError> {
         let projection = Projection::new(areas.coordinates, place, frame)?;
         let wishes = areas.areas.iter().flat_map(|area| {
-            std::iter::repeat_n(
-                RegionProperties {
-                    weight: area.weight,
-                    gsd: area.gsd,
-                },
-                area.polygons.len(),
-            )
+            let wish = RegionProperties {
+                weight: area.weight,
+                gsd: area.gsd,
+            };
+            std::iter::repeat_n(wish, area.polygons.len())
         });
         let wishes = wishes.collect();
-        let rings: Vec<Polygon> = areas
-            .areas
-            .into_iter()
-            .flat_map(|area| area.polygons)
-            .collect();
+        let areas = areas.areas.into_iter();
+        let rings: Vec<Polygon> = areas.flat_map(|area| area.polygons).collect();
         if let Projection::Geodetic(_) = projection {
-            let on_earth = |p: &&[f64; 2]| p[0].abs() <= 180.0 && p[1].abs() <= 90.0;
-            if let Some(&[x, y]) = rings.iter().flatten().flatten().find(|p| !on_earth(p)) {
-                return Err(ShapeError::NotDegrees { x, y });
-            }
+            check_degrees(&rings)?;
         }
-        let polygons: Vec<PreparedPolygon> = rings
-            .iter()
-            .map(|rings| PreparedPolygon::new(rings))
-            .collect();
-        let columns = Columns::new(
-            &polygons
-                .iter()
-                .map(|polygon| polygon.bounds)
-                .collect::<Vec<_>>(),
-        );
+        let prepared = |rings: &Polygon| PreparedPolygon::new(rings);
+        let polygons: Vec<PreparedPolygon> = rings.iter().map(prepared).collect();
+        let bounds: Vec<Rectangle> = polygons.iter().map(|polygon| polygon.bounds).collect();
         Ok(Self {
+            columns: Columns::new(&bounds),
             polygons,
             rings,
             wishes,
-            columns,
             projection,
         })
     }

@@ -24,32 +24,39 @@ const MARGIN: f64 = 0.05;
 /// Returns the corners of the box, world coordinates; `None` if no view shows any area. `pixels`:
 /// number per triangle, over all views.
 pub fn densest(surface: &Surface, pixels: &[f64]) -> Option<[f64; 6]> {
-    let areas: Vec<f64> = (0..surface.triangles.len() as u32)
-        .map(|t| surface.area(t))
-        .collect();
-    let density = |t: u32| pixels[t as usize] / areas[t as usize];
-    let mut order: Vec<u32> = (0..areas.len() as u32)
-        .filter(|&t| areas[t as usize] > 0.0 && density(t) > 0.0)
-        .collect();
-    order.par_sort_unstable_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
-    let least = SURROUNDINGS * density(*order.get(core(&order, pixels, &areas)?)?);
-    let mut core: Vec<u32> = order
-        .into_iter()
-        .take_while(|&t| density(t) >= least)
-        .collect();
+    let mut core = with_surroundings(surface, pixels)?;
     let mut corners = [0.0; 6];
     for axis in 0..3 {
-        let places: Vec<f64> = (0..areas.len() as u32)
-            .into_par_iter()
-            .map(|t| surface.centroid(t)[axis])
-            .collect();
-        let place = |t: u32| places[t as usize];
-        core.par_sort_unstable_by(|&a, &b| place(a).total_cmp(&place(b)).then(a.cmp(&b)));
-        let [low, high] = within(&core, pixels).map(place);
+        let [low, high] = range_along(axis, surface, &mut core, pixels);
         let margin = MARGIN * (high - low);
         (corners[axis], corners[axis + 3]) = (low - margin, high + margin);
     }
     Some(corners)
+}
+
+/// Returns the triangles of the core and those around it, densest first.
+fn with_surroundings(surface: &Surface, pixels: &[f64]) -> Option<Vec<u32>> {
+    let triangles = 0..surface.triangles.len() as u32;
+    let areas: Vec<f64> = triangles.clone().map(|t| surface.area(t)).collect();
+    let density = |t: u32| pixels[t as usize] / areas[t as usize];
+    let mut order: Vec<u32> = triangles
+        .filter(|&t| areas[t as usize] > 0.0 && density(t) > 0.0)
+        .collect();
+    order.par_sort_unstable_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
+    let least = SURROUNDINGS * density(*order.get(core(&order, pixels, &areas)?)?);
+    order.truncate(order.partition_point(|&t| density(t) >= least));
+    Some(order)
+}
+
+/// Returns the range of some triangles along an axis, without strays; sorts them along it.
+fn range_along(axis: usize, surface: &Surface, list: &mut [u32], pixels: &[f64]) -> [f64; 2] {
+    let places: Vec<f64> = (0..surface.triangles.len() as u32)
+        .into_par_iter()
+        .map(|t| surface.centroid(t)[axis])
+        .collect();
+    let place = |t: u32| places[t as usize];
+    list.par_sort_unstable_by(|&a, &b| place(a).total_cmp(&place(b)).then(a.cmp(&b)));
+    within(list, pixels).map(place)
 }
 
 /// Returns the position in `order` of the sparsest triangle of the core.

@@ -1,12 +1,20 @@
 //! The area of a region on the map, and what of it the photographs show, also where there is no
 //! surface: the ground is a plane through the sparse points there.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicU64, Ordering},
+};
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 
-use super::{LOOKED_AT, areas::MapAreas, columns::Rectangle, polygon::crosses};
+use super::{
+    LOOKED_AT,
+    areas::MapAreas,
+    columns::Rectangle,
+    polygon::{crosses, ring_edges},
+};
 use crate::{
     base::progress::{Cancelled, Watcher},
     method::surface::Surface,
@@ -48,22 +56,13 @@ impl GroundPlane {
     /// Fits a plane by least squares, a second time without outliers; `None` without points.
     pub fn new(frame: &MapFrame, points: &[Point3<f64>]) -> Option<Self> {
         let step = points.len().div_ceil(FITTED).max(1);
-        let places: Vec<[f64; 3]> = points
-            .iter()
-            .step_by(step)
-            .map(|point| frame.local(point))
-            .collect();
+        let sample = points.iter().step_by(step);
+        let places: Vec<[f64; 3]> = sample.map(|point| frame.local(point)).collect();
         let reach = places
             .iter()
             .flat_map(|[x, y, _]| [x.abs(), y.abs()])
             .fold(0.0, f64::max);
-        let rough = fitted(&places)?;
-        let off = |[x, y, z]: &[f64; 3]| (z - rough[0] - rough[1] * x - rough[2] * y).abs();
-        let mut distances: Vec<f64> = places.iter().map(off).collect();
-        let middle = distances.len() / 2;
-        let most = OUTLIER * *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let near: Vec<[f64; 3]> = places.iter().filter(|p| off(p) <= most).copied().collect();
-        let [height, x, y] = fitted(&near)?;
+        let [height, x, y] = fitted(&without_outliers(places)?)?;
         Some(Self {
             frame: *frame,
             height,
@@ -92,20 +91,9 @@ impl GroundPlane {
         project: impl Fn(&Point3<f64>) -> [f64; 2],
     ) -> Option<[f64; 2]> {
         const STEPS: usize = 20;
-        let step = 0.01 * self.reach;
         let mut at = [0.0; 2];
         for _ in 0..STEPS {
-            let here = project(&self.at(at));
-            let [along_x, along_y] = [[at[0] + step, at[1]], [at[0], at[1] + step]].map(|beside| {
-                let there = project(&self.at(beside));
-                [0, 1].map(|axis| (there[axis] - here[axis]) / step)
-            });
-            let missing = [0, 1].map(|axis| wanted[axis] - here[axis]);
-            let determinant = along_x[0] * along_y[1] - along_y[0] * along_x[1];
-            let change = [
-                (missing[0] * along_y[1] - along_y[0] * missing[1]) / determinant,
-                (along_x[0] * missing[1] - missing[0] * along_x[1]) / determinant,
-            ];
+            let change = self.newton_step(at, wanted, &project);
             at = [at[0] + change[0], at[1] + change[1]];
             if !(at[0].is_finite() && at[1].is_finite()) {
                 return None;
@@ -116,20 +104,49 @@ impl GroundPlane {
         }
         None
     }
+
+    fn newton_step(
+        &self,
+        at: [f64; 2],
+        wanted: [f64; 2],
+        project: impl Fn(&Point3<f64>) -> [f64; 2],
+    ) -> [f64; 2] {
+        let step = 0.01 * self.reach;
+        let here = project(&self.at(at));
+        let along = |beside: [f64; 2]| {
+            let there = project(&self.at(beside));
+            [0, 1].map(|axis| (there[axis] - here[axis]) / step)
+        };
+        let [along_x, along_y] = [[at[0] + step, at[1]], [at[0], at[1] + step]].map(along);
+        let missing = [0, 1].map(|axis| wanted[axis] - here[axis]);
+        let determinant = along_x[0] * along_y[1] - along_y[0] * along_x[1];
+        [
+            (missing[0] * along_y[1] - along_y[0] * missing[1]) / determinant,
+            (along_x[0] * missing[1] - missing[0] * along_x[1]) / determinant,
+        ]
+    }
+}
+
+/// Leaves out the places that are far from the plane through all; `None` without places.
+fn without_outliers(mut places: Vec<[f64; 3]>) -> Option<Vec<[f64; 3]>> {
+    let rough = fitted(&places)?;
+    let off = |[x, y, z]: &[f64; 3]| (z - rough[0] - rough[1] * x - rough[2] * y).abs();
+    let mut distances: Vec<f64> = places.iter().map(off).collect();
+    let middle = distances.len() / 2;
+    let most = OUTLIER * *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    places.retain(|place| off(place) <= most);
+    Some(places)
 }
 
 /// Height at the origin and slopes of the plane nearest to some places; level if they do not
 /// determine a plane, or a steep one.
 fn fitted(places: &[[f64; 3]]) -> Option<[f64; 3]> {
     let count = places.len() as f64;
-    let sum = |of: &dyn Fn(&[f64; 3]) -> f64| places.iter().map(of).sum::<f64>();
-    let (x, y, z) = (sum(&|p| p[0]), sum(&|p| p[1]), sum(&|p| p[2]));
-    let (xx, xy, yy) = (
-        sum(&|p| p[0] * p[0]),
-        sum(&|p| p[0] * p[1]),
-        sum(&|p| p[1] * p[1]),
-    );
-    let right = Vector3::new(z, sum(&|p| p[0] * p[2]), sum(&|p| p[1] * p[2]));
+    let sum = |axis: usize| places.iter().map(|p| p[axis]).sum::<f64>();
+    let product = |a: usize, b: usize| places.iter().map(|p| p[a] * p[b]).sum::<f64>();
+    let (x, y, z) = (sum(0), sum(1), sum(2));
+    let (xx, xy, yy) = (product(0, 0), product(0, 1), product(1, 1));
+    let right = Vector3::new(z, product(0, 2), product(1, 2));
     let level = [z / count, 0.0, 0.0];
     if places.is_empty() || !level[0].is_finite() {
         return None;
@@ -177,8 +194,7 @@ impl Footprint<'_> {
         match self {
             Self::Areas(areas) => areas.counts(&plane.at(place), looked_at),
             Self::Hull(_) => {
-                let ring = &rings[0];
-                let edges = (0..ring.len()).map(|i| [ring[i], ring[(i + 1) % ring.len()]]);
+                let edges = ring_edges(&rings[0]);
                 edges.filter(|edge| crosses(*edge, place)).count() % 2 == 1
             }
         }
@@ -239,35 +255,16 @@ impl Ground {
         if footprint.edges() > MOST_EDGES {
             return Ok(None);
         }
-        let plane = GroundPlane::new(frame, &photographed.scene.points);
-        let Some((plane, rings)) = plane.and_then(|plane| Some((plane, footprint.rings(&plane)?)))
-        else {
+        let Some(plane) = GroundPlane::new(frame, &photographed.scene.points) else {
+            return Ok(None);
+        };
+        let Some(rings) = footprint.rings(&plane) else {
             return Ok(None);
         };
         let Some((grid, places)) = places_inside(footprint, &rings, &plane, watcher)? else {
             return Ok(None);
         };
-        let on_surface = photographed
-            .surface
-            .map_or_else(Vec::new, |(surface, views)| {
-                grid.views_of(surface, views, frame)
-            });
-        let cell = |&place: &[f64; 2]| {
-            watcher.check()?;
-            let seen = on_surface.get(grid.cell(place)).copied().unwrap_or(0);
-            Ok(GroundCell {
-                place,
-                has_surface: seen > 0,
-                views: match seen {
-                    0 => photographed.views_of(&plane.at(place)),
-                    seen => seen,
-                },
-            })
-        };
-        let cells: Vec<GroundCell> = places
-            .par_iter()
-            .map(cell)
-            .collect::<Result<_, Cancelled>>()?;
+        let cells = photographed.cells(&grid, &places, &plane, watcher)?;
         Ok((!cells.is_empty()).then_some(Self {
             plane,
             side: grid.side,
@@ -299,37 +296,58 @@ fn places_inside(
     plane: &GroundPlane,
     watcher: &dyn Watcher,
 ) -> Result<Option<Inside>, Cancelled> {
-    let in_all = AtomicU64::new(0);
-    let inside = |grid: &Grid| {
-        let is_inside = |cell: usize| {
-            watcher.check()?;
-            let (place, mut looked_at) = (grid.centre(cell), 0);
-            // The sum doesn't depend on the order, so neither does whether it becomes too large.
-            let is_inside = in_all.load(Ordering::Relaxed) <= LOOKED_AT[0]
-                && footprint.contains(rings, place, plane, &mut looked_at);
-            in_all.fetch_add(looked_at, Ordering::Relaxed);
-            Ok(is_inside.then_some(place))
-        };
-        let cells = (0..grid.columns * grid.rows).into_par_iter();
-        let places: Vec<Option<[f64; 2]>> =
-            cells.map(is_inside).collect::<Result<_, Cancelled>>()?;
-        Ok(places.into_iter().flatten().collect::<Vec<_>>())
-    };
     let bounds = Rectangle::around(rings.iter().flatten());
     let Some(mut grid) = Grid::new(&bounds, CELLS) else {
         return Ok(None);
     };
-    let mut places = inside(&grid)?;
+    let in_all = AtomicU64::new(0);
+    let contains = |place: [f64; 2]| {
+        // The sum doesn't depend on the order, so neither does whether it becomes too large.
+        if in_all.load(Ordering::Relaxed) > LOOKED_AT[0] {
+            return false;
+        }
+        let mut looked_at = 0;
+        let is_inside = footprint.contains(rings, place, plane, &mut looked_at);
+        in_all.fetch_add(looked_at, Ordering::Relaxed);
+        is_inside
+    };
+    let mut places = grid.centres(contains, watcher)?;
     let finer = (LEAST_INSIDE / places.len().max(1) as f64).min(FINEST * FINEST);
     if let Some(fine) = Grid::new(&bounds, CELLS * finer).filter(|_| finer > 1.0) {
         grid = fine;
-        places = inside(&grid)?;
+        places = grid.centres(contains, watcher)?;
     }
     let is_bounded = in_all.into_inner() <= LOOKED_AT[0];
     Ok(is_bounded.then_some((grid, places)))
 }
 
 impl Photographed<'_> {
+    /// Returns the cells at some centres of a grid.
+    fn cells(
+        &self,
+        grid: &Grid,
+        places: &[[f64; 2]],
+        plane: &GroundPlane,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<GroundCell>, Cancelled> {
+        let on_surface = self.surface.map_or_else(Vec::new, |(surface, views)| {
+            grid.views_of(surface, views, &plane.frame)
+        });
+        let cell = |&place: &[f64; 2]| {
+            watcher.check()?;
+            let seen = on_surface.get(grid.cell(place)).copied().unwrap_or(0);
+            Ok(GroundCell {
+                place,
+                has_surface: seen > 0,
+                views: match seen {
+                    0 => self.views_of(&plane.at(place)),
+                    seen => seen,
+                },
+            })
+        };
+        places.par_iter().map(cell).collect()
+    }
+
     /// Photographs into which a place projects, fine enough.
     fn views_of(&self, place: &Point3<f64>) -> u32 {
         let shows = |view: &ViewIndex| {
@@ -374,6 +392,21 @@ impl Grid {
         })
     }
 
+    /// Returns the centres of the cells that count, row by row.
+    fn centres(
+        &self,
+        counts: impl Fn([f64; 2]) -> bool + Sync,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<[f64; 2]>, Cancelled> {
+        let cells = (0..self.columns * self.rows).into_par_iter();
+        let centres = cells.map(|cell| {
+            watcher.check()?;
+            Ok(Some(self.centre(cell)).filter(|&place| counts(place)))
+        });
+        let centres = centres.collect::<Result<Vec<Option<[f64; 2]>>, Cancelled>>()?;
+        Ok(centres.into_iter().flatten().collect())
+    }
+
     fn centre(&self, cell: usize) -> [f64; 2] {
         let at = [cell % self.columns, cell / self.columns];
         [0, 1].map(|axis| self.low[axis] + (at[axis] as f64 + 0.5) * self.side)
@@ -408,15 +441,10 @@ impl Grid {
     /// Calls `each` with the cells whose centres are in a triangle.
     fn for_each_inside(&self, corners: [[f64; 2]; 3], mut each: impl FnMut(usize)) {
         let bounds = Rectangle::around(&corners);
-        let range = |axis: usize, count: usize| {
-            let at = |x: f64| (x - self.low[axis]) / self.side - 0.5;
-            let (first, last) = (at(bounds.low[axis]).ceil(), at(bounds.high[axis]).floor());
-            (first.max(0.0) as usize)..((last + 1.0).clamp(0.0, count as f64) as usize)
-        };
         let [a, b, c] = corners;
         let edges = [[a, b], [b, c], [c, a]];
-        for row in range(1, self.rows) {
-            for column in range(0, self.columns) {
+        for row in self.centres_within(&bounds, 1, self.rows) {
+            for column in self.centres_within(&bounds, 0, self.columns) {
                 let cell = row * self.columns + column;
                 let centre = self.centre(cell);
                 if edges.iter().filter(|edge| crosses(**edge, centre)).count() == 1 {
@@ -424,6 +452,13 @@ impl Grid {
                 }
             }
         }
+    }
+
+    /// Returns which of `count` columns (axis 0) or rows (1) have their centres in some bounds.
+    fn centres_within(&self, bounds: &Rectangle, axis: usize, count: usize) -> Range<usize> {
+        let at = |x: f64| (x - self.low[axis]) / self.side - 0.5;
+        let (first, last) = (at(bounds.low[axis]).ceil(), at(bounds.high[axis]).floor());
+        (first.max(0.0) as usize)..((last + 1.0).clamp(0.0, count as f64) as usize)
     }
 }
 

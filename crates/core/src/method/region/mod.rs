@@ -167,34 +167,44 @@ impl RegionShape {
         pixels: &[f64],
         watcher: &dyn Watcher,
     ) -> Result<Region, RegionError> {
-        let whole = bounds(surface, |_| true);
         match self {
             Self::Areas(areas) => {
                 let sampled = areas.sampled(surface, watcher)?;
                 let outside = || areas.outside(surface);
-                region(RegionKind::Polygons, surface, sampled, outside).map(|r| Region {
+                let found = region(RegionKind::Polygons, surface, sampled, outside)?;
+                Ok(Region {
                     outline: areas.outline(),
-                    ..r
+                    ..found
                 })
             }
             Self::Solid(solid, hull) => {
-                let sampled = in_parts(surface, watcher, |t, looked_at| {
-                    solid_sample(surface, t, |p| solid.contains(p, looked_at))
-                })?;
-                let corners = [solid.low, solid.high].map(|p| [p.x, p.y, p.z]).concat();
-                let outside = || RegionError::outside_box(&corners, &whole);
-                region(RegionKind::Mesh, surface, sampled, outside).map(|r| Region {
+                let found = inside_solid(&solid, surface, watcher)?;
+                Ok(Region {
                     outline: Outline::Hull(hull),
-                    ..r
+                    ..found
                 })
             }
             Self::Box(corners) => boxed(RegionKind::Box, corners, surface, watcher),
             Self::Auto => {
-                let corners = densest::densest(surface, pixels).unwrap_or(whole);
+                let densest = densest::densest(surface, pixels);
+                let corners = densest.unwrap_or_else(|| bounds(surface, |_| true));
                 boxed(RegionKind::Auto, corners, surface, watcher)
             }
         }
     }
+}
+
+fn inside_solid(
+    solid: &Solid,
+    surface: &Surface,
+    watcher: &dyn Watcher,
+) -> Result<Region, RegionError> {
+    let sampled = in_parts(surface, watcher, |t, looked_at| {
+        solid_sample(surface, t, |p| solid.contains(p, looked_at))
+    })?;
+    let corners = [solid.low, solid.high].map(|p| [p.x, p.y, p.z]).concat();
+    let outside = || RegionError::outside_box(&corners, &bounds(surface, |_| true));
+    region(RegionKind::Mesh, surface, sampled, outside)
 }
 
 fn boxed(
@@ -298,27 +308,33 @@ fn solid_sample(
 /// Samples a triangle at the centroids of the 16 triangles of a regular subdivision; `at` gets the
 /// barycentric coordinates of the second and third corner.
 fn sampled(at: impl FnMut([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples {
-    const CUTS: u32 = 4;
-    let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);
-    let upright =
-        (0..CUTS).flat_map(|i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));
-    let inverted =
-        (0..CUTS - 1).flat_map(|i| (0..CUTS - 1 - i).map(move |j| [place(i, 2.0), place(j, 2.0)]));
     let (mut sum, mut gsd, mut is_touched, mut covered) = (0.0, f64::INFINITY, false, 0u8);
-    for wish in upright.chain(inverted).filter_map(at) {
+    for wish in sample_places().filter_map(at) {
         is_touched = true;
         covered += u8::from(wish.weight > 0.0);
         sum += wish.weight;
         gsd = wish.gsd.map_or(gsd, |wanted| gsd.min(wanted));
     }
     let samples = f64::from(CUTS * CUTS);
-    let covered = (f64::from(covered) / samples) as f32;
     TriangleSamples {
         is_touched,
-        covered,
+        covered: (f64::from(covered) / samples) as f32,
         factor: (sum / samples) as f32,
         gsd: gsd as f32,
     }
+}
+
+/// Parts of each side in the subdivision.
+const CUTS: u32 = 4;
+
+/// Returns the centroids of the upright triangles of the subdivision, then of those upside down.
+fn sample_places() -> impl Iterator<Item = [f64; 2]> {
+    let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);
+    let upright =
+        (0..CUTS).flat_map(move |i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));
+    let inverted = (0..CUTS - 1)
+        .flat_map(move |i| (0..CUTS - 1 - i).map(move |j| [place(i, 2.0), place(j, 2.0)]));
+    upright.chain(inverted)
 }
 
 /// Returns the low and high corner of the triangles that count.

@@ -31,6 +31,11 @@ pub fn side(a: [f64; 2], b: [f64; 2], point: [f64; 2]) -> f64 {
     orient2d(a, b, point)
 }
 
+/// Returns the edges of a ring, which is not closed.
+pub fn ring_edges(ring: &[[f64; 2]]) -> impl Iterator<Item = Edge> {
+    (0..ring.len()).map(|i| [ring[i], ring[(i + 1) % ring.len()]])
+}
+
 /// A polygon with holes, indexed for queries.
 #[derive(Clone, Debug)]
 pub struct PreparedPolygon {
@@ -45,17 +50,9 @@ pub struct PreparedPolygon {
 impl PreparedPolygon {
     /// `rings`: the outer ring and the holes; the first position may be repeated at the end.
     pub fn new(rings: &[Vec<[f64; 2]>]) -> Self {
-        let edges = |ring: &Vec<[f64; 2]>| {
-            (0..ring.len())
-                .map(|i| [ring[i], ring[(i + 1) % ring.len()]])
-                .collect()
-        };
+        let mut edges: Vec<Edge> = rings.iter().flat_map(|ring| ring_edges(ring)).collect();
         // The ray crosses no horizontal edge.
-        let edges: Vec<Edge> = rings
-            .iter()
-            .flat_map(|ring| -> Vec<Edge> { edges(ring) })
-            .collect();
-        let edges: Vec<Edge> = edges.into_iter().filter(|[a, b]| a[1] != b[1]).collect();
+        edges.retain(|[a, b]| a[1] != b[1]);
         let bounds = Rectangle::around(rings.iter().flatten());
         let height = bounds.high[1] - bounds.low[1];
         let climbed: f64 = edges.iter().map(|[a, b]| (b[1] - a[1]).abs()).sum();

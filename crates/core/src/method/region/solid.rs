@@ -38,33 +38,20 @@ pub enum OpenMesh {
 
 impl Solid {
     pub fn new(mesh: &Mesh) -> Result<Self, OpenMesh> {
-        let place = merged(&mesh.vertices);
-        let faces: Vec<[u32; 3]> = mesh
-            .triangles
-            .iter()
-            .map(|t| t.map(|v| place[v as usize]))
-            .collect();
-        // Degenerate triangles have no inside; their edges cancel each other.
-        let faces: Vec<[u32; 3]> = faces
-            .into_iter()
-            .filter(|&[a, b, c]| a != b && b != c && c != a)
-            .collect();
+        let faces = faces(mesh);
         if faces.is_empty() {
             return Err(OpenMesh::Empty);
         }
         check_closed(&faces, &mesh.vertices)?;
-        let triangles: Vec<Corners> = faces
-            .iter()
-            .map(|t| t.map(|v| mesh.vertices[v as usize]))
-            .collect();
-        let shadow = |corners: &Corners| Rectangle::around(&corners.map(flat));
-        let columns = Columns::new(&triangles.iter().map(shadow).collect::<Vec<_>>());
+        let corners = |face: &[u32; 3]| face.map(|v| mesh.vertices[v as usize]);
+        let triangles: Vec<Corners> = faces.iter().map(corners).collect();
+        let shadows: Vec<Rectangle> = triangles.iter().map(shadow).collect();
         let points = || triangles.iter().flatten();
         let low = points().fold(triangles[0][0], |low, p| low.inf(p));
         let high = points().fold(triangles[0][0], |high, p| high.sup(p));
         Ok(Self {
+            columns: Columns::new(&shadows),
             triangles,
-            columns,
             low,
             high,
         })
@@ -87,6 +74,10 @@ impl Solid {
             .filter(|&&t| is_below(point, &self.triangles[t as usize]));
         above.count() % 2 == 1
     }
+}
+
+fn shadow(corners: &Corners) -> Rectangle {
+    Rectangle::around(&corners.map(flat))
 }
 
 fn flat(point: Point3<f64>) -> [f64; 2] {
@@ -115,6 +106,16 @@ fn is_below(point: &Point3<f64>, corners: &Corners) -> bool {
     }
 }
 
+/// Returns the triangles that are not degenerate, with merged vertices: the others have no inside, and
+/// their edges cancel each other.
+fn faces(mesh: &Mesh) -> Vec<[u32; 3]> {
+    let place = merged(&mesh.vertices);
+    let faces = mesh.triangles.iter().map(|t| t.map(|v| place[v as usize]));
+    faces
+        .filter(|&[a, b, c]| a != b && b != c && c != a)
+        .collect()
+}
+
 /// Returns, for each vertex, the first one at its position: PLY files often repeat vertices for
 /// each triangle.
 fn merged(vertices: &[Point3<f64>]) -> Vec<u32> {
@@ -133,17 +134,21 @@ fn merged(vertices: &[Point3<f64>]) -> Vec<u32> {
     first
 }
 
-fn check_closed(faces: &[[u32; 3]], vertices: &[Point3<f64>]) -> Result<(), OpenMesh> {
-    let mut edges: Vec<[u32; 2]> = faces
+/// Returns the edges of all triangles, each with its smaller end first.
+fn sorted_edges(faces: &[[u32; 3]]) -> Vec<[u32; 2]> {
+    let edges = faces
         .iter()
         .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
-        .map(|[a, b]| [a.min(b), a.max(b)])
-        .collect();
+        .map(|[a, b]| [a.min(b), a.max(b)]);
+    let mut edges: Vec<[u32; 2]> = edges.collect();
     edges.sort_unstable();
-    let odd: Vec<&[[u32; 2]]> = edges
-        .chunk_by(|a, b| a == b)
-        .filter(|same| same.len() % 2 == 1)
-        .collect();
+    edges
+}
+
+fn check_closed(faces: &[[u32; 3]], vertices: &[Point3<f64>]) -> Result<(), OpenMesh> {
+    let edges = sorted_edges(faces);
+    let same = edges.chunk_by(|a, b| a == b);
+    let odd: Vec<&[[u32; 2]]> = same.filter(|same| same.len() % 2 == 1).collect();
     let Some(first) = odd.first() else {
         return Ok(());
     };

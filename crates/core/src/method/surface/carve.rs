@@ -51,15 +51,7 @@ impl Rays {
     /// Selects the rays of each vertex from the tracks of its points: at most `most`, the angular
     /// extremes among them.
     pub fn choose(scene: &Scene, delaunay: &Delaunay, points: &[PointIndex], most: usize) -> Self {
-        let centres: Vec<Point3<f64>> = scene
-            .views
-            .iter()
-            .map(|v| v.cam_from_world.centre())
-            .collect();
-        let focals: Vec<f64> = scene
-            .view_indices()
-            .map(|v| scene.camera_of(v).mean_focal_length())
-            .collect();
+        let cameras = ViewCameras::new(scene);
         let (starts, members) = points_by_vertex(delaunay, points);
         let choose_chunk = |vertices: &[u32]| {
             let mut chunk = RayChunk::default();
@@ -68,21 +60,25 @@ impl Rays {
                 let members =
                     &members[starts[v as usize] as usize..starts[v as usize + 1] as usize];
                 views_of(scene, members, &mut views);
-                chunk.add(&delaunay.position(v), &views, &centres, &focals, most);
+                chunk.add(&delaunay.position(v), &views, &cameras, most);
             }
             chunk
         };
         let vertices: Vec<u32> = (0..delaunay.vertex_count() as u32).collect();
         let chunks: Vec<RayChunk> = vertices.par_chunks(CHUNK).map(choose_chunk).collect();
+        Self::of_chunks(chunks, cameras.centres)
+    }
+
+    fn of_chunks(chunks: Vec<RayChunk>, centres: Vec<Point3<f64>>) -> Self {
         let mut rays = Self {
             offsets: vec![0],
             views: Vec::new(),
             centres,
             sigma: 0.0,
         };
-        let mut sigmas = Vec::with_capacity(vertices.len());
+        let mut sigmas = Vec::new();
         for chunk in chunks {
-            let last = *rays.offsets.last().expect("starts with one");
+            let last = rays.views.len() as u32;
             rays.offsets.extend(chunk.ends.iter().map(|end| last + end));
             rays.views.extend(chunk.views);
             sigmas.extend(chunk.sigmas);
@@ -103,6 +99,24 @@ impl Rays {
     }
 }
 
+/// Centre and focal length of each view.
+struct ViewCameras {
+    centres: Vec<Point3<f64>>,
+    focals: Vec<f64>,
+}
+
+impl ViewCameras {
+    fn new(scene: &Scene) -> Self {
+        let views = || scene.view_indices();
+        let centre = |view| scene.view(view).cam_from_world.centre();
+        let focal = |view| scene.camera_of(view).mean_focal_length();
+        Self {
+            centres: views().map(centre).collect(),
+            focals: views().map(focal).collect(),
+        }
+    }
+}
+
 /// Rays of consecutive vertices.
 #[derive(Default)]
 struct RayChunk {
@@ -117,8 +131,7 @@ impl RayChunk {
         &mut self,
         at: &Point3<f64>,
         views: &[ViewIndex],
-        centres: &[Point3<f64>],
-        focals: &[f64],
+        ViewCameras { centres, focals }: &ViewCameras,
         most: usize,
     ) {
         let direction = |v: &ViewIndex| {
@@ -184,15 +197,7 @@ pub fn capacities(
     let most = f64::from(u32::MAX)
         / (rays.count().max(1) as f64 * settings.ray_weight.max(f64::MIN_POSITIVE));
     let units = UNITS.min(most);
-    let ballot = Ballot {
-        votes: (0..delaunay.cells.len())
-            .into_par_iter()
-            .map(|_| Votes::default())
-            .collect(),
-        full: settings.ray_weight * units,
-        sigma: (rays.sigma * settings.sigma_factor).max(delaunay.step()),
-        behind_sigma: settings.behind_sigma,
-    };
+    let ballot = Ballot::new(delaunay, rays, settings, units);
     let vertices: Vec<u32> = (0..delaunay.vertex_count() as u32).collect();
     vertices.par_chunks(CHUNK).try_for_each(|chunk| {
         chunk
@@ -200,30 +205,26 @@ pub fn capacities(
             .for_each(|&v| ballot.cast_rays(delaunay, rays, v));
         watcher.check()
     })?;
-    let quality: Vec<[u32; 4]> = (0..delaunay.cells.len() as u32)
-        .into_par_iter()
-        .map(|c| quality(delaunay, c, settings.quality_weight * units))
-        .collect();
-    let with_quality = |(c, votes): (usize, Votes)| {
-        let facet = |i: usize| {
-            let beyond = delaunay.cells[c].neighbours[i];
-            let worse = quality[c][i].max(quality[beyond.cell() as usize][beyond.index()]);
-            votes.facets[i]
-                .load(Ordering::Relaxed)
-                .saturating_add(worse)
-        };
-        Capacities {
-            facets: [0, 1, 2, 3].map(facet),
-            source: votes.source.into_inner(),
-            sink: votes.sink.into_inner(),
-        }
+    let quality = qualities(delaunay, settings.quality_weight * units);
+    let votes = ballot.votes.into_par_iter().enumerate();
+    let with_quality = |(c, votes)| with_quality(delaunay, &quality, c, votes);
+    Ok(votes.map(with_quality).collect())
+}
+
+/// Adds to the votes on the facets of a cell the worse quality of those of the two cells there.
+fn with_quality(delaunay: &Delaunay, quality: &[[u32; 4]], c: usize, votes: Votes) -> Capacities {
+    let facet = |i: usize| {
+        let beyond = delaunay.cells[c].neighbours[i];
+        let worse = quality[c][i].max(quality[beyond.cell() as usize][beyond.index()]);
+        votes.facets[i]
+            .load(Ordering::Relaxed)
+            .saturating_add(worse)
     };
-    Ok(ballot
-        .votes
-        .into_par_iter()
-        .enumerate()
-        .map(with_quality)
-        .collect())
+    Capacities {
+        facets: [0, 1, 2, 3].map(facet),
+        source: votes.source.into_inner(),
+        sink: votes.sink.into_inner(),
+    }
 }
 
 struct Ballot {
@@ -235,6 +236,16 @@ struct Ballot {
 }
 
 impl Ballot {
+    fn new(delaunay: &Delaunay, rays: &Rays, settings: &SurfaceSettings, units: f64) -> Self {
+        let cells = (0..delaunay.cells.len()).into_par_iter();
+        Self {
+            votes: cells.map(|_| Votes::default()).collect(),
+            full: settings.ray_weight * units,
+            sigma: (rays.sigma * settings.sigma_factor).max(delaunay.step()),
+            behind_sigma: settings.behind_sigma,
+        }
+    }
+
     /// Casts all rays of one vertex.
     fn cast_rays(&self, delaunay: &Delaunay, rays: &Rays, vertex: u32) {
         let (at, start) = (delaunay.position(vertex), delaunay.cell_of(vertex));
@@ -272,6 +283,12 @@ impl Ballot {
         }
         (self.full * (1.0 - (-0.5 * sigmas * sigmas).exp())) as u32
     }
+}
+
+/// Returns the quality of the facets of each cell.
+fn qualities(delaunay: &Delaunay, weight: f64) -> Vec<[u32; 4]> {
+    let cells = (0..delaunay.cells.len() as u32).into_par_iter();
+    cells.map(|cell| quality(delaunay, cell, weight)).collect()
 }
 
 /// Returns `weight` times 1 − cosine of the angle between each facet and the cell's circumsphere.

@@ -5,7 +5,7 @@
 //! `prev(c)` in the direction of its triangle. Two corners face each other if their triangles share
 //! that edge in opposite directions; [`BORDER`] if there is none.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use super::Surface;
 
@@ -131,23 +131,29 @@ fn pair_edge(surface: &Surface, edge: &[u32], opposite: &mut [u32]) {
 /// triangle that precedes it.
 fn pair_crowded_edge(surface: &Surface, edge: &[u32], opposite: &mut [u32]) {
     let triangles = &surface.triangles;
-    let from = surface.vertices[smaller_end(triangles, edge[0]) as usize];
-    let to = surface.vertices[larger_end(triangles, edge[0]) as usize];
-    let frame = axis_frame(to - from);
-    let angle = |c: u32| {
-        let towards: Vector3<f64> =
-            surface.vertices[vertex(triangles, c) as usize] - Point3::from(from.coords);
-        towards.dot(&frame[1]).atan2(towards.dot(&frame[0]))
-    };
-    let mut around: Vec<(f64, u32)> = edge.iter().map(|&c| (angle(c), c)).collect();
-    around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let around = around_edge(surface, edge);
     for i in 0..around.len() {
-        let (before, after) = (around[i].1, around[(i + 1) % around.len()].1);
+        let (before, after) = (around[i], around[(i + 1) % around.len()]);
         if is_forward(triangles, after) && !is_forward(triangles, before) {
             opposite[before as usize] = after;
             opposite[after as usize] = before;
         }
     }
+}
+
+/// Sorts the corners that face an edge by their angle about it.
+fn around_edge(surface: &Surface, edge: &[u32]) -> Vec<u32> {
+    let triangles = &surface.triangles;
+    let at = |v: u32| surface.vertices[v as usize];
+    let from = at(smaller_end(triangles, edge[0]));
+    let frame = axis_frame(at(larger_end(triangles, edge[0])) - from);
+    let angle = |c: u32| {
+        let towards = at(vertex(triangles, c)) - from;
+        towards.dot(&frame[1]).atan2(towards.dot(&frame[0]))
+    };
+    let mut around: Vec<(f64, u32)> = edge.iter().map(|&c| (angle(c), c)).collect();
+    around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    around.into_iter().map(|(_, corner)| corner).collect()
 }
 
 /// Returns two unit vectors that form a right-handed frame with the axis.
@@ -176,20 +182,16 @@ pub fn split_fans(surface: Surface) -> Surface {
     let mut order: Vec<u32> = (0..fan_vertex.len() as u32).collect();
     order.sort_by_key(|&f| fan_vertex[f as usize]);
     let mut place = vec![0u32; order.len()];
-    order
-        .iter()
-        .enumerate()
-        .for_each(|(i, &f)| place[f as usize] = i as u32);
+    for (i, &f) in (0..).zip(&order) {
+        place[f as usize] = i;
+    }
     for (c, fan) in owner.iter().enumerate() {
         triangles[c / 3][c % 3] = place[*fan as usize];
     }
-    let vertices = order
-        .iter()
-        .map(|&f| vertices[fan_vertex[f as usize] as usize])
-        .collect();
+    let position = |&fan: &u32| vertices[fan_vertex[fan as usize] as usize];
     Surface {
         kind,
-        vertices,
+        vertices: order.iter().map(position).collect(),
         triangles,
     }
 }
@@ -244,6 +246,8 @@ fn claim_fan(opposite: &[u32], start: u32, fan: u32, owner: &mut [u32]) {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
+
     use super::*;
     use crate::method::surface::{SurfaceKind, manifold::check_manifold};
 

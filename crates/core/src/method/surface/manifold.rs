@@ -37,20 +37,10 @@ pub enum ManifoldError {
 /// form one fan, and that each vertex is finite and used. Deliberately simple and slow: hash tables
 /// of edges.
 pub fn check_manifold(surface: &Surface) -> Result<Topology, ManifoldError> {
-    let vertices = surface.vertices.len();
     let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
-    let mut links: Vec<Vec<(u32, u32)>> = vec![Vec::new(); vertices];
+    let mut links: Vec<Vec<(u32, u32)>> = vec![Vec::new(); surface.vertices.len()];
     for (t, &[a, b, c]) in surface.triangles.iter().enumerate() {
-        if let Some(vertex) = [a, b, c].into_iter().find(|&v| v as usize >= vertices) {
-            return Err(ManifoldError::NoSuchVertex {
-                triangle: t,
-                vertex,
-                vertices,
-            });
-        }
-        if a == b || b == c || c == a {
-            return Err(ManifoldError::Degenerate(t));
-        }
+        check_triangle(surface, t)?;
         for [from, to, apex] in [[a, b, c], [b, c, a], [c, a, b]] {
             if edges.insert((from, to), t).is_some() {
                 return Err(ManifoldError::CrowdedEdge(from, to));
@@ -59,23 +49,51 @@ pub fn check_manifold(surface: &Surface) -> Result<Topology, ManifoldError> {
         }
     }
     for (v, link) in links.iter().enumerate() {
-        if link.is_empty() || !surface.vertices[v].coords.iter().all(|x| x.is_finite()) {
-            return Err(ManifoldError::StrayVertex(v as u32));
-        }
-        if !is_one_chain(link) {
-            return Err(ManifoldError::SeveralFans(v as u32));
-        }
+        check_vertex(surface, v, link)?;
     }
+    Ok(topology(surface, &edges))
+}
+
+/// Checks that a vertex is finite and has one fan. `link`: the edges opposite to it.
+fn check_vertex(surface: &Surface, v: usize, link: &[(u32, u32)]) -> Result<(), ManifoldError> {
+    if link.is_empty() || !surface.vertices[v].coords.iter().all(|x| x.is_finite()) {
+        return Err(ManifoldError::StrayVertex(v as u32));
+    }
+    if !is_one_chain(link) {
+        return Err(ManifoldError::SeveralFans(v as u32));
+    }
+    Ok(())
+}
+
+/// Checks that the corners of a triangle exist and differ.
+fn check_triangle(surface: &Surface, triangle: usize) -> Result<(), ManifoldError> {
+    let (vertices, [a, b, c]) = (surface.vertices.len(), surface.triangles[triangle]);
+    if let Some(vertex) = [a, b, c].into_iter().find(|&v| v as usize >= vertices) {
+        return Err(ManifoldError::NoSuchVertex {
+            triangle,
+            vertex,
+            vertices,
+        });
+    }
+    if a == b || b == c || c == a {
+        return Err(ManifoldError::Degenerate(triangle));
+    }
+    Ok(())
+}
+
+/// `edges`: the triangle of each directed edge.
+fn topology(surface: &Surface, edges: &HashMap<(u32, u32), usize>) -> Topology {
     let border_edges = edges
         .keys()
         .filter(|&&(a, b)| !edges.contains_key(&(b, a)))
         .count();
     let undirected = (edges.len() + border_edges) / 2;
-    Ok(Topology {
-        euler: vertices as i64 - undirected as i64 + surface.triangles.len() as i64,
+    let (vertices, triangles) = (surface.vertices.len(), surface.triangles.len());
+    Topology {
+        euler: vertices as i64 - undirected as i64 + triangles as i64,
         border_edges,
-        components: component_count(surface.triangles.len(), &edges),
-    })
+        components: component_count(triangles, edges),
+    }
 }
 
 /// Returns whether the directed edges form a single open or closed chain.

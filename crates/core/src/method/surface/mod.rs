@@ -10,6 +10,7 @@ pub mod clean;
 pub mod corners;
 pub mod cut;
 pub mod delaunay;
+mod from_points;
 #[cfg(test)]
 mod manifold;
 pub mod points;
@@ -30,25 +31,14 @@ use crate::{
     base::{
         error::{Advice, Hint},
         progress::{Cancelled, Stage, Watcher},
-        tiles,
     },
-    model::{
-        georeference::{self, UprightFrame},
-        mesh::Mesh,
-        scene::{PointIndex, Scene},
-    },
+    model::{mesh::Mesh, scene::Scene},
 };
-use delaunay::{Delaunay, DelaunayError, Dimension};
+use delaunay::DelaunayError;
+use from_points::from_points;
 pub use settings::{SurfaceChoice, SurfaceSettings};
 pub use wanted::WantedGsd;
 
-/// With fewer points, a terrain is built.
-const MIN_CARVED_POINTS: usize = 100;
-/// Ratio of the spreads of the points in two directions below which the smaller one counts as zero.
-const NO_SPREAD: f64 = 1e-6;
-/// Margin of a tile, as a multiple of the longest edge: points farther away hardly change the
-/// surface inside.
-const MARGIN_EDGES: f64 = 10.0;
 /// Steps per tile of [`build`] for progress.
 const STEPS: u64 = 6;
 
@@ -83,6 +73,11 @@ impl Surface {
     pub fn centroid(&self, triangle: u32) -> Point3<f64> {
         let [a, b, c] = self.corners(triangle);
         Point3::from((a.coords + b.coords + c.coords) / 3.0)
+    }
+
+    pub fn centroids(&self) -> Vec<Point3<f64>> {
+        let triangles = 0..self.triangles.len() as u32;
+        triangles.map(|t| self.centroid(t)).collect()
     }
 
     /// Returns the normal, whose length is twice the triangle's area.
@@ -287,6 +282,16 @@ struct Steps<'a> {
 }
 
 impl Steps<'_> {
+    /// Returns the progress of a tile, where those before it have this number of triangles.
+    fn of_tile(&self, tile: usize, tiles: usize, triangles: usize) -> Self {
+        Self {
+            before: tile as u64 * STEPS,
+            all: tiles as u64 * STEPS,
+            most: self.most.saturating_sub(triangles as u64),
+            watcher: self.watcher,
+        }
+    }
+
     fn reached(&self, step: u64) {
         self.watcher
             .progress(Stage::Surface, self.before + step, self.all);
@@ -308,167 +313,4 @@ fn with_edges(
     steps.reached(5);
     let longest = wanted.lengths(&surface.vertices, settings.max_edge_factor, steps.watcher)?;
     Ok(refine::refine(surface, longest, steps.most, steps.watcher)?)
-}
-
-/// Builds the surface of the sparse points: whole, or tile by tile, each from the points in and
-/// around it, cropped to the tile.
-fn from_points(
-    scene: &Scene,
-    wanted: &WantedGsd,
-    settings: &SurfaceSettings,
-    stats: &mut SurfaceStats,
-    whole: &Steps,
-) -> Result<Surface, SurfaceError> {
-    let points = points::usable_points(scene);
-    stats.points = points.len();
-    stats.points_dropped = scene.points.len() - points.len();
-    let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.index()]).collect();
-    let all = Part {
-        scene,
-        wanted,
-        settings,
-        everywhere: &positions,
-    };
-    let tiles = match settings.tile_points {
-        Some(most) if points.len() > most as usize => tiles::split(&positions, most as usize),
-        _ => return all.surface(&points, &positions, stats, whole),
-    };
-    stats.tiles = tiles.len();
-    let margin = MARGIN_EDGES * settings.max_edge_factor * wanted.everywhere();
-    let mut merged: Option<Surface> = None;
-    for (i, tile) in tiles.iter().enumerate() {
-        whole.watcher.check()?;
-        let before = merged
-            .as_ref()
-            .map_or(0, |merged: &Surface| merged.triangles.len() as u64);
-        let most = whole.most.saturating_sub(before);
-        let steps = Steps {
-            before: i as u64 * STEPS,
-            all: tiles.len() as u64 * STEPS,
-            most,
-            ..*whole
-        };
-        let near = |(_, position): &(&PointIndex, &Point3<f64>)| tile.is_near(position, margin);
-        let (points, near): (Vec<PointIndex>, Vec<Point3<f64>>) =
-            points.iter().zip(&positions).filter(near).unzip();
-        let surface = match all.surface(&points, &near, stats, &steps) {
-            // The points of a tile may coincide or be collinear.
-            Err(SurfaceError::TooFewPoints { .. } | SurfaceError::Linear) => continue,
-            surface => surface?,
-        };
-        let triangles = 0..surface.triangles.len() as u32;
-        let own: Vec<bool> = triangles
-            .map(|t| tile.contains(&surface.centroid(t)))
-            .collect();
-        let own = surface.keep(&own);
-        match &mut merged {
-            None => merged = Some(own),
-            Some(merged) => merged.append(own),
-        }
-    }
-    merged.ok_or(SurfaceError::Linear)
-}
-
-/// Inputs shared by all tiles of a surface.
-struct Part<'a> {
-    scene: &'a Scene,
-    wanted: &'a WantedGsd,
-    settings: &'a SurfaceSettings,
-    /// Positions of the points of all tiles.
-    everywhere: &'a [Point3<f64>],
-}
-
-impl Part<'_> {
-    /// Builds the surface of some points, in space or as terrain (method 1.7 and 1.8).
-    fn surface(
-        &self,
-        points: &[PointIndex],
-        positions: &[Point3<f64>],
-        stats: &mut SurfaceStats,
-        steps: &Steps,
-    ) -> Result<Surface, SurfaceError> {
-        let Self {
-            scene,
-            wanted,
-            settings,
-            everywhere,
-        } = *self;
-        let gsd = wanted.everywhere();
-        let distinct = distinct_up_to_four(positions);
-        if distinct < 4 {
-            return Err(SurfaceError::TooFewPoints {
-                distinct,
-                dropped: stats.points_dropped,
-            });
-        }
-        let [thickness, width, length] = georeference::spread(positions);
-        if width <= NO_SPREAD * length {
-            return Err(SurfaceError::Linear);
-        }
-        steps.reached(1);
-        let is_flat = thickness <= NO_SPREAD * length;
-        let is_terrain = match settings.kind {
-            SurfaceChoice::Terrain => true,
-            SurfaceChoice::Carved => is_flat,
-            SurfaceChoice::Auto => is_flat || thickness < gsd || points.len() < MIN_CARVED_POINTS,
-        };
-        let cleaned = if is_terrain {
-            let frame = UprightFrame::new(everywhere, scene, settings.up);
-            let raw = terrain::triangulate(positions, &frame, settings.edge_factor * gsd);
-            stats.raw_triangles += raw.triangles.len();
-            if raw.triangles.is_empty() {
-                return Err(SurfaceError::Linear);
-            }
-            clean::clean(&raw, &vec![true; raw.triangles.len()])
-        } else {
-            carved(scene, points, positions, settings, stats, steps)?
-        };
-        stats.cleaned_triangles += cleaned.triangles.len();
-        with_edges(cleaned, wanted, settings, stats, steps)
-    }
-}
-
-fn carved(
-    scene: &Scene,
-    points: &[PointIndex],
-    positions: &[Point3<f64>],
-    settings: &SurfaceSettings,
-    stats: &mut SurfaceStats,
-    steps: &Steps,
-) -> Result<Surface, SurfaceError> {
-    let delaunay = Delaunay::triangulate(positions, steps.watcher)?;
-    if delaunay.dimension != Dimension::Three {
-        return Err(SurfaceError::Linear);
-    }
-    steps.reached(2);
-    let rays = carve::Rays::choose(scene, &delaunay, points, settings.rays_per_point as usize);
-    // Mean over the tiles, weighted by vertices.
-    let (before, here) = (stats.vertices as f64, delaunay.vertex_count() as f64);
-    stats.sigma = if before == 0.0 {
-        rays.sigma
-    } else {
-        (before * stats.sigma + here * rays.sigma) / (before + here)
-    };
-    stats.vertices += delaunay.vertex_count();
-    stats.cells += delaunay.cells.len();
-    stats.rays += rays.count();
-    let raw = carve::carve(&delaunay, &rays, settings, steps.watcher)?;
-    stats.raw_triangles += raw.surface.triangles.len();
-    drop((delaunay, rays));
-    steps.reached(3);
-    Ok(clean::clean(&raw.surface, &raw.seen))
-}
-
-/// Returns the number of distinct points, at most 4.
-fn distinct_up_to_four(points: &[Point3<f64>]) -> usize {
-    let mut distinct: Vec<&Point3<f64>> = Vec::new();
-    for point in points {
-        if !distinct.contains(&point) {
-            distinct.push(point);
-        }
-        if distinct.len() == 4 {
-            break;
-        }
-    }
-    distinct.len()
 }

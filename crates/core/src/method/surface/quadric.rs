@@ -78,30 +78,38 @@ impl Quadric {
 /// the pull to the vertex's position.
 pub fn vertex_quadrics(surface: &Surface, opposite: &[u32]) -> Vec<Quadric> {
     let mut quadrics = vec![Quadric::default(); surface.vertices.len()];
-    for (t, corners) in surface.triangles.iter().enumerate() {
-        let normal = surface.area_normal(t as u32);
-        let Some(unit) = normal.try_normalize(0.0) else {
-            continue;
-        };
-        let weight = normal.norm() / 6.0;
-        let plane = Quadric::plane(unit, surface.vertices[corners[0] as usize].coords, weight);
-        for &v in corners {
-            quadrics[v as usize].add(&plane);
-            quadrics[v as usize].add(&Quadric::pull(
-                surface.vertices[v as usize].coords,
-                PULL_WEIGHT * weight,
-            ));
-        }
+    for t in 0..surface.triangles.len() {
+        add_triangle(&mut quadrics, surface, t);
     }
     for c in (0..opposite.len() as u32).filter(|&c| opposite[c as usize] == BORDER) {
-        let ends = [next(c), prev(c)].map(|c| vertex(&surface.triangles, c) as usize);
-        let from = surface.vertices[ends[0]].coords;
-        let edge = surface.vertices[ends[1]].coords - from;
-        let Some(upright) = edge.cross(&surface.area_normal(c / 3)).try_normalize(0.0) else {
-            continue;
-        };
+        add_border(&mut quadrics, surface, c);
+    }
+    quadrics
+}
+
+fn add_triangle(quadrics: &mut [Quadric], surface: &Surface, triangle: usize) {
+    let normal = surface.area_normal(triangle as u32);
+    let Some(unit) = normal.try_normalize(0.0) else {
+        return;
+    };
+    let weight = normal.norm() / 6.0;
+    let corners = surface.triangles[triangle].map(|v| v as usize);
+    let at = |v: usize| surface.vertices[v].coords;
+    let plane = Quadric::plane(unit, at(corners[0]), weight);
+    for v in corners {
+        quadrics[v].add(&plane);
+        quadrics[v].add(&Quadric::pull(at(v), PULL_WEIGHT * weight));
+    }
+}
+
+/// Adds the plane at the border edge that a corner faces.
+fn add_border(quadrics: &mut [Quadric], surface: &Surface, corner: u32) {
+    let ends = [next(corner), prev(corner)].map(|c| vertex(&surface.triangles, c) as usize);
+    let from = surface.vertices[ends[0]].coords;
+    let edge = surface.vertices[ends[1]].coords - from;
+    let upright = edge.cross(&surface.area_normal(corner / 3));
+    if let Some(upright) = upright.try_normalize(0.0) {
         let plane = Quadric::plane(upright, from, BORDER_WEIGHT * edge.norm_squared());
         ends.iter().for_each(|&v| quadrics[v].add(&plane));
     }
-    quadrics
 }

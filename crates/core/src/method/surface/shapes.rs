@@ -30,45 +30,46 @@ pub fn terrain(n: u32, height: impl Fn(f64, f64) -> f64) -> Surface {
 
 /// The unit sphere about the origin: an octahedron with each triangle quartered `rounds` times.
 pub fn sphere(rounds: u32) -> Surface {
-    let axes = [
-        Vector3::x(),
-        Vector3::y(),
-        Vector3::z(),
-        -Vector3::x(),
-        -Vector3::y(),
-        -Vector3::z(),
-    ];
-    let mut vertices: Vec<Point3<f64>> = axes.map(Point3::from).to_vec();
-    let mut triangles: Vec<[u32; 3]> = vec![
-        [0, 1, 2],
-        [1, 3, 2],
-        [3, 4, 2],
-        [4, 0, 2],
-        [1, 0, 5],
-        [3, 1, 5],
-        [4, 3, 5],
-        [0, 4, 5],
-    ];
+    let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+    let vertices = axes.into_iter().chain(axes.map(|axis| -axis));
+    let mut vertices: Vec<Point3<f64>> = vertices.map(Point3::from).collect();
+    let mut triangles = OCTAHEDRON.to_vec();
     for _ in 0..rounds {
-        let mut middles = HashMap::new();
-        let mut middle = |a: u32, b: u32| {
-            *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
-                let m = (vertices[a as usize].coords + vertices[b as usize].coords).normalize();
-                vertices.push(Point3::from(m));
-                vertices.len() as u32 - 1
-            })
-        };
-        let quarter = |[a, b, c]: [u32; 3]| {
-            let [p, q, r] = [middle(a, b), middle(b, c), middle(c, a)];
-            [[a, p, r], [p, b, q], [r, q, c], [p, q, r]]
-        };
-        triangles = triangles.into_iter().flat_map(quarter).collect();
+        triangles = quartered(&triangles, &mut vertices);
     }
     Surface {
         kind: SurfaceKind::Mesh,
         vertices,
         triangles,
     }
+}
+
+const OCTAHEDRON: [[u32; 3]; 8] = [
+    [0, 1, 2],
+    [1, 3, 2],
+    [3, 4, 2],
+    [4, 0, 2],
+    [1, 0, 5],
+    [3, 1, 5],
+    [4, 3, 5],
+    [0, 4, 5],
+];
+
+/// Quarters triangles, with the middles of their edges moved to the unit sphere.
+fn quartered(triangles: &[[u32; 3]], vertices: &mut Vec<Point3<f64>>) -> Vec<[u32; 3]> {
+    let mut middles = HashMap::new();
+    let mut middle = |a: u32, b: u32| {
+        *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+            let m = (vertices[a as usize].coords + vertices[b as usize].coords).normalize();
+            vertices.push(Point3::from(m));
+            vertices.len() as u32 - 1
+        })
+    };
+    let quarter = |&[a, b, c]: &[u32; 3]| {
+        let [p, q, r] = [middle(a, b), middle(b, c), middle(c, a)];
+        [[a, p, r], [p, b, q], [r, q, c], [p, q, r]]
+    };
+    triangles.iter().flat_map(quarter).collect()
 }
 
 /// A torus about the z axis with radii 1 and 0.4 of n x n cells.
@@ -79,19 +80,16 @@ pub fn torus(n: u32) -> Surface {
         let r = 1.0 + 0.4 * v.cos();
         Point3::new(r * u.cos(), r * u.sin(), 0.4 * v.sin())
     };
-    let vertices = (0..n).flat_map(|i| (0..n).map(move |j| at(i, j))).collect();
     let id = |i: u32, j: u32| (i % n) * n + j % n;
-    let cell = |i, j| {
+    let cell = |(i, j)| {
         let [a, b, c, d] = [id(i, j), id(i + 1, j), id(i + 1, j + 1), id(i, j + 1)];
         [[a, b, c], [a, c, d]]
     };
-    let triangles = (0..n)
-        .flat_map(|i| (0..n).flat_map(move |j| cell(i, j)))
-        .collect();
+    let cells = || (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
     Surface {
         kind: SurfaceKind::Mesh,
-        vertices,
-        triangles,
+        vertices: cells().map(|(i, j)| at(i, j)).collect(),
+        triangles: cells().flat_map(cell).collect(),
     }
 }
 

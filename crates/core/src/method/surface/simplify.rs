@@ -86,25 +86,14 @@ struct EdgeCollapse {
 impl EdgeCollapse {
     fn new(mut surface: Surface, targets: Vec<f64>) -> Self {
         let opposite = opposites(&surface);
-        let shift = surface
-            .vertices
-            .first()
-            .map_or(Vector3::zeros(), |v| v.coords);
+        let first = surface.vertices.first();
+        let shift = first.map_or(Vector3::zeros(), |v| v.coords);
         surface.vertices.iter_mut().for_each(|v| *v -= shift);
         let vertices = surface.vertices.len();
-        let mut corner_of = vec![BORDER; vertices];
-        let mut is_border = vec![false; vertices];
-        for c in 0..opposite.len() as u32 {
-            corner_of[vertex(&surface.triangles, c) as usize] = c;
-            if opposite[c as usize] == BORDER {
-                is_border[vertex(&surface.triangles, next(c)) as usize] = true;
-                is_border[vertex(&surface.triangles, prev(c)) as usize] = true;
-            }
-        }
         let mut mesh = Self {
             quadrics: vertex_quadrics(&surface, &opposite),
-            corner_of,
-            is_border,
+            corner_of: vec![BORDER; vertices],
+            is_border: vec![false; vertices],
             is_kept: vec![true; surface.triangles.len()],
             stamps: vec![0; vertices],
             queue: QuaternaryHeap::new(),
@@ -116,11 +105,24 @@ impl EdgeCollapse {
             shift,
             surface,
         };
+        mesh.mark_corners();
         for c in mesh.edge_corners().collect::<Vec<_>>() {
             let (a, b) = mesh.ends(c);
             mesh.count_edge(a, b, 1);
         }
         mesh
+    }
+
+    /// Notes a corner at each vertex, and the vertices at the border.
+    fn mark_corners(&mut self) {
+        for c in 0..self.opposite.len() as u32 {
+            self.corner_of[vertex(&self.surface.triangles, c) as usize] = c;
+            if self.opposite[c as usize] == BORDER {
+                let (a, b) = self.ends(c);
+                self.is_border[a as usize] = true;
+                self.is_border[b as usize] = true;
+            }
+        }
     }
 
     /// One corner per remaining edge.
@@ -264,21 +266,8 @@ impl EdgeCollapse {
     /// Returns whether the link condition holds: the two ends share only the apexes of the
     /// triangles at the edge; the border counts as a vertex that all border vertices share.
     fn keeps_manifold(&mut self, corner: u32, rings: &[Vec<u32>; 2]) -> bool {
-        let (a, b) = self.ends(corner);
-        let across = self.opposite[corner as usize];
-        let both_border = self.is_border[a as usize] && self.is_border[b as usize];
-        let is_border = |c: u32| self.opposite[c as usize] == BORDER;
-        let sides = if across == BORDER {
-            if is_border(next(corner)) && is_border(prev(corner)) {
-                return false;
-            }
-            1
-        } else {
-            let is_tetrahedron = !both_border && rings[0].len() == 3 && rings[1].len() == 3;
-            if both_border || is_tetrahedron {
-                return false;
-            }
-            2
+        let Some(sides) = self.sides(corner, rings) else {
+            return false;
         };
         let triangles = &self.surface.triangles;
         let neighbours = |ring: &[u32]| {
@@ -288,6 +277,20 @@ impl EdgeCollapse {
         self.marks
             .common(&neighbours(&rings[0]), &neighbours(&rings[1]))
             == sides
+    }
+
+    /// Returns the number of triangles at an edge; `None` if it must stay because of the border, or
+    /// as part of a tetrahedron.
+    fn sides(&self, corner: u32, rings: &[Vec<u32>; 2]) -> Option<usize> {
+        let is_border = |c: u32| self.opposite[c as usize] == BORDER;
+        if is_border(corner) {
+            let is_last = is_border(next(corner)) && is_border(prev(corner));
+            return (!is_last).then_some(1);
+        }
+        let (a, b) = self.ends(corner);
+        let both_border = self.is_border[a as usize] && self.is_border[b as usize];
+        let is_tetrahedron = rings[0].len() == 3 && rings[1].len() == 3;
+        (!both_border && !is_tetrahedron).then_some(2)
     }
 
     /// Returns whether no normal rotates by more than 80 degrees and no triangle degenerates.
@@ -334,20 +337,26 @@ impl EdgeCollapse {
             .flatten()
             .find(is_left)
             .expect("the link condition leaves a triangle");
-        self.corner_of[to as usize] = BORDER;
-        self.is_border[from as usize] |= self.is_border[to as usize];
-        let absorbed = self.quadrics[to as usize];
-        self.quadrics[from as usize].add(&absorbed);
-        self.stamps[from as usize] = self.stamps_of(from, to).wrapping_add(1);
+        self.absorb(from, to);
         self.surface.vertices[from as usize] = place;
-        self.targets[from as usize] =
-            (self.targets[from as usize] + self.targets[to as usize]) / 2.0;
         let ring = self.ring(from);
         self.count_ring_edges(&ring, from, None, 1);
         self.for_ring_neighbours(&ring, |mesh, v| {
             let candidate = mesh.candidate((from, v));
             mesh.queue.extend(candidate.map(Reverse));
         });
+    }
+
+    /// Adds what is known of a vertex to another, into which it is merged.
+    fn absorb(&mut self, into: u32, removed: u32) {
+        let stamp = self.stamps_of(into, removed).wrapping_add(1);
+        let (into, removed) = (into as usize, removed as usize);
+        self.corner_of[removed] = BORDER;
+        self.is_border[into] |= self.is_border[removed];
+        let absorbed = self.quadrics[removed];
+        self.quadrics[into].add(&absorbed);
+        self.stamps[into] = stamp;
+        self.targets[into] = (self.targets[into] + self.targets[removed]) / 2.0;
     }
 
     /// Calls `call` once for each vertex adjacent to the ring's vertex.

@@ -1,6 +1,8 @@
 //! 2.5D surface for nadir flights and flat scenes (method 1.7): Delaunay triangulation of robust
 //! heights over a plane.
 
+use std::cmp::Ordering;
+
 use nalgebra::Point3;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 
@@ -44,24 +46,28 @@ pub fn triangulate(points: &[Point3<f64>], frame: &UprightFrame, edge: f64) -> S
 /// Returns mean position and median height of the points in each occupied square of the grid,
 /// ordered by square.
 fn median_heights(local: &[[f64; 3]], cell: f64) -> Vec<[f64; 3]> {
-    let square = |p: &[f64; 3]| ((p[0] / cell).floor() as i64, (p[1] / cell).floor() as i64);
-    let mut sorted: Vec<((i64, i64), [f64; 3])> = local.iter().map(|p| (square(p), *p)).collect();
-    let by_height = |a: &[f64; 3], b: &[f64; 3]| {
-        a[2].total_cmp(&b[2])
-            .then(a[0].total_cmp(&b[0]))
-            .then(a[1].total_cmp(&b[1]))
-    };
+    let square = |p: &[f64; 3]| [p[0], p[1]].map(|x| (x / cell).floor() as i64);
+    let mut sorted: Vec<([i64; 2], [f64; 3])> = local.iter().map(|p| (square(p), *p)).collect();
     sorted.sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| by_height(&a.1, &b.1)));
-    let node = |group: &[((i64, i64), [f64; 3])]| {
-        let n = group.len();
-        let mean = |axis: usize| group.iter().map(|p| p.1[axis]).sum::<f64>() / n as f64;
-        [
-            mean(0),
-            mean(1),
-            (group[(n - 1) / 2].1[2] + group[n / 2].1[2]) / 2.0,
-        ]
-    };
-    sorted.chunk_by(|a, b| a.0 == b.0).map(node).collect()
+    let of_square = sorted.chunk_by(|a, b| a.0 == b.0);
+    of_square.map(node).collect()
+}
+
+fn by_height(a: &[f64; 3], b: &[f64; 3]) -> Ordering {
+    a[2].total_cmp(&b[2])
+        .then(a[0].total_cmp(&b[0]))
+        .then(a[1].total_cmp(&b[1]))
+}
+
+/// Returns mean position and median height of points that are sorted by height.
+fn node(group: &[([i64; 2], [f64; 3])]) -> [f64; 3] {
+    let n = group.len();
+    let mean = |axis: usize| group.iter().map(|p| p.1[axis]).sum::<f64>() / n as f64;
+    [
+        mean(0),
+        mean(1),
+        (group[(n - 1) / 2].1[2] + group[n / 2].1[2]) / 2.0,
+    ]
 }
 
 /// Drops nodes whose height is far from the median of their neighbours, relative to the spread of

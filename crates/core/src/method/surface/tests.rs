@@ -10,7 +10,7 @@ use crate::{
     model::{
         camera::{Camera, CameraModel},
         georeference::UprightFrame,
-        scene::{CameraIndex, Pose, View, ViewIndex},
+        scene::{CameraIndex, PointIndex, Pose, View, ViewIndex},
     },
 };
 

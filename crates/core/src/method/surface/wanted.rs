@@ -47,26 +47,16 @@ impl WantedGsd {
     /// observe it. `gsd`: that of the scene.
     pub fn finest(scene: &Scene, gsd: f64, margin: f64) -> Self {
         let points = usable_points(scene);
-        let finest = |&point: &PointIndex| {
-            let place = scene.points[point.index()];
-            let of_view = |&view| {
-                let camera = scene.camera_of(view);
-                camera.depth(&scene.view(view).cam_from_world.camera_from_world(&place))
-                    / camera.mean_focal_length()
-            };
-            let finest = scene
-                .track_views(point)
-                .iter()
-                .map(of_view)
-                .fold(f64::INFINITY, f64::min);
-            let wanted = (margin * finest).clamp(gsd / MOST_OFF, gsd * MOST_OFF);
-            (!wanted.is_nan()).then_some((place, wanted))
+        let wanted = |&point: &PointIndex| {
+            let finest = margin * finest_gsd(scene, point);
+            let wanted = finest.clamp(gsd / MOST_OFF, gsd * MOST_OFF);
+            (!wanted.is_nan()).then_some((scene.points[point.index()], wanted))
         };
         let sample: Vec<_> = points
             .iter()
             .step_by(points.len().div_ceil(MOST_POINTS).max(1))
             .collect();
-        let (places, known): (Vec<_>, Vec<_>) = sample.into_par_iter().filter_map(finest).unzip();
+        let (places, known): (Vec<_>, Vec<_>) = sample.into_par_iter().filter_map(wanted).unzip();
         let points = (!known.is_empty()).then(|| KnownGsd {
             points: KdTree::new(&places),
             gsd: known,
@@ -106,4 +96,16 @@ impl WantedGsd {
             })?;
         Ok(lengths)
     }
+}
+
+/// Returns the finest GSD of the views that observe a point.
+fn finest_gsd(scene: &Scene, point: PointIndex) -> f64 {
+    let place = scene.points[point.index()];
+    let of_view = |&view| {
+        let camera = scene.camera_of(view);
+        camera.depth(&scene.view(view).cam_from_world.camera_from_world(&place))
+            / camera.mean_focal_length()
+    };
+    let views = scene.track_views(point).iter();
+    views.map(of_view).fold(f64::INFINITY, f64::min)
 }

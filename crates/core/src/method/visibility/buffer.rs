@@ -34,6 +34,20 @@ pub struct Face {
     sides: [Vector3<f64>; 4],
 }
 
+/// Returns the bounds in x/z and y/z of the rays of a field of view; `None` without rays.
+fn extent(rays: &[Vector3<f64>], missing: bool) -> Option<(Vector2<f64>, Vector2<f64>)> {
+    let tangents = rays.iter().map(|r| Vector2::new(r.x / r.z, r.y / r.z));
+    let bounds = tangents.map(|tangent| (tangent, tangent));
+    let (low, high) = bounds.reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
+    // The border of the field is between a ray that exists and a neighbour that does not.
+    let spare = if missing {
+        (high - low) * (1.5 / f64::from(FIELD_SAMPLES - 1))
+    } else {
+        Vector2::zeros()
+    };
+    Some((low - spare, high + spare))
+}
+
 impl Face {
     /// Returns one face with the camera's pinhole part, its long side about `long_side` pixels;
     /// faces of a cube for a wide field of view; no face if no pixel has a ray.
@@ -42,34 +56,20 @@ impl Face {
             / f64::from(camera.width.max(camera.height));
         // Extent in x/z or y/z.
         let within = |field: f64| focal.min(MOST_SIDES * f64::from(long_side) / field);
+        let cube = |sides: &[[[i8; 3]; 3]]| {
+            let side = |&[r, d, f]: &[[i8; 3]; 3]| Self::cube(within(2.0), r, d, f);
+            sides.iter().map(side).collect()
+        };
         if camera.model() == CameraModel::Equirectangular {
-            return CUBE
-                .iter()
-                .map(|&[r, d, f]| Self::cube(within(2.0), r, d, f))
-                .collect();
+            return cube(&CUBE);
         }
         let (rays, missing) = field(camera);
-        let wide = rays.iter().any(|r| r.z < WIDE.to_radians().cos());
-        if wide {
-            return CUBE[..5]
-                .iter()
-                .map(|&[r, d, f]| Self::cube(within(2.0), r, d, f))
-                .collect();
+        if rays.iter().any(|r| r.z < WIDE.to_radians().cos()) {
+            return cube(&CUBE[..5]);
         }
-        let tangents = rays.iter().map(|r| Vector2::new(r.x / r.z, r.y / r.z));
-        let Some((low, high)) = tangents.fold(None, |b, t| match b {
-            None => Some((t, t)),
-            Some((low, high)) => Some((low.inf(&t), high.sup(&t))),
-        }) else {
+        let Some((low, high)) = extent(&rays, missing) else {
             return Vec::new();
         };
-        // The border of the field is between a ray that exists and a neighbour that does not.
-        let spare = if missing {
-            (high - low) * (1.5 / f64::from(FIELD_SAMPLES - 1))
-        } else {
-            Vector2::zeros()
-        };
-        let (low, high) = (low - spare, high + spare);
         vec![Self::window(
             within((high - low).max()),
             Matrix3::identity(),
@@ -461,16 +461,14 @@ fn clip(triangle: [Vector3<f64>; 3], near: f64) -> ([Vector3<f64>; 4], usize) {
 
 /// Rasterises a triangle whose corners are given as pixel x, y and inverse depth, row by row.
 #[inline(always)]
-fn fill(face: &Face, triangle: u32, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(Span)) {
+fn fill(face: &Face, triangle: u32, corners: [Vector3<f64>; 3], visit: &mut impl FnMut(Span)) {
+    let [a, b, c] = corners;
     let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
     let (low_y, high_y) = (least(least(a.y, b.y), c.y), most(most(a.y, b.y), c.y));
     if !(area != 0.0 && high_y >= 0.5 && low_y < face.height as f64) {
         return;
     }
-    // Inverse depth is linear in the image.
-    let by_x = ((b.z - a.z) * (c.y - a.y) - (c.z - a.z) * (b.y - a.y)) / area;
-    let by_y = ((c.z - a.z) * (b.x - a.x) - (b.z - a.z) * (c.x - a.x)) / area;
-    let depths = (least(least(a.z, b.z), c.z), most(most(a.z, b.z), c.z));
+    let plane = DepthPlane::new(corners, area);
     let [d, e, f] = if area > 0.0 { [a, b, c] } else { [c, b, a] };
     let sides = [Side::new(&d, &e), Side::new(&e, &f), Side::new(&f, &d)];
     for row in first_centre(low_y, face.height)..end_centre(high_y, face.height) {
@@ -486,11 +484,43 @@ fn fill(face: &Face, triangle: u32, [a, b, c]: [Vector3<f64>; 3], visit: &mut im
             triangle,
             first: first_centre(left, face.width),
             end: end_centre(right, face.width),
-            start: a.z + by_y * (y - a.y) + by_x * (0.5 - a.x),
-            by_x,
-            least: depths.0 as f32,
-            most: depths.1 as f32,
+            start: plane.start(y),
+            by_x: plane.by_x,
+            least: plane.least,
+            most: plane.most,
         });
+    }
+}
+
+/// Inverse depth of a triangle, which is linear in the image.
+struct DepthPlane {
+    /// A corner: pixel x, y and inverse depth.
+    at: Vector3<f64>,
+    by_x: f64,
+    by_y: f64,
+    /// Of the corners.
+    least: f32,
+    most: f32,
+}
+
+impl DepthPlane {
+    /// `area`: twice that of the triangle in the image.
+    #[inline(always)]
+    fn new([a, b, c]: [Vector3<f64>; 3], area: f64) -> Self {
+        Self {
+            at: a,
+            by_x: ((b.z - a.z) * (c.y - a.y) - (c.z - a.z) * (b.y - a.y)) / area,
+            by_y: ((c.z - a.z) * (b.x - a.x) - (b.z - a.z) * (c.x - a.x)) / area,
+            least: least(least(a.z, b.z), c.z) as f32,
+            most: most(most(a.z, b.z), c.z) as f32,
+        }
+    }
+
+    /// Returns the inverse depth at the first pixel of a row.
+    #[inline(always)]
+    fn start(&self, y: f64) -> f64 {
+        let at = &self.at;
+        at.z + self.by_y * (y - at.y) + self.by_x * (0.5 - at.x)
     }
 }
 

@@ -134,26 +134,15 @@ impl Visibility {
     /// Returns the table for the surface without the triangles where `keep` is false, renumbered as
     /// by [`Surface::keep`].
     pub fn keep(&self, keep: &[bool]) -> Result<Self, DiskError> {
-        let mut next = 0;
-        let number = |&k: &bool| {
-            let kept = if k { next } else { u32::MAX };
-            next += u32::from(k);
-            kept
-        };
-        let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let (mut offsets, mut triangles) = (
-            Offsets::default(),
-            ColumnBuilder::new(self.triangles.storage())?,
-        );
+        let numbers = numbers(keep);
+        let mut offsets = Offsets::default();
+        let mut triangles = ColumnBuilder::new(self.triangles.storage())?;
         for view in 0..self.offsets.rows() {
             if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
             }
             let view = self.triangles[self.offsets.row(view)].iter();
-            let view: Vec<u32> = view
-                .map(|&t| numbers[t as usize])
-                .filter(|&t| t != u32::MAX)
-                .collect();
+            let view: Vec<u32> = view.filter_map(|&t| numbers[t as usize]).collect();
             triangles.extend(&view)?;
             offsets.push(view.len());
         }
@@ -259,6 +248,14 @@ pub fn picture_pixels(scene: &Scene, settings: &VisibilitySettings) -> u64 {
     scene.cameras.iter().map(pixels).max().unwrap_or(0)
 }
 
+/// Returns the number of each triangle among those that are kept.
+fn numbers(keep: &[bool]) -> Vec<Option<u32>> {
+    let mut next = 0..;
+    keep.iter()
+        .map(|&is_kept| if is_kept { next.next() } else { None })
+        .collect()
+}
+
 /// Marks a pixel without a triangle.
 pub const NOTHING: u32 = u32::MAX;
 /// Near plane of [`front`], as a share of the surface's distance from the camera.
@@ -276,16 +273,10 @@ pub fn front(
 ) -> Vec<u32> {
     let face = Face::pinhole(scene.camera_of(view), size, rows);
     let pose = &scene.view(view).cam_from_world;
-    let vertices: Vec<Point3<f64>> = surface
-        .vertices
-        .iter()
-        .map(|v| pose.camera_from_world(v))
-        .collect();
-    let near = NEAR_SHARE
-        * vertices
-            .iter()
-            .map(|v| v.z.abs())
-            .fold(f64::MIN_POSITIVE, f64::max);
+    let vertices = surface.vertices.iter();
+    let vertices: Vec<Point3<f64>> = vertices.map(|v| pose.camera_from_world(v)).collect();
+    let depths = vertices.iter().map(|v| v.z.abs());
+    let near = NEAR_SHARE * depths.fold(f64::MIN_POSITIVE, f64::max);
     let vertices: Vec<FacePoint> = vertices.iter().map(|v| face.project(v)).collect();
     let mut buffer = Buffer::default();
     buffer.clear(&face);

@@ -77,33 +77,36 @@ impl Patches {
     }
 
     fn add(&mut self, surface: &Surface, chunk: &[u32]) {
-        let mut used: Vec<u32> = chunk
-            .iter()
-            .flat_map(|&t| surface.triangles[t as usize])
-            .collect();
-        used.sort_unstable();
-        used.dedup();
+        let used = vertices_of(surface, chunk);
         let local = |v: u32| used.partition_point(|&u| u < v) as u16;
-        let vertices = self.vertices.len()..self.vertices.len() + used.len();
-        let triangles = self.corners.len()..self.corners.len() + chunk.len();
-        self.corners.extend(
-            chunk
-                .iter()
-                .map(|&t| surface.triangles[t as usize].map(local)),
-        );
+        let corners = chunk
+            .iter()
+            .map(|&t| surface.triangles[t as usize].map(local));
+        let (first_vertex, first_triangle) = (self.vertices.len(), self.corners.len());
+        self.corners.extend(corners);
         self.vertices
             .extend(used.iter().map(|&v| surface.vertices[v as usize]));
-        let own = &self.vertices[vertices.clone()];
+        let own = &self.vertices[first_vertex..];
         let (low, high) = bounds(own.iter());
         let centre = nalgebra::center(&low, &high);
-        let radius = own.iter().map(|v| (v - centre).norm()).fold(0.0, f64::max);
         self.patches.push(Patch {
             centre,
-            radius,
-            vertices,
-            triangles,
+            radius: own.iter().map(|v| (v - centre).norm()).fold(0.0, f64::max),
+            vertices: first_vertex..self.vertices.len(),
+            triangles: first_triangle..self.corners.len(),
         });
     }
+}
+
+/// Returns the vertices of some triangles, ascending.
+fn vertices_of(surface: &Surface, triangles: &[u32]) -> Vec<u32> {
+    let corners = triangles
+        .iter()
+        .flat_map(|&t| surface.triangles[t as usize]);
+    let mut vertices: Vec<u32> = corners.collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices
 }
 
 /// Sorts the triangles along a Morton curve through their first corners.

@@ -31,52 +31,65 @@ pub struct Shown {
     pub finest_gsd: Vec<f32>,
 }
 
+/// What is known of a triangle while threads look at the views.
+struct ShownSum {
+    views: AtomicU32,
+    pixels: AtomicU64,
+    /// Bits of the finest GSD: those of positive floats are ordered like the floats, and a minimum
+    /// does not depend on the order of threads.
+    finest: AtomicU32,
+}
+
+impl Default for ShownSum {
+    fn default() -> Self {
+        Self {
+            views: AtomicU32::new(0),
+            pixels: AtomicU64::new(0),
+            finest: AtomicU32::new(f32::INFINITY.to_bits()),
+        }
+    }
+}
+
+impl ShownSum {
+    fn add(&self, area: f64, gsd: f32) {
+        let parts = (area.min(Shown::MOST_PIXELS) * PARTS) as u64;
+        self.views.fetch_add(1, Ordering::Relaxed);
+        self.pixels.fetch_add(parts, Ordering::Relaxed);
+        if gsd > 0.0 {
+            self.finest.fetch_min(gsd.to_bits(), Ordering::Relaxed);
+        }
+    }
+}
+
 impl Shown {
     /// Pixels of a triangle in one view that are counted at most.
     pub const MOST_PIXELS: f64 = 1e9;
 
     pub fn new(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Self {
-        let triangles = surface.triangles.len();
-        let views: Vec<AtomicU32> = (0..triangles).map(|_| AtomicU32::new(0)).collect();
-        let pixels: Vec<AtomicU64> = (0..triangles).map(|_| AtomicU64::new(0)).collect();
-        let finest: Vec<AtomicU32> = (0..triangles)
-            .map(|_| AtomicU32::new(f32::INFINITY.to_bits()))
+        let sums: Vec<ShownSum> = surface
+            .triangles
+            .iter()
+            .map(|_| ShownSum::default())
             .collect();
         let look = |&view: &ViewIndex| {
             let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
             for &t in visibility.triangles_seen_by(view) {
-                let area = projected_area(
-                    camera,
-                    &surface
-                        .corners(t)
-                        .map(|corner| pose.camera_from_world(&corner)),
-                );
-                let gsd = gsd_at(scene, surface, view, t) as f32;
-                let t = t as usize;
-                views[t].fetch_add(1, Ordering::Relaxed);
-                pixels[t].fetch_add(
-                    (area.min(Self::MOST_PIXELS) * PARTS) as u64,
-                    Ordering::Relaxed,
-                );
-                if gsd > 0.0 {
-                    // Bits of positive floats are ordered like the floats, and a minimum does not
-                    // depend on the order of threads.
-                    finest[t].fetch_min(gsd.to_bits(), Ordering::Relaxed);
-                }
+                let corners = surface.corners(t).map(|x| pose.camera_from_world(&x));
+                let area = projected_area(camera, &corners);
+                sums[t as usize].add(area, gsd_at(scene, surface, view, t) as f32);
             }
         };
         column::read_by_parts(&visibility.views(), look, || visibility.triangles.release());
-        Self {
-            views: views.into_iter().map(AtomicU32::into_inner).collect(),
-            pixels: pixels
-                .into_iter()
-                .map(|sum| sum.into_inner() as f64 / PARTS)
-                .collect(),
-            finest_gsd: finest
-                .into_iter()
-                .map(|bits| f32::from_bits(bits.into_inner()))
-                .collect(),
-        }
+        let mut shown = Self::default();
+        sums.into_iter().for_each(|sum| shown.push(sum));
+        shown
+    }
+
+    fn push(&mut self, sum: ShownSum) {
+        self.views.push(sum.views.into_inner());
+        self.pixels.push(sum.pixels.into_inner() as f64 / PARTS);
+        self.finest_gsd
+            .push(f32::from_bits(sum.finest.into_inner()));
     }
 
     /// Returns the mean pixels over the views that see a triangle; 0 if no view does.

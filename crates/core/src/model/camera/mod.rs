@@ -140,6 +140,34 @@ const LARGEST_ROUNDING: f64 = 0.02;
 /// too.
 const COPY_PIXELS: u64 = 1 << 25;
 
+fn check_params(model: CameraModel, params: &[f64]) -> Result<(), CameraError> {
+    let expected = model.parameter_count();
+    if params.len() != expected {
+        return Err(CameraError::ParameterCount {
+            model: model.name(),
+            expected,
+            found: params.len(),
+        });
+    }
+    if let Some(index) = params.iter().position(|p| !p.is_finite()) {
+        return Err(CameraError::NotFinite {
+            index,
+            value: params[index],
+        });
+    }
+    // For an equirectangular image the two "focal lengths" are its width and height.
+    let positive = model.focal_length_count()
+        + if model == CameraModel::Equirectangular {
+            2
+        } else {
+            0
+        };
+    if let Some(&bad) = params[..positive].iter().find(|&&f| f <= 0.0) {
+        return Err(CameraError::FocalLength(bad));
+    }
+    Ok(())
+}
+
 impl Camera {
     /// Makes a camera from parameters in COLMAP's order for the model.
     ///
@@ -152,30 +180,7 @@ impl Camera {
         height: u64,
         params: Vec<f64>,
     ) -> Result<Self, CameraError> {
-        let expected = model.parameter_count();
-        if params.len() != expected {
-            return Err(CameraError::ParameterCount {
-                model: model.name(),
-                expected,
-                found: params.len(),
-            });
-        }
-        if let Some(index) = params.iter().position(|p| !p.is_finite()) {
-            return Err(CameraError::NotFinite {
-                index,
-                value: params[index],
-            });
-        }
-        // For an equirectangular image the two "focal lengths" are its width and height.
-        let positive = model.focal_length_count()
-            + if model == CameraModel::Equirectangular {
-                2
-            } else {
-                0
-            };
-        if let Some(&bad) = params[..positive].iter().find(|&&f| f <= 0.0) {
-            return Err(CameraError::FocalLength(bad));
-        }
+        check_params(model, &params)?;
         let size = |n: u64| u32::try_from(n).ok().filter(|&n| n > 0);
         let (Some(w), Some(h)) = (size(width), size(height)) else {
             return Err(CameraError::ImageSize { width, height });

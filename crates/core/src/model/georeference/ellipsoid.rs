@@ -72,33 +72,19 @@ impl Geodetic {
     /// Converts from UTM coordinates, metres, by the series of Krüger (1912) to the fourth power of
     /// the third flattening: accurate to 0.1 mm within the zone and its neighbours.
     pub fn from_utm(zone: Zone, easting: f64, northing: f64, height: f64) -> Self {
-        let n = F / (2.0 - F);
-        let [n2, n3, n4] = [n * n, n.powi(3), n.powi(4)];
-        let radius = A / (1.0 + n) * (1.0 + n2 / 4.0 + n4 / 64.0);
-        let inverse = [
-            n / 2.0 - 2.0 / 3.0 * n2 + 37.0 / 96.0 * n3 - n4 / 360.0,
-            n2 / 48.0 + n3 / 15.0 - 437.0 / 1440.0 * n4,
-            17.0 / 480.0 * n3 - 37.0 / 840.0 * n4,
-            4397.0 / 161_280.0 * n4,
-        ];
-        let conformal = [
-            2.0 * n - 2.0 / 3.0 * n2 - 2.0 * n3 + 116.0 / 45.0 * n4,
-            7.0 / 3.0 * n2 - 8.0 / 5.0 * n3 - 227.0 / 45.0 * n4,
-            56.0 / 15.0 * n3 - 136.0 / 35.0 * n4,
-            4279.0 / 630.0 * n4,
-        ];
         let false_northing = if zone.north { 0.0 } else { 10_000_000.0 };
-        let xi = (northing - false_northing) / (K0 * radius);
-        let eta = (easting - 500_000.0) / (K0 * radius);
+        let unit = K0 * rectifying_radius();
+        let xi = (northing - false_northing) / unit;
+        let eta = (easting - 500_000.0) / unit;
         let (mut xi0, mut eta0) = (xi, eta);
-        for (j, beta) in inverse.iter().enumerate() {
+        for (j, beta) in inverse_series().iter().enumerate() {
             let m = 2.0 * (j as f64 + 1.0);
             xi0 -= beta * (m * xi).sin() * (m * eta).cosh();
             eta0 -= beta * (m * xi).cos() * (m * eta).sinh();
         }
         let chi = (xi0.sin() / eta0.cosh()).asin();
         let latitude: f64 = chi
-            + conformal
+            + conformal_series()
                 .iter()
                 .zip(1..)
                 .map(|(d, j)| d * (2.0 * f64::from(j) * chi).sin())
@@ -112,6 +98,37 @@ impl Geodetic {
             height,
         }
     }
+}
+
+/// Third flattening.
+const N: f64 = F / (2.0 - F);
+
+/// Radius of the circle as long as a meridian.
+fn rectifying_radius() -> f64 {
+    let [n2, n4] = [N * N, N.powi(4)];
+    A / (1.0 + N) * (1.0 + n2 / 4.0 + n4 / 64.0)
+}
+
+/// Coefficients of the series from the map to the sphere.
+fn inverse_series() -> [f64; 4] {
+    let [n2, n3, n4] = [N * N, N.powi(3), N.powi(4)];
+    [
+        N / 2.0 - 2.0 / 3.0 * n2 + 37.0 / 96.0 * n3 - n4 / 360.0,
+        n2 / 48.0 + n3 / 15.0 - 437.0 / 1440.0 * n4,
+        17.0 / 480.0 * n3 - 37.0 / 840.0 * n4,
+        4397.0 / 161_280.0 * n4,
+    ]
+}
+
+/// Coefficients of the series from conformal to geodetic latitude.
+fn conformal_series() -> [f64; 4] {
+    let [n2, n3, n4] = [N * N, N.powi(3), N.powi(4)];
+    [
+        2.0 * N - 2.0 / 3.0 * n2 - 2.0 * n3 + 116.0 / 45.0 * n4,
+        7.0 / 3.0 * n2 - 8.0 / 5.0 * n3 - 227.0 / 45.0 * n4,
+        56.0 / 15.0 * n3 - 136.0 / 35.0 * n4,
+        4279.0 / 630.0 * n4,
+    ]
 }
 
 /// A UTM zone.

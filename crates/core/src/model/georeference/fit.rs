@@ -48,23 +48,7 @@ pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Fit> {
     if n < LEAST {
         return None;
     }
-    let mut random = Pcg64Mcg::seed_from_u64(0);
-    let mut draw = || (random.next_u64() % n as u64) as usize;
-    let triples = (0..TRIPLES)
-        .map(|_| [draw(), draw(), draw()])
-        .filter(|[a, b, c]| a != b && b != c && a != c);
-    let candidates = triples.filter_map(|triple| least_squares(from, to, &triple));
-    let rated = candidates.map(|similarity| (median(distances(&similarity, from, to)), similarity));
-    let (mut spread, mut best) = rated.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let mut inliers = Vec::new();
-    for _ in 0..3 {
-        // 1.4826: a median of absolute values as a standard deviation of normal errors.
-        let limit = INLIER * 1.4826 * spread * (1.0 + 5.0 / (n as f64 - 3.0).max(1.0));
-        let near = distances(&best, from, to);
-        inliers = (0..n).filter(|&i| near[i] <= limit).collect();
-        best = least_squares(from, to, &inliers)?;
-        spread = median(distances(&best, from, to));
-    }
+    let (best, inliers) = refined(least_median(from, to)?, from, to)?;
     let distances = distances(&best, from, to);
     let fitting = median(inliers.iter().map(|&i| distances[i]).collect());
     let second = extents(inliers.iter().map(|&i| to[i]))[1];
@@ -74,6 +58,38 @@ pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Fit> {
         inliers: inliers.len(),
         median: fitting,
     })
+}
+
+/// Fits a similarity to its inliers, several times; returns the last with those that it was fitted to.
+fn refined(
+    mut best: Similarity,
+    from: &[Vector3<f64>],
+    to: &[Vector3<f64>],
+) -> Option<(Similarity, Vec<usize>)> {
+    let n = from.len();
+    let mut inliers = Vec::new();
+    for _ in 0..3 {
+        let near = distances(&best, from, to);
+        let spread = median(near.clone());
+        // 1.4826: a median of absolute values as a standard deviation of normal errors.
+        let limit = INLIER * 1.4826 * spread * (1.0 + 5.0 / (n as f64 - 3.0).max(1.0));
+        inliers = (0..n).filter(|&i| near[i] <= limit).collect();
+        best = least_squares(from, to, &inliers)?;
+    }
+    Some((best, inliers))
+}
+
+/// Returns the similarity by one of the random triples that has the least median distance.
+fn least_median(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Similarity> {
+    let mut random = Pcg64Mcg::seed_from_u64(0);
+    let mut draw = || (random.next_u64() % from.len() as u64) as usize;
+    let triples = (0..TRIPLES)
+        .map(|_| [draw(), draw(), draw()])
+        .filter(|[a, b, c]| a != b && b != c && a != c);
+    let candidates = triples.filter_map(|triple| least_squares(from, to, &triple));
+    let rated = candidates.map(|similarity| (median(distances(&similarity, from, to)), similarity));
+    let (_, best) = rated.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some(best)
 }
 
 fn distances(similarity: &Similarity, from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Vec<f64> {
@@ -116,36 +132,40 @@ fn least_squares(
     to: &[Vector3<f64>],
     chosen: &[usize],
 ) -> Option<Similarity> {
-    let (a, b) = (
-        chosen.iter().map(|&i| from[i]),
-        chosen.iter().map(|&i| to[i]),
-    );
+    let a = chosen.iter().map(|&i| from[i]);
+    let b = chosen.iter().map(|&i| to[i]);
     let (centre_a, centre_b) = (mean(a.clone()), mean(b.clone()));
-    let covariance: Matrix3<f64> = a
+    let products = a
         .clone()
         .zip(b)
-        .map(|(a, b)| (b - centre_b) * (a - centre_a).transpose())
-        .sum();
+        .map(|(a, b)| (b - centre_b) * (a - centre_a).transpose());
+    let (rotation, stretch) = rotation(products.sum())?;
     let variance: f64 = a.map(|a| (a - centre_a).norm_squared()).sum();
+    let scale = stretch / variance;
+    let linear = rotation * scale;
+    (variance > 0.0 && scale > 0.0 && scale.is_finite()).then(|| Similarity {
+        linear,
+        translation: centre_b - linear * centre_a,
+    })
+}
+
+/// Returns the rotation nearest to a covariance, and the sum of the signed singular values; `None` if
+/// only one of these differs from 0.
+fn rotation(covariance: Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
     let SVD {
         u,
         v_t,
         singular_values,
     } = covariance.svd(true, true);
     let (u, v_t) = (u?, v_t?);
-    if singular_values[1] <= 1e-9 * singular_values[0] || variance <= 0.0 {
+    if singular_values[1] <= 1e-9 * singular_values[0] {
         return None;
     }
     let mut signs = Vector3::new(1.0, 1.0, 1.0);
     // The smallest singular value is last.
     signs[2] = (u.determinant() * v_t.determinant()).signum();
     let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
-    let scale = singular_values.dot(&signs) / variance;
-    let linear = rotation * scale;
-    (scale > 0.0 && scale.is_finite()).then(|| Similarity {
-        linear,
-        translation: centre_b - linear * centre_a,
-    })
+    Some((rotation, singular_values.dot(&signs)))
 }
 
 #[cfg(test)]

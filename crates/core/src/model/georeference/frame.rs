@@ -117,36 +117,42 @@ pub fn spread(points: &[Point3<f64>]) -> [f64; 3] {
 
 fn fitted_up(scene: &Scene, origin: Point3<f64>, spread: &Spread) -> Vector3<f64> {
     let [(thickness, normal), (width, _), (_, longest)] = *spread;
+    if thickness > FLAT_RATIO * width
+        && let Some(down) = down_in_images(scene, &longest)
+    {
+        return -down;
+    }
     let towards: Vector3<f64> = scene
         .views
         .iter()
         .map(|v| v.cam_from_world.centre() - origin)
         .sum();
-    if thickness > FLAT_RATIO * width {
-        let count = scene.views.len() as f64;
-        // Camera axes: 1 points down in the image, 2 forward.
-        let mean_axis = |axis: usize| -> Vector3<f64> {
-            scene
-                .views
-                .iter()
-                .map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose())
-                .sum()
-        };
-        let below_images = mean_axis(1).try_normalize(0.5 * count);
-        let ahead = mean_axis(2).try_normalize(ONE_DIRECTION * count);
-        let upon = ahead.filter(|ahead| ahead.dot(&longest).abs() < ALONG);
-        // A façade photographed from one side, in a model whose third axis is up: its views agree
-        // on a direction, too.
-        let upright = below_images.filter(|down| -down.z > UPRIGHT);
-        if let Some(down) = upright.or(upon).or(below_images) {
-            return -down;
-        }
-    }
     if normal.dot(&towards) < 0.0 {
         -normal
     } else {
         normal
     }
+}
+
+/// Returns the direction down on which the views agree: that of gravity where they are upright, or
+/// that of a camera that looks at the ground.
+fn down_in_images(scene: &Scene, longest: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let count = scene.views.len() as f64;
+    // Camera axes: 1 points down in the image, 2 forward.
+    let mean_axis = |axis: usize| -> Vector3<f64> {
+        scene
+            .views
+            .iter()
+            .map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose())
+            .sum()
+    };
+    let below_images = mean_axis(1).try_normalize(0.5 * count);
+    let ahead = mean_axis(2).try_normalize(ONE_DIRECTION * count);
+    let upon = ahead.filter(|ahead| ahead.dot(longest).abs() < ALONG);
+    // A façade photographed from one side, in a model whose third axis is up: its views agree on a
+    // direction, too.
+    let upright = below_images.filter(|down| -down.z > UPRIGHT);
+    upright.or(upon).or(below_images)
 }
 
 /// A right-handed frame for maps seen from above, with the model's second axis pointing up the
@@ -216,25 +222,32 @@ impl MapFrame {
 
 /// Returns the candidates farthest in evenly spaced directions, counter-clockwise, each once.
 fn extremes(flat: &[[f64; 2]], candidates: &[usize], directions: u32) -> Vec<usize> {
-    let farthest = |i: u32| {
-        let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(directions)).sin_cos();
-        let along = |v: usize| flat[v][0] * cos + flat[v][1] * sin;
-        let most = candidates
-            .iter()
-            .map(|&v| along(v))
-            .fold(f64::NEG_INFINITY, f64::max);
-        // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge
-        // between two others.
-        let ahead = |v: usize| flat[v][1] * cos - flat[v][0] * sin;
-        let ties = candidates.iter().copied().filter(|&v| along(v) == most);
-        ties.max_by(|&a, &b| ahead(a).total_cmp(&ahead(b)))
-    };
-    let mut corners: Vec<usize> = (0..directions).filter_map(farthest).collect();
+    let mut corners: Vec<usize> = (0..directions)
+        .filter_map(|i| {
+            let angle = f64::from(i) * std::f64::consts::TAU / f64::from(directions);
+            farthest(flat, candidates, angle)
+        })
+        .collect();
     corners.dedup();
     if corners.len() > 1 && corners.first() == corners.last() {
         corners.pop();
     }
     corners
+}
+
+/// Returns the candidate farthest in the direction of an angle.
+fn farthest(flat: &[[f64; 2]], candidates: &[usize], angle: f64) -> Option<usize> {
+    let (sin, cos) = angle.sin_cos();
+    let along = |v: usize| flat[v][0] * cos + flat[v][1] * sin;
+    let most = candidates
+        .iter()
+        .map(|&v| along(v))
+        .fold(f64::NEG_INFINITY, f64::max);
+    // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between
+    // two others.
+    let ahead = |v: usize| flat[v][1] * cos - flat[v][0] * sin;
+    let ties = candidates.iter().copied().filter(|&v| along(v) == most);
+    ties.max_by(|&a, &b| ahead(a).total_cmp(&ahead(b)))
 }
 
 /// Returns the sides of a convex polygon as (a, b, c): where `a x + b y > c`, a point is inside by

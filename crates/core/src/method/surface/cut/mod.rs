@@ -13,6 +13,8 @@
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+
 use super::delaunay::{Cell, Facet};
 use crate::base::progress::{Cancelled, Watcher};
 use bytemuck::Zeroable;
@@ -146,59 +148,74 @@ struct Search<'a> {
     steps: usize,
 }
 
+/// Returns the nodes of the cells, still without residuals from neighbours. Goes backwards, so that
+/// the capacities of finished nodes can be freed: peak memory stays near that of the search itself.
+fn nodes(
+    cells: &[Cell],
+    mut capacities: Vec<Capacities>,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Node>, Cancelled> {
+    let mut nodes: Vec<Node> = bytemuck::zeroed_vec(cells.len());
+    for block in blocks(cells.len()).rev() {
+        watcher.check()?;
+        let inputs = cells[block.clone()].iter().zip(&capacities[block.clone()]);
+        for (node, (cell, own)) in nodes[block.clone()].iter_mut().zip(inputs) {
+            *node = Node::new(cell, own);
+        }
+        capacities.truncate(block.start);
+        capacities.shrink_to_fit();
+    }
+    Ok(nodes)
+}
+
+/// Returns the parts of the nodes between two checks for cancellation.
+fn blocks(nodes: usize) -> impl DoubleEndedIterator<Item = Range<usize>> {
+    let starts = (0..nodes).step_by(BLOCK);
+    starts.map(move |start| start..(start + BLOCK).min(nodes))
+}
+
 impl<'a> Search<'a> {
     fn new(
         cells: &[Cell],
-        mut capacities: Vec<Capacities>,
+        capacities: Vec<Capacities>,
         watcher: &'a dyn Watcher,
     ) -> Result<Self, Cancelled> {
         let flow = capacities
             .iter()
             .map(|own| u64::from(own.source.min(own.sink)))
             .sum();
-        let mut nodes: Vec<Node> = bytemuck::zeroed_vec(cells.len());
-        let blocks = || {
-            (0..cells.len())
-                .step_by(BLOCK)
-                .map(|start| start..(start + BLOCK).min(cells.len()))
-        };
-        // Backwards, so that the capacities of finished nodes can be freed: peak memory stays near
-        // that of the search itself.
-        for block in blocks().rev() {
-            watcher.check()?;
-            let inputs = cells[block.clone()].iter().zip(&capacities[block.clone()]);
-            nodes[block.clone()]
-                .iter_mut()
-                .zip(inputs)
-                .for_each(|(node, (cell, own))| *node = Node::new(cell, own));
-            capacities.truncate(block.start);
-            capacities.shrink_to_fit();
-        }
-        let mut frontier = [Vec::new(), Vec::new()];
-        for block in blocks() {
-            watcher.check()?;
-            for index in block {
-                let node = &nodes[index];
-                let (tree, neighbours) = (node.tree, node.neighbours);
-                let from = |f: Facet| nodes[f.cell() as usize].residual[Source as usize][f.index()];
-                nodes[index].residual[Sink as usize] = neighbours.map(from);
-                if tree != SearchTree::None {
-                    frontier[tree as usize].push(index as u32);
-                }
-            }
-        }
-        Ok(Search {
+        let mut search = Search {
             watcher,
-            nodes,
+            nodes: nodes(cells, capacities, watcher)?,
             flow,
-            frontier,
+            frontier: [Vec::new(), Vec::new()],
             level: [1, 1],
             growing: Source,
             next: Vec::new(),
             orphans: Vec::new(),
             orphan_count: 0,
             steps: 0,
-        })
+        };
+        search.connect()?;
+        Ok(search)
+    }
+
+    /// Sets the residuals from neighbours, and plants the trees.
+    fn connect(&mut self) -> Result<(), Cancelled> {
+        for block in blocks(self.nodes.len()) {
+            self.watcher.check()?;
+            for index in block {
+                let node = &self.nodes[index];
+                let (tree, neighbours) = (node.tree, node.neighbours);
+                let from =
+                    |f: Facet| self.nodes[f.cell() as usize].residual[Source as usize][f.index()];
+                self.nodes[index].residual[Sink as usize] = neighbours.map(from);
+                if tree != SearchTree::None {
+                    self.frontier[tree as usize].push(index as u32);
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Counts work, and regularly checks for cancellation.
@@ -358,20 +375,7 @@ impl<'a> Search<'a> {
 
     fn find_parent(&mut self, index: u32, tree: SearchTree) {
         let node = self.nodes[index as usize];
-        let mut lowest = (self.level[tree as usize], ORPHAN);
-        for (slot, beyond) in node.neighbours.into_iter().enumerate() {
-            if node.residual[tree.other() as usize][slot] == 0 {
-                continue;
-            }
-            let other = &self.nodes[beyond.cell() as usize];
-            if other.tree == tree && other.level < lowest.0 {
-                lowest = (other.level, slot as u8);
-                if other.level + 1 == node.level {
-                    break;
-                }
-            }
-        }
-        let (below, parent) = lowest;
+        let (below, parent) = self.lowest_neighbour(&node, tree);
         if below + 1 != node.level || parent == ORPHAN {
             self.orphan_children(&node);
         }
@@ -390,6 +394,25 @@ impl<'a> Search<'a> {
                 unscanned.push(index);
             }
         }
+    }
+
+    /// Returns level and slot of the neighbour nearest to the terminal that can be a node's parent;
+    /// [`ORPHAN`] if none can.
+    fn lowest_neighbour(&self, node: &Node, tree: SearchTree) -> (u32, u8) {
+        let mut lowest = (self.level[tree as usize], ORPHAN);
+        for (slot, beyond) in node.neighbours.into_iter().enumerate() {
+            if node.residual[tree.other() as usize][slot] == 0 {
+                continue;
+            }
+            let other = &self.nodes[beyond.cell() as usize];
+            if other.tree == tree && other.level < lowest.0 {
+                lowest = (other.level, slot as u8);
+                if other.level + 1 == node.level {
+                    break;
+                }
+            }
+        }
+        lowest
     }
 
     fn orphan_children(&mut self, node: &Node) {

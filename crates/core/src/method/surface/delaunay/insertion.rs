@@ -96,6 +96,24 @@ fn first_simplex(sites: &[Site]) -> Result<[u32; 4], Dimension> {
     Ok([0, 1, third as u32, fourth as u32])
 }
 
+/// Returns the facet of one of the first five cells that is on the other side of another's.
+fn facet_beyond(cells: &[[u32; 4]], cell: &[u32; 4], index: usize) -> Facet {
+    let mut shared = *cell;
+    shared[index] = u32::MAX;
+    let faces = |other: &[u32; 4]| {
+        other != cell && shared.iter().filter(|v| other.contains(v)).count() == 3
+    };
+    let beyond = cells
+        .iter()
+        .position(faces)
+        .expect("each two of the five cells share a triangle");
+    let opposite = cells[beyond]
+        .iter()
+        .position(|v| !shared.contains(v))
+        .expect("two cells differ in one vertex");
+    Facet::new(beyond as u32, opposite)
+}
+
 impl<'a> Construction<'a> {
     fn new(sites: &'a mut [Site], simplex: [u32; 4]) -> Self {
         let infinite = sites.len() as u32 - 1;
@@ -122,28 +140,12 @@ impl<'a> Construction<'a> {
             let [a, b, c] = FACET_VERTICES[facet].map(|i| simplex[i]);
             [a, b, c, self.infinite]
         };
-        let mut vertices = vec![simplex];
-        vertices.extend((0..4).map(outside));
-        for cell in &vertices {
-            let neighbours = [0, 1, 2, 3].map(|index| {
-                let mut shared = *cell;
-                shared[index] = u32::MAX;
-                let faces = |other: &[u32; 4]| {
-                    other != cell && shared.iter().filter(|v| other.contains(v)).count() == 3
-                };
-                let beyond = vertices
-                    .iter()
-                    .position(faces)
-                    .expect("each two of the five cells share a triangle");
-                let opposite = vertices[beyond]
-                    .iter()
-                    .position(|v| !shared.contains(v))
-                    .expect("two cells differ in one vertex");
-                Facet::new(beyond as u32, opposite)
-            });
+        let mut cells = vec![simplex];
+        cells.extend((0..4).map(outside));
+        for &vertices in &cells {
             self.cells.push(Cell {
-                vertices: *cell,
-                neighbours,
+                vertices,
+                neighbours: [0, 1, 2, 3].map(|index| facet_beyond(&cells, &vertices, index)),
             });
             self.marks.push(Mark::Unseen);
         }
@@ -227,34 +229,37 @@ impl<'a> Construction<'a> {
         self.marks[start as usize] = Mark::Removed;
         let mut next = 0;
         while next < self.removed.len() {
-            let Cell {
-                vertices,
-                neighbours,
-            } = self.cells[self.removed[next] as usize];
+            let cell = self.cells[self.removed[next] as usize];
             next += 1;
             if next % CELLS_PER_CHECK == 0 {
                 watcher.check()?;
             }
             for index in 0..4 {
-                let outer = neighbours[index];
-                let beyond = outer.cell();
-                let mark = self.marks[beyond as usize];
-                if mark == Mark::Removed {
-                    continue;
-                }
-                if mark == Mark::Unseen && self.in_conflict(beyond, site) {
-                    self.marks[beyond as usize] = Mark::Removed;
-                    self.removed.push(beyond);
-                    continue;
-                }
-                self.marks[beyond as usize] = Mark::Kept;
-                self.boundary.push(BoundaryFacet {
-                    vertices: FACET_VERTICES[index].map(|i| vertices[i]),
-                    outer,
-                });
+                self.cross(&cell, index, site);
             }
         }
         Ok(())
+    }
+
+    /// Removes the cell beyond a facet of a removed one, or adds the facet to the boundary.
+    #[inline]
+    fn cross(&mut self, cell: &Cell, index: usize, site: &Site) {
+        let outer = cell.neighbours[index];
+        let beyond = outer.cell();
+        let mark = self.marks[beyond as usize];
+        if mark == Mark::Removed {
+            return;
+        }
+        if mark == Mark::Unseen && self.in_conflict(beyond, site) {
+            self.marks[beyond as usize] = Mark::Removed;
+            self.removed.push(beyond);
+            return;
+        }
+        self.marks[beyond as usize] = Mark::Kept;
+        self.boundary.push(BoundaryFacet {
+            vertices: FACET_VERTICES[index].map(|i| cell.vertices[i]),
+            outer,
+        });
     }
 
     fn in_conflict(&self, cell: u32, site: &Site) -> bool {

@@ -177,41 +177,9 @@ impl Delaunay {
 /// Renumbers the used cells by their first vertex along the space-filling curve, so that cells near
 /// in space are near in memory for rays and the cut. Replaces the site at infinity by [`INFINITE`].
 fn compact(cells: &[Cell], free: &[u32], infinite: u32) -> Vec<Cell> {
-    const UNUSED: u32 = u32::MAX;
-    let first = |cell: &Cell| {
-        cell.vertices
-            .into_iter()
-            .min()
-            .expect("a cell has four vertices") as usize
-    };
-    let mut place = vec![0; cells.len()];
-    free.iter().for_each(|&gap| place[gap as usize] = UNUSED);
-    let mut next = vec![0; infinite as usize + 2];
-    for (cell, _) in cells
-        .iter()
-        .zip(&place)
-        .filter(|&(_, &place)| place != UNUSED)
-    {
-        next[first(cell) + 1] += 1;
-    }
-    for vertex in 1..next.len() {
-        next[vertex] += next[vertex - 1];
-    }
-    for (cell, place) in cells
-        .iter()
-        .zip(&mut place)
-        .filter(|(_, place)| **place != UNUSED)
-    {
-        let next = &mut next[first(cell)];
-        *place = *next;
-        *next += 1;
-    }
+    let place = places(cells, free, infinite);
     let mut order = vec![0; cells.len() - free.len()];
-    for (from, &to) in place
-        .iter()
-        .enumerate()
-        .filter(|&(_, &place)| place != UNUSED)
-    {
+    for (from, &to) in (0..).zip(&place).filter(|(_, place)| **place != UNUSED) {
         order[to as usize] = from;
     }
     let placed = |from: usize| {
@@ -228,6 +196,38 @@ fn compact(cells: &[Cell], free: &[u32], infinite: u32) -> Vec<Cell> {
         }
     };
     order.into_iter().map(placed).collect()
+}
+
+/// Number of a cell that is not used.
+const UNUSED: u32 = u32::MAX;
+
+/// Returns the new number of each cell, by counting those of each first vertex.
+fn places(cells: &[Cell], free: &[u32], infinite: u32) -> Vec<u32> {
+    let mut place = vec![0; cells.len()];
+    free.iter().for_each(|&gap| place[gap as usize] = UNUSED);
+    let mut next = vec![0; infinite as usize + 2];
+    for (cell, _) in cells
+        .iter()
+        .zip(&place)
+        .filter(|(_, place)| **place != UNUSED)
+    {
+        next[first_vertex(cell) + 1] += 1;
+    }
+    for vertex in 1..next.len() {
+        next[vertex] += next[vertex - 1];
+    }
+    let used = |(_, place): &(&Cell, &mut u32)| **place != UNUSED;
+    for (cell, place) in cells.iter().zip(&mut place).filter(used) {
+        let next = &mut next[first_vertex(cell)];
+        *place = *next;
+        *next += 1;
+    }
+    place
+}
+
+fn first_vertex(cell: &Cell) -> usize {
+    let first = cell.vertices.into_iter().min();
+    first.expect("a cell has four vertices") as usize
 }
 
 fn cells_of_vertices(cells: &[Cell], vertices: usize) -> Vec<u32> {

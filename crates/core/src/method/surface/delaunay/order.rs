@@ -29,14 +29,7 @@ pub(super) fn sorted_sites(
     grid: &Grid,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<Site>, Vec<u32>), Cancelled> {
-    let mut places: Vec<Place> = Vec::with_capacity(points.len());
-    for chunk in points.chunks(CHUNK) {
-        watcher.check()?;
-        for point in chunk {
-            places.push(hilbert_key(&grid.snap(point)) << INDEX_BITS | places.len() as Place);
-        }
-    }
-    sort(&mut places, &mut vec![0; points.len()], KEY_BITS, watcher)?;
+    let places = sorted_places(points, grid, watcher)?;
     let mut vertex_of_point = vec![0; points.len()];
     let mut sites: Vec<Site> = Vec::with_capacity(points.len());
     let mut last = None;
@@ -52,6 +45,22 @@ pub(super) fn sorted_sites(
         }
     }
     Ok((sites, vertex_of_point))
+}
+
+fn sorted_places(
+    points: &[Point3<f64>],
+    grid: &Grid,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Place>, Cancelled> {
+    let mut places: Vec<Place> = Vec::with_capacity(points.len());
+    for chunk in points.chunks(CHUNK) {
+        watcher.check()?;
+        for point in chunk {
+            places.push(hilbert_key(&grid.snap(point)) << INDEX_BITS | places.len() as Place);
+        }
+    }
+    sort(&mut places, &mut vec![0; points.len()], KEY_BITS, watcher)?;
+    Ok(places)
 }
 
 /// Radix sort of entries whose keys differ in the lowest `bits` only; small parts are sorted by
@@ -71,9 +80,32 @@ fn sort(
         return Ok(());
     }
     let bits = bits - DIGIT_BITS;
+    let ends = distribute(places, buffer, bits, watcher)?;
+    places.copy_from_slice(buffer);
+    let mut start = 0;
+    for end in ends {
+        sort(
+            &mut places[start..end],
+            &mut buffer[start..end],
+            bits,
+            watcher,
+        )?;
+        start = end;
+    }
+    Ok(())
+}
+
+/// Copies entries to a buffer in the order of the digit above `bits`; returns the end of each digit's
+/// part.
+fn distribute(
+    places: &[Place],
+    buffer: &mut [Place],
+    bits: u32,
+    watcher: &dyn Watcher,
+) -> Result<[usize; 1 << DIGIT_BITS], Cancelled> {
     let digit = |place: &Place| (place >> (INDEX_BITS + bits)) as usize & ((1 << DIGIT_BITS) - 1);
     let mut ends = [0; 1 << DIGIT_BITS];
-    for place in &*places {
+    for place in places {
         ends[digit(place)] += 1;
     }
     let mut start = 0;
@@ -88,18 +120,7 @@ fn sort(
             *end += 1;
         }
     }
-    places.copy_from_slice(buffer);
-    let mut start = 0;
-    for end in ends {
-        sort(
-            &mut places[start..end],
-            &mut buffer[start..end],
-            bits,
-            watcher,
-        )?;
-        start = end;
-    }
-    Ok(())
+    Ok(ends)
 }
 
 /// Returns the round of a vertex, counted from the last; each round has about eight times the
