@@ -5,6 +5,8 @@
 //! the sharpest of such views takes part for all of them, and the others are set aside: neither key
 //! views nor partners.
 
+use std::cmp::Ordering;
+
 use rayon::prelude::*;
 
 use super::confidence::{Pictures, SPACING};
@@ -43,51 +45,97 @@ pub fn twins(
     watcher: &dyn Watcher,
 ) -> Result<Vec<Twin>, Cancelled> {
     let placed = placed(scene, points, without_image);
-    let has_twin = |i: &usize| -> Result<bool, Cancelled> {
-        watcher.check()?;
-        let mut near = near(&placed, *i);
-        Ok(near.any(|other| are_twins(scene, &placed[*i], other)))
+    let criteria = Criteria {
+        scene,
+        points,
+        tests,
+        pictures,
+        // That at which it is matched, not half of it.
+        scale: SPACING * image_scale,
     };
-    let rank = |i: usize| {
-        watcher.check()?;
-        let view = placed[i].view;
-        // At the size at which it is matched, not half of it.
-        let grey = pictures.grey(scene, view, SPACING * image_scale);
-        let detail = grey
-            .ok()
-            .flatten()
-            .map_or(0.0, |(grey, _)| grey.detail()[0]);
-        Ok((detail, points.observed_by(view).len(), &placed[i]))
-    };
-    let mut ranked: Vec<(f64, usize, &Placed)> = (0..placed.len())
-        .into_par_iter()
-        .filter_map(|i| match has_twin(&i) {
-            Ok(true) => Some(rank(i)),
-            Ok(false) => None,
-            Err(cancelled) => Some(Err(cancelled)),
-        })
-        .collect::<Result<_, Cancelled>>()?;
-    let is_test = |view: ViewIndex| tests.binary_search(&view).is_ok();
-    ranked.sort_by(|a, b| {
-        let better = b.0.total_cmp(&a.0).then(b.1.cmp(&a.1));
-        let first = is_test(b.2.view).cmp(&is_test(a.2.view));
-        first.then(better).then(a.2.view.cmp(&b.2.view))
-    });
-    let best_first = ranked.into_iter().map(|(.., placed)| placed);
-    let mut aside = set_aside(scene, best_first, watcher)?;
-    aside.retain(|twin| !is_test(twin.view));
+    let best_first = criteria.ranked(&placed, watcher)?;
+    let mut aside = set_aside(scene, &best_first, watcher)?;
+    aside.retain(|twin| !criteria.is_test(twin.view));
     Ok(aside)
+}
+
+/// What decides which view of a place remains.
+struct Criteria<'a> {
+    scene: &'a Scene,
+    points: &'a ViewPoints,
+    tests: &'a [ViewIndex],
+    pictures: &'a dyn Pictures,
+    /// Size at which pictures are read.
+    scale: f64,
+}
+
+impl Criteria<'_> {
+    /// Returns the views that have a twin, best first. Only their pictures are read.
+    fn ranked<'p>(
+        &self,
+        placed: &'p [Placed],
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<Ranked<'p>>, Cancelled> {
+        let rank = |i: usize| {
+            watcher.check()?;
+            let own = &placed[i];
+            let has_twin = near(placed, i).any(|other| are_twins(self.scene, own, other));
+            watcher.check()?;
+            Ok(has_twin.then(|| self.rank(own)))
+        };
+        let ranked = (0..placed.len()).into_par_iter().map(rank);
+        let ranked = ranked.collect::<Result<Vec<Option<Ranked>>, Cancelled>>()?;
+        let mut ranked: Vec<Ranked> = ranked.into_iter().flatten().collect();
+        ranked.sort_by(Ranked::best_first);
+        Ok(ranked)
+    }
+
+    fn rank<'p>(&self, placed: &'p Placed) -> Ranked<'p> {
+        let picture = self.pictures.grey(self.scene, placed.view, self.scale);
+        let picture = picture.ok().flatten();
+        Ranked {
+            placed,
+            is_test: self.is_test(placed.view),
+            detail: picture.map_or(0.0, |(grey, _)| grey.detail()[0]),
+            points: self.points.observed_by(placed.view).len(),
+        }
+    }
+
+    fn is_test(&self, view: ViewIndex) -> bool {
+        self.tests.binary_search(&view).is_ok()
+    }
+}
+
+/// A view that has a twin, by the criteria.
+struct Ranked<'a> {
+    placed: &'a Placed,
+    is_test: bool,
+    /// Energy of the finest band of its picture; 0 without one.
+    detail: f64,
+    /// Number of points that it observes.
+    points: usize,
+}
+
+impl Ranked<'_> {
+    fn best_first(&self, other: &Self) -> Ordering {
+        let tests = other.is_test.cmp(&self.is_test);
+        let better = other.detail.total_cmp(&self.detail);
+        let better = better.then(other.points.cmp(&self.points));
+        tests
+            .then(better)
+            .then(self.placed.view.cmp(&other.placed.view))
+    }
 }
 
 /// Goes through the views, best first: each is set aside if a better one that remains is its twin.
 /// Pairs are not listed: there may be as many as the square of the views.
-fn set_aside<'a>(
+fn set_aside(
     scene: &Scene,
-    best_first: impl Iterator<Item = &'a Placed>,
+    best_first: &[Ranked],
     watcher: &dyn Watcher,
 ) -> Result<Vec<Twin>, Cancelled> {
     let (mut remain, mut aside): (Vec<&Placed>, _) = (Vec::new(), Vec::new());
-    for placed in best_first {
+    for Ranked { placed, .. } in best_first {
         watcher.check()?;
         let better = remain.iter().find(|other| are_twins(scene, placed, other));
         match better.map(|other| other.view) {

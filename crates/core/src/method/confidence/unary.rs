@@ -141,29 +141,16 @@ impl Unary {
         views_at_once: usize,
         watcher: &dyn Watcher,
     ) -> Result<(Column<f32>, Vec<PictureFault>), TableError> {
-        let Geometry {
-            scene,
-            surface,
-            visibility,
-            ..
-        } = *geometry;
         let found = Mutex::new(Vec::new());
         let of_view = |_: &mut (), view: ViewIndex| {
             watcher.check()?;
-            let mask = pictures.mask(scene, view).unwrap_or_else(|fault| {
+            let mask = pictures.mask(geometry.scene, view).unwrap_or_else(|fault| {
                 found.lock().map(|mut found| found.push((view, fault))).ok();
                 None
             });
-            let triangles = visibility.triangles_seen_by(view);
-            Ok(match mask.map(|mask| UsableShares::new(&mask)) {
-                None => vec![1.0; triangles.len()],
-                Some(shares) => triangles
-                    .iter()
-                    .map(|&t| mean_over(scene, surface, view, t, &shares))
-                    .collect(),
-            })
+            Ok(allowed_shares(geometry, view, mask.as_ref()))
         };
-        let values = visibility.column(views_at_once, || (), of_view)?;
+        let values = geometry.visibility.column(views_at_once, || (), of_view)?;
         let mut faults: Vec<PictureFault> = found.into_inner().unwrap_or_default();
         faults.sort_by_key(|(view, _)| *view);
         Ok((values, faults))
@@ -221,6 +208,17 @@ impl UsableShares {
     }
 }
 
+/// Returns the share of each triangle that the view sees which its mask allows.
+fn allowed_shares(geometry: &Geometry, view: ViewIndex, mask: Option<&Mask>) -> Vec<f32> {
+    let triangles = geometry.visibility.triangles_seen_by(view);
+    let Some(mask) = mask else {
+        return vec![1.0; triangles.len()];
+    };
+    let shares = UsableShares::new(mask);
+    let share = |&t: &u32| mean_over(geometry.scene, geometry.surface, view, t, &shares);
+    triangles.iter().map(share).collect()
+}
+
 /// Returns the mean of the cells whose centres are in the projected triangle; if there are none,
 /// the cell of its centroid.
 fn mean_over(
@@ -264,21 +262,29 @@ fn cell(position: f64, cells: u32) -> usize {
 }
 
 fn mean_inside(shares: &UsableShares, corners: [Point2<f64>; 3]) -> Option<f32> {
-    let [a, b, c] = corners;
-    let range = |low: f64, high: f64, cells: u32| cell(low, cells)..cell(high, cells) + 1;
-    let columns = range(a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x), shares.columns);
-    let rows = range(a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y), shares.rows);
-    let side = |p: Point2<f64>, q: Point2<f64>, x: Point2<f64>| (q - p).perp(&(x - p));
+    let columns = cells_between(corners.map(|corner| corner.x), shares.columns);
+    let rows = cells_between(corners.map(|corner| corner.y), shares.rows);
     let (mut sum, mut count) = (0.0, 0u32);
     for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
-        let x = Point2::new(column as f64 + 0.5, row as f64 + 0.5);
-        let sides = [side(a, b, x), side(b, c, x), side(c, a, x)];
-        if sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0) {
+        let centre = Point2::new(column as f64 + 0.5, row as f64 + 0.5);
+        if is_inside(corners, centre) {
             sum += shares.cell(column, row);
             count += 1;
         }
     }
     (count > 0).then(|| sum / count as f32)
+}
+
+/// Returns the columns or rows of the cells that three coordinates span.
+fn cells_between([a, b, c]: [f64; 3], cells: u32) -> Range<usize> {
+    cell(a.min(b).min(c), cells)..cell(a.max(b).max(c), cells) + 1
+}
+
+/// Returns whether a point is in a triangle, whichever way its corners go around.
+fn is_inside([a, b, c]: [Point2<f64>; 3], x: Point2<f64>) -> bool {
+    let side = |p: Point2<f64>, q: Point2<f64>| (q - p).perp(&(x - p));
+    let sides = [side(a, b), side(b, c), side(c, a)];
+    sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0)
 }
 
 #[cfg(test)]

@@ -197,6 +197,32 @@ struct CandidateRow {
     refused: Vec<Refusal>,
 }
 
+/// Returns why a pair is refused whatever the program's own rule.
+fn refusal(pair: &PairGeometry, limits: &Limits) -> Option<Reason> {
+    if pair.has_no_baseline() {
+        Some(Reason::RotationOnly)
+    } else {
+        limits.gate.refusal(pair)
+    }
+}
+
+impl CandidateRow {
+    fn refuse(&mut self, partner: ViewIndex, reason: Reason) {
+        self.refused.push(Refusal { partner, reason });
+    }
+
+    /// Adds partners with which matching usually fails, up to k in all: such a partner is better than
+    /// none.
+    fn fill_beyond_gate<'p>(&mut self, pairs: impl Iterator<Item = &'p PairGeometry<'p>>, k: u32) {
+        let lacking = (k as usize).saturating_sub(self.views.len());
+        let partners: Vec<ViewIndex> = pairs.take(lacking).map(|pair| pair.partner).collect();
+        self.beyond = partners.len();
+        self.refused
+            .retain(|refusal| !partners.contains(&refusal.partner));
+        self.views.extend(partners);
+    }
+}
+
 fn select(
     scene: &Scene,
     neighbours: &Neighbours,
@@ -208,37 +234,17 @@ fn select(
     let refuses = (limits.refusals_of)(key);
     for (partner, shared) in neighbours.pairs() {
         let pair = PairGeometry::new(scene, key, partner, shared);
-        let refusal = if pair.has_no_baseline() {
-            Some(Reason::RotationOnly)
-        } else {
-            limits.gate.refusal(&pair)
-        };
-        match refusal {
+        match refusal(&pair, limits) {
             Some(reason) => {
-                selected.refused.push(Refusal { partner, reason });
+                selected.refuse(partner, reason);
                 unlikely.extend((reason == Reason::NotMatchable).then_some(pair));
             }
             None if selected.views.len() == settings.candidates as usize => break,
-            None if refuses(&pair) => selected.refused.push(Refusal {
-                partner,
-                reason: Reason::NotMatchable,
-            }),
+            None if refuses(&pair) => selected.refuse(partner, Reason::NotMatchable),
             None => selected.views.push(partner),
         }
     }
-    // Beyond the gate matching usually fails, but such a partner is better than none.
-    let empty = (settings.k as usize).saturating_sub(selected.views.len());
-    let filled: Vec<ViewIndex> = unlikely
-        .iter()
-        .filter(|pair| !refuses(pair))
-        .take(empty)
-        .map(|pair| pair.partner)
-        .collect();
-    selected.beyond = filled.len();
-    selected
-        .refused
-        .retain(|refusal| !filled.contains(&refusal.partner));
-    selected.views.extend(filled);
+    selected.fill_beyond_gate(unlikely.iter().filter(|pair| !refuses(pair)), settings.k);
     selected
 }
 

@@ -11,8 +11,6 @@ mod sampled;
 mod search;
 mod settings;
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use self::search::PartnerChoice;
 pub use self::{
     candidates::{CandidateSearch, Candidates, Limits, Refusal, Refuses, candidates, neighbours},
@@ -23,7 +21,7 @@ pub use self::{
 use crate::{
     base::{
         column::{self, TableError},
-        progress::{Stage, Watcher},
+        progress::{Stage, StepCounter, Watcher},
     },
     method::fulfilment::{
         BATCH, FulfilmentTable, FulfilmentTableBuilder, Model,
@@ -44,52 +42,21 @@ pub fn choose(
     seed: u64,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
-    let judges = sampled::judging_triangles(
-        model.surface.triangles.len(),
-        settings.triangle_fraction,
-        seed,
-    );
-    let is_sound = |view: &ViewIndex| model.agreement.rejected.binary_search(view).is_err();
-    let candidates_of = |key: ViewIndex| -> Vec<ViewIndex> {
-        candidates
-            .candidates_of(key)
-            .iter()
-            .copied()
-            .filter(is_sound)
-            .collect()
-    };
-    let has_candidates =
-        |key: &ViewIndex| is_sound(key) && candidates.candidates_of(*key).iter().any(is_sound);
-    let keys: Vec<ViewIndex> = model.scene.view_indices().filter(has_candidates).collect();
-    let (done, total) = (AtomicU64::new(0), keys.len() as u64);
-    watcher.progress(Stage::Partners, 0, total);
-    let choose_one = |slots: &mut BlockSlots, &key: &ViewIndex| {
-        watcher.check()?;
-        let is_judge = |t: u32| judges[t as usize];
-        let candidates = candidates_of(key);
-        let mut block = Block::new(model, key, &candidates, is_judge, slots);
-        let choice = choose_for(&mut block, model, key, &candidates, settings, seed);
-        watcher.progress(
-            Stage::Partners,
-            1 + done.fetch_add(1, Ordering::Relaxed),
-            total,
-        );
-        Ok(choice)
-    };
-    let (mut clusters, mut table) = (
-        Vec::with_capacity(keys.len()),
-        FulfilmentTableBuilder::like(model.visibility)?,
-    );
+    let choosing = Choosing::new(model, candidates, settings, seed);
+    let keys = choosing.keys();
+    let steps = StepCounter::start(watcher, Stage::Partners, keys.len());
+    let mut clusters = Vec::with_capacity(keys.len());
+    let mut table = FulfilmentTableBuilder::like(model.visibility)?;
     column::in_order(
         &keys,
         BATCH,
         || BlockSlots::new(model),
-        choose_one,
-        |batch, chosen| {
+        |slots, &key| steps.run(|| choosing.choose(key, slots)),
+        |_, chosen| {
             model.release();
-            for (&key, (partners, values)) in batch.iter().zip(chosen) {
-                table.push(model.visibility.triangles_seen_by(key), &values)?;
-                clusters.push(ViewCluster { key, partners });
+            for (cluster, values) in chosen {
+                table.push(model.visibility.triangles_seen_by(cluster.key), &values)?;
+                clusters.push(cluster);
             }
             Ok(())
         },
@@ -97,28 +64,74 @@ pub fn choose(
     Ok((clusters, table.finish()?))
 }
 
-/// Partners of one key view, best first, and f of its triangles.
-fn choose_for(
-    block: &mut Block,
-    model: &Model,
-    key: ViewIndex,
-    candidates: &[ViewIndex],
-    settings: &PartnerSettings,
+/// What partners are chosen by.
+struct Choosing<'a> {
+    model: &'a Model<'a>,
+    candidates: &'a Candidates,
+    settings: &'a PartnerSettings,
     seed: u64,
-) -> (Vec<ViewIndex>, Vec<f32>) {
-    let n = candidates.len();
-    let k = n.min(settings.k as usize);
-    let drawn = sampled::combinations(model.scene, key, n, k, settings.draws as usize, seed);
-    let start = sampled::best(block, &drawn);
-    let choice = match settings.method {
-        PartnerMethod::Sampled => PartnerChoice::new(block, start),
-        PartnerMethod::Search => search::search(block, start, n),
-    };
-    let ordered = search::best_first(block, choice.partners);
-    (
-        ordered.into_iter().map(|p| candidates[p]).collect(),
-        choice.values,
-    )
+    /// True for the triangles that choices are judged by.
+    judges: Vec<bool>,
+}
+
+impl<'a> Choosing<'a> {
+    fn new(
+        model: &'a Model<'a>,
+        candidates: &'a Candidates,
+        settings: &'a PartnerSettings,
+        seed: u64,
+    ) -> Self {
+        let triangles = model.surface.triangles.len();
+        let judges = sampled::judging_triangles(triangles, settings.triangle_fraction, seed);
+        Self {
+            model,
+            candidates,
+            settings,
+            seed,
+            judges,
+        }
+    }
+
+    /// Returns whether the view's picture is not rejected.
+    fn is_sound(&self, view: &ViewIndex) -> bool {
+        let rejected = &self.model.agreement.rejected;
+        rejected.binary_search(view).is_err()
+    }
+
+    fn candidates_of(&self, key: ViewIndex) -> impl Iterator<Item = ViewIndex> {
+        let all = self.candidates.candidates_of(key).iter().copied();
+        all.filter(|view| self.is_sound(view))
+    }
+
+    /// Returns the views that can be key views.
+    fn keys(&self) -> Vec<ViewIndex> {
+        let is_key =
+            |view: &ViewIndex| self.is_sound(view) && self.candidates_of(*view).next().is_some();
+        self.model.scene.view_indices().filter(is_key).collect()
+    }
+
+    /// Returns the cluster of a key view, its partners best first, and f of its triangles.
+    fn choose(&self, key: ViewIndex, slots: &mut BlockSlots) -> (ViewCluster, Vec<f32>) {
+        let candidates: Vec<ViewIndex> = self.candidates_of(key).collect();
+        let is_judge = |t: u32| self.judges[t as usize];
+        let mut block = Block::new(self.model, key, &candidates, is_judge, slots);
+        let choice = self.best_set(&mut block, key, candidates.len());
+        let ordered = search::best_first(&mut block, choice.partners);
+        let partners = ordered.into_iter().map(|p| candidates[p]).collect();
+        (ViewCluster { key, partners }, choice.values)
+    }
+
+    /// Returns the set of partners among the `n` candidates of a key view.
+    fn best_set(&self, block: &mut Block, key: ViewIndex, n: usize) -> PartnerChoice {
+        let settings = self.settings;
+        let (k, draws) = (n.min(settings.k as usize), settings.draws as usize);
+        let drawn = sampled::combinations(self.model.scene, key, n, k, draws, self.seed);
+        let start = sampled::best(block, &drawn);
+        match settings.method {
+            PartnerMethod::Sampled => PartnerChoice::new(block, start),
+            PartnerMethod::Search => search::search(block, start, n),
+        }
+    }
 }
 
 #[cfg(test)]

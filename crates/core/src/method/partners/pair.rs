@@ -37,32 +37,24 @@ impl<'a> PairGeometry<'a> {
         partner: ViewIndex,
         shared: &'a [PointIndex],
     ) -> Self {
-        let centres = [key, partner].map(|v| scene.view(v).cam_from_world.centre());
-        let focal = [key, partner].map(|v| scene.camera_of(v).mean_focal_length());
-        let (mut cosines, mut ratios) = (
-            Vec::with_capacity(shared.len()),
-            Vec::with_capacity(shared.len()),
-        );
-        for point in shared.iter().map(|p| scene.points[p.index()]) {
-            let [a, b] = centres.map(|c| c - point);
-            let (a2, b2) = (a.norm_squared(), b.norm_squared());
-            cosines.push(a.dot(&b) / (a2 * b2).sqrt());
-            ratios.push(a2 / b2);
-        }
-        let still = STILL_DEG.to_radians().cos();
-        let still_share =
-            cosines.iter().filter(|&&c| c > still).count() as f64 / shared.len() as f64;
+        let views = [key, partner];
+        let centres = views.map(|v| scene.view(v).cam_from_world.centre());
+        let focal = views.map(|v| scene.camera_of(v).mean_focal_length());
+        let (mut cosines, mut ratios): (Vec<f64>, Vec<f64>) = shared
+            .iter()
+            .map(|p| angle_and_scale(&centres, &scene.points[p.index()]))
+            .unzip();
+        let still_share = still_share(&cosines);
         let octaves = |ratio: f64| 0.5 * ratio.log2() + (focal[1] / focal[0]).log2();
         Self {
             scene,
             key,
             partner,
             shared,
-            angle_deg: median_of(&mut cosines, |c| c.clamp(-1.0, 1.0).acos().to_degrees()),
+            angle_deg: median_of(&mut cosines, angle_deg),
             still_share,
             scale_octaves: median_of(&mut ratios, octaves),
-            epipole_inside: meets_image(scene, key, &centres[1])
-                || meets_image(scene, partner, &centres[0]),
+            epipole_inside: epipole_is_inside(scene, views, &centres),
         }
     }
 
@@ -70,6 +62,28 @@ impl<'a> PairGeometry<'a> {
     pub fn has_no_baseline(&self) -> bool {
         self.still_share > STILL_SHARE
     }
+}
+
+/// Returns the cosine of the angle between the rays from a point to two centres, and the ratio of
+/// their squared lengths.
+fn angle_and_scale(centres: &[Point3<f64>; 2], point: &Point3<f64>) -> (f64, f64) {
+    let [a, b] = centres.map(|centre| centre - point);
+    let (a2, b2) = (a.norm_squared(), b.norm_squared());
+    (a.dot(&b) / (a2 * b2).sqrt(), a2 / b2)
+}
+
+fn angle_deg(cosine: f64) -> f64 {
+    cosine.clamp(-1.0, 1.0).acos().to_degrees()
+}
+
+/// Returns the share of the points relative to which the views do not move.
+fn still_share(cosines: &[f64]) -> f64 {
+    let still = STILL_DEG.to_radians().cos();
+    cosines.iter().filter(|&&c| c > still).count() as f64 / cosines.len() as f64
+}
+
+fn epipole_is_inside(scene: &Scene, [a, b]: [ViewIndex; 2], centres: &[Point3<f64>; 2]) -> bool {
+    meets_image(scene, a, &centres[1]) || meets_image(scene, b, &centres[0])
 }
 
 /// Returns the median of the monotone function `f` over the values; 0 if it is NaN.

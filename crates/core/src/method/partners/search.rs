@@ -1,6 +1,8 @@
 //! Beyond the paper: greedy addition and exchange, proposed on a subset of the triangles and
 //! accepted on all of them.
 
+use std::cmp::Ordering;
+
 use crate::method::fulfilment::block::{Block, Judges, LANES};
 
 /// Minimum number of judging triangles; with fewer, all triangles of the view judge.
@@ -86,32 +88,48 @@ fn exchange(
     n: usize,
     judges: Judges,
 ) -> Option<PartnerChoice> {
-    let now = block.sums(std::slice::from_ref(&best.partners), judges)[0];
-    let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
-    let mut moves = Vec::new();
-    for out in 0..best.partners.len() {
-        let rest: Vec<usize> = best
-            .partners
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| *i != out)
-            .map(|(_, &p)| p)
-            .collect();
-        let sums = block.sums_with(&rest, &left, judges);
-        moves.extend(
-            sums.into_iter()
-                .zip(&left)
-                .filter(|(sum, _)| *sum > now)
-                .map(|(sum, &p)| (sum, out, p)),
-        );
-    }
-    moves.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    moves.into_iter().take(TRIES).find_map(|(_, out, p)| {
+    let mut exchanges = exchanges(block, &best.partners, n, judges);
+    exchanges.sort_by(Exchange::best_first);
+    exchanges.into_iter().take(TRIES).find_map(|exchange| {
         let mut partners = best.partners.clone();
-        partners[out] = p;
+        partners[exchange.place] = exchange.candidate;
         let other = PartnerChoice::new(block, partners);
         (other.sum > best.sum).then_some(other)
     })
+}
+
+/// Another candidate in place of a partner.
+struct Exchange {
+    /// Place of the partner in the set.
+    place: usize,
+    candidate: usize,
+    /// Sum of f over the judging triangles after it.
+    sum: f64,
+}
+
+impl Exchange {
+    fn best_first(&self, other: &Self) -> Ordering {
+        let by_sum = other.sum.total_cmp(&self.sum);
+        by_sum.then((self.place, self.candidate).cmp(&(other.place, other.candidate)))
+    }
+}
+
+/// Returns the exchanges of one partner that gain on the judging triangles.
+fn exchanges(block: &mut Block, partners: &[usize], n: usize, judges: Judges) -> Vec<Exchange> {
+    let now = block.sums(&[partners.to_vec()], judges)[0];
+    let left: Vec<usize> = (0..n).filter(|p| !partners.contains(p)).collect();
+    let mut exchanges = Vec::new();
+    for place in 0..partners.len() {
+        let rest = [&partners[..place], &partners[place + 1..]].concat();
+        let sums = block.sums_with(&rest, &left, judges);
+        let gaining = sums.into_iter().zip(&left).filter(|(sum, _)| *sum > now);
+        exchanges.extend(gaining.map(|(sum, &candidate)| Exchange {
+            place,
+            candidate,
+            sum,
+        }));
+    }
+    exchanges
 }
 
 /// Sorts the partners so that each adds most to those before it.

@@ -22,6 +22,8 @@ pub struct Aggregation {
     above: [Vec<u8>; 2],
     /// Least cost of the latter.
     least: [Vec<u8>; 2],
+    /// Costs before the first pixel of a path: zeros.
+    start: Vec<u8>,
     /// Sum over all paths, by pixel and plane.
     pub sums: Vec<u16>,
 }
@@ -56,60 +58,78 @@ impl Kernel for Passes<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { volume, buffers } = self;
-        let Volume {
-            costs,
-            width,
-            height,
-            planes,
-        } = volume;
-        let stride = planes + 2;
-        buffers.sums.clear();
-        buffers.sums.resize(costs.len(), 0);
-        let start = vec![0; stride];
-        for along in &mut buffers.along {
-            along.clear();
-            along.resize(stride, NEVER);
-        }
-        for (above, least) in buffers.above.iter_mut().zip(&mut buffers.least) {
-            above.clear();
-            above.resize(FROM_ABOVE * width * stride, NEVER);
-            least.clear();
-            least.resize(FROM_ABOVE * width, 0);
-        }
+        let height = volume.height;
+        buffers.begin(&volume);
         // From the first pixel to the last, and back.
         for is_back in [false, true] {
             for n in 0..height {
                 let y = if is_back { height - 1 - n } else { n };
                 buffers.above.swap(0, 1);
                 buffers.least.swap(0, 1);
-                let mut least_along = 0;
-                for i in 0..width {
-                    let x = if is_back { width - 1 - i } else { i };
-                    let at = (y * width + x) * planes;
-                    let own = &costs[at..at + planes];
-                    let sums = &mut buffers.sums[at..at + planes];
-                    buffers.along.swap(0, 1);
-                    let [before, here] = &mut buffers.along;
-                    least_along = match i {
-                        0 => step(own, &start, here, sums, 0),
-                        _ => step(own, before, here, sums, least_along),
-                    };
-                    let [above, here] = &mut buffers.above;
-                    let [least_above, least] = &mut buffers.least;
-                    // The pixels of the row before: behind, beside and ahead.
-                    for (path, column) in [x.wrapping_sub(1), x, x + 1].into_iter().enumerate() {
-                        let to = path * width + x;
-                        let out = &mut here[to * stride..(to + 1) * stride];
-                        least[to] = if n == 0 || column >= width {
-                            step(own, &start, out, sums, 0)
-                        } else {
-                            let from = path * width + column;
-                            let before = &above[from * stride..(from + 1) * stride];
-                            step(own, before, out, sums, least_above[from])
-                        };
-                    }
-                }
+                buffers.add_row(&volume, y, is_back, n == 0);
             }
+        }
+    }
+}
+
+impl Aggregation {
+    fn begin(&mut self, volume: &Volume) {
+        let stride = volume.planes + 2;
+        self.sums.clear();
+        self.sums.resize(volume.costs.len(), 0);
+        self.start.clear();
+        self.start.resize(stride, 0);
+        for along in &mut self.along {
+            along.clear();
+            along.resize(stride, NEVER);
+        }
+        for (above, least) in self.above.iter_mut().zip(&mut self.least) {
+            above.clear();
+            above.resize(FROM_ABOVE * volume.width * stride, NEVER);
+            least.clear();
+            least.resize(FROM_ABOVE * volume.width, 0);
+        }
+    }
+
+    /// Adds the paths of a pass at the pixels of a row. `is_first`: there is no row before it.
+    #[inline(always)]
+    fn add_row(&mut self, volume: &Volume, y: usize, is_back: bool, is_first: bool) {
+        let (width, planes) = (volume.width, volume.planes);
+        let mut least_along = 0;
+        for i in 0..width {
+            let x = if is_back { width - 1 - i } else { i };
+            let at = (y * width + x) * planes;
+            let own = &volume.costs[at..at + planes];
+            let sums = &mut self.sums[at..at + planes];
+            self.along.swap(0, 1);
+            let [before, here] = &mut self.along;
+            least_along = match i {
+                0 => step(own, &self.start, here, sums, 0),
+                _ => step(own, before, here, sums, least_along),
+            };
+            self.add_from_above(own, at, x, is_first);
+        }
+    }
+
+    /// Adds the paths from the row before at a pixel with these costs.
+    #[inline(always)]
+    fn add_from_above(&mut self, own: &[u8], at: usize, x: usize, is_first: bool) {
+        let (planes, stride) = (own.len(), own.len() + 2);
+        let sums = &mut self.sums[at..at + planes];
+        let [above, here] = &mut self.above;
+        let [least_above, least] = &mut self.least;
+        let width = least.len() / FROM_ABOVE;
+        // The pixels of the row before: behind, beside and ahead.
+        for (path, column) in [x.wrapping_sub(1), x, x + 1].into_iter().enumerate() {
+            let to = path * width + x;
+            let out = &mut here[to * stride..(to + 1) * stride];
+            least[to] = if is_first || column >= width {
+                step(own, &self.start, out, sums, 0)
+            } else {
+                let from = path * width + column;
+                let before = &above[from * stride..(from + 1) * stride];
+                step(own, before, out, sums, least_above[from])
+            };
         }
     }
 }

@@ -71,25 +71,30 @@ pub fn confirmed(clusters: &[ViewCluster], maps: &[Option<PilotMap>]) -> Vec<Opt
 }
 
 fn without_specks(map: &PilotMap, is_confirmed: &[bool]) -> PilotMap {
-    let (width, height) = (map.camera.width as isize, map.camera.height as isize);
-    let kept = |pixel: usize| {
-        let own = map.inverse[pixel];
-        let (x, y) = (pixel as isize % width, pixel as isize / width);
-        let around = (0..9).map(|i| (x + i % 3 - 1, y + i / 3 - 1));
-        let beside = around.filter(|&(column, row)| {
-            let inside = (0..width).contains(&column) && (0..height).contains(&row);
-            let other = (row * width + column) as usize;
-            inside
-                && other != pixel
-                && is_confirmed[other]
-                && (map.inverse[other] - own).abs() < SAME_SURFACE * own
-        });
-        is_confirmed[pixel] && beside.count() >= LEAST_NEIGHBOURS
+    let kept = |(pixel, &inverse): (usize, &f32)| {
+        let is_kept =
+            is_confirmed[pixel] && confirmed_beside(map, is_confirmed, pixel) >= LEAST_NEIGHBOURS;
+        if is_kept { inverse } else { 0.0 }
     };
-    let inverse =
-        (0..map.inverse.len()).map(|pixel| if kept(pixel) { map.inverse[pixel] } else { 0.0 });
     PilotMap {
-        inverse: inverse.collect(),
+        inverse: map.inverse.iter().enumerate().map(kept).collect(),
         ..map.clone()
     }
+}
+
+/// Returns the number of confirmed neighbours of a pixel that are on the same surface.
+fn confirmed_beside(map: &PilotMap, is_confirmed: &[bool], pixel: usize) -> usize {
+    let (width, height) = (map.camera.width as isize, map.camera.height as isize);
+    let own = map.inverse[pixel];
+    let (x, y) = (pixel as isize % width, pixel as isize / width);
+    let around = (0..9).map(|i| (x + i % 3 - 1, y + i / 3 - 1));
+    let beside = around.filter(|&(column, row)| {
+        let inside = (0..width).contains(&column) && (0..height).contains(&row);
+        let other = (row * width + column) as usize;
+        inside
+            && other != pixel
+            && is_confirmed[other]
+            && (map.inverse[other] - own).abs() < SAME_SURFACE * own
+    });
+    beside.count()
 }

@@ -12,8 +12,6 @@ mod places;
 mod sweep;
 mod thumbnail;
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use nalgebra::Point3;
 use rayon::prelude::*;
 
@@ -29,63 +27,58 @@ use self::{
 };
 use super::confidence::Pictures;
 use crate::{
-    base::progress::{Cancelled, Stage, Watcher},
+    base::progress::{Cancelled, Stage, StepCounter, Watcher},
     model::{
         camera::Camera,
         cluster::ViewCluster,
-        scene::{Scene, View, ViewIndex, ViewPoints},
+        scene::{PointIndex, Scene, View, ViewIndex, ViewPoints},
     },
 };
 
 /// Matches each cluster in thumbnails, and keeps the depths that other maps confirm. A cluster
 /// without a thumbnail, or without sparse points, has no map. Thumbnails that are missing are made
-/// of `pictures`, which are read for matching at `image_scale`. Nothing is matched where a map is
-/// `made` already, one for each cluster.
+/// of the pictures of the `source`, which are read for matching at this size. Nothing is matched
+/// where a map is `made` already, one for each cluster.
 pub fn maps(
     (scene, points): (&Scene, &ViewPoints),
     clusters: &[ViewCluster],
     made: Vec<Option<PilotMap>>,
     thumbnails: Thumbnails,
-    (pictures, image_scale): (&dyn Pictures, f64),
+    source: (&dyn Pictures, f64),
     watcher: &dyn Watcher,
 ) -> Result<Vec<Option<PilotMap>>, Cancelled> {
-    let mut wanted = vec![false; scene.views.len()];
     let unmatched = clusters
         .iter()
         .zip(&made)
         .filter(|(_, made)| made.is_none());
-    for (cluster, _) in unmatched {
-        let views = cluster.partners.iter().chain([&cluster.key]);
-        views.for_each(|view| wanted[view.index()] = true);
-    }
-    let wanted: Vec<ViewIndex> = scene
-        .view_indices()
-        .filter(|view| wanted[view.index()])
-        .collect();
+    let wanted = views_of(scene, unmatched.map(|(cluster, _)| cluster));
     wanted.par_iter().try_for_each(|&view| {
         watcher.check()?;
-        thumbnails.read(scene, view, (pictures, image_scale));
+        thumbnails.read(scene, view, source);
         Ok(())
     })?;
-    let done = AtomicU64::new(0);
-    watcher.progress(Stage::Pilot, 0, clusters.len() as u64);
-    let matched =
-        clusters
-            .par_iter()
-            .zip(made)
-            .map_init(Scratch::default, |scratch, (cluster, made)| {
-                watcher.check()?;
-                let match_it = || map(scene, points, cluster, &thumbnails, scratch);
-                let map = made.or_else(match_it);
-                let done = 1 + done.fetch_add(1, Ordering::Relaxed);
-                watcher.progress(Stage::Pilot, done, clusters.len() as u64);
-                Ok(map)
-            });
+    let steps = StepCounter::start(watcher, Stage::Pilot, clusters.len());
+    let jobs = clusters.par_iter().zip(made);
+    let matched = jobs.map_init(Scratch::default, |scratch, (cluster, made)| {
+        let match_it = || map(scene, points, cluster, &thumbnails, scratch);
+        steps.run(|| made.or_else(match_it))
+    });
     let matched: Vec<Option<PilotMap>> = matched.collect::<Result<_, Cancelled>>()?;
     watcher.check()?;
     // No longer needed, and larger than the maps.
     drop(thumbnails);
     Ok(confirm::confirmed(clusters, &matched))
+}
+
+/// Returns the views of some clusters, ascending.
+fn views_of<'a>(scene: &Scene, clusters: impl Iterator<Item = &'a ViewCluster>) -> Vec<ViewIndex> {
+    let mut wanted = vec![false; scene.views.len()];
+    for cluster in clusters {
+        let views = cluster.partners.iter().chain([&cluster.key]);
+        views.for_each(|view| wanted[view.index()] = true);
+    }
+    let views = scene.view_indices();
+    views.filter(|view| wanted[view.index()]).collect()
 }
 
 /// Returns the size of the thumbnails over that of images matched at `image_scale`, for the largest
@@ -136,6 +129,13 @@ fn map(
     if partners.is_empty() {
         return None;
     }
+    let range = searched_depths(scene, points, cluster, key)?;
+    let planes = Planes::new(key, &partners, range);
+    Some(sweep::sweep(key, &partners, planes, scratch))
+}
+
+/// Returns the points that views of a cluster observe, ascending.
+fn observed_by(cluster: &ViewCluster, points: &ViewPoints) -> Vec<PointIndex> {
     // What the partners observe counts too: the view itself may observe little of what it shows.
     let views = cluster.partners.iter().chain([&cluster.key]);
     let mut observed: Vec<_> = views
@@ -143,6 +143,17 @@ fn map(
         .collect();
     observed.sort_unstable();
     observed.dedup();
+    observed
+}
+
+/// Returns the range of the depths of sparse points, somewhat widened; `None` without points.
+fn searched_depths(
+    scene: &Scene,
+    points: &ViewPoints,
+    cluster: &ViewCluster,
+    key: &Thumbnail,
+) -> Option<[f64; 2]> {
+    let observed = observed_by(cluster, points);
     let depth = |point: Point3<f64>| key.camera.pixel(&point).map(|(_, z)| z);
     let depths = observed
         .iter()
@@ -153,9 +164,7 @@ fn map(
     }
     depths.sort_by(f64::total_cmp);
     let at = |share: f64| depths[(share * (depths.len() - 1) as f64).round() as usize];
-    let range = [WIDER[0] * at(OUTSIDE), WIDER[1] * at(1.0 - OUTSIDE)];
-    let planes = Planes::new(key, &partners, range);
-    Some(sweep::sweep(key, &partners, planes, scratch))
+    Some([WIDER[0] * at(OUTSIDE), WIDER[1] * at(1.0 - OUTSIDE)])
 }
 
 #[cfg(test)]

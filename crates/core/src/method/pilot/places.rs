@@ -143,6 +143,28 @@ struct Agreeing {
 }
 
 impl Agreed {
+    /// Returns which of the maps that may show a place agree on it; `None` if fewer than two do.
+    fn new(maps: &[Option<PilotMap>], showing: &[u32], place: &Point3<f64>) -> Option<Self> {
+        let (mut finest, mut agreeing) = (f64::INFINITY, Vec::new());
+        for &map in showing {
+            let Some(of_map) = &maps[map as usize] else {
+                continue;
+            };
+            let Some((pixel, z)) = of_map.camera.pixel(place) else {
+                continue;
+            };
+            let gsd = z / of_map.camera.focal[0];
+            finest = finest.min(gsd);
+            let is_kept = of_map.agrees_at(pixel, z);
+            agreeing.extend(is_kept.map(|is_kept| Agreeing { map, gsd, is_kept }));
+        }
+        (agreeing.len() >= 2 && finest > 0.0 && finest.is_finite()).then_some(Self {
+            place: *place,
+            finest,
+            maps: agreeing,
+        })
+    }
+
     fn cell(&self) -> (i32, [i64; 3]) {
         let octave = octave(self.finest);
         let edge = EDGE * f64::from(octave).exp2();
@@ -167,31 +189,8 @@ fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) ->
         .filter(|(pixel, _)| is_thinned(*pixel))
         .map(|(_, place)| place)
         .collect();
-    let look = |place: &Point3<f64>| {
-        let (mut finest, mut agreeing) = (f64::INFINITY, Vec::new());
-        for other in others.iter().copied().chain([own as u32]) {
-            let Some(of_map) = &maps[other as usize] else {
-                continue;
-            };
-            let Some((pixel, z)) = of_map.camera.pixel(place) else {
-                continue;
-            };
-            let gsd = z / of_map.camera.focal[0];
-            finest = finest.min(gsd);
-            if let Some(is_kept) = of_map.agrees_at(pixel, z) {
-                agreeing.push(Agreeing {
-                    map: other,
-                    gsd,
-                    is_kept,
-                });
-            }
-        }
-        (agreeing.len() >= 2 && finest > 0.0 && finest.is_finite()).then_some(Agreed {
-            place: *place,
-            finest,
-            maps: agreeing,
-        })
-    };
+    let showing = [others, &[own as u32]].concat();
+    let look = |place: &Point3<f64>| Agreed::new(maps, &showing, place);
     places.par_iter().filter_map(look).collect()
 }
 

@@ -4,20 +4,22 @@
 //! normalised cross-correlation of 5 x 5 pixels, in the mean of the three best partners, so that a
 //! partner that does not see the place does no harm; aggregated along eight paths.
 
+mod compare;
+
 use nalgebra::{Matrix3, Vector3};
 
+use self::compare::{Compare, Row, Sums};
 use super::{
     aggregate::{Aggregation, Volume},
     pinhole::Pinhole,
     thumbnail::Thumbnail,
 };
-use crate::base::vector::{Kernel, vectorised};
+use crate::base::vector::vectorised;
 
 /// Pixels of a window beside its middle.
 const BESIDE: usize = 2;
 const WINDOW: usize = 2 * BESIDE + 1;
 const PIXELS: f32 = (WINDOW * WINDOW) as f32;
-const PART: f32 = 1.0 / PIXELS;
 /// Partners whose correlation counts.
 const BEST: usize = 3;
 /// Variance that noise has, square grey levels.
@@ -65,46 +67,11 @@ pub struct Scratch {
     aggregation: Aggregation,
 }
 
-/// Positions of a row of samples.
-#[derive(Default)]
-struct Row {
-    at: Vec<u32>,
-    right: Vec<f32>,
-    down: Vec<f32>,
-    quad: Vec<u32>,
-}
-
-/// Sums over windows.
-#[derive(Default)]
-struct Sums {
-    /// Of the last [`WINDOW`] rows: sums over the columns of a window of the partner, its square, and
-    /// its product with the key picture.
-    ring: Vec<f32>,
-    product: Vec<f32>,
-    /// Of a row of pixels: the same over whole windows, and the correlation.
-    means: Vec<f32>,
-    correlation: Vec<f32>,
-}
-
 impl Planes {
     /// Steps of about a pixel in the median partner.
     pub fn new(key: &Thumbnail, partners: &[&Thumbnail], [near, far]: [f64; 2]) -> Self {
         let ends = [1.0 / far, 1.0 / near];
-        let mut shifts = Vec::new();
-        for partner in partners {
-            let warp = Warp::new(key, partner);
-            for i in 0..9 {
-                let share = |i: usize| [0.2, 0.5, 0.8][i];
-                let (x, y) = (
-                    share(i % 3) * key.camera.width as f64,
-                    share(i / 3) * key.camera.height as f64,
-                );
-                let [a, b] = ends.map(|inverse| warp.position(x, y, inverse));
-                shifts.extend(a.zip(b).map(|(a, b)| (a - b).norm()));
-            }
-        }
-        shifts.sort_by(f64::total_cmp);
-        let median = shifts.get(shifts.len() / 2).copied().unwrap_or(64.0);
+        let median = median_shift(key, partners, ends).unwrap_or(64.0);
         let steps = median.ceil().clamp(LEAST_PLANES, MOST_PLANES);
         Self {
             first: ends[0],
@@ -112,6 +79,27 @@ impl Planes {
             count: steps as usize + 1,
         }
     }
+
+    fn inverse(&self, plane: f64) -> f64 {
+        self.first + self.step * plane
+    }
+}
+
+/// Returns by how many pixels places move in the median partner between two inverse depths; `None`
+/// if no partner shows any.
+fn median_shift(key: &Thumbnail, partners: &[&Thumbnail], ends: [f64; 2]) -> Option<f64> {
+    let shares = [0.2, 0.5, 0.8];
+    let [width, height] = [key.camera.width, key.camera.height].map(|side| side as f64);
+    let mut shifts = Vec::new();
+    for partner in partners {
+        let warp = Warp::new(key, partner);
+        for (row, column) in shares.iter().flat_map(|y| shares.map(|x| (y, x))) {
+            let [a, b] = ends.map(|inverse| warp.position(column * width, row * height, inverse));
+            shifts.extend(a.zip(b).map(|(a, b)| (a - b).norm()));
+        }
+    }
+    shifts.sort_by(f64::total_cmp);
+    shifts.get(shifts.len() / 2).copied()
 }
 
 /// The way from a pixel of the key picture at an inverse depth to the partner's: `rotation (x, y,
@@ -157,7 +145,7 @@ pub fn sweep(
         .collect();
     scratch.prepare(key, planes.count);
     for plane in 0..planes.count {
-        let inverse = planes.first + planes.step * plane as f64;
+        let inverse = planes.inverse(plane as f64);
         scratch.best.iter_mut().for_each(|best| best.fill(0.0));
         for (partner, warp) in partners.iter().zip(&warps) {
             vectorised(Compare {
@@ -170,26 +158,28 @@ pub fn sweep(
         }
         scratch.store(plane, planes.count, partners.len());
     }
-    let volume = Volume {
+    scratch.aggregation.run(Volume {
         costs: &scratch.costs,
         width: key.camera.width,
         height: key.camera.height,
         planes: planes.count,
-    };
-    scratch.aggregation.run(volume);
-    let sums = scratch.aggregation.sums.chunks_exact(planes.count);
-    let is_allowed = |pixel: usize| key.allowed.get(pixel).copied().unwrap_or(true);
-    let inverse = sums.enumerate().map(|(pixel, sums)| {
-        let found = winner(sums).filter(|_| is_allowed(pixel));
-        found.map_or(0.0, |plane| {
-            (planes.first + planes.step * plane).max(0.0) as f32
-        })
     });
     PilotMap {
         camera: key.camera.clone(),
         step: planes.step,
-        inverse: inverse.collect(),
+        inverse: inverse_depths(key, planes, &scratch.aggregation.sums),
     }
+}
+
+/// Returns the inverse depth of each pixel by the sums of its costs; 0 for no depth.
+fn inverse_depths(key: &Thumbnail, planes: Planes, sums: &[u16]) -> Vec<f32> {
+    let is_allowed = |pixel: usize| key.allowed.get(pixel).copied().unwrap_or(true);
+    let of_pixel = |(pixel, sums): (usize, &[u16])| {
+        let found = winner(sums).filter(|_| is_allowed(pixel));
+        found.map_or(0.0, |plane| planes.inverse(plane).max(0.0) as f32)
+    };
+    let pixels = sums.chunks_exact(planes.count).enumerate();
+    pixels.map(of_pixel).collect()
 }
 
 /// Returns the plane of the least sum, the first of equals, refined by a parabola through its
@@ -211,34 +201,41 @@ fn winner(sums: &[u16]) -> Option<f64> {
 impl Scratch {
     fn prepare(&mut self, key: &Thumbnail, planes: usize) {
         let (width, height) = (key.camera.width, key.camera.height);
+        self.resize(width, height, planes);
+        self.pad(key);
+        self.measure_windows(width, height);
+    }
+
+    fn resize(&mut self, width: usize, height: usize, planes: usize) {
         let (wide, high, pixels) = (width + 2 * BESIDE, height + 2 * BESIDE, width * height);
-        let sized = |list: &mut Vec<f32>, length: usize| {
-            list.clear();
-            list.resize(length, 0.0);
-        };
-        sized(&mut self.warped, wide * high);
-        sized(&mut self.padded, wide * high);
-        sized(&mut self.inside, pixels);
-        sized(&mut self.mean, pixels);
-        sized(&mut self.inverse_deviation, pixels);
-        self.best.iter_mut().for_each(|best| sized(best, pixels));
-        sized(&mut self.sums.ring, 3 * WINDOW * width);
-        sized(&mut self.sums.product, wide);
-        sized(&mut self.sums.means, 3 * width);
-        sized(&mut self.sums.correlation, width);
-        sized(&mut self.row.right, width);
-        sized(&mut self.row.down, width);
-        self.row.at.resize(width, 0);
-        self.row.quad.resize(width, 0);
+        clear(&mut self.warped, wide * high);
+        clear(&mut self.padded, wide * high);
+        clear(&mut self.inside, pixels);
+        clear(&mut self.mean, pixels);
+        clear(&mut self.inverse_deviation, pixels);
+        self.best.iter_mut().for_each(|best| clear(best, pixels));
+        self.sums.resize(width);
+        self.row.resize(width);
         self.costs.clear();
         self.costs.resize(pixels * planes, 0);
-        for y in 0..high {
+    }
+
+    /// Copies the key picture, with its border repeated.
+    fn pad(&mut self, key: &Thumbnail) {
+        let (width, height) = (key.camera.width, key.camera.height);
+        let rows = self.padded.chunks_exact_mut(width + 2 * BESIDE);
+        for (y, padded) in rows.enumerate() {
             let row = y.saturating_sub(BESIDE).min(height - 1);
-            for x in 0..wide {
+            for (x, level) in padded.iter_mut().enumerate() {
                 let column = x.saturating_sub(BESIDE).min(width - 1);
-                self.padded[y * wide + x] = f32::from(key.grey[row * width + column]);
+                *level = f32::from(key.grey[row * width + column]);
             }
         }
+    }
+
+    /// Computes mean and deviation of the windows of the key picture.
+    fn measure_windows(&mut self, width: usize, height: usize) {
+        let wide = width + 2 * BESIDE;
         for y in 0..height {
             for x in 0..width {
                 let (mut sum, mut squares) = (0.0, 0.0);
@@ -267,198 +264,7 @@ impl Scratch {
     }
 }
 
-/// Correlation of the key picture with a partner that is seen through a plane.
-struct Compare<'a> {
-    key: &'a Thumbnail,
-    partner: &'a Thumbnail,
-    warp: &'a Warp,
-    inverse: f64,
-    scratch: &'a mut Scratch,
-}
-
-impl Kernel for Compare<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let (width, height) = (self.key.camera.width, self.key.camera.height);
-        let scratch = self.scratch;
-        warp_rows(
-            self.warp,
-            self.inverse,
-            self.partner,
-            (width, height),
-            scratch,
-        );
-        correlate((width, height), scratch);
-    }
-}
-
-/// Samples the partner where the pixels of the key picture are on the plane, clamped to its border.
-#[inline(always)]
-fn warp_rows(
-    warp: &Warp,
-    inverse: f64,
-    partner: &Thumbnail,
-    (width, height): (usize, usize),
-    scratch: &mut Scratch,
-) {
-    let wide = width + 2 * BESIDE;
-    let (rotation, shift) = (&warp.rotation, warp.shift * inverse);
-    let [most_x, most_y] =
-        [partner.camera.width, partner.camera.height].map(|side| (side - 1) as f32);
-    let across = [0, 1, 2].map(|axis| rotation[(axis, 0)] as f32);
-    let Row {
-        at,
-        right,
-        down,
-        quad,
-    } = &mut scratch.row;
-    let (at, right, down, quad) = (
-        &mut at[..width],
-        &mut right[..width],
-        &mut down[..width],
-        &mut quad[..width],
-    );
-    let partner_width = partner.camera.width as u32;
-    for y in 0..height {
-        let start = [0, 1, 2].map(|axis| {
-            (rotation[(axis, 1)] * y as f64 + rotation[(axis, 2)] + shift[axis]) as f32
-        });
-        let inside = &mut scratch.inside[y * width..(y + 1) * width];
-        for x in 0..width {
-            let column = x as f32;
-            // Behind the partner: far outside.
-            let scale = 1.0 / (start[2] + across[2] * column).max(1e-6);
-            let u = (start[0] + across[0] * column) * scale;
-            let v = (start[1] + across[1] * column) * scale;
-            let (cu, cv) = (u.max(0.0).min(most_x), v.max(0.0).min(most_y));
-            inside[x] = if cu == u && cv == v { 1.0 } else { 0.0 };
-            let (left, top) = (cu as i32, cv as i32);
-            at[x] = (top as u32)
-                .wrapping_mul(partner_width)
-                .wrapping_add(left as u32);
-            right[x] = cu - left as f32;
-            down[x] = cv - top as f32;
-        }
-        for (quad, &at) in quad.iter_mut().zip(at.iter()) {
-            *quad = partner.quads[at as usize];
-        }
-        let out = &mut scratch.warped[(y + BESIDE) * wide..(y + BESIDE + 1) * wide];
-        let (first, rest) = out.split_at_mut(BESIDE);
-        let (row, last) = rest.split_at_mut(width);
-        for x in 0..width {
-            let level = |byte: u32| (quad[x] >> (8 * byte) & 255) as i32 as f32;
-            let upper = level(0) + right[x] * (level(1) - level(0));
-            let lower = level(2) + right[x] * (level(3) - level(2));
-            row[x] = upper + down[x] * (lower - upper);
-        }
-        first.fill(row[0]);
-        last.fill(row[width - 1]);
-    }
-    for y in 0..BESIDE {
-        scratch
-            .warped
-            .copy_within(BESIDE * wide..(BESIDE + 1) * wide, y * wide);
-        let from = (height + BESIDE - 1) * wide;
-        scratch
-            .warped
-            .copy_within(from..from + wide, (height + BESIDE + y) * wide);
-    }
-}
-
-/// Correlates the windows, and keeps the best partners of each pixel.
-#[inline(always)]
-fn correlate((width, height): (usize, usize), scratch: &mut Scratch) {
-    let (wide, high) = (width + 2 * BESIDE, height + 2 * BESIDE);
-    let Sums {
-        ring,
-        product,
-        means,
-        correlation,
-    } = &mut scratch.sums;
-    let product = &mut product[..wide];
-    for y in 0..high {
-        let warped = &scratch.warped[y * wide..(y + 1) * wide];
-        let key = &scratch.padded[y * wide..(y + 1) * wide];
-        let sums = &mut ring[3 * (y % WINDOW) * width..][..3 * width];
-        let (of_partner, rest) = sums.split_at_mut(width);
-        let (of_squares, of_products) = rest.split_at_mut(width);
-        across(warped, of_partner);
-        (0..wide).for_each(|x| product[x] = warped[x] * warped[x]);
-        across(product, of_squares);
-        (0..wide).for_each(|x| product[x] = warped[x] * key[x]);
-        across(product, of_products);
-        let Some(row) = y.checked_sub(2 * BESIDE) else {
-            continue;
-        };
-        let pixels = row * width..(row + 1) * width;
-        for (kind, mean) in means.chunks_exact_mut(width).enumerate() {
-            let rows = std::array::from_fn(|i| &ring[(3 * i + kind) * width..][..width]);
-            down(rows, mean);
-        }
-        let (sums, rest) = means.split_at(width);
-        let (squares, products) = rest.split_at(width);
-        let of_key = (
-            &scratch.mean[pixels.clone()],
-            &scratch.inverse_deviation[pixels.clone()],
-        );
-        let inside = &scratch.inside[pixels.clone()];
-        correlations((sums, squares, products), of_key, inside, correlation);
-        let [first, second, third] = &mut scratch.best;
-        let next = &mut correlation[..width];
-        for best in [first, second, third] {
-            keep_larger(&mut best[pixels.clone()], next);
-        }
-    }
-}
-
-// Each loop below has few slices: with more, the compiler would not prove that they are apart, and
-// not use vectors.
-
-/// Means over the rows of a window of sums over its columns.
-#[inline(always)]
-fn down(rows: [&[f32]; WINDOW], means: &mut [f32]) {
-    let width = means.len();
-    let rows = rows.map(|row| &row[..width]);
-    for x in 0..width {
-        means[x] = (rows[0][x] + rows[1][x] + rows[2][x] + rows[3][x] + rows[4][x]) * PART;
-    }
-}
-
-/// Correlation by the means of the partner, of its square, and of its product with the key picture.
-#[inline(always)]
-fn correlations(
-    (sums, squares, products): (&[f32], &[f32], &[f32]),
-    (mean, deviation): (&[f32], &[f32]),
-    inside: &[f32],
-    correlation: &mut [f32],
-) {
-    let width = correlation.len();
-    let [sums, squares, products] = [sums, squares, products].map(|of| &of[..width]);
-    let [mean, deviation, inside] = [mean, deviation, inside].map(|of| &of[..width]);
-    for x in 0..width {
-        let variance = (squares[x] - sums[x] * sums[x]).max(0.0);
-        let covariance = products[x] - sums[x] * mean[x];
-        let found = covariance * deviation[x] / (variance + NOISE).sqrt() * inside[x];
-        correlation[x] = found.max(0.0);
-    }
-}
-
-/// Keeps the larger of two numbers in `best`, and the smaller in `next`.
-#[inline(always)]
-fn keep_larger(best: &mut [f32], next: &mut [f32]) {
-    for (best, next) in best.iter_mut().zip(next) {
-        (*best, *next) = (best.max(*next), best.min(*next));
-    }
-}
-
-/// Sums over the columns of a window.
-#[inline(always)]
-fn across(row: &[f32], sums: &mut [f32]) {
-    let width = sums.len();
-    let shifted: [&[f32]; WINDOW] = std::array::from_fn(|i| &row[i..i + width]);
-    for x in 0..width {
-        sums[x] = shifted[0][x] + shifted[1][x] + shifted[2][x] + shifted[3][x] + shifted[4][x];
-    }
+fn clear(list: &mut Vec<f32>, length: usize) {
+    list.clear();
+    list.resize(length, 0.0);
 }

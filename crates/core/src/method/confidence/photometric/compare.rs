@@ -1,9 +1,6 @@
 //! Samples all pictures and compares pairs.
 
-use std::sync::{
-    Mutex,
-    atomic::{AtomicU64, Ordering},
-};
+use std::sync::Mutex;
 
 use super::{
     super::pictures::{PictureFault, Pictures},
@@ -14,7 +11,7 @@ use crate::{
     base::{
         column::{self, Column, ColumnBuilder, Storage, TableError},
         large_pages,
-        progress::{Stage, Watcher},
+        progress::{Stage, StepCounter, Watcher},
     },
     method::geometry::Geometry,
     model::{cluster::Reach, scene::ViewIndex},
@@ -46,33 +43,18 @@ pub(super) fn samples(
     room: SampleRoom,
     watcher: &dyn Watcher,
 ) -> Result<Sampled, TableError> {
-    let Geometry {
-        scene, visibility, ..
-    } = *geometry;
-    let (done, total) = (AtomicU64::new(0), scene.views.len() as u64);
-    watcher.progress(Stage::Confidence, 0, total);
-    let sampler = Sampler {
-        geometry,
-        pictures,
-        spacing: Spacing::new(geometry),
-        faults: Mutex::default(),
-    };
-    let of_view = |view: ViewIndex| {
-        watcher.check()?;
-        let sampled = sampler.of_view(view);
-        let done = 1 + done.fetch_add(1, Ordering::Relaxed);
-        watcher.progress(Stage::Confidence, done, total);
-        Ok(sampled)
-    };
+    let visibility = geometry.visibility;
+    let views = visibility.views();
+    let steps = StepCounter::start(watcher, Stage::Confidence, views.len());
+    let sampler = Sampler::new(geometry, pictures);
     let mut samples = ColumnBuilder::new(room.keep)?;
     samples.reserve(visibility.triangles.len() * STACK);
-    let views = visibility.views();
     let mut detail = Vec::with_capacity(views.len());
     column::in_order(
         &views,
         room.views_at_once,
         || (),
-        |(), &view| of_view(view),
+        |(), &view| steps.run(|| sampler.of_view(view)),
         |_, taken| {
             visibility.triangles.release();
             for (samples_of_view, detail_of_view) in taken {
@@ -84,12 +66,10 @@ pub(super) fn samples(
             Ok(())
         },
     )?;
-    let mut faults = sampler.faults.into_inner().unwrap_or_default();
-    faults.sort_by_key(|(view, _)| *view);
     Ok(Sampled {
         samples: samples.finish()?,
         detail,
-        faults,
+        faults: sampler.into_faults(),
     })
 }
 
@@ -100,7 +80,22 @@ struct Sampler<'a> {
     faults: Mutex<Vec<PictureFault>>,
 }
 
-impl Sampler<'_> {
+impl<'a> Sampler<'a> {
+    fn new(geometry: &'a Geometry<'a>, pictures: &'a dyn Pictures) -> Self {
+        Self {
+            geometry,
+            pictures,
+            spacing: Spacing::new(geometry),
+            faults: Mutex::default(),
+        }
+    }
+
+    fn into_faults(self) -> Vec<PictureFault> {
+        let mut faults = self.faults.into_inner().unwrap_or_default();
+        faults.sort_by_key(|(view, _)| *view);
+        faults
+    }
+
     /// Returns the samples of a view's picture and its detail, as of a view that sees nothing where
     /// there is no picture.
     fn of_view(&self, view: ViewIndex) -> (Vec<i8>, [f64; 2]) {
@@ -138,37 +133,54 @@ pub(super) fn compared(
     reach: &ProgramReach,
     places: &mut [u32],
 ) -> Vec<u8> {
-    let visibility = geometry.visibility;
-    let (own, seen) = (visibility.rows(key), visibility.triangles_seen_by(key));
-    seen.iter()
-        .enumerate()
-        .for_each(|(row, &t)| places[t as usize] = row as u32);
+    let seen = geometry.visibility.triangles_seen_by(key);
+    (0..)
+        .zip(seen)
+        .for_each(|(row, &t)| places[t as usize] = row);
     let mut values = vec![0; partners.len() * seen.len()];
     let reach_of = (reach.of_key_view)(key);
-    for (partner, values) in partners
-        .iter()
-        .zip(values.chunks_exact_mut(seen.len().max(1)))
-    {
-        let reach = reach_of(*partner);
-        let is_reached = |t: u32| match &reach {
-            Reach::Nothing => false,
-            Reach::Everything => true,
-            Reach::Part(is_inside) => is_inside(&geometry.surface.centroid(t)),
-        };
-        for (row, &t) in visibility
-            .rows(*partner)
-            .zip(visibility.triangles_seen_by(*partner))
-        {
-            let place = places[t as usize];
-            if place != u32::MAX && is_reached(t) {
-                let [a, b] =
-                    [own.start + place as usize, row].map(|row| &samples[row * STACK..][..STACK]);
+    let picture = KeyPicture {
+        geometry,
+        samples,
+        first: geometry.visibility.rows(key).start,
+        places,
+    };
+    let rows = values.chunks_exact_mut(seen.len().max(1));
+    for (&partner, values) in partners.iter().zip(rows) {
+        picture.compare(partner, &reach_of(partner), values);
+    }
+    seen.iter().for_each(|&t| places[t as usize] = u32::MAX);
+    values
+}
+
+/// Samples of a key view's picture.
+struct KeyPicture<'a> {
+    geometry: &'a Geometry<'a>,
+    samples: &'a Column<i8>,
+    /// First row of the key view.
+    first: usize,
+    /// By triangle, its place among the rows of the key view; `u32::MAX` if it does not see it.
+    places: &'a [u32],
+}
+
+impl KeyPicture<'_> {
+    /// Writes the agreement with a partner on what both see and the program reaches.
+    fn compare(&self, partner: ViewIndex, reach: &Reach, values: &mut [u8]) {
+        let Geometry {
+            visibility,
+            surface,
+            ..
+        } = *self.geometry;
+        let seen = visibility.triangles_seen_by(partner);
+        for (row, &t) in visibility.rows(partner).zip(seen) {
+            let place = self.places[t as usize];
+            if place != u32::MAX && reach.includes(|| surface.centroid(t)) {
+                let [a, b] = [self.first + place as usize, row]
+                    .map(|row| &self.samples[row * STACK..][..STACK]);
                 values[place as usize] = packed(correlation(a, b));
             }
         }
     }
-    seen.iter().for_each(|&t| places[t as usize] = u32::MAX);
-    values
 }
 
 #[cfg(test)]

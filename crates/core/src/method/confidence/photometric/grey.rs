@@ -1,5 +1,7 @@
 //! Image pyramid of a grey picture.
 
+use std::array::from_fn;
+
 /// Grey picture with its pyramid.
 #[derive(Clone, Debug)]
 pub struct Grey {
@@ -51,11 +53,8 @@ impl Grey {
         let (x, y) = (clamp(x, level.width), clamp(y, level.height));
         let (left, top) = (x as usize, y as usize);
         let (fx, fy) = (x - left as f64, y - top as f64);
-        let pixel = |column: usize, row: usize| {
-            let row = row.min(level.height - 1);
-            f64::from(level.pixels[row * level.width + column.min(level.width - 1)])
-        };
-        let across = |row| pixel(left, row) * (1.0 - fx) + pixel(left + 1, row) * fx;
+        let across =
+            |row| level.clamped(left, row) * (1.0 - fx) + level.clamped(left + 1, row) * fx;
         (across(top) * (1.0 - fy) + across(top + 1) * fy).round() as u8
     }
 
@@ -84,45 +83,57 @@ impl Grey {
         right: [f32; 2],
         down: [f32; 2],
     ) -> Option<[[f32; N]; N]> {
-        let Level {
-            width,
-            height,
-            ref pixels,
-        } = self.levels[level];
         let scale = 1.0 / (1u32 << level) as f32;
+        let level = &self.levels[level];
         let middle = (N - 1) as f32 / 2.0;
         let [centre, right, down] = [centre, right, down].map(|v| v.map(|x| x * scale));
         let reach = [0, 1].map(|axis| middle * (right[axis].abs() + down[axis].abs()));
-        let inside = |axis: usize, side: usize| {
-            let at = centre[axis] - 0.5;
-            at - reach[axis] >= 0.0 && at + reach[axis] < (side - 1) as f32
-        };
-        if !(inside(0, width) && inside(1, height)) {
+        if !level.shows(centre, reach) {
             return None;
         }
-        let mut samples = [[0.0; N]; N];
-        for (i, line) in samples.iter_mut().enumerate() {
-            for (j, sample) in line.iter_mut().enumerate() {
-                let (a, b) = (j as f32 - middle, i as f32 - middle);
-                let x = centre[0] - 0.5 + a * right[0] + b * down[0];
-                let y = centre[1] - 0.5 + a * right[1] + b * down[1];
-                // Rounding may move a sample at the edge beyond it by a negligible amount.
-                let (column, row) = ((x as usize).min(width - 2), (y as usize).min(height - 2));
-                let (fx, fy) = (x - column as f32, y - row as f32);
-                let upper = &pixels[row * width + column..][..2];
-                let lower = &pixels[(row + 1) * width + column..][..2];
-                let across = |pair: &[u8]| {
-                    f32::from(pair[0]) + fx * (f32::from(pair[1]) - f32::from(pair[0]))
-                };
-                let (upper, lower) = (across(upper), across(lower));
-                *sample = upper + fy * (lower - upper);
-            }
-        }
-        Some(samples)
+        let sample = |i: usize, j: usize| {
+            let (a, b) = (j as f32 - middle, i as f32 - middle);
+            let at = |axis: usize| centre[axis] - 0.5 + a * right[axis] + b * down[axis];
+            level.interpolated(at(0), at(1))
+        };
+        Some(from_fn(|i| from_fn(|j| sample(i, j))))
     }
 }
 
 impl Level {
+    /// Returns the pixel, or that at the nearest place of the border.
+    fn clamped(&self, column: usize, row: usize) -> f64 {
+        let (column, row) = (column.min(self.width - 1), row.min(self.height - 1));
+        f64::from(self.pixels[row * self.width + column])
+    }
+
+    /// Returns whether all that is within `reach` of a position can be interpolated.
+    fn shows(&self, centre: [f32; 2], reach: [f32; 2]) -> bool {
+        let inside = |axis: usize, side: usize| {
+            let at = centre[axis] - 0.5;
+            at - reach[axis] >= 0.0 && at + reach[axis] < (side - 1) as f32
+        };
+        inside(0, self.width) && inside(1, self.height)
+    }
+
+    /// Interpolates bilinearly at a position inside, in pixels from the centre of the first one.
+    #[inline]
+    fn interpolated(&self, x: f32, y: f32) -> f32 {
+        let width = self.width;
+        // Rounding may move a sample at the edge beyond it by a negligible amount.
+        let (column, row) = (
+            (x as usize).min(width - 2),
+            (y as usize).min(self.height - 2),
+        );
+        let (fx, fy) = (x - column as f32, y - row as f32);
+        let upper = &self.pixels[row * width + column..][..2];
+        let lower = &self.pixels[(row + 1) * width + column..][..2];
+        let across =
+            |pair: &[u8]| f32::from(pair[0]) + fx * (f32::from(pair[1]) - f32::from(pair[0]));
+        let (upper, lower) = (across(upper), across(lower));
+        upper + fy * (lower - upper)
+    }
+
     /// Mean variance of the grey levels of blocks of 2 x 2 pixels.
     fn variance_of_blocks(&self) -> f64 {
         let (columns, rows) = (self.width / 2, self.height / 2);

@@ -14,14 +14,19 @@ use std::sync::Arc;
 
 use self::compare::{Sampled, compared, samples};
 pub use self::{compare::SampleRoom, grey::Grey, sharpness::Sharpness, stacks::SPACING};
-use super::pictures::{NOT_COMPARED, NOT_PLANNED, PictureError, Pictures, picture_warnings};
+use super::pictures::{
+    NOT_COMPARED, NOT_PLANNED, PictureError, PictureFault, Pictures, picture_warnings,
+};
 use crate::{
     base::{
         column::{Column, READ_AT_ONCE, TableError},
         progress::Watcher,
     },
     method::{confidence::ConfidenceSettings, geometry::Geometry},
-    model::{cluster::Reach, scene::ViewIndex},
+    model::{
+        cluster::Reach,
+        scene::{Scene, ViewIndex},
+    },
 };
 
 /// Chance of a match by the correlation of the pictures (method 7.4); each backend has its own.
@@ -60,6 +65,8 @@ impl Photometric {
         }
     }
 }
+
+const NO_FOLDER: &str = "the project has no image folder: no pictures were compared";
 
 /// Quantisation steps of a correlation from 0 to 1.
 const STEPS: f32 = 254.0;
@@ -150,44 +157,47 @@ impl Agreement {
             faults,
         } = samples(geometry, pictures, room, watcher)?;
         let mut without = vec![!pictures.have_images(); geometry.scene.views.len()];
-        faults
-            .iter()
-            .for_each(|(view, _)| without[view.index()] = true);
+        for (view, _) in &faults {
+            without[view.index()] = true;
+        }
         let mut table = Self::laid_out(geometry, &partners_of, &without);
-        let compare = |places: &mut Vec<u32>, key: ViewIndex| {
+        table.values = Arc::new(table.compare(geometry, &samples, reach, watcher)?);
+        table.detail = detail;
+        table.reject(faults, geometry.scene);
+        if !pictures.have_images() {
+            table.warnings.push(NO_FOLDER.into());
+        }
+        Ok(table)
+    }
+
+    /// Returns the values of all pairs.
+    fn compare(
+        &self,
+        geometry: &Geometry,
+        samples: &Column<i8>,
+        reach: &ProgramReach,
+        watcher: &dyn Watcher,
+    ) -> Result<Column<u8>, TableError> {
+        let of_key = |places: &mut Vec<u32>, key: ViewIndex| {
             watcher.check()?;
             places.resize(geometry.surface.triangles.len(), u32::MAX);
-            Ok(compared(
-                geometry,
-                &samples,
-                key,
-                table.partners_of(key),
-                reach,
-                places,
-            ))
+            let partners = self.partners_of(key);
+            Ok(compared(geometry, samples, key, partners, reach, places))
         };
-        table.values = Arc::new(
-            geometry
-                .visibility
-                .column(READ_AT_ONCE, Vec::new, compare)?,
-        );
+        geometry.visibility.column(READ_AT_ONCE, Vec::new, of_key)
+    }
+
+    /// Rejects the views whose picture cannot be used, and warns of all faults.
+    fn reject(&mut self, faults: Vec<PictureFault>, scene: &Scene) {
         // Without a compared pair, no view has evidence against it that the others lack.
-        let is_rejected = |fault: &PictureError| !table.is_empty() && fault.is_unusable;
+        let is_rejected = |fault: &PictureError| !self.is_empty() && fault.is_unusable;
         let (rejected, others): (Vec<_>, Vec<_>) = faults
             .into_iter()
             .partition(|(_, fault)| is_rejected(fault));
-        table.warnings = picture_warnings(geometry.scene, &rejected, NOT_PLANNED);
-        table
-            .warnings
-            .extend(picture_warnings(geometry.scene, &others, NOT_COMPARED));
-        if !pictures.have_images() {
-            table
-                .warnings
-                .push("the project has no image folder: no pictures were compared".into());
-        }
-        table.detail = detail;
-        table.rejected = rejected.into_iter().map(|(view, _)| view).collect();
-        Ok(table)
+        self.warnings = picture_warnings(scene, &rejected, NOT_PLANNED);
+        self.warnings
+            .extend(picture_warnings(scene, &others, NOT_COMPARED));
+        self.rejected = rejected.into_iter().map(|(view, _)| view).collect();
     }
 
     /// Returns the views without a usable picture, ascending.

@@ -18,20 +18,7 @@ impl Sharpness {
     pub fn new(scene: &Scene, detail: &[[f64; 2]]) -> Self {
         let of_view = |&[fine, coarse]: &[f64; 2]| (coarse > 0.0).then(|| fine / coarse);
         let own: Vec<Option<f64>> = detail.iter().map(of_view).collect();
-        let median = |mut values: Vec<f64>| {
-            values.sort_by(f64::total_cmp);
-            values.get(values.len() / 2).copied()
-        };
-        let all = median(own.iter().copied().flatten().collect());
-        let mut by_camera: Vec<Vec<f64>> = vec![Vec::new(); scene.cameras.len()];
-        for (view, own) in scene.views.iter().zip(&own) {
-            by_camera[view.camera.index()].extend(own);
-        }
-        let of_camera = |values: Vec<f64>| match values.len() {
-            0..LEAST => all,
-            _ => median(values),
-        };
-        let medians: Vec<Option<f64>> = by_camera.into_iter().map(of_camera).collect();
+        let medians = medians_by_camera(scene, &own);
         let relative = |(view, own): (usize, &Option<f64>)| {
             let median = medians[scene.views[view].camera.index()].filter(|&median| median > 0.0);
             Some((*own)? / median?)
@@ -53,6 +40,25 @@ impl Sharpness {
         let views = (0..self.0.len() as u32).map(ViewIndex);
         views.filter(|&view| self.known(view).is_some_and(|own| own < BLURRED))
     }
+}
+
+/// Returns the median of each camera's pictures, that of all pictures where a camera has few.
+fn medians_by_camera(scene: &Scene, own: &[Option<f64>]) -> Vec<Option<f64>> {
+    let all = median(own.iter().copied().flatten().collect());
+    let mut by_camera: Vec<Vec<f64>> = vec![Vec::new(); scene.cameras.len()];
+    for (view, own) in scene.views.iter().zip(own) {
+        by_camera[view.camera.index()].extend(own);
+    }
+    let of_camera = |values: Vec<f64>| match values.len() {
+        0..LEAST => all,
+        _ => median(values),
+    };
+    by_camera.into_iter().map(of_camera).collect()
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -3,13 +3,13 @@
 
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 use super::{super::mask::Mask, grey::Grey};
 use crate::{
     base::column,
     method::{geometry::Geometry, visibility::gsd_at},
-    model::scene::ViewIndex,
+    model::{camera::Camera, scene::ViewIndex},
 };
 
 /// Samples along a side of a patch.
@@ -48,27 +48,43 @@ impl Spacing {
             image_scale,
             ..
         } = *geometry;
-        // Fixed-point logarithms: their sum does not depend on the order in which threads add them.
-        const PARTS: f64 = (1u64 << 32) as f64;
-        let sums: Vec<(AtomicI64, AtomicU32)> = surface
+        let means: Vec<MeanGsd> = surface
             .triangles
             .iter()
-            .map(|_| Default::default())
+            .map(|_| MeanGsd::default())
             .collect();
         let add = |&view: &ViewIndex| {
             for &t in visibility.triangles_seen_by(view) {
-                let gsd = gsd_at(scene, surface, view, t).max(f64::MIN_POSITIVE);
-                let (sum, views) = &sums[t as usize];
-                sum.fetch_add((gsd.log2() * PARTS) as i64, Ordering::Relaxed);
-                views.fetch_add(1, Ordering::Relaxed);
+                means[t as usize].add(gsd_at(scene, surface, view, t));
             }
         };
         column::read_by_parts(&visibility.views(), add, || visibility.triangles.release());
-        let spacing = |(sum, views): (AtomicI64, AtomicU32)| {
-            let mean = sum.into_inner() as f64 / PARTS / f64::from(views.into_inner().max(1));
-            (SPACING * mean.exp2() / image_scale) as f32
-        };
-        Self(sums.into_iter().map(spacing).collect())
+        let spacing = |mean: MeanGsd| (SPACING * mean.value() / image_scale) as f32;
+        Self(means.into_iter().map(spacing).collect())
+    }
+}
+
+/// Geometric mean of the GSDs of several views, which threads add.
+#[derive(Default)]
+struct MeanGsd {
+    /// Sum of the fixed-point logarithms: it does not depend on the order in which threads add them.
+    sum: AtomicI64,
+    views: AtomicU32,
+}
+
+impl MeanGsd {
+    const PARTS: f64 = (1u64 << 32) as f64;
+
+    fn add(&self, gsd: f64) {
+        let octaves = gsd.max(f64::MIN_POSITIVE).log2();
+        self.sum
+            .fetch_add((octaves * Self::PARTS) as i64, Ordering::Relaxed);
+        self.views.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn value(self) -> f64 {
+        let views = f64::from(self.views.into_inner().max(1));
+        (self.sum.into_inner() as f64 / Self::PARTS / views).exp2()
     }
 }
 
@@ -146,31 +162,32 @@ impl<'a> Sampler<'a> {
         down: Vector3<f64>,
     ) -> Option<[[f32; SIDE]; SIDE]> {
         let scene = self.geometry.scene;
-        let (camera, pose) = (
-            scene.camera_of(self.view),
-            &scene.view(self.view).cam_from_world,
-        );
+        let camera = scene.camera_of(self.view);
+        let pose = &scene.view(self.view).cam_from_world;
         let there = pose.camera_from_world(centre);
         let (pixel, jacobian) = camera.project_with_jacobian(&there)?;
-        if self.mask.is_some_and(|mask| {
-            !mask.allows(
-                pixel.x / f64::from(camera.width),
-                pixel.y / f64::from(camera.height),
-            )
-        }) {
+        if self.is_masked(camera, &pixel) {
             return None;
         }
-        let step = |v: Vector3<f64>| {
-            let pixels = jacobian * (pose.rotation.matrix() * v);
-            [pixels.x * self.reduced[0], pixels.y * self.reduced[1]].map(|x| x as f32)
-        };
+        let step = |v: Vector3<f64>| self.in_picture(jacobian * (pose.rotation.matrix() * v));
         // Distance between samples at perpendicular incidence, pixels of the picture; a finer
         // picture is reduced first.
         let apart =
             right.norm() * camera.mean_focal_length() * self.reduced[0] / camera.depth(&there);
         let level = (apart.log2().round().max(0.0) as usize).min(self.grey.levels() - 1);
-        let centre = [pixel.x * self.reduced[0], pixel.y * self.reduced[1]].map(|x| x as f32);
+        let centre = self.in_picture(pixel.coords);
         self.grey.sample(level, centre, step(right), step(down))
+    }
+
+    fn is_masked(&self, camera: &Camera, pixel: &Point2<f64>) -> bool {
+        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        self.mask
+            .is_some_and(|mask| !mask.allows(pixel.x / width, pixel.y / height))
+    }
+
+    /// Converts pixels of the model's image.
+    fn in_picture(&self, pixels: Vector2<f64>) -> [f32; 2] {
+        [pixels.x * self.reduced[0], pixels.y * self.reduced[1]].map(|x| x as f32)
     }
 }
 
