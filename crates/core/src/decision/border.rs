@@ -51,39 +51,36 @@ struct Site {
 impl Site {
     /// `None` where it has no width.
     fn new(surface: &Surface, weights: &[f64]) -> Option<Self> {
-        let triangles = 0..surface.triangles.len() as u32;
-        let centroids: Vec<Point3<f64>> = triangles.clone().map(|t| surface.centroid(t)).collect();
+        let centroids = surface.centroids();
         let axes = principal_axes(&centroids, weights);
-        let range = |axis: &Vector3<f64>| {
-            let mut along: Vec<_> = centroids
-                .iter()
-                .zip(weights)
-                .map(|(c, &w)| (c.coords.dot(axis), w))
-                .collect();
-            [BEYOND, 1.0 - BEYOND].map(|share| quantile(&mut along, share))
-        };
-        let ranges = [range(&axes[0]), range(&axes[1])];
-        let extents = ranges.map(|[low, high]| high - low);
-        let (width, length) = (extents[0].min(extents[1]), extents[0].max(extents[1]));
-        let cell = (width / CELLS.0).max(length / CELLS.1);
+        let ranges = axes.map(|axis| range_along(&axis, &centroids, weights));
+        let [first, second] = ranges.map(|[low, high]| high - low);
+        let width = first.min(second);
+        let cell = (width / CELLS.0).max(first.max(second) / CELLS.1);
         if !(width > 0.0 && cell.is_finite()) {
             return None;
         }
-        // A frame of one empty cell, from which the outside is filled.
-        let [columns, rows] = extents.map(|extent| (extent / cell).ceil() as usize + 2);
-        let low = Point2::new(ranges[0][0] - cell, ranges[1][0] - cell);
-        let mut site = Self {
+        let mut site = Self::framed(axes, ranges, cell);
+        let mut occupied = vec![false; site.columns * site.rows];
+        for t in 0..surface.triangles.len() as u32 {
+            site.occupy(&surface.corners(t), &mut occupied);
+        }
+        site.near = site.near(&site.outside(&occupied), BORDER * width / cell);
+        Some(site)
+    }
+
+    /// Returns a grid of these ranges in a frame of one empty cell, from which the outside is
+    /// filled.
+    fn framed(axes: [Vector3<f64>; 2], ranges: [[f64; 2]; 2], cell: f64) -> Self {
+        let [columns, rows] = ranges.map(|[low, high]| ((high - low) / cell).ceil() as usize + 2);
+        Self {
             axes,
-            low,
+            low: Point2::new(ranges[0][0] - cell, ranges[1][0] - cell),
             cell,
             columns,
             rows,
             near: Vec::new(),
-        };
-        let mut occupied = vec![false; columns * rows];
-        triangles.for_each(|t| site.occupy(&surface.corners(t), &mut occupied));
-        site.near = site.near(&site.outside(&occupied), BORDER * width / cell);
-        Some(site)
+        }
     }
 
     /// Returns column and row of a point; `None` outside of the grid.
@@ -149,31 +146,36 @@ impl Site {
     fn near(&self, outside: &[bool], radius: f64) -> Vec<bool> {
         let mut near = outside.to_vec();
         let reach = radius.floor() as isize;
-        let at = |column: isize, row: isize| {
-            let inside = (0..self.columns as isize).contains(&column)
-                && (0..self.rows as isize).contains(&row);
-            inside.then(|| row as usize * self.columns + column as usize)
-        };
-        for (column, row) in
-            (0..self.rows as isize).flat_map(|r| (0..self.columns as isize).map(move |c| (c, r)))
-        {
-            let is_outside = |c, r| at(c, r).is_none_or(|cell| outside[cell]);
-            let is_outline = is_outside(column, row)
-                && [(1, 0), (-1, 0), (0, 1), (0, -1)]
-                    .iter()
-                    .any(|(c, r)| !is_outside(column + c, row + r));
-            if !is_outline {
-                continue;
-            }
-            for (c, r) in (-reach..=reach).flat_map(|r| (-reach..=reach).map(move |c| (c, r))) {
-                if let Some(cell) =
-                    at(column + c, row + r).filter(|_| ((c * c + r * r) as f64) <= radius * radius)
-                {
-                    near[cell] = true;
-                }
-            }
+        let disc: Vec<(isize, isize)> = (-reach..=reach)
+            .flat_map(|r| (-reach..=reach).map(move |c| (c, r)))
+            .filter(|(c, r)| ((c * c + r * r) as f64) <= radius * radius)
+            .collect();
+        let cells = (0..self.rows as isize)
+            .flat_map(|row| (0..self.columns as isize).map(move |column| (column, row)));
+        for (column, row) in cells.filter(|&(c, r)| self.is_outline(outside, c, r)) {
+            let around = disc
+                .iter()
+                .filter_map(|(c, r)| self.index(column + c, row + r));
+            around.for_each(|cell| near[cell] = true);
         }
         near
+    }
+
+    /// Returns true for the outside cells that others adjoin: only around these can a cell be near
+    /// that is not outside itself.
+    fn is_outline(&self, outside: &[bool], column: isize, row: isize) -> bool {
+        let is_outside = |c, r| self.index(c, r).is_none_or(|cell| outside[cell]);
+        is_outside(column, row)
+            && [(1, 0), (-1, 0), (0, 1), (0, -1)]
+                .iter()
+                .any(|(c, r)| !is_outside(column + c, row + r))
+    }
+
+    /// Returns the index of a cell; `None` outside of the grid.
+    fn index(&self, column: isize, row: isize) -> Option<usize> {
+        let inside =
+            (0..self.columns as isize).contains(&column) && (0..self.rows as isize).contains(&row);
+        inside.then(|| row as usize * self.columns + column as usize)
     }
 
     fn is_near_outline(&self, point: &Point3<f64>) -> bool {
@@ -184,6 +186,20 @@ impl Site {
 
 /// Returns the two principal directions of weighted points.
 fn principal_axes(points: &[Point3<f64>], weights: &[f64]) -> [Vector3<f64>; 2] {
+    let SymmetricEigen {
+        eigenvectors,
+        eigenvalues,
+    } = covariance(points, weights).symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| eigenvalues[b].total_cmp(&eigenvalues[a]));
+    [
+        eigenvectors.column(order[0]).into(),
+        eigenvectors.column(order[1]).into(),
+    ]
+}
+
+/// Returns the covariance of weighted points, times their weight.
+fn covariance(points: &[Point3<f64>], weights: &[f64]) -> Matrix3<f64> {
     let all: f64 = weights.iter().sum();
     let sum: Vector3<f64> = points.iter().zip(weights).map(|(p, &w)| p.coords * w).sum();
     let mean = sum / all.max(f64::MIN_POSITIVE);
@@ -191,17 +207,14 @@ fn principal_axes(points: &[Point3<f64>], weights: &[f64]) -> [Vector3<f64>; 2] 
         let from = p.coords - mean;
         from * from.transpose() * w
     };
-    let covariance: Matrix3<f64> = points.iter().zip(weights).map(spread).sum();
-    let SymmetricEigen {
-        eigenvectors,
-        eigenvalues,
-    } = covariance.symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigenvalues[b].total_cmp(&eigenvalues[a]));
-    [
-        eigenvectors.column(order[0]).into(),
-        eigenvectors.column(order[1]).into(),
-    ]
+    points.iter().zip(weights).map(spread).sum()
+}
+
+/// Returns the range of weighted points along an axis, without the share [`BEYOND`] at either end.
+fn range_along(axis: &Vector3<f64>, points: &[Point3<f64>], weights: &[f64]) -> [f64; 2] {
+    let along = points.iter().map(|point| point.coords.dot(axis));
+    let mut along: Vec<_> = along.zip(weights.iter().copied()).collect();
+    [BEYOND, 1.0 - BEYOND].map(|share| quantile(&mut along, share))
 }
 
 /// Returns the weighted quantile: the smallest value up to which the weight reaches `share`; 0

@@ -3,16 +3,20 @@
 
 use std::sync::Arc;
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::Tables;
 use crate::{
-    base::kd_tree::KdTree,
+    base::{
+        kd_tree::KdTree,
+        progress::{Cancelled, Watcher},
+    },
     method::{
         confidence::Sharpness,
         fulfilment::FulfilmentTable,
         pilot::{Part, Places},
-        ranking::{Maps, Objective, Ranking, Reached, TriangleWeight},
+        ranking::{Maps, Objective, Ranker, Ranking, Reached, TriangleWeight},
         region::Region,
         surface::Surface,
     },
@@ -89,11 +93,24 @@ pub struct Counted<'a> {
 }
 
 impl Counted<'_> {
-    /// Replaces what a ranking keeps by its order with what fusion is expected to keep.
-    pub(super) fn expect(&self, ranking: &mut Ranking) {
-        if self.pilot.is_none() {
-            return;
+    /// Ranks the maps at a price per unit of work ([`Ranker::rank`]), `ranker` by what decides on the
+    /// order here.
+    pub(super) fn rank(
+        &self,
+        ranker: &Ranker,
+        finished: &[(u32, MapScale)],
+        price: f64,
+        watcher: &dyn Watcher,
+    ) -> Result<Ranking, Cancelled> {
+        let mut ranking = ranker.rank(finished, price, watcher)?;
+        if self.pilot.is_some() {
+            self.expect(&mut ranking);
         }
+        Ok(ranking)
+    }
+
+    /// Replaces what a ranking keeps by its order with what fusion is expected to keep.
+    fn expect(&self, ranking: &mut Ranking) {
         let (objective, maps) = self.kept;
         let mut reached = Reached::new(objective);
         let kept = ranking.maps().map(|(cluster, scale)| {
@@ -140,64 +157,21 @@ impl CountedPlaces {
         predicted: Predicted,
         rule: &PlacesRule,
     ) -> Option<Self> {
-        let centroids: Vec<_> = (0..rule.surface.triangles.len() as u32)
-            .map(|t| rule.surface.centroid(t))
-            .collect();
-        if centroids.is_empty() {
+        let nearest = nearest_triangles(&places.centres, rule.surface)?;
+        let weighing = Weighing {
+            places: &places,
+            nearest: &nearest,
+            rule,
+        };
+        let kept = kept_of_all(predicted.0, rule.objective);
+        let order = weighing.order(kept);
+        if kept == 0.0 || order.weights[..nearest.len()].iter().all(|&w| w == 0.0) {
             return None;
         }
-        let tree = KdTree::new(&centroids);
-        let nearest = places
-            .centres
-            .par_iter()
-            .map(|place| tree.nearest::<1>(place)[0]);
-        let nearest: Vec<u32> = nearest.collect();
-        let maps = Maps::full_size(predicted.0);
-        let kept = Reached::by_all(&maps, rule.objective).kept_weight();
-        maps.release();
-        let by_area = Objective::by_area(rule.surface, rule.region, rule.objective.support);
-        let size = |place: usize| f64::from(places.sizes[place]);
-        let weigh = |by: &Objective, of_place: &dyn Fn(usize) -> f64, sum: f64| {
-            let factor = |place: usize| {
-                let factors = rule.region.map(|region| &region.factors);
-                factors.map_or(1.0, |factors| f64::from(factors[nearest[place] as usize]))
-            };
-            let weight = |place| of_place(place) * factor(place);
-            let raw = (0..nearest.len()).map(weight).collect();
-            let mut weighed = Objective::weighing(raw, by.support);
-            weighed
-                .weights
-                .iter_mut()
-                .for_each(|weight| *weight *= (1.0 - PREDICTED) * sum);
-            weighed
-                .weights
-                .extend(by.weights.iter().map(|weight| PREDICTED * weight));
-            weighed.inside = by.inside;
-            weighed
-        };
-        let by_setting = |place: usize| match rule.weight {
-            TriangleWeight::Area => size(place).powi(2),
-            _ => 1.0,
-        };
-        let sure = |place: usize| places.weights[place] * by_setting(place);
-        let [order, expected] = [&sure as &dyn Fn(usize) -> f64, &by_setting]
-            .map(|of_place| weigh(rule.objective, of_place, kept));
-        if kept == 0.0
-            || order.weights[..nearest.len()]
-                .iter()
-                .all(|&weight| weight == 0.0)
-        {
-            return None;
-        }
-        let by = |objective| CountedBy {
-            objective,
-            table: FulfilmentTable::default(),
-            half: None,
-        };
         let counted = Self {
-            by_area: weigh(&by_area, &|place| size(place).powi(2), 1.0),
-            order: by(order),
-            kept: by(expected),
+            by_area: weighing.by_area(),
+            order: CountedBy::without_rows(order),
+            kept: CountedBy::without_rows(weighing.kept(kept)),
             nearest: Arc::new(nearest),
             places,
             half_worth: rule.half_worth as f32,
@@ -228,15 +202,20 @@ impl CountedPlaces {
             MapScale::Half => self.half_worth,
         };
         let first = self.nearest.len() as u32;
-        let filled = |part: &Part| match what_for {
-            For::Order => FILLED_FOR_ORDER * part.density,
-            For::Kept => FILLED * part.density * self.places.measured_area[part.place as usize],
-        };
         let counts = |part: &&Part| what_for == For::Order || part.is_kept;
-        let f = |part: &Part| (part.place, worth * filled(part).min(1.0));
+        let f = |part: &Part| (part.place, worth * self.filled(part, what_for));
         let places = places.iter().filter(counts).map(f);
         let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
         places.chain(triangles).collect()
+    }
+
+    /// Returns the share of a place's cells that a map fills.
+    fn filled(&self, part: &Part, what_for: For) -> f32 {
+        let filled = match what_for {
+            For::Order => FILLED_FOR_ORDER * part.density,
+            For::Kept => FILLED * part.density * self.places.measured_area[part.place as usize],
+        };
+        filled.min(1.0)
     }
 
     /// Returns the same with the parts of other clusters. `finished` returns what is measured of a
@@ -247,28 +226,13 @@ impl CountedPlaces {
         (full, half): Predicted,
         finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
     ) -> Self {
-        let row =
-            |(c, cluster): (usize, &ViewCluster), size, predicted: &FulfilmentTable, what_for| {
-                let places = match finished(cluster.key) {
-                    Some((scale, places)) if scale == size => places,
-                    _ => self.places.of_view(cluster.key),
-                };
-                let mut row = self.row(places, size, predicted.row(c), what_for);
-                if what_for == For::Order {
-                    let sharpness = self.sharpness.of(cluster.key);
-                    let factor = sharpness.powf(SHARPNESS_FOR_ORDER) as f32;
-                    row.iter_mut().for_each(|(_, f)| *f *= factor);
-                }
-                row
-            };
-        let table = |size, predicted, what_for| {
-            let clusters = clusters.iter().enumerate();
-            FulfilmentTable::new(clusters.map(|of| row(of, size, predicted, what_for)))
-        };
-        let counted = |by: &CountedBy, what_for| CountedBy {
-            objective: by.objective.clone(),
-            table: table(MapScale::Full, full, what_for),
-            half: half.map(|half| table(MapScale::Half, half, what_for)),
+        let counted = |by: &CountedBy, what_for| {
+            let table = |size, predicted| self.table(clusters, size, predicted, what_for, finished);
+            CountedBy {
+                objective: by.objective.clone(),
+                table: table(MapScale::Full, full),
+                half: half.map(|half| table(MapScale::Half, half)),
+            }
         };
         Self {
             places: self.places.clone(),
@@ -280,9 +244,137 @@ impl CountedPlaces {
             sharpness: self.sharpness.clone(),
         }
     }
+
+    /// Returns f of places and triangles in maps of this size, by cluster.
+    fn table<'f>(
+        &self,
+        clusters: &[ViewCluster],
+        size: MapScale,
+        predicted: &FulfilmentTable,
+        what_for: For,
+        finished: &dyn Fn(ViewIndex) -> Option<FinishedPart<'f>>,
+    ) -> FulfilmentTable {
+        let row = |(c, cluster): (usize, &ViewCluster)| {
+            let places = match finished(cluster.key) {
+                Some((scale, places)) if scale == size => places,
+                _ => self.places.of_view(cluster.key),
+            };
+            let row = self.row(places, size, predicted.row(c), what_for);
+            self.weighed_by_sharpness(row, cluster.key, what_for)
+        };
+        FulfilmentTable::new(clusters.iter().enumerate().map(row))
+    }
+
+    /// Weighs the row of a map by the sharpness of its picture, which counts for the order alone.
+    fn weighed_by_sharpness(
+        &self,
+        mut row: Vec<(u32, f32)>,
+        key: ViewIndex,
+        what_for: For,
+    ) -> Vec<(u32, f32)> {
+        if what_for == For::Order {
+            let factor = self.sharpness.of(key).powf(SHARPNESS_FOR_ORDER) as f32;
+            row.iter_mut().for_each(|(_, f)| *f *= factor);
+        }
+        row
+    }
+}
+
+/// Returns the triangle nearest to each place; `None` for a surface without triangles.
+fn nearest_triangles(places: &[Point3<f64>], surface: &Surface) -> Option<Vec<u32>> {
+    if surface.triangles.is_empty() {
+        return None;
+    }
+    let tree = KdTree::new(&surface.centroids());
+    let nearest = places.par_iter().map(|place| tree.nearest::<1>(place)[0]);
+    Some(nearest.collect())
+}
+
+/// Returns the weight that fusion keeps of all clusters, as predicted by triangle.
+fn kept_of_all(predicted: &FulfilmentTable, objective: &Objective) -> f64 {
+    let maps = Maps::full_size(predicted);
+    let kept = Reached::by_all(&maps, objective).kept_weight();
+    maps.release();
+    kept
+}
+
+/// Makes objectives of places and triangles.
+struct Weighing<'a> {
+    places: &'a Places,
+    /// Triangle nearest to each place.
+    nearest: &'a [u32],
+    rule: &'a PlacesRule<'a>,
+}
+
+impl Weighing<'_> {
+    /// Returns the objective that decides on the order: places on which only two maps agree count
+    /// less.
+    fn order(&self, sum: f64) -> Objective {
+        self.objective(self.rule.objective, sum, |place| {
+            self.places.weights[place] * self.by_setting(place)
+        })
+    }
+
+    /// Returns the objective of what fusion is expected to keep.
+    fn kept(&self, sum: f64) -> Objective {
+        self.objective(self.rule.objective, sum, |place| self.by_setting(place))
+    }
+
+    fn by_area(&self) -> Objective {
+        let rule = self.rule;
+        let by_area = Objective::by_area(rule.surface, rule.region, rule.objective.support);
+        self.objective(&by_area, 1.0, |place| self.area(place))
+    }
+
+    fn area(&self, place: usize) -> f64 {
+        f64::from(self.places.sizes[place]).powi(2)
+    }
+
+    fn by_setting(&self, place: usize) -> f64 {
+        match self.rule.weight {
+            TriangleWeight::Area => self.area(place),
+            _ => 1.0,
+        }
+    }
+
+    /// Returns the factor of the region at a place.
+    fn factor(&self, place: usize) -> f64 {
+        let factors = self.rule.region.map(|region| &region.factors);
+        factors.map_or(1.0, |factors| {
+            f64::from(factors[self.nearest[place] as usize])
+        })
+    }
+
+    /// Returns the objective that counts places by `weight`, followed by the triangles with the
+    /// part [`PREDICTED`] of theirs in `by_triangle`. `sum`: of both, where that of the triangles is
+    /// 1.
+    fn objective(
+        &self,
+        by_triangle: &Objective,
+        sum: f64,
+        weight: impl Fn(usize) -> f64,
+    ) -> Objective {
+        let raw = (0..self.nearest.len()).map(|place| weight(place) * self.factor(place));
+        let mut objective = Objective::weighing(raw.collect(), by_triangle.support);
+        let weights = &mut objective.weights;
+        weights
+            .iter_mut()
+            .for_each(|weight| *weight *= (1.0 - PREDICTED) * sum);
+        weights.extend(by_triangle.weights.iter().map(|weight| PREDICTED * weight));
+        objective.inside = by_triangle.inside;
+        objective
+    }
 }
 
 impl CountedBy {
+    fn without_rows(objective: Objective) -> Self {
+        Self {
+            objective,
+            table: FulfilmentTable::default(),
+            half: None,
+        }
+    }
+
     fn maps<'a>(&'a self, work: &'a [[f64; 2]]) -> Maps<'a> {
         match &self.half {
             None => Maps::full_size(&self.table),

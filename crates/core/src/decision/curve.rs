@@ -1,9 +1,9 @@
 //! The ranking as a curve: share and cost of each prefix.
 
-use super::{Decision, Options, Tables, cost, forecast};
+use super::{Decision, Options, Tables};
 
 /// The first `clusters` clusters of the ranking together.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CurvePoint {
     /// Number of clusters, from 1.
     pub clusters: usize,
@@ -25,26 +25,15 @@ pub struct CurvePoint {
 impl Decision {
     /// Returns the curve of the whole ranking, a point per cluster.
     pub fn curve(&self, tables: &Tables, options: &Options) -> Vec<CurvePoint> {
-        let (ranking, model) = (&self.ranking, tables.model());
+        let ranking = &self.ranking;
         let points = self.points_by_rank(tables, options);
-        let cost = cost(
-            tables,
-            &model,
-            options,
-            ranking,
-            &self.pixels,
-            self.finished,
-        );
+        let cost = self.cost(tables, options);
         let start = CurvePoint {
-            clusters: 0,
-            pairs: 0,
-            share: 0.0,
-            kept: 0.0,
-            fulfilment: 0.0,
-            points: 0.0,
             seconds: options.forecast.knows_times().then_some(0.0),
+            ..CurvePoint::default()
         };
         let next = |sum: &mut CurvePoint, rank: usize| {
+            let seconds = sum.seconds.zip(cost.seconds(rank));
             *sum = CurvePoint {
                 clusters: rank + 1,
                 pairs: sum.pairs + cost.pairs_of(rank),
@@ -52,10 +41,7 @@ impl Decision {
                 kept: ranking.kept[rank],
                 fulfilment: ranking.fulfilment[rank],
                 points: sum.points + points[rank],
-                seconds: sum
-                    .seconds
-                    .zip(forecast::Cost::seconds(&cost, rank))
-                    .map(|(sum, one)| sum + one),
+                seconds: seconds.map(|(sum, one)| sum + one),
             };
             Some(*sum)
         };

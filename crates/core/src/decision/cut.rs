@@ -79,60 +79,92 @@ impl Cut {
 /// clusters.
 pub fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, DecisionError> {
     let ranking = cost.ranking;
-    let mut end = (ranking.order.len(), None);
-    let sooner = |end: (usize, Option<CutLimit>), length, by| {
-        if length < end.0 {
-            (length, Some(by))
-        } else {
-            end
-        }
+    let End { clusters, limit } = match end(settings, cost)? {
+        end if end.clusters < cost.finished => End::after(cost.finished),
+        end => end,
     };
-    // The target first: a plan that reaches it is not cut short by another limit at the same
-    // length.
-    if let Some(target) = settings.target {
-        end = sooner(end, ranking.length_for_share(target.0), CutLimit::Target);
-    }
-    if let Some(budget) = settings.budget {
-        let length = match budget {
-            // If maps differ in work, a share of the views is a share of the work.
-            Budget::Views(share) if cost.options.has_half => {
-                longest_within(end.0, share.0, |rank| Ok(cost.work(rank)))?
-            }
-            // Of all views, some of which may lack an image or partners; of images, those that can
-            // be chosen.
-            budget if cost.options.makes_maps => budget.clusters(cost.model.scene.views.len()),
-            budget => budget.clusters(cost.tables.clusters.len()),
-        };
-        end = sooner(end, length, CutLimit::Budget);
-    }
-    if let Some(time) = settings.time {
-        let seconds = |rank| cost.seconds(rank).ok_or(DecisionError::NoTimes);
-        end = sooner(end, longest_within(end.0, time.0, seconds)?, CutLimit::Time);
-    }
-    if let Some(points) = settings.points {
-        let mut slots = BlockSlots::new(cost.model);
-        let length = longest_within(end.0, points.0, |rank| Ok(cost.points(rank, &mut slots)))?;
-        end = sooner(end, length, CutLimit::Points);
-    }
-    let (clusters, limit) = if end.0 < cost.finished {
-        (cost.finished, None)
-    } else {
-        end
-    };
+    let up_to_cut = |values: &[f64]| clusters.checked_sub(1).map_or(0.0, |last| values[last]);
     Ok(Cut {
         clusters,
         limit,
         pairs: cost.pairs(clusters),
         share: ranking.share(clusters),
-        kept: clusters
-            .checked_sub(1)
-            .map_or(0.0, |last| ranking.kept[last]),
+        kept: up_to_cut(&ranking.kept),
         reachable: ranking.reachable,
-        fulfilment: clusters
-            .checked_sub(1)
-            .map_or(0.0, |last| ranking.fulfilment[last]),
+        fulfilment: up_to_cut(&ranking.fulfilment),
         ..Cut::default()
     })
+}
+
+/// Where limits end the ranking.
+struct End {
+    clusters: usize,
+    limit: Option<CutLimit>,
+}
+
+impl End {
+    fn after(clusters: usize) -> Self {
+        Self {
+            clusters,
+            limit: None,
+        }
+    }
+
+    /// Returns this end, or that by another limit if it comes before.
+    fn or_sooner(self, clusters: usize, limit: CutLimit) -> Self {
+        if clusters < self.clusters {
+            Self {
+                clusters,
+                limit: Some(limit),
+            }
+        } else {
+            self
+        }
+    }
+}
+
+/// Returns the end of the shortest prefix that the settings allow.
+fn end(settings: &CutSettings, cost: &Cost) -> Result<End, DecisionError> {
+    let mut end = End::after(cost.ranking.order.len());
+    // The target first: a plan that reaches it is not cut short by another limit at the same
+    // length.
+    if let Some(target) = settings.target {
+        end = end.or_sooner(cost.ranking.length_for_share(target.0), CutLimit::Target);
+    }
+    if let Some(budget) = settings.budget {
+        let length = length_for_budget(budget, cost, end.clusters)?;
+        end = end.or_sooner(length, CutLimit::Budget);
+    }
+    if let Some(time) = settings.time {
+        let seconds = |rank| cost.seconds(rank).ok_or(DecisionError::NoTimes);
+        let length = longest_within(end.clusters, time.0, seconds)?;
+        end = end.or_sooner(length, CutLimit::Time);
+    }
+    if let Some(points) = settings.points {
+        let length = length_for_points(points.0, cost, end.clusters)?;
+        end = end.or_sooner(length, CutLimit::Points);
+    }
+    Ok(end)
+}
+
+/// Returns the number of clusters that a budget allows, of `most`.
+fn length_for_budget(budget: Budget, cost: &Cost, most: usize) -> Result<usize, DecisionError> {
+    match budget {
+        // If maps differ in work, a share of the views is a share of the work.
+        Budget::Views(share) if cost.options.has_half => {
+            longest_within(most, share.0, |rank| Ok(cost.work(rank)))
+        }
+        // Of all views, some of which may lack an image or partners; of images, those that can be
+        // chosen.
+        budget if cost.options.makes_maps => Ok(budget.clusters(cost.model.scene.views.len())),
+        budget => Ok(budget.clusters(cost.tables.clusters.len())),
+    }
+}
+
+/// Returns the number of clusters, of `most`, whose maps measure no more than these points.
+fn length_for_points(points: f64, cost: &Cost, most: usize) -> Result<usize, DecisionError> {
+    let mut slots = BlockSlots::new(&cost.model);
+    longest_within(most, points, |rank| Ok(cost.points(rank, &mut slots)))
 }
 
 /// Returns the length of the longest prefix of at most `most` clusters whose costs add up to no

@@ -69,7 +69,7 @@ impl Forecast {
 /// Computes the cost of a cluster by its rank (from 0).
 pub struct Cost<'a> {
     pub tables: &'a Tables,
-    pub model: &'a Model<'a>,
+    pub model: Model<'a>,
     pub ranking: &'a Ranking,
     /// Pixels that the maps of the first clusters will measure at full size, as far as they are
     /// known.
@@ -79,7 +79,24 @@ pub struct Cost<'a> {
     pub options: &'a Options<'a>,
 }
 
-impl Cost<'_> {
+impl<'a> Cost<'a> {
+    pub fn new(
+        tables: &'a Tables,
+        options: &'a Options<'a>,
+        ranking: &'a Ranking,
+        pixels: &'a [f64],
+        finished: usize,
+    ) -> Self {
+        Self {
+            tables,
+            model: tables.model(),
+            ranking,
+            pixels,
+            finished,
+            options,
+        }
+    }
+
     fn cluster(&self, rank: usize) -> &ViewCluster {
         &self.tables.clusters[self.ranking.order[rank] as usize]
     }
@@ -147,8 +164,16 @@ impl Cost<'_> {
             .or(self.pixels.get(rank).copied());
         self.of_size(
             rank,
-            known.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), slots)),
+            known.unwrap_or_else(|| expected_pixels(&self.model, self.cluster(rank), slots)),
         )
+    }
+
+    /// Number of the first `clusters` maps that are made at half the size.
+    fn maps_at_half(&self, clusters: usize) -> usize {
+        self.ranking.scales[..clusters]
+            .iter()
+            .filter(|&&scale| scale == MapScale::Half)
+            .count()
     }
 
     fn of_size(&self, rank: usize, at_full_size: f64) -> f64 {
@@ -171,17 +196,13 @@ pub fn forecast(cost: &Cost, clusters: usize) -> Forecast {
         .map(|cluster| cluster.partners.len())
         .sum();
     let points = points(cost, clusters);
-    let half = cost.ranking.scales[..clusters]
-        .iter()
-        .filter(|&&scale| scale == MapScale::Half)
-        .count();
     Forecast {
         maps: clusters,
         pairs,
         points: points.iter().sum::<f64>().round() as u64,
         seconds: (0..clusters).map(|rank| cost.seconds(rank)).sum(),
         work: (0..clusters).map(|rank| cost.work(rank)).sum(),
-        maps_at_half: half,
+        maps_at_half: cost.maps_at_half(clusters),
         all_maps: clusters_of_all.len(),
         all_pairs,
         all_seconds: cost.seconds_of(
@@ -212,11 +233,11 @@ pub fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
 
 /// Pixels that the depth maps of these ranks are expected to measure at full size.
 pub fn full_size_pixels(cost: &Cost, ranks: Range<usize>) -> Vec<f64> {
-    let slots = || BlockSlots::new(cost.model);
+    let slots = || BlockSlots::new(&cost.model);
     let mut pixels = Vec::with_capacity(ranks.len());
     for batch in Vec::from_iter(ranks).chunks(column::READ_AT_ONCE) {
         let of_rank = |slots: &mut BlockSlots, &rank: &usize| {
-            expected_pixels(cost.model, cost.cluster(rank), slots)
+            expected_pixels(&cost.model, cost.cluster(rank), slots)
         };
         pixels.par_extend(batch.par_iter().map_init(slots, of_rank));
         cost.model.release();

@@ -18,8 +18,6 @@ mod settings;
 mod tables;
 mod uncut;
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use rayon::prelude::*;
 
 pub use self::{
@@ -36,17 +34,14 @@ pub use self::{
     uncut::UncutRanking,
 };
 
-use self::reasons::Reasons;
+use self::{forecast::Cost, reasons::Reasons};
 use crate::{
     base::{
         column::{DiskError, TableError},
         error::{Advice, Hint},
-        progress::{Cancelled, Stage, Watcher},
+        progress::{Cancelled, Stage, StepCounter, Watcher},
     },
-    method::{
-        fulfilment::Model,
-        ranking::{self, Ranker, Ranking},
-    },
+    method::ranking::{self, Ranker, Ranking},
     model::{
         cluster::{MapScale, ViewCluster},
         reason::Reason,
@@ -146,33 +141,29 @@ pub fn decide(
             UncutRanking::new(tables, ranking, options.makes_maps)
         }
     };
+    let cost = Cost::new(tables, options, &ranked.ranking, &ranked.pixels, finished);
+    let cut = cut::cut(options.cut, &cost)?;
+    let cut = assessed(tables, options, &ranked, cut);
+    let decision = decide_as(tables, options, finished, ranked, cut)?;
+    watcher.check()?;
+    Ok(decision)
+}
+
+/// Adds to a cut the bound on other choices, its bands, and what it gives up.
+fn assessed(tables: &Tables, options: &Options, ranked: &UncutRanking, cut: Cut) -> Cut {
     let ranking = &ranked.ranking;
-    let cut = cut::cut(
-        options.cut,
-        &cost(
-            tables,
-            &tables.model(),
-            options,
-            ranking,
-            &ranked.pixels,
-            finished,
-        ),
-    )?;
     let (fulfilment_bound, (reachable_band, share_band, given_up)) = rayon::join(
         || most_of_any(tables, options, ranking, &cut),
-        || bands(tables, options, &ranked, &cut),
+        || bands(tables, options, ranked, &cut),
     );
-    let cut = Cut {
+    Cut {
         fulfilment_bound,
         share_band,
         reachable_band,
         pairs_beyond_gate: pairs_beyond_gate(tables, &ranking.order[..cut.clusters]),
         given_up,
         ..cut
-    };
-    let decision = decide_as(tables, options, finished, ranked, cut)?;
-    watcher.check()?;
-    Ok(decision)
+    }
 }
 
 /// Returns an upper bound on the fulfilment of any choice of as many clusters as the cut.
@@ -207,8 +198,7 @@ fn bands(
     (reachable, share, given_up)
 }
 
-/// Ranks the clusters; if there is a choice of sizes, at several prices of work, and returns the
-/// ranking that is best at its cut.
+/// Ranks the clusters, or the images of a program that makes no maps.
 fn rank(
     tables: &Tables,
     options: &Options,
@@ -218,62 +208,74 @@ fn rank(
     if !options.makes_maps {
         return Ok(images::rank(tables, watcher)?);
     }
+    if options.has_half {
+        return rank_at_prices(tables, options, order, watcher);
+    }
     let counted = tables.counted();
     let ranker = Ranker::new(&counted.maps, counted.objective)?;
-    if !options.has_half {
-        let mut ranking = ranker.rank(order, 0.0, watcher)?;
-        counted.expect(&mut ranking);
-        return Ok(ranking);
-    }
-    let prices = ranker.prices();
-    let ranked = AtomicU64::new(0);
-    watcher.progress(Stage::Ranking, 0, prices.len() as u64);
-    let one = |&price: &f64| {
-        let mut ranking = ranker.rank(order, price, &Silent(watcher))?;
-        counted.expect(&mut ranking);
-        let merit = merit(tables, options, &ranking, order.len())?;
-        watcher.progress(
-            Stage::Ranking,
-            ranked.fetch_add(1, Ordering::Relaxed) + 1,
-            prices.len() as u64,
-        );
-        Ok((merit, ranking))
-    };
-    let rankings: Vec<([f64; 3], Ranking)> = prices
-        .par_iter()
-        .map(one)
-        .collect::<Result<_, DecisionError>>()?;
-    watcher.progress(Stage::Ranking, prices.len() as u64, prices.len() as u64);
-    // The first of equals has the lower price.
-    let better = |best: ([f64; 3], Ranking), next: ([f64; 3], Ranking)| {
-        if next.0 > best.0 { next } else { best }
-    };
-    Ok(rankings
-        .into_iter()
-        .reduce(better)
-        .map(|(_, ranking)| ranking)
-        .unwrap_or_default())
+    Ok(counted.rank(&ranker, order, 0.0, watcher)?)
 }
 
-/// Returns what makes a plan better than others, in this order: what fusion keeps, up to the
-/// target; f_o, unless the target is reached; little work.
-fn merit(
+/// Ranks maps of two sizes at several prices of work, and returns the ranking that is best at its
+/// cut.
+fn rank_at_prices(
     tables: &Tables,
     options: &Options,
-    ranking: &Ranking,
-    finished: usize,
-) -> Result<[f64; 3], DecisionError> {
-    let (model, settings) = (tables.model(), options.cut);
-    let cost = cost(tables, &model, options, ranking, &[], finished);
-    let cut = cut::cut(settings, &cost)?;
-    let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
-    let most = settings
-        .target
-        .map_or(0.0, |target| target.0 * ranking.reachable);
-    // Where the target is reached, more is of no use.
-    let is_enough = settings.target.is_some_and(|target| target.0 < 1.0) && cut.kept >= most;
-    let fulfilment = if is_enough { 0.0 } else { cut.fulfilment };
-    Ok([cut.kept.min(most), fulfilment, -work])
+    order: &[(u32, MapScale)],
+    watcher: &dyn Watcher,
+) -> Result<Ranking, DecisionError> {
+    let counted = tables.counted();
+    let ranker = Ranker::new(&counted.maps, counted.objective)?;
+    let prices = ranker.prices();
+    let steps = StepCounter::start(watcher, Stage::Ranking, prices.len());
+    let at_price = |price: f64| {
+        let ranking = counted.rank(&ranker, order, price, &Silent(watcher))?;
+        Merited::new(tables, options, ranking, order.len())
+    };
+    let rankings = prices
+        .par_iter()
+        .map(|&price| steps.run(|| at_price(price))?);
+    let best = rankings.try_reduce_with(|a, b| Ok(a.or_better(b)));
+    let best = best.transpose()?;
+    steps.end();
+    Ok(best.map(|best| best.ranking).unwrap_or_default())
+}
+
+/// A ranking, with what makes its plan better than others.
+struct Merited {
+    /// In this order: what fusion keeps, up to the target; f_o, unless the target is reached; little
+    /// work.
+    merit: [f64; 3],
+    ranking: Ranking,
+}
+
+impl Merited {
+    fn new(
+        tables: &Tables,
+        options: &Options,
+        ranking: Ranking,
+        finished: usize,
+    ) -> Result<Self, DecisionError> {
+        let settings = options.cut;
+        let cost = Cost::new(tables, options, &ranking, &[], finished);
+        let cut = cut::cut(settings, &cost)?;
+        let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
+        let most = settings
+            .target
+            .map_or(0.0, |target| target.0 * ranking.reachable);
+        // Where the target is reached, more is of no use.
+        let is_enough = settings.target.is_some_and(|target| target.0 < 1.0) && cut.kept >= most;
+        let fulfilment = if is_enough { 0.0 } else { cut.fulfilment };
+        Ok(Self {
+            merit: [cut.kept.min(most), fulfilment, -work],
+            ranking,
+        })
+    }
+
+    /// Returns the better of two, the first of equals, which has the lower price.
+    fn or_better(self, next: Self) -> Self {
+        if next.merit > self.merit { next } else { self }
+    }
 }
 
 /// Passes on cancellation, but not the progress of one of several rankings.
@@ -308,16 +310,12 @@ pub fn decide_as(
         mut pixels,
     } = ranked;
     if options.makes_maps && options.forecast.points_per_map.is_none() {
-        let more = forecast::full_size_pixels(
-            &cost(tables, &model, options, &ranking, &pixels, finished),
-            pixels.len()..cut.clusters,
-        );
+        let cost = Cost::new(tables, options, &ranking, &pixels, finished);
+        let more = forecast::full_size_pixels(&cost, pixels.len()..cut.clusters);
         pixels.extend(more);
     }
-    let forecast = forecast::forecast(
-        &cost(tables, &model, options, &ranking, &pixels, finished),
-        cut.clusters,
-    );
+    let cost = Cost::new(tables, options, &ranking, &pixels, finished);
+    let forecast = forecast::forecast(&cost, cut.clusters);
     let reasons = Reasons::of(tables, &model);
     // A program that matches no pairs lacks none.
     let wanted_partners = if options.makes_maps { options.k } else { 0 };
@@ -347,38 +345,16 @@ fn pairs_beyond_gate(tables: &Tables, chosen: &[u32]) -> usize {
     chosen.iter().map(beyond).sum()
 }
 
-fn cost<'a>(
-    tables: &'a Tables,
-    model: &'a Model<'a>,
-    options: &'a Options<'a>,
-    ranking: &'a Ranking,
-    pixels: &'a [f64],
-    finished: usize,
-) -> forecast::Cost<'a> {
-    forecast::Cost {
-        model,
-        tables,
-        ranking,
-        pixels,
-        finished,
-        options,
-    }
-}
-
 impl Decision {
     /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the
     /// ranking.
     pub fn points_by_rank(&self, tables: &Tables, options: &Options) -> Vec<f64> {
-        let model = tables.model();
-        let cost = cost(
-            tables,
-            &model,
-            options,
-            &self.ranking,
-            &self.pixels,
-            self.finished,
-        );
+        let cost = self.cost(tables, options);
         forecast::points(&cost, self.ranking.order.len())
+    }
+
+    fn cost<'a>(&'a self, tables: &'a Tables, options: &'a Options<'a>) -> Cost<'a> {
+        Cost::new(tables, options, &self.ranking, &self.pixels, self.finished)
     }
 
     /// For each cluster, the clusters ranked before it that give more of its own fulfilment than

@@ -74,30 +74,40 @@ impl<'a> Reasons<'a> {
         chosen: &[u32],
         k: u32,
     ) -> Result<Vec<(ViewStatus, Option<Reason>)>, DiskError> {
-        let views = self.model.scene.views.len();
-        let mut status = vec![ViewStatus::Unused; views];
-        let chosen_clusters = || chosen.iter().map(|&c| &self.clusters[c as usize]);
-        chosen_clusters()
-            .flat_map(|c| &c.partners)
-            .for_each(|p| status[p.index()] = ViewStatus::Partner);
-        chosen_clusters().for_each(|c| status[c.key.index()] = ViewStatus::Key);
-        let mut cluster_of = vec![None; views];
-        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.index()] = Some(c));
+        let status = self.status(chosen);
         let by_triangle =
             ByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len())?;
-        let reason = |view: ViewIndex| match (status[view.index()], cluster_of[view.index()]) {
+        let reason = |&view: &ViewIndex| match (status[view.index()], self.cluster_of(view)) {
             (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, k),
             (_, Some(cluster)) => Some(self.not_taken(cluster, &by_triangle)),
             (_, None) => Some(self.no_cluster(view)),
         };
         let all: Vec<ViewIndex> = self.model.scene.view_indices().collect();
-        let release = || {
+        let reasons = column::read_by_parts(&all, reason, || {
             by_triangle.release();
             self.fulfilment.release();
             self.model.release();
-        };
-        let reasons = column::read_by_parts(&all, |&view| reason(view), release);
+        });
         Ok(status.into_iter().zip(reasons).collect())
+    }
+
+    /// Returns the role of each view in these clusters: a key view is one even where others have it
+    /// for a partner.
+    fn status(&self, chosen: &[u32]) -> Vec<ViewStatus> {
+        let mut status = vec![ViewStatus::Unused; self.model.scene.views.len()];
+        let clusters = || chosen.iter().map(|&c| &self.clusters[c as usize]);
+        let partners = clusters().flat_map(|cluster| &cluster.partners);
+        partners.for_each(|view| status[view.index()] = ViewStatus::Partner);
+        clusters().for_each(|cluster| status[cluster.key.index()] = ViewStatus::Key);
+        status
+    }
+
+    /// Returns the cluster of a view that can be a key view.
+    fn cluster_of(&self, view: ViewIndex) -> Option<usize> {
+        let clusters = self.clusters;
+        clusters
+            .binary_search_by_key(&view, |cluster| cluster.key)
+            .ok()
     }
 
     fn few_partners(&self, cluster: usize, k: u32) -> Option<Reason> {
@@ -209,23 +219,7 @@ impl<'a> Reasons<'a> {
         &self,
         is_asked: impl Fn(usize) -> bool + Sync,
     ) -> Vec<Option<Fulfilment>> {
-        let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
-            let asked = self
-                .model
-                .visibility
-                .triangles_seen_by(cluster.key)
-                .iter()
-                .copied()
-                .filter(|&t| is_asked(t as usize));
-            asked
-                .map(|t| {
-                    (
-                        t,
-                        fulfilment::value(self.model, cluster.key, &cluster.partners, t),
-                    )
-                })
-                .collect()
-        };
+        let of_cluster = |cluster: &ViewCluster| self.factors(cluster, &is_asked);
         let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);
         let mut nearest: Vec<Option<Fulfilment>> = vec![None; self.model.surface.triangles.len()];
         for clusters in self.clusters.chunks(CLUSTERS_AT_ONCE) {
@@ -242,6 +236,18 @@ impl<'a> Reasons<'a> {
             self.model.release();
         }
         nearest
+    }
+
+    /// Returns the factors of a cluster on the triangles that pass `is_asked`.
+    fn factors(
+        &self,
+        ViewCluster { key, partners }: &ViewCluster,
+        is_asked: impl Fn(usize) -> bool,
+    ) -> Vec<(u32, Fulfilment)> {
+        let seen = self.model.visibility.triangles_seen_by(*key).iter();
+        seen.filter(|&&t| is_asked(t as usize))
+            .map(|&t| (t, fulfilment::value(self.model, *key, partners, t)))
+            .collect()
     }
 }
 
@@ -291,27 +297,32 @@ pub fn best_substitutes(
     let of_cluster = |cluster: usize| {
         let (triangles, values) = table.row(cluster);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
-        let mut substitutes = Vec::new();
-        let mut most = 0.0;
-        for (rank, given) in by_triangle
-            .given_by_each(triangles, values, end[cluster])
-            .into_iter()
-            .enumerate()
-        {
-            if given > most {
-                most = given;
-                substitutes.push(Substitute {
-                    rank,
-                    share: given / own,
-                });
-            }
-        }
-        substitutes
+        ever_better(
+            &by_triangle.given_by_each(triangles, values, end[cluster]),
+            own,
+        )
     };
     Ok((0..table.clusters())
         .into_par_iter()
         .map(of_cluster)
         .collect())
+}
+
+/// Returns the ranks that give more than all before them, of a cluster's `own` fulfilment. `given`:
+/// what each rank gives of it.
+fn ever_better(given: &[f64], own: f64) -> Vec<Substitute> {
+    let mut substitutes = Vec::new();
+    let mut most = 0.0;
+    for (rank, &given) in given.iter().enumerate() {
+        if given > most {
+            most = given;
+            substitutes.push(Substitute {
+                rank,
+                share: given / own,
+            });
+        }
+    }
+    substitutes
 }
 
 /// A cluster ranked before another one, whose fulfilment it partly gives as well.

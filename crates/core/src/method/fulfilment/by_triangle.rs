@@ -24,6 +24,48 @@ pub struct Entry {
     pub f: f32,
 }
 
+/// Rows to transpose.
+pub struct Rows<'a, 'r> {
+    /// Returns the triangles of a cluster and their f.
+    pub row: &'a (dyn Fn(u32) -> (&'r [u32], &'r [f32]) + Sync),
+    /// Lets the operating system drop the pages of the rows.
+    pub release: &'a dyn Fn(),
+    pub clusters: &'a [u32],
+}
+
+impl Rows<'_, '_> {
+    /// Returns the start of each triangle's entries, and the end of the last.
+    fn offsets(&self, triangles: usize) -> Vec<usize> {
+        let mut offsets = vec![0; triangles + 1];
+        for (place, &cluster) in self.clusters.iter().enumerate() {
+            let (row, _) = (self.row)(cluster);
+            row.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+            if place.is_multiple_of(column::READ_AT_ONCE) {
+                (self.release)();
+            }
+        }
+        (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
+        offsets
+    }
+
+    /// Returns the entries of consecutive triangles with these offsets.
+    fn entries(&self, offsets: &[usize], first: u32) -> Vec<Entry> {
+        let count = offsets[offsets.len() - 1] - offsets[0];
+        let mut entries = vec![Entry::zeroed(); count];
+        let mut parts = Part::all(&mut entries, offsets, first);
+        let batches = self.clusters.chunks(column::READ_AT_ONCE);
+        for (start, some) in (0..).step_by(column::READ_AT_ONCE).zip(batches) {
+            parts.par_iter_mut().for_each(|part| {
+                (start..)
+                    .zip(some)
+                    .for_each(|(place, &cluster)| part.add(place, (self.row)(cluster)));
+            });
+            (self.release)();
+        }
+        entries
+    }
+}
+
 /// Consecutive triangles whose entries one thread sorts.
 struct Part<'a> {
     first: u32,
@@ -32,7 +74,25 @@ struct Part<'a> {
     entries: &'a mut [Entry],
 }
 
-impl Part<'_> {
+impl<'a> Part<'a> {
+    /// Splits entries with these offsets.
+    fn all(entries: &'a mut [Entry], offsets: &[usize], first: u32) -> Vec<Self> {
+        let triangles = offsets.len() - 1;
+        let (mut parts, mut rest) = (Vec::new(), entries);
+        for from in (0..triangles).step_by(TRIANGLES_AT_ONCE) {
+            let end = (from + TRIANGLES_AT_ONCE).min(triangles);
+            let starts = offsets[from..end].iter();
+            let (own, others) = rest.split_at_mut(offsets[end] - offsets[from]);
+            parts.push(Part {
+                first: first + from as u32,
+                next: starts.map(|start| start - offsets[from]).collect(),
+                entries: own,
+            });
+            rest = others;
+        }
+        parts
+    }
+
     fn add(&mut self, place: u32, (triangles, values): (&[u32], &[f32])) {
         let rows = [self.first, self.first + self.next.len() as u32];
         let [from, end] = rows.map(|bound| triangles.partition_point(|&t| t < bound));
@@ -56,36 +116,17 @@ impl ByTriangle {
         clusters: &[u32],
         triangles: usize,
     ) -> Result<Self, DiskError> {
-        let row = |cluster| table.row(cluster as usize);
-        Self::of_rows(
-            &row,
-            &|| table.release(),
-            table.triangles.storage(),
+        let rows = Rows {
+            row: &|cluster| table.row(cluster as usize),
+            release: &|| table.release(),
             clusters,
-            triangles,
-        )
+        };
+        Self::of_rows(&rows, table.triangles.storage(), triangles)
     }
 
-    /// As [`Self::new`], for rows from several tables; `release` lets the operating system drop
-    /// their pages.
-    pub fn of_rows<'r>(
-        row: &(dyn Fn(u32) -> (&'r [u32], &'r [f32]) + Sync),
-        release: &dyn Fn(),
-        storage: Storage,
-        clusters: &[u32],
-        triangles: usize,
-    ) -> Result<Self, DiskError> {
-        let mut offsets = vec![0; triangles + 1];
-        for (place, &cluster) in clusters.iter().enumerate() {
-            row(cluster)
-                .0
-                .iter()
-                .for_each(|&t| offsets[t as usize + 1] += 1);
-            if place.is_multiple_of(column::READ_AT_ONCE) {
-                release();
-            }
-        }
-        (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
+    /// As [`Self::new`], for rows from several tables.
+    pub fn of_rows(rows: &Rows, storage: Storage, triangles: usize) -> Result<Self, DiskError> {
+        let offsets = rows.offsets(triangles);
         let mut entries = ColumnBuilder::new(storage)?;
         entries.reserve(offsets[triangles]);
         let mut from = 0;
@@ -94,59 +135,14 @@ impl ByTriangle {
             let room = offsets[from] + ENTRIES_AT_ONCE;
             let end =
                 (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
-            entries.extend(&Self::entries(
-                row,
-                release,
-                clusters,
-                &offsets[from..=end],
-                from as u32,
-            ))?;
+            entries.extend(&rows.entries(&offsets[from..=end], from as u32))?;
             from = end;
         }
         Ok(Self {
             offsets,
             entries: entries.finish()?,
-            clusters: clusters.len(),
+            clusters: rows.clusters.len(),
         })
-    }
-
-    /// Returns the entries of consecutive triangles with these offsets.
-    fn entries<'r>(
-        row: &(dyn Fn(u32) -> (&'r [u32], &'r [f32]) + Sync),
-        release: &dyn Fn(),
-        clusters: &[u32],
-        offsets: &[usize],
-        first: u32,
-    ) -> Vec<Entry> {
-        let triangles = offsets.len() - 1;
-        let mut entries = vec![Entry::zeroed(); offsets[triangles] - offsets[0]];
-        let (mut parts, mut rest) = (Vec::new(), &mut entries[..]);
-        for from in (0..triangles).step_by(TRIANGLES_AT_ONCE) {
-            let end = (from + TRIANGLES_AT_ONCE).min(triangles);
-            let next = offsets[from..end]
-                .iter()
-                .map(|offset| offset - offsets[from])
-                .collect();
-            let (own, others) = rest.split_at_mut(offsets[end] - offsets[from]);
-            parts.push(Part {
-                first: first + from as u32,
-                next,
-                entries: own,
-            });
-            rest = others;
-        }
-        for (start, some) in (0..)
-            .step_by(column::READ_AT_ONCE)
-            .zip(clusters.chunks(column::READ_AT_ONCE))
-        {
-            parts.par_iter_mut().for_each(|part| {
-                (start..)
-                    .zip(some)
-                    .for_each(|(place, &cluster)| part.add(place, row(cluster)));
-            });
-            release();
-        }
-        entries
     }
 
     /// Returns the entries of a triangle, in the order of the list.

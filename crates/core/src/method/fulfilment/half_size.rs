@@ -21,24 +21,31 @@ pub fn half_size(
     let half = table(&model.at(MapScale::Half), clusters, watcher)?;
     let mut blended = FulfilmentTableBuilder::like(model.visibility)?;
     for cluster in 0..clusters.len() {
-        let (triangles, values) = full.row(cluster);
-        let mut coarse = half.row(cluster);
-        let blend = |(&t, &fine): (&u32, &f32)| {
-            let before = coarse.0.partition_point(|&other| other < t);
-            coarse = (&coarse.0[before..], &coarse.1[before..]);
-            let own = if coarse.0.first() == Some(&t) {
-                coarse.1[0]
-            } else {
-                0.0
-            };
-            own + worth as f32 * (fine - own)
-        };
-        let values: Vec<f32> = triangles.iter().zip(values).map(blend).collect();
-        blended.push(triangles, &values)?;
+        let values = blended_row(full.row(cluster), half.row(cluster), worth as f32);
+        blended.push(full.row(cluster).0, &values)?;
         if cluster.is_multiple_of(READ_AT_ONCE) {
             full.release();
             half.release();
         }
     }
     Ok(blended.finish()?)
+}
+
+/// Returns f of the triangles of a row at full size. Those without f at half size have 0 there.
+fn blended_row(
+    (triangles, values): (&[u32], &[f32]),
+    mut half: (&[u32], &[f32]),
+    worth: f32,
+) -> Vec<f32> {
+    let blend = |(&t, &fine): (&u32, &f32)| {
+        let before = half.0.partition_point(|&other| other < t);
+        half = (&half.0[before..], &half.1[before..]);
+        let own = if half.0.first() == Some(&t) {
+            half.1[0]
+        } else {
+            0.0
+        };
+        own + worth * (fine - own)
+    };
+    triangles.iter().zip(values).map(blend).collect()
 }

@@ -8,6 +8,8 @@
 
 use nalgebra::{RealField, convert};
 
+use super::FulfilmentRule;
+
 /// Triangles processed together.
 pub const LANES: usize = 16;
 
@@ -33,6 +35,13 @@ impl KeyLanes {
         unit: [0.0; LANES],
         resolution: [0.0; LANES],
     };
+
+    /// Sets the information matrix of a triangle: xx, xy, yy.
+    pub fn set_information(&mut self, lane: usize, values: [f64; 3]) {
+        for (component, value) in self.information.iter_mut().zip(values) {
+            component[lane] = value as f32;
+        }
+    }
 }
 
 /// A partner's contribution; all 0 for triangles that it does not see.
@@ -74,6 +83,16 @@ pub struct Weights {
     pub min_partners: f32,
     /// Minimum number of successful matches; 0: f_conf is 1.
     pub min_matches: u32,
+}
+
+impl Weights {
+    pub fn new(rule: &FulfilmentRule) -> Self {
+        Self {
+            uncertainty: (1.0 - rule.alpha) as f32,
+            min_partners: rule.min_cameras.saturating_sub(1) as f32,
+            min_matches: rule.confidence.min_matches().min(3),
+        }
+    }
 }
 
 impl ClusterLanes {
@@ -164,10 +183,23 @@ const COSINE: [f64; 11] = [
 /// step from there finds the root of the characteristic polynomial, whose coefficients do not
 /// cancel.
 #[inline(always)]
-pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]) -> T {
+pub fn smallest_eigenvalue<T: RealField + Copy>(matrix: [T; 6]) -> T {
     let c = convert::<f64, T>;
-    let trace = xx + yy + zz;
-    let mean = trace * c(1.0 / 3.0);
+    let closed = closed_form(matrix);
+    let [xx, _, yy, ..] = matrix;
+    let mean = (xx + yy + matrix[5]) * c(1.0 / 3.0);
+    let best = if closed < mean * c(0.05) {
+        polished(closed, matrix)
+    } else {
+        closed
+    };
+    if best > T::zero() { best } else { T::zero() }
+}
+
+#[inline(always)]
+fn closed_form<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]) -> T {
+    let c = convert::<f64, T>;
+    let mean = (xx + yy + zz) * c(1.0 / 3.0);
     let (kx, ky, kz) = (xx - mean, yy - mean, zz - mean);
     let spread =
         (kx * kx + ky * ky + kz * kz + (xy * xy + xz * xz + yz * yz) * c(2.0)) * c(1.0 / 6.0);
@@ -183,20 +215,20 @@ pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]
         .iter()
         .rev()
         .fold(T::zero(), |sum, &k| sum * s + c(k));
-    let closed = mean + p * cosine * c(2.0);
+    mean + p * cosine * c(2.0)
+}
 
+/// Takes a Newton step from a root of the characteristic polynomial.
+#[inline(always)]
+fn polished<T: RealField + Copy>(root: T, [xx, xy, yy, xz, yz, zz]: [T; 6]) -> T {
+    let c = convert::<f64, T>;
+    let trace = xx + yy + zz;
     let minor = xx * yy - xy * xy;
     let determinant = zz * minor - (xz * xz * yy - xz * yz * xy * c(2.0) + yz * yz * xx);
     let minors = minor + zz * (xx + yy) - xz * xz - yz * yz;
-    let value = ((closed - trace) * closed + minors) * closed - determinant;
-    let slope = (closed * c(3.0) - trace * c(2.0)) * closed + minors;
-    let polished = closed - value / slope;
-    let best = if closed < mean * c(0.05) {
-        polished
-    } else {
-        closed
-    };
-    if best > T::zero() { best } else { T::zero() }
+    let value = ((root - trace) * root + minors) * root - determinant;
+    let slope = (root * c(3.0) - trace * c(2.0)) * root + minors;
+    root - value / slope
 }
 
 /// log2 of a positive, normal number; absolute error below 1e-7.

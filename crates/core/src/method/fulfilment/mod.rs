@@ -14,7 +14,7 @@ mod settings;
 use nalgebra::Matrix3;
 
 use self::block::{Block, BlockSlots};
-pub use self::by_triangle::ByTriangle;
+pub use self::by_triangle::{ByTriangle, Rows};
 pub use self::half_size::half_size;
 pub use self::settings::{CoverageSettings, FulfilmentSettings};
 use crate::method::{geometry::Geometry, target::Target};
@@ -266,12 +266,7 @@ pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u3
     let (rule, gsd) = (&model.rule, f64::from(model.target.gsd[triangle as usize]));
     let resolution = (density(model, key, triangle) * gsd * gsd).min(1.0);
     let views = success.seeing.iter().copied().chain([key]);
-    let information = views
-        .map(|view| information(model, view, triangle))
-        .sum::<Matrix3<f64>>();
-    // The largest eigenvalue of the inverse is the reciprocal of the smallest of the matrix.
-    let smallest = information.symmetric_eigenvalues().min().max(0.0);
-    let uncertainty = (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0);
+    let uncertainty = uncertainty(model, views, triangle);
     let Success {
         coverage,
         confidence,
@@ -287,6 +282,16 @@ pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u3
     }
 }
 
+/// Returns f_unc of a triangle that these views see.
+fn uncertainty(model: &Model, views: impl Iterator<Item = ViewIndex>, triangle: u32) -> f64 {
+    let information = views
+        .map(|view| information(model, view, triangle))
+        .sum::<Matrix3<f64>>();
+    // The largest eigenvalue of the inverse is the reciprocal of the smallest of the matrix.
+    let smallest = information.symmetric_eigenvalues().min().max(0.0);
+    (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0)
+}
+
 /// The partners of a cluster that see a triangle, and the factors of f that follow.
 struct Success {
     seeing: Vec<ViewIndex>,
@@ -297,36 +302,13 @@ struct Success {
 impl Success {
     /// Returns `None` if the key view does not see the triangle.
     fn new(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Option<Self> {
-        let key_row = model.visibility.row(key, triangle)?;
-        let rows = partners
-            .iter()
-            .filter_map(|&p| Some((p, model.visibility.row(p, triangle)?)));
+        model.visibility.row(key, triangle)?;
+        let chances = partners.iter().filter_map(|&partner| {
+            let chance = chance(model, key, partner, triangle)?;
+            Some((partner, chance))
+        });
+        let (seeing, chances): (Vec<ViewIndex>, Vec<f64>) = chances.unzip();
         let rule = &model.rule;
-        let (mut seeing, mut chances) = (
-            Vec::with_capacity(partners.len()),
-            Vec::with_capacity(partners.len()),
-        );
-        for (view, row) in rows {
-            let by_view = model.unary.at(key_row).with(model.unary.at(row));
-            seeing.push(view);
-            let first = model.visibility.rows(key).start;
-            let by_geometry = || {
-                rule.confidence.pair(
-                    &Constellation::new(&model.geometry(), key, view, triangle),
-                    by_view,
-                )
-            };
-            chances.push(
-                match (rule.confidence, model.agreement.of_pair(key, view)) {
-                    (
-                        Confidence::Photometric { agreement, .. },
-                        PairAgreement::Compared(values),
-                    ) => agreement.chance(values[key_row - first]),
-                    (Confidence::Photometric { .. }, PairAgreement::NoCandidate) => 0.0,
-                    _ => by_geometry(),
-                },
-            );
-        }
         let coverage = if 1 + seeing.len() >= rule.min_cameras as usize {
             1.0
         } else {
@@ -338,6 +320,24 @@ impl Success {
             confidence: rule.confidence.at_least(chances.into_iter()),
         })
     }
+}
+
+/// Returns p_i of a pair at a triangle; `None` unless both views see it.
+fn chance(model: &Model, key: ViewIndex, partner: ViewIndex, triangle: u32) -> Option<f64> {
+    let row_of = |view| model.visibility.row(view, triangle);
+    let (key_row, row) = (row_of(key)?, row_of(partner)?);
+    let confidence = &model.rule.confidence;
+    Some(match (confidence, model.agreement.of_pair(key, partner)) {
+        (Confidence::Photometric { agreement, .. }, PairAgreement::Compared(values)) => {
+            agreement.chance(values[key_row - model.visibility.rows(key).start])
+        }
+        (Confidence::Photometric { .. }, PairAgreement::NoCandidate) => 0.0,
+        _ => {
+            let by_view = model.unary.at(key_row).with(model.unary.at(row));
+            let constellation = Constellation::new(&model.geometry(), key, partner, triangle);
+            confidence.pair(&constellation, by_view)
+        }
+    })
 }
 
 /// Returns rho of method 3.2: pixels of the matched image per squared scene unit, from the area of

@@ -45,60 +45,94 @@ fn most_at_prices<const N: usize>(
     objective: &Objective,
     ranking: &Ranking,
 ) -> f64 {
-    let all: Vec<u32> = (0..maps.len()).collect();
-    let order: Vec<u32> = ranking
-        .maps()
-        .map(|(cluster, scale)| maps.index(cluster, scale))
-        .collect();
-    let work_of = |maps_taken: &[u32]| maps_taken.iter().map(|&map| maps.work(map)).sum::<f64>();
-    let mut reached = Reached::new(objective);
-    let first = &order[..length.min(order.len())];
-    first.iter().for_each(|&map| reached.take(maps.row(map)));
-    let least: Vec<f32> = (0..objective.weights.len() as u32)
-        .map(|t| reached.largest(t)[0])
-        .collect();
-    let goal = reached.fulfilment();
-    // All clusters at full size are an upper bound, too.
-    let mut bound = if maps.has_half() {
+    let first = Prefix::new(length, maps, objective, ranking);
+    let mut dual = Dual::<N>::new(objective, first.agreed);
+    let mut bound = reached_by_all(maps, objective, ranking);
+    let mut step = Step::first();
+    for round in 1..=ROUNDS {
+        let best = dual.best(maps, first.work);
+        step.adapt(best.most < bound);
+        bound = bound.min(best.most);
+        if round < ROUNDS {
+            let rows: Vec<_> = best.maps.iter().map(|&map| maps.row(map)).collect();
+            dual.improve(&rows, step.length * (best.most - first.fulfilment));
+        }
+    }
+    maps.release();
+    bound
+}
+
+/// The first maps of a ranking, which the bound is to come near.
+struct Prefix {
+    /// Infinite for more maps than are ranked.
+    work: f64,
+    /// The m-th largest f of each triangle.
+    agreed: Vec<f32>,
+    fulfilment: f64,
+}
+
+impl Prefix {
+    fn new(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> Self {
+        let first = ranking.maps().take(length);
+        let first: Vec<u32> = first
+            .map(|(cluster, scale)| maps.index(cluster, scale))
+            .collect();
+        let mut reached = Reached::new(objective);
+        first.iter().for_each(|&map| reached.take(maps.row(map)));
+        let triangles = 0..objective.weights.len() as u32;
+        let work = if length > ranking.order.len() {
+            f64::INFINITY
+        } else {
+            first.iter().map(|&map| maps.work(map)).sum()
+        };
+        Self {
+            work,
+            agreed: triangles.map(|t| reached.agreed(t)).collect(),
+            fulfilment: reached.fulfilment(),
+        }
+    }
+}
+
+/// Returns f_o of all clusters at full size, which is an upper bound, too.
+fn reached_by_all(maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
+    if maps.has_half() {
         Reached::by_all(maps, objective).fulfilment()
     } else {
         // The ranking has taken all of them, in whole numbers, so that no other order gives another
         // sum.
         ranking.fulfilment.last().copied().unwrap_or(0.0)
-    };
-    drop(reached);
-    let limit = if length > order.len() {
-        f64::INFINITY
-    } else {
-        work_of(first)
-    };
-    let mut dual = Dual::<N>::new(objective, least);
-    let (mut step, mut in_vain) = (FIRST_STEP, 0);
-    for round in 1..=ROUNDS {
-        let gains = column::read_by_parts(&all, |&map| dual.gain(maps.row(map)), || maps.release());
-        let per_work = |map: u32| gains[map as usize] / maps.work(map);
-        let mut best = all.clone();
-        best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));
-        let (whole, part) = within(limit, &best, |map| maps.work(map));
-        let next = best
-            .get(whole)
-            .map_or(0.0, |&map| part * gains[map as usize]);
-        best.truncate(whole);
-        let most = dual.paid() + best.iter().map(|&map| gains[map as usize]).sum::<f64>() + next;
-        in_vain = if most < bound { 0 } else { in_vain + 1 };
-        bound = bound.min(most);
-        if in_vain == PATIENCE {
-            (step, in_vain) = (0.5 * step, 0);
-        }
-        if round < ROUNDS {
-            dual.improve(
-                &best.iter().map(|&map| maps.row(map)).collect::<Vec<_>>(),
-                step * (most - goal),
-            );
+    }
+}
+
+/// Length of the subgradient steps.
+struct Step {
+    length: f64,
+    /// Steps of this length without improvement.
+    in_vain: usize,
+}
+
+impl Step {
+    fn first() -> Self {
+        Self {
+            length: FIRST_STEP,
+            in_vain: 0,
         }
     }
-    maps.release();
-    bound
+
+    fn adapt(&mut self, has_improved: bool) {
+        self.in_vain = if has_improved { 0 } else { self.in_vain + 1 };
+        if self.in_vain == PATIENCE {
+            self.length *= 0.5;
+            self.in_vain = 0;
+        }
+    }
+}
+
+/// The maps with the largest surplus over the prices per unit of work that fit into the limit.
+struct Best {
+    maps: Vec<u32>,
+    /// Bound at these prices.
+    most: f64,
 }
 
 /// A triangle: its weight, and its prices (see [`Dual`]); side by side in memory, because the
@@ -222,57 +256,91 @@ impl<const N: usize> Dual<N> {
         } else {
             MOMENTUM
         };
+        let (shares, support) = (self.shares, self.support as f32);
+        let squares = self.parts().map(|mut part| {
+            part.turn(best, support, kept);
+            part.square(shares)
+        });
+        // Summed in a fixed order, so that the result is the same on any number of threads.
+        let squares: f64 = squares.collect::<Vec<_>>().into_iter().sum();
+        if squares > 0.0 && gap > 0.0 {
+            self.step(gap / squares);
+        }
+    }
+
+    /// Returns the parts in which threads turn the direction.
+    fn parts(&mut self) -> impl IndexedParallelIterator<Item = Part<'_, N>> {
         self.direction.resize(self.priced.len(), [0.0; N]);
-        let (shares, uncovered) = (self.shares, (1.0 - kept) * self.support as f32);
         let length = self.priced.len().div_ceil(PARTS).max(LEAST_PART);
-        let parts = self
-            .direction
-            .par_chunks_mut(length)
-            .zip(self.priced.par_chunks(length))
-            .enumerate();
-        let turn = |(part, (direction, priced)): (usize, (&mut [[f32; N]], &[Priced<N>]))| {
-            direction
-                .as_flattened_mut()
-                .iter_mut()
-                .for_each(|along| *along = kept * *along + uncovered);
-            let first = part * length;
-            for (triangles, values) in best {
-                let [from, to] = [first, first + priced.len()]
-                    .map(|end| triangles.partition_point(|&t| (t as usize) < end));
-                for (&t, &f) in triangles[from..to].iter().zip(&values[from..to]) {
-                    let at = t as usize - first;
-                    let above = priced[at]
-                        .prices
-                        .map(|price| f32::from(u8::from(f > price)));
-                    direction[at]
-                        .iter_mut()
-                        .zip(above)
-                        .for_each(|(along, above)| *along -= (1.0 - kept) * above);
+        let directions = self.direction.par_chunks_mut(length);
+        let parts = directions.zip(self.priced.par_chunks(length)).enumerate();
+        parts.map(move |(part, (direction, priced))| Part {
+            first: part * length,
+            direction,
+            priced,
+        })
+    }
+
+    /// Moves the prices by a step of this length along the direction.
+    fn step(&mut self, length: f64) {
+        let shares = self.shares;
+        let pairs = self.priced.par_iter_mut().zip(&self.direction);
+        pairs.for_each(|(at, along)| {
+            for ((price, &along), share) in at.prices.iter_mut().zip(along).zip(shares) {
+                let down = length * share * f64::from(along);
+                *price = (f64::from(*price) - down).clamp(0.0, 1.0) as f32;
+            }
+        });
+    }
+
+    fn best(&self, maps: &Maps, limit: f64) -> Best {
+        let all: Vec<u32> = (0..maps.len()).collect();
+        let gains = column::read_by_parts(&all, |&map| self.gain(maps.row(map)), || maps.release());
+        let gain = |map: u32| gains[map as usize];
+        let per_work = |map: u32| gain(map) / maps.work(map);
+        let mut best = all;
+        best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));
+        let (whole, part) = within(limit, &best, |map| maps.work(map));
+        let next = best.get(whole).map_or(0.0, |&map| part * gain(map));
+        best.truncate(whole);
+        let most = self.paid() + best.iter().map(|&map| gain(map)).sum::<f64>() + next;
+        Best { maps: best, most }
+    }
+}
+
+/// Consecutive triangles whose direction one thread turns.
+struct Part<'a, const N: usize> {
+    first: usize,
+    direction: &'a mut [[f32; N]],
+    priced: &'a [Priced<N>],
+}
+
+impl<const N: usize> Part<'_, N> {
+    /// Turns the direction to the subgradient, but keeps a part of it.
+    fn turn(&mut self, best: &[(&[u32], &[f32])], support: f32, kept: f32) {
+        let uncovered = (1.0 - kept) * support;
+        for along in self.direction.as_flattened_mut() {
+            *along = kept * *along + uncovered;
+        }
+        let bounds = [self.first, self.first + self.priced.len()];
+        for (triangles, values) in best {
+            let [from, to] = bounds.map(|end| triangles.partition_point(|&t| (t as usize) < end));
+            for (&t, &f) in triangles[from..to].iter().zip(&values[from..to]) {
+                let at = t as usize - self.first;
+                for (along, price) in self.direction[at].iter_mut().zip(self.priced[at].prices) {
+                    *along -= (1.0 - kept) * f32::from(u8::from(f > price));
                 }
             }
-            let square = |(at, along): (&Priced<N>, &[f32; N])| {
-                at.weight
-                    * along
-                        .iter()
-                        .zip(shares)
-                        .map(|(&along, share)| (share * f64::from(along)).powi(2))
-                        .sum::<f64>()
-            };
-            priced.iter().zip(&*direction).map(square).sum::<f64>()
-        };
-        // Summed in a fixed order, so that the result is the same on any number of threads.
-        let squares: f64 = parts.map(turn).collect::<Vec<_>>().into_iter().sum();
-        if !(squares > 0.0 && gap > 0.0) {
-            return;
         }
-        self.priced
-            .par_iter_mut()
-            .zip(&self.direction)
-            .for_each(|(at, along)| {
-                for ((price, &along), share) in at.prices.iter_mut().zip(along).zip(shares) {
-                    let down = gap / squares * share * f64::from(along);
-                    *price = (f64::from(*price) - down).clamp(0.0, 1.0) as f32;
-                }
-            });
+    }
+
+    /// Returns the squared length of the direction.
+    fn square(&self, shares: [f64; N]) -> f64 {
+        let square = |(at, along): (&Priced<N>, &[f32; N])| {
+            let along = along.iter().zip(shares);
+            let squares = along.map(|(&along, share)| (share * f64::from(along)).powi(2));
+            at.weight * squares.sum::<f64>()
+        };
+        self.priced.iter().zip(&*self.direction).map(square).sum()
     }
 }

@@ -50,7 +50,7 @@ pub use self::{
     bound::most_of_any,
     maps::Maps,
     objective::{Objective, SINGLE_MAP_CREDIT},
-    redrawing::{Redrawing, RedrawnOrder},
+    redrawing::{Redrawing, RedrawnOrder, Site},
     settings::{RankingSettings, TriangleWeight},
 };
 use crate::{
@@ -58,7 +58,7 @@ use crate::{
         column::{self, DiskError, TableError},
         progress::{Cancelled, Stage, Watcher},
     },
-    method::fulfilment::{ByTriangle, FulfilmentTable},
+    method::fulfilment::{ByTriangle, FulfilmentTable, Rows},
     model::cluster::MapScale,
 };
 
@@ -159,13 +159,12 @@ pub struct Ranker<'a> {
 impl<'a> Ranker<'a> {
     pub fn new(maps: &'a Maps, objective: &'a Objective) -> Result<Self, DiskError> {
         let all: Vec<u32> = (0..maps.len()).collect();
-        let by_triangle = ByTriangle::of_rows(
-            &|map| maps.row(map),
-            &|| maps.release(),
-            maps.storage(),
-            &all,
-            objective.weights.len(),
-        )?;
+        let rows = Rows {
+            row: &|map| maps.row(map),
+            release: &|| maps.release(),
+            clusters: &all,
+        };
+        let by_triangle = ByTriangle::of_rows(&rows, maps.storage(), objective.weights.len())?;
         let nothing = Reached::new(objective);
         let gain = |&map: &u32| nothing.whole_gain(maps.row(map));
         let alone = column::read_by_parts(&all, gain, || maps.release());
@@ -207,11 +206,7 @@ impl<'a> Ranker<'a> {
             watcher.check()?;
             greedy.take(self.maps.index(cluster, scale), &mut ranking);
         }
-        let total = greedy
-            .left
-            .iter()
-            .filter(|&&map| greedy.gain(map) > 0)
-            .count() as u64;
+        let total = greedy.gaining().count() as u64;
         watcher.progress(Stage::Ranking, 0, total);
         while let Some(map) = greedy.best() {
             watcher.check()?;
@@ -220,9 +215,8 @@ impl<'a> Ranker<'a> {
             watcher.progress(Stage::Ranking, done.min(total), total);
         }
         watcher.progress(Stage::Ranking, total, total);
-        ranking.reachable = self
-            .reachable
-            .unwrap_or_else(|| ranking.kept.last().copied().unwrap_or(0.0));
+        let kept = ranking.kept.last();
+        ranking.reachable = self.reachable.or(kept.copied()).unwrap_or(0.0);
         Ok(ranking)
     }
 }
@@ -272,11 +266,12 @@ impl<'a> Greedy<'a> {
                 Reverse(map),
             )
         };
-        self.left
-            .iter()
-            .copied()
-            .filter(|&map| self.gain(map) > 0)
-            .max_by_key(key)
+        self.gaining().max_by_key(key)
+    }
+
+    fn gaining(&self) -> impl Iterator<Item = u32> {
+        let left = self.left.iter().copied();
+        left.filter(|&map| self.gain(map) > 0)
     }
 
     fn gain(&self, map: u32) -> i64 {
@@ -289,43 +284,8 @@ impl<'a> Greedy<'a> {
         } = self.ranker;
         let (gain, cluster) = (self.gain(map), maps.cluster(map));
         self.left.retain(|&other| maps.cluster(other) != cluster);
-        let (triangles, values) = maps.row(map);
-        let mut raised = Raised::default();
-        for (&t, &f) in triangles.iter().zip(values) {
-            if f <= self.reached.agreed(t) {
-                continue;
-            }
-            raised.triangles.push(t);
-            raised.before.extend_from_slice(self.reached.largest(t));
-            self.reached.take_at(t, f);
-        }
-        let Self { reached, gains, .. } = self;
-        let update = |(&t, before): (&u32, &[f32])| {
-            let [then, now] =
-                [before, reached.largest(t)].map(|largest| reached.gains_at(t, largest));
-            for entry in by_triangle
-                .row(t)
-                .iter()
-                .filter(|entry| entry.f > before[0])
-            {
-                gains[entry.place as usize]
-                    .fetch_add(now(entry.f) - then(entry.f), Ordering::Relaxed);
-            }
-        };
-        // Rankings at several prices run at once, and one that waited for parts of its own would
-        // begin another.
-        let at_once = if maps.has_half() {
-            usize::MAX
-        } else {
-            TRIANGLES_AT_ONCE
-        };
-        let Raised { triangles, before } = &raised;
-        let before = before.par_chunks_exact(reached.objective.support as usize);
-        triangles
-            .par_iter()
-            .zip(before)
-            .with_min_len(at_once)
-            .for_each(update);
+        let raised = self.raise(maps.row(map));
+        self.update_gains(&raised);
         if ranking.order.len().is_multiple_of(column::READ_AT_ONCE) {
             maps.release();
             by_triangle.release();
@@ -335,6 +295,49 @@ impl<'a> Greedy<'a> {
         ranking.gains.push(FixedPoint(gain).value());
         ranking.fulfilment.push(self.reached.fulfilment());
         ranking.kept.push(self.reached.kept_weight());
+    }
+
+    fn raise(&mut self, (triangles, values): (&[u32], &[f32])) -> Raised {
+        let mut raised = Raised::default();
+        for (&t, &f) in triangles.iter().zip(values) {
+            if f <= self.reached.agreed(t) {
+                continue;
+            }
+            raised.triangles.push(t);
+            raised.before.extend_from_slice(self.reached.largest(t));
+            self.reached.take_at(t, f);
+        }
+        raised
+    }
+
+    /// Changes the gains of all maps that see raised triangles.
+    fn update_gains(&self, raised: &Raised) {
+        let Self { reached, gains, .. } = self;
+        let update = |(&t, before): (&u32, &[f32])| {
+            let [then, now] =
+                [before, reached.largest(t)].map(|largest| reached.gains_at(t, largest));
+            let entries = self.ranker.by_triangle.row(t).iter();
+            for entry in entries.filter(|entry| entry.f > before[0]) {
+                let change = now(entry.f) - then(entry.f);
+                gains[entry.place as usize].fetch_add(change, Ordering::Relaxed);
+            }
+        };
+        // Rankings at several prices run at once, and one that waited for parts of its own would
+        // begin another.
+        let at_once = if self.ranker.maps.has_half() {
+            usize::MAX
+        } else {
+            TRIANGLES_AT_ONCE
+        };
+        let before = raised
+            .before
+            .par_chunks_exact(reached.objective.support as usize);
+        raised
+            .triangles
+            .par_iter()
+            .zip(before)
+            .with_min_len(at_once)
+            .for_each(update);
     }
 }
 

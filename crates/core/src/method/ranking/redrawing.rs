@@ -62,6 +62,24 @@ pub struct RedrawnOrder {
     pub drawn: Vec<f64>,
 }
 
+impl RedrawnOrder {
+    fn push(&mut self, best: Candidate) {
+        let before = self.drawn.last().copied().unwrap_or(0.0);
+        self.views.push(best.view);
+        self.drawn.push(before + best.gain);
+    }
+}
+
+/// Returns the views whose gains are computed anew: they only fall, those of before are bounds, and
+/// the next ones are likely needed, too.
+fn stale(best: Candidate, heap: &mut BinaryHeap<Candidate>, chosen: usize) -> Vec<ViewIndex> {
+    let mut stale = vec![best.view];
+    while stale.len() < AT_ONCE && heap.peek().is_some_and(|next| next.chosen < chosen) {
+        stale.extend(heap.pop().map(|next| next.view));
+    }
+    stale
+}
+
 impl Redrawing {
     /// Memory of ranking, bytes: what each of `rows` views of a triangle shows, twice while
     /// it is sorted by place, and where the places begin.
@@ -72,62 +90,42 @@ impl Redrawing {
         of_entry as u64 * rows.min(MOST_PAIRS) + of_triangle as u64 * triangles
     }
 
-    /// Takes the triangles for places, and the images of these views, ascending, for the
-    /// photographs. `factors`: weights of triangles inside a region.
-    pub fn new(
-        (scene, surface, visibility): (&Scene, &Surface, &Visibility),
-        views: &[ViewIndex],
-        factors: Option<&[f32]>,
-        sharpness: &Sharpness,
-        watcher: &dyn Watcher,
-    ) -> Result<Self, Cancelled> {
-        let triangles = surface.triangles.len();
-        let left_out: Vec<ViewIndex> = scene
-            .view_indices()
-            .filter(|view| views.binary_search(view).is_err())
-            .collect();
-        let counts = |triangle: usize| factors.is_none_or(|factors| factors[triangle] > 0.0);
-        let seen = visibility.views_of_triangles(triangles, &left_out);
-        let seen = seen.iter().enumerate().filter(|(t, _)| counts(*t));
-        let pairs: u64 = seen.map(|(_, &views)| u64::from(views).pow(2)).sum();
-        let step = pairs.div_ceil(MOST_PAIRS).max(1) as u32;
+    /// Takes the images of these views, ascending, for the photographs.
+    pub fn new(site: &Site, views: &[ViewIndex], watcher: &dyn Watcher) -> Result<Self, Cancelled> {
+        let visibility = site.visibility;
+        let step = site.step(views);
         let row = |view: ViewIndex| {
             watcher.check()?;
-            Ok(match left_out.binary_search(&view) {
-                Ok(_) => Vec::new(),
-                Err(_) => shown((scene, surface, visibility), view, step, factors, sharpness),
+            Ok(match views.binary_search(&view) {
+                Ok(_) => site.shown(view, step),
+                Err(_) => Vec::new(),
             })
         };
         let rows = visibility.views().into_par_iter().map(row);
         let rows = rows.collect::<Result<Vec<_>, Cancelled>>()?;
         visibility.triangles.release();
-        Ok(Self::of_rows(rows, triangles))
+        Ok(Self::of_rows(rows, site.surface.triangles.len()))
     }
 
     /// Sorts what each view shows by place; all together weigh 1.
     fn of_rows(rows: Vec<Vec<Entry>>, places: usize) -> Self {
+        let all = || rows.iter().flatten();
+        let whole: f64 = all().map(|entry| f64::from(entry.left)).sum();
         let mut lengths = vec![0; places];
-        let mut whole = 0.0;
-        for entry in rows.iter().flatten() {
-            lengths[entry.place as usize] += 1;
-            whole += f64::from(entry.left);
-        }
+        all().for_each(|entry| lengths[entry.place as usize] += 1);
         let by_place = Offsets::from_lengths(lengths);
         let mut next: Vec<usize> = (0..places).map(|place| by_place.row(place).start).collect();
         let mut entries = vec![Entry::default(); by_place.entries()];
-        let mut take = |entry: Entry| {
-            let at = next[entry.place as usize];
-            next[entry.place as usize] += 1;
-            entries[at] = Entry {
-                left: (f64::from(entry.left) / whole) as f32,
-                ..entry
-            };
+        let mut take = |mut entry: Entry| {
+            entry.left = (f64::from(entry.left) / whole) as f32;
+            let next = &mut next[entry.place as usize];
+            let at = *next;
+            *next += 1;
+            entries[at] = entry;
             at as u32
         };
-        let of_view = rows
-            .into_iter()
-            .map(|row| row.into_iter().map(&mut take).collect())
-            .collect();
+        let of_row = |row: Vec<Entry>| row.into_iter().map(&mut take).collect();
+        let of_view = rows.into_iter().map(of_row).collect();
         Self {
             by_place,
             entries,
@@ -139,29 +137,24 @@ impl Redrawing {
     pub fn rank(mut self, watcher: &dyn Watcher) -> Result<RedrawnOrder, Cancelled> {
         let views: Vec<ViewIndex> = (0..self.of_view.len() as u32).map(ViewIndex).collect();
         let mut heap: BinaryHeap<Candidate> = self.candidates(&views, 0, watcher)?.into();
-        let (mut order, mut drawn) = (RedrawnOrder::default(), 0.0);
-        watcher.progress(Stage::Ranking, 0, views.len() as u64);
+        let mut order = RedrawnOrder::default();
+        let progress = |done| watcher.progress(Stage::Ranking, done as u64, views.len() as u64);
+        progress(0);
         while let Some(best) = heap.pop() {
             let chosen = order.views.len();
-            if best.chosen == chosen {
-                if best.gain <= 0.0 {
-                    break;
-                }
-                self.take(best.view);
-                drawn += best.gain;
-                order.views.push(best.view);
-                order.drawn.push(drawn);
-                watcher.progress(Stage::Ranking, chosen as u64 + 1, views.len() as u64);
+            if best.chosen < chosen {
+                let stale = stale(best, &mut heap, chosen);
+                heap.extend(self.candidates(&stale, chosen, watcher)?);
                 continue;
             }
-            // Gains only fall: those of before are bounds. The next ones are likely needed, too.
-            let mut stale = vec![best.view];
-            while stale.len() < AT_ONCE && heap.peek().is_some_and(|next| next.chosen < chosen) {
-                stale.extend(heap.pop().map(|next| next.view));
+            if best.gain <= 0.0 {
+                break;
             }
-            heap.extend(self.candidates(&stale, chosen, watcher)?);
+            self.take(best.view);
+            order.push(best);
+            progress(chosen + 1);
         }
-        watcher.progress(Stage::Ranking, views.len() as u64, views.len() as u64);
+        progress(views.len());
         Ok(order)
     }
 
@@ -225,46 +218,74 @@ impl Entry {
     }
 }
 
-/// Returns what a view shows, each place with its part of the photograph.
-fn shown(
-    (scene, surface, visibility): (&Scene, &Surface, &Visibility),
-    view: ViewIndex,
-    step: u32,
-    factors: Option<&[f32]>,
-    sharpness: &Sharpness,
-) -> Vec<Entry> {
-    let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-    let centre = pose.centre();
-    let sharpness = sharpness.of(view).powf(SHARPNESS) as f32;
-    let mut whole = 0.0;
-    let mut entries = Vec::new();
-    for &triangle in visibility.triangles_seen_by(view) {
-        if triangle % step != 0 {
-            continue;
-        }
-        let corners = surface.corners(triangle);
-        let area = projected_area(
-            camera,
-            &corners.map(|corner| pose.camera_from_world(&corner)),
-        );
-        whole += area;
-        let factor = factors.map_or(1.0, |factors| f64::from(factors[triangle as usize]));
-        let ray = (surface.centroid(triangle) - centre).normalize();
-        if area * factor > 0.0 && ray.iter().all(|x| x.is_finite()) {
-            entries.push(Entry {
-                place: triangle,
-                ray: ray.cast(),
-                left: (area * factor) as f32,
-                sharpness,
-            });
-        }
+/// What the photographs show: the triangles are the places.
+pub struct Site<'a> {
+    pub scene: &'a Scene,
+    pub surface: &'a Surface,
+    pub visibility: &'a Visibility,
+    /// Weights of triangles inside a region.
+    pub factors: Option<&'a [f32]>,
+    pub sharpness: &'a Sharpness,
+}
+
+impl Site<'_> {
+    fn factor(&self, triangle: u32) -> f32 {
+        self.factors
+            .map_or(1.0, |factors| factors[triangle as usize])
     }
-    entries
-        .iter_mut()
-        .for_each(|entry| entry.left /= whole as f32);
-    // All views' entries are held at once.
-    entries.shrink_to_fit();
-    entries
+
+    /// Returns every how many triangles one counts, with these views.
+    fn step(&self, views: &[ViewIndex]) -> u32 {
+        let left_out: Vec<ViewIndex> = self
+            .scene
+            .view_indices()
+            .filter(|view| views.binary_search(view).is_err())
+            .collect();
+        let triangles = self.surface.triangles.len();
+        let seen = self.visibility.views_of_triangles(triangles, &left_out);
+        let seen = (0..).zip(&seen).filter(|(t, _)| self.factor(*t) > 0.0);
+        let pairs: u64 = seen.map(|(_, &views)| u64::from(views).pow(2)).sum();
+        pairs.div_ceil(MOST_PAIRS).max(1) as u32
+    }
+
+    /// Returns what a view shows, each place with its part of the photograph.
+    fn shown(&self, view: ViewIndex, step: u32) -> Vec<Entry> {
+        let centre = self.scene.view(view).cam_from_world.centre();
+        let sharpness = self.sharpness.of(view).powf(SHARPNESS) as f32;
+        let mut whole = 0.0;
+        let mut entries = Vec::new();
+        let seen = self.visibility.triangles_seen_by(view).iter();
+        for &place in seen.filter(|&triangle| triangle % step == 0) {
+            let area = self.area(view, place);
+            whole += area;
+            let left = area * f64::from(self.factor(place));
+            let ray = (self.surface.centroid(place) - centre).normalize();
+            if left > 0.0 && ray.iter().all(|x| x.is_finite()) {
+                entries.push(Entry {
+                    place,
+                    ray: ray.cast(),
+                    left: left as f32,
+                    sharpness,
+                });
+            }
+        }
+        for entry in &mut entries {
+            entry.left /= whole as f32;
+        }
+        // All views' entries are held at once.
+        entries.shrink_to_fit();
+        entries
+    }
+
+    /// Returns the area of a triangle in a photograph, pixels.
+    fn area(&self, view: ViewIndex, triangle: u32) -> f64 {
+        let pose = &self.scene.view(view).cam_from_world;
+        let corners = self.surface.corners(triangle);
+        projected_area(
+            self.scene.camera_of(view),
+            &corners.map(|corner| pose.camera_from_world(&corner)),
+        )
+    }
 }
 
 /// A view with its gain over the first `chosen` views.

@@ -136,60 +136,76 @@ impl ColumnKernel<'_, '_> {
             axis.iter_mut().for_each(|x| *x -= shift);
         }
         let jacobians = self.view.jacobians(&rays, sees);
-        let mut out = PartnerLanes::EMPTY;
+        let chances = self.chances(triangles, &rays);
+        // Separate loops: merged, they would compile to a branch per triangle.
+        let information = information(triangles, &jacobians, sees);
+        let sees = sees.map(|sees| f32::from(u8::from(sees)));
+        let mut confidence = [0.0; LANES];
         for i in 0..LANES {
-            let axes = frame([
-                triangles.ray[0][i],
-                triangles.ray[1][i],
-                triangles.ray[2][i],
-            ]);
-            let scale = triangles.scale[i];
-            let along = |row: &[[f64; LANES]; 3], axis: &[f64; 3]| {
-                (row[0][i] * axis[0] + row[1][i] * axis[1] + row[2][i] * axis[2]) * scale
-            };
-            let u = [
-                along(&jacobians[0], &axes[0]),
-                along(&jacobians[0], &axes[1]),
-                along(&jacobians[0], &axes[2]),
-            ];
-            let v = [
-                along(&jacobians[1], &axes[0]),
-                along(&jacobians[1], &axes[1]),
-                along(&jacobians[1], &axes[2]),
-            ];
-            let product = |a: usize, b: usize| (u[a] * u[b] + v[a] * v[b]) as f32;
-            let values = [
-                product(0, 0),
-                product(0, 1),
-                product(1, 1),
-                product(0, 2),
-                product(1, 2),
-                product(2, 2),
-            ];
-            for (component, value) in out.information.iter_mut().zip(values) {
-                component[i] = if sees[i] { value } else { 0.0 };
-            }
+            confidence[i] = chances[i] * unary[i];
         }
-        let chances = match &self.block.model.rule.confidence {
+        for i in 0..LANES {
+            confidence[i] = if sees[i] > 0.0 { confidence[i] } else { 0.0 };
+        }
+        PartnerLanes {
+            information,
+            confidence,
+            sees,
+        }
+    }
+
+    /// Returns the pair confidence, where it is not in the unary one already.
+    #[inline(always)]
+    fn chances(&self, triangles: &TriangleLanes, rays: &[[f64; LANES]; 3]) -> Lanes {
+        match &self.block.model.rule.confidence {
             Confidence::None => [1.0; LANES],
             Confidence::Photometric { .. } if self.block.agreed[self.partner] => [1.0; LANES],
             Confidence::Pair(numbers)
             | Confidence::Photometric {
                 otherwise: numbers, ..
-            } => geometric(numbers, triangles, &rays),
-        };
-        // Separate loops: merged, they would compile to a branch per triangle.
-        out.sees = sees.map(|sees| f32::from(u8::from(sees)));
-        for i in 0..LANES {
-            out.confidence[i] = chances[i] * unary[i];
+            } => geometric(numbers, triangles, rays),
         }
-        for i in 0..LANES {
-            out.confidence[i] = if out.sees[i] > 0.0 {
-                out.confidence[i]
-            } else {
-                0.0
-            };
-        }
-        out
     }
+}
+
+/// Returns the information of the partner's pixels, in the frame of each triangle's ray and relative
+/// to the key view's; 0 where the partner does not see the triangle.
+#[inline(always)]
+fn information(
+    triangles: &TriangleLanes,
+    jacobians: &[[[f64; LANES]; 3]; 2],
+    sees: &[bool; LANES],
+) -> [Lanes; 6] {
+    let mut information = PartnerLanes::EMPTY.information;
+    for i in 0..LANES {
+        let [x, y, z] = &triangles.ray;
+        let axes = frame([x[i], y[i], z[i]]);
+        let scale = triangles.scale[i];
+        let u = in_frame(&jacobians[0], &axes, scale, i);
+        let v = in_frame(&jacobians[1], &axes, scale, i);
+        let product = |a: usize, b: usize| (u[a] * u[b] + v[a] * v[b]) as f32;
+        let values = [
+            product(0, 0),
+            product(0, 1),
+            product(1, 1),
+            product(0, 2),
+            product(1, 2),
+            product(2, 2),
+        ];
+        for (component, value) in information.iter_mut().zip(values) {
+            component[i] = if sees[i] { value } else { 0.0 };
+        }
+    }
+    information
+}
+
+/// Returns a row of the Jacobian of one triangle in its frame, times `scale`.
+#[inline(always)]
+fn in_frame(row: &[[f64; LANES]; 3], axes: &[[f64; 3]; 3], scale: f64, i: usize) -> [f64; 3] {
+    let [a, b, c] = axes;
+    [
+        (row[0][i] * a[0] + row[1][i] * a[1] + row[2][i] * a[2]) * scale,
+        (row[0][i] * b[0] + row[1][i] * b[1] + row[2][i] * b[2]) * scale,
+        (row[0][i] * c[0] + row[1][i] * c[1] + row[2][i] * c[2]) * scale,
+    ]
 }

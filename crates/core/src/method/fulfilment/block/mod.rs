@@ -81,6 +81,86 @@ impl TriangleLanes {
         cosine: [0.0; LANES],
         scale: [0.0; LANES],
     };
+
+    fn set(&mut self, lane: usize, projected: &Projected) {
+        for axis in 0..3 {
+            self.ray[axis][lane] = projected.ray[axis];
+            self.normal[axis][lane] = projected.normal[axis] as f32;
+        }
+        self.cosine[lane] = projected.cosine as f32;
+        self.scale[lane] = projected.scale.recip();
+    }
+}
+
+/// A triangle in the key view.
+struct Projected {
+    /// From the camera to the centroid.
+    ray: Vector3<f64>,
+    normal: Vector3<f64>,
+    /// Of incidence.
+    cosine: f64,
+    /// Pixels of the image per scene unit, in the world frame.
+    jacobian: Matrix2x3<f64>,
+    /// Frobenius norm of the Jacobian.
+    scale: f64,
+}
+
+impl Projected {
+    /// Returns `None` without a finite scale.
+    fn new(model: &Model, key: ViewIndex, triangle: u32) -> Option<Self> {
+        let pose = &model.scene.view(key).cam_from_world;
+        let centroid = model.surface.centroid(triangle);
+        let ray = centroid - pose.centre();
+        let normal = model.surface.area_normal(triangle).normalize();
+        let camera = model.scene.camera_of(key);
+        let (_, jacobian) = camera.project_with_jacobian(&pose.camera_from_world(&centroid))?;
+        let jacobian = jacobian * pose.rotation.matrix();
+        let scale = jacobian.norm();
+        let cosine = -normal.dot(&ray) / ray.norm();
+        let is_usable = scale > 0.0 && (scale + scale.recip()).is_finite() && cosine.is_finite();
+        is_usable.then_some(Self {
+            ray,
+            normal,
+            cosine,
+            jacobian,
+            scale,
+        })
+    }
+
+    /// Returns xx, xy and yy of the information matrix, in the frame of the ray.
+    fn information(&self) -> [f64; 3] {
+        let [first, second, _] = frame(self.ray.into());
+        let rows = self.jacobian / self.scale;
+        let (x, y) = (rows * Vector3::from(first), rows * Vector3::from(second));
+        [x.dot(&x), x.dot(&y), y.dot(&y)]
+    }
+}
+
+/// Slots of triangles.
+struct Slots {
+    /// Number of groups of lanes that hold the judging triangles, and of all.
+    first: usize,
+    groups: usize,
+    /// By triangle.
+    slots: Vec<u32>,
+}
+
+impl Slots {
+    fn new(seen: &[u32], is_judge: impl Fn(u32) -> bool) -> Self {
+        let judges = seen.iter().filter(|&&t| is_judge(t)).count();
+        let first = judges.div_ceil(LANES);
+        let mut next = [0, (first * LANES) as u32];
+        let slot = |&t: &u32| {
+            let next = &mut next[usize::from(!is_judge(t))];
+            *next += 1;
+            *next - 1
+        };
+        Self {
+            first,
+            groups: first + (seen.len() - judges).div_ceil(LANES),
+            slots: seen.iter().map(slot).collect(),
+        }
+    }
 }
 
 impl<'a> Block<'a> {
@@ -102,33 +182,21 @@ impl<'a> Block<'a> {
         is_judge: impl Fn(u32) -> bool,
         slots: &mut BlockSlots,
     ) -> Self {
-        let rule = &model.rule;
-        let seen = model.visibility.triangles_seen_by(key);
-        let count = seen.iter().filter(|&&t| is_judge(t)).count();
-        let (first, all) = (
-            count.div_ceil(LANES),
-            count.div_ceil(LANES) + (seen.len() - count).div_ceil(LANES),
-        );
-        let mut next = [0, (first * LANES) as u32];
-        let slot = |&t: &u32| {
-            let next = &mut next[usize::from(!is_judge(t))];
-            *next += 1;
-            *next - 1
-        };
+        let Slots {
+            first,
+            groups,
+            slots: own,
+        } = Slots::new(model.visibility.triangles_seen_by(key), is_judge);
         let mut block = Self {
             model: *model,
             key,
             partners,
-            weights: Weights {
-                uncertainty: (1.0 - rule.alpha) as f32,
-                min_partners: rule.min_cameras.saturating_sub(1) as f32,
-                min_matches: rule.confidence.min_matches().min(3),
-            },
-            slots: seen.iter().map(slot).collect(),
+            weights: Weights::new(&model.rule),
+            slots: own,
             first,
-            triangles: vec![TriangleLanes::EMPTY; all],
-            keys: vec![KeyLanes::EMPTY; all],
-            sees: vec![vec![false; all * LANES]; partners.len()],
+            triangles: vec![TriangleLanes::EMPTY; groups],
+            keys: vec![KeyLanes::EMPTY; groups],
+            sees: vec![vec![false; groups * LANES]; partners.len()],
             unary: Vec::new(),
             agreed: Vec::new(),
             columns: vec![Vec::new(); partners.len()],
@@ -151,97 +219,56 @@ impl<'a> Block<'a> {
     /// Computes what depends on the key view alone. Triangles that project to no finite scale keep
     /// their empty lanes, so that f is 0.
     fn gather_triangles(&mut self) {
-        let model = &self.model;
-        let (camera, pose) = (
-            model.scene.camera_of(self.key),
-            &model.scene.view(self.key).cam_from_world,
-        );
-        let centre = pose.centre();
-        for (&t, &slot) in model
-            .visibility
-            .triangles_seen_by(self.key)
-            .iter()
-            .zip(&self.slots)
-        {
-            let (group, lane) = (slot as usize / LANES, slot as usize % LANES);
-            let centroid = model.surface.centroid(t);
-            let ray = centroid - centre;
-            let normal = model.surface.area_normal(t).normalize();
-            let jacobian = camera
-                .project_with_jacobian(&pose.camera_from_world(&centroid))
-                .map(|p| p.1);
-            let jacobian = jacobian.unwrap_or_else(Matrix2x3::zeros) * pose.rotation.matrix();
-            let length = jacobian.norm();
-            let cosine = -normal.dot(&ray) / ray.norm();
-            let usable =
-                length > 0.0 && (length + length.recip()).is_finite() && cosine.is_finite();
-            if !usable {
+        let model = self.model;
+        let per_px = model.rule.image_scale / model.rule.sigma_px;
+        let seen = model.visibility.triangles_seen_by(self.key);
+        for (&t, &slot) in seen.iter().zip(&self.slots) {
+            let Some(projected) = Projected::new(&model, self.key, t) else {
                 continue;
-            }
-            let (lanes, key) = (&mut self.triangles[group], &mut self.keys[group]);
-            for axis in 0..3 {
-                lanes.ray[axis][lane] = ray[axis];
-                lanes.normal[axis][lane] = normal[axis] as f32;
-            }
-            lanes.cosine[lane] = cosine as f32;
-            lanes.scale[lane] = length.recip();
-            let [first, second, _] = frame([ray.x, ray.y, ray.z]);
-            let rows = jacobian / length;
-            let (x, y) = (rows * Vector3::from(first), rows * Vector3::from(second));
-            for (component, value) in
-                key.information
-                    .iter_mut()
-                    .zip([x.dot(&x), x.dot(&y), y.dot(&y)])
-            {
-                component[lane] = value as f32;
-            }
-            let per_px = model.rule.image_scale / model.rule.sigma_px;
-            key.unit[lane] = (model.target.accuracy(t) * length * per_px) as f32;
+            };
+            let (group, lane) = (slot as usize / LANES, slot as usize % LANES);
+            self.triangles[group].set(lane, &projected);
             let gsd = f64::from(model.target.gsd[t as usize]);
-            key.resolution[lane] =
-                (model.rule.alpha * (density(model, self.key, t) * gsd * gsd).min(1.0)) as f32;
+            let resolution = (density(&model, self.key, t) * gsd * gsd).min(1.0);
+            let key = &mut self.keys[group];
+            key.set_information(lane, projected.information());
+            key.unit[lane] = (model.target.accuracy(t) * projected.scale * per_px) as f32;
+            key.resolution[lane] = (model.rule.alpha * resolution) as f32;
         }
     }
 
     /// Computes visibility and unary confidence of each partner.
     fn gather_partners(&mut self, slot_of: &mut [u32]) {
-        let model = &self.model;
+        let model = self.model;
         let seen = model.visibility.triangles_seen_by(self.key);
-        seen.iter()
-            .zip(&self.slots)
-            .for_each(|(&t, &slot)| slot_of[t as usize] = slot);
-        let own: Vec<AtTriangle> = if model.unary.is_certain() {
-            Vec::new()
-        } else {
-            self.own_unary()
-        };
-        for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
-            let mut factors = vec![0.0; own.len()];
-            let unary = model.unary.of_rows(model.visibility.rows(partner));
-            for (row, &t) in model
-                .visibility
-                .triangles_seen_by(partner)
-                .iter()
-                .enumerate()
-            {
-                let slot = slot_of[t as usize];
-                if slot != EMPTY {
-                    sees[slot as usize] = true;
-                    if !own.is_empty() {
-                        factors[slot as usize] = own[slot as usize].with(unary.at(row)) as f32;
-                    }
-                }
-            }
-            self.unary.push(factors);
+        for (&t, &slot) in seen.iter().zip(&self.slots) {
+            slot_of[t as usize] = slot;
         }
-        seen.iter().for_each(|&t| slot_of[t as usize] = EMPTY);
+        let own = self.own_unary();
         for partner in 0..self.partners.len() {
+            let by_views = self.gather_partner(partner, &own, slot_of);
             let chances = self.agreed_chances(partner);
             self.agreed.push(chances.is_some());
-            if let Some(chances) = chances {
-                self.unary[partner] = chances;
+            self.unary.push(chances.unwrap_or(by_views));
+        }
+        seen.iter().for_each(|&t| slot_of[t as usize] = EMPTY);
+    }
+
+    /// Marks what a partner sees, and returns the unary factors of both views, given those of the
+    /// key view.
+    fn gather_partner(&mut self, partner: usize, own: &[AtTriangle], slot_of: &[u32]) -> Vec<f32> {
+        let (model, view) = (&self.model, self.partners[partner]);
+        let mut factors = vec![0.0; own.len()];
+        let unary = model.unary.of_rows(model.visibility.rows(view));
+        let seen = model.visibility.triangles_seen_by(view).iter();
+        let slots = seen.map(|&t| slot_of[t as usize]).enumerate();
+        for (row, slot) in slots.filter(|(_, slot)| *slot != EMPTY) {
+            self.sees[partner][slot as usize] = true;
+            if let Some(own) = own.get(slot as usize) {
+                factors[slot as usize] = own.with(unary.at(row)) as f32;
             }
         }
+        factors
     }
 
     /// Returns the probability of a match by slot if the pictures of the pair were compared.
@@ -266,18 +293,18 @@ impl<'a> Block<'a> {
         Some(chances)
     }
 
+    /// Returns the unary confidence of the key view by slot; nothing where it is 1 everywhere.
     fn own_unary(&self) -> Vec<AtTriangle> {
-        let mut own = vec![
-            AtTriangle {
-                observed: 0.0,
-                allowed: 0.0
-            };
-            self.len() * LANES
-        ];
-        let unary = self
-            .model
-            .unary
-            .of_rows(self.model.visibility.rows(self.key));
+        let model = &self.model;
+        if model.unary.is_certain() {
+            return Vec::new();
+        }
+        let nothing = AtTriangle {
+            observed: 0.0,
+            allowed: 0.0,
+        };
+        let mut own = vec![nothing; self.len() * LANES];
+        let unary = model.unary.of_rows(model.visibility.rows(self.key));
         for (row, &slot) in self.slots.iter().enumerate() {
             own[slot as usize] = unary.at(row);
         }
