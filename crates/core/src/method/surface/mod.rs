@@ -244,23 +244,7 @@ pub fn build(
     };
     whole.reached(0);
     let surface = match mesh {
-        Some(Mesh {
-            vertices,
-            triangles,
-        }) => {
-            let surface = clean::make_manifold(Surface {
-                kind: SurfaceKind::Mesh,
-                vertices,
-                triangles,
-            });
-            watcher.check()?;
-            stats.cleaned_triangles = surface.triangles.len();
-            if settings.mesh_as_is {
-                surface
-            } else {
-                with_edges(surface, wanted, settings, &mut stats, &whole)?
-            }
-        }
+        Some(mesh) => of_mesh(mesh, wanted, settings, &mut stats, &whole)?,
         None => from_points(scene, wanted, settings, &mut stats, &whole)?,
     };
     stats.triangles = surface.triangles.len();
@@ -269,6 +253,28 @@ pub fn build(
         Err(SurfaceError::Empty)
     } else {
         Ok((surface, stats))
+    }
+}
+
+/// Takes a mesh for the surface, as it is or with adjusted edges.
+fn of_mesh(
+    mesh: Mesh,
+    wanted: &WantedGsd,
+    settings: &SurfaceSettings,
+    stats: &mut SurfaceStats,
+    whole: &Steps,
+) -> Result<Surface, SurfaceError> {
+    let surface = clean::make_manifold(Surface {
+        kind: SurfaceKind::Mesh,
+        vertices: mesh.vertices,
+        triangles: mesh.triangles,
+    });
+    whole.watcher.check()?;
+    stats.cleaned_triangles = surface.triangles.len();
+    if settings.mesh_as_is {
+        Ok(surface)
+    } else {
+        with_edges(surface, wanted, settings, stats, whole)
     }
 }
 

@@ -1,8 +1,15 @@
 //! The table against brute force: a ray from the camera to the centroid of each triangle, past all
 //! the others.
 
-use super::*;
-use crate::{base::progress::NoWatcher, method::synthetic::Town, model::camera::CameraModel};
+use super::{
+    estimator::{hit, is_share_free},
+    *,
+};
+use crate::{
+    base::progress::NoWatcher,
+    method::synthetic::Town,
+    model::camera::{Camera, CameraModel},
+};
 
 fn camera(model: CameraModel, params: &[f64]) -> Camera {
     Camera::new(1, model, 1000, 750, params.to_vec()).unwrap()
