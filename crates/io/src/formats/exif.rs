@@ -117,27 +117,17 @@ impl<'a> Tiff<'a> {
         let gps = main.iter().find(|entry| entry.tag == GPS_DIRECTORY)?;
         let gps = self.directory(self.u32(gps.place)? as usize)?;
         let find = |tag| gps.iter().find(|entry| entry.tag == tag);
-        let letter = |tag| self.bytes.get(find(tag)?.place).copied();
-        let latitude = self.degrees(find(LATITUDE)?)?
-            * if letter(LATITUDE_REF) == Some(b'S') {
-                -1.0
-            } else {
-                1.0
-            };
-        let longitude = self.degrees(find(LONGITUDE)?)?
-            * if letter(LONGITUDE_REF) == Some(b'W') {
-                -1.0
-            } else {
-                1.0
-            };
+        let has = |tag, letter| {
+            let found = find(tag).and_then(|entry| self.bytes.get(entry.place));
+            found == Some(&letter)
+        };
+        let signed = |value: f64, is_negative: bool| if is_negative { -value } else { value };
+        let latitude = signed(self.degrees(find(LATITUDE)?)?, has(LATITUDE_REF, b'S'));
+        let longitude = signed(self.degrees(find(LONGITUDE)?)?, has(LONGITUDE_REF, b'W'));
         let height = find(ALTITUDE)
             .and_then(|entry| self.rational(self.u32(entry.place)? as usize))
             .unwrap_or(0.0);
-        let height = if letter(ALTITUDE_REF) == Some(1) {
-            -height
-        } else {
-            height
-        };
+        let height = signed(height, has(ALTITUDE_REF, 1));
         // Cameras without a fix write zeros.
         let is_position = latitude.abs() <= 90.0
             && longitude.abs() <= 180.0

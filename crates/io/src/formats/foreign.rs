@@ -8,7 +8,7 @@ use std::{
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use viewrank_core::model::{
-    camera::{Camera, CameraError},
+    camera::{Camera, CameraError, CameraModel},
     georeference::Georeference,
     scene::{ModelWarning, Scene, WarningKind},
 };
@@ -155,61 +155,17 @@ impl ForeignModel {
     /// out of the folder of the model, relative to their common folder, which becomes the image
     /// folder. Paths of Windows count, too (`C:\photos\a.jpg`).
     pub fn shorten_names(&mut self) {
-        let mut drive = false;
-        let all = self
-            .model
-            .images
-            .iter_mut()
-            .map(|image| image.name.to_mut())
-            .chain(&mut self.unregistered);
-        for name in all {
-            if is_of_windows(name) {
-                drive = !name.starts_with('\\');
-                let slash = if drive { "/" } else { "" };
-                *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
-            } else if !name.starts_with('/')
-                && let Some(parts) = name_parts(name)
-            {
-                *name = parts.join("/");
-            }
-        }
-        let names = || {
-            self.model
-                .images
-                .iter()
-                .map(|image| &*image.name)
-                .chain(self.unregistered.iter().map(String::as_str))
-        };
+        let of_windows = self.names_mut().filter_map(normalise);
+        let drive = of_windows.last().unwrap_or(false);
         let is_absolute = |name: &str| name.starts_with('/');
         let leads_out = |name: &str| is_absolute(name) || name.starts_with("../");
         // What leads further than to the parent stays, and is refused.
         let leads_away = |name: &str| !is_absolute(name) && name_parts(name).is_none();
-        if !names().any(leads_out) || names().any(leads_away) {
+        if !self.names().any(leads_out) || self.names().any(leads_away) {
             return;
         }
-        let folder = |name: &str| name.rfind('/').map_or(0, |end| end + 1);
-        let mut common = names()
-            .next()
-            .map_or(String::new(), |name| name[..folder(name)].into());
-        for name in names() {
-            let shared = common
-                .bytes()
-                .zip(name.bytes())
-                .take_while(|(a, b)| a == b)
-                .count();
-            common.truncate(
-                common.as_bytes()[..shared]
-                    .iter()
-                    .rposition(|&b| b == b'/')
-                    .map_or(0, |end| end + 1),
-            );
-        }
-        self.model
-            .images
-            .iter_mut()
-            .for_each(|image| _ = image.name.to_mut().drain(..common.len()));
-        self.unregistered
-            .iter_mut()
+        let common = common_folder(self.names());
+        self.names_mut()
             .for_each(|name| _ = name.drain(..common.len()));
         // Of several drives, none is left.
         let is_on_drive = drive && common.len() > 2;
@@ -219,6 +175,49 @@ impl ForeignModel {
             common
         });
     }
+
+    /// Names of all images, with a pose and without.
+    fn names(&self) -> impl Iterator<Item = &str> {
+        let registered = self.model.images.iter().map(|image| &*image.name);
+        registered.chain(self.unregistered.iter().map(String::as_str))
+    }
+
+    fn names_mut(&mut self) -> impl Iterator<Item = &mut String> {
+        let registered = self.model.images.iter_mut();
+        let registered = registered.map(|image| image.name.to_mut());
+        registered.chain(&mut self.unregistered)
+    }
+}
+
+/// Writes a name with `/` and without `.` and `..`, an absolute path of Windows with its drive as
+/// the first folder; returns for such a path whether it has a drive.
+fn normalise(name: &mut String) -> Option<bool> {
+    if is_of_windows(name) {
+        let has_drive = !name.starts_with('\\');
+        let slash = if has_drive { "/" } else { "" };
+        *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
+        return Some(has_drive);
+    }
+    if !name.starts_with('/')
+        && let Some(parts) = name_parts(name)
+    {
+        *name = parts.join("/");
+    }
+    None
+}
+
+/// The longest folder, with its `/`, that all names begin with; empty without one.
+fn common_folder<'a>(mut names: impl Iterator<Item = &'a str>) -> String {
+    let folder = |path: &str| path.rfind('/').map_or(0, |end| end + 1);
+    let first = names.next().unwrap_or_default();
+    let mut common = first[..folder(first)].to_owned();
+    for name in names {
+        let pairs = common.bytes().zip(name.bytes());
+        let shared = pairs.take_while(|(a, b)| a == b).count();
+        let slash = common.as_bytes()[..shared].iter().rposition(|&b| b == b'/');
+        common.truncate(slash.map_or(0, |end| end + 1));
+    }
+    common
 }
 
 /// The component of most images, ties by name, and the others with their numbers of images.
@@ -319,7 +318,19 @@ pub(super) fn camera(
 ) -> Result<Camera, Fault> {
     camera
         .map(Camera::without_zero_distortion)
-        .map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
+        .map_err(|error| fault_in(error.into(), what))
+}
+
+/// `FULL_OPENCV` of a pinhole camera (fx, fy, cx, cy) with Brown's distortion: k1, k2, k3 and
+/// OpenCV's p1, p2.
+pub(super) fn brown(
+    pinhole: [f64; 4],
+    [k1, k2, k3]: [f64; 3],
+    [p1, p2]: [f64; 2],
+) -> (CameraModel, Vec<f64>) {
+    let distortion = [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0];
+    let params = [&pinhole[..], &distortion].concat();
+    (CameraModel::FullOpenCv, params)
 }
 
 /// Returns the width and height of an image by name, for formats that don't store them.
@@ -333,6 +344,11 @@ pub(super) fn guessed_size(farthest: [f64; 2], from_centre: bool) -> (u32, u32) 
     let [w, h] = farthest.map(|c| (c * factor).ceil().clamp(1.0, 1e6) as u32);
     // Even, so the centre has integer coordinates.
     (w + w % 2, h + h % 2)
+}
+
+/// The fault of a record whose position in the file is unknown.
+pub(super) fn fault_in(problem: Problem, record: impl FnOnce() -> String) -> Fault {
+    Fault::new("", Place::File, problem).in_record(record)
 }
 
 /// Parses JSON; a fault has its line.

@@ -12,12 +12,12 @@
 //! centre of the first pixel is (0, 0), by the source (f8fe432).
 
 use nalgebra::{Matrix3, Point3, Vector3};
-use viewrank_core::model::camera::{Camera, CameraError, CameraModel};
+use viewrank_core::model::camera::{Camera, CameraError};
 
 use super::{
     Fault, Place, Problem,
     colmap::StoredPose,
-    foreign::{camera, pose_with_centre},
+    foreign::{brown, camera, pose_with_centre},
     xml::{Element, Xml},
 };
 
@@ -32,81 +32,42 @@ pub struct Oriented {
 /// Reads an `Orientation-*.xml`.
 pub fn read_orientation(bytes: &[u8]) -> Result<Oriented, Fault> {
     let root = named(bytes, "OrientationConique")?;
-    if let Some(projection) = root
-        .child("TypeProj")
-        .map(Element::text)
-        .filter(|text| *text != "eProjStenope")
-    {
-        return Err(Fault::new(
-            "",
-            root.at(),
-            Problem::CameraModel(format!("{projection} (MicMac)")),
-        ));
+    let projection = root.child("TypeProj").map_or(PINHOLE, Element::text);
+    if projection != PINHOLE {
+        return Err(unknown(&root, projection));
     }
-    let file = root
-        .child("FileInterne")
-        .ok_or_else(|| root.lacks("FileInterne"))?;
-    let calibration = file
-        .text()
-        .rsplit(['/', '\\'])
-        .next()
-        .unwrap_or_default()
-        .to_owned();
-    let outer = root.child("Externe").ok_or_else(|| root.lacks("Externe"))?;
-    let centre = outer
-        .child("Centre")
-        .ok_or_else(|| outer.lacks("Centre"))?
-        .numbers::<3>()?;
+    let calibration = root.required_child("FileInterne")?.text();
+    let calibration = calibration.rsplit(['/', '\\']).next();
+    Ok(Oriented {
+        cam_from_world: pose_of(root.required_child("Externe")?)?,
+        calibration: calibration.unwrap_or_default().to_owned(),
+    })
+}
+
+/// MicMac's name of the only projection that is read.
+const PINHOLE: &str = "eProjStenope";
+
+/// The pose in an `Externe`.
+fn pose_of(outer: &Element) -> Result<StoredPose, Fault> {
+    let centre = outer.required_child("Centre")?.numbers()?;
     let matrix = outer
         .child("ParamRotation")
         .and_then(|rotation| rotation.child("CodageMatr"));
     let matrix = matrix.ok_or_else(|| outer.lacks("CodageMatr"))?;
-    let mut rotation = Matrix3::zeros();
-    for (row, name) in ["L1", "L2", "L3"].into_iter().enumerate() {
-        let values = matrix
-            .child(name)
-            .ok_or_else(|| matrix.lacks(name))?
-            .numbers::<3>()?;
-        rotation.set_row(row, &Vector3::from(values).transpose());
-    }
-    let cam_from_world = pose_with_centre(rotation.transpose(), Vector3::from(centre));
-    let cam_from_world = cam_from_world.map_err(|problem| Fault::new("", outer.at(), problem))?;
-    Ok(Oriented {
-        cam_from_world,
-        calibration,
-    })
+    let row = |name| Ok(Vector3::from(matrix.required_child(name)?.numbers()?));
+    // Rows from camera to world are columns from world to camera.
+    let rotation = Matrix3::from_columns(&[row("L1")?, row("L2")?, row("L3")?]);
+    pose_with_centre(rotation, Vector3::from(centre))
+        .map_err(|problem| Fault::new("", outer.at(), problem))
 }
 
 /// Reads a calibration; returns the camera and by how many pixels it is off, at most, since COLMAP
 /// has no model with a distortion centre of its own.
 pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
     let root = named(bytes, "CalibrationInternConique")?;
-    let part = |name: &'static str| root.child(name).ok_or_else(|| root.lacks(name));
-    let (pp, [focal], [w, h]) = (
-        part("PP")?.numbers()?,
-        part("F")?.numbers()?,
-        part("SzIm")?.numbers()?,
-    );
-    let pp = from_corner(pp);
-    let distortion = Distortion::read(&root, pp)?;
-    let camera = camera(
-        distortion.camera(id, pp, focal, [w as u64, h as u64]),
-        || "its camera".into(),
-    )?;
-    let mut off = 0.0f64;
-    for i in 0..=20 {
-        for j in 0..=20 {
-            let ideal = [w * f64::from(i) / 20.0, h * f64::from(j) / 20.0];
-            let ray = Point3::new((ideal[0] - pp[0]) / focal, (ideal[1] - pp[1]) / focal, 1.0);
-            let [x, y] = distortion.measured(ideal);
-            // What is moved far out of the image is nobody's pixel.
-            if x > -0.1 * w && y > -0.1 * h && x < 1.1 * w && y < 1.1 * h {
-                off = camera
-                    .project(&ray)
-                    .map_or(f64::INFINITY, |p| off.max((p.x - x).hypot(p.y - y)));
-            }
-        }
-    }
+    let calibration = Calibration::read(&root)?;
+    let camera = camera(calibration.camera(id), || "its camera".into())?;
+    let off = calibration.largest_error_px(&camera);
     if off.is_nan() || off > MOST_OFF_PX {
         let what =
             "no camera model of COLMAP has the distortion of this calibration: its centre is too far from the principal point"
@@ -154,6 +115,78 @@ fn named(bytes: &[u8], name: &'static str) -> Result<Element, Fault> {
     ))
 }
 
+/// The fault of an element with a projection or distortion that is not read.
+fn unknown(element: &Element, what: &str) -> Fault {
+    let problem = Problem::CameraModel(format!("{what} (MicMac)"));
+    Fault::new("", element.at(), problem)
+}
+
+/// A calibration, in COLMAP's pixels.
+struct Calibration {
+    principal_point: [f64; 2],
+    focal: f64,
+    size: [f64; 2],
+    distortion: Distortion,
+}
+
+impl Calibration {
+    fn read(root: &Element) -> Result<Self, Fault> {
+        let principal_point = from_corner(root.required_child("PP")?.numbers()?);
+        let [focal] = root.required_child("F")?.numbers()?;
+        Ok(Self {
+            principal_point,
+            focal,
+            size: root.required_child("SzIm")?.numbers()?,
+            distortion: Distortion::read(root, principal_point)?,
+        })
+    }
+
+    /// The most similar of COLMAP's cameras: a shift of the distortion's centre by d acts, to first
+    /// order, as Brown's terms of -c0 d.
+    fn camera(&self, id: u32) -> Result<Camera, CameraError> {
+        let (focal, [cx, cy]) = (self.focal, self.principal_point);
+        let Distortion {
+            centre,
+            radial: [c0, c1, c2],
+            brown: [p1, p2, b1, _],
+        } = self.distortion;
+        let f2 = focal * focal;
+        let k = [c0 * f2, c1 * f2 * f2, c2 * f2 * f2 * f2];
+        let p = [
+            (p2 - c0 * (centre[1] - cy)) * focal,
+            (p1 - c0 * (centre[0] - cx)) * focal,
+        ];
+        let (model, params) = brown([focal * (1.0 + b1), focal, cx, cy], k, p);
+        let [width, height] = self.size.map(|side| side as u64);
+        Camera::new(id, model, width, height, params)
+    }
+
+    /// The largest distance between a measured pixel and that of the camera, over a grid of ideal
+    /// pixels; infinite if the camera doesn't see one of them.
+    fn largest_error_px(&self, camera: &Camera) -> f64 {
+        let (focal, [cx, cy]) = (self.focal, self.principal_point);
+        let [w, h] = self.size;
+        let mut largest = 0.0f64;
+        for i in 0..=20 {
+            for j in 0..=20 {
+                let ideal = [w * f64::from(i) / 20.0, h * f64::from(j) / 20.0];
+                let ray = Point3::new((ideal[0] - cx) / focal, (ideal[1] - cy) / focal, 1.0);
+                let [x, y] = self.distortion.measured(ideal);
+                // What is moved far out of the image is nobody's pixel.
+                if x > -0.1 * w && y > -0.1 * h && x < 1.1 * w && y < 1.1 * h {
+                    let pixel = camera.project(&ray);
+                    largest =
+                        pixel.map_or(f64::INFINITY, |p| largest.max((p.x - x).hypot(p.y - y)));
+                }
+            }
+        }
+        largest
+    }
+}
+
+/// MicMac's name of the only convention of distortion that is read.
+const IDEAL_TO_MEASURED: &str = "eConvApero_DistM2C";
+
 /// In pixels.
 struct Distortion {
     centre: [f64; 2],
@@ -163,69 +196,58 @@ struct Distortion {
 }
 
 impl Distortion {
-    fn read(root: &Element, pp: [f64; 2]) -> Result<Self, Fault> {
+    fn read(root: &Element, principal_point: [f64; 2]) -> Result<Self, Fault> {
         let mut distortion = Self {
-            centre: pp,
+            centre: principal_point,
             radial: [0.0; 3],
             brown: [0.0; 4],
         };
-        let unknown =
-            |at, what: String| Fault::new("", at, Problem::CameraModel(format!("{what} (MicMac)")));
         let mut parts = root.children("CalibDistortion");
         let Some(part) = parts.next() else {
             return Ok(distortion);
         };
         if parts.next().is_some() {
-            return Err(unknown(
-                root.at(),
-                "several distortions, one after another".into(),
-            ));
+            return Err(unknown(root, "several distortions, one after another"));
         }
         let convention = root
             .child("KnownConv")
-            .map_or("eConvApero_DistM2C", Element::text);
-        if convention != "eConvApero_DistM2C" {
-            return Err(unknown(root.at(), convention.into()));
+            .map_or(IDEAL_TO_MEASURED, Element::text);
+        if convention != IDEAL_TO_MEASURED {
+            return Err(unknown(root, convention));
         }
-        let standard = part.child("ModPhgrStd");
-        let radial = match standard {
-            Some(standard) => Some(
-                standard
-                    .child("RadialePart")
-                    .ok_or_else(|| standard.lacks("RadialePart"))?,
-            ),
-            None => part.child("ModRad"),
-        };
-        let Some(radial) = radial else {
-            let is_none = part.child("ModNoDist").is_some();
-            return if is_none {
-                Ok(distortion)
-            } else {
-                Err(unknown(part.at(), "a distortion model".into()))
-            };
-        };
+        if let Some(standard) = part.child("ModPhgrStd") {
+            distortion.read_radial(standard.required_child("RadialePart")?)?;
+            distortion.read_brown(standard)?;
+        } else if let Some(radial) = part.child("ModRad") {
+            distortion.read_radial(radial)?;
+        } else if part.child("ModNoDist").is_none() {
+            return Err(unknown(part, "a distortion model"));
+        }
+        Ok(distortion)
+    }
+
+    fn read_radial(&mut self, radial: &Element) -> Result<(), Fault> {
         if let Some(centre) = radial.child("CDist") {
-            distortion.centre = from_corner(centre.numbers()?);
+            self.centre = from_corner(centre.numbers()?);
         }
         for (n, coefficient) in radial.children("CoeffDist").enumerate() {
             let [value] = coefficient.numbers()?;
-            match distortion.radial.get_mut(n) {
+            match self.radial.get_mut(n) {
                 Some(to) => *to = value,
                 None if value == 0.0 => {}
                 None => {
-                    return Err(unknown(
-                        coefficient.at(),
-                        "more than three radial coefficients".into(),
-                    ));
+                    return Err(unknown(coefficient, "more than three radial coefficients"));
                 }
             }
         }
-        if let Some(standard) = standard {
-            for (to, name) in distortion.brown.iter_mut().zip(["P1", "P2", "b1", "b2"]) {
-                *to = standard.number(name)?.unwrap_or_default();
-            }
+        Ok(())
+    }
+
+    fn read_brown(&mut self, standard: &Element) -> Result<(), Fault> {
+        for (to, name) in self.brown.iter_mut().zip(["P1", "P2", "b1", "b2"]) {
+            *to = standard.number(name)?.unwrap_or_default();
         }
-        Ok(distortion)
+        Ok(())
     }
 
     /// The measured pixel of an ideal one.
@@ -239,41 +261,12 @@ impl Distortion {
         let dy = y * radial + (r2 + 2.0 * y * y) * p2 + 2.0 * x * y * p1;
         [px + dx, py + dy]
     }
-
-    /// The most similar of COLMAP's cameras: a shift of the distortion's centre by d acts, to first
-    /// order, as Brown's terms of -c0 d.
-    fn camera(
-        &self,
-        id: u32,
-        pp: [f64; 2],
-        focal: f64,
-        [width, height]: [u64; 2],
-    ) -> Result<Camera, CameraError> {
-        let [c0, c1, c2] = self.radial;
-        let [p1, p2, b1, _] = self.brown;
-        let f2 = focal * focal;
-        let tangential = |p: f64, axis: usize| (p - c0 * (self.centre[axis] - pp[axis])) * focal;
-        let k = [c0 * f2, c1 * f2 * f2, c2 * f2 * f2 * f2];
-        let params = vec![
-            focal * (1.0 + b1),
-            focal,
-            pp[0],
-            pp[1],
-            k[0],
-            k[1],
-            tangential(p2, 1),
-            tangential(p1, 0),
-            k[2],
-            0.0,
-            0.0,
-            0.0,
-        ];
-        Camera::new(id, CameraModel::FullOpenCv, width, height, params)
-    }
 }
 
 #[cfg(test)]
 mod tests {
+    use viewrank_core::model::camera::CameraModel;
+
     use super::*;
 
     const ORIENTATION: &str = "<?xml version=\"1.0\" ?>\n<ExportAPERO><OrientationConique><TypeProj>eProjStenope</TypeProj>\

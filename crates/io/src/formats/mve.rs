@@ -51,24 +51,26 @@ impl View {
             if let Some(name) = line.strip_prefix('[') {
                 section = name.trim_end_matches(']');
             }
-            let Some((key, value)) = line
-                .split_once('=')
-                .map(|(key, value)| (key.trim(), value.trim()))
-            else {
-                continue;
-            };
-            let numbers: Vec<f64> = value
-                .split_ascii_whitespace()
-                .filter_map(|word| word.parse().ok())
-                .collect();
-            match (section, key, &numbers[..]) {
-                ("view", "id", _) => view.id = value.parse().ok()?,
-                ("camera", "principal_point", &[x, y]) => view.principal_point = [x, y],
-                ("camera", "pixel_aspect", &[aspect]) => view.pixel_aspect = aspect,
-                _ => {}
+            if let Some((key, value)) = line.split_once('=') {
+                view.set(section, key.trim(), value.trim())?;
             }
         }
         (view.id != usize::MAX).then_some(view)
+    }
+
+    /// Takes an entry; `None` for an id that is no number.
+    fn set(&mut self, section: &str, key: &str, value: &str) -> Option<()> {
+        let numbers: Vec<f64> = value
+            .split_ascii_whitespace()
+            .filter_map(|word| word.parse().ok())
+            .collect();
+        match (section, key, &numbers[..]) {
+            ("view", "id", _) => self.id = value.parse().ok()?,
+            ("camera", "principal_point", &[x, y]) => self.principal_point = [x, y],
+            ("camera", "pixel_aspect", &[aspect]) => self.pixel_aspect = aspect,
+            _ => {}
+        }
+        Some(())
     }
 
     fn camera(&self, focal: f64, size_of: SizeLookup) -> Result<Camera, Fault> {
@@ -130,17 +132,11 @@ pub fn read(bundle: &[u8], views: &[View], size_of: SizeLookup) -> Result<Foreig
     for n in 0..points {
         read.point(n)?;
     }
-    let mut foreign = read.foreign;
-    if read.without_folder > 0 {
-        let text = format!(
-            "{} cameras of the bundle have no folder in views, and are left out",
-            read.without_folder
-        );
-        foreign.warn(WarningKind::Damaged, text);
-    }
-    foreign.image_folder = Some("views".into());
-    Ok(foreign)
+    Ok(read.into_model())
 }
+
+/// Position of the image in the model, and pixel.
+type Observation = (usize, [f64; 2]);
 
 /// A bundle that is being read.
 struct Bundle<'a> {
@@ -159,23 +155,36 @@ struct Registered {
     pose: Pose,
 }
 
+/// A camera as in the file.
+struct Stored {
+    focal: f64,
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+}
+
+impl Stored {
+    fn read(words: &mut Words) -> Result<Self, Fault> {
+        let [focal, _, _] = words.numbers("the focal length, k1 and k2")?;
+        let rotation = words.numbers::<9>("a rotation matrix")?;
+        let translation = words.numbers::<3>("a translation")?;
+        Ok(Self {
+            focal,
+            rotation: Matrix3::from_row_slice(&rotation),
+            translation: Vector3::from(translation),
+        })
+    }
+}
+
 impl Bundle<'_> {
     /// Reads the next camera, which is that of `view`.
     fn camera(&mut self, n: usize, view: Option<&View>, size_of: SizeLookup) -> Result<(), Fault> {
         let what = || format!("camera {n}");
-        let (words, foreign) = (&mut self.words, &mut self.foreign);
-        let at = words.place();
-        let [focal, _, _] = words
-            .numbers("the focal length, k1 and k2")
-            .map_err(|fault| fault.in_record(what))?;
-        let rotation = words
-            .numbers::<9>("a rotation matrix")
-            .map_err(|fault| fault.in_record(what))?;
-        let translation = words
-            .numbers::<3>("a translation")
-            .map_err(|fault| fault.in_record(what))?;
-        let (Some(view), true) = (view, focal != 0.0) else {
-            self.without_folder += usize::from(focal != 0.0);
+        let at = self.words.place();
+        let read = Stored::read(&mut self.words).map_err(|fault| fault.in_record(what))?;
+        let is_registered = read.focal != 0.0;
+        let foreign = &mut self.foreign;
+        let Some(view) = view.filter(|_| is_registered) else {
+            self.without_folder += usize::from(is_registered);
             foreign
                 .unregistered
                 .extend(view.map(|view| view.image.clone()));
@@ -183,10 +192,9 @@ impl Bundle<'_> {
             return Ok(());
         };
         let fault = |problem| Fault::new("", at, problem).in_record(what);
-        let rotation = Matrix3::from_row_slice(&rotation);
-        let stored = pose(rotation, Vector3::from(translation)).map_err(fault)?;
+        let stored = pose(read.rotation, read.translation).map_err(fault)?;
         let pose = stored.pose().map_err(fault)?;
-        let camera = view.camera(focal, size_of)?;
+        let camera = view.camera(read.focal, size_of)?;
         self.registered.push(Some(Registered {
             image: foreign.model.images.len(),
             camera: camera.clone(),
@@ -207,6 +215,15 @@ impl Bundle<'_> {
         let colour = words
             .numbers::<3>("a colour")
             .map_err(|fault| fault.in_record(what))?;
+        let track = self.observations(&Point3::from(xyz))?;
+        let colour = colour.map(|c| c.round().clamp(0.0, 255.0) as u8);
+        self.foreign.add_point(n as u64 + 1, xyz, colour, track, at);
+        Ok(())
+    }
+
+    /// Reads the observations of a point, and projects it.
+    fn observations(&mut self, point: &Point3<f64>) -> Result<Vec<Observation>, Fault> {
+        let words = &mut self.words;
         let count = words.count("observations", 6)?;
         let mut track = Vec::with_capacity(count);
         for _ in 0..count {
@@ -219,19 +236,26 @@ impl Bundle<'_> {
                     id: view as u64,
                 })
             })?;
-            if let Some(Registered {
-                image,
-                camera,
-                pose,
-            }) = known
-            {
-                let pixel = camera.project(&pose.camera_from_world(&Point3::from(xyz)));
-                track.extend(pixel.map(|pixel| (*image, [pixel.x, pixel.y])));
+            if let Some(registered) = known {
+                let in_camera = registered.pose.camera_from_world(point);
+                let pixel = registered.camera.project(&in_camera);
+                track.extend(pixel.map(|pixel| (registered.image, [pixel.x, pixel.y])));
             }
         }
-        let colour = colour.map(|c| c.round().clamp(0.0, 255.0) as u8);
-        self.foreign.add_point(n as u64 + 1, xyz, colour, track, at);
-        Ok(())
+        Ok(track)
+    }
+
+    fn into_model(self) -> ForeignModel {
+        let mut foreign = self.foreign;
+        if self.without_folder > 0 {
+            let text = format!(
+                "{} cameras of the bundle have no folder in views, and are left out",
+                self.without_folder
+            );
+            foreign.warn(WarningKind::Damaged, text);
+        }
+        foreign.image_folder = Some("views".into());
+        foreign
     }
 }
 

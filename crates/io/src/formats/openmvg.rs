@@ -11,7 +11,8 @@ use viewrank_core::model::camera::{Camera, CameraModel};
 
 use super::{
     Fault, MOST_IMAGES, Place, Problem,
-    foreign::{ForeignModel, camera, json, pose_with_centre, shift},
+    colmap::StoredPose,
+    foreign::{ForeignModel, brown, camera, fault_in, json, pose_with_centre, shift},
 };
 use crate::bounded;
 
@@ -60,6 +61,15 @@ struct View {
     id_pose: u32,
 }
 
+impl View {
+    fn name(&self) -> String {
+        match &*self.local_path {
+            "" => self.filename.clone(),
+            folder => format!("{folder}/{}", self.filename),
+        }
+    }
+}
+
 #[derive(Deserialize)]
 struct Intrinsic {
     width: u64,
@@ -78,6 +88,13 @@ struct Intrinsic {
 struct Extrinsic {
     rotation: [[f64; 3]; 3],
     center: [f64; 3],
+}
+
+impl Extrinsic {
+    fn pose(&self) -> Result<StoredPose, Problem> {
+        let rotation = Matrix3::from_fn(|row, column| self.rotation[row][column]);
+        pose_with_centre(rotation, Vector3::from(self.center))
+    }
 }
 
 #[derive(Deserialize)]
@@ -135,74 +152,64 @@ fn add_images(foreign: &mut ForeignModel, data: &SfmData) -> Result<HashMap<u32,
     let mut images = HashMap::new();
     for Entry { key, value } in &data.views {
         let view = &value.ptr_wrapper.data;
-        let name = match &*view.local_path {
-            "" => view.filename.clone(),
-            folder => format!("{folder}/{}", view.filename),
-        };
         let pose = poses.get(&view.id_pose);
         let Some(pose) = pose.filter(|_| cameras.contains(&view.id_intrinsic)) else {
-            foreign.unregistered.push(name);
+            foreign.unregistered.push(view.name());
             continue;
         };
         images.insert(*key, foreign.model.images.len());
-        let rotation = Matrix3::from_fn(|row, column| pose.rotation[row][column]);
-        let pose = pose_with_centre(rotation, Vector3::from(pose.center));
-        let pose = pose.map_err(|problem| {
-            Fault::new("", Place::File, problem).in_record(|| format!("view {key}, {name:?}"))
-        })?;
+        let name = view.name();
+        let pose = pose
+            .pose()
+            .map_err(|problem| fault_in(problem, || format!("view {key}, {name:?}")))?;
         foreign.add_image(*key, name, view.id_intrinsic, pose, Place::File);
     }
     Ok(images)
 }
 
 fn intrinsic(id: u32, kind: &str, data: &Intrinsic) -> Result<Camera, Fault> {
-    let f = data.focal_length;
-    let [cx, cy] = shift(data.principal_point);
-    let parameters = |list: &Option<Vec<f64>>, n: usize| {
-        let list = list.clone().filter(|list| list.len() == n);
-        list.ok_or_else(|| {
-            let message = format!("{kind} without its {n} distortion parameters");
-            Fault::new("", Place::File, Problem::Json(message))
-                .in_record(|| format!("intrinsic {id}"))
-        })
-    };
-    let (model, params) = match kind {
-        "pinhole" => (CameraModel::SimplePinhole, vec![f, cx, cy]),
-        "pinhole_radial_k1" => (
-            CameraModel::SimpleRadial,
-            vec![f, cx, cy, parameters(&data.disto_k1, 1)?[0]],
-        ),
-        "pinhole_radial_k3" => {
-            let k = parameters(&data.disto_k3, 3)?;
-            (
-                CameraModel::FullOpenCv,
-                vec![f, f, cx, cy, k[0], k[1], 0.0, 0.0, k[2], 0.0, 0.0, 0.0],
-            )
-        }
-        "pinhole_brown_t2" => {
-            let k = parameters(&data.disto_t2, 5)?;
-            (
-                CameraModel::FullOpenCv,
-                vec![f, f, cx, cy, k[0], k[1], k[3], k[4], k[2], 0.0, 0.0, 0.0],
-            )
-        }
-        "fisheye" => (
-            CameraModel::OpenCvFisheye,
-            [&[f, f, cx, cy], &parameters(&data.fisheye, 4)?[..]].concat(),
-        ),
-        "spherical" => (
-            CameraModel::Equirectangular,
-            vec![data.width as f64, data.height as f64],
-        ),
-        _ => {
-            let problem = Problem::CameraModel(format!("{kind} (OpenMVG)"));
-            return Err(
-                Fault::new("", Place::File, problem).in_record(|| format!("intrinsic {id}"))
-            );
-        }
-    };
+    let what = || format!("intrinsic {id}");
+    let (model, params) = data
+        .model(kind)
+        .map_err(|problem| fault_in(problem, what))?;
     camera(
         Camera::new(id, model, data.width, data.height, params),
-        || format!("intrinsic {id}"),
+        what,
     )
+}
+
+impl Intrinsic {
+    /// COLMAP's model, and its parameters.
+    fn model(&self, kind: &str) -> Result<(CameraModel, Vec<f64>), Problem> {
+        let f = self.focal_length;
+        let [cx, cy] = shift(self.principal_point);
+        let pinhole = [f, f, cx, cy];
+        Ok(match kind {
+            "pinhole" => (CameraModel::SimplePinhole, vec![f, cx, cy]),
+            "pinhole_radial_k1" => {
+                let [k1] = distortion(kind, &self.disto_k1)?;
+                (CameraModel::SimpleRadial, vec![f, cx, cy, k1])
+            }
+            "pinhole_radial_k3" => brown(pinhole, distortion(kind, &self.disto_k3)?, [0.0; 2]),
+            "pinhole_brown_t2" => {
+                let [k1, k2, k3, t1, t2] = distortion(kind, &self.disto_t2)?;
+                brown(pinhole, [k1, k2, k3], [t1, t2])
+            }
+            "fisheye" => {
+                let k: [f64; 4] = distortion(kind, &self.fisheye)?;
+                (CameraModel::OpenCvFisheye, [pinhole, k].concat())
+            }
+            "spherical" => (
+                CameraModel::Equirectangular,
+                vec![self.width as f64, self.height as f64],
+            ),
+            _ => return Err(Problem::CameraModel(format!("{kind} (OpenMVG)"))),
+        })
+    }
+}
+
+/// The distortion parameters of a kind.
+fn distortion<const N: usize>(kind: &str, list: &Option<Vec<f64>>) -> Result<[f64; N], Problem> {
+    let list = list.as_deref().and_then(|list| list.try_into().ok());
+    list.ok_or_else(|| Problem::Json(format!("{kind} without its {N} distortion parameters")))
 }

@@ -21,7 +21,7 @@ use viewrank_core::model::{
 use super::{
     Fault, MOST_IMAGES, Place, Problem,
     colmap::StoredPose,
-    foreign::{ForeignModel, camera, json},
+    foreign::{ForeignModel, brown, camera, fault_in, json},
     words::parse,
 };
 use crate::bounded;
@@ -70,6 +70,16 @@ struct Reference {
     latitude: f64,
     longitude: f64,
     altitude: f64,
+}
+
+impl Reference {
+    fn georeference(&self) -> Georeference {
+        Georeference::east_north_up(Geodetic {
+            longitude: self.longitude,
+            latitude: self.latitude,
+            height: self.altitude,
+        })
+    }
 }
 
 /// A JSON object as a map.
@@ -129,12 +139,33 @@ struct Shot {
     camera: String,
 }
 
+impl Shot {
+    fn pose(&self) -> StoredPose {
+        let rotation = Rotation3::new(Vector3::from(self.rotation));
+        let q = UnitQuaternion::from_rotation_matrix(&rotation);
+        StoredPose {
+            quaternion: [q.w, q.i, q.j, q.k],
+            translation: self.translation,
+        }
+    }
+}
+
 #[derive(Deserialize)]
 struct Point {
     coordinates: [f64; 3],
     #[serde(default)]
     color: [f64; 3],
 }
+
+/// A shot in the model.
+struct PlacedShot<'a> {
+    /// Index of the image.
+    image: usize,
+    camera: &'a OpenSfmCamera,
+}
+
+/// By name.
+type PlacedShots<'a> = HashMap<&'a [u8], PlacedShot<'a>>;
 
 /// Observations of each point, in the order of their names: index of the image, and pixel.
 type Observations = Vec<Vec<(usize, [f64; 2])>>;
@@ -143,50 +174,20 @@ type Observations = Vec<Vec<(usize, [f64; 2])>>;
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
     let Reconstructions(reconstructions) = json(reconstruction)?;
     let all = reconstructions.len();
-    let largest = reconstructions
-        .into_iter()
-        .rev()
-        .max_by_key(|r| r.shots.len());
+    let in_reverse = reconstructions.into_iter().rev();
     let mut foreign = ForeignModel::default();
-    let Some(largest) = largest else {
+    let Some(largest) = in_reverse.max_by_key(|r| r.shots.len()) else {
         return Ok(foreign);
     };
-    foreign.georeference = largest.reference_lla.as_ref().map(|origin| {
-        Georeference::east_north_up(Geodetic {
-            longitude: origin.longitude,
-            latitude: origin.latitude,
-            height: origin.altitude,
-        })
-    });
+    let origin = largest.reference_lla.as_ref();
+    foreign.georeference = origin.map(Reference::georeference);
     if all > 1 {
         let shots = largest.shots.len();
         let text =
             format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
         foreign.warn(WarningKind::OtherModels, text);
     }
-    let mut camera_ids = HashMap::new();
-    for (n, (name, camera)) in largest.cameras.iter().enumerate() {
-        camera_ids.insert(name.as_str(), (n as u32 + 1, camera));
-        foreign
-            .model
-            .cameras
-            .push(intrinsics(n as u32 + 1, name, camera)?);
-    }
-    let mut shots = HashMap::new();
-    for (n, (name, shot)) in largest.shots.iter().enumerate() {
-        let fault =
-            |problem| Fault::new("", Place::File, problem).in_record(|| format!("shot {name:?}"));
-        let unknown = || fault(Problem::Json(format!("unknown camera {:?}", shot.camera)));
-        let &(camera_id, camera) = camera_ids.get(shot.camera.as_str()).ok_or_else(unknown)?;
-        let rotation = Rotation3::new(Vector3::from(shot.rotation));
-        let q = UnitQuaternion::from_rotation_matrix(&rotation);
-        let pose = StoredPose {
-            quaternion: [q.w, q.i, q.j, q.k],
-            translation: shot.translation,
-        };
-        shots.insert(name.as_bytes(), (foreign.model.images.len(), camera));
-        foreign.add_image(n as u32 + 1, name.clone(), camera_id, pose, Place::File);
-    }
+    let shots = largest.add_shots(&mut foreign)?;
     let observations = tracks.map_or(Ok(Vec::new()), |tracks| {
         observations(tracks, &shots, &largest.points)
     })?;
@@ -196,6 +197,29 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
         foreign.warn(WarningKind::Damaged, text);
     }
     Ok(foreign)
+}
+
+impl Reconstruction {
+    /// Adds cameras and shots.
+    fn add_shots(&self, foreign: &mut ForeignModel) -> Result<PlacedShots<'_>, Fault> {
+        let mut cameras = HashMap::new();
+        for (id, (name, camera)) in (1..).zip(&self.cameras) {
+            cameras.insert(name, (id, camera));
+            foreign.model.cameras.push(camera.intrinsics(id, name)?);
+        }
+        let mut placed = HashMap::new();
+        for (image, (name, shot)) in self.shots.iter().enumerate() {
+            let unknown = || {
+                let problem = Problem::Json(format!("unknown camera {:?}", shot.camera));
+                fault_in(problem, || format!("shot {name:?}"))
+            };
+            let &(camera_id, camera) = cameras.get(&shot.camera).ok_or_else(unknown)?;
+            placed.insert(name.as_bytes(), PlacedShot { image, camera });
+            let id = image as u32 + 1;
+            foreign.add_image(id, name.clone(), camera_id, shot.pose(), Place::File);
+        }
+        Ok(placed)
+    }
 }
 
 /// Point ids: those of the file if all are numbers, otherwise 1, 2, ...
@@ -220,11 +244,30 @@ fn add_points(foreign: &mut ForeignModel, points: &JsonMap<Point>, observations:
     }
 }
 
-/// Parses rows of `shot, track, feature, x, y, ...`, separated by tabs. Most tracks may be none of
-/// the points.
+/// A row of the tracks: `shot, track, feature, x, y, ...`, separated by tabs.
+struct Row<'a> {
+    shot: &'a [u8],
+    track: &'a [u8],
+    normalised: [f64; 2],
+}
+
+impl<'a> Row<'a> {
+    fn read(line: &'a [u8]) -> Option<Self> {
+        let mut fields = line.split(|&b| b == b'\t');
+        let (shot, track, _feature) = (fields.next()?, fields.next()?, fields.next()?);
+        let [x, y] = [fields.next()?, fields.next()?].map(parse);
+        Some(Self {
+            shot,
+            track,
+            normalised: [x.ok()?, y.ok()?],
+        })
+    }
+}
+
+/// Parses the tracks. Most may be none of the points.
 fn observations(
     tracks: &[u8],
-    shots: &HashMap<&[u8], (usize, &OpenSfmCamera)>,
+    shots: &PlacedShots,
     points: &JsonMap<Point>,
 ) -> Result<Observations, Fault> {
     let mut of_points = vec![Vec::new(); points.len()];
@@ -234,71 +277,88 @@ fn observations(
         if line.is_empty() || line.starts_with(b"OPENSFM_TRACKS_VERSION") {
             continue;
         }
-        let mut fields = line.split(|&b| b == b'\t');
-        let mut row = || {
-            let (shot, track, _feature) = (fields.next()?, fields.next()?, fields.next()?);
-            let [x, y] = [fields.next()?, fields.next()?].map(parse::<f64>);
-            Some((shot, track, [x.ok()?, y.ok()?]))
-        };
-        let Some((shot, track, [x, y])) = row() else {
-            let found = String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned();
+        let row = Row::read(line).ok_or_else(|| {
             let problem = Problem::Syntax {
                 expected: "shot, track, feature, x, y separated by tabs",
-                found,
+                found: String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned(),
             };
-            return Err(Fault::new("tracks", Place::Line(n as u64 + 1), problem));
-        };
-        if let (Some(&(image, camera)), Some(&point)) = (shots.get(shot), point_of.get(track)) {
-            let (w, h) = (camera.width as f64, camera.height as f64);
-            let size = w.max(h);
-            of_points[point].push((image, [x * size + w / 2.0, y * size + h / 2.0]));
+            Fault::new("tracks", Place::Line(n as u64 + 1), problem)
+        })?;
+        if let (Some(shot), Some(&point)) = (shots.get(row.shot), point_of.get(row.track)) {
+            of_points[point].push((shot.image, shot.camera.pixel(row.normalised)));
         }
     }
     Ok(of_points)
 }
 
-fn intrinsics(id: u32, name: &str, c: &OpenSfmCamera) -> Result<Camera, Fault> {
-    let (w, h) = (c.width as f64, c.height as f64);
-    let size = w.max(h);
-    let (fx, fy) = (
-        c.focal_x.unwrap_or(c.focal) * size,
-        c.focal_y.or(c.focal_x).unwrap_or(c.focal) * size,
-    );
-    let (cx, cy) = (w / 2.0 + c.c_x * size, h / 2.0 + c.c_y * size);
-    let (model, params) = match c.projection_type.as_str() {
-        "perspective" => (CameraModel::Radial, vec![fx, cx, cy, c.k1, c.k2]),
-        "radial" | "simple_radial" => (
-            CameraModel::OpenCv,
-            vec![fx, fy, cx, cy, c.k1, c.k2, 0.0, 0.0],
-        ),
-        "brown" => (
-            CameraModel::FullOpenCv,
-            vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, 0.0, 0.0, 0.0],
-        ),
-        "fisheye" => (CameraModel::RadialFisheye, vec![fx, cx, cy, c.k1, c.k2]),
-        "fisheye_opencv" => (
-            CameraModel::OpenCvFisheye,
-            vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4],
-        ),
-        // Tangential plus radial distortion, for which COLMAP has four radial coefficients.
-        "fisheye62" if c.k5 == 0.0 && c.k6 == 0.0 => (
-            CameraModel::ThinPrismFisheye,
-            vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, c.k4, 0.0, 0.0],
-        ),
-        "fisheye62" if c.p1 == 0.0 && c.p2 == 0.0 => {
-            let mut params = vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4, c.k5, c.k6];
-            params.resize(16, 0.0);
-            (CameraModel::RadTanThinPrismFisheye, params)
+impl OpenSfmCamera {
+    /// Width and height, and the longer of both: the unit of normalised coordinates.
+    fn size(&self) -> [f64; 3] {
+        let (w, h) = (self.width as f64, self.height as f64);
+        [w, h, w.max(h)]
+    }
+
+    fn pixel(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [w, h, longer] = self.size();
+        [x * longer + w / 2.0, y * longer + h / 2.0]
+    }
+
+    fn intrinsics(&self, id: u32, name: &str) -> Result<Camera, Fault> {
+        let what = || format!("camera {name:?}");
+        let (model, params) = self.model().ok_or_else(|| {
+            let problem = Problem::CameraModel(format!("{} (OpenSfM)", self.projection_type));
+            fault_in(problem, what)
+        })?;
+        camera(
+            Camera::new(id, model, self.width, self.height, params),
+            what,
+        )
+    }
+
+    /// COLMAP's model, and its parameters.
+    fn model(&self) -> Option<(CameraModel, Vec<f64>)> {
+        let [k1, k2, k3, k4] = [self.k1, self.k2, self.k3, self.k4];
+        let [p1, p2] = [self.p1, self.p2];
+        let pinhole = self.pinhole_part();
+        let [fx, _, cx, cy] = pinhole;
+        let with = |distortion: &[f64]| [&pinhole[..], distortion].concat();
+        Some(match self.projection_type.as_str() {
+            "perspective" => (CameraModel::Radial, vec![fx, cx, cy, k1, k2]),
+            "radial" | "simple_radial" => (CameraModel::OpenCv, with(&[k1, k2, 0.0, 0.0])),
+            "brown" => brown(pinhole, [k1, k2, k3], [p1, p2]),
+            "fisheye" => (CameraModel::RadialFisheye, vec![fx, cx, cy, k1, k2]),
+            "fisheye_opencv" => (CameraModel::OpenCvFisheye, with(&[k1, k2, k3, k4])),
+            "fisheye62" => self.fisheye62()?,
+            "spherical" | "equirectangular" => {
+                let [w, h, _] = self.size();
+                (CameraModel::Equirectangular, vec![w, h])
+            }
+            _ => return None,
+        })
+    }
+
+    /// fx, fy, cx, cy, pixels.
+    fn pinhole_part(&self) -> [f64; 4] {
+        let [_, _, longer] = self.size();
+        let fx = self.focal_x.unwrap_or(self.focal);
+        let fy = self.focal_y.or(self.focal_x).unwrap_or(self.focal);
+        let [cx, cy] = self.pixel([self.c_x, self.c_y]);
+        [fx * longer, fy * longer, cx, cy]
+    }
+
+    /// Tangential plus radial distortion, for which COLMAP has four radial coefficients, or six
+    /// without the tangential ones.
+    fn fisheye62(&self) -> Option<(CameraModel, Vec<f64>)> {
+        let pinhole = self.pinhole_part();
+        let [k1, k2, k3, k4] = [self.k1, self.k2, self.k3, self.k4];
+        let [k5, k6, p1, p2] = [self.k5, self.k6, self.p1, self.p2];
+        if k5 == 0.0 && k6 == 0.0 {
+            let distortion = [k1, k2, p1, p2, k3, k4, 0.0, 0.0];
+            let params = [&pinhole[..], &distortion].concat();
+            return Some((CameraModel::ThinPrismFisheye, params));
         }
-        "spherical" | "equirectangular" => (CameraModel::Equirectangular, vec![w, h]),
-        other => {
-            let problem = Problem::CameraModel(format!("{other} (OpenSfM)"));
-            return Err(
-                Fault::new("", Place::File, problem).in_record(|| format!("camera {name:?}"))
-            );
-        }
-    };
-    camera(Camera::new(id, model, c.width, c.height, params), || {
-        format!("camera {name:?}")
-    })
+        let mut params = [&pinhole[..], &[k1, k2, k3, k4, k5, k6]].concat();
+        params.resize(16, 0.0);
+        (p1 == 0.0 && p2 == 0.0).then_some((CameraModel::RadTanThinPrismFisheye, params))
+    }
 }

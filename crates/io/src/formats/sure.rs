@@ -16,7 +16,7 @@ use viewrank_core::model::{
 use super::{
     Fault, Place, Problem,
     colmap::{ColmapImage, StoredPose},
-    foreign::{ForeignModel, camera, pose_with_centre, shift},
+    foreign::{ForeignModel, brown, camera, pose_with_centre, shift},
     words::parse,
 };
 
@@ -33,41 +33,51 @@ pub struct Orientation {
 /// Reads one `.ori` file; `id` becomes the id of its camera.
 pub fn read(bytes: &[u8], id: u32) -> Result<Orientation, Fault> {
     let entries = entries(bytes)?;
-    let image = entries.get("ImageID").map(|entry| entry.text.trim_ascii());
-    let image = image.unwrap_or_default().split(|&b| b == b'\n').next();
-    let image = image.unwrap_or_default().trim_ascii();
-    let image = std::str::from_utf8(image).map_err(|_| {
-        Fault::new(
-            "",
-            Place::File,
-            Problem::Json("the image id is not UTF-8".into()),
-        )
-    })?;
+    let image = image_id(&entries)?;
     let [width, height] = numbers(&entries, "IntOri_SensorSize")?;
-    let matrix = if entries.contains_key("IntOri_CameraMatrix") {
-        numbers::<9>(&entries, "IntOri_CameraMatrix")?
-    } else {
-        let [f] = numbers(&entries, "IntOri_FocalLength")?;
-        let [px, py] = numbers(&entries, "IntOri_PixelSize")?;
-        let [cx, cy] = numbers(&entries, "IntOri_PrincipalPoint")?;
-        [f / px, 0.0, cx, 0.0, f / py, cy, 0.0, 0.0, 1.0]
-    };
-    let [cx, cy] = shift([matrix[2], matrix[5]]);
-    let (model, params) = distortion(&entries, [matrix[0], matrix[4], cx, cy])?;
+    let (model, params) = distortion(&entries, pinhole_part(&entries)?)?;
     let camera = camera(
         Camera::new(id, model, width as u64, height as u64, params),
         || format!("image {image:?}"),
     )?;
-    let rotation = Matrix3::from_row_slice(&numbers::<9>(&entries, "ExtOri_RotationMatrix")?);
-    let centre = Vector3::from(numbers::<3>(&entries, "ExtOri_TranslationVector")?);
-    let at = entries["ExtOri_RotationMatrix"].at;
-    let cam_from_world =
-        pose_with_centre(rotation, centre).map_err(|problem| Fault::new("", at, problem))?;
     Ok(Orientation {
         image: image.to_owned(),
         camera,
-        cam_from_world,
+        cam_from_world: pose(&entries)?,
     })
+}
+
+/// File name of the image.
+fn image_id<'a>(entries: &Entries<'a>) -> Result<&'a str, Fault> {
+    let text = entries.get("ImageID").map(|entry| entry.text.trim_ascii());
+    let line = text.unwrap_or_default().split(|&b| b == b'\n').next();
+    let line = line.unwrap_or_default().trim_ascii();
+    std::str::from_utf8(line).map_err(|_| {
+        let problem = Problem::Json("the image id is not UTF-8".into());
+        Fault::new("", Place::File, problem)
+    })
+}
+
+/// fx, fy, cx, cy, in COLMAP's pixels.
+fn pinhole_part(entries: &Entries) -> Result<[f64; 4], Fault> {
+    let (focal, centre) = if entries.contains_key("IntOri_CameraMatrix") {
+        let matrix = numbers::<9>(entries, "IntOri_CameraMatrix")?;
+        ([matrix[0], matrix[4]], [matrix[2], matrix[5]])
+    } else {
+        let [f] = numbers(entries, "IntOri_FocalLength")?;
+        let [px, py] = numbers(entries, "IntOri_PixelSize")?;
+        let centre = numbers(entries, "IntOri_PrincipalPoint")?;
+        ([f / px, f / py], centre)
+    };
+    let ([fx, fy], [cx, cy]) = (focal, shift(centre));
+    Ok([fx, fy, cx, cy])
+}
+
+fn pose(entries: &Entries) -> Result<StoredPose, Fault> {
+    let rotation = Matrix3::from_row_slice(&numbers::<9>(entries, "ExtOri_RotationMatrix")?);
+    let centre = Vector3::from(numbers::<3>(entries, "ExtOri_TranslationVector")?);
+    let at = entries["ExtOri_RotationMatrix"].at;
+    pose_with_centre(rotation, centre).map_err(|problem| Fault::new("", at, problem))
 }
 
 /// The lines after a key.
@@ -114,7 +124,7 @@ fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
         end += line.len();
         let (at, line) = (Place::Line(n), line.trim_ascii());
         if let Some(head) = line.strip_prefix(b"$") {
-            let key = KEYS.into_iter().find(|key| key.as_bytes() == key_in(head));
+            let key = known_key(head);
             if let Some(key) = key {
                 entries.insert(key, Entry { at, text: &[] });
             }
@@ -132,6 +142,12 @@ fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
         }
     }
     Ok(entries)
+}
+
+/// The key in a line after `$`, if it is one that is read.
+fn known_key(head: &[u8]) -> Option<&'static str> {
+    let key = key_in(head);
+    KEYS.into_iter().find(|known| known.as_bytes() == key)
 }
 
 /// The key in a line: the text between `$` and the first bracket or run of underscores.
@@ -161,26 +177,21 @@ fn numbers<const N: usize>(entries: &Entries, key: &'static str) -> Result<[f64;
         .ok_or_else(|| fault(entry.at, entry.beginning()))
 }
 
-fn distortion(
-    entries: &Entries,
-    [fx, fy, cx, cy]: [f64; 4],
-) -> Result<(CameraModel, Vec<f64>), Fault> {
+/// COLMAP's model, and its parameters.
+fn distortion(entries: &Entries, pinhole: [f64; 4]) -> Result<(CameraModel, Vec<f64>), Fault> {
+    let without = (CameraModel::Pinhole, pinhole.to_vec());
     let Some(entry) = entries.get("IntOri_Distortion") else {
-        return Ok((CameraModel::Pinhole, vec![fx, fy, cx, cy]));
+        return Ok(without);
     };
     let values = entry.words().skip(2).filter_map(|word| parse(word).ok());
     let values: Vec<f64> = values.take(6).collect();
     match (entry.words().next(), &values[..]) {
-        (None | Some(b"NONE"), _) => Ok((CameraModel::Pinhole, vec![fx, fy, cx, cy])),
-        (Some(b"Brown5"), &[k1, k2, k3, t1, t2]) => Ok((
-            CameraModel::FullOpenCv,
-            vec![fx, fy, cx, cy, k1, k2, t1, t2, k3, 0.0, 0.0, 0.0],
-        )),
-        _ => Err(Fault::new(
-            "",
-            entry.at,
-            Problem::CameraModel(format!("{} (SURE)", entry.beginning())),
-        )),
+        (None | Some(b"NONE"), _) => Ok(without),
+        (Some(b"Brown5"), &[k1, k2, k3, t1, t2]) => Ok(brown(pinhole, [k1, k2, k3], [t1, t2])),
+        _ => {
+            let problem = Problem::CameraModel(format!("{} (SURE)", entry.beginning()));
+            Err(Fault::new("", entry.at, problem))
+        }
     }
 }
 
@@ -235,33 +246,43 @@ fn positions<'a>(
     oriented: &ForeignModel,
     names: impl Iterator<Item = &'a str>,
 ) -> Vec<Option<usize>> {
-    let stem = |name: &str| {
-        let name = name.replace('\\', "/");
-        name.rsplit_once('.')
-            .map_or(name.as_str(), |(stem, _)| stem)
-            .to_lowercase()
-    };
-    let file = |stem: &str| stem.rsplit('/').next().unwrap_or_default().to_owned();
-    let mut by_stem = HashMap::new();
-    let mut by_file: HashMap<String, Vec<usize>> = HashMap::new();
-    for (n, image) in oriented.model.images.iter().enumerate() {
-        let stem = stem(&image.name);
-        by_file.entry(file(&stem)).or_default().push(n);
-        by_stem.insert(stem, n);
-    }
+    let images = oriented.model.images.iter();
+    let own: Vec<String> = images.map(|image| stem(&image.name)).collect();
     let names: Vec<String> = names.map(stem).collect();
-    let mut same_file: HashMap<String, usize> = HashMap::new();
-    names
-        .iter()
-        .for_each(|stem| *same_file.entry(file(stem)).or_default() += 1);
-    let by_file = |stem: &String| match by_file.get(&file(stem)).map(Vec::as_slice) {
-        Some(&[n]) if same_file[&file(stem)] == 1 => Some(n),
-        _ => None,
+    let by_stem: HashMap<&str, usize> = own.iter().map(String::as_str).zip(0..).collect();
+    let (own_by_file, names_by_file) = (by_file(&own), by_file(&names));
+    let of_same_file = |stem: &str| {
+        let own = own_by_file.get(file_of(stem))?;
+        match (&own[..], &names_by_file[file_of(stem)][..]) {
+            (&[n], [_]) => Some(n),
+            _ => None,
+        }
     };
     names
         .iter()
-        .map(|stem| by_stem.get(stem).copied().or_else(|| by_file(stem)))
+        .map(|stem| by_stem.get(&**stem).copied().or_else(|| of_same_file(stem)))
         .collect()
+}
+
+/// A name with `/`, without its extension and in lower case.
+fn stem(name: &str) -> String {
+    let name = name.replace('\\', "/");
+    let stem = name.rsplit_once('.').map_or(&*name, |(stem, _)| stem);
+    stem.to_lowercase()
+}
+
+/// The last part of a stem.
+fn file_of(stem: &str) -> &str {
+    stem.rsplit('/').next().unwrap_or_default()
+}
+
+/// Positions of the stems by their last parts.
+fn by_file(stems: &[String]) -> HashMap<&str, Vec<usize>> {
+    let mut by_file: HashMap<&str, Vec<usize>> = HashMap::new();
+    for (n, stem) in stems.iter().enumerate() {
+        by_file.entry(file_of(stem)).or_default().push(n);
+    }
+    by_file
 }
 
 /// Warns of images without a counterpart; an error if no image has one, since the two models then
@@ -272,50 +293,37 @@ fn report_unmatched(
     own: &[Option<usize>],
 ) -> Result<(), Problem> {
     let matched: HashSet<usize> = own.iter().flatten().copied().collect();
-    let name =
-        |(n, image): (usize, &ColmapImage)| (!matched.contains(&n)).then(|| image.name.to_string());
-    let oriented: Vec<String> = foreign
-        .model
-        .images
-        .iter()
-        .enumerate()
-        .filter_map(name)
-        .collect();
-    let other = |(image, own): (&ColmapImage, &Option<usize>)| {
-        own.is_none().then(|| image.name.to_string())
-    };
-    let others: Vec<String> = cloud
-        .model
-        .images
-        .iter()
-        .zip(own)
-        .filter_map(other)
-        .collect();
+    let name = |image: &ColmapImage| image.name.to_string();
+    let images = foreign.model.images.iter().enumerate();
+    let oriented = images.filter(|(n, _)| !matched.contains(n));
+    let oriented: Vec<String> = oriented.map(|(_, image)| name(image)).collect();
+    let images = cloud.model.images.iter().zip(own);
+    let others = images.filter(|(_, own)| own.is_none());
+    let others: Vec<String> = others.map(|(image, _)| name(image)).collect();
     if let (true, [first, ..], [other, ..]) = (matched.is_empty(), &oriented[..], &others[..]) {
         return Err(Problem::Contradiction(format!(
             "no image of the sparse cloud (e.g. {other}) is among the oriented images (e.g. {first})"
         )));
     }
-    for (names, what) in [
-        (oriented, "oriented images are not in the sparse cloud"),
-        (others, "images of the sparse cloud are not oriented"),
-    ] {
-        if !names.is_empty() {
-            let more = if names.len() > 3 { ", ..." } else { "" };
-            let some = names
-                .iter()
-                .take(3)
-                .map(String::as_str)
-                .collect::<Vec<_>>()
-                .join(", ");
-            let text = format!(
-                "{} {what}, so their observations are missing: {some}{more}",
-                names.len()
-            );
-            foreign.warn(WarningKind::Damaged, text);
-        }
-    }
+    let of_oriented = "oriented images are not in the sparse cloud";
+    warn_of_unmatched(foreign, &oriented, of_oriented);
+    let of_others = "images of the sparse cloud are not oriented";
+    warn_of_unmatched(foreign, &others, of_others);
     Ok(())
+}
+
+fn warn_of_unmatched(foreign: &mut ForeignModel, names: &[String], what: &str) {
+    if names.is_empty() {
+        return;
+    }
+    let some = &names[..names.len().min(3)];
+    let more = if names.len() > 3 { ", ..." } else { "" };
+    let text = format!(
+        "{} {what}, so their observations are missing: {}{more}",
+        names.len(),
+        some.join(", ")
+    );
+    foreign.warn(WarningKind::Damaged, text);
 }
 
 /// Text of the `.ori` file of an undistorted image; `None` for cameras with distortion.
@@ -323,20 +331,29 @@ pub fn write(image: &str, camera: &Camera, cam_from_world: &Pose) -> Option<Stri
     if !camera.is_pinhole() {
         return None;
     }
+    let id = [key("ImageID", "(ORI_Ver_1.0)"), format!("\t{image}")];
+    let distortion = [
+        key(
+            "IntOri_Distortion_____(Model|ParameterCount|(Parameters))",
+            "",
+        ),
+        "\tNONE\t0".into(),
+    ];
+    let (interior, exterior) = (interior(camera), exterior(cam_from_world));
+    let lines = [&id[..], &interior, &exterior, &distortion].concat();
+    Some(lines.join("\n") + "\n")
+}
+
+/// A line with a key, filled with underscores.
+fn key(name: &str, note: &str) -> String {
+    let fill = 71usize.saturating_sub(name.len() + note.len());
+    format!("${name}{}{note}", "_".repeat(fill))
+}
+
+fn interior(camera: &Camera) -> [String; 12] {
     let (focal, centre) = camera.pinhole_part();
     let (cx, cy) = (centre.x - 0.5, centre.y - 0.5);
-    let r = cam_from_world.rotation.matrix();
-    let row = |i: usize| format!("\t{}\t{}\t{}", r[(i, 0)], r[(i, 1)], r[(i, 2)]);
-    let c = cam_from_world.centre();
-    let key = |name: &str, note: &str| {
-        format!(
-            "${name}{}{note}",
-            "_".repeat(71usize.saturating_sub(name.len() + note.len()))
-        )
-    };
-    let lines = [
-        key("ImageID", "(ORI_Ver_1.0)"),
-        format!("\t{image}"),
+    [
         key("IntOri_FocalLength", "[mm]"),
         "\t1.0".into(),
         key("IntOri_PixelSize______(x|y)", "[mm]"),
@@ -349,19 +366,21 @@ pub fn write(image: &str, camera: &Camera, cam_from_world: &Pose) -> Option<Stri
         format!("\t{}\t0.0\t{cx}", focal.x),
         format!("\t0.0\t{}\t{cy}", focal.y),
         "\t0.0\t0.0\t1.0".into(),
+    ]
+}
+
+fn exterior(cam_from_world: &Pose) -> [String; 6] {
+    let r = cam_from_world.rotation.matrix();
+    let row = |i: usize| format!("\t{}\t{}\t{}", r[(i, 0)], r[(i, 1)], r[(i, 2)]);
+    let c = cam_from_world.centre();
+    [
         key("ExtOri_RotationMatrix", "(World->ImageCoordinateSystem)"),
         row(0),
         row(1),
         row(2),
         key("ExtOri_TranslationVector", "(WorldCoordinateSystem)"),
         format!("\t{}\t{}\t{}", c.x, c.y, c.z),
-        key(
-            "IntOri_Distortion_____(Model|ParameterCount|(Parameters))",
-            "",
-        ),
-        "\tNONE\t0".into(),
-    ];
-    Some(lines.join("\n") + "\n")
+    ]
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ use viewrank_core::model::camera::{Camera, CameraModel};
 use super::{
     Fault, MOST_IMAGES, Place, Problem,
     colmap::StoredPose,
-    foreign::{ForeignModel, SizeLookup, camera, json, pose_with_centre},
+    foreign::{ForeignModel, SizeLookup, brown, camera, fault_in, json, pose_with_centre},
 };
 use crate::bounded;
 
@@ -67,46 +67,57 @@ pub fn read(
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<(ForeignModel, Option<String>), Fault> {
     let (data, of_all): (Transforms, Lens) = (json(bytes)?, json(bytes)?);
+    let mut cameras = Cameras::default();
     let mut foreign = ForeignModel::default();
-    // Camera ids by the text of the lens, as numbers have no hash.
-    let mut known: HashMap<String, u32> = HashMap::new();
     for (n, frame) in (1..).zip(&data.frames) {
-        let in_frame = |fault: Fault| {
-            Fault {
-                place: Place::File,
-                ..fault
-            }
-            .in_record(|| format!("frame {n}"))
-        };
-        let text = frame.get().as_bytes();
-        let (frame, lens): (Frame, Lens) =
-            (json(text).map_err(in_frame)?, json(text).map_err(in_frame)?);
+        let (frame, lens) =
+            Frame::read(frame).map_err(|fault| fault.in_record(|| format!("frame {n}")))?;
         let what = || format!("frame {n}, {:?}", frame.file_path);
         let name = spelled(&frame.file_path.replace('\\', "/"))
             .trim_start_matches("./")
             .to_string();
-        let mut lens = lens.or(&of_all);
-        if let (None, Some((width, height))) = (lens.w.zip(lens.h), size_of(&name)) {
-            (lens.w, lens.h) = (Some(width.into()), Some(height.into()));
-        }
-        let next = known.len() as u32 + 1;
-        let id = *known.entry(format!("{lens:?}")).or_insert(next);
-        if id == next {
-            foreign
-                .model
-                .cameras
-                .push(lens.camera(id).map_err(|fault| fault.in_record(what))?);
-        }
-        let pose = frame
-            .pose()
-            .map_err(|problem| Fault::new("", Place::File, problem).in_record(what))?;
-        foreign.add_image(n, name, id, pose, Place::File);
+        let lens = lens.or(&of_all).with_size(|| size_of(&name));
+        let camera_id = cameras.add(&lens).map_err(|fault| fault.in_record(what))?;
+        let pose = frame.pose().map_err(|problem| fault_in(problem, what))?;
+        foreign.add_image(n, name, camera_id, pose, Place::File);
     }
+    foreign.model.cameras = cameras.different;
     foreign.shorten_names();
     Ok((foreign, data.ply_file_path))
 }
 
+/// The cameras of the frames, each once.
+#[derive(Default)]
+struct Cameras {
+    different: Vec<Camera>,
+    /// Ids by the text of the lens, as numbers have no hash.
+    ids: HashMap<String, u32>,
+}
+
+impl Cameras {
+    /// Returns the id of the camera, which is added if there was none of this lens.
+    fn add(&mut self, lens: &Lens) -> Result<u32, Fault> {
+        let next = self.different.len() as u32 + 1;
+        let id = *self.ids.entry(format!("{lens:?}")).or_insert(next);
+        if id == next {
+            self.different.push(lens.camera(id)?);
+        }
+        Ok(id)
+    }
+}
+
 impl Frame {
+    /// Reads the frame and its own lens. A fault has no line: it would be counted from the frame.
+    fn read(frame: &RawValue) -> Result<(Self, Lens), Fault> {
+        let text = frame.get().as_bytes();
+        let without_line = |fault| Fault {
+            place: Place::File,
+            ..fault
+        };
+        let frame = json(text).map_err(without_line)?;
+        Ok((frame, json(text).map_err(without_line)?))
+    }
+
     fn pose(&self) -> Result<StoredPose, Problem> {
         let rows = &self.transform_matrix[..];
         let [a, b, c, ..] = rows else {
@@ -146,66 +157,76 @@ impl Lens {
         }
     }
 
+    /// This lens with the size of the image where the file doesn't say it.
+    fn with_size(self, of_image: impl FnOnce() -> Option<(u32, u32)>) -> Self {
+        if self.w.is_some() && self.h.is_some() {
+            return self;
+        }
+        match of_image() {
+            Some((width, height)) => Self {
+                w: Some(width.into()),
+                h: Some(height.into()),
+                ..self
+            },
+            None => self,
+        }
+    }
+
     fn camera(&self, id: u32) -> Result<Camera, Fault> {
         let fault = |problem| Fault::new("", Place::File, problem);
+        let [w, h] = self.size().map_err(fault)?;
+        let (model, params) = self.model([w, h]).map_err(fault)?;
+        camera(Camera::new(id, model, w as u64, h as u64, params), || {
+            "its camera".into()
+        })
+    }
+
+    /// Pixels.
+    fn size(&self) -> Result<[f64; 2], Problem> {
         let size = self
             .w
             .zip(self.h)
             .filter(|(w, h)| (1.0..1e6).contains(w) && (1.0..1e6).contains(h));
-        let (w, h) = size.ok_or_else(|| {
-            let what =
-                "the size of the image is neither in the file (w, h) nor known from the image"
-                    .into();
-            fault(Problem::Unsupported {
-                what,
-                hint: "copy the images next to the file, or add \"w\" and \"h\" to it",
-            })
-        })?;
+        let unknown = || Problem::Unsupported {
+            what: "the size of the image is neither in the file (w, h) nor known from the image"
+                .into(),
+            hint: "copy the images next to the file, or add \"w\" and \"h\" to it",
+        };
+        size.map(<[f64; 2]>::from).ok_or_else(unknown)
+    }
+
+    /// COLMAP's model, and its parameters.
+    fn model(&self, [w, h]: [f64; 2]) -> Result<(CameraModel, Vec<f64>), Problem> {
+        let kind = self.camera_model.as_deref().unwrap_or("OPENCV");
+        if kind.eq_ignore_ascii_case("EQUIRECTANGULAR") {
+            return Ok((CameraModel::Equirectangular, vec![w, h]));
+        }
+        let (fx, fy) = self
+            .focal_lengths([w, h])
+            .ok_or_else(|| Problem::Json("neither fl_x nor camera_angle_x".into()))?;
+        let (cx, cy) = (self.cx.unwrap_or(w / 2.0), self.cy.unwrap_or(h / 2.0));
+        let [k1, k2, k3, k4, p1, p2] =
+            [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(Option::unwrap_or_default);
+        let is_fisheye = kind == "OPENCV_FISHEYE" || self.is_fisheye == Some(true);
+        match kind {
+            _ if is_fisheye => Ok((
+                CameraModel::OpenCvFisheye,
+                vec![fx, fy, cx, cy, k1, k2, k3, k4],
+            )),
+            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" if k4 == 0.0 => {
+                Ok(brown([fx, fy, cx, cy], [k1, k2, k3], [p1, p2]))
+            }
+            _ => Err(Problem::CameraModel(format!("{kind} (transforms.json)"))),
+        }
+    }
+
+    /// Pixels; from the field of view where they are not in the file.
+    fn focal_lengths(&self, [w, h]: [f64; 2]) -> Option<(f64, f64)> {
         let of_angle =
             |side: f64, angle: Option<f64>| angle.map(|angle| side / 2.0 / (angle / 2.0).tan());
         let fx = self.fl_x.or(of_angle(w, self.camera_angle_x));
         let fy = self.fl_y.or(of_angle(h, self.camera_angle_y)).or(fx);
-        let (cx, cy) = (self.cx.unwrap_or(w / 2.0), self.cy.unwrap_or(h / 2.0));
-        let [k1, k2, k3, k4, p1, p2] =
-            [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(Option::unwrap_or_default);
-        let kind = self.camera_model.as_deref().unwrap_or("OPENCV");
-        if kind.eq_ignore_ascii_case("EQUIRECTANGULAR") {
-            return camera(
-                Camera::new(
-                    id,
-                    CameraModel::Equirectangular,
-                    w as u64,
-                    h as u64,
-                    vec![w, h],
-                ),
-                || "camera".into(),
-            );
-        }
-        let (fx, fy) = fx
-            .zip(fy)
-            .ok_or_else(|| fault(Problem::Json("neither fl_x nor camera_angle_x".into())))?;
-        let (model, params) = match kind {
-            "OPENCV_FISHEYE" => (
-                CameraModel::OpenCvFisheye,
-                vec![fx, fy, cx, cy, k1, k2, k3, k4],
-            ),
-            _ if self.is_fisheye == Some(true) => (
-                CameraModel::OpenCvFisheye,
-                vec![fx, fy, cx, cy, k1, k2, k3, k4],
-            ),
-            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" if k4 == 0.0 => (
-                CameraModel::FullOpenCv,
-                vec![fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0],
-            ),
-            _ => {
-                return Err(fault(Problem::CameraModel(format!(
-                    "{kind} (transforms.json)"
-                ))));
-            }
-        };
-        camera(Camera::new(id, model, w as u64, h as u64, params), || {
-            "its camera".into()
-        })
+        fx.zip(fy)
     }
 }
 

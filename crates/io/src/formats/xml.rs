@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use quick_xml::{
     Reader, XmlVersion,
     escape::resolve_predefined_entity,
-    events::{BytesStart, Event},
+    events::{BytesRef, BytesStart, Event},
 };
 
 use super::{Fault, Place, Problem, words::parse};
@@ -48,6 +48,11 @@ impl Element {
     /// The first child of this name.
     pub fn child(&self, name: &str) -> Option<&Element> {
         self.children.iter().find(|child| child.name == name)
+    }
+
+    /// The first child of this name, which must be there.
+    pub fn required_child(&self, name: &'static str) -> Result<&Element, Fault> {
+        self.child(name).ok_or_else(|| self.lacks(name))
     }
 
     pub fn children<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Element> {
@@ -216,19 +221,7 @@ impl<'a> Xml<'a> {
                 }
                 Event::Text(text) => Step::Text(text.xml10_content()),
                 Event::CData(text) => Step::Text(text.xml10_content()),
-                Event::GeneralRef(name) => {
-                    let character = name
-                        .resolve_char_ref()
-                        .map_err(|error| broken(at, &error))?
-                        .map(String::from);
-                    let text =
-                        character.or_else(|| resolve_predefined_entity(&name).map(String::from));
-                    let unknown =
-                        || Problem::Json(format!("an entity that is no character: &{};", &*name));
-                    Step::Text(Cow::Owned(
-                        text.ok_or_else(|| Fault::new("", at, unknown()))?,
-                    ))
-                }
+                Event::GeneralRef(name) => Step::Text(Cow::Owned(character_of(&name, at)?)),
                 _ => continue,
             });
         }
@@ -283,6 +276,19 @@ enum Step<'a> {
     Into(Element),
     Text(Cow<'a, str>),
     Out,
+}
+
+/// The text of a character reference or of one of XML's own entities.
+fn character_of(name: &BytesRef, at: Place) -> Result<String, Fault> {
+    let by_number = name
+        .resolve_char_ref()
+        .map_err(|error| broken(at, &error))?;
+    let by_number = by_number.map(String::from);
+    let text = by_number.or_else(|| resolve_predefined_entity(name).map(String::from));
+    text.ok_or_else(|| {
+        let unknown = format!("an entity that is no character: &{};", &**name);
+        Fault::new("", at, Problem::Json(unknown))
+    })
 }
 
 fn broken(at: Place, error: &dyn std::error::Error) -> Fault {

@@ -19,36 +19,9 @@ pub fn containing(path: &Path) -> Option<PathBuf> {
     } else {
         folder_of_file(&whole)?
     };
-    let found = match part.file_name()?.to_str()? {
-        "images" if discover::open(&part, None).is_ok() => None,
-        "viewrank" if discover::open(&part, None).is_err() => part
-            .parent()
-            .filter(|above| discover::open(above, None).is_ok())
-            .map(Path::to_path_buf),
-        _ if is_export(&part)
-            && part
-                .parent()
-                .is_some_and(|above| above.ends_with("viewrank")) =>
-        {
-            let home = part.parent()?.parent()?;
-            (discover::open(home, None).is_ok() || elsewhere::project_of(home).is_some())
-                .then(|| home.to_path_buf())
-        }
-        "sparse" | "images" => project_above(&part, part.parent()?),
-        _ if part.parent().is_some_and(|above| above.ends_with("sparse")) => {
-            let above = part.parent()?.parent()?;
-            let is_of_program = discover::FOLDERS_OF_PROGRAMS
-                .iter()
-                .any(|name| above.file_name().is_some_and(|own| own == *name));
-            let project = above.parent().filter(|_| is_of_program);
-            project
-                .and_then(|project| project_above(&part, project))
-                .or_else(|| project_above(&part, above))
-        }
-        _ => None,
-    };
+    let name = part.file_name()?.to_str()?;
     let is_model = || part != whole && !is_image(&whole) && !part.ends_with("viewrank");
-    let found = found.or_else(|| is_model().then(|| part.clone()))?;
+    let found = project_of(&part, name).or_else(|| is_model().then(|| part.clone()))?;
     // Typed relative, answered relative.
     let levels = whole.components().count() - found.components().count();
     let typed = path
@@ -56,6 +29,35 @@ pub fn containing(path: &Path) -> Option<PathBuf> {
         .nth(levels)
         .filter(|typed| !typed.as_os_str().is_empty());
     Some(typed.map_or(found, Path::to_path_buf))
+}
+
+/// The project of a folder of this name.
+fn project_of(part: &Path, name: &str) -> Option<PathBuf> {
+    let is_project = |folder: &Path| discover::open(folder, None).is_ok();
+    let above = part.parent()?;
+    match name {
+        "images" if is_project(part) => None,
+        "viewrank" if !is_project(part) => is_project(above).then(|| above.to_path_buf()),
+        _ if is_export(part) && above.ends_with("viewrank") => {
+            let home = above.parent()?;
+            (is_project(home) || elsewhere::project_of(home).is_some()).then(|| home.to_path_buf())
+        }
+        "sparse" | "images" => project_above(part, above),
+        _ if above.ends_with("sparse") => project_of_sub_model(part, above.parent()?),
+        _ => None,
+    }
+}
+
+/// The project of a model in the `sparse` of a folder: that above a folder of a program, or the
+/// folder itself.
+fn project_of_sub_model(part: &Path, folder: &Path) -> Option<PathBuf> {
+    let is_of_program = discover::FOLDERS_OF_PROGRAMS
+        .iter()
+        .any(|name| folder.file_name().is_some_and(|own| own == *name));
+    let project = folder.parent().filter(|_| is_of_program);
+    project
+        .and_then(|project| project_above(part, project))
+        .or_else(|| project_above(part, folder))
 }
 
 fn is_export(folder: &Path) -> bool {

@@ -60,24 +60,9 @@ impl Project {
         scene: &Scene,
         images: Option<&Path>,
     ) -> Result<Self, CreateError> {
-        let mut files = FileSet::new(folder, "model");
-        for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(scene)) {
-            files.add(format!("{MODEL}/{name}"), Contents::Bytes(bytes));
-        }
         let images = images.map(|images| std::path::absolute(images).unwrap_or(images.into()));
-        if let Some(images) = &images {
-            files.add_text(
-                format!("{MODEL}/project.ini"),
-                format!("image_path={}\n", images.display()),
-            );
-        }
-        let is_same = |(name, contents): (&String, &Contents)| match contents {
-            Contents::Bytes(bytes) => {
-                fs::read(folder.join(name)).is_ok_and(|there| there == *bytes)
-            }
-            _ => false,
-        };
-        if !files.files.iter().all(is_same) {
+        let files = model_files(folder, scene, images.as_deref());
+        if !are_there(&files) {
             if folder.join("sparse").exists() {
                 return Err(CreateError::OtherModel(folder.into()));
             }
@@ -93,6 +78,30 @@ impl Project {
             ..project
         })
     }
+}
+
+fn model_files(folder: &Path, scene: &Scene, images: Option<&Path>) -> FileSet {
+    let mut files = FileSet::new(folder, "model");
+    for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(scene)) {
+        files.add(format!("{MODEL}/{name}"), Contents::Bytes(bytes));
+    }
+    if let Some(images) = images {
+        files.add_text(
+            format!("{MODEL}/project.ini"),
+            format!("image_path={}\n", images.display()),
+        );
+    }
+    files
+}
+
+/// Returns whether all files of a model have their contents already.
+fn are_there(model: &FileSet) -> bool {
+    model.files.iter().all(|(name, contents)| match contents {
+        Contents::Bytes(bytes) => {
+            fs::read(model.root.join(name)).is_ok_and(|there| there == *bytes)
+        }
+        _ => false,
+    })
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use std::{
 };
 
 use super::{
-    ModelContents, ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
+    ImageFolder, ModelContents, ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
     complete::cloud_beside,
     files::{self, REQUIRED, colmap_file, read},
     folder, foreign,
@@ -27,50 +27,56 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     if !root.is_dir() {
         return Err(ProjectError::NotFound(path.into()));
     }
-    let named = path.is_file().then(|| foreign::model_file(path)).flatten();
-    let found = match named {
-        Some(model) => vec![foreign::examined(root, model)],
-        // Only what is beside a file is meant by it.
-        None if path.is_file() => {
-            let here = [root.to_path_buf()];
-            models_in(root, &here, &here).into_models()?
-        }
-        None => models(root)?,
-    };
-    let (model, other_models) = choose(path, root, found, wanted)?;
-    let model_stamps = stamps(root, &model);
+    let (model, other_models) = choose(path, root, models_of(path, root)?, wanted)?;
     let dense_workspace = dense_workspace(root, &model);
-    let kind = match model.format {
+    Ok(Project {
+        root: root.into(),
+        home: root.into(),
+        kind: kind_of(root, &model, dense_workspace.as_deref()),
+        images: image_folder(root, &model),
+        model_is_named: wanted.is_some(),
+        model_stamps: stamps(root, &model),
+        model,
+        other_models,
+        dense_workspace,
+    })
+}
+
+/// The models that a path stands for: that of a file, those beside a file, those of a folder.
+fn models_of(path: &Path, root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
+    if !path.is_file() {
+        return models(root);
+    }
+    if let Some(model) = foreign::model_file(path) {
+        return Ok(vec![foreign::examined(root, model)]);
+    }
+    // Only what is beside a file is meant by it.
+    let here = [root.to_path_buf()];
+    models_in(root, &here, &here).into_models()
+}
+
+fn kind_of(root: &Path, model: &ModelLocation, dense_workspace: Option<&Path>) -> ProjectKind {
+    match model.format {
         ModelFormat::OpenMvs => ProjectKind::OpenMvs,
         ModelFormat::Sure => ProjectKind::Sure,
-        _ if dense_workspace.as_deref() == Some(root) => ProjectKind::ColmapDense,
+        _ if dense_workspace == Some(root) => ProjectKind::ColmapDense,
         ModelFormat::ColmapBinary | ModelFormat::ColmapText if model.path != root => {
             ProjectKind::Colmap
         }
         _ => ProjectKind::BareModel,
-    };
-    let images = match model.format {
-        ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
-            folder::find(root, &model.path, None, &files::first_names(&model))
-        }
-        // It cannot be read, which reading the scene says, or has no names.
-        _ if model.registered == 0 => None,
-        _ => foreign::read(root, &model)
-            .ok()
-            .and_then(|(read, _)| images::find_by_names(root, &model.path, &read)),
-    };
-    let model_is_named = wanted.is_some();
-    Ok(Project {
-        root: root.into(),
-        home: root.into(),
-        kind,
-        model,
-        model_is_named,
-        other_models,
-        images,
-        dense_workspace,
-        model_stamps,
-    })
+    }
+}
+
+fn image_folder(root: &Path, model: &ModelLocation) -> Option<ImageFolder> {
+    if model.format.is_colmap() {
+        return folder::find(root, &model.path, None, &files::first_names(model));
+    }
+    // It cannot be read, which reading the scene says, or has no names.
+    if model.registered == 0 {
+        return None;
+    }
+    let (read, _) = foreign::read(root, model).ok()?;
+    images::find_by_names(root, &model.path, &read)
 }
 
 /// The models found in some folders, and the first incomplete one, which is an error only if no
@@ -148,24 +154,20 @@ fn folders_of_other_programs(root: &Path) -> Vec<PathBuf> {
 
 /// Finds the models further below a project, two folders deep, in the only folder that has any.
 fn models_below(root: &Path) -> Result<Found, ProjectError> {
-    let is_searched = |folder: &&PathBuf| {
-        let name = folder.file_name().unwrap_or_default().to_string_lossy();
-        !name.starts_with('.') && !["viewrank", DENSE].contains(&&*name)
-    };
-    let children = sub_folders(root);
     let (mut below, mut found) = (Vec::new(), Found::default());
     let mut left = MOST_FOLDERS;
-    for child in children.iter().filter(is_searched) {
+    let children = sub_folders(root).into_iter();
+    for child in children.filter(|folder| is_searched(folder)) {
         if left == 0 {
             break;
         }
-        let inner = sub_folders(child).into_iter().take(left - 1);
+        let inner = sub_folders(&child).into_iter().take(left - 1);
         let folders: Vec<PathBuf> = [child.clone()].into_iter().chain(inner).collect();
         left -= folders.len();
         let of_colmap: Vec<PathBuf> = folders.iter().flat_map(|f| with_sparse(f)).collect();
         let there = models_in(root, &of_colmap, &folders);
         if !there.models.is_empty() {
-            below.push(child.clone());
+            below.push(child);
         }
         found.models.extend(there.models);
         found.incomplete = found.incomplete.or(there.incomplete);
@@ -177,6 +179,12 @@ fn models_below(root: &Path) -> Result<Found, ProjectError> {
             below,
         }),
     }
+}
+
+/// Returns whether a folder below a project may hold its model: no hidden one, no results.
+fn is_searched(folder: &Path) -> bool {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    !name.starts_with('.') && !["viewrank", DENSE].contains(&&*name)
 }
 
 /// Finds the models of COLMAP in some folders, and those of other programs in some. The latter are
@@ -250,19 +258,17 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
             incomplete.get_or_insert((missing, format));
         }
     }
-    match incomplete {
-        None => Ok(None),
-        Some((missing, format)) => {
-            let names = missing.iter().filter_map(|stem| {
-                let path = colmap_file(folder, stem, format);
-                Some(path.file_name()?.to_string_lossy().into_owned())
-            });
-            Err(ProjectError::IncompleteModel {
-                folder: folder.into(),
-                missing: names.collect::<Vec<_>>().join(", "),
-            })
-        }
-    }
+    let Some((missing, format)) = incomplete else {
+        return Ok(None);
+    };
+    let names = missing.iter().filter_map(|stem| {
+        let path = colmap_file(folder, stem, format);
+        Some(path.file_name()?.to_string_lossy().into_owned())
+    });
+    Err(ProjectError::IncompleteModel {
+        folder: folder.into(),
+        missing: names.collect::<Vec<_>>().join(", "),
+    })
 }
 
 /// Number of registered images, without reading the model; 0 if that fails (reading the model
@@ -291,39 +297,15 @@ fn choose(
 ) -> Result<(ModelLocation, Vec<ModelLocation>), ProjectError> {
     name_apart(&mut models, root);
     models.sort_by_cached_key(order);
-    // A list of images without poses is none (OpenMVG's `matches/sfm_data.json`).
-    if models.iter().all(|model| model.registered == 0) {
-        let folders = || [folders_of_other_programs(root), sub_folders(root)].concat();
-        let binary = || {
-            folders()
-                .iter()
-                .find_map(|folder| foreign::in_binary(folder))
-        };
-        if let Some(error) = foreign::mistaken(root).or_else(binary) {
-            return Err(error);
-        }
-    }
-    if models.is_empty() {
-        let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, colmap and distorted, and two folders below";
-        let looked_for = format!("{colmap}; {}", foreign::SEARCHED_PATHS);
-        return Err(ProjectError::NoModel {
-            path: path.into(),
-            looked_for,
-        });
-    }
+    check_any(path, root, &models)?;
     let position = match wanted {
         None => 0,
         Some(wanted) => {
-            let position =
-                |is_meant: &dyn Fn(&ModelLocation) -> bool| models.iter().position(is_meant);
-            position(&|model| model.path == root.join(wanted))
-                .or_else(|| position(&|model| model.name == wanted))
-                .or_else(|| position(&|model| !wanted.is_empty() && model.path.ends_with(wanted)))
-                .ok_or_else(|| ProjectError::NoSuchModel {
-                    path: path.into(),
-                    wanted: wanted.into(),
-                    present: names(&models).join(", "),
-                })?
+            position_of(wanted, root, &models).ok_or_else(|| ProjectError::NoSuchModel {
+                path: path.into(),
+                wanted: wanted.into(),
+                present: names(&models).join(", "),
+            })?
         }
     };
     let model = models.remove(position);
@@ -334,6 +316,38 @@ fn choose(
         _ => model,
     };
     Ok((model, models))
+}
+
+/// Checks that there is a model; where none has images, files that are other models or other things
+/// are named.
+fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), ProjectError> {
+    // A list of images without poses is none (OpenMVG's `matches/sfm_data.json`).
+    if models.iter().all(|model| model.registered == 0) {
+        let binary = || {
+            let folders = [folders_of_other_programs(root), sub_folders(root)].concat();
+            folders.iter().find_map(|folder| foreign::in_binary(folder))
+        };
+        if let Some(error) = foreign::mistaken(root).or_else(binary) {
+            return Err(error);
+        }
+    }
+    if !models.is_empty() {
+        return Ok(());
+    }
+    let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, colmap and distorted, and two folders below";
+    let looked_for = format!("{colmap}; {}", foreign::SEARCHED_PATHS);
+    Err(ProjectError::NoModel {
+        path: path.into(),
+        looked_for,
+    })
+}
+
+/// Position of the model that is meant by its path, else by its name, else by the end of its path.
+fn position_of(wanted: &str, root: &Path, models: &[ModelLocation]) -> Option<usize> {
+    let position = |is_meant: &dyn Fn(&ModelLocation) -> bool| models.iter().position(is_meant);
+    position(&|model| model.path == root.join(wanted))
+        .or_else(|| position(&|model| model.name == wanted))
+        .or_else(|| position(&|model| !wanted.is_empty() && model.path.ends_with(wanted)))
 }
 
 fn names(models: &[ModelLocation]) -> Vec<String> {

@@ -118,15 +118,8 @@ impl Names {
         let entries = std::fs::read_dir(folder).into_iter().flatten();
         for entry in entries.filter_map(Result::ok).take(self.left.get()) {
             self.left.set(self.left.get() - 1);
-            let Ok(name) = entry.file_name().into_string() else {
-                continue;
-            };
-            let path = entry.path();
-            if path.is_dir() {
-                listing.folders.entry(folded(&name)).or_default().push(name);
-            } else if is_image(&path) {
-                Only::add(&mut listing.images, folded(&name), &name);
-                Only::add(&mut listing.stems, folded(stem(&name)), &name);
+            if let Ok(name) = entry.file_name().into_string() {
+                listing.add(name, &entry.path());
             }
         }
         listing.find_reduced();
@@ -141,17 +134,8 @@ impl Names {
 /// Names the images of a model made on another machine as their files are named here: with
 /// separators of Windows, or with an absolute path of which only the end still holds.
 pub(super) fn take_names_of_files(model: &mut ColmapModel, images: &Path) {
-    let has_file = |name: &str| images.join(name).is_file();
-    let named_here = |name: &str| {
-        let separated = [name.replace('\\', "/")];
-        let ends = last_parts(name).into_iter().skip(1);
-        let moved = separated.into_iter().chain(ends);
-        let is_inside =
-            |moved: &String| name_parts(moved).is_some_and(|parts| !parts.contains(&".."));
-        let mut moved = moved.filter(|moved| moved != name && is_inside(moved) && has_file(moved));
-        if has_file(name) { None } else { moved.next() }
-    };
-    let names = model.images.iter().map(|image| named_here(&image.name));
+    let names = model.images.iter();
+    let names = names.map(|image| name_here(&image.name, images));
     let names: Vec<Option<String>> = names.collect();
     let mut images_of: HashMap<String, usize> = HashMap::new();
     for (image, name) in model.images.iter().zip(&names) {
@@ -166,7 +150,28 @@ pub(super) fn take_names_of_files(model: &mut ColmapModel, images: &Path) {
     }
 }
 
+/// The name under which the folder of images has the file, where it isn't the image's own.
+fn name_here(name: &str, images: &Path) -> Option<String> {
+    let has_file = |name: &str| images.join(name).is_file();
+    if has_file(name) {
+        return None;
+    }
+    let is_inside = |moved: &str| name_parts(moved).is_some_and(|parts| !parts.contains(&".."));
+    let separated = [name.replace('\\', "/")].into_iter();
+    let mut moved = separated.chain(last_parts(name).into_iter().skip(1));
+    moved.find(|moved| moved != name && is_inside(moved) && has_file(moved))
+}
+
 impl Listing {
+    fn add(&mut self, name: String, path: &Path) {
+        if path.is_dir() {
+            self.folders.entry(folded(&name)).or_default().push(name);
+        } else if is_image(path) {
+            Only::add(&mut self.images, folded(&name), &name);
+            Only::add(&mut self.stems, folded(stem(&name)), &name);
+        }
+    }
+
     /// The only image that fits a name, which may lack an extension or have that of another format;
     /// of several, the only one with the extension of the name. Of any number of images it takes the
     /// same time.

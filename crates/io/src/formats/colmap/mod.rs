@@ -222,8 +222,7 @@ impl ColmapModel<'_> {
         self.check_point_ids()?;
         let lists = ImageLists::new(&self.images, &view_of_image);
         let tracks = self.tracks(&lists)?;
-        warnings.extend(lists.warning(tracks.views.len()));
-        warnings.extend(lists.unanswered(tracks.views.len()));
+        warnings.extend(lists.warnings(tracks.views.len()));
         Ok(Scene {
             cameras: self.cameras.clone(),
             views,
@@ -237,10 +236,8 @@ impl ColmapModel<'_> {
             track_offsets: tracks.offsets,
             track_views: tracks.views,
             track_pixels: tracks.pixels,
-            unregistered: Vec::new(),
-            left_out: Vec::new(),
-            georeference: None,
             warnings,
+            ..Scene::default()
         })
     }
 
@@ -268,21 +265,18 @@ impl ColmapModel<'_> {
         }
         views.sort_by(|a, b| a.name.cmp(&b.name));
         if let Some(same) = views.windows(2).find(|pair| pair[0].name == pair[1].name) {
-            let problem = Problem::Duplicate {
-                what: "image name",
-                id: same[1].name.clone(),
-            };
-            return Err(self.images[same[1].file_position as usize].fault(problem));
+            return Err(self.duplicate("image name", same[1].name.clone(), &same[1]));
         }
         let ids = ImageIds::new(&views).map_err(|index| {
             let view = &views[index as usize];
-            let problem = Problem::Duplicate {
-                what: "image",
-                id: view.image_id.to_string(),
-            };
-            self.images[view.file_position as usize].fault(problem)
+            self.duplicate("image", view.image_id.to_string(), view)
         })?;
         Ok((views, ids))
+    }
+
+    /// The fault of a view whose image has the name or the id of another one.
+    fn duplicate(&self, what: &'static str, id: String, view: &View) -> Fault {
+        self.images[view.file_position as usize].fault(Problem::Duplicate { what, id })
     }
 
     fn check_point_ids(&self) -> Result<(), Fault> {

@@ -3,7 +3,10 @@
 use std::{borrow::Cow, collections::HashSet};
 
 use nalgebra::Vector3;
-use viewrank_core::model::scene::{PointIndex, Scene, mean};
+use viewrank_core::model::{
+    camera::Camera,
+    scene::{PointIndex, Scene, mean},
+};
 
 use super::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement, tracks::ImageLists};
 use crate::formats::{Fault, Place};
@@ -31,36 +34,31 @@ impl ColmapModel<'_> {
         let (_, view_of_image) = self.views(&self.cameras_by_id()?)?;
         let lists = ImageLists::new(&self.images, &view_of_image);
         let uses: Vec<ImageUse> = self.images.iter().map(use_of).collect();
-        let points = self
-            .points
-            .iter()
-            .map(|point| point.reduced(&lists, &uses, min_views));
+        let points = self.points.iter();
+        let points = points.map(|point| point.reduced(&lists, &uses, min_views));
         let points: Vec<ColmapPoint> = points
             .filter_map(Result::transpose)
             .collect::<Result<_, _>>()?;
         let ids: HashSet<u64> = points.iter().map(|point| point.id).collect();
-        let images = self
-            .images
-            .iter()
-            .zip(&uses)
-            .filter(|(_, used)| **used != ImageUse::Removed)
-            .map(|(image, _)| image.reduced(&ids));
-        let images: Vec<ColmapImage> = images.collect();
-        let used: HashSet<u32> = images.iter().map(|image| image.camera_id).collect();
-        let cameras = self
-            .cameras
-            .iter()
-            .filter(|camera| used.contains(&camera.id))
-            .cloned()
-            .collect();
+        let images = self.images.iter().zip(&uses);
+        let kept = images.filter(|(_, used)| **used != ImageUse::Removed);
+        let images: Vec<ColmapImage> = kept.map(|(image, _)| image.reduced(&ids)).collect();
         Ok(ColmapModel {
-            cameras,
+            cameras: self.cameras_of(&images),
             images,
             points,
             rigs: None,
             frames: None,
             warnings: self.warnings.clone(),
         })
+    }
+
+    /// The cameras that some of the images have.
+    fn cameras_of(&self, images: &[ColmapImage]) -> Vec<Camera> {
+        let used: HashSet<u32> = images.iter().map(|image| image.camera_id).collect();
+        let cameras = self.cameras.iter();
+        let used = cameras.filter(|camera| used.contains(&camera.id));
+        used.cloned().collect()
     }
 
     /// Returns a copy of the model whose world origin is at `origin`.
@@ -84,61 +82,40 @@ impl ColmapModel<'_> {
     /// Makes the model of a scene. Image ids are the scene's if they are positive and unique,
     /// otherwise 1, 2, ... by name; the images' lists of 2D points are their observations.
     pub fn from_scene(scene: &Scene) -> ColmapModel<'static> {
-        let given: HashSet<u32> = scene.views.iter().map(|view| view.image_id).collect();
-        let keep_ids = given.len() == scene.views.len() && !given.contains(&0);
-        let image_id = |v: usize| {
-            if keep_ids {
-                scene.views[v].image_id
-            } else {
-                v as u32 + 1
-            }
-        };
+        let ids = image_ids(scene);
         let mut lists = vec![Vec::new(); scene.views.len()];
-        let mut points = Vec::with_capacity(scene.points.len());
-        for (p, position) in scene.points.iter().enumerate() {
-            let point = PointIndex(p as u32);
-            let id = scene.point_ids[p];
-            let track = scene.track(point).map(|o| {
-                let view = scene.track_views[o].index();
-                lists[view].push(Point2d::new(scene.track_pixels[o], Some(id)));
-                TrackElement::new(image_id(view), lists[view].len() as u32 - 1)
-            });
-            let track = Cow::Owned(track.collect());
-            let errors = scene
-                .track(point)
-                .filter_map(|o| scene.reprojection_error(point, o));
-            let error = mean(errors).unwrap_or(-1.0);
-            points.push(ColmapPoint {
-                id,
-                xyz: (*position).into(),
-                colour: scene.colours[p],
-                error,
-                track,
-                at: Place::File,
-            });
-        }
-        let images = scene
-            .views
-            .iter()
-            .zip(lists)
-            .enumerate()
-            .map(|(v, (view, list))| ColmapImage {
-                id: image_id(v),
-                cam_from_world: (&view.cam_from_world).into(),
-                camera_id: scene.cameras[view.camera.index()].id,
-                name: Cow::Owned(view.name.clone()),
-                points2d: Cow::Owned(list),
-                at: Place::File,
-            });
-        let images = images.collect();
+        let points = (0..scene.points.len() as u32).map(PointIndex);
+        let points: Vec<ColmapPoint> = points
+            .map(|point| ColmapPoint::of_scene(scene, point, &ids, &mut lists))
+            .collect();
+        let images = scene.views.iter().zip(ids).zip(lists);
+        let images = images.map(|((view, id), list)| ColmapImage {
+            id,
+            cam_from_world: (&view.cam_from_world).into(),
+            camera_id: scene.cameras[view.camera.index()].id,
+            name: Cow::Owned(view.name.clone()),
+            points2d: Cow::Owned(list),
+            at: Place::File,
+        });
         ColmapModel {
             cameras: scene.cameras.clone(),
-            images,
+            images: images.collect(),
             points,
             rigs: None,
             frames: None,
             warnings: Vec::new(),
         }
+    }
+}
+
+/// Image ids by view: the scene's if they are positive and unique, otherwise 1, 2, ...
+fn image_ids(scene: &Scene) -> Vec<u32> {
+    let given = scene.views.iter().map(|view| view.image_id);
+    let unique: HashSet<u32> = given.clone().collect();
+    if unique.len() == scene.views.len() && !unique.contains(&0) {
+        given.collect()
+    } else {
+        (1..).take(scene.views.len()).collect()
     }
 }
 
@@ -152,6 +129,35 @@ impl ColmapImage<'_> {
             name: Cow::Borrowed(&self.name),
             points2d,
             ..*self
+        }
+    }
+}
+
+impl ColmapPoint<'static> {
+    /// Makes the point of a scene; adds its observations to the lists of 2D points.
+    fn of_scene(
+        scene: &Scene,
+        point: PointIndex,
+        image_ids: &[u32],
+        lists: &mut [Vec<Point2d>],
+    ) -> Self {
+        let p = point.index();
+        let id = scene.point_ids[p];
+        let track = scene.track(point).map(|o| {
+            let view = scene.track_views[o].index();
+            lists[view].push(Point2d::new(scene.track_pixels[o], Some(id)));
+            TrackElement::new(image_ids[view], lists[view].len() as u32 - 1)
+        });
+        let track = Cow::Owned(track.collect());
+        let observations = scene.track(point);
+        let errors = observations.filter_map(|o| scene.reprojection_error(point, o));
+        Self {
+            id,
+            xyz: scene.points[p].into(),
+            colour: scene.colours[p],
+            error: mean(errors).unwrap_or(-1.0),
+            track,
+            at: Place::File,
         }
     }
 }

@@ -7,7 +7,7 @@ use viewrank_core::model::{
     scene::{CameraIndex, ModelWarning, Pose, View, WarningKind},
 };
 
-use super::{ColmapModel, Frame, Rig, Sensor, tracks::ImageIds};
+use super::{ColmapModel, Frame, FrameData, Rig, Sensor, StoredPose, tracks::ImageIds};
 use crate::formats::{Fault, Problem};
 
 /// Largest differences between the pose by the rig and that of the image: rotation in radians,
@@ -36,103 +36,131 @@ impl ColmapModel<'_> {
         if rigs.is_empty() && frames.is_empty() {
             return Ok(());
         }
-        let mut by_id = HashMap::with_capacity(rigs.len());
-        for rig in rigs {
-            let fault = |problem| {
-                Fault::new("rigs", rig.at, problem).in_record(|| format!("rig {}", rig.id))
-            };
-            let cameras_of_rig = rig.sensors.iter().filter(|(s, _)| s.kind == Sensor::CAMERA);
-            if let Some((absent, _)) = cameras_of_rig
-                .into_iter()
-                .find(|(s, _)| !cameras.contains_key(&s.id))
-            {
-                return Err(fault(Problem::Absent {
-                    what: "camera",
-                    id: absent.id.into(),
-                }));
-            }
-            if by_id.insert(rig.id, rig).is_some() {
-                return Err(fault(Problem::Duplicate {
-                    what: "rig",
-                    id: rig.id.to_string(),
-                }));
-            }
-        }
-        let mut seen = vec![false; views.len()];
+        let mut check = FrameCheck {
+            rigs: rigs_by_id(rigs, cameras)?,
+            views,
+            view_of_image,
+            cameras: &self.cameras,
+            seen: vec![false; views.len()],
+        };
         for frame in frames {
-            let check = frame.check(&by_id, views, view_of_image, &self.cameras, &mut seen);
-            check.map_err(|p| {
-                Fault::new("frames", frame.at, p).in_record(|| format!("frame {}", frame.id))
+            check.frame(frame).map_err(|problem| {
+                Fault::new("frames", frame.at, problem).in_record(|| format!("frame {}", frame.id))
             })?;
         }
-        match seen.iter().position(|&seen| !seen) {
-            None => Ok(()),
-            Some(view) => {
-                let image = &self.images[views[view].file_position as usize];
-                Err(image.fault(Problem::Contradiction(
-                    "the image is in no frame of the frames file".into(),
-                )))
-            }
-        }
+        let Some(unseen) = check.seen.iter().position(|&seen| !seen) else {
+            return Ok(());
+        };
+        let image = &self.images[views[unseen].file_position as usize];
+        Err(image.fault(Problem::Contradiction(
+            "the image is in no frame of the frames file".into(),
+        )))
     }
 }
 
-impl Frame {
-    /// Checks the frame's pose against those of its images, and marks the images as seen.
-    fn check(
-        &self,
-        rigs: &HashMap<u32, &Rig>,
-        views: &[View],
-        view_of_image: &ImageIds,
-        cameras: &[Camera],
-        seen: &mut [bool],
-    ) -> Result<(), Problem> {
-        let rig = rigs.get(&self.rig_id).ok_or(Problem::Absent {
+/// Checks that the rigs have ids of their own, and cameras of the model.
+fn rigs_by_id<'a>(
+    rigs: &'a [Rig],
+    cameras: &HashMap<u32, CameraIndex>,
+) -> Result<HashMap<u32, &'a Rig>, Fault> {
+    let mut by_id = HashMap::with_capacity(rigs.len());
+    for rig in rigs {
+        let fault =
+            |problem| Fault::new("rigs", rig.at, problem).in_record(|| format!("rig {}", rig.id));
+        let mut of_rig = rig.sensors.iter().map(|(sensor, _)| sensor);
+        let is_absent =
+            |sensor: &&Sensor| sensor.kind == Sensor::CAMERA && !cameras.contains_key(&sensor.id);
+        if let Some(absent) = of_rig.find(is_absent) {
+            return Err(fault(Problem::Absent {
+                what: "camera",
+                id: absent.id.into(),
+            }));
+        }
+        if by_id.insert(rig.id, rig).is_some() {
+            return Err(fault(Problem::Duplicate {
+                what: "rig",
+                id: rig.id.to_string(),
+            }));
+        }
+    }
+    Ok(by_id)
+}
+
+/// Checks the poses of frames against those of their images.
+struct FrameCheck<'a> {
+    rigs: HashMap<u32, &'a Rig>,
+    views: &'a [View],
+    view_of_image: &'a ImageIds,
+    cameras: &'a [Camera],
+    /// Views that a frame has.
+    seen: Vec<bool>,
+}
+
+impl<'a> FrameCheck<'a> {
+    fn frame(&mut self, frame: &Frame) -> Result<(), Problem> {
+        let rig = *self.rigs.get(&frame.rig_id).ok_or(Problem::Absent {
             what: "rig",
-            id: self.rig_id.into(),
+            id: frame.rig_id.into(),
         })?;
-        let rig_from_world = self.rig_from_world.pose()?;
-        for datum in self.data.iter().filter(|d| d.sensor.kind == Sensor::CAMERA) {
-            let absent = Problem::Absent {
-                what: "image",
-                id: datum.id,
-            };
-            let image_id = u32::try_from(datum.id).map_err(|_| absent.clone())?;
-            let view = view_of_image.get(image_id).ok_or(absent)?.view;
-            if std::mem::replace(&mut seen[view.index()], true) {
-                return Err(Problem::Duplicate {
-                    what: "image",
-                    id: datum.id.to_string(),
-                });
-            }
-            let view = &views[view.index()];
-            let sensor = rig.sensors.iter().find(|(s, _)| *s == datum.sensor);
-            let (_, sensor_from_rig) = sensor.ok_or(Problem::Absent {
-                what: "camera of the rig",
-                id: datum.sensor.id.into(),
-            })?;
-            if cameras[view.camera.index()].id != datum.sensor.id {
-                let message = format!(
-                    "image {image_id} has camera {} in the frames file",
-                    datum.sensor.id
-                );
-                return Err(Problem::Contradiction(format!(
-                    "{message}, but another one in the images file"
-                )));
-            }
-            let Some(sensor_from_rig) = sensor_from_rig else {
-                continue;
-            };
-            let composed = compose(&sensor_from_rig.pose()?, &rig_from_world);
-            if !nearly_equal(&composed, &view.cam_from_world) {
-                let message = format!(
-                    "the pose of image {image_id} from rig and frame differs from that in the images file"
-                );
-                return Err(Problem::Contradiction(message));
+        let rig_from_world = frame.rig_from_world.pose()?;
+        let of_cameras = |datum: &&FrameData| datum.sensor.kind == Sensor::CAMERA;
+        for datum in frame.data.iter().filter(of_cameras) {
+            let view = self.view_of(datum)?;
+            if let Some(sensor_from_rig) = self.sensor_from_rig(rig, datum, view)? {
+                let composed = compose(&sensor_from_rig.pose()?, &rig_from_world);
+                check_pose(&composed, view)?;
             }
         }
         Ok(())
     }
+
+    /// The view of an image of a frame, which is marked as seen.
+    fn view_of(&mut self, datum: &FrameData) -> Result<&'a View, Problem> {
+        let absent = Problem::Absent {
+            what: "image",
+            id: datum.id,
+        };
+        let image_id = u32::try_from(datum.id).map_err(|_| absent.clone())?;
+        let view = self.view_of_image.get(image_id).ok_or(absent)?.view;
+        if std::mem::replace(&mut self.seen[view.index()], true) {
+            return Err(Problem::Duplicate {
+                what: "image",
+                id: datum.id.to_string(),
+            });
+        }
+        Ok(&self.views[view.index()])
+    }
+
+    /// The pose of the camera in its rig, if it is known; the camera must be that of the view.
+    fn sensor_from_rig<'r>(
+        &self,
+        rig: &'r Rig,
+        datum: &FrameData,
+        view: &View,
+    ) -> Result<Option<&'r StoredPose>, Problem> {
+        let sensor = rig.sensors.iter().find(|(s, _)| *s == datum.sensor);
+        let (_, sensor_from_rig) = sensor.ok_or(Problem::Absent {
+            what: "camera of the rig",
+            id: datum.sensor.id.into(),
+        })?;
+        if self.cameras[view.camera.index()].id != datum.sensor.id {
+            return Err(Problem::Contradiction(format!(
+                "image {} has camera {} in the frames file, but another one in the images file",
+                datum.id, datum.sensor.id
+            )));
+        }
+        Ok(sensor_from_rig.as_ref())
+    }
+}
+
+fn check_pose(by_rig: &Pose, view: &View) -> Result<(), Problem> {
+    if nearly_equal(by_rig, &view.cam_from_world) {
+        return Ok(());
+    }
+    Err(Problem::Contradiction(format!(
+        "the pose of image {} from rig and frame differs from that in the images file",
+        view.image_id
+    )))
 }
 
 /// a ∘ b

@@ -124,7 +124,14 @@ impl<'m> ImageLists<'m> {
         std::hint::black_box(seen);
     }
 
-    pub(super) fn warning(&self, elements: usize) -> Option<ModelWarning> {
+    /// Warnings of tracks and lists that disagree, when all `elements` of the tracks are resolved.
+    pub(super) fn warnings(&self, elements: usize) -> impl Iterator<Item = ModelWarning> {
+        self.followed(elements)
+            .into_iter()
+            .chain(self.unanswered(elements))
+    }
+
+    fn followed(&self, elements: usize) -> Option<ModelWarning> {
         let followed = self.followed.load(Ordering::Relaxed);
         (followed > 0).then(|| {
             let text = format!(
@@ -139,7 +146,7 @@ impl<'m> ImageLists<'m> {
 impl ImageLists<'_> {
     /// Number of 2D points that refer to a sparse point whose track lacks them; COLMAP counts them,
     /// but they have no effect.
-    pub(super) fn unanswered(&self, elements: usize) -> Option<ModelWarning> {
+    fn unanswered(&self, elements: usize) -> Option<ModelWarning> {
         let linked = |links: &Links| {
             links
                 .image
@@ -198,16 +205,8 @@ impl ColmapModel<'_> {
             .for_each(|length| offsets.push(offsets[offsets.len() - 1] + length));
         let total = offsets[self.points.len()];
         let (mut views, mut pixels) = (large_pages::zeroed(total), large_pages::zeroed(total));
-        let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
-        let (mut views_left, mut pixels_left) = (&mut views[..], &mut pixels[..]);
-        for (points, lengths) in self.points.chunks(CHUNK).zip(lengths.chunks(CHUNK)) {
-            let n = lengths.iter().sum();
-            let (piece_views, piece_pixels);
-            (piece_views, views_left) = views_left.split_at_mut(n);
-            (piece_pixels, pixels_left) = pixels_left.split_at_mut(n);
-            pieces.push((points, piece_views, piece_pixels));
-        }
-        let fill = |(points, views, pixels)| fill_piece(points, lists, views, pixels);
+        let pieces = Piece::all(&self.points, &offsets, &mut views, &mut pixels);
+        let fill = |piece: Piece| piece.fill(lists);
         let results: Vec<Result<(), Fault>> = pieces.into_par_iter().map(fill).collect();
         // The first fault in file order, independent of the threads.
         results.into_iter().collect::<Result<(), Fault>>()?;
@@ -219,26 +218,72 @@ impl ColmapModel<'_> {
     }
 }
 
-/// Fills the views and pixels of a range of points.
-fn fill_piece(
-    points: &[ColmapPoint],
-    lists: &ImageLists,
-    views: &mut [ViewIndex],
-    pixels: &mut [[f64; 2]],
-) -> Result<(), Fault> {
-    let mut observations = Vec::new();
-    let mut next = 0;
-    for points in points.chunks(WARMED) {
-        lists.warm(points);
-        for point in points {
-            point.observations(lists, &mut observations)?;
-            for &(view, pixel) in &observations {
-                (views[next], pixels[next]) = (view, pixel);
-                next += 1;
+/// A range of points, and the part of the arrays for their observations.
+struct Piece<'p> {
+    points: &'p [ColmapPoint<'p>],
+    views: &'p mut [ViewIndex],
+    pixels: &'p mut [[f64; 2]],
+}
+
+impl<'p> Piece<'p> {
+    /// Divides all points, with the offsets of their observations.
+    fn all(
+        points: &'p [ColmapPoint<'p>],
+        offsets: &[usize],
+        mut views: &'p mut [ViewIndex],
+        mut pixels: &'p mut [[f64; 2]],
+    ) -> Vec<Self> {
+        let mut pieces = Vec::with_capacity(points.len() / CHUNK + 1);
+        for (n, points) in points.chunks(CHUNK).enumerate() {
+            let first = n * CHUNK;
+            let observations = offsets[first + points.len()] - offsets[first];
+            let (own_views, views_left) = views.split_at_mut(observations);
+            let (own_pixels, pixels_left) = pixels.split_at_mut(observations);
+            (views, pixels) = (views_left, pixels_left);
+            pieces.push(Self {
+                points,
+                views: own_views,
+                pixels: own_pixels,
+            });
+        }
+        pieces
+    }
+
+    fn fill(self, lists: &ImageLists) -> Result<(), Fault> {
+        let mut observations = Vec::new();
+        let mut next = 0;
+        for points in self.points.chunks(WARMED) {
+            lists.warm(points);
+            for point in points {
+                point.observations(lists, &mut observations)?;
+                for &(view, pixel) in &observations {
+                    (self.views[next], self.pixels[next]) = (view, pixel);
+                    next += 1;
+                }
             }
         }
+        Ok(())
     }
-    Ok(())
+}
+
+/// Numbers of elements per image among the first ones of a track. Counting continues only when an
+/// index must be found.
+#[derive(Default)]
+struct ElementCounts {
+    by_image: HashMap<u32, usize>,
+    counted: usize,
+}
+
+impl ElementCounts {
+    /// Number of elements of the n-th one's image before it.
+    fn before(&mut self, track: &[TrackElement], n: usize) -> usize {
+        for element in &track[self.counted..n] {
+            *self.by_image.entry(element.image()).or_default() += 1;
+        }
+        self.counted = n;
+        let of_image = self.by_image.get(&track[n].image());
+        of_image.copied().unwrap_or(0)
+    }
 }
 
 impl ColmapPoint<'_> {
@@ -248,9 +293,7 @@ impl ColmapPoint<'_> {
         lists: &ImageLists<'m>,
         mut each: impl FnMut(ImageView, u32, &'m Point2d) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
-        // Number of elements per image among the first `counted` of this track; counting continues
-        // only when an index must be found.
-        let (mut counts, mut counted) = (HashMap::<u32, usize>::new(), 0);
+        let mut counts = ElementCounts::default();
         for (n, element) in self.track.iter().enumerate() {
             let absent = || {
                 self.fault(Problem::Absent {
@@ -262,19 +305,15 @@ impl ColmapPoint<'_> {
                 .view_of_image
                 .get(element.image())
                 .ok_or_else(absent)?;
-            let named = lists.points2d[image_view.position as usize].get(element.index() as usize);
+            let position = image_view.position as usize;
+            let named = lists.points2d[position].get(element.index() as usize);
             match named {
                 Some(point2d) if point2d.point().is_none_or(|id| id == self.id) => {
                     each(image_view, element.index(), point2d)?;
                 }
                 _ => {
-                    self.track[counted..n]
-                        .iter()
-                        .for_each(|e| *counts.entry(e.image()).or_default() += 1);
-                    counted = n;
-                    let before = counts.get(&element.image()).copied().unwrap_or(0);
-                    let links = &lists.links[image_view.position as usize];
-                    let (index, point2d) = links
+                    let before = counts.before(&self.track, n);
+                    let (index, point2d) = lists.links[position]
                         .nth(self.id, before)
                         .ok_or_else(|| self.wrong_index(element, named))?;
                     lists.followed.fetch_add(1, Ordering::Relaxed);

@@ -7,7 +7,7 @@ use viewrank_core::model::{
 
 use super::super::{
     Fault, Problem,
-    foreign::{ForeignModel, camera},
+    foreign::{ForeignModel, brown, camera},
     xml::Element,
 };
 
@@ -34,18 +34,21 @@ impl Lens {
             .find_map(|element| element.attribute("type"));
         let kind = kind.unwrap_or("frame");
         let [width, height] = size(sensor, calibration)?;
-        let (w, h) = (width as f64, height as f64);
-        let (model, params, left_out_px) = if kind == "spherical" {
-            (CameraModel::Equirectangular, vec![w, h], 0.0)
-        } else {
-            let calibration = calibration.ok_or_else(|| sensor.lacks("calibration"))?;
-            let terms = Terms::read(calibration, [w, h])?;
-            let found = terms.in_colmap(kind, [w, h]).ok_or_else(|| {
-                let problem = Problem::CameraModel(format!("{kind} (Metashape)"));
-                Fault::new("", sensor.at(), problem)
-            })?;
-            refuse_much_left_out(found.2, calibration)?;
-            found
+        let sides = [width as f64, height as f64];
+        let Projection {
+            model,
+            params,
+            left_out_px,
+        } = match kind {
+            "spherical" => Projection {
+                model: CameraModel::Equirectangular,
+                params: sides.to_vec(),
+                left_out_px: 0.0,
+            },
+            _ => {
+                let calibration = calibration.ok_or_else(|| sensor.lacks("calibration"))?;
+                calibrated(kind, sensor, calibration, sides)?
+            }
         };
         let lens = Camera::new(id, model, width, height, params);
         Ok(Self {
@@ -74,6 +77,30 @@ impl Lens {
         );
         foreign.warn(WarningKind::Format, text);
     }
+}
+
+/// COLMAP's model with its parameters, and by how many pixels the terms that it lacks move the
+/// corner of an image.
+struct Projection {
+    model: CameraModel,
+    params: Vec<f64>,
+    left_out_px: f64,
+}
+
+/// The projection of a calibrated sensor of this kind, with images of this width and height.
+fn calibrated(
+    kind: &str,
+    sensor: &Element,
+    calibration: &Element,
+    sides: [f64; 2],
+) -> Result<Projection, Fault> {
+    let terms = Terms::read(calibration, sides)?;
+    let projection = terms.in_colmap(kind, sides).ok_or_else(|| {
+        let problem = Problem::CameraModel(format!("{kind} (Metashape)"));
+        Fault::new("", sensor.at(), problem)
+    })?;
+    refuse_much_left_out(projection.left_out_px, calibration)?;
+    Ok(projection)
 }
 
 /// Width and height of the calibration's images, else of the sensor.
@@ -124,34 +151,42 @@ impl Terms {
         })
     }
 
-    /// Returns COLMAP's model of this kind with its parameters, and by how many pixels the terms
-    /// that it lacks move the corner of an image.
-    fn in_colmap(&self, kind: &str, [w, h]: [f64; 2]) -> Option<(CameraModel, Vec<f64>, f64)> {
+    /// The projection of this kind, if COLMAP has one.
+    fn in_colmap(&self, kind: &str, [w, h]: [f64; 2]) -> Option<Projection> {
+        let [fx, fy] = self.focal;
+        let corner = (w / 2.0 / fx).hypot(h / 2.0 / fy);
+        let mut projection = match kind {
+            "frame" => self.frame(corner),
+            "fisheye" | "equidistant_fisheye" => self.fisheye(corner),
+            _ => return None,
+        };
+        let skew_px = self.b2.abs() * h / 2.0 / fy;
+        projection.left_out_px += skew_px;
+        Some(projection)
+    }
+
+    /// `corner`: tangent of the angle between the optical axis and the corner of an image.
+    fn frame(&self, corner: f64) -> Projection {
         let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
         let ([k1, k2, k3, k4], [p1, p2, p3, p4]) = (self.k, self.p);
-        let corner = (w / 2.0 / fx).hypot(h / 2.0 / fy);
-        let skew = self.b2.abs() * h / 2.0 / fy;
-        Some(match kind {
-            "frame" => {
-                let tangential =
-                    (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
-                let off = fx * (k4.abs() * corner.powi(9) + 3.0 * corner.powi(2) * tangential);
-                (
-                    CameraModel::FullOpenCv,
-                    vec![fx, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0],
-                    off + skew,
-                )
-            }
-            "fisheye" | "equidistant_fisheye" => {
-                let off = 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2);
-                (
-                    CameraModel::OpenCvFisheye,
-                    vec![fx, fy, cx, cy, k1, k2, k3, k4],
-                    off + skew,
-                )
-            }
-            _ => return None,
-        })
+        let tangential =
+            (p1.abs() + p2.abs()) * (p3.abs() * corner.powi(2) + p4.abs() * corner.powi(4));
+        let (model, params) = brown([fx, fy, cx, cy], [k1, k2, k3], [p2, p1]);
+        Projection {
+            model,
+            params,
+            left_out_px: fx * (k4.abs() * corner.powi(9) + 3.0 * corner.powi(2) * tangential),
+        }
+    }
+
+    /// `corner`: as in [`Terms::frame`].
+    fn fisheye(&self, corner: f64) -> Projection {
+        let ([fx, _], [p1, p2, ..]) = (self.focal, self.p);
+        Projection {
+            model: CameraModel::OpenCvFisheye,
+            params: [&self.focal[..], &self.centre, &self.k].concat(),
+            left_out_px: 3.0 * fx * (p1.abs() + p2.abs()) * corner.atan().powi(2),
+        }
     }
 }
 

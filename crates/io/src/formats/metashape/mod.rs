@@ -14,20 +14,20 @@
 //! the world, but points may have been exported without it: [`Frame`].
 
 mod lens;
+mod model;
+mod placement;
 
-use std::{
-    collections::{HashMap, HashSet},
-    rc::Rc,
-};
+use std::{collections::HashMap, rc::Rc};
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank_core::model::scene::WarningKind;
 
-use self::lens::Lens;
+use self::{
+    lens::Lens,
+    placement::{Placement, Similarity},
+};
 use super::{
     Fault, Place, Problem, check_images,
-    colmap::StoredPose,
-    foreign::{ForeignModel, largest_component, pose_with_centre},
+    foreign::ForeignModel,
     xml::{Element, Xml},
 };
 
@@ -47,6 +47,17 @@ pub fn read<const N: usize>(
     frames: [Frame; N],
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<[ForeignModel; N], Fault> {
+    let (largest, others) = largest_chunk(bytes)?;
+    let mut models: [ForeignModel; N] = std::array::from_fn(|_| ForeignModel::default());
+    for (model, frame) in models.iter_mut().zip(frames) {
+        *model = largest.model(frame, spelled)?;
+        model.warn_of_others("chunks", &others);
+    }
+    Ok(models)
+}
+
+/// The chunk with most aligned cameras, and the names of the others with their numbers of them.
+fn largest_chunk(bytes: &[u8]) -> Result<(Chunk, Vec<(String, usize)>), Fault> {
     let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
     let mut largest = Chunk::default();
     let mut others = Vec::new();
@@ -63,12 +74,7 @@ pub fn read<const N: usize>(
             others.push((format!("chunk {}", chunk.label), chunk.aligned()));
         }
     }
-    let mut models: [ForeignModel; N] = std::array::from_fn(|_| ForeignModel::default());
-    for (model, frame) in models.iter_mut().zip(frames) {
-        *model = largest.model(frame, spelled)?;
-        model.warn_of_others("chunks", &others);
-    }
-    Ok(models)
+    Ok((largest, others))
 }
 
 #[derive(Default)]
@@ -150,9 +156,6 @@ impl Sensor {
     }
 }
 
-/// Longest name of a folder, bytes: that of a group or a sensor may be part of many names.
-const LONGEST_FOLDER: usize = 255;
-
 impl Chunk {
     fn read(entered: &Element, xml: &mut Xml) -> Result<Self, Fault> {
         let mut chunk = Self {
@@ -161,32 +164,38 @@ impl Chunk {
         };
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
-                "sensors" => {
-                    while let Some(sensor) = xml.enter()? {
-                        chunk.count()?;
-                        let sensor = xml.whole(sensor)?;
-                        let number = chunk.sensors.len() as u32 + 1;
-                        let read = Sensor::read(&sensor, number);
-                        chunk.sensors.insert(own_id(&sensor)?, read);
-                    }
-                }
-                "components" => {
-                    while let Some(component) = xml.enter()? {
-                        chunk.count()?;
-                        // The partition below, a list of all cameras, may be long.
-                        let component = xml.whole(component)?;
-                        if let Some(transform) = component.child("transform") {
-                            let transform = Similarity::read(transform)?;
-                            chunk.components.insert(own_id(&component)?, transform);
-                        }
-                    }
-                }
+                "sensors" => chunk.read_sensors(xml)?,
+                "components" => chunk.read_components(xml)?,
                 "transform" => chunk.transform = Some(Similarity::read(&xml.whole(entered)?)?),
                 "cameras" => chunk.read_cameras(None, xml)?,
                 _ => xml.skip()?,
             }
         }
         Ok(chunk)
+    }
+
+    fn read_sensors(&mut self, xml: &mut Xml) -> Result<(), Fault> {
+        while let Some(sensor) = xml.enter()? {
+            self.count()?;
+            let sensor = xml.whole(sensor)?;
+            let number = self.sensors.len() as u32 + 1;
+            let read = Sensor::read(&sensor, number);
+            self.sensors.insert(own_id(&sensor)?, read);
+        }
+        Ok(())
+    }
+
+    fn read_components(&mut self, xml: &mut Xml) -> Result<(), Fault> {
+        while let Some(component) = xml.enter()? {
+            self.count()?;
+            // The partition below, a list of all cameras, may be long.
+            let component = xml.whole(component)?;
+            if let Some(transform) = component.child("transform") {
+                let transform = Similarity::read(transform)?;
+                self.components.insert(own_id(&component)?, transform);
+            }
+        }
+        Ok(())
     }
 
     /// Counts a sensor or a component, of which several may have the same id.
@@ -217,170 +226,6 @@ impl Chunk {
         let is_aligned = |camera: &&ChunkCamera| camera.is_enabled && camera.is_aligned();
         self.cameras.iter().filter(is_aligned).count()
     }
-
-    fn model(&self, frame: Frame, spelled: &dyn Fn(&str) -> String) -> Result<ForeignModel, Fault> {
-        let mut foreign = ForeignModel::default();
-        let by_id: HashMap<&str, &ChunkCamera> = self
-            .cameras
-            .iter()
-            .filter_map(|camera| Some((camera.id.as_deref()?, camera)))
-            .collect();
-        let names = self.names(spelled);
-        let mut used = HashSet::new();
-        let (mut components, mut disabled, mut lenses) = (Vec::new(), Vec::new(), Vec::new());
-        for ((n, camera), name) in (1..).zip(&self.cameras).zip(names) {
-            let what = || format!("camera {n}, {:?}", camera.label);
-            if !camera.is_enabled {
-                disabled.push(name);
-                continue;
-            }
-            let placement = self.placement(camera, &by_id);
-            let Some((placement, component)) = placement.map_err(|fault| fault.in_record(what))?
-            else {
-                foreign.unregistered.push(name);
-                continue;
-            };
-            let sensor = self.sensor(camera).map_err(|f| f.in_record(what))?;
-            let id = sensor.number;
-            if used.insert(id) {
-                let lens = sensor.lens.clone();
-                let lens = lens.map_err(|fault| fault.in_record(|| format!("sensor {id}")))?;
-                lenses.push(lens.clone());
-                foreign.model.cameras.push(lens.camera);
-            }
-            let world = self
-                .components
-                .get(component)
-                .or(self.transform.as_ref())
-                .filter(|_| frame == Frame::World);
-            let pose = placement.pose(world);
-            let pose =
-                pose.map_err(|problem| Fault::new("", camera.at, problem).in_record(what))?;
-            foreign.add_image(n, name, id, pose, camera.at);
-            components.push(component);
-        }
-        Lens::warn(&lenses, &mut foreign);
-        let (largest, others) = largest_component(components.iter().copied());
-        foreign.keep_images(|image| components[image] == largest);
-        foreign.warn_of_others("components", &others);
-        if let Some(first) = disabled.first() {
-            let text = format!(
-                "{} disabled cameras are left out, e.g. {first}",
-                disabled.len()
-            );
-            foreign.warn(WarningKind::Format, text);
-        }
-        foreign.left_out = disabled;
-        Ok(foreign)
-    }
-
-    /// Names of the images of all cameras: their labels. Of several cameras of a label, each has its
-    /// group, or its sensor, for a folder, and its id where that does not tell them apart.
-    fn names(&self, spelled: &dyn Fn(&str) -> String) -> Vec<String> {
-        let mut labels: HashMap<&str, usize> = HashMap::new();
-        let mut places: HashMap<(&str, Option<&str>), usize> = HashMap::new();
-        for camera in &self.cameras {
-            let label = &*camera.label;
-            *labels.entry(label).or_default() += 1;
-            *places.entry((label, self.folder(camera))).or_default() += 1;
-        }
-        let name = |camera: &ChunkCamera| {
-            let label = &*camera.label;
-            if labels[label] == 1 {
-                return spelled(&label.replace('\\', "/"));
-            }
-            let folder = self.folder(camera);
-            let is_apart = places[&(label, folder)] == 1;
-            let id = camera.id.as_deref().unwrap_or_default();
-            spelled(&match folder {
-                Some(folder) if is_apart => format!("{folder}/{label}"),
-                Some(folder) => format!("{folder}_{id}/{label}"),
-                None => format!("camera_{id}/{label}"),
-            })
-        };
-        self.cameras.iter().map(name).collect()
-    }
-
-    /// The folder of a camera among several of its label.
-    fn folder<'a>(&'a self, camera: &'a ChunkCamera) -> Option<&'a str> {
-        let of_sensor = || self.sensor(camera).ok()?.label.as_deref();
-        let folder = camera.group.as_deref().or_else(of_sensor);
-        folder.filter(|folder| folder.len() <= LONGEST_FOLDER)
-    }
-
-    fn sensor(&self, camera: &ChunkCamera) -> Result<&Sensor, Fault> {
-        let id = &camera.sensor_id;
-        self.sensors.get(id).ok_or_else(|| {
-            let problem = Problem::Syntax {
-                expected: "the id of a sensor",
-                found: format!("sensor_id {id:?}"),
-            };
-            Fault::new("", camera.at, problem)
-        })
-    }
-
-    /// The placement of a camera in the chunk, its own or by that of its master in a rig, and the id
-    /// of its component; `None` if it is not aligned.
-    fn placement<'a>(
-        &self,
-        camera: &'a ChunkCamera,
-        by_id: &HashMap<&str, &'a ChunkCamera>,
-    ) -> Result<Option<(Placement, &'a str)>, Fault> {
-        if let Some(own) = camera.placement.clone()? {
-            return Ok(Some((own, &camera.component_id)));
-        }
-        let master = camera.master_id.as_deref().and_then(|id| by_id.get(id));
-        let Some(master) = master else {
-            return Ok(None);
-        };
-        let Some(of_master) = master.placement.clone()? else {
-            return Ok(None);
-        };
-        let (rotation, location) = self.sensor(camera)?.mounting.clone()?;
-        let placement = of_master.followed_by(rotation, location);
-        Ok(Some((placement, &master.component_id)))
-    }
-}
-
-/// Rotation and centre of a camera, from its axes to the chunk's.
-#[derive(Clone)]
-struct Placement {
-    rotation: Matrix3<f64>,
-    centre: Vector3<f64>,
-}
-
-impl Placement {
-    /// Reads a 4 x 4 matrix, row by row.
-    fn read(transform: &Element) -> Result<Self, Fault> {
-        let numbers = transform.numbers::<16>()?;
-        let m = |row: usize, column: usize| numbers[4 * row + column];
-        Ok(Self {
-            rotation: Matrix3::from_fn(m),
-            centre: Vector3::from_fn(|row, _| m(row, 3)),
-        })
-    }
-
-    /// The placement of a slave, whose axes and centre are given in those of this camera.
-    fn followed_by(self, rotation: Matrix3<f64>, location: Vector3<f64>) -> Self {
-        Self {
-            centre: self.rotation * location + self.centre,
-            rotation: self.rotation * rotation,
-        }
-    }
-
-    fn pose(&self, world: Option<&Similarity>) -> Result<StoredPose, Problem> {
-        let (mut rotation, mut centre) = (self.rotation, self.centre);
-        if let Some(Similarity {
-            rotation: turn,
-            translation,
-            scale,
-        }) = world
-        {
-            rotation = turn * rotation;
-            centre = turn * centre * *scale + translation;
-        }
-        pose_with_centre(rotation.transpose(), centre)
-    }
 }
 
 /// Longest id, bytes: that of a master's component is compared for each of its slaves.
@@ -401,33 +246,6 @@ fn id_of<'a>(element: &'a Element, attribute: &str) -> Result<Option<&'a str>, F
 
 fn own_id(element: &Element) -> Result<String, Fault> {
     Ok(id_of(element, "id")?.unwrap_or_default().to_owned())
-}
-
-/// Scale, rotation and translation.
-struct Similarity {
-    rotation: Matrix3<f64>,
-    translation: Vector3<f64>,
-    scale: f64,
-}
-
-impl Similarity {
-    fn read(transform: &Element) -> Result<Self, Fault> {
-        let rotation = transform
-            .child("rotation")
-            .map(|rotation| rotation.numbers::<9>())
-            .transpose()?;
-        let translation = transform
-            .child("translation")
-            .map(|translation| translation.numbers::<3>())
-            .transpose()?;
-        Ok(Self {
-            rotation: rotation.map_or_else(Matrix3::identity, |rotation| {
-                Matrix3::from_row_slice(&rotation)
-            }),
-            translation: translation.map_or_else(Vector3::zeros, Vector3::from),
-            scale: transform.number("scale")?.unwrap_or(1.0),
-        })
-    }
 }
 
 #[cfg(test)]

@@ -27,21 +27,7 @@ impl Mvs {
         if bytes.get(..4) != Some(b"MVSI") {
             return Err(Fault::new("", Place::Byte(0), foreign(bytes)));
         }
-        reader.u32("the header")?;
-        reader.version = reader.u32("the header")?;
-        if !(1..=NEWEST).contains(&reader.version) {
-            let what = format!(
-                "unsupported interface version {} (supported: 1 to {NEWEST})",
-                reader.version
-            );
-            let hint = "write the scene with OpenMVS v1.0 to v2.3";
-            return Err(Fault::new(
-                "",
-                Place::Byte(4),
-                Problem::Unsupported { what, hint },
-            ));
-        }
-        reader.u32("the header")?;
+        reader.header()?;
         let scene = reader.scene()?;
         match reader.rest.len() {
             0 => scene.checked(),
@@ -174,6 +160,26 @@ impl<'a> Reader<'a> {
         Fault::new("", Place::Byte(self.offset() as u64), problem)
     }
 
+    /// Reads the signature, the version, which must be known, and a reserved number.
+    fn header(&mut self) -> Result<(), Fault> {
+        self.u32("the header")?;
+        let at = self.offset();
+        self.version = self.u32("the header")?;
+        if !(1..=NEWEST).contains(&self.version) {
+            let what = format!(
+                "unsupported interface version {} (supported: 1 to {NEWEST})",
+                self.version
+            );
+            let hint = "write the scene with OpenMVS v1.0 to v2.3";
+            return Err(Fault::new(
+                "",
+                Place::Byte(at as u64),
+                Problem::Unsupported { what, hint },
+            ));
+        }
+        self.u32("the header").map(drop)
+    }
+
     fn scene(&mut self) -> Result<Mvs, Fault> {
         let mut scene = Mvs {
             version: self.version,
@@ -185,29 +191,12 @@ impl<'a> Reader<'a> {
             .zip(&mut scene.images)
             .filter(|(_, image)| image.id == NO_ID)
             .for_each(|(i, image)| image.id = i);
-        scene.vertices = self.list("vertices", 20, |r| {
-            Ok(Vertex {
-                x: r.take("a vertex", array(le_f32))?,
-                views: r.vertex_views()?,
-            })
-        })?;
-        scene.normals = self.list("normals", 12, |r| r.take("a normal", array(le_f32)))?;
-        scene.colours = self.list("colours", 3, |r| r.take("a colour", array(le_u8)))?;
-        scene.lines = self.list("lines", 32, |r| {
-            let ends = [
-                r.take("a line", array(le_f32))?,
-                r.take("a line", array(le_f32))?,
-            ];
-            Ok(Line {
-                ends,
-                views: r.vertex_views()?,
-            })
-        })?;
-        scene.line_normals = self.list("normals of lines", 12, |r| {
-            r.take("a normal", array(le_f32))
-        })?;
-        scene.line_colours =
-            self.list("colours of lines", 3, |r| r.take("a colour", array(le_u8)))?;
+        scene.vertices = self.list("vertices", 20, Self::vertex)?;
+        scene.normals = self.list("normals", 12, Self::normal)?;
+        scene.colours = self.list("colours", 3, Self::colour)?;
+        scene.lines = self.list("lines", 32, Self::line)?;
+        scene.line_normals = self.list("normals of lines", 12, Self::normal)?;
+        scene.line_colours = self.list("colours of lines", 3, Self::colour)?;
         if self.version > 1 {
             scene.transform = self.f64s("the transform")?;
         }
@@ -283,6 +272,32 @@ impl<'a> Reader<'a> {
             area,
             score,
         })
+    }
+
+    fn vertex(&mut self) -> Result<Vertex, Fault> {
+        Ok(Vertex {
+            x: self.take("a vertex", array(le_f32))?,
+            views: self.vertex_views()?,
+        })
+    }
+
+    fn line(&mut self) -> Result<Line, Fault> {
+        let ends = [
+            self.take("a line", array(le_f32))?,
+            self.take("a line", array(le_f32))?,
+        ];
+        Ok(Line {
+            ends,
+            views: self.vertex_views()?,
+        })
+    }
+
+    fn normal(&mut self) -> Result<[f32; 3], Fault> {
+        self.take("a normal", array(le_f32))
+    }
+
+    fn colour(&mut self) -> Result<[u8; 3], Fault> {
+        self.take("a colour", array(le_u8))
     }
 
     fn vertex_views(&mut self) -> Result<Vec<VertexView>, Fault> {

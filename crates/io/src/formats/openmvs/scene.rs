@@ -5,13 +5,14 @@ use std::collections::HashMap;
 use nalgebra::{Matrix3, Point3, Vector3};
 use viewrank_core::model::{
     camera::{Camera, CameraModel},
-    scene::WarningKind,
+    scene::{Pose, WarningKind},
 };
 
 use super::{Image, Mvs, NO_POSE};
 use crate::formats::{
     Fault, Place, Problem,
-    foreign::{ForeignModel, SizeLookup, camera, pose_with_centre, shift},
+    colmap::ColmapImage,
+    foreign::{ForeignModel, SizeLookup, camera, fault_in, pose_with_centre, shift},
 };
 
 impl Mvs {
@@ -23,16 +24,8 @@ impl Mvs {
         // Index in the scene's list of images to index in the model.
         let mut calibrated = vec![None; self.images.len()];
         for (n, image) in self.images.iter().enumerate() {
-            let fault =
-                |problem| Fault::new("", Place::File, problem).in_record(|| format!("image {n}"));
-            let name = String::from_utf8(image.name.clone());
-            let name = name.map_err(|error| {
-                let name = String::from_utf8_lossy(error.as_bytes()).into_owned();
-                fault(Problem::Name {
-                    name,
-                    why: "is not UTF-8",
-                })
-            })?;
+            let fault = |problem| fault_in(problem, || format!("image {n}"));
+            let name = image.utf8_name().map_err(fault)?;
             if image.pose == NO_POSE {
                 foreign.unregistered.push(name);
                 continue;
@@ -64,6 +57,7 @@ impl Mvs {
         name: &str,
         size_of: SizeLookup,
     ) -> Result<Camera, Fault> {
+        let what = || format!("image {name:?}");
         let mvs = &self.platforms[image.platform as usize].cameras[image.camera as usize];
         let k = mvs.k;
         let known = (mvs.width > 0 && mvs.height > 0).then_some((mvs.width, mvs.height));
@@ -71,8 +65,7 @@ impl Mvs {
         let size = known.or_else(|| size_of(name)).ok_or_else(|| {
             let message =
                 "the scale of its normalised intrinsics is unknown because the image is missing";
-            Fault::new("", Place::File, Problem::Contradiction(message.into()))
-                .in_record(|| format!("image {name:?}"))
+            fault_in(Problem::Contradiction(message.into()), what)
         })?;
         let scale = if known.is_some() {
             1.0
@@ -81,16 +74,9 @@ impl Mvs {
         };
         let [cx, cy] = shift([k[2] * scale, k[5] * scale]);
         let params = vec![k[0] * scale, k[4] * scale, cx, cy];
-        camera(
-            Camera::new(
-                id,
-                CameraModel::Pinhole,
-                size.0.into(),
-                size.1.into(),
-                params,
-            ),
-            || format!("image {name:?}"),
-        )
+        let (width, height) = (size.0.into(), size.1.into());
+        let found = Camera::new(id, CameraModel::Pinhole, width, height, params);
+        camera(found, what)
     }
 
     /// World-to-camera pose: that of the platform, followed by that of the camera on the platform.
@@ -112,32 +98,16 @@ impl Mvs {
         foreign: &mut ForeignModel,
         calibrated: &[Option<usize>],
     ) -> Result<(), Fault> {
-        let cameras: HashMap<u32, Camera> = foreign
-            .model
-            .cameras
-            .iter()
-            .map(|c| (c.id, c.clone()))
-            .collect();
-        let mut views = Vec::with_capacity(foreign.model.images.len());
-        for image in &foreign.model.images {
-            let pose = image
-                .cam_from_world
-                .pose()
-                .map_err(|problem| Fault::new("", Place::File, problem))?;
-            views.push((pose, &cameras[&image.camera_id]));
-        }
+        let cameras = foreign.model.cameras.clone();
+        let images = Projection::of_images(&foreign.model.images, &cameras)?;
         let mut behind = 0;
         for (n, vertex) in self.vertices.iter().enumerate() {
             let x = Point3::from(vertex.x.map(f64::from));
             let mut track = Vec::with_capacity(vertex.views.len());
-            for image in vertex
-                .views
-                .iter()
-                .filter_map(|view| calibrated[view.image as usize])
-            {
-                let (pose, camera) = &views[image];
-                match camera.project_beyond_field(&pose.camera_from_world(&x)) {
-                    Some(pixel) => track.push((image, [pixel.x, pixel.y])),
+            let views = vertex.views.iter();
+            for image in views.filter_map(|view| calibrated[view.image as usize]) {
+                match images[image].pixel(&x) {
+                    Some(pixel) => track.push((image, pixel)),
                     None => behind += 1,
                 }
             }
@@ -149,5 +119,42 @@ impl Mvs {
             foreign.warn(WarningKind::Damaged, text);
         }
         Ok(())
+    }
+}
+
+impl Image {
+    fn utf8_name(&self) -> Result<String, Problem> {
+        String::from_utf8(self.name.clone()).map_err(|error| Problem::Name {
+            name: String::from_utf8_lossy(error.as_bytes()).into_owned(),
+            why: "is not UTF-8",
+        })
+    }
+}
+
+/// Pose and camera of an image.
+struct Projection<'a> {
+    pose: Pose,
+    camera: &'a Camera,
+}
+
+impl<'a> Projection<'a> {
+    fn of_images(images: &[ColmapImage], cameras: &'a [Camera]) -> Result<Vec<Self>, Fault> {
+        let by_id = cameras.iter().map(|camera| (camera.id, camera));
+        let by_id: HashMap<u32, &Camera> = by_id.collect();
+        let of_image = |image: &ColmapImage| {
+            let pose = image.cam_from_world.pose();
+            Ok(Self {
+                pose: pose.map_err(|problem| Fault::new("", Place::File, problem))?,
+                camera: by_id[&image.camera_id],
+            })
+        };
+        images.iter().map(of_image).collect()
+    }
+
+    /// The pixel of a point in front of the camera.
+    fn pixel(&self, x: &Point3<f64>) -> Option<[f64; 2]> {
+        let in_camera = self.pose.camera_from_world(x);
+        let pixel = self.camera.project_beyond_field(&in_camera)?;
+        Some([pixel.x, pixel.y])
     }
 }

@@ -1,6 +1,6 @@
 //! Writes the interface form.
 
-use super::{Camera, Image, Mvs, Platform, VertexView};
+use super::{Camera, Image, Line, Mvs, Platform, Vertex, VertexView};
 
 impl Mvs {
     /// Serialises the scene in the form of `version`.
@@ -13,16 +13,10 @@ impl Mvs {
         w.u32(0);
         w.list(&self.platforms, Writer::platform);
         w.list(&self.images, Writer::image);
-        w.list(&self.vertices, |w, v| {
-            w.f32s(&v.x);
-            w.list(&v.views, Writer::vertex_view);
-        });
+        w.list(&self.vertices, Writer::vertex);
         w.list(&self.normals, |w, n| w.f32s(n));
         w.list(&self.colours, |w, c| w.bytes.extend_from_slice(c));
-        w.list(&self.lines, |w, line| {
-            line.ends.iter().for_each(|end| w.f32s(end));
-            w.list(&line.views, Writer::vertex_view);
-        });
+        w.list(&self.lines, Writer::line);
         w.list(&self.line_normals, |w, n| w.f32s(n));
         w.list(&self.line_colours, |w, c| w.bytes.extend_from_slice(c));
         if self.version > 1 {
@@ -109,6 +103,16 @@ impl Writer {
                 w.f32s(&[s.scale, s.angle, s.area, s.score]);
             });
         }
+    }
+
+    fn vertex(&mut self, vertex: &Vertex) {
+        self.f32s(&vertex.x);
+        self.list(&vertex.views, Self::vertex_view);
+    }
+
+    fn line(&mut self, line: &Line) {
+        line.ends.iter().for_each(|end| self.f32s(end));
+        self.list(&line.views, Self::vertex_view);
     }
 
     fn vertex_view(&mut self, view: &VertexView) {

@@ -13,18 +13,18 @@
 //! COLMAP); the centre of the first pixel is (0, 0). P1 belongs to r² + 2x², as in Brown's model:
 //! OpenCV's p2.
 
+mod group;
+
 use std::collections::HashMap;
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank_core::model::{
-    camera::{Camera, CameraModel},
-    georeference::{Georeference, Zone},
-};
+use viewrank_core::model::georeference::{Georeference, Zone};
 
+use self::group::Group;
 use super::{
-    Fault, Place, Problem, check_images,
+    Fault, Problem, check_images,
     colmap::StoredPose,
-    foreign::{ForeignModel, camera, largest_component, pose_with_centre, shift},
+    foreign::{ForeignModel, largest_component, pose_with_centre, shift},
     xml::{Element, Xml},
 };
 
@@ -124,35 +124,43 @@ impl Block {
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
                 "Name" => self.name = xml.whole(entered)?.text().to_owned(),
-                "SRSId" => {
-                    let id = xml.whole(entered)?;
-                    System::check(systems, &id)?;
-                    let zone = systems.get(id.text()).and_then(|system| system.zone);
-                    self.foreign.georeference = zone.map(|zone| Georeference::Utm {
-                        zone,
-                        offset: [0.0; 2],
-                    });
-                }
-                "Photogroups" => {
-                    while let Some(entered) = xml.enter()? {
-                        if entered.name == "Photogroup" {
-                            self.read_group(xml, entered, systems)?
-                        } else {
-                            xml.skip()?
-                        }
-                    }
-                }
-                "TiePoints" => {
-                    while let Some(entered) = xml.enter()? {
-                        let point = xml.whole(entered)?;
-                        match &*point.name {
-                            "TiePoint" => self.add_tie_point(&point)?,
-                            "SRSId" => System::check(systems, &point)?,
-                            _ => {}
-                        }
-                    }
-                }
+                "SRSId" => self.read_system(&xml.whole(entered)?, systems)?,
+                "Photogroups" => self.read_groups(xml, systems)?,
+                "TiePoints" => self.read_tie_points(xml, systems)?,
                 _ => xml.skip()?,
+            }
+        }
+        Ok(())
+    }
+
+    fn read_system(&mut self, id: &Element, systems: &Systems) -> Result<(), Fault> {
+        System::check(systems, id)?;
+        let zone = systems.get(id.text()).and_then(|system| system.zone);
+        self.foreign.georeference = zone.map(|zone| Georeference::Utm {
+            zone,
+            offset: [0.0; 2],
+        });
+        Ok(())
+    }
+
+    fn read_groups(&mut self, xml: &mut Xml, systems: &Systems) -> Result<(), Fault> {
+        while let Some(entered) = xml.enter()? {
+            if entered.name == "Photogroup" {
+                self.read_group(xml, &entered, systems)?;
+            } else {
+                xml.skip()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn read_tie_points(&mut self, xml: &mut Xml, systems: &Systems) -> Result<(), Fault> {
+        while let Some(entered) = xml.enter()? {
+            let point = xml.whole(entered)?;
+            match &*point.name {
+                "TiePoint" => self.add_tie_point(&point)?,
+                "SRSId" => System::check(systems, &point)?,
+                _ => {}
             }
         }
         Ok(())
@@ -176,96 +184,61 @@ impl Block {
     fn read_group(
         &mut self,
         xml: &mut Xml,
-        entered: Element,
+        entered: &Element,
         systems: &Systems,
     ) -> Result<(), Fault> {
-        let mut common = Group {
-            at: entered.at(),
-            parts: HashMap::new(),
-            camera: None,
-        };
         self.groups += 1;
         check_images(self.groups as usize)?;
-        let id = self.groups;
+        let mut group = Group::new(self.groups, entered.at());
         while let Some(entered) = xml.enter()? {
             match &*entered.name {
                 "Photo" => {
                     let count = self.images() + self.foreign.unregistered.len() + 1;
                     check_images(count)?;
-                    self.add_photo(&xml.whole(entered)?, &mut common, id)?;
+                    self.add_photo(&xml.whole(entered)?, &mut group)?;
                 }
                 "SRSId" => System::check(systems, &xml.whole(entered)?)?,
-                name if PARTS.contains(&name) && !common.parts.contains_key(name) => {
-                    let part = xml.whole(entered)?;
-                    common.parts.insert(part.name.clone(), part);
-                }
+                name if group.wants(name) => group.add(xml.whole(entered)?),
                 _ => xml.skip()?,
             }
         }
         Ok(())
     }
 
-    fn add_photo(&mut self, photo: &Element, group: &mut Group, id: u32) -> Result<(), Fault> {
-        let path = photo
-            .child("ImagePath")
-            .map(Element::text)
-            .unwrap_or_default();
-        let what = || format!("photo {path:?}");
+    fn add_photo(&mut self, photo: &Element, group: &mut Group) -> Result<(), Fault> {
+        let path = photo.child("ImagePath").map_or("", Element::text);
+        let name = path.replace('\\', "/");
         let pose = photo.child("Pose");
         let rotation = pose
             .and_then(|pose| pose.child("Rotation"))
             .filter(|rotation| rotation.child("M_00").is_some());
-        let Some((rotation, centre)) = rotation.zip(pose.and_then(|pose| pose.child("Center")))
-        else {
-            self.foreign.unregistered.push(path.replace('\\', "/"));
+        let centre = pose.and_then(|pose| pose.child("Center"));
+        let Some((rotation, centre)) = rotation.zip(centre) else {
+            self.foreign.unregistered.push(name);
             return Ok(());
         };
-        let axes = match group.camera {
-            Some(axes) => axes,
-            None => {
-                let (camera, axes) = group
-                    .read(id)
-                    .map_err(|fault| fault.in_record(|| format!("photogroup {id}")))?;
-                self.foreign.model.cameras.push(camera);
-                *group.camera.insert(axes)
-            }
-        };
-        let pose = pose_of(rotation, centre, axes).map_err(|fault| fault.in_record(what))?;
-        let position = self.foreign.model.images.len();
+        let axes = group.axes(&mut self.foreign.model.cameras)?;
+        let pose = pose_of(rotation, centre, axes)
+            .map_err(|fault| fault.in_record(|| format!("photo {path:?}")))?;
+        let position = self.images();
         if let Some(id) = photo.child("Id") {
             self.photos.insert(id.text().to_owned(), position);
         }
-        self.foreign.add_image(
-            position as u32 + 1,
-            path.replace('\\', "/"),
-            id,
-            pose,
-            photo.at(),
-        );
-        let component = photo.child("Component");
-        self.components
-            .push(component.map_or(String::new(), |id| id.text().to_owned()));
+        let id = position as u32 + 1;
+        self.foreign
+            .add_image(id, name, group.id(), pose, photo.at());
+        let component = photo.child("Component").map_or("", Element::text);
+        self.components.push(component.to_owned());
         Ok(())
     }
 
     fn add_tie_point(&mut self, point: &Element) -> Result<(), Fault> {
-        let position = point
-            .child("Position")
-            .ok_or_else(|| point.lacks("Position"))?;
-        let xyz = position.required(["x", "y", "z"])?;
-        let mut colour = [255; 3];
-        if let Some(found) = point.child("Color") {
-            for (to, name) in colour.iter_mut().zip(["Red", "Green", "Blue"]) {
-                *to = (found.number(name)?.unwrap_or(1.0) * 255.0)
-                    .round()
-                    .clamp(0.0, 255.0) as u8;
-            }
-        }
+        let xyz = point.required_child("Position")?;
+        let xyz = xyz.required(["x", "y", "z"])?;
+        let colour = point.child("Color").map_or(Ok([255; 3]), colour)?;
         let mut track: Vec<(usize, [f64; 2])> = Vec::new();
         for measured in point.children("Measurement") {
-            let id = measured
-                .child("PhotoId")
-                .ok_or_else(|| measured.lacks("PhotoId"))?;
+            let id = measured.required_child("PhotoId")?;
             // Photos without a pose have measurements, too.
             if let Some(&photo) = self.photos.get(id.text()) {
                 track.push((photo, shift(measured.required(["x", "y"])?)));
@@ -275,6 +248,16 @@ impl Block {
         self.foreign.add_point(id, xyz, colour, track, point.at());
         Ok(())
     }
+}
+
+/// The colour in parts from 0 to 1.
+fn colour(element: &Element) -> Result<[u8; 3], Fault> {
+    let mut colour = [0; 3];
+    for (to, name) in colour.iter_mut().zip(["Red", "Green", "Blue"]) {
+        let part = element.number(name)?.unwrap_or(1.0);
+        *to = (part * 255.0).round().clamp(0.0, 255.0) as u8;
+    }
+    Ok(colour)
 }
 
 fn pose_of(rotation: &Element, centre: &Element, axes: Matrix3<f64>) -> Result<StoredPose, Fault> {
@@ -287,156 +270,11 @@ fn pose_of(rotation: &Element, centre: &Element, axes: Matrix3<f64>) -> Result<S
         .map_err(|problem| Fault::new("", rotation.at(), problem))
 }
 
-/// Elements of a group that are read, beside its photos.
-const PARTS: [&str; 11] = [
-    "AspectRatio",
-    "CameraModelType",
-    "CameraOrientation",
-    "Distortion",
-    "FocalLength",
-    "FocalLengthPixels",
-    "ImageDimensions",
-    "PixelSize",
-    "PrincipalPoint",
-    "SensorSize",
-    "Skew",
-];
-
-/// The parameters that all photos of a group share.
-struct Group {
-    at: Place,
-    parts: HashMap<String, Element>,
-    /// Axes of the camera in COLMAP's, once it is read.
-    camera: Option<Matrix3<f64>>,
-}
-
-impl Group {
-    fn part(&self, name: &'static str) -> Result<&Element, Fault> {
-        let missing = || Problem::Syntax {
-            expected: name,
-            found: "a photogroup without it".into(),
-        };
-        self.parts
-            .get(name)
-            .ok_or_else(|| Fault::new("", self.at, missing()))
-    }
-
-    fn number(&self, name: &str) -> Result<Option<f64>, Fault> {
-        self.parts
-            .get(name)
-            .map(|part| part.numbers::<1>().map(|[value]| value))
-            .transpose()
-    }
-
-    /// Returns the camera that the photos share, and its axes.
-    fn read(&self, id: u32) -> Result<(Camera, Matrix3<f64>), Fault> {
-        let [w, h] = self
-            .part("ImageDimensions")?
-            .required(["Width", "Height"])?;
-        let axes = self.axes()?;
-        let kind = self.text_or("CameraModelType", "Perspective");
-        let (model, params) = match kind {
-            "Spherical" => (CameraModel::Equirectangular, vec![w, h]),
-            "Perspective" => (CameraModel::FullOpenCv, self.perspective([w, h])?),
-            _ => {
-                let problem = Problem::CameraModel(format!("{kind} (BlocksExchange)"));
-                return Err(Fault::new("", self.at, problem));
-            }
-        };
-        let found = Camera::new(id, model, w as u64, h as u64, params);
-        Ok((camera(found, || "its camera".into())?, axes))
-    }
-
-    fn text_or<'a>(&'a self, name: &str, default: &'a str) -> &'a str {
-        self.parts.get(name).map_or(default, Element::text)
-    }
-
-    fn axes(&self) -> Result<Matrix3<f64>, Fault> {
-        let name = "CameraOrientation";
-        axes(self.text_or(name, "XRightYDown")).ok_or_else(|| {
-            let problem = Problem::Syntax {
-                expected: "a CameraOrientation such as XRightYDown",
-                found: self.text_or(name, "").chars().take(40).collect(),
-            };
-            Fault::new("", self.at, problem)
-        })
-    }
-
-    /// Parameters of `FULL_OPENCV`.
-    fn perspective(&self, [w, h]: [f64; 2]) -> Result<Vec<f64>, Fault> {
-        let focal = self.focal_px(w.max(h))?;
-        let [cx, cy] = match self.parts.get("PrincipalPoint") {
-            Some(point) => principal_point(point)?,
-            None => [w / 2.0, h / 2.0],
-        };
-        self.refuse_skew(h, focal)?;
-        let term = |name| {
-            let distortion = self.parts.get("Distortion");
-            let term = distortion.map_or(Ok(None), |distortion| distortion.number(name));
-            term.map(Option::unwrap_or_default)
-        };
-        let [k1, k2, k3] = [term("K1")?, term("K2")?, term("K3")?];
-        let [p1, p2] = [term("P1")?, term("P2")?];
-        let fy = focal * self.number("AspectRatio")?.unwrap_or(1.0);
-        Ok(vec![focal, fy, cx, cy, k1, k2, p2, p1, k3, 0.0, 0.0, 0.0])
-    }
-
-    /// `longer`: side of the image, pixels; it is as long as SensorSize.
-    fn focal_px(&self, longer: f64) -> Result<f64, Fault> {
-        if let Some(focal) = self.number("FocalLengthPixels")? {
-            return Ok(focal);
-        }
-        let [focal_mm] = self.part("FocalLength")?.numbers()?;
-        Ok(match self.number("PixelSize")? {
-            Some(pixel_mm) => focal_mm / pixel_mm,
-            None => focal_mm * longer / self.part("SensorSize")?.numbers::<1>()?[0],
-        })
-    }
-
-    fn refuse_skew(&self, height: f64, focal: f64) -> Result<(), Fault> {
-        let skew = self.number("Skew")?.unwrap_or_default();
-        // Half a pixel is less than other errors of a camera.
-        if (skew * height / 2.0 / focal).abs() <= 0.5 {
-            return Ok(());
-        }
-        let what = format!("a camera with skew ({skew}), which COLMAP's models do not have");
-        let hint = "export undistorted photos with their block";
-        Err(Fault::new("", self.at, Problem::Unsupported { what, hint }))
-    }
-}
-
-fn principal_point(point: &Element) -> Result<[f64; 2], Fault> {
-    if point.child("xmm").is_some() {
-        let what = "the principal point is in millimetres".into();
-        let hint = "export the block with the principal point in pixels";
-        return Err(Fault::new(
-            "",
-            point.at(),
-            Problem::Unsupported { what, hint },
-        ));
-    }
-    Ok(shift(point.required(["x", "y"])?))
-}
-
-/// The camera's axes as columns, in COLMAP's (x right, y down), from a name such as `XRightYUp`.
-fn axes(orientation: &str) -> Option<Matrix3<f64>> {
-    let (x, y) = orientation.strip_prefix('X')?.split_once('Y')?;
-    let axis = |name: &str| match name {
-        "Right" => Some(Vector3::x()),
-        "Left" => Some(-Vector3::x()),
-        "Down" => Some(Vector3::y()),
-        "Up" => Some(-Vector3::y()),
-        _ => None,
-    };
-    let (x, y) = (axis(x)?, axis(y)?);
-    (x.dot(&y) == 0.0).then(|| Matrix3::from_columns(&[x, y, x.cross(&y)]))
-}
-
 #[cfg(test)]
 mod tests {
     use nalgebra::Point3;
 
-    use super::*;
+    use super::{group::axes, *};
 
     fn file(srs: &str, group: &str) -> String {
         let rotation = |m: [i32; 9]| {
