@@ -17,6 +17,9 @@ use nom::{
     sequence::{delimited, preceded, terminated},
 };
 
+/// The fault of a header that is none, with an example.
+const EXPECTED: &str =
+    "expected a header such as {'descr': '<f4', 'fortran_order': False, 'shape': (300, 400), }";
 const SIGNATURE: &[u8] = b"\x93NUMPY";
 /// Bytes of signature and version.
 const PREAMBLE: usize = 8;
@@ -91,11 +94,7 @@ pub fn read(file: &[u8]) -> Result<Array<'_>, Fault> {
     let fault = |byte: usize, what: &str| (byte, what.to_string());
     let header = std::str::from_utf8(&file[at.clone()])
         .map_err(|error| fault(at.start + error.valid_up_to(), "the header isn't text"))?;
-    let header = dictionary(header).map_err(|byte| {
-        let example = "{'descr': '<f4', 'fortran_order': False, 'shape': (300, 400), }";
-        let what = format!("expected a header such as {example}");
-        (at.start + byte, what)
-    })?;
+    let header = dictionary(header).map_err(|byte| fault(at.start + byte, EXPECTED))?;
     if header.fortran_order {
         let what = "Fortran order; convert it with np.ascontiguousarray before saving";
         return Err(fault(at.start, what));
@@ -191,22 +190,25 @@ fn dictionary(text: &str) -> Result<Header<'_>, usize> {
             nom::Err::Error(error) | nom::Err::Failure(error) => text.len() - error.input.len(),
             nom::Err::Incomplete(_) => text.len(),
         })?;
-    let (mut descr, mut fortran_order, mut shape) = (None, None, None);
-    for entry in entries {
-        match entry {
-            Entry::Descr(found) => descr = Some(found),
-            Entry::FortranOrder(found) => fortran_order = Some(found),
-            Entry::Shape(found) => shape = Some(found),
+    Header::of_entries(entries).ok_or(0)
+}
+
+impl<'a> Header<'a> {
+    fn of_entries(entries: Vec<Entry<'a>>) -> Option<Self> {
+        let (mut descr, mut fortran_order, mut shape) = (None, None, None);
+        for entry in entries {
+            match entry {
+                Entry::Descr(found) => descr = Some(found),
+                Entry::FortranOrder(found) => fortran_order = Some(found),
+                Entry::Shape(found) => shape = Some(found),
+            }
         }
-    }
-    let header = || {
-        Some(Header {
+        Some(Self {
             descr: descr?,
             fortran_order: fortran_order?,
             shape: shape?,
         })
-    };
-    header().ok_or(0)
+    }
 }
 
 fn entry(text: &str) -> IResult<&str, Entry<'_>> {
@@ -249,6 +251,18 @@ fn symbol<'a>(
 /// # Panics
 /// If there are not as many values as the shape says.
 pub fn write<T: Value>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
+    let mut bytes = beginning::<T>(shape);
+    let before = bytes.len();
+    for value in values {
+        value.append_to(&mut bytes);
+    }
+    let expected = size_of::<T>() * shape.iter().product::<usize>();
+    assert_eq!(bytes.len() - before, expected, "values of an array");
+    bytes
+}
+
+/// Signature, version and header.
+fn beginning<T: Value>(shape: &[usize]) -> Vec<u8> {
     let lengths: String = shape.iter().map(|n| format!("{n}, ")).collect();
     // Single bytes have no order.
     let order = if size_of::<T>() == 1 { '|' } else { '<' };
@@ -260,14 +274,7 @@ pub fn write<T: Value>(shape: &[usize], values: impl IntoIterator<Item = T>) -> 
     let padded = (start + header.len() + 1).next_multiple_of(ALIGNMENT) - start - 1;
     let header = format!("{header:padded$}\n");
     let length = u16::try_from(header.len()).expect("a header of a few dimensions");
-    let mut bytes = [SIGNATURE, &[1, 0], &length.to_le_bytes(), header.as_bytes()].concat();
-    let before = bytes.len();
-    for value in values {
-        value.append_to(&mut bytes);
-    }
-    let expected = size_of::<T>() * shape.iter().product::<usize>();
-    assert_eq!(bytes.len() - before, expected, "values of an array");
-    bytes
+    [SIGNATURE, &[1, 0], &length.to_le_bytes(), header.as_bytes()].concat()
 }
 
 #[cfg(test)]

@@ -46,6 +46,12 @@ pub struct Stamp {
     changed: u64,
 }
 
+/// Half the size at which an image is matched, whose camera may be of another size.
+fn grey_size([width, height]: [u32; 2], camera: &Camera, image_scale: f64) -> [u32; 2] {
+    let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
+    [width, height].map(|side| ((f64::from(side) * scale.min(1.0)).round() as u32).max(2))
+}
+
 impl PictureFolders {
     pub fn new(project: &Project) -> Self {
         Self {
@@ -122,10 +128,7 @@ impl PictureFolders {
             return Err(Unread::Missing.into());
         }
         let (name, camera) = (scene.name(view), scene.camera_of(view));
-        let wanted = |[width, height]: [u32; 2]| {
-            let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
-            [width, height].map(|side| ((f64::from(side) * scale.min(1.0)).round() as u32).max(2))
-        };
+        let wanted = |full| grey_size(full, camera, image_scale);
         let bytes = input::read(&folder.file(name), FileKind::Picture)?;
         let (image, full) = Image::decode_grey(&bytes, camera.most_picture_pixels(), wanted)?;
         check_shape(full, camera)?;

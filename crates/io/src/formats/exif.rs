@@ -112,31 +112,36 @@ impl<'a> Tiff<'a> {
         (0..count).map(entry).collect()
     }
 
-    fn position(&self) -> Option<Geodetic> {
+    fn gps(&self) -> Option<Vec<Entry>> {
         let main = self.directory(self.u32(4)? as usize)?;
         let gps = main.iter().find(|entry| entry.tag == GPS_DIRECTORY)?;
-        let gps = self.directory(self.u32(gps.place)? as usize)?;
+        self.directory(self.u32(gps.place)? as usize)
+    }
+
+    fn position(&self) -> Option<Geodetic> {
+        let gps = self.gps()?;
         let find = |tag| gps.iter().find(|entry| entry.tag == tag);
-        let has = |tag, letter| {
-            let found = find(tag).and_then(|entry| self.bytes.get(entry.place));
-            found == Some(&letter)
+        // The side of zero on which a value is.
+        let signed = |value: f64, tag, negative: u8| {
+            let side = find(tag).and_then(|entry| self.bytes.get(entry.place));
+            if side == Some(&negative) {
+                -value
+            } else {
+                value
+            }
         };
-        let signed = |value: f64, is_negative: bool| if is_negative { -value } else { value };
-        let latitude = signed(self.degrees(find(LATITUDE)?)?, has(LATITUDE_REF, b'S'));
-        let longitude = signed(self.degrees(find(LONGITUDE)?)?, has(LONGITUDE_REF, b'W'));
+        let latitude = signed(self.degrees(find(LATITUDE)?)?, LATITUDE_REF, b'S');
+        let longitude = signed(self.degrees(find(LONGITUDE)?)?, LONGITUDE_REF, b'W');
         let height = find(ALTITUDE)
             .and_then(|entry| self.rational(self.u32(entry.place)? as usize))
             .unwrap_or(0.0);
-        let height = signed(height, has(ALTITUDE_REF, 1));
-        // Cameras without a fix write zeros.
-        let is_position = latitude.abs() <= 90.0
-            && longitude.abs() <= 180.0
-            && (latitude, longitude) != (0.0, 0.0);
-        (is_position && height.is_finite()).then_some(Geodetic {
+        let height = signed(height, ALTITUDE_REF, 1);
+        let position = Geodetic {
             longitude,
             latitude,
             height,
-        })
+        };
+        is_possible(&position).then_some(position)
     }
 
     /// Degrees, minutes and seconds.
@@ -153,6 +158,15 @@ impl<'a> Tiff<'a> {
         let value = f64::from(self.u32(at)?) / f64::from(self.u32(at.checked_add(4)?)?);
         value.is_finite().then_some(value)
     }
+}
+
+/// Cameras without a fix write zeros.
+fn is_possible(position: &Geodetic) -> bool {
+    let (latitude, longitude) = (position.latitude, position.longitude);
+    latitude.abs() <= 90.0
+        && longitude.abs() <= 180.0
+        && (latitude, longitude) != (0.0, 0.0)
+        && position.height.is_finite()
 }
 
 #[cfg(test)]

@@ -351,6 +351,14 @@ pub(super) fn fault_in(problem: Problem, record: impl FnOnce() -> String) -> Fau
     Fault::new("", Place::File, problem).in_record(record)
 }
 
+/// The problem of a line that isn't what was expected.
+pub(super) fn unexpected(line: &[u8], expected: &'static str) -> Problem {
+    Problem::Syntax {
+        expected,
+        found: String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned(),
+    }
+}
+
 /// Parses JSON; a fault has its line.
 pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, Fault> {
     serde_json::from_slice(bytes).map_err(|error| {

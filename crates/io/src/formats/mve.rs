@@ -157,6 +157,7 @@ struct Registered {
 
 /// A camera as in the file.
 struct Stored {
+    at: Place,
     focal: f64,
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
@@ -164,10 +165,12 @@ struct Stored {
 
 impl Stored {
     fn read(words: &mut Words) -> Result<Self, Fault> {
+        let at = words.place();
         let [focal, _, _] = words.numbers("the focal length, k1 and k2")?;
         let rotation = words.numbers::<9>("a rotation matrix")?;
         let translation = words.numbers::<3>("a translation")?;
         Ok(Self {
+            at,
             focal,
             rotation: Matrix3::from_row_slice(&rotation),
             translation: Vector3::from(translation),
@@ -178,29 +181,38 @@ impl Stored {
 impl Bundle<'_> {
     /// Reads the next camera, which is that of `view`.
     fn camera(&mut self, n: usize, view: Option<&View>, size_of: SizeLookup) -> Result<(), Fault> {
-        let what = || format!("camera {n}");
-        let at = self.words.place();
-        let read = Stored::read(&mut self.words).map_err(|fault| fault.in_record(what))?;
+        let read = Stored::read(&mut self.words);
+        let read = read.map_err(|fault| fault.in_record(|| format!("camera {n}")))?;
         let is_registered = read.focal != 0.0;
-        let foreign = &mut self.foreign;
-        let Some(view) = view.filter(|_| is_registered) else {
-            self.without_folder += usize::from(is_registered);
-            foreign
-                .unregistered
-                .extend(view.map(|view| view.image.clone()));
-            self.registered.push(None);
-            return Ok(());
-        };
-        let fault = |problem| Fault::new("", at, problem).in_record(what);
+        if let (Some(view), true) = (view, is_registered) {
+            return self.register(n, &read, view, size_of);
+        }
+        self.without_folder += usize::from(is_registered);
+        let name = view.map(|view| view.image.clone());
+        self.foreign.unregistered.extend(name);
+        self.registered.push(None);
+        Ok(())
+    }
+
+    fn register(
+        &mut self,
+        n: usize,
+        read: &Stored,
+        view: &View,
+        size_of: SizeLookup,
+    ) -> Result<(), Fault> {
+        let fault = |problem| Fault::new("", read.at, problem).in_record(|| format!("camera {n}"));
         let stored = pose(read.rotation, read.translation).map_err(fault)?;
         let pose = stored.pose().map_err(fault)?;
         let camera = view.camera(read.focal, size_of)?;
+        let foreign = &mut self.foreign;
         self.registered.push(Some(Registered {
             image: foreign.model.images.len(),
             camera: camera.clone(),
             pose,
         }));
-        foreign.add_image(n as u32 + 1, view.image.clone(), camera.id, stored, at);
+        let id = n as u32 + 1;
+        foreign.add_image(id, view.image.clone(), camera.id, stored, read.at);
         foreign.model.cameras.push(camera);
         Ok(())
     }

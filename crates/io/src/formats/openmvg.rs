@@ -3,7 +3,7 @@
 //! Poses are a world-to-camera rotation (row-major) and a centre; axes as in COLMAP; the centre of
 //! the first pixel is (0, 0). Radial, Brown and fisheye distortion have COLMAP's formulas.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
@@ -141,19 +141,19 @@ fn cameras(intrinsics: &[Entry<Pointer<Intrinsic>>]) -> Result<Vec<Camera>, Faul
     intrinsics.iter().map(of_entry).collect()
 }
 
+fn by_key<T>(entries: &[Entry<T>]) -> HashMap<u32, &T> {
+    let entries = entries.iter();
+    entries.map(|entry| (entry.key, &entry.value)).collect()
+}
+
 /// Adds the views with a pose and a camera; returns the position in the model of each, by key.
 fn add_images(foreign: &mut ForeignModel, data: &SfmData) -> Result<HashMap<u32, usize>, Fault> {
-    let poses: HashMap<u32, &Extrinsic> = data
-        .extrinsics
-        .iter()
-        .map(|pose| (pose.key, &pose.value))
-        .collect();
-    let cameras: HashSet<u32> = data.intrinsics.iter().map(|camera| camera.key).collect();
+    let (poses, cameras) = (by_key(&data.extrinsics), by_key(&data.intrinsics));
     let mut images = HashMap::new();
     for Entry { key, value } in &data.views {
         let view = &value.ptr_wrapper.data;
         let pose = poses.get(&view.id_pose);
-        let Some(pose) = pose.filter(|_| cameras.contains(&view.id_intrinsic)) else {
+        let Some(pose) = pose.filter(|_| cameras.contains_key(&view.id_intrinsic)) else {
             foreign.unregistered.push(view.name());
             continue;
         };

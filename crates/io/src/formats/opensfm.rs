@@ -21,7 +21,7 @@ use viewrank_core::model::{
 use super::{
     Fault, MOST_IMAGES, Place, Problem,
     colmap::StoredPose,
-    foreign::{ForeignModel, brown, camera, fault_in, json},
+    foreign::{ForeignModel, brown, camera, fault_in, json, unexpected},
     words::parse,
 };
 use crate::bounded;
@@ -174,13 +174,14 @@ type Observations = Vec<Vec<(usize, [f64; 2])>>;
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
     let Reconstructions(reconstructions) = json(reconstruction)?;
     let all = reconstructions.len();
-    let in_reverse = reconstructions.into_iter().rev();
-    let mut foreign = ForeignModel::default();
-    let Some(largest) = in_reverse.max_by_key(|r| r.shots.len()) else {
-        return Ok(foreign);
+    let Some(largest) = largest(reconstructions) else {
+        return Ok(ForeignModel::default());
     };
     let origin = largest.reference_lla.as_ref();
-    foreign.georeference = origin.map(Reference::georeference);
+    let mut foreign = ForeignModel {
+        georeference: origin.map(Reference::georeference),
+        ..ForeignModel::default()
+    };
     if all > 1 {
         let shots = largest.shots.len();
         let text =
@@ -188,15 +189,22 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
         foreign.warn(WarningKind::OtherModels, text);
     }
     let shots = largest.add_shots(&mut foreign)?;
-    let observations = tracks.map_or(Ok(Vec::new()), |tracks| {
-        observations(tracks, &shots, &largest.points)
-    })?;
+    let observations = match tracks {
+        Some(tracks) => observations(tracks, &shots, &largest.points)?,
+        None => Vec::new(),
+    };
     add_points(&mut foreign, &largest.points, &observations);
     if tracks.is_none() && !largest.points.is_empty() {
         let text = "points have no observations: tracks.csv is missing next to the reconstruction";
         foreign.warn(WarningKind::Damaged, text);
     }
     Ok(foreign)
+}
+
+/// The first reconstruction with the most shots.
+fn largest(reconstructions: Vec<Reconstruction>) -> Option<Reconstruction> {
+    let last_first = reconstructions.into_iter().rev();
+    last_first.max_by_key(|reconstruction| reconstruction.shots.len())
 }
 
 impl Reconstruction {
@@ -252,7 +260,14 @@ struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    fn read(line: &'a [u8]) -> Option<Self> {
+    fn read(line: &'a [u8], at: Place) -> Result<Self, Fault> {
+        Self::parse(line).ok_or_else(|| {
+            let problem = unexpected(line, "shot, track, feature, x, y separated by tabs");
+            Fault::new("tracks", at, problem)
+        })
+    }
+
+    fn parse(line: &'a [u8]) -> Option<Self> {
         let mut fields = line.split(|&b| b == b'\t');
         let (shot, track, _feature) = (fields.next()?, fields.next()?, fields.next()?);
         let [x, y] = [fields.next()?, fields.next()?].map(parse);
@@ -277,13 +292,8 @@ fn observations(
         if line.is_empty() || line.starts_with(b"OPENSFM_TRACKS_VERSION") {
             continue;
         }
-        let row = Row::read(line).ok_or_else(|| {
-            let problem = Problem::Syntax {
-                expected: "shot, track, feature, x, y separated by tabs",
-                found: String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned(),
-            };
-            Fault::new("tracks", Place::Line(n as u64 + 1), problem)
-        })?;
+        let at = Place::Line(n as u64 + 1);
+        let row = Row::read(line, at)?;
         if let (Some(shot), Some(&point)) = (shots.get(row.shot), point_of.get(row.track)) {
             of_points[point].push((shot.image, shot.camera.pixel(row.normalised)));
         }

@@ -15,8 +15,8 @@ use viewrank_core::model::{
 
 use super::{
     Fault, Place, Problem,
-    colmap::{ColmapImage, StoredPose},
-    foreign::{ForeignModel, brown, camera, pose_with_centre, shift},
+    colmap::StoredPose,
+    foreign::{ForeignModel, brown, camera, pose_with_centre, shift, unexpected},
     words::parse,
 };
 
@@ -134,11 +134,8 @@ fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
                 entry.text = &bytes[start..end];
             }
         } else if !line.is_empty() {
-            let problem = Problem::Syntax {
-                expected: "a key that begins with $",
-                found: String::from_utf8_lossy(&line[..line.len().min(40)]).into_owned(),
-            };
-            return Err(Fault::new("", at, problem));
+            let expected = "a key that begins with $";
+            return Err(Fault::new("", at, unexpected(line, expected)));
         }
     }
     Ok(entries)
@@ -251,16 +248,13 @@ fn positions<'a>(
     let names: Vec<String> = names.map(stem).collect();
     let by_stem: HashMap<&str, usize> = own.iter().map(String::as_str).zip(0..).collect();
     let (own_by_file, names_by_file) = (by_file(&own), by_file(&names));
-    let of_same_file = |stem: &str| {
-        let own = own_by_file.get(file_of(stem))?;
-        match (&own[..], &names_by_file[file_of(stem)][..]) {
-            (&[n], [_]) => Some(n),
-            _ => None,
-        }
+    let only_of_file = |stem: &str| match own_by_file.get(file_of(stem))?[..] {
+        [n] if names_by_file[file_of(stem)].len() == 1 => Some(n),
+        _ => None,
     };
     names
         .iter()
-        .map(|stem| by_stem.get(&**stem).copied().or_else(|| of_same_file(stem)))
+        .map(|stem| by_stem.get(&**stem).copied().or_else(|| only_of_file(stem)))
         .collect()
 }
 
@@ -293,13 +287,8 @@ fn report_unmatched(
     own: &[Option<usize>],
 ) -> Result<(), Problem> {
     let matched: HashSet<usize> = own.iter().flatten().copied().collect();
-    let name = |image: &ColmapImage| image.name.to_string();
-    let images = foreign.model.images.iter().enumerate();
-    let oriented = images.filter(|(n, _)| !matched.contains(n));
-    let oriented: Vec<String> = oriented.map(|(_, image)| name(image)).collect();
-    let images = cloud.model.images.iter().zip(own);
-    let others = images.filter(|(_, own)| own.is_none());
-    let others: Vec<String> = others.map(|(image, _)| name(image)).collect();
+    let oriented = names_of(foreign, |n| !matched.contains(&n));
+    let others = names_of(cloud, |n| own[n].is_none());
     if let (true, [first, ..], [other, ..]) = (matched.is_empty(), &oriented[..], &others[..]) {
         return Err(Problem::Contradiction(format!(
             "no image of the sparse cloud (e.g. {other}) is among the oriented images (e.g. {first})"
@@ -310,6 +299,13 @@ fn report_unmatched(
     let of_others = "images of the sparse cloud are not oriented";
     warn_of_unmatched(foreign, &others, of_others);
     Ok(())
+}
+
+/// Names of the images of some positions.
+fn names_of(foreign: &ForeignModel, is_wanted: impl Fn(usize) -> bool) -> Vec<String> {
+    let images = foreign.model.images.iter().enumerate();
+    let wanted = images.filter(|(n, _)| is_wanted(*n));
+    wanted.map(|(_, image)| image.name.to_string()).collect()
 }
 
 fn warn_of_unmatched(foreign: &mut ForeignModel, names: &[String], what: &str) {

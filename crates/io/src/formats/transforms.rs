@@ -70,14 +70,12 @@ pub fn read(
     let mut cameras = Cameras::default();
     let mut foreign = ForeignModel::default();
     for (n, frame) in (1..).zip(&data.frames) {
-        let (frame, lens) =
-            Frame::read(frame).map_err(|fault| fault.in_record(|| format!("frame {n}")))?;
+        let (frame, lens) = Frame::read(n, frame)?;
         let what = || format!("frame {n}, {:?}", frame.file_path);
-        let name = spelled(&frame.file_path.replace('\\', "/"))
-            .trim_start_matches("./")
-            .to_string();
+        let name = frame.image(spelled);
         let lens = lens.or(&of_all).with_size(|| size_of(&name));
-        let camera_id = cameras.add(&lens).map_err(|fault| fault.in_record(what))?;
+        let camera_id = cameras.add(&lens);
+        let camera_id = camera_id.map_err(|fault| fault.in_record(what))?;
         let pose = frame.pose().map_err(|problem| fault_in(problem, what))?;
         foreign.add_image(n, name, camera_id, pose, Place::File);
     }
@@ -108,14 +106,23 @@ impl Cameras {
 
 impl Frame {
     /// Reads the frame and its own lens. A fault has no line: it would be counted from the frame.
-    fn read(frame: &RawValue) -> Result<(Self, Lens), Fault> {
+    fn read(n: u32, frame: &RawValue) -> Result<(Self, Lens), Fault> {
         let text = frame.get().as_bytes();
-        let without_line = |fault| Fault {
-            place: Place::File,
-            ..fault
+        let without_line = |fault| {
+            let fault = Fault {
+                place: Place::File,
+                ..fault
+            };
+            fault.in_record(|| format!("frame {n}"))
         };
         let frame = json(text).map_err(without_line)?;
         Ok((frame, json(text).map_err(without_line)?))
+    }
+
+    /// Name of the image, relative to the file.
+    fn image(&self, spelled: &dyn Fn(&str) -> String) -> String {
+        let name = spelled(&self.file_path.replace('\\', "/"));
+        name.trim_start_matches("./").to_owned()
     }
 
     fn pose(&self) -> Result<StoredPose, Problem> {
@@ -205,18 +212,22 @@ impl Lens {
             .focal_lengths([w, h])
             .ok_or_else(|| Problem::Json("neither fl_x nor camera_angle_x".into()))?;
         let (cx, cy) = (self.cx.unwrap_or(w / 2.0), self.cy.unwrap_or(h / 2.0));
-        let [k1, k2, k3, k4, p1, p2] =
-            [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(Option::unwrap_or_default);
+        self.distorted(kind, [fx, fy, cx, cy])
+            .ok_or_else(|| Problem::CameraModel(format!("{kind} (transforms.json)")))
+    }
+
+    /// `pinhole`: fx, fy, cx, cy.
+    fn distorted(&self, kind: &str, pinhole: [f64; 4]) -> Option<(CameraModel, Vec<f64>)> {
+        let k = [self.k1, self.k2, self.k3, self.k4].map(Option::unwrap_or_default);
+        let p = [self.p1, self.p2].map(Option::unwrap_or_default);
         let is_fisheye = kind == "OPENCV_FISHEYE" || self.is_fisheye == Some(true);
+        let [k1, k2, k3, k4] = k;
         match kind {
-            _ if is_fisheye => Ok((
-                CameraModel::OpenCvFisheye,
-                vec![fx, fy, cx, cy, k1, k2, k3, k4],
-            )),
+            _ if is_fisheye => Some((CameraModel::OpenCvFisheye, [pinhole, k].concat())),
             "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" if k4 == 0.0 => {
-                Ok(brown([fx, fy, cx, cy], [k1, k2, k3], [p1, p2]))
+                Some(brown(pinhole, [k1, k2, k3], p))
             }
-            _ => Err(Problem::CameraModel(format!("{kind} (transforms.json)"))),
+            _ => None,
         }
     }
 

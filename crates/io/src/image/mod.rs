@@ -225,10 +225,18 @@ fn jpeg(
     let [width, height] = wanted(full).map(|side| side as u16);
     let (width, height) = decoder.scale(width, height)?;
     let data = decoder.decode()?;
-    let format = decoder
-        .info()
-        .map_or(PixelFormat::RGB24, |info| info.pixel_format);
-    let rgb = match format {
+    let format = decoder.info().map(|info| info.pixel_format);
+    Ok(Image {
+        width: width.into(),
+        height: height.into(),
+        rgb: rgb(format.unwrap_or(PixelFormat::RGB24), data),
+        full,
+    })
+}
+
+/// The pixels of a decoded JPEG as RGB.
+fn rgb(format: PixelFormat, data: Vec<u8>) -> Vec<u8> {
+    match format {
         PixelFormat::RGB24 => data,
         PixelFormat::L8 => data.iter().flat_map(|&v| [v; 3]).collect(),
         PixelFormat::L16 => data
@@ -240,13 +248,7 @@ fn jpeg(
             .chunks_exact(4)
             .flat_map(|v| [0, 1, 2].map(|c| product(255 - v[c], 255 - v[3])))
             .collect(),
-    };
-    Ok(Image {
-        width: width.into(),
-        height: height.into(),
-        rgb,
-        full,
-    })
+    }
 }
 
 /// Checks the number of scans.

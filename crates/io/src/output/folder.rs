@@ -200,13 +200,17 @@ impl Folder {
     /// The error of an access to a name: where a link on the way leads out, or a file is in the
     /// place of a folder, the first one.
     pub(super) fn failed(&self, name: &Path, error: io::Error) -> OutputError {
-        let parts: Vec<&Path> = name
-            .ancestors()
-            .filter(|part| !part.as_os_str().is_empty())
-            .collect();
         let first = |is: &dyn Fn(io::Result<Metadata>) -> bool| {
-            let found = parts.iter().rev().find(|part| is(self.dir.metadata(part)));
-            self.path(found.unwrap_or(&name))
+            let parts: Vec<&Path> = name.ancestors().collect();
+            let mut parts = parts
+                .into_iter()
+                .rev()
+                .filter(|part| part != &Path::new(""));
+            self.path(
+                parts
+                    .find(|part| is(self.dir.metadata(part)))
+                    .unwrap_or(name),
+            )
         };
         match error.kind() {
             _ if leads_out(&error) => OutputError::Escapes {

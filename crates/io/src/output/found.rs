@@ -64,38 +64,55 @@ fn check(root: &Root, bytes: &[u8]) -> Result<Journal, String> {
 /// Checks that each file is in its state before or after the change; several steps may change the
 /// same file.
 fn check_steps(root: &Root, journal: &Journal) -> Result<(), String> {
-    let mut known: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-    for step in &journal.change.steps {
-        known
-            .entry(&step.path)
-            .or_default()
-            .extend(step.new.iter().chain(&step.old).map(String::as_str));
-    }
-    let hash = |path: &str| record::hash(&root.folder, path).map_err(|error| error.to_string());
+    let known = known_hashes(&journal.change.steps);
     for (i, step) in journal.change.steps.iter().enumerate() {
-        let Step { path, new, old } = step;
-        let found = root.folder.find(path).map_err(|error| error.to_string())?;
-        let (there, staged_new) = (hash(path)?, staged(i, "new"));
-        let is_known = there
-            .as_ref()
-            .is_none_or(|there| known[path.as_str()].contains(there.as_str()));
-        if !is_known || found.is_some_and(|found| found.is_dir()) {
-            return Err(format!("{path} has changed since, so it is not touched"));
-        }
-        for (name, expected) in [(&staged_new, new), (&staged(i, "old"), old)] {
-            if root.folder.has(name) && hash(name)? != *expected {
-                return Err(format!("the staged file of {path} has changed since"));
-            }
-        }
+        let is_there = check_file(root, &step.path, &known[step.path.as_str()])?;
+        check_staged(root, i, step)?;
         if journal.direction == Direction::Finish
-            && new.is_some()
-            && there.is_none()
-            && !root.folder.has(&staged_new)
+            && step.new.is_some()
+            && !is_there
+            && !root.folder.has(&staged(i, "new"))
         {
-            return Err(format!("the staged file of {path} is missing"));
+            return Err(format!("the staged file of {} is missing", step.path));
         }
     }
     Ok(())
+}
+
+/// Hashes that each file has before or after a step.
+fn known_hashes(steps: &[Step]) -> BTreeMap<&str, BTreeSet<&str>> {
+    let mut known: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for step in steps {
+        let hashes = step.new.iter().chain(&step.old).map(String::as_str);
+        known.entry(&step.path).or_default().extend(hashes);
+    }
+    known
+}
+
+/// Checks that a file has one of the known hashes or is absent; returns whether it is there.
+fn check_file(root: &Root, path: &str, known: &BTreeSet<&str>) -> Result<bool, String> {
+    let found = root.folder.find(path).map_err(|error| error.to_string())?;
+    let there = hash(root, path)?;
+    let is_known = there.as_ref().is_none_or(|there| known.contains(&**there));
+    if !is_known || found.is_some_and(|found| found.is_dir()) {
+        return Err(format!("{path} has changed since, so it is not touched"));
+    }
+    Ok(there.is_some())
+}
+
+/// Checks the staged files of the i-th step, as far as they are there.
+fn check_staged(root: &Root, i: usize, step: &Step) -> Result<(), String> {
+    for (name, expected) in [(staged(i, "new"), &step.new), (staged(i, "old"), &step.old)] {
+        if root.folder.has(&name) && hash(root, &name)? != *expected {
+            let path = &step.path;
+            return Err(format!("the staged file of {path} has changed since"));
+        }
+    }
+    Ok(())
+}
+
+fn hash(root: &Root, path: &str) -> Result<Option<String>, String> {
+    record::hash(&root.folder, path).map_err(|error| error.to_string())
 }
 
 /// Renames the staged files, then the journal. Nothing is removed: a staged file may be the only

@@ -121,39 +121,53 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, Outp
     sets.iter()
         .flat_map(|set| set.files.keys())
         .try_for_each(|path| check_name(path))?;
+    let mut written = vec![WriteReport::default(); sets.len()];
+    for root in roots(sets).into_iter().rev() {
+        write_root(root, sets, disk, &mut written)?;
+    }
+    Ok(written)
+}
+
+/// The roots of sets, by first occurrence.
+fn roots(sets: &[FileSet]) -> Vec<&Path> {
     let mut roots: Vec<&Path> = Vec::new();
     for set in sets {
         if !roots.contains(&set.root.as_path()) {
             roots.push(&set.root);
         }
     }
-    let mut written = vec![WriteReport::default(); sets.len()];
-    for root in roots.into_iter().rev() {
-        let write = |places: &[usize]| {
-            let own: Vec<&FileSet> = places.iter().map(|&place| &sets[place]).collect();
-            transaction::write(root, &own, disk)
-        };
-        let all: Vec<usize> = (0..sets.len())
-            .filter(|&place| sets[place].root == root)
-            .collect();
-        let (spare, needed): (Vec<usize>, Vec<usize>) =
-            all.iter().partition(|&&place| sets[place].is_spare);
-        let (places, done) = match write(&all) {
-            Err(error) if spare.iter().any(|&place| error.spares(&sets[place])) => {
-                spare
-                    .iter()
-                    .for_each(|&place| written[place].failed = Some(error.to_string()));
-                let done = write(&needed)?;
-                (needed, done)
+    roots
+}
+
+/// Writes the sets of a root together, or, if the change may succeed then, without spare ones.
+fn write_root(
+    root: &Path,
+    sets: &[FileSet],
+    disk: &Disk,
+    written: &mut [WriteReport],
+) -> Result<(), OutputError> {
+    let write = |places: &[usize]| {
+        let own: Vec<&FileSet> = places.iter().map(|&place| &sets[place]).collect();
+        transaction::write(root, &own, disk)
+    };
+    let all = (0..sets.len()).filter(|&place| sets[place].root == root);
+    let all: Vec<usize> = all.collect();
+    let (spare, needed): (Vec<usize>, Vec<usize>) =
+        all.iter().partition(|&&place| sets[place].is_spare);
+    let (places, done) = match write(&all) {
+        Err(error) if spare.iter().any(|&place| error.spares(&sets[place])) => {
+            for place in spare {
+                written[place].failed = Some(error.to_string());
             }
-            done => (all, done?),
-        };
-        places
-            .into_iter()
-            .zip(done)
-            .for_each(|(place, done)| written[place] = done);
+            let done = write(&needed)?;
+            (needed, done)
+        }
+        done => (all, done?),
+    };
+    for (place, done) in places.into_iter().zip(done) {
+        written[place] = done;
     }
-    Ok(written)
+    Ok(())
 }
 
 /// Lists the files, below `root`, of all sets whose names begin with `prefix`: paths relative to

@@ -37,6 +37,24 @@ pub(super) struct Record {
     pub identity: String,
 }
 
+impl Record {
+    /// Reads the record of a set; `None` for a damaged one and for one that doesn't fit in the
+    /// bytes `left`, from which its length is taken.
+    fn read(root: &Folder, set: &str, left: &mut u64) -> Option<Self> {
+        let file = root.file(&format!("{FOLDER}/{set}.json")).ok()?;
+        let length = file.metadata().ok()?.len();
+        if length > *left {
+            return None;
+        }
+        let bytes = input::read_all(file, FileKind::Record).ok()?;
+        let record: Self = serde_json::from_slice(&bytes).ok()?;
+        *left -= length;
+        let mut paths = record.files.keys().chain(&record.folders);
+        let is_sound = paths.all(|path| check_name(path).is_ok());
+        is_sound.then_some(record)
+    }
+}
+
 /// The records of all sets below a root.
 pub(super) struct Records<'a> {
     /// By name of the set.
@@ -62,20 +80,8 @@ impl<'a> Records<'a> {
         let mut left = MOST_BYTES;
         let records = names.into_iter().filter_map(|name| {
             let name = name.to_str()?.strip_suffix(".json")?.to_owned();
-            let file = root.file(&format!("{FOLDER}/{name}.json")).ok()?;
-            let length = file.metadata().ok()?.len();
-            if length > left {
-                return None;
-            }
-            let bytes = input::read_all(file, FileKind::Record).ok()?;
-            let record: Record = serde_json::from_slice(&bytes).ok()?;
-            left -= length;
-            let sound = record
-                .files
-                .keys()
-                .chain(&record.folders)
-                .all(|path| check_name(path).is_ok());
-            sound.then_some((name, record))
+            let record = Record::read(root, &name, &mut left)?;
+            Some((name, record))
         });
         let identity = root
             .folder("viewrank")

@@ -42,12 +42,7 @@ pub(super) fn stage(
         .iter()
         .map(|set| staging.set(set))
         .collect::<Result<_, _>>()?;
-    let mut change = staging.change;
-    let needed: BTreeSet<String> = sets.iter().flat_map(|set| needed_folders(set)).collect();
-    change.old_folders.retain(|folder| !needed.contains(folder));
-    change.old_folders.sort_unstable_by(|a, b| b.cmp(a));
-    change.old_folders.dedup();
-    Ok((change, written))
+    Ok((staging.into_change(sets), written))
 }
 
 struct Staging<'a> {
@@ -63,6 +58,16 @@ struct Staging<'a> {
 }
 
 impl Staging<'_> {
+    /// The change, which removes the folders that no set needs, the deepest first.
+    fn into_change(self, sets: &[&FileSet]) -> Change {
+        let mut change = self.change;
+        let needed: BTreeSet<String> = sets.iter().flat_map(|set| needed_folders(set)).collect();
+        change.old_folders.retain(|folder| !needed.contains(folder));
+        change.old_folders.sort_unstable_by(|a, b| b.cmp(a));
+        change.old_folders.dedup();
+        change
+    }
+
     fn set(&mut self, set: &FileSet) -> Result<WriteReport, OutputError> {
         let earlier = self.records.trusted(&set.name);
         for (path, contents) in &set.files {
@@ -84,15 +89,7 @@ impl Staging<'_> {
         let Some(found) = found else {
             return self.replace(path, contents, false);
         };
-        if found.is_dir() {
-            return Err(OutputError::InTheWay {
-                path: self.folder.path(path),
-                folder: true,
-            });
-        }
-        if !found.is_file() && !found.is_symlink() {
-            return Err(self.folder.foreign(path, &found));
-        }
+        self.check_replaceable(path, &found)?;
         let claim = self.records.claim(path)?;
         if self.is_same(path, &found, contents)? {
             self.record
@@ -104,6 +101,20 @@ impl Staging<'_> {
             self.keep_original(path)?;
         }
         self.replace(path, contents, true)
+    }
+
+    /// Checks that only a file or a link is replaced.
+    fn check_replaceable(&self, path: &str, found: &Metadata) -> Result<(), OutputError> {
+        if found.is_dir() {
+            return Err(OutputError::InTheWay {
+                path: self.folder.path(path),
+                folder: true,
+            });
+        }
+        if !found.is_file() && !found.is_symlink() {
+            return Err(self.folder.foreign(path, found));
+        }
+        Ok(())
     }
 
     /// Stages the new file, and a link to the current one.
@@ -152,21 +163,25 @@ impl Staging<'_> {
                 folder: within,
             } => disk
                 .symbolic_link(&self.link_target(file, path), folder, at)
-                .or_else(|_| {
-                    let real = inside(file, within)?;
-                    let made = if cfg!(windows) {
-                        self.hard_link(&real, at).is_ok()
-                    } else {
-                        false
-                    };
-                    if made {
-                        Ok(())
-                    } else {
-                        self.copy(open_source(&real)?, at)
-                    }
-                }),
+                .or_else(|_| self.without_symbolic_link(file, within, at)),
             Contents::Folder => Ok(()),
         }
+    }
+
+    /// Makes the staged file `at` of a file in the folder `within`, where there are no symbolic
+    /// links.
+    fn without_symbolic_link(
+        &self,
+        file: &Path,
+        within: &Path,
+        at: &str,
+    ) -> Result<(), OutputError> {
+        let real = inside(file, within)?;
+        let is_made = cfg!(windows) && self.hard_link(&real, at).is_ok();
+        if is_made {
+            return Ok(());
+        }
+        self.copy(open_source(&real)?, at)
     }
 
     fn copy(&self, from: File, to: &str) -> Result<(), OutputError> {
@@ -304,14 +319,7 @@ impl Staging<'_> {
             return Ok(());
         }
         let path = format!("{}/{set}.json", record::FOLDER);
-        // An earlier record is replaced without being kept: what is in a folder elsewhere is none.
-        if let Some(link) = self
-            .folder
-            .find(record::FOLDER)?
-            .filter(Metadata::is_symlink)
-        {
-            return Err(self.folder.foreign(record::FOLDER, &link));
-        }
+        self.check_folder_of_records()?;
         self.missing_folders(&path)?;
         let mut text = serde_json::to_vec_pretty(&self.record).expect("strings are JSON");
         text.push(b'\n');
@@ -332,6 +340,15 @@ impl Staging<'_> {
         Ok(())
     }
 
+    /// An earlier record is replaced without being kept: what is in a folder elsewhere is none.
+    fn check_folder_of_records(&self) -> Result<(), OutputError> {
+        let found = self.folder.find(record::FOLDER)?;
+        match found.filter(Metadata::is_symlink) {
+            Some(link) => Err(self.folder.foreign(record::FOLDER, &link)),
+            None => Ok(()),
+        }
+    }
+
     /// Returns whether the existing file has the wanted contents.
     fn is_same(
         &self,
@@ -345,6 +362,10 @@ impl Staging<'_> {
         if !found.is_file() {
             return Ok(false);
         }
+        self.has_contents(path, contents)
+    }
+
+    fn has_contents(&self, path: &str, contents: &Contents) -> Result<bool, OutputError> {
         let there = self.folder.file(path)?;
         match contents {
             Contents::Link { file: from, .. } | Contents::Copy(from) => {

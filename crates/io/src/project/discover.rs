@@ -95,6 +95,11 @@ impl Found {
         }
     }
 
+    fn extend(&mut self, there: Self) {
+        self.models.extend(there.models);
+        self.incomplete = self.incomplete.take().or(there.incomplete);
+    }
+
     /// These models, or those of the next places if there are none.
     fn or(self, next: impl FnOnce() -> Result<Self, ProjectError>) -> Result<Self, ProjectError> {
         if !self.models.is_empty() {
@@ -161,16 +166,15 @@ fn models_below(root: &Path) -> Result<Found, ProjectError> {
         if left == 0 {
             break;
         }
-        let inner = sub_folders(&child).into_iter().take(left - 1);
-        let folders: Vec<PathBuf> = [child.clone()].into_iter().chain(inner).collect();
+        let mut folders = with_sub_folders(&child);
+        folders.truncate(left);
         left -= folders.len();
         let of_colmap: Vec<PathBuf> = folders.iter().flat_map(|f| with_sparse(f)).collect();
         let there = models_in(root, &of_colmap, &folders);
         if !there.models.is_empty() {
             below.push(child);
         }
-        found.models.extend(there.models);
-        found.incomplete = found.incomplete.or(there.incomplete);
+        found.extend(there);
     }
     match below.len() {
         0 | 1 => Ok(found),
@@ -258,17 +262,22 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
             incomplete.get_or_insert((missing, format));
         }
     }
-    let Some((missing, format)) = incomplete else {
-        return Ok(None);
-    };
-    let names = missing.iter().filter_map(|stem| {
-        let path = colmap_file(folder, stem, format);
+    match incomplete {
+        None => Ok(None),
+        Some((missing, format)) => Err(ProjectError::IncompleteModel {
+            folder: folder.into(),
+            missing: file_names(&missing, format),
+        }),
+    }
+}
+
+/// The names of files of COLMAP models, for an error.
+fn file_names(stems: &[&str], format: ModelFormat) -> String {
+    let names = stems.iter().filter_map(|stem| {
+        let path = colmap_file(Path::new(""), stem, format);
         Some(path.file_name()?.to_string_lossy().into_owned())
     });
-    Err(ProjectError::IncompleteModel {
-        folder: folder.into(),
-        missing: names.collect::<Vec<_>>().join(", "),
-    })
+    names.collect::<Vec<_>>().join(", ")
 }
 
 /// Number of registered images, without reading the model; 0 if that fails (reading the model

@@ -2,7 +2,6 @@
 //! names are spelled otherwise there.
 
 use std::{
-    collections::{BTreeMap, HashMap, hash_map::Entry},
     ops::Deref,
     path::{Path, PathBuf},
     sync::{Arc, OnceLock},
@@ -12,8 +11,9 @@ use viewrank_core::model::scene::Scene;
 use walkdir::{DirEntry, WalkDir};
 
 use super::{
-    image_files::{MOST_ENTRIES, images_below, is_image, slashes},
-    names::{Names, folded, last, stem},
+    image_files::{MOST_ENTRIES, images_below, is_image},
+    names::{Names, last},
+    other_names::{Others, others},
 };
 use crate::{
     input::{self, FileKind},
@@ -50,15 +50,6 @@ pub struct ImageFolder {
     pub is_searched: bool,
     /// The images that are not there under their names. Known once the model is read.
     others: Arc<OnceLock<Others>>,
-}
-
-/// Images of a model that are not in the folder under their names.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-struct Others {
-    /// Paths relative to the folder, by name in the model.
-    found: BTreeMap<String, String>,
-    /// Two files that fit a name alike, by name in the model.
-    ambiguous: BTreeMap<String, [String; 2]>,
 }
 
 impl ImageFolder {
@@ -171,87 +162,7 @@ impl AsRef<Path> for ImageFolder {
     }
 }
 
-/// Looks in a folder for images that are `missing` under their names. `taken`: names of the other
-/// images.
-fn others(folder: &Path, missing: &[&str], taken: &[&str]) -> Others {
-    let names = Names::new();
-    let mut found: BTreeMap<&str, String> = BTreeMap::new();
-    let mut ambiguous = BTreeMap::new();
-    for name in missing {
-        found.extend(names.locate(folder, name).map(|file| (*name, file)));
-    }
-    let moved: Vec<&str> = missing
-        .iter()
-        .copied()
-        .filter(|name| !found.contains_key(name))
-        .collect();
-    if !moved.is_empty() {
-        for (name, files) in in_other_folders(folder, &moved) {
-            match files {
-                Fitting::One(file) => drop(found.insert(name, file)),
-                Fitting::Several(two) => drop(ambiguous.insert(name.to_owned(), two)),
-            }
-        }
-    }
-    let mut uses: HashMap<String, usize> = HashMap::new();
-    let files = found.values().map(String::as_str);
-    for file in files.chain(taken.iter().copied()) {
-        *uses.entry(file.to_owned()).or_default() += 1;
-    }
-    let found = found.into_iter().filter(|(_, file)| uses[file] == 1);
-    Others {
-        found: found.map(|(name, file)| (name.to_owned(), file)).collect(),
-        ambiguous,
-    }
-}
-
-/// Files that fit the name of an image.
-#[derive(Clone)]
-enum Fitting {
-    One(String),
-    /// The first two.
-    Several([String; 2]),
-}
-
-/// Images with a file of their name in any sub-folder. Images of one name in several folders of the
-/// model are told apart by their folders alone.
-fn in_other_folders<'a>(folder: &Path, missing: &[&'a str]) -> BTreeMap<&'a str, Fitting> {
-    let key = |name: &str| folded(stem(last(name)));
-    let mut wanted: HashMap<String, Vec<&str>> = HashMap::new();
-    for name in missing {
-        wanted.entry(key(name)).or_default().push(*name);
-    }
-    let mut files: HashMap<String, Fitting> = HashMap::new();
-    let entries = WalkDir::new(folder)
-        .follow_links(true)
-        .sort_by_file_name()
-        .into_iter()
-        .filter_entry(|entry| entry.depth() == 0 || !is_skipped(entry))
-        .take(MOST_ENTRIES)
-        .filter_map(Result::ok);
-    for entry in entries.filter(|entry| entry.file_type().is_file() && is_image(entry.path())) {
-        let Ok(path) = entry.path().strip_prefix(folder) else {
-            continue;
-        };
-        let path = slashes(path);
-        match files.entry(key(&path)) {
-            Entry::Vacant(none) => drop(none.insert(Fitting::One(path))),
-            Entry::Occupied(mut held) => {
-                if let Fitting::One(first) = held.get() {
-                    let two = [first.clone(), path];
-                    held.insert(Fitting::Several(two));
-                }
-            }
-        }
-    }
-    let only = |(key, names): (String, Vec<&'a str>)| match names[..] {
-        [name] => Some((name, files.get(&key)?.clone())),
-        _ => None,
-    };
-    wanted.into_iter().filter_map(only).collect()
-}
-
-fn is_skipped(entry: &DirEntry) -> bool {
+pub(super) fn is_skipped(entry: &DirEntry) -> bool {
     let name = entry.file_name().to_string_lossy();
     let is_reduced = name
         .strip_prefix("images_")
@@ -321,25 +232,26 @@ pub(super) fn find(
     if let Some(folder) = usual.iter().find(holds_one) {
         return Some(ImageFolder::new(folder));
     }
-    let is_own = |folder: &Path| folder == root || model.starts_with(folder);
-    let search = Names::new();
-    let below = if names.is_empty() {
-        Vec::new()
-    } else {
-        folders_below(root)
-    };
-    let found = [
-        usual.iter().chain(&below).cloned().collect(),
-        reduced(root, model),
-    ]
-    .iter()
-    .find_map(|folders: &Vec<PathBuf>| holding_most(folders, names, &search));
-    let by_place = || usual.iter().find(|folder| !is_own(folder)).cloned();
-    let path = found.or_else(by_place)?;
+    let path = searched(root, model, &usual, names).or_else(|| {
+        let is_own = |folder: &Path| folder == root || model.starts_with(folder);
+        usual.iter().find(|folder| !is_own(folder)).cloned()
+    })?;
     Some(ImageFolder {
         is_searched: !usual.contains(&path),
         ..ImageFolder::new(path)
     })
+}
+
+/// The folder that holds most of the names, of the usual places and those below the project, else
+/// of the reduced copies.
+fn searched(root: &Path, model: &Path, usual: &[PathBuf], names: &[String]) -> Option<PathBuf> {
+    if names.is_empty() {
+        return None;
+    }
+    let search = Names::new();
+    let folders = [usual, &folders_below(root)].concat();
+    holding_most(&folders, names, &search)
+        .or_else(|| holding_most(&reduced(root, model), names, &search))
 }
 
 /// Returns whether a folder holds any of the names, in any spelling.
@@ -399,10 +311,10 @@ impl Held {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
+pub(super) mod tests {
+    use super::{super::image_files::slashes, *};
 
-    fn folder_with(files: &[&str]) -> tempfile::TempDir {
+    pub fn folder_with(files: &[&str]) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         for file in files {
             let path = folder.path().join(file);
@@ -467,49 +379,6 @@ mod tests {
         assert_eq!(
             found(&below.each_ref().map(String::as_str), &names),
             Some(("photos".into(), true))
-        );
-    }
-
-    #[test]
-    fn no_file_is_that_of_two_images() {
-        let folder = folder_with(&["a.jpg", "b.png"]);
-        let found = |missing: &[&str], taken: &[&str]| others(folder.path(), missing, taken).found;
-        assert_eq!(found(&["A.jpg"], &["a.jpg"]), BTreeMap::new());
-        assert_eq!(found(&["b.jpg", "b.tif"], &[]), BTreeMap::new());
-        assert_eq!(found(&["b.jpg"], &["a.jpg"]).len(), 1);
-    }
-
-    #[test]
-    fn files_of_another_spelling_are_those_of_the_model() {
-        let folder = folder_with(&[
-            "A.JPG",
-            "cam2/b.jpeg",
-            "x/c.jpg",
-            "y/c.jpg",
-            "x/d.png",
-            "y/e.jpg",
-        ]);
-        let names = [
-            "a.jpg", "b.jpg", "c.jpg", "x/d.jpg", "p/e.jpg", "q/e.jpg", "f.jpg",
-        ];
-        let others = others(folder.path(), &names, &[]);
-        let two = ["x/c.jpg", "y/c.jpg"].map(str::to_owned);
-        assert_eq!(
-            others.ambiguous,
-            BTreeMap::from([("c.jpg".to_owned(), two)])
-        );
-        let others: Vec<_> = others
-            .found
-            .iter()
-            .map(|(name, file)| (name.as_str(), file.as_str()))
-            .collect();
-        assert_eq!(
-            others,
-            [
-                ("a.jpg", "A.JPG"),
-                ("b.jpg", "cam2/b.jpeg"),
-                ("x/d.jpg", "x/d.png")
-            ]
         );
     }
 }

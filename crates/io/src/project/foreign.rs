@@ -99,21 +99,25 @@ pub(super) fn listed(root: &Path) -> Vec<ModelLocation> {
             }
         }
     }
-    let of_xml = files.iter().filter(|name| name.ends_with(".xml"));
-    let of_xml = of_xml.map(|name| root.join(name));
-    models.extend(of_xml.filter_map(|path| Some(ModelLocation::new(xml_format(&path)?, path))));
-    let of_micmac = files.iter().filter(|name| name.starts_with("Ori-"));
-    let of_micmac = of_micmac.map(|name| root.join(name)).chain([root.into()]);
-    let of_micmac = of_micmac.filter(|folder| !oriented_by_micmac(folder).is_empty());
-    models.extend(of_micmac.map(|folder| ModelLocation::new(ModelFormat::MicMac, folder)));
-    let of_sure = [root.join("ori"), root.into()];
-    let mut of_sure = of_sure.into_iter();
-    if let Some(folder) = of_sure.find(|folder| !orientations(folder).is_empty()) {
+    for path in matching("*.xml", root, &files) {
+        models.extend(xml_format(&path).map(|format| ModelLocation::new(format, path)));
+    }
+    for folder in folders_of_micmac(root, &files) {
+        models.push(ModelLocation::new(ModelFormat::MicMac, folder));
+    }
+    let mut with_ori = [root.join("ori"), root.into()].into_iter();
+    if let Some(folder) = with_ori.find(|folder| !orientations(folder).is_empty()) {
         // NVM and Bundler files next to orientations are their sparse cloud.
         models.retain(|model| !matches!(model.format, ModelFormat::Nvm | ModelFormat::Bundler));
         models.push(ModelLocation::new(ModelFormat::Sure, folder));
     }
     models
+}
+
+fn folders_of_micmac(root: &Path, files: &[String]) -> impl Iterator<Item = PathBuf> {
+    let named = files.iter().filter(|name| name.starts_with("Ori-"));
+    let folders = named.map(|name| root.join(name)).chain([root.into()]);
+    folders.filter(|folder| !oriented_by_micmac(folder).is_empty())
 }
 
 /// The paths in a folder, which has these files, that a pattern of [`MODEL_PATHS`] stands for.

@@ -3,19 +3,21 @@
 use std::{
     cell::Cell,
     collections::{HashMap, HashSet},
-    fs::File,
-    io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
 };
 
-use image::ImageFormat;
 use rayon::prelude::*;
 use viewrank_core::model::scene::{Scene, ViewIndex};
 
-use super::{ImageFolder, MASKS, Project, folder, image_files::images_below, names::Names};
+use super::{
+    ImageFolder, MASKS, Project, folder,
+    image_files::images_below,
+    names::Names,
+    probe::{Unread, probe, size_by_header},
+};
 use crate::{
     formats::foreign::{ForeignModel, last_parts},
-    input, mistaken, picture,
+    mistaken,
 };
 
 /// Number of image names that are tried on a candidate for the image folder.
@@ -113,9 +115,6 @@ impl ImageSearch {
     }
 }
 
-/// Numbers of leading bytes of an image to parse for its header, before trying the whole file.
-const HEADS: [u64; 2] = [1 << 16, 1 << 20];
-
 /// Beginnings of warnings.
 const MISSING: &str = "images missing from";
 const OTHER_SIZE: &str = "images of another size";
@@ -152,29 +151,7 @@ impl ImageFaults {
     /// Checks the image files of all views, in parallel.
     pub(super) fn find(folder: &ImageFolder, scene: &Scene) -> Self {
         let views: Vec<ViewIndex> = scene.view_indices().collect();
-        let check = |view: &ViewIndex| {
-            let (path, view) = (folder.file(scene.name(*view)), *view);
-            let camera = scene.camera_of(view);
-            match probe(&path) {
-                Ok(Some(size)) if !camera.has_aspect_ratio_of(size) => Self {
-                    other_aspect_ratio: vec![(view, size)],
-                    ..Self::default()
-                },
-                Ok(Some(size)) if size != [camera.width, camera.height] => Self {
-                    other_size: vec![(view, size)],
-                    ..Self::default()
-                },
-                Ok(_) => Self::default(),
-                Err(Unread::Missing) => Self {
-                    missing: vec![view],
-                    ..Self::default()
-                },
-                Err(Unread::Broken(why)) => Self {
-                    unreadable: vec![(view, why)],
-                    ..Self::default()
-                },
-            }
-        };
+        let check = |view: &ViewIndex| Self::of_view(folder, scene, *view);
         let found: Vec<Self> = views.par_iter().map(check).collect();
         let mut all = Self::default();
         for faults in found {
@@ -184,6 +161,23 @@ impl ImageFaults {
             all.unreadable.extend(faults.unreadable);
         }
         all
+    }
+
+    fn of_view(folder: &ImageFolder, scene: &Scene, view: ViewIndex) -> Self {
+        let camera = scene.camera_of(view);
+        let mut faults = Self::default();
+        match probe(&folder.file(scene.name(view))) {
+            Ok(Some(size)) if !camera.has_aspect_ratio_of(size) => {
+                faults.other_aspect_ratio.push((view, size));
+            }
+            Ok(Some(size)) if size != [camera.width, camera.height] => {
+                faults.other_size.push((view, size));
+            }
+            Ok(_) => {}
+            Err(Unread::Missing) => faults.missing.push(view),
+            Err(Unread::Broken(why)) => faults.unreadable.push((view, why)),
+        }
+        faults
     }
 
     /// Pixels of the largest image of a scene that can be read; 0 without one.
@@ -290,35 +284,35 @@ impl ImageFaults {
             return Vec::new();
         };
         let doctor = format!("viewrank doctor {}", project.as_argument());
-        let all = scene.views.len();
-        let missing = self.missing.first().map(|first| {
-            let (count, name) = (self.missing.len(), scene.name(*first));
-            let two = folder
-                .candidates_for(name)
-                .map_or_else(String::new, |[one, other]| format!(" ({one} or {other}?)"));
-            format!(
-                "{MISSING} {}: {count} of {all}, e.g. {name}{two}: {doctor}",
-                folder.display()
-            )
-        });
-        let other = |kind: &str, views: &[(ViewIndex, [u32; 2])]| {
-            let &(first, [width, height]) = views.first()?;
-            let (camera, name, count) = (scene.camera_of(first), scene.name(first), views.len());
-            let model = format!("{} x {}", camera.width, camera.height);
-            Some(format!(
-                "{kind} than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {model}: {doctor}"
-            ))
-        };
-        let unreadable = self.unreadable.first().map(|(first, why)| {
-            let (count, name) = (self.unreadable.len(), scene.name(*first));
-            format!("{UNREADABLE}: {count} of {all}, e.g. {name} ({why}): {doctor}")
-        });
-        let size = other(OTHER_SIZE, &self.other_size);
-        let aspect_ratio = other(OTHER_ASPECT_RATIO, &self.other_aspect_ratio);
-        [missing, size, aspect_ratio, unreadable]
-            .into_iter()
-            .flatten()
-            .collect()
+        let kinds = [
+            self.missing_text(folder, scene),
+            other_text(OTHER_SIZE, &self.other_size, scene),
+            other_text(OTHER_ASPECT_RATIO, &self.other_aspect_ratio, scene),
+            self.unreadable_text(scene),
+        ];
+        let texts = kinds.into_iter().flatten();
+        texts.map(|text| format!("{text}: {doctor}")).collect()
+    }
+
+    fn missing_text(&self, folder: &ImageFolder, scene: &Scene) -> Option<String> {
+        let name = scene.name(*self.missing.first()?);
+        let (count, all) = (self.missing.len(), scene.views.len());
+        let two = folder
+            .candidates_for(name)
+            .map_or_else(String::new, |[one, other]| format!(" ({one} or {other}?)"));
+        Some(format!(
+            "{MISSING} {}: {count} of {all}, e.g. {name}{two}",
+            folder.display()
+        ))
+    }
+
+    fn unreadable_text(&self, scene: &Scene) -> Option<String> {
+        let (first, why) = self.unreadable.first()?;
+        let (count, all) = (self.unreadable.len(), scene.views.len());
+        let name = scene.name(*first);
+        Some(format!(
+            "{UNREADABLE}: {count} of {all}, e.g. {name} ({why})"
+        ))
     }
 
     /// Returns whether this is one of [`ImageFaults::warnings`], of whatever views.
@@ -329,145 +323,15 @@ impl ImageFaults {
     }
 }
 
-/// Reason why the size of an image cannot be determined.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Unread {
-    #[error("no file")]
-    Missing,
-    #[error("{0}")]
-    Broken(&'static str),
-}
-
-/// Reads the width and height of a complete image, judging by its name, header and end; `None` for
-/// formats that cannot be checked.
-pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
-    let found = path
-        .metadata()
-        .ok()
-        .filter(|found| !found.is_dir())
-        .ok_or(Unread::Missing)?;
-    if !found.is_file() {
-        return Err(Unread::Broken("not a regular file"));
-    }
-    let length = found.len();
-    if length == 0 {
-        return Err(Unread::Broken("empty"));
-    }
-    let file = input::open(path).map_err(|error| match error.kind() {
-        io::ErrorKind::PermissionDenied => Unread::Broken("no permission to read it"),
-        io::ErrorKind::InvalidData => Unread::Broken("not completely copied"),
-        _ => Unread::Broken("cannot be opened"),
-    })?;
-    let mut file = BufReader::with_capacity(TAIL as usize, file);
-    let can_be_checked = ImageFormat::from_path(path).is_ok_and(|format| format.reading_enabled());
-    match dimensions(&mut file, length) {
-        None => match mistaken::of_file(path) {
-            Some(mistaken) => Err(Unread::Broken(mistaken.what)),
-            None if can_be_checked => Err(Unread::Broken("not an image")),
-            None => Ok(None),
-        },
-        Some(_) if is_truncated(&mut file, length).unwrap_or(false) => {
-            Err(Unread::Broken("truncated"))
-        }
-        found => Ok(found),
-    }
-}
-
-/// Bytes at the end of an image file to search for the mark of its end, before searching the rest.
-const TAIL: u64 = 1 << 16;
-const START_OF_IMAGE: &[u8] = &[0xff, 0xd8];
-const END_OF_IMAGE: &[u8] = &[0xff, 0xd9];
-const START_OF_SCAN: u8 = 0xda;
-const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
-/// The last chunk of a PNG file (PNG specification, 11.2.5), without its checksum, which decoders
-/// don't read.
-const PNG_END: &[u8] = b"\0\0\0\0IEND";
-
-/// Returns whether a JPEG or PNG file lacks the mark of its end; other bytes may follow it. JPEG's
-/// cannot occur by chance in scan data (ITU T.81, B.1.1.5), but it can occur before the first scan,
-/// in an embedded thumbnail.
-fn is_truncated(file: &mut BufReader<File>, length: u64) -> io::Result<bool> {
-    file.rewind()?;
-    let start = file.fill_buf()?;
-    let (is_jpeg, is_png) = (
-        start.starts_with(START_OF_IMAGE),
-        start.starts_with(PNG_SIGNATURE),
-    );
-    if !is_jpeg && !is_png {
-        return Ok(false);
-    }
-    let end = if is_jpeg { END_OF_IMAGE } else { PNG_END };
-    if length > TAIL {
-        file.seek(SeekFrom::Start(length - TAIL))?;
-        if contains(file, end)? {
-            return Ok(false);
-        }
-    }
-    if is_jpeg {
-        seek_first_scan(file)?
-    } else {
-        file.rewind()?
-    }
-    Ok(!contains(file, end)?)
-}
-
-/// Seeks to the data of the first scan or, without a scan, past the last complete segment.
-fn seek_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
-    file.seek(SeekFrom::Start(2))?;
-    loop {
-        let mut segment = Vec::new();
-        file.take(4).read_to_end(&mut segment)?;
-        let [0xff, kind, high, low] = segment[..] else {
-            return file.seek_relative(-(segment.len() as i64));
-        };
-        // The length counts its own two bytes.
-        file.seek_relative(i64::from(u16::from_be_bytes([high, low])) - 2)?;
-        if kind == START_OF_SCAN {
-            return Ok(());
-        }
-    }
-}
-
-/// Returns whether the rest of the file contains these bytes.
-fn contains(file: &mut impl BufRead, wanted: &[u8]) -> io::Result<bool> {
-    // What was read last, after the end of what was read before.
-    let mut searched = Vec::new();
-    loop {
-        let bytes = file.fill_buf()?;
-        let read = bytes.len();
-        searched.extend_from_slice(bytes);
-        if searched
-            .windows(wanted.len())
-            .any(|window| window == wanted)
-        {
-            return Ok(true);
-        }
-        if read == 0 {
-            return Ok(false);
-        }
-        file.consume(read);
-        searched.drain(..(searched.len() + 1).saturating_sub(wanted.len()));
-    }
-}
-
-/// Width and height from the header; reads as little of the file as possible.
-fn dimensions(file: &mut BufReader<File>, length: u64) -> Option<[u32; 2]> {
-    let mut from_head = |bytes: u64| {
-        file.rewind().ok()?;
-        let mut head = Vec::new();
-        file.take(bytes).read_to_end(&mut head).ok()?;
-        picture::size(Cursor::new(head))
-    };
-    let found = HEADS
-        .into_iter()
-        .filter(|bytes| *bytes < length)
-        .find_map(&mut from_head);
-    found.or_else(|| file.rewind().ok().and_then(|()| picture::size(file)))
-}
-
-/// Width and height of an image file, wherever they are in it.
-fn size_by_header(path: &Path) -> Option<(u32, u32)> {
-    picture::size(BufReader::new(input::open(path).ok()?)).map(Into::into)
+/// Text of a warning of images that have other sizes than their cameras.
+fn other_text(kind: &str, views: &[(ViewIndex, [u32; 2])], scene: &Scene) -> Option<String> {
+    let &(first, [width, height]) = views.first()?;
+    let (count, all) = (views.len(), scene.views.len());
+    let (camera, name) = (scene.camera_of(first), scene.name(first));
+    let model = format!("{} x {}", camera.width, camera.height);
+    Some(format!(
+        "{kind} than their cameras: {count} of {all}, e.g. {name} with {width} x {height} instead of {model}"
+    ))
 }
 
 /// Images of the folder, other than masks, that the model does not name, sorted; none if the folder
@@ -503,27 +367,10 @@ fn normal(name: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
+    use image::ImageFormat;
+
     use super::*;
     use viewrank_core::{method::synthetic::Town, model::scene::ViewIndex};
-
-    #[test]
-    fn bytes_are_found_wherever_they_are_read() {
-        for text in ["ab", "xab", "xxab", "xxxab", "xxaab", "aab", "xxxxxabxx"] {
-            for capacity in 1..5 {
-                let mut file = BufReader::with_capacity(capacity, text.as_bytes());
-                assert!(
-                    contains(&mut file, b"ab").unwrap(),
-                    "{text}, {capacity} at a time"
-                );
-            }
-        }
-        for text in ["", "a", "b", "axb", "xxba", "aaa"] {
-            assert!(
-                !contains(&mut BufReader::with_capacity(2, text.as_bytes()), b"ab").unwrap(),
-                "{text}"
-            );
-        }
-    }
 
     #[test]
     fn images_that_are_missing_broken_or_larger_are_told_apart() {

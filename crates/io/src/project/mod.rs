@@ -5,38 +5,35 @@ mod containing;
 mod create;
 mod discover;
 mod elsewhere;
+mod error;
 mod files;
 mod folder;
 mod foreign;
 mod image_files;
 mod images;
 mod names;
+mod other_names;
+mod probe;
 
 use std::{
     collections::HashSet,
-    io,
     path::{Path, PathBuf},
     time::SystemTime,
 };
 
-use viewrank_core::{
-    base::error::{Advice, Hint},
-    model::scene::{ModelWarning, Scene, WarningKind},
-};
+use viewrank_core::model::scene::{ModelWarning, Scene, WarningKind};
 
 pub use containing::containing;
 pub use create::CreateError;
+pub use error::ProjectError;
 pub use files::ColmapFiles;
 pub use folder::{ImageFolder, MASKS};
 pub use image_files::{images_below, is_image, slashes};
-pub use images::{ImageFaults, Unread, probe};
+pub use images::ImageFaults;
+pub use probe::{Unread, probe};
 
 use crate::shell::{command_path, command_word};
-use crate::{
-    formats::{Fault, colmap::ColmapModel},
-    mistaken::{self, Mistaken},
-    output::Disk,
-};
+use crate::{formats::colmap::ColmapModel, output::Disk};
 
 /// Sparse model formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -494,106 +491,4 @@ fn stamps(root: &Path, model: &ModelLocation) -> Vec<FileStamp> {
         Some((found.len(), found.modified().ok()))
     };
     model_files(root, model).into_iter().map(stamp).collect()
-}
-
-/// Returns the path between quotes that a shell has passed on.
-fn unquoted(path: &Path) -> Option<&Path> {
-    let text = path.to_str()?;
-    let inner = |quote: char| text.strip_prefix(quote)?.strip_suffix(quote);
-    ['"', '\''].into_iter().find_map(inner).map(Path::new)
-}
-
-/// Error of opening a project or reading its model.
-#[derive(Debug, thiserror::Error)]
-pub enum ProjectError {
-    #[error("{0}: no such file or folder")]
-    NotFound(PathBuf),
-    #[error("no sparse model under {path}; looked for {looked_for}")]
-    NoModel { path: PathBuf, looked_for: String },
-    #[error("no sparse model in {path} itself, but in several folders below it")]
-    SeveralProjects { path: PathBuf, below: Vec<PathBuf> },
-    #[error("incomplete COLMAP model in {folder}: {missing} missing")]
-    IncompleteModel { folder: PathBuf, missing: String },
-    #[error("no sub-model {wanted:?} in {path}, only {present}")]
-    NoSuchModel {
-        path: PathBuf,
-        wanted: String,
-        present: String,
-    },
-    #[error("cannot read {path}: {source}")]
-    Io { path: PathBuf, source: io::Error },
-    #[error("{path}, {fault}")]
-    Fault { path: PathBuf, fault: Fault },
-    #[error("{path} is {}", mistaken.what)]
-    Mistaken { path: PathBuf, mistaken: Mistaken },
-    #[error("the model {0} has changed since it was read")]
-    ModelChanged(PathBuf),
-    #[error("no image list (list.txt) for {0} in its folder or the one above")]
-    NoImageList(PathBuf),
-}
-
-impl ProjectError {
-    /// The same error, or that the file at fault is of another kind.
-    fn explained(self) -> Self {
-        match self {
-            Self::Fault { path, fault } => match mistaken::of_file(&path) {
-                Some(mistaken) => Self::Mistaken { path, mistaken },
-                None => Self::Fault { path, fault },
-            },
-            error => error,
-        }
-    }
-}
-
-impl Hint for ProjectError {
-    fn hint(&self) -> Option<Advice> {
-        Some(match self {
-            Self::NotFound(path) if unquoted(path).is_some_and(Path::exists) => {
-                let name = unquoted(path).unwrap_or(path);
-                format!("the quotes became part of the name; without them it is there: {}", command_path(name)).into()
-            }
-            Self::NotFound(_) => "name the project folder, which contains `sparse` and `images`".into(),
-            Self::NoModel { path, .. } if path.is_file() => {
-                "this file is no sparse model, and none is beside it: name the project folder, which contains `sparse`"
-                    .into()
-            }
-            Self::NoModel { path, .. } if ImageFolder::new(path).first_image().is_some() => {
-                "these are only photographs: run structure from motion first (such as colmap automatic_reconstructor), then name the folder that contains its model"
-                    .into()
-            }
-            Self::NoModel { .. } => "name a folder that contains `sparse`, or the folder of the model itself".into(),
-            Self::SeveralProjects { below, .. } => {
-                let named = below.iter().take(3).map(|folder| command_path(folder));
-                let more = if below.len() > 3 { ", ..." } else { "" };
-                let named: Vec<String> = named.collect();
-                format!("name one of them: {}{more}", named.join(", ")).into()
-            }
-            Self::IncompleteModel { .. } => {
-                "export the model again, with cameras, images and points3D in one format, binary or text".into()
-            }
-            Self::NoSuchModel { .. } => Advice::text("pass one of these names to ").set("model").and(", or omit it"),
-            Self::Io { .. } => "check that the file exists and is readable".into(),
-            Self::Fault { fault, .. } => fault.problem.hint().into(),
-            Self::Mistaken { mistaken, .. } => mistaken.cure.into(),
-            Self::ModelChanged(_) => "once the model is complete, read it and plan again; nothing was written".into(),
-            Self::NoImageList(_) => "copy Bundler's image list there: one line per camera with the image name".into(),
-        })
-    }
-
-    fn is_usage(&self) -> bool {
-        matches!(self, Self::NoSuchModel { .. })
-    }
-
-    fn path(&self) -> Option<&Path> {
-        match self {
-            Self::NotFound(path) | Self::ModelChanged(path) | Self::NoImageList(path) => Some(path),
-            Self::NoModel { path, .. }
-            | Self::SeveralProjects { path, .. }
-            | Self::IncompleteModel { folder: path, .. }
-            | Self::NoSuchModel { path, .. }
-            | Self::Io { path, .. }
-            | Self::Mistaken { path, .. }
-            | Self::Fault { path, .. } => Some(path),
-        }
-    }
 }

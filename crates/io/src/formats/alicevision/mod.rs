@@ -130,19 +130,14 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
 impl SfmData {
     /// Adds the views with a pose and a camera; returns the position in the model of each, by id.
     fn add_images(&self, foreign: &mut ForeignModel) -> Result<HashMap<u32, usize>, Fault> {
-        let poses = self.poses.0.iter();
-        let poses = poses.map(|entry| (entry.pose_id.0, &entry.pose.transform));
-        let poses: HashMap<u32, &Motion> = poses.collect();
-        let rigs = self.rigs.0.iter().map(|rig| (rig.rig_id.0, rig)).collect();
-        let intrinsics = self.intrinsics.0.iter().map(|one| one.intrinsic_id.0);
-        let intrinsics: HashSet<u32> = intrinsics.collect();
+        let parts = PartsById::new(self);
         let mut images = HashMap::new();
         for view in &self.views.0 {
             let id = view.view_id.0;
             let fault = |problem| fault_in(problem, || format!("view {id}"));
-            let motion = view.motion(&poses, &rigs).map_err(fault)?;
+            let motion = view.motion(&parts).map_err(fault)?;
             let camera_id = view.intrinsic_id.map(|id| id.0);
-            let camera_id = camera_id.filter(|id| intrinsics.contains(id));
+            let camera_id = camera_id.filter(|id| parts.intrinsics.contains(id));
             let Some(((rotation, centre), camera_id)) = motion.zip(camera_id) else {
                 foreign.unregistered.push(view.name());
                 continue;
@@ -167,6 +162,26 @@ impl SfmData {
     }
 }
 
+/// The parts to which views refer.
+struct PartsById<'a> {
+    poses: HashMap<u32, &'a Motion>,
+    rigs: HashMap<u32, &'a Rig>,
+    intrinsics: HashSet<u32>,
+}
+
+impl<'a> PartsById<'a> {
+    fn new(data: &'a SfmData) -> Self {
+        let (poses, rigs) = (data.poses.0.iter(), data.rigs.0.iter());
+        let poses = poses.map(|entry| (entry.pose_id.0, &entry.pose.transform));
+        let intrinsics = data.intrinsics.0.iter();
+        Self {
+            poses: poses.collect(),
+            rigs: rigs.map(|rig| (rig.rig_id.0, rig)).collect(),
+            intrinsics: intrinsics.map(|one| one.intrinsic_id.0).collect(),
+        }
+    }
+}
+
 impl View {
     fn name(&self) -> String {
         if self.path.is_empty() {
@@ -177,18 +192,14 @@ impl View {
     }
 
     /// Rotation and centre of a view; `None` without a pose.
-    fn motion(
-        &self,
-        poses: &HashMap<u32, &Motion>,
-        rigs: &HashMap<u32, &Rig>,
-    ) -> Result<Option<RigidMotion>, Problem> {
+    fn motion(&self, parts: &PartsById) -> Result<Option<RigidMotion>, Problem> {
         // Without a pose id, the view's own id is its pose's id.
         let pose_id = self.pose_id.unwrap_or(self.view_id).0;
-        let Some(motion) = poses.get(&pose_id) else {
+        let Some(motion) = parts.poses.get(&pose_id) else {
             return Ok(None);
         };
         let (rotation, centre) = motion.rotation_and_centre()?;
-        let Some(sub_pose) = self.sub_pose(rigs)? else {
+        let Some(sub_pose) = self.sub_pose(&parts.rigs)? else {
             return Ok(Some((rotation, centre)));
         };
         let (sub_rotation, sub_centre) = sub_pose.rotation_and_centre()?;

@@ -208,18 +208,13 @@ impl Block {
     fn add_photo(&mut self, photo: &Element, group: &mut Group) -> Result<(), Fault> {
         let path = photo.child("ImagePath").map_or("", Element::text);
         let name = path.replace('\\', "/");
-        let pose = photo.child("Pose");
-        let rotation = pose
-            .and_then(|pose| pose.child("Rotation"))
-            .filter(|rotation| rotation.child("M_00").is_some());
-        let centre = pose.and_then(|pose| pose.child("Center"));
-        let Some((rotation, centre)) = rotation.zip(centre) else {
+        let Some((rotation, centre)) = rotation_and_centre(photo) else {
             self.foreign.unregistered.push(name);
             return Ok(());
         };
         let axes = group.axes(&mut self.foreign.model.cameras)?;
-        let pose = pose_of(rotation, centre, axes)
-            .map_err(|fault| fault.in_record(|| format!("photo {path:?}")))?;
+        let pose = pose_of(rotation, centre, axes);
+        let pose = pose.map_err(|fault| fault.in_record(|| format!("photo {path:?}")))?;
         let position = self.images();
         if let Some(id) = photo.child("Id") {
             self.photos.insert(id.text().to_owned(), position);
@@ -227,8 +222,7 @@ impl Block {
         let id = position as u32 + 1;
         self.foreign
             .add_image(id, name, group.id(), pose, photo.at());
-        let component = photo.child("Component").map_or("", Element::text);
-        self.components.push(component.to_owned());
+        self.components.push(component_of(photo));
         Ok(())
     }
 
@@ -258,6 +252,22 @@ fn colour(element: &Element) -> Result<[u8; 3], Fault> {
         *to = (part * 255.0).round().clamp(0.0, 255.0) as u8;
     }
     Ok(colour)
+}
+
+/// The id of a photo's component; empty without one.
+fn component_of(photo: &Element) -> String {
+    photo
+        .child("Component")
+        .map_or("", Element::text)
+        .to_owned()
+}
+
+/// The elements of a photo's pose, if it has one.
+fn rotation_and_centre(photo: &Element) -> Option<(&Element, &Element)> {
+    let pose = photo.child("Pose")?;
+    let rotation = pose.child("Rotation")?;
+    rotation.child("M_00")?;
+    Some((rotation, pose.child("Center")?))
 }
 
 fn pose_of(rotation: &Element, centre: &Element, axes: Matrix3<f64>) -> Result<StoredPose, Fault> {

@@ -223,16 +223,13 @@ impl ColmapModel<'_> {
         let lists = ImageLists::new(&self.images, &view_of_image);
         let tracks = self.tracks(&lists)?;
         warnings.extend(lists.warnings(tracks.views.len()));
+        let points = self.points.par_iter();
         Ok(Scene {
             cameras: self.cameras.clone(),
             views,
-            points: self
-                .points
-                .par_iter()
-                .map(|p| Point3::from(p.xyz))
-                .collect(),
-            point_ids: self.points.par_iter().map(|p| p.id).collect(),
-            colours: self.points.par_iter().map(|p| p.colour).collect(),
+            points: points.clone().map(|p| Point3::from(p.xyz)).collect(),
+            point_ids: points.clone().map(|p| p.id).collect(),
+            colours: points.map(|p| p.colour).collect(),
             track_offsets: tracks.offsets,
             track_views: tracks.views,
             track_pixels: tracks.pixels,

@@ -34,11 +34,7 @@ impl ColmapModel<'_> {
         let (_, view_of_image) = self.views(&self.cameras_by_id()?)?;
         let lists = ImageLists::new(&self.images, &view_of_image);
         let uses: Vec<ImageUse> = self.images.iter().map(use_of).collect();
-        let points = self.points.iter();
-        let points = points.map(|point| point.reduced(&lists, &uses, min_views));
-        let points: Vec<ColmapPoint> = points
-            .filter_map(Result::transpose)
-            .collect::<Result<_, _>>()?;
+        let points = self.points_of(&lists, &uses, min_views)?;
         let ids: HashSet<u64> = points.iter().map(|point| point.id).collect();
         let images = self.images.iter().zip(&uses);
         let kept = images.filter(|(_, used)| **used != ImageUse::Removed);
@@ -47,10 +43,21 @@ impl ColmapModel<'_> {
             cameras: self.cameras_of(&images),
             images,
             points,
-            rigs: None,
-            frames: None,
             warnings: self.warnings.clone(),
+            ..ColmapModel::default()
         })
+    }
+
+    /// The points that enough of the counting images observe.
+    fn points_of(
+        &self,
+        lists: &ImageLists,
+        uses: &[ImageUse],
+        min_views: usize,
+    ) -> Result<Vec<ColmapPoint<'static>>, Fault> {
+        let points = self.points.iter();
+        let points = points.map(|point| point.reduced(lists, uses, min_views));
+        points.filter_map(Result::transpose).collect()
     }
 
     /// The cameras that some of the images have.
@@ -85,9 +92,8 @@ impl ColmapModel<'_> {
         let ids = image_ids(scene);
         let mut lists = vec![Vec::new(); scene.views.len()];
         let points = (0..scene.points.len() as u32).map(PointIndex);
-        let points: Vec<ColmapPoint> = points
-            .map(|point| ColmapPoint::of_scene(scene, point, &ids, &mut lists))
-            .collect();
+        let points = points.map(|point| ColmapPoint::of_scene(scene, point, &ids, &mut lists));
+        let points = points.collect();
         let images = scene.views.iter().zip(ids).zip(lists);
         let images = images.map(|((view, id), list)| ColmapImage {
             id,
@@ -101,9 +107,7 @@ impl ColmapModel<'_> {
             cameras: scene.cameras.clone(),
             images: images.collect(),
             points,
-            rigs: None,
-            frames: None,
-            warnings: Vec::new(),
+            ..ColmapModel::default()
         }
     }
 }

@@ -24,18 +24,9 @@ impl ColmapModel<'_> {
         cameras: &HashMap<u32, CameraIndex>,
         warnings: &mut Vec<ModelWarning>,
     ) -> Result<(), Fault> {
-        let (rigs, frames) = match (&self.rigs, &self.frames) {
-            (Some(rigs), Some(frames)) => (rigs, frames),
-            (None, None) => return Ok(()),
-            _ => {
-                let text = "the model has only one of the rigs and frames files, which is ignored";
-                warnings.push(ModelWarning::new(WarningKind::Damaged, text));
-                return Ok(());
-            }
-        };
-        if rigs.is_empty() && frames.is_empty() {
+        let Some((rigs, frames)) = self.rigs_and_frames(warnings) else {
             return Ok(());
-        }
+        };
         let mut check = FrameCheck {
             rigs: rigs_by_id(rigs, cameras)?,
             views,
@@ -55,6 +46,22 @@ impl ColmapModel<'_> {
         Err(image.fault(Problem::Contradiction(
             "the image is in no frame of the frames file".into(),
         )))
+    }
+
+    /// Rigs and frames that are to be checked; warns of one without the other.
+    fn rigs_and_frames(&self, warnings: &mut Vec<ModelWarning>) -> Option<(&[Rig], &[Frame])> {
+        match (&self.rigs, &self.frames) {
+            (Some(rigs), Some(frames)) => {
+                let is_any = !rigs.is_empty() || !frames.is_empty();
+                is_any.then_some((rigs, frames))
+            }
+            (None, None) => None,
+            _ => {
+                let text = "the model has only one of the rigs and frames files, which is ignored";
+                warnings.push(ModelWarning::new(WarningKind::Damaged, text));
+                None
+            }
+        }
     }
 }
 

@@ -190,19 +190,27 @@ impl<'m> Links<'m> {
 }
 
 impl ColmapModel<'_> {
-    /// Computes the views and pixels of all observations; parts of the arrays are filled in
-    /// parallel.
-    pub(super) fn tracks(&self, lists: &ImageLists) -> Result<Tracks, Fault> {
+    /// Positions of the first observations of the points, and the number of all.
+    fn track_offsets(&self) -> Vec<usize> {
         let lengths: Vec<usize> = self
             .points
             .par_iter()
             .map(|point| point.track.len())
             .collect();
         let mut offsets = Vec::with_capacity(self.points.len() + 1);
-        offsets.push(0);
-        lengths
-            .iter()
-            .for_each(|length| offsets.push(offsets[offsets.len() - 1] + length));
+        let mut end = 0;
+        offsets.push(end);
+        for length in lengths {
+            end += length;
+            offsets.push(end);
+        }
+        offsets
+    }
+
+    /// Computes the views and pixels of all observations; parts of the arrays are filled in
+    /// parallel.
+    pub(super) fn tracks(&self, lists: &ImageLists) -> Result<Tracks, Fault> {
+        let offsets = self.track_offsets();
         let total = offsets[self.points.len()];
         let (mut views, mut pixels) = (large_pages::zeroed(total), large_pages::zeroed(total));
         let pieces = Piece::all(&self.points, &offsets, &mut views, &mut pixels);
@@ -295,16 +303,10 @@ impl ColmapPoint<'_> {
     ) -> Result<(), Fault> {
         let mut counts = ElementCounts::default();
         for (n, element) in self.track.iter().enumerate() {
-            let absent = || {
-                self.fault(Problem::Absent {
-                    what: "image",
-                    id: element.image().into(),
-                })
-            };
             let image_view = lists
                 .view_of_image
                 .get(element.image())
-                .ok_or_else(absent)?;
+                .ok_or_else(|| self.absent(element))?;
             let position = image_view.position as usize;
             let named = lists.points2d[position].get(element.index() as usize);
             match named {
@@ -346,6 +348,13 @@ impl ColmapPoint<'_> {
         })?;
         observations.sort_by_key(|o| o.0);
         Ok(())
+    }
+
+    fn absent(&self, element: &TrackElement) -> Fault {
+        self.fault(Problem::Absent {
+            what: "image",
+            id: element.image().into(),
+        })
     }
 
     fn wrong_index(&self, element: &TrackElement, named: Option<&Point2d>) -> Fault {

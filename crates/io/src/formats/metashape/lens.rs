@@ -24,10 +24,7 @@ pub(super) struct Lens {
 
 impl Lens {
     pub fn read(sensor: &Element, id: u32) -> Result<Self, Fault> {
-        let adjusted = sensor
-            .children("calibration")
-            .find(|one| one.attribute("class") != Some("initial"));
-        let calibration = adjusted.or(sensor.child("calibration"));
+        let calibration = adjusted_calibration(sensor);
         let kind = [calibration, Some(sensor)]
             .into_iter()
             .flatten()
@@ -35,11 +32,7 @@ impl Lens {
         let kind = kind.unwrap_or("frame");
         let [width, height] = size(sensor, calibration)?;
         let sides = [width as f64, height as f64];
-        let Projection {
-            model,
-            params,
-            left_out_px,
-        } = match kind {
+        let projection = match kind {
             "spherical" => Projection {
                 model: CameraModel::Equirectangular,
                 params: sides.to_vec(),
@@ -50,10 +43,11 @@ impl Lens {
                 calibrated(kind, sensor, calibration, sides)?
             }
         };
+        let Projection { model, params, .. } = projection;
         let lens = Camera::new(id, model, width, height, params);
         Ok(Self {
             camera: camera(lens, || "its camera".into())?,
-            left_out_px,
+            left_out_px: projection.left_out_px,
         })
     }
 
@@ -77,6 +71,13 @@ impl Lens {
         );
         foreign.warn(WarningKind::Format, text);
     }
+}
+
+/// The calibration after the adjustment, else the initial one.
+fn adjusted_calibration(sensor: &Element) -> Option<&Element> {
+    let mut calibrations = sensor.children("calibration");
+    let adjusted = calibrations.find(|one| one.attribute("class") != Some("initial"));
+    adjusted.or(sensor.child("calibration"))
 }
 
 /// COLMAP's model with its parameters, and by how many pixels the terms that it lacks move the

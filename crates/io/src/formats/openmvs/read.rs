@@ -186,11 +186,7 @@ impl<'a> Reader<'a> {
             ..Mvs::default()
         };
         scene.platforms = self.list("platforms", 24, Self::platform)?;
-        scene.images = self.list("images", 20, Self::image)?;
-        (0..)
-            .zip(&mut scene.images)
-            .filter(|(_, image)| image.id == NO_ID)
-            .for_each(|(i, image)| image.id = i);
+        scene.images = self.images()?;
         scene.vertices = self.list("vertices", 20, Self::vertex)?;
         scene.normals = self.list("normals", 12, Self::normal)?;
         scene.colours = self.list("colours", 3, Self::colour)?;
@@ -204,6 +200,17 @@ impl<'a> Reader<'a> {
             scene.region = self.f64s("the region of interest")?;
         }
         Ok(scene)
+    }
+
+    /// Reads the images; those without an id have their position for it.
+    fn images(&mut self) -> Result<Vec<Image>, Fault> {
+        let mut images = self.list("images", 20, Self::image)?;
+        for (position, image) in (0..).zip(&mut images) {
+            if image.id == NO_ID {
+                image.id = position;
+            }
+        }
+        Ok(images)
     }
 
     fn platform(&mut self) -> Result<Platform, Fault> {

@@ -60,22 +60,16 @@ impl Mvs {
         let what = || format!("image {name:?}");
         let mvs = &self.platforms[image.platform as usize].cameras[image.camera as usize];
         let k = mvs.k;
-        let known = (mvs.width > 0 && mvs.height > 0).then_some((mvs.width, mvs.height));
+        let is_known = mvs.width > 0 && mvs.height > 0;
+        let known = is_known.then_some((mvs.width, mvs.height));
+        let size = known.or_else(|| size_of(name));
+        let (width, height) = size.ok_or_else(|| fault_in(unknown_scale(), what))?;
         // Without a resolution, K is in units of the longer side of the image.
-        let size = known.or_else(|| size_of(name)).ok_or_else(|| {
-            let message =
-                "the scale of its normalised intrinsics is unknown because the image is missing";
-            fault_in(Problem::Contradiction(message.into()), what)
-        })?;
-        let scale = if known.is_some() {
-            1.0
-        } else {
-            f64::from(size.0.max(size.1))
-        };
-        let [cx, cy] = shift([k[2] * scale, k[5] * scale]);
-        let params = vec![k[0] * scale, k[4] * scale, cx, cy];
-        let (width, height) = (size.0.into(), size.1.into());
-        let found = Camera::new(id, CameraModel::Pinhole, width, height, params);
+        let unit_px = if is_known { 1 } else { width.max(height) };
+        let [fx, fy, cx, cy] = [k[0], k[4], k[2], k[5]].map(|term| term * f64::from(unit_px));
+        let [cx, cy] = shift([cx, cy]);
+        let (model, params) = (CameraModel::Pinhole, vec![fx, fy, cx, cy]);
+        let found = Camera::new(id, model, width.into(), height.into(), params);
         camera(found, what)
     }
 
@@ -103,22 +97,37 @@ impl Mvs {
         let mut behind = 0;
         for (n, vertex) in self.vertices.iter().enumerate() {
             let x = Point3::from(vertex.x.map(f64::from));
-            let mut track = Vec::with_capacity(vertex.views.len());
             let views = vertex.views.iter();
-            for image in views.filter_map(|view| calibrated[view.image as usize]) {
+            let views = views.filter_map(|view| calibrated[view.image as usize]);
+            let mut track = Vec::with_capacity(vertex.views.len());
+            for image in views {
                 match images[image].pixel(&x) {
                     Some(pixel) => track.push((image, pixel)),
                     None => behind += 1,
                 }
             }
-            let [b, g, r] = self.colours.get(n).copied().unwrap_or([255; 3]);
-            foreign.add_point(n as u64, x.into(), [r, g, b], track, Place::File);
+            foreign.add_point(n as u64, x.into(), self.rgb(n), track, Place::File);
         }
-        if behind > 0 {
-            let text = format!("{behind} observations of points behind their views are left out");
-            foreign.warn(WarningKind::Damaged, text);
-        }
+        warn_of_behind(foreign, behind);
         Ok(())
+    }
+
+    /// Colour of a vertex; white if the scene has none.
+    fn rgb(&self, vertex: usize) -> [u8; 3] {
+        let [b, g, r] = self.colours.get(vertex).copied().unwrap_or([255; 3]);
+        [r, g, b]
+    }
+}
+
+fn unknown_scale() -> Problem {
+    let text = "the scale of its normalised intrinsics is unknown because the image is missing";
+    Problem::Contradiction(text.into())
+}
+
+fn warn_of_behind(foreign: &mut ForeignModel, behind: usize) {
+    if behind > 0 {
+        let text = format!("{behind} observations of points behind their views are left out");
+        foreign.warn(WarningKind::Damaged, text);
     }
 }
 

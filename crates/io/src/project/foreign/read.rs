@@ -61,10 +61,7 @@ fn parse(
         ModelFormat::Metashape => {
             return read_metashape(model, bytes, &|name| search.spelled(name));
         }
-        ModelFormat::Mve => {
-            let views = ImageSearch::new(vec![path.with_file_name("views")]);
-            mve::read(bytes, &mve_views(path), &|name| views.size_of(name))
-        }
+        ModelFormat::Mve => read_mve(path, bytes),
         ModelFormat::Blocks => blocks::read(bytes),
         ModelFormat::Nvm => nvm::read(bytes, &size_of),
         ModelFormat::OpenMvg => openmvg::read(bytes),
@@ -95,6 +92,11 @@ fn at(path: &Path, fault: Fault) -> ProjectError {
         path: path.into(),
         fault,
     }
+}
+
+fn read_mve(bundle: &Path, bytes: &[u8]) -> Result<ForeignModel, Fault> {
+    let views = ImageSearch::new(vec![bundle.with_file_name("views")]);
+    mve::read(bytes, &mve_views(bundle), &|name| views.size_of(name))
 }
 
 fn read_bundler(
@@ -239,15 +241,20 @@ pub(super) fn sure_cloud(folder: &Path) -> Option<(PathBuf, ModelFormat)> {
         .find_map(|(ending, format)| Some((first(ending)?, format)))
 }
 
+/// Reads the oriented images of a folder of SURE.
+fn oriented(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
+    let mut oriented: Vec<Orientation> = Vec::new();
+    for (id, path) in (1..).zip(orientations(folder)) {
+        let read = sure::read(&files::read(&path)?, id);
+        oriented.push(read.map_err(|fault| at(&path, fault))?);
+    }
+    let search = ImageSearch::new(folder::candidates(root, folder));
+    Ok(sure::model(oriented, |name| search.spelled(name)))
+}
+
 /// Reads oriented images, with the tracks of an NVM or Bundler file, or finds a PLY file of points.
 fn read_sure(root: &Path, folder: &Path) -> Result<(ForeignModel, Option<PathBuf>), ProjectError> {
-    let oriented = (1..).zip(orientations(folder)).map(|(id, path)| {
-        let read = sure::read(&files::read(&path)?, id);
-        read.map_err(|fault| at(&path, fault))
-    });
-    let oriented: Vec<Orientation> = oriented.collect::<Result<_, _>>()?;
-    let search = ImageSearch::new(folder::candidates(root, folder));
-    let mut foreign = sure::model(oriented, |name| search.spelled(name));
+    let mut foreign = oriented(root, folder)?;
     let (path, format) = match sure_cloud(folder) {
         None => return Ok((foreign, None)),
         Some((path, ModelFormat::Sure)) => return Ok((foreign, Some(path))),

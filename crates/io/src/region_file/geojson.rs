@@ -1,0 +1,323 @@
+//! Reads GeoJSON polygons (RFC 7946): the polygons of features, collections and bare geometries, with
+//! their holes and parts but without heights; the properties `weight` and `gsd`; and the member
+//! `crs` of the 2008 specification, which QGIS still writes, if it is WGS 84 or null. It ignores
+//! everything else.
+
+use std::{fmt, ops::RangeInclusive};
+
+use serde::{
+    Deserialize, Deserializer,
+    de::{self, Error, IgnoredAny, SeqAccess, Visitor},
+};
+use serde_json::value::RawValue;
+use viewrank_core::method::region::{Area, Areas, Coordinates, Polygon};
+
+use super::{LARGEST, RegionFault};
+
+/// Range of weights: 0 leaves an area out, larger numbers would drown all others.
+const WEIGHTS: RangeInclusive<f64> = 0.0..=1e6;
+/// Range of wanted resolutions, scene units per pixel, which are kept as f32.
+const GSDS: RangeInclusive<f64> = 1e-30..=1e30;
+/// Most positions of all polygons: with their index and outline, a plan takes about 600 bytes for
+/// each.
+const MOST_POSITIONS: usize = 1_000_000;
+
+/// An object of GeoJSON: a collection, a feature or a geometry. Nothing is kept of members that are
+/// not read.
+#[derive(Deserialize)]
+struct Node {
+    #[serde(rename = "type")]
+    kind: Option<String>,
+    features: Option<Nodes>,
+    geometry: Option<Box<Node>>,
+    geometries: Option<Nodes>,
+    coordinates: Option<Nested>,
+    properties: Option<Properties>,
+    #[serde(default, deserialize_with = "even_if_null")]
+    crs: Option<Option<Crs>>,
+    /// Read only where `crs` is null: elsewhere it is anybody's.
+    axes: Option<Box<RawValue>>,
+}
+
+#[derive(Deserialize)]
+struct Properties {
+    weight: Option<f64>,
+    gsd: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Crs {
+    #[serde(default)]
+    properties: CrsProperties,
+}
+
+#[derive(Default, Deserialize)]
+struct CrsProperties {
+    #[serde(default)]
+    name: String,
+}
+
+/// Tells null from a member that is missing.
+fn even_if_null<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<Option<Crs>>, D::Error> {
+    Deserialize::deserialize(deserializer).map(Some)
+}
+
+/// A list of features or geometries, of which those without a polygon are left out.
+struct Nodes(Vec<Area>);
+
+impl<'de> Deserialize<'de> for Nodes {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(ListOfNodes)
+    }
+}
+
+struct ListOfNodes;
+
+impl<'de> Visitor<'de> for ListOfNodes {
+    type Value = Nodes;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a list of features or geometries")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Nodes, A::Error> {
+        let (mut areas, mut positions) = (Vec::new(), 0);
+        let mut number = 0;
+        while let Some(node) = list.next_element::<Node>()? {
+            number += 1;
+            let fault = |what| A::Error::custom(format!("number {number} of the list: {what}"));
+            let area = area(node)
+                .map_err(fault)?
+                .filter(|area| !area.polygons.is_empty());
+            positions += area.iter().map(positions_of).sum::<usize>();
+            check_positions(positions).map_err(fault)?;
+            areas.extend(area);
+        }
+        Ok(Nodes(areas))
+    }
+}
+
+/// Coordinates: positions in lists of lists.
+enum Nested {
+    Number(f64),
+    Position([f64; 2]),
+    List(Vec<Nested>),
+}
+
+impl<'de> Deserialize<'de> for Nested {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(NestedVisitor)
+    }
+}
+
+struct NestedVisitor;
+
+impl<'de> Visitor<'de> for NestedVisitor {
+    type Value = Nested;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a position or a list of positions")
+    }
+
+    fn visit_f64<E: de::Error>(self, number: f64) -> Result<Nested, E> {
+        Ok(Nested::Number(number))
+    }
+
+    fn visit_u64<E: de::Error>(self, number: u64) -> Result<Nested, E> {
+        Ok(Nested::Number(number as f64))
+    }
+
+    fn visit_i64<E: de::Error>(self, number: i64) -> Result<Nested, E> {
+        Ok(Nested::Number(number as f64))
+    }
+
+    /// Refuses coordinates that fit no polygon before more of them are read.
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Nested, A::Error> {
+        let mut members = Vec::new();
+        while let Some(member) = list.next_element::<Nested>()? {
+            match (member, members.first()) {
+                (Nested::Number(x), None) => return position(x, list),
+                (Nested::Number(_), Some(_)) => {
+                    return Err(A::Error::custom("a number among positions"));
+                }
+                (Nested::List(inner), _) if inner.is_empty() => {
+                    return Err(A::Error::custom("a polygon has no ring"));
+                }
+                (member, _) => members.push(member),
+            }
+        }
+        match members.first() {
+            Some(Nested::Position(_)) if members.len() < 3 => {
+                Err(A::Error::custom(few(members.len())))
+            }
+            _ => Ok(Nested::List(members)),
+        }
+    }
+}
+
+/// Reads the rest of a position, of which only the first two numbers count.
+fn position<'de, A: SeqAccess<'de>>(x: f64, mut list: A) -> Result<Nested, A::Error> {
+    let y: f64 = list
+        .next_element()?
+        .ok_or_else(|| A::Error::custom("one number is not a position"))?;
+    while list.next_element::<IgnoredAny>()?.is_some() {}
+    if [x, y].iter().any(|x| x.abs() > LARGEST) {
+        return Err(A::Error::custom(format!("{x}, {y} is not a position")));
+    }
+    Ok(Nested::Position([x, y]))
+}
+
+fn few(positions: usize) -> String {
+    format!("a ring of {positions} different positions encloses no area")
+}
+
+fn check_positions(positions: usize) -> Result<(), String> {
+    if positions <= MOST_POSITIONS {
+        return Ok(());
+    }
+    Err(format!(
+        "more than {MOST_POSITIONS} positions: simplify the polygons"
+    ))
+}
+
+fn positions_of(area: &Area) -> usize {
+    area.polygons.iter().flatten().map(Vec::len).sum()
+}
+
+/// Reads the areas of a file.
+pub(super) fn read(bytes: &[u8]) -> Result<Areas, RegionFault> {
+    areas(serde_json::from_slice(bytes)?)
+}
+
+fn areas(mut node: Node) -> Result<Areas, RegionFault> {
+    let (crs, axes) = (node.crs.take(), node.axes.take());
+    let areas = if node.kind.as_deref() == Some("FeatureCollection") {
+        node.features
+            .ok_or_else(|| {
+                RegionFault::Collection("the collection has no list \"features\"".into())
+            })?
+            .0
+    } else {
+        area(node)
+            .map_err(RegionFault::Collection)?
+            .into_iter()
+            .collect()
+    };
+    if areas.iter().all(|area| area.polygons.is_empty()) {
+        return Err(RegionFault::Collection("it has no polygon".into()));
+    }
+    check_positions(areas.iter().map(positions_of).sum()).map_err(RegionFault::Collection)?;
+    Ok(Areas {
+        coordinates: coordinates(crs, axes.as_deref()).map_err(RegionFault::Collection)?,
+        areas,
+    })
+}
+
+/// The area of a feature or a bare geometry; `None` for a feature without a geometry.
+fn area(node: Node) -> Result<Option<Area>, String> {
+    let (geometry, properties) = match node.kind.as_deref() {
+        Some("Feature") => (node.geometry.map(|geometry| *geometry), node.properties),
+        _ => (Some(node), None),
+    };
+    let Some(geometry) = geometry else {
+        return Ok(None);
+    };
+    let within = |name: &str, number: Option<f64>, range: RangeInclusive<f64>| match number {
+        Some(number) if !range.contains(&number) => Err(format!(
+            "{name} is {number}, not a number from {} to {:e}",
+            range.start(),
+            range.end()
+        )),
+        number => Ok(number),
+    };
+    let (weight, gsd) = properties.map_or((None, None), |properties| {
+        (properties.weight, properties.gsd)
+    });
+    Ok(Some(Area {
+        polygons: polygons(geometry)?,
+        weight: within("weight", weight, WEIGHTS)?.unwrap_or(1.0),
+        gsd: within("gsd", gsd, GSDS)?,
+    }))
+}
+
+fn polygons(geometry: Node) -> Result<Vec<Polygon>, String> {
+    let coordinates = || "the geometry has no list \"coordinates\"";
+    match geometry.kind.as_deref() {
+        Some("Polygon") => Ok(vec![polygon(
+            geometry.coordinates.ok_or_else(coordinates)?,
+        )?]),
+        Some("MultiPolygon") => members(geometry.coordinates.ok_or_else(coordinates)?)?
+            .map(polygon)
+            .collect(),
+        Some("GeometryCollection") => {
+            let parts = geometry
+                .geometries
+                .ok_or("the geometry has no list \"geometries\"")?;
+            Ok(parts.0.into_iter().flat_map(|part| part.polygons).collect())
+        }
+        Some(kind) => Err(format!("a {kind} encloses no area")),
+        None => Err("it has no \"type\"".into()),
+    }
+}
+
+fn members(list: Nested) -> Result<impl Iterator<Item = Nested>, String> {
+    match list {
+        Nested::List(members) => Ok(members.into_iter()),
+        Nested::Position([x, y]) => Err(format!(
+            "the position {x}, {y} where a list of positions belongs"
+        )),
+        Nested::Number(x) => Err(format!("the number {x} where a list of positions belongs")),
+    }
+}
+
+fn polygon(rings: Nested) -> Result<Polygon, String> {
+    let rings: Polygon = members(rings)?.map(ring).collect::<Result<_, _>>()?;
+    if rings.is_empty() {
+        Err("a polygon has no ring".into())
+    } else {
+        Ok(rings)
+    }
+}
+
+fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
+    let position = |member| match member {
+        Nested::Position(position) => Ok(position),
+        _ => Err("a ring is not a list of positions".to_string()),
+    };
+    let positions: Vec<[f64; 2]> = members(ring)?.map(position).collect::<Result<_, _>>()?;
+    let changes = positions
+        .windows(2)
+        .filter(|pair| pair[0] != pair[1])
+        .count();
+    let is_closed = changes > 0 && positions.first() == positions.last();
+    match (changes + 1).min(positions.len()) - usize::from(is_closed) {
+        3.. => Ok(positions),
+        distinct => Err(few(distinct)),
+    }
+}
+
+fn coordinates(crs: Option<Option<Crs>>, axes: Option<&RawValue>) -> Result<Coordinates, String> {
+    let crs = match crs {
+        None => return Ok(Coordinates::Unsaid),
+        Some(None) => {
+            let axes = axes
+                .map(|axes| serde_json::from_str(axes.get()))
+                .transpose();
+            return Ok(Coordinates::Model {
+                axes: axes.map_err(|error| format!("axes: {error}"))?,
+            });
+        }
+        Some(Some(crs)) => crs,
+    };
+    let name = crs.properties.name;
+    let is_geodetic = ["CRS84", "CRS84h", "4326", "4979"]
+        .iter()
+        .any(|end| name.ends_with(end));
+    if is_geodetic {
+        Ok(Coordinates::Geodetic)
+    } else {
+        Err(format!("its coordinates are in {name:?}, not in WGS 84"))
+    }
+}

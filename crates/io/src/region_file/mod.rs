@@ -1,0 +1,295 @@
+//! Files of regions: GeoJSON polygons (RFC 7946), closed PLY meshes, or the six numbers of a box.
+//! The contents tell them apart.
+
+mod geojson;
+
+use std::{io, path::Path};
+
+use viewrank_core::{method::region::Areas, model::mesh::Mesh};
+
+use crate::{
+    input::{self, FileKind},
+    mistaken::{self, Mistaken},
+    ply::{self, PlyError},
+};
+
+/// Largest magnitude of a coordinate; no survey has larger ones, and their products stay finite.
+const LARGEST: f64 = 1e12;
+/// Most triangles of a mesh: with their index and outline, a plan takes about 300 bytes for each.
+const MOST_TRIANGLES: usize = 1_000_000;
+
+/// Contents of the file of a region.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RegionFile {
+    Areas(Areas),
+    /// In the frame of the model; not checked to be closed.
+    Mesh(Mesh),
+    /// Two opposite corners in the frame of the model.
+    Box([f64; 6]),
+}
+
+/// Errors of a region's file.
+#[derive(Debug, thiserror::Error)]
+pub enum RegionFault {
+    #[error(transparent)]
+    Read(#[from] io::Error),
+    #[error("it is neither GeoJSON nor PLY nor six numbers")]
+    Unknown,
+    #[error("it is {}", .0.what)]
+    Mistaken(Mistaken),
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    #[error("{0}")]
+    Collection(String),
+    #[error("more than {MOST_TRIANGLES} triangles: simplify the mesh")]
+    Triangles,
+    #[error(transparent)]
+    Ply(#[from] PlyError),
+}
+
+/// Reads a file of a region.
+pub fn read(path: &Path) -> Result<RegionFile, RegionFault> {
+    parse(&input::read(path, FileKind::Region)?)
+}
+
+/// Parses the contents of such a file.
+pub fn parse(bytes: &[u8]) -> Result<RegionFile, RegionFault> {
+    // Editors on Windows put a byte order mark before text.
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let start = bytes
+        .iter()
+        .position(|b| !b.is_ascii_whitespace())
+        .unwrap_or(0);
+    contents(bytes, &bytes[start..]).map_err(|fault| {
+        let other = other_map(bytes).or_else(|| mistaken::by_start(bytes));
+        match (fault, other) {
+            (RegionFault::Unknown, Some(mistaken)) => RegionFault::Mistaken(mistaken),
+            (fault, _) => fault,
+        }
+    })
+}
+
+/// `text`: the bytes without blanks at the start, which count in the positions of faults.
+fn contents(bytes: &[u8], text: &[u8]) -> Result<RegionFile, RegionFault> {
+    match text {
+        [b'{', ..] => geojson::read(bytes).map(RegionFile::Areas),
+        [b'p', b'l', b'y', b'\n' | b'\r', ..] => {
+            let mesh = ply::read_at_most(text, MOST_TRIANGLES)?;
+            mesh.map(RegionFile::Mesh).ok_or(RegionFault::Triangles)
+        }
+        _ if text.len() < 4096 => {
+            let numbers = std::str::from_utf8(text).ok().and_then(parse_box);
+            numbers.map(RegionFile::Box).ok_or(RegionFault::Unknown)
+        }
+        _ => Err(RegionFault::Unknown),
+    }
+}
+
+/// A map in another format, by its first bytes, with the command of GDAL that converts it.
+fn other_map(bytes: &[u8]) -> Option<Mistaken> {
+    let head = &bytes[..bytes.len().min(1024)];
+    let has = |word: &[u8]| head.windows(word.len()).any(|window| window == word);
+    let (what, cure) = if has(b"<kml") {
+        (
+            "KML",
+            "convert it: ogr2ogr -f GeoJSON region.geojson FILE.kml",
+        )
+    } else if head.starts_with(b"PK\x03\x04") && has(b".kml") {
+        (
+            "KMZ",
+            "convert it: ogr2ogr -f GeoJSON region.geojson FILE.kmz",
+        )
+    } else if head.starts_with(b"\0\0\x27\x0a") {
+        (
+            "a shapefile",
+            "convert it: ogr2ogr -f GeoJSON -t_srs EPSG:4326 region.geojson FILE.shp",
+        )
+    } else if head.starts_with(b"SQLite format 3\0") {
+        (
+            "a GeoPackage",
+            "convert it: ogr2ogr -f GeoJSON -t_srs EPSG:4326 region.geojson FILE.gpkg",
+        )
+    } else {
+        return None;
+    };
+    Some(Mistaken { what, cure })
+}
+
+/// Reads six finite numbers, separated by commas or blanks; `None` where there are others.
+pub fn parse_box(text: &str) -> Option<[f64; 6]> {
+    let words = text
+        .split(|c: char| c == ',' || c.is_whitespace())
+        .filter(|word| !word.is_empty());
+    let numbers: Vec<f64> = words.map(str::parse).collect::<Result<_, _>>().ok()?;
+    numbers
+        .try_into()
+        .ok()
+        .filter(|numbers: &[f64; 6]| numbers.iter().all(|x| x.abs() <= LARGEST))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use viewrank_core::method::region::{Area, Coordinates};
+
+    use super::*;
+
+    fn areas_of(json: &Value) -> Areas {
+        match parse(json.to_string().as_bytes()) {
+            Ok(RegionFile::Areas(areas)) => areas,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn square(size: f64) -> Value {
+        json!([
+            [0.0, 0.0],
+            [size, 0.0],
+            [size, size, 7.0],
+            [0.0, size],
+            [0.0, 0.0]
+        ])
+    }
+
+    #[test]
+    fn a_polygon_of_more_triangles_than_a_plan_takes_is_refused() {
+        let file = |corners: usize| {
+            let header = "ply\nformat binary_little_endian 1.0\nelement face 1\n\
+                          property list uint uchar vertex_indices\nend_header\n";
+            let count = (corners as u32).to_le_bytes();
+            [header.as_bytes(), &count, &vec![0; corners]].concat()
+        };
+        let too_many = parse(&file(MOST_TRIANGLES + 3));
+        assert!(matches!(too_many, Err(RegionFault::Triangles)));
+        // It has no vertices, which is said only when all is read.
+        let just_so = parse(&file(MOST_TRIANGLES + 2));
+        assert!(matches!(just_so, Err(RegionFault::Ply(_))));
+    }
+
+    #[test]
+    fn polygons_keep_their_holes_parts_and_wishes() {
+        let geojson = json!({ "type": "FeatureCollection", "features": [
+            { "type": "Feature", "properties": { "weight": 2, "gsd": 0.01, "name": "court" },
+              "geometry": { "type": "Polygon", "coordinates": [square(4.0), square(1.0)] } },
+            { "type": "Feature", "properties": null, "geometry": null },
+            { "type": "Feature", "properties": { "weight": null },
+              "geometry": { "type": "MultiPolygon", "coordinates": [[square(1.0)], [square(2.0)]] } },
+        ]});
+        let Areas { coordinates, areas } = areas_of(&geojson);
+        assert_eq!(coordinates, Coordinates::Unsaid);
+        let shape = |area: &Area| area.polygons.iter().map(Vec::len).collect::<Vec<_>>();
+        assert_eq!(
+            areas.iter().map(shape).collect::<Vec<_>>(),
+            [vec![2], vec![1, 1]]
+        );
+        assert_eq!(
+            areas.iter().map(|a| (a.weight, a.gsd)).collect::<Vec<_>>(),
+            [(2.0, Some(0.01)), (1.0, None)]
+        );
+        assert_eq!(areas[0].polygons[0][0][2], [4.0, 4.0]);
+        let bare = areas_of(&json!({ "type": "GeometryCollection", "geometries": [
+            { "type": "Polygon", "coordinates": [square(1.0)] }, { "type": "Polygon", "coordinates": [square(2.0)] }
+        ]}));
+        assert_eq!(shape(&bare.areas[0]), [1, 1]);
+    }
+
+    #[test]
+    fn coordinates_are_of_the_model_or_wgs_84() {
+        let with =
+            |crs: Value| json!({ "type": "Polygon", "coordinates": [square(1.0)], "crs": crs });
+        assert_eq!(
+            areas_of(&with(Value::Null)).coordinates,
+            Coordinates::Model { axes: None }
+        );
+        let named = |name: &str| with(json!({ "type": "name", "properties": { "name": name } }));
+        assert_eq!(
+            areas_of(&named("urn:ogc:def:crs:OGC:1.3:CRS84")).coordinates,
+            Coordinates::Geodetic
+        );
+        let utm = parse(named("urn:ogc:def:crs:EPSG::32633").to_string().as_bytes());
+        assert!(matches!(utm, Err(RegionFault::Collection(_))), "{utm:?}");
+    }
+
+    #[test]
+    fn a_box_and_a_mesh_are_told_by_their_contents() {
+        assert_eq!(
+            parse(b" 0 0 0\n1 2 3\n").unwrap(),
+            RegionFile::Box([0.0, 0.0, 0.0, 1.0, 2.0, 3.0])
+        );
+        let ply = ply::write(&[Default::default(); 3], &[[0, 1, 2]], &[], &[]);
+        assert!(matches!(parse(&ply), Ok(RegionFile::Mesh(mesh)) if mesh.triangles == [[0, 1, 2]]));
+    }
+
+    #[test]
+    fn maps_in_other_formats_are_named_with_their_conversion() {
+        for (start, name) in [
+            (&b"<?xml version=\"1.0\"?>\n<kml xmlns=\"\">"[..], "KML"),
+            (b"PK\x03\x04\x14\0\0\0\x08\0doc.kml", "KMZ"),
+            (b"\0\0\x27\x0a\0\0\0\0", "a shapefile"),
+            (b"SQLite format 3\0", "a GeoPackage"),
+        ] {
+            let file = [start, &[0; 5000]].concat();
+            assert!(
+                matches!(parse(&file), Err(RegionFault::Mistaken(Mistaken { what, cure }))
+                    if what == name && cure.contains("ogr2ogr")),
+                "{name}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_no_region_is_refused() {
+        let feature = |geometry: Value, properties: Value| {
+            json!({ "type": "Feature", "geometry": geometry, "properties": properties }).to_string()
+        };
+        let good = || json!({ "type": "Polygon", "coordinates": [square(1.0)] });
+        for text in [
+            feature(good(), json!({ "weight": -1 })),
+            feature(good(), json!({ "weight": "2" })),
+            feature(good(), json!({ "gsd": 0 })),
+            feature(
+                json!({ "type": "LineString", "coordinates": [[0, 0], [1, 1]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[[0, 0], [1, 1], [0, 0]]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[[0, 0], [1, "x"], [1, 1]]] }),
+                Value::Null,
+            ),
+            feature(
+                json!({ "type": "Polygon", "coordinates": [[[0, 0], [1e300, 0], [1, 1]]] }),
+                Value::Null,
+            ),
+            feature(json!({ "type": "Polygon" }), Value::Null),
+            feature(Value::Null, Value::Null),
+            json!({ "type": "FeatureCollection" }).to_string(),
+            json!({ "type": "FeatureCollection", "features": [3, "x"] }).to_string(),
+            "{\"type\": \"Polygon\", \"coordinates\": [[[0, 0], [NaN, 0], [1, 1]]]}".into(),
+            "{".into(),
+            json!({ "type": "Polygon", "coordinates": [[[0], [1], [2]]] }).to_string(),
+            json!({ "type": "Polygon", "coordinates": [[[0, 0], 1, [1, 1]]] }).to_string(),
+            json!({ "type": "MultiPolygon", "coordinates": [[], []] }).to_string(),
+            format!(
+                "{{\"type\": \"Polygon\", \"coordinates\": {}",
+                "[".repeat(100_000)
+            ),
+            "1 2 3 4 5 nan".into(),
+            String::new(),
+            "\u{0}".repeat(10_000),
+        ] {
+            assert!(
+                parse(text.as_bytes()).is_err(),
+                "{}",
+                &text[..text.len().min(200)]
+            );
+        }
+    }
+}
