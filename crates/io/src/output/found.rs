@@ -71,7 +71,7 @@ fn check_steps(root: &Root, journal: &Journal) -> Result<(), String> {
         if journal.direction == Direction::Finish
             && step.new.is_some()
             && !is_there
-            && !root.folder.has(&staged(i, "new"))
+            && !root.folder.has(staged(i, "new"))
         {
             return Err(format!("the staged file of {} is missing", step.path));
         }
