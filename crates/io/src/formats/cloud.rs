@@ -83,7 +83,9 @@ pub fn is_far_away(model: &ColmapModel, points: &[Point3<f64>]) -> bool {
     else {
         return false;
     };
-    (cameras - cloud).norm() > FAR * (around + across)
+    // Of a single camera and a single point nothing can be said.
+    let extent = around + across;
+    extent > 0.0 && (cameras - cloud).norm() > FAR * extent
 }
 
 /// The middle of places, and their median distance from it.
