@@ -196,15 +196,8 @@ fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
         if let Some(mistaken) = mistaken::by_start(bytes).filter(|_| line == 1) {
             return Err(fail(&format!("the file is {}", mistaken.what)));
         }
-        let rest = &bytes[at..];
-        let end = rest
-            .iter()
-            .take(4096)
-            .position(|&b| b == b'\n')
-            .ok_or_else(|| fail("the header does not end"))?;
-        let text = std::str::from_utf8(&rest[..end])
-            .map_err(|_| fail("the header is not text; is this a PLY file?"))?;
-        at += end + 1;
+        let text = header_line(&bytes[at..]).map_err(fail)?;
+        at += text.len() + 1;
         let words: Vec<&str> = text.split_whitespace().collect();
         match words[..] {
             ["ply"] if line == 1 => {}
@@ -214,23 +207,9 @@ fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
             }
             ["comment" | "obj_info", ..] | [] => {}
             ["element", name, count] => {
-                let count = count
-                    .parse()
-                    .map_err(|_| fail("the element count is not a number"))?;
-                elements.push(Element {
-                    name: name.into(),
-                    count,
-                    properties: Vec::new(),
-                });
+                elements.push(Element::declared(name, count).map_err(fail)?);
             }
-            ["property", ..] => {
-                let property = parse_property(&words).ok_or_else(|| fail("unknown property"))?;
-                elements
-                    .last_mut()
-                    .ok_or_else(|| fail("a property before any element"))?
-                    .properties
-                    .push(property);
-            }
+            ["property", ..] => add_property(&mut elements, &words).map_err(fail)?,
             ["end_header"] => {
                 let encoding = encoding.ok_or_else(|| fail("the header has no \"format\" line"))?;
                 return Ok(Header {
@@ -242,6 +221,32 @@ fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
             _ => return Err(fail(&format!("unknown header line \"{text}\""))),
         }
     }
+}
+
+/// The next line, without its end; else what is wrong with it.
+fn header_line(rest: &[u8]) -> Result<&str, &'static str> {
+    let end = rest.iter().take(4096).position(|&b| b == b'\n');
+    let end = end.ok_or("the header does not end")?;
+    std::str::from_utf8(&rest[..end]).map_err(|_| "the header is not text; is this a PLY file?")
+}
+
+impl Element {
+    fn declared(name: &str, count: &str) -> Result<Self, &'static str> {
+        let count = count.parse();
+        Ok(Self {
+            name: name.into(),
+            count: count.map_err(|_| "the element count is not a number")?,
+            properties: Vec::new(),
+        })
+    }
+}
+
+/// Adds a property, from the words of its line, to the last element.
+fn add_property(elements: &mut [Element], words: &[&str]) -> Result<(), &'static str> {
+    let property = parse_property(words).ok_or("unknown property")?;
+    let element = elements.last_mut().ok_or("a property before any element")?;
+    element.properties.push(property);
+    Ok(())
 }
 
 fn parse_encoding(name: &str) -> Option<Encoding> {
