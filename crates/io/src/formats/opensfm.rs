@@ -182,12 +182,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
         georeference: origin.map(Reference::georeference),
         ..ForeignModel::default()
     };
-    if all > 1 {
-        let shots = largest.shots.len();
-        let text =
-            format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
-        foreign.warn(WarningKind::OtherModels, text);
-    }
+    warn_of_smaller(&mut foreign, all, largest.shots.len());
     let shots = largest.add_shots(&mut foreign)?;
     let observations = match tracks {
         Some(tracks) => observations(tracks, &shots, &largest.points)?,
@@ -199,6 +194,14 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
         foreign.warn(WarningKind::Damaged, text);
     }
     Ok(foreign)
+}
+
+fn warn_of_smaller(foreign: &mut ForeignModel, all: usize, shots: usize) {
+    if all > 1 {
+        let text =
+            format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
+        foreign.warn(WarningKind::OtherModels, text);
+    }
 }
 
 /// The first reconstruction with the most shots.

@@ -32,8 +32,11 @@ pub use image_files::{images_below, is_image, slashes};
 pub use images::ImageFaults;
 pub use probe::{Unread, probe};
 
-use crate::shell::{command_path, command_word};
-use crate::{formats::colmap::ColmapModel, output::Disk};
+use crate::{
+    formats::colmap::ColmapModel,
+    output::Disk,
+    shell::{command_path, command_word},
+};
 
 /// Sparse model formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]

@@ -1,7 +1,7 @@
-//! Reads GeoJSON polygons (RFC 7946): the polygons of features, collections and bare geometries, with
-//! their holes and parts but without heights; the properties `weight` and `gsd`; and the member
-//! `crs` of the 2008 specification, which QGIS still writes, if it is WGS 84 or null. It ignores
-//! everything else.
+//! Reads GeoJSON (RFC 7946): the polygons of features, collections and bare geometries, with their
+//! holes and parts but without heights; the properties `weight` and `gsd`; and the member `crs` of
+//! the 2008 specification, which QGIS still writes, if it is WGS 84 or null. Everything else is
+//! ignored.
 
 use std::{fmt, ops::RangeInclusive};
 

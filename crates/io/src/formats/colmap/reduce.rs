@@ -36,9 +36,7 @@ impl ColmapModel<'_> {
         let uses: Vec<ImageUse> = self.images.iter().map(use_of).collect();
         let points = self.points_of(&lists, &uses, min_views)?;
         let ids: HashSet<u64> = points.iter().map(|point| point.id).collect();
-        let images = self.images.iter().zip(&uses);
-        let kept = images.filter(|(_, used)| **used != ImageUse::Removed);
-        let images: Vec<ColmapImage> = kept.map(|(image, _)| image.reduced(&ids)).collect();
+        let images = self.images_of(&uses, &ids);
         Ok(ColmapModel {
             cameras: self.cameras_of(&images),
             images,
@@ -58,6 +56,13 @@ impl ColmapModel<'_> {
         let points = self.points.iter();
         let points = points.map(|point| point.reduced(lists, uses, min_views));
         points.filter_map(Result::transpose).collect()
+    }
+
+    /// The kept images, with links to these points.
+    fn images_of(&self, uses: &[ImageUse], points: &HashSet<u64>) -> Vec<ColmapImage<'_>> {
+        let images = self.images.iter().zip(uses);
+        let kept = images.filter(|(_, used)| **used != ImageUse::Removed);
+        kept.map(|(image, _)| image.reduced(points)).collect()
     }
 
     /// The cameras that some of the images have.
