@@ -36,6 +36,7 @@ class Rendered(NamedTuple):
     quality: int = 92
     image_mb: float = 0
     features: int = 4000
+    known_poses: bool = False
 
     kind = "rendered"
     # The file that is written last.
@@ -150,6 +151,8 @@ SETS = dict(
     room=Rendered("room", 1, 72, (800, 600), 7, features=3000),
     grove=Rendered("grove", 1, 90, (1000, 750), 25),
     yard=Rendered("yard", 7, 320, (800, 600), 60),
+    valley1236=Rendered("valley", 1, 1236, (400, 300), 60, features=1000, known_poses=True),
+    quarry485=Rendered("quarry", 1, 485, (400, 300), 20, features=1000, known_poses=True),
     boruszyn=Photographs(
         "merkato/odm_boruszyn_kap", "f8e9eaba1a195ebcaab902f100df1edc8534b421", CC_BY, 28, 10,
         Recipe(815, "all", control="gcp_list.txt", control_width=2400),

@@ -1,4 +1,4 @@
-"""Renders a synthetic scene with exact depth, and runs structure from motion on it.
+"""Renders a synthetic scene with exact depth, and makes a sparse model of the pictures.
 
     python3 -m benches.render OUT [--scene valley|yard|quarry|grove|statue|room] [--seed 1] [--views 120] [--size 1000x750]
 
@@ -25,7 +25,8 @@ def arguments():
     parser.add_argument("--quality", type=int, default=92, help="JPEG quality")
     parser.add_argument("--image-mb", type=float, default=0, help="lower the quality until the images together take at most this")
     parser.add_argument("--features", type=int, default=4000, help="SIFT features per image")
-    parser.add_argument("--jobs", type=int, default=2, help="processes, and threads of structure from motion")
+    parser.add_argument("--jobs", type=int, default=2, help="processes, and threads of pycolmap")
+    parser.add_argument("--known-poses", action="store_true", help="triangulate with the true poses, without structure from motion")
     parser.add_argument("--no-sfm", action="store_true", help="render only")
     return parser.parse_args()
 
@@ -38,7 +39,7 @@ def make(settings):
         from . import checks, describe, mapping
 
         pictures.keep_rendered(settings.out)
-        stats["mapping"] = mapping.structure_from_motion(settings.out, settings)
+        stats["mapping"] = mapping.sparse_model(settings.out, settings)
         stats["check"] = checks.check(settings.out)
         stats.update(describe.describe(settings.out))
         describe.write_readme(settings, stats)

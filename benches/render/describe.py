@@ -26,6 +26,9 @@ walls, repeated tiles, windows that are too bright, furniture seen with a small 
 depths in one picture range from 0.5 to 6 m; many neighbours lie along the line of sight; floor, rug and sofas repeat.""",
 )
 
+FOUND_POSES = "incremental mapping, moved to the true camera centres by one similarity; its poses carry the error above"
+TRUE_POSES = "triangulation with the true poses"
+
 README = """# {name}: a synthetic scene with exact depth
 
 Rendered by `python3 -m benches.render {name} --scene {scene} --seed {seed} --views {planned} --size {w}x{h}{options}`: ray casting,
@@ -38,7 +41,7 @@ procedural textures. No part of it is photographed or taken from elsewhere. Metr
 | ground sampling distance (median of an image) | {gsd} cm (least, median, largest) |
 | static mesh | {vertices} vertices, {faces} triangles |
 | pixels: none, static, leaves, water | {classes} |
-| structure from motion | {registered} of {of} registered, {points} points, {observations} observations |
+| sparse model | {registered} of {of} registered, {points} points, {observations} observations |
 | mean reprojection error | {mean_reprojection_error_px} px |
 | camera centres after alignment | median {centre_median_m} m, largest {centre_max_m} m |
 | rotations after alignment | median {rotation_median_deg} degrees, largest {rotation_max_deg} degrees |
@@ -47,7 +50,7 @@ procedural textures. No part of it is photographed or taken from elsewhere. Metr
 | sparse points on static surfaces to the mesh | {distances} cm |
 
 - `images/`: {flights}.
-- `sparse/0/`: COLMAP model from SIFT and incremental mapping, moved to the true camera centres by one similarity. Its poses carry the error above.
+- `sparse/0/`: COLMAP model from SIFT and {poses}.
 - `truth/sparse/0/`: the true poses, without points; match the images by name.
 - `truth/scene.ply`: the mesh that was rendered; each face has a `material`: {materials}.
 - `truth/depth/NAME.npz`: z-depth for the true pose at half resolution. Pixel (i, j) is the corner point (2 i + 1, 2 j + 1) of the image.
@@ -90,6 +93,7 @@ def write_readme(settings, stats):
     scene, (width, height) = settings.scene, stats["size"]
     names = materials.NAMES if scene in INDOORS else materials.OUTDOOR_NAMES
     options = " --quality %d" % settings.quality + (" --image-mb %g" % settings.image_mb if settings.image_mb else "")
+    options += " --known-poses" if settings.known_poses else ""
     check = stats["check"]
     text = README.format(
         **stats["mapping"], name=settings.out.resolve().name, scene=scene, seed=settings.seed, planned=settings.views, w=width, h=height,
@@ -100,7 +104,7 @@ def write_readme(settings, stats):
         photo=listed("%s: %s" % pair for pair in check["photo"]["correlation_by_shift_px"].items()),
         distances=listed("%s %s" % pair for pair in check["point_distance_static_cm"].items()), flights=VIEWS.get(scene, VIEWS_OUTDOORS),
         materials=listed("%d %s" % pair for pair in enumerate(names)), step=depth_file.STEP, half=depth_file.FINE // 2,
-        fine_step=depth_file.STEP / depth_file.FINE, hard=HARD.get(scene, HARD_OUTDOORS),
+        poses=TRUE_POSES if settings.known_poses else FOUND_POSES, fine_step=depth_file.STEP / depth_file.FINE, hard=HARD.get(scene, HARD_OUTDOORS),
     )  # fmt: skip
     (settings.out / "README.md").write_text(text)
 

@@ -1,4 +1,7 @@
-"""Structure from motion on rendered pictures by pycolmap: known intrinsics held fixed, pairs chosen by true overlap, moved to the true poses."""
+"""Sparse models of rendered pictures by pycolmap: known intrinsics held fixed, pairs chosen by true overlap.
+
+Either structure from motion, moved to the true poses, or points triangulated with the true poses, which takes far less with many views.
+"""
 
 import math
 import shutil
@@ -29,30 +32,29 @@ def true_points(out, camera, poses):
     return points
 
 
-def overlap(points, camera, one, other):
-    """How well points that one view sees can be matched in the other: in it, at a small angle, at a like scale."""
-    rotation, centre = other
-    q = (points - centre) @ rotation.T
-    z = np.maximum(q[:, 2], 0.1)
-    u, v = camera.focal * q[:, 0] / z + camera.cx, camera.focal * q[:, 1] / z + camera.cy
-    here, there = points - one[1], points - centre
-    near, far = np.linalg.norm(here, axis=1), np.linalg.norm(there, axis=1)
-    angle = np.degrees(np.arccos(np.clip((here * there).sum(1) / near / far, -1, 1)))
-    inside = (q[:, 2] > 0.1) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+def overlaps(points, camera, own_centre, rotations, centres):
+    """How well points that one view sees can be matched in each of others: in it, at a small angle, at a like scale."""
+    here, there = points - own_centre, points - centres[:, None]
+    q = there @ rotations.transpose(0, 2, 1)
+    z = np.maximum(q[..., 2], 0.1)
+    u, v = camera.focal * q[..., 0] / z + camera.cx, camera.focal * q[..., 1] / z + camera.cy
+    near, far = np.linalg.norm(here, axis=1), np.linalg.norm(there, axis=2)
+    angle = np.degrees(np.arccos(np.clip((here * there).sum(2) / near / far, -1, 1)))
+    inside = (q[..., 2] > 0.1) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
     like = np.exp(-((angle / 30) ** 2)) * np.minimum(near / far, far / near) ** 0.7
-    return float(np.sum(inside * like)) / max(1, len(near))
+    return (inside * like).sum(1) / max(1, len(near))
 
 
 def overlapping_pairs(out, camera, poses, partners=PARTNERS):
     """Pairs of names worth matching."""
     names, points = sorted(poses), true_points(out, camera, poses)
-    score = {(a, b): overlap(points[a], camera, poses[a], poses[b]) for a in names for b in names if a != b}
-    both = {(a, b): score[a, b] + score[b, a] for a, b in score if a < b}
-    pairs = set()
-    for a in names:
-        best = sorted(((both[min(a, b), max(a, b)], b) for b in names if b != a), reverse=True)
-        pairs |= {(min(a, b), max(a, b)) for share, b in best[:partners] if share > LEAST_OVERLAP}
-    return sorted(pairs)
+    rotations, centres = (np.array([poses[name][i] for name in names]) for i in (0, 1))
+    score = np.array([overlaps(points[name], camera, centre, rotations, centres) for name, centre in zip(names, centres)])
+    both = score + score.T
+    np.fill_diagonal(both, 0)
+    best = np.argsort(-both, axis=1)[:, :partners]
+    pairs = {(min(a, b), max(a, b)) for a, row in enumerate(best) for b in row if both[a, b] > LEAST_OVERLAP}
+    return sorted((names[a], names[b]) for a, b in pairs)
 
 
 def similarity(a, b):
@@ -99,6 +101,17 @@ def map_incrementally(database, out, jobs):
     return pycolmap.incremental_mapping(database, out / "images", database.parent, options)
 
 
+def triangulate(database, out, camera, poses):
+    import pycolmap
+
+    with pycolmap.Database.open(database) as opened:
+        numbers = {image.name: image.image_id for image in opened.read_all_images()}
+    posed = [colmap_model.posed(numbers[name], name, *pose) for name, pose in poses.items()]
+    colmap_model.write(database.with_name("posed"), camera, posed, [])
+    known = pycolmap.Reconstruction(str(database.with_name("posed")))
+    return pycolmap.triangulate_points(known, database, out / "images", database.parent)
+
+
 def align(model, poses):
     """Moves the model to the true camera centres. Returns what remains: metres, degrees."""
     import pycolmap
@@ -135,7 +148,7 @@ def observed_part(model):
     return images, points
 
 
-def structure_from_motion(out, settings):
+def sparse_model(out, settings):
     """Writes OUT/sparse/0; returns figures."""
     import pycolmap
 
@@ -148,8 +161,11 @@ def structure_from_motion(out, settings):
     pairs = overlapping_pairs(out, camera, poses)
     match(work / "database.db", pairs, settings.jobs)
     print("%d pairs matched, %.0f s" % (len(pairs), time.time() - start), flush=True)
-    models = map_incrementally(work / "database.db", out, settings.jobs)
-    model = max(models.values(), key=lambda m: m.num_reg_images())
+    if settings.known_poses:
+        model = triangulate(work / "database.db", out, camera, poses)
+    else:
+        models = map_incrementally(work / "database.db", out, settings.jobs)
+        model = max(models.values(), key=lambda m: m.num_reg_images())
     residuals, angles = align(model, poses)
     images, points = observed_part(model)
     colmap_model.write(out / "sparse/0", camera, images, points)
