@@ -99,7 +99,7 @@ fn project_of(root: &Path) -> Option<PathBuf> {
     root.join("opensfm").is_dir().then_some(root)
 }
 
-/// What `run.sh` does in the engine's project.
+/// Commands of `run.sh` in the engine's project.
 fn steps() -> [String; 3] {
     [
         format!("rm -rf \"{PROJECT}/opensfm/undistorted/openmvs\""),

@@ -71,8 +71,8 @@ pub struct Arguments {
     /// Folder of depth maps of the same clusters, matched at half the size, to compare with
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
     half_size: Option<PathBuf>,
-    /// Also compare the order with others (with --depth-maps): nocp, realupdate, replan, maxpts, every n-th, farthest
-    /// view, random, optimum
+    /// Also compare the order with others (with --depth-maps): nocp, realupdate, replan, maxpts,
+    /// every n-th, farthest view, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
 

@@ -3,9 +3,9 @@
 //! are fixed words.
 //!
 //! Names, messages and settings of a project may come from a stranger, and may hold what a terminal
-//! obeys. So text is a list of lines, and of each line only [printable](crate::base::printable) characters
-//! are printed; others are shown escaped, line breaks too. Data ([`print_json`], [`print_data`])
-//! has the escapes of its own format.
+//! obeys. So text is a list of lines, and of each line only [printable](crate::base::printable)
+//! characters are printed; others are shown escaped, line breaks too. Data ([`print_json`],
+//! [`print_data`]) has the escapes of its own format.
 
 use std::io::{ErrorKind, IsTerminal, Write};
 

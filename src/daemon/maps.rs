@@ -77,7 +77,7 @@ pub fn scan(
     (folders, unreadable.map_or(Ok(files), Err))
 }
 
-/// What a scan has found so far.
+/// Results of a scan.
 #[derive(Default)]
 struct Found {
     folders: Vec<PathBuf>,

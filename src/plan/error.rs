@@ -188,7 +188,7 @@ impl Hint for PlanError {
     }
 }
 
-/// What to do where a stage needs more memory than is allowed.
+/// Returns advice for a stage that exceeds the memory limit.
 fn more_memory(stage: &str, need: u64) -> Advice {
     match stage {
         memory::SURFACE => allow(need).and(

@@ -7,9 +7,10 @@ const FORMULAS: [char; 8] = ['=', '+', '-', '@', '＝', '＋', '－', '＠'];
 /// Characters that begin a cell in a table of some language or program.
 const SEPARATORS: [char; 3] = [',', ';', '|'];
 
-/// Writes a name, [printable], so that no spreadsheet takes it, or a part of it, for a formula: an apostrophe
-/// before each character that would begin one, and before an apostrophe in such a place, at the
-/// start and after a separator. Without the apostrophes in these places, a cell is the printable name again.
+/// Writes a name, [printable], so that no spreadsheet takes it, or a part of it, for a formula: an
+/// apostrophe before each character that would begin one, and before an apostrophe in such a place,
+/// at the start and after a separator. Without the apostrophes in these places, a cell is the
+/// printable name again.
 pub fn cell(name: &str) -> String {
     let mut before = None;
     printable(name).chars().fold(String::new(), |mut cell, c| {

@@ -1,7 +1,5 @@
 //! The single definition of the share reached, with its denominator (method 8).
 
-use std::collections::BTreeMap;
-
 use serde::Serialize;
 
 use super::run::MeasuredClusters;
@@ -45,12 +43,6 @@ impl MeasuredProgress {
         );
         let finished = run.clusters.iter().zip(&run.attempts);
         finished.for_each(|(cluster, attempts)| beliefs.learn(cluster.key, attempts));
-        let planned: BTreeMap<ViewIndex, usize> = stages
-            .clusters
-            .iter()
-            .map(|cluster| cluster.key)
-            .zip(0..)
-            .collect();
         let (mut so_far, mut all) = (
             Reached::new(&stages.objective),
             Reached::new(&stages.objective),
@@ -58,19 +50,14 @@ impl MeasuredProgress {
         for (finished, cluster) in run.clusters.iter().enumerate() {
             so_far.take(run.real.row(finished));
             // At full size, also where the map has half of it.
-            let (triangles, believed) = planned
-                .get(&cluster.key)
-                .map(|&c| beliefs.row(c))
+            let (triangles, believed) = planned(stages, cluster.key)
+                .map(|c| beliefs.row(c))
                 .unwrap_or_default();
             let (triangles, values) = run.at_full_size(finished, (triangles, &believed));
             all.take((&triangles, &values));
         }
         for (c, cluster) in stages.clusters.iter().enumerate() {
-            if run
-                .clusters
-                .binary_search_by_key(&cluster.key, |finished| finished.key)
-                .is_err()
-            {
+            if run.finished(cluster.key).is_none() {
                 let (triangles, believed) = beliefs.row(c);
                 all.take((triangles, &believed));
             }
@@ -84,12 +71,6 @@ impl MeasuredProgress {
         let mut all = Reached::new(&pilot.kept.objective);
         let mut kept = Reached::new(&pilot.kept.objective);
         let mut beliefs = PlaceBeliefs::new(pilot.kept.objective.weights.len());
-        let planned: BTreeMap<ViewIndex, usize> = stages
-            .clusters
-            .iter()
-            .map(|cluster| cluster.key)
-            .zip(0..)
-            .collect();
         for (finished, cluster) in run.clusters.iter().enumerate() {
             let size = run.scales[finished];
             let real = run.real.row(finished);
@@ -98,8 +79,12 @@ impl MeasuredProgress {
             };
             let measured = row(&run.places[finished], size);
             kept.take((&measured.0, &measured.1));
-            if let Some(&c) = planned.get(&cluster.key) {
-                beliefs.learn(pilot.kept.table.row(c), (&measured.0, &measured.1));
+            let shown = match size {
+                MapScale::Full => Some(&pilot.kept.table),
+                MapScale::Half => pilot.kept.half.as_ref(),
+            };
+            if let Some((c, shown)) = planned(stages, cluster.key).zip(shown) {
+                beliefs.learn(shown.row(c), (&measured.0, &measured.1));
             }
             // At full size a map at half the size would give what the pilot shows.
             let at_full = match size {
@@ -127,8 +112,16 @@ impl MeasuredProgress {
     }
 }
 
-/// What finished maps say of the places at which further maps will look: where they gave less than
-/// the pilot had shown, others will, too.
+/// The cluster of a key view in the plan; `None` if it has none.
+fn planned(stages: &Stages, key: ViewIndex) -> Option<usize> {
+    let clusters = &stages.clusters;
+    clusters
+        .binary_search_by_key(&key, |cluster| cluster.key)
+        .ok()
+}
+
+/// Expectation of further maps by place, in the light of the finished ones: where these gave less
+/// than the pilot had shown, others will, too.
 struct PlaceBeliefs {
     /// Sums over the finished maps, by place.
     predicted: Vec<f32>,

@@ -11,9 +11,10 @@ use serde::Serialize;
 
 use super::{
     bytes,
-    flight::{self, BareGround, Flight, bare_ground},
+    flight::Flight,
     history::History,
-    holes::{FAR, Hole, Holes, holes},
+    holes::{FAR, holes},
+    listed_holes::{HoleData, ListedHoles},
     ranking::RankingData,
     real::{DepthMapFolders, Real},
     shown::DrawnSurface,
@@ -32,12 +33,7 @@ use crate::{
     config::ForecastSettings,
     io::project::Project,
     method::{region::Ground, visibility::VisibilityError},
-    model::{
-        cluster::Gate,
-        georeference::{Georeference, MapFrame},
-        reason::Reason,
-        scene::ViewIndex,
-    },
+    model::{cluster::Gate, georeference::MapFrame, reason::Reason, scene::ViewIndex},
     plan::{Band, Cut, GivenUp, Plan},
     show::{
         manifest::RegionSummary,
@@ -211,18 +207,6 @@ struct RegionData {
     outline: Vec<String>,
 }
 
-#[derive(Serialize)]
-struct HoleData {
-    area: f64,
-    triangles: usize,
-    reason: usize,
-    missing: String,
-    advice: &'static str,
-    centre: [f64; 3],
-    /// Latitude and longitude, degrees, if the scene is georeferenced.
-    place: Option<[f64; 2]>,
-}
-
 impl RegionData {
     fn new(
         plan: &Plan,
@@ -259,7 +243,7 @@ impl Contents {
             None => BTreeMap::new(),
         };
         let holes = holes(plan, HOLES);
-        let missing = MissingParts::new(plan, &holes, &frame, watcher)?;
+        let missing = ListedHoles::new(plan, &holes, &frame, watcher)?;
         let summary = RegionSummary::from_plan(plan);
         Ok(Self {
             title: title(&project.root),
@@ -302,54 +286,6 @@ impl Contents {
             most_thumbnails: MOST,
             ramp: RAMP,
         })
-    }
-}
-
-/// What no key view shows, and the images to take of it.
-struct MissingParts {
-    /// The largest holes of the surface, and ground without surface.
-    holes: Vec<HoleData>,
-    flight: Flight,
-    /// Waypoints for the holes of the surface, which come first.
-    for_holes: usize,
-}
-
-impl MissingParts {
-    fn new(
-        plan: &Plan,
-        holes: &Holes,
-        frame: &MapFrame,
-        watcher: &dyn Watcher,
-    ) -> Result<Self, ReportError> {
-        let needed = plan.stages.settings.coverage.min_cameras;
-        let place = &plan.stages.place;
-        let mut flight = flight::flight(plan, &holes.largest, watcher)?;
-        let of_surface = holes.largest.iter();
-        let mut listed: Vec<HoleData> = of_surface
-            .map(|hole| HoleData::new(hole, frame, place, needed))
-            .collect();
-        let for_holes = flight.waypoints.len();
-        if let Some(bare) = bare_ground(plan, frame, needed, listed.len(), &flight.waypoints) {
-            listed.push(HoleData::of_ground(&bare, frame, place, needed));
-            flight = flight.and_then(&bare);
-        }
-        Ok(Self {
-            holes: listed,
-            flight,
-            for_holes,
-        })
-    }
-
-    /// The files for the flight, and the outlines of ground that no image shows.
-    fn files(&self, plan: &Plan, frame: &MapFrame) -> Vec<(&'static str, String)> {
-        let (place, metres) = (&plan.stages.place, plan.stages.metres);
-        let ground = plan.stages.ground.as_ref();
-        let missed = ground.and_then(|ground| flight::missed(ground, frame, place, metres));
-        let missing: Vec<String> = self.holes.iter().map(|hole| hole.missing.clone()).collect();
-        flight::files(&self.flight, &missing, frame, place, metres)
-            .into_iter()
-            .chain(missed)
-            .collect()
     }
 }
 
@@ -586,41 +522,6 @@ impl FlightData {
             filled: flight.filled,
             of_holes: flight.of_holes.clone(),
             fillable: flight.fillable,
-        }
-    }
-}
-
-impl HoleData {
-    fn new(hole: &Hole, frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
-        let Hole {
-            area,
-            triangles,
-            reason,
-            centre,
-            ..
-        } = hole;
-        let place = place.geodetic(centre).map(|at| [at.latitude, at.longitude]);
-        Self {
-            area: *area,
-            triangles: *triangles,
-            reason: Reason::number(Some(*reason)).into(),
-            missing: hole.missing(needed),
-            advice: hole.advice(needed),
-            centre: frame.local(centre),
-            place,
-        }
-    }
-
-    fn of_ground(bare: &BareGround, frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
-        let at = place.geodetic(&bare.centre);
-        Self {
-            area: bare.area,
-            triangles: 0,
-            reason: Reason::number(Some(Reason::TooFewCameras)).into(),
-            missing: format!("no surface: fewer photographs show it than the {needed} needed"),
-            advice: "images of it, with more overlap",
-            centre: frame.local(&bare.centre),
-            place: at.map(|at| [at.latitude, at.longitude]),
         }
     }
 }

@@ -9,6 +9,7 @@ mod contents;
 mod flight;
 mod history;
 mod holes;
+mod listed_holes;
 mod ranking;
 mod real;
 mod shown;

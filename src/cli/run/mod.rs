@@ -155,8 +155,7 @@ fn refuse_plan_for_images(arguments: &Arguments, project: &Project) -> Result<()
     }
 }
 
-/// What the backend needs and the project does not have, but its workspace of undistorted images
-/// would.
+/// Returns a requirement of the backend that only a workspace of undistorted images fulfils.
 fn lacks(backend: &Backend, project: &Project, is_distorted: bool) -> Option<&'static str> {
     if is_distorted && !backend.takes_distorted {
         Some("undistorted images")

@@ -57,7 +57,7 @@ pub struct CountedBy {
     pub objective: Objective,
     pub table: FulfilmentTable,
     /// f at half the size; `None` where all maps have full size.
-    half: Option<FulfilmentTable>,
+    pub half: Option<FulfilmentTable>,
 }
 
 /// Cells of a place that a map fills, in pixels per wanted pixel: a place counts for the *order* as

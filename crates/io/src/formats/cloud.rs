@@ -5,14 +5,17 @@ use std::{borrow::Cow, collections::HashMap};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
-use viewrank_core::model::{
-    camera::Camera,
-    scene::{ModelWarning, Pose, WarningKind},
+use viewrank_core::{
+    method::surface::points::upper_median,
+    model::{
+        camera::Camera,
+        scene::{ModelWarning, Pose, WarningKind},
+    },
 };
 
 use super::{
     Place,
-    colmap::{ColmapModel, ColmapPoint, Point2d, TrackElement},
+    colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement},
 };
 
 /// Largest number of points used from a cloud without tracks, and largest number of observations
@@ -30,7 +33,7 @@ struct Projection<'a> {
 impl<'a> Projection<'a> {
     fn new(model: &'a ColmapModel) -> Self {
         let cameras: HashMap<u32, &Camera> = model.cameras.iter().map(|c| (c.id, c)).collect();
-        let view = |image: &super::colmap::ColmapImage| {
+        let view = |image: &ColmapImage| {
             let camera = cameras.get(&image.camera_id)?;
             Some((image.cam_from_world.pose().ok()?, *camera))
         };
@@ -76,8 +79,7 @@ const FAR: f64 = 30.0;
 
 /// Returns whether points and cameras are so far from each other that they cannot belong together.
 pub fn is_far_away(model: &ColmapModel, points: &[Point3<f64>]) -> bool {
-    let centre =
-        |image: &super::colmap::ColmapImage| Some(image.cam_from_world.pose().ok()?.centre());
+    let centre = |image: &ColmapImage| Some(image.cam_from_world.pose().ok()?.centre());
     let centres: Vec<Point3<f64>> = model.images.iter().filter_map(centre).collect();
     let (Some((cameras, around)), Some((cloud, across))) = (middle(&centres), middle(points))
     else {
@@ -90,14 +92,10 @@ pub fn is_far_away(model: &ColmapModel, points: &[Point3<f64>]) -> bool {
 
 /// The middle of places, and their median distance from it.
 fn middle(places: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
-    };
-    let along = |axis: usize| median(places.iter().map(|place| place[axis]).collect());
+    let along = |axis: usize| upper_median(places.iter().map(|place| place[axis]));
     let centre = Point3::new(along(0)?, along(1)?, along(2)?);
     let distances = places.iter().map(|place| (place - centre).norm());
-    Some((centre, median(distances.collect())?))
+    Some((centre, upper_median(distances)?))
 }
 
 /// Adds points without tracks to a model that has none.

@@ -160,7 +160,7 @@ impl Thinned<'_> {
     }
 }
 
-/// Number of depths that are held of one of so many maps, whose file has so many bytes.
+/// Limit on the depths held in memory for each of `maps` maps; `file_bytes`: size of its file.
 fn most_depths(maps: usize, file_bytes: u64) -> u64 {
     let of_file = file_bytes.saturating_mul(DEPTHS_OF_BYTE);
     (MOST_DEPTHS / maps.max(1) as u64).min(of_file.max(DEPTHS_OF_ANY))

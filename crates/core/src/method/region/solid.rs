@@ -106,8 +106,8 @@ fn is_below(point: &Point3<f64>, corners: &Corners) -> bool {
     }
 }
 
-/// Returns the triangles that are not degenerate, with merged vertices: the others have no inside, and
-/// their edges cancel each other.
+/// Returns the triangles that are not degenerate, with merged vertices: the others have no inside,
+/// and their edges cancel each other.
 fn faces(mesh: &Mesh) -> Vec<[u32; 3]> {
     let place = merged(&mesh.vertices);
     let faces = mesh.triangles.iter().map(|t| t.map(|v| place[v as usize]));

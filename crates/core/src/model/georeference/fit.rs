@@ -60,7 +60,8 @@ pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Fit> {
     })
 }
 
-/// Fits a similarity to its inliers, several times; returns the last with those that it was fitted to.
+/// Fits a similarity to its inliers, several times; returns the last with those that it was fitted
+/// to.
 fn refined(
     mut best: Similarity,
     from: &[Vector3<f64>],

@@ -256,7 +256,8 @@ fn cauchy_bound(others: &[f64], last: f64) -> f64 {
     1.0 + ratios.fold(0.0, f64::max)
 }
 
-/// Returns where `Σ c_i s^i` changes sign, by bisection; `None` if it has the same sign at both ends.
+/// Returns where `Σ c_i s^i` changes sign, by bisection; `None` if it has the same sign at both
+/// ends.
 fn crossing(c: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
     let is_positive = |s: f64| c.iter().rev().fold(0.0, |sum, c| sum * s + c) > 0.0;
     let rising = is_positive(high);
