@@ -72,6 +72,8 @@ pub struct PlanOptions {
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
 pub struct PlanJob {
     options: PlanOptions,
+    /// The watched folders as they were resolved at the start.
+    roots: Vec<PathBuf>,
     plans: Mutex<PlanCache>,
     hashes: Mutex<HashCache>,
     /// The last settings of each project that could be read.
@@ -130,7 +132,10 @@ impl Planner for PlanJob {
 impl PlanJob {
     pub fn new(options: PlanOptions) -> Self {
         let plans = Mutex::new(PlanCache::new(options.cache));
+        let roots = options.roots.iter();
+        let roots = roots.filter_map(|root| dunce::canonicalize(root).ok());
         Self {
+            roots: roots.collect(),
             options,
             plans,
             hashes: Mutex::default(),
@@ -139,7 +144,7 @@ impl PlanJob {
     }
 
     fn try_plan(&self, job: &Job) -> StepResult<Outcome> {
-        let within = self.within(job.project);
+        let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);
         output::recover(job.project, &disk).map_err(failed)?;
         let is_by_hand = !job.project.join(RECORD).exists();
@@ -228,7 +233,7 @@ impl PlanJob {
     }
 
     fn try_follow(&self, job: &Job) -> StepResult<Outcome> {
-        let within = self.within(job.project);
+        let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);
         output::recover(job.project, &disk).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else {
@@ -354,25 +359,39 @@ impl PlanJob {
     /// `viewrank.toml` of the watched folder that a project is in, whether it exists or not; `None`
     /// if the project is the folder itself.
     fn root_file(&self, project: &Path) -> Option<PathBuf> {
-        self.watched(project).map(|root| root.join("viewrank.toml"))
+        self.watched(project)
+            .filter(|root| *root != project)
+            .map(|root| root.join("viewrank.toml"))
     }
 
-    /// The watched folder that a project is in; `None` if the project is the folder itself.
-    fn watched(&self, project: &Path) -> Option<PathBuf> {
-        let roots = self
-            .options
-            .roots
-            .iter()
-            .filter_map(|root| dunce::canonicalize(root).ok());
+    /// The watched folder that a project is in, or is.
+    fn watched(&self, project: &Path) -> Option<&Path> {
+        let roots = self.roots.iter().map(PathBuf::as_path);
         roots
-            .filter(|root| project.starts_with(root) && project != root)
+            .filter(|root| project.starts_with(root))
             .max_by_key(|root| root.components().count())
     }
 
     /// The watched folder and the project, for [`Disk::within`].
-    fn within(&self, project: &Path) -> Vec<PathBuf> {
-        let root = self.watched(project).filter(|_| !self.options.follow_links);
-        root.into_iter().chain([project.to_path_buf()]).collect()
+    ///
+    /// # Errors
+    /// Where the project is in none: a folder was exchanged for a link before it was resolved.
+    fn within(&self, project: &Path) -> StepResult<Vec<PathBuf>> {
+        let root = match self.watched(project) {
+            _ if self.options.follow_links => None,
+            None if !self.options.roots.is_empty() => {
+                return Err(Outcome::Failed {
+                    reason: "not in a watched folder any more".into(),
+                    hint: Some("start viewrank watch again".into()),
+                });
+            }
+            root => root,
+        };
+        Ok(root
+            .into_iter()
+            .chain([project])
+            .map(Path::to_path_buf)
+            .collect())
     }
 
     /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at

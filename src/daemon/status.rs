@@ -31,8 +31,8 @@ const PAUSE: Duration = Duration::from_secs(1);
 const RETRY: Duration = Duration::from_secs(10);
 /// Tries to take a lock, which others may hold for an instant.
 const TRIES: u32 = 5;
-/// Path of the lock, relative to the root.
-const LOCK: &str = "viewrank/watch.lock";
+/// The lock in a root's folder `viewrank`.
+const LOCK: &str = "watch.lock";
 const STATUS_FILE: &str = "status.json";
 /// Limit of notices in the status.
 const NOTICES: usize = 20;
@@ -65,8 +65,7 @@ impl Holder {
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
             return Err(error);
         }
-        output::make_own_folder(root, disk)?;
-        let lock = output::open_lock(root, LOCK)?;
+        let lock = output::open_lock(&output::make_own_folder(root, disk)?, LOCK)?;
         // A process that only queries the holder of the root locks it for an instant.
         for _ in 0..TRIES {
             match lock.try_lock() {
@@ -91,6 +90,7 @@ impl Holder {
     /// True unless the lock was removed, such as with the output folder.
     fn is_there(&self) -> bool {
         self.root
+            .join(OUTPUT_FOLDER)
             .join(LOCK)
             .symlink_metadata()
             .is_ok_and(|found| found.is_file())
@@ -106,7 +106,8 @@ impl Holder {
 
     /// Returns whether a daemon holds the root now.
     fn is_held(root: &Path) -> bool {
-        let lock = output::open_own(root, LOCK).map(|lock| lock.try_lock_shared());
+        let name = format!("{OUTPUT_FOLDER}/{LOCK}");
+        let lock = output::open_own(root, &name).map(|lock| lock.try_lock_shared());
         matches!(lock, Ok(Err(TryLockError::WouldBlock)))
     }
 }

@@ -29,7 +29,7 @@ use crate::{
     },
     config::{DispatchSettings, Share},
     io::{
-        output::{self, Contents, Disk, FileSet, OutputError},
+        output::{self, Contents, Disk, FileSet, Folder, OutputError},
         project::Project,
     },
     model::cluster::RankedCluster,
@@ -333,7 +333,7 @@ impl Dispatch {
             &Disk::REAL.within(std::slice::from_ref(&self.project)),
         )?;
         let lock = output::open_lock(
-            &self.project,
+            &Folder::open(&self.project)?,
             &format!("viewrank/dispatch/{}/lock", self.backend),
         )?;
         match lock.try_lock() {

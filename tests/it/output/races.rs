@@ -21,7 +21,8 @@ use viewrank_io::output::{
 use super::empty_folder;
 
 /// Folders that are exchanged, relative to the watched root.
-const FOLDERS: [&str; 9] = [
+const FOLDERS: [&str; 10] = [
+    "",
     "a",
     "a/p",
     "a/p/images",
@@ -43,7 +44,7 @@ impl Place {
     fn new() -> Self {
         let folder = empty_folder();
         let (root, outside) = (folder.path().join("root"), folder.path().join("outside"));
-        for above in ["", "p", "p/viewrank"] {
+        for above in ["", "a/p", "p", "p/viewrank"] {
             let above = outside.join(above);
             let own = [
                 "images",
@@ -77,6 +78,11 @@ impl Place {
 
     fn root(&self) -> PathBuf {
         self.folder.path().join("root")
+    }
+
+    /// The root itself, for the empty name, or a folder below it.
+    fn at(&self, folder: &str) -> PathBuf {
+        self.root().join(folder).components().collect()
     }
 
     fn outside(&self) -> PathBuf {
@@ -142,7 +148,7 @@ impl Place {
 
     /// Puts a link in place of the folder, for the duration of `act`; false if it isn't there.
     fn exchange(&self, folder: &str, act: impl FnOnce()) -> bool {
-        let (at, aside) = (self.root().join(folder), self.folder.path().join("aside"));
+        let (at, aside) = (self.at(folder), self.folder.path().join("aside"));
         if fs::rename(&at, &aside).is_err() {
             return false;
         }
@@ -189,7 +195,7 @@ fn a_folder_exchanged_just_before_any_change_leads_nothing_out() {
             // it.
             let before = |_: Operation, _: &Path| {
                 let n = operations.fetch_add(1, Ordering::Relaxed);
-                let (here, kept) = (place.root().join(folder), place.folder.path().join("aside"));
+                let (here, kept) = (place.at(folder), place.folder.path().join("aside"));
                 let mut linked = aside.lock().unwrap();
                 if n == at && fs::rename(&here, &kept).is_ok() {
                     symlink(place.outside(), &here).unwrap();

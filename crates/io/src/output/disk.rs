@@ -51,9 +51,9 @@ impl<'a> Disk<'a> {
         }
     }
 
-    /// The same disk for a folder in a folder in … : the first is opened by its path, as the user
-    /// named it; no link is followed on the way from there to the last, nor out of the last. Paths
-    /// elsewhere are the user's.
+    /// The same disk for a folder in a folder in … : no link is followed on the way from the first
+    /// to the last, nor out of the last. A single one is opened by its path, as the user named it,
+    /// the first of several by its resolved one. Paths elsewhere are the user's.
     pub fn within(self, within: &'a [PathBuf]) -> Self {
         Self { within, ..self }
     }
@@ -87,7 +87,13 @@ impl<'a> Disk<'a> {
         {
             return named_by_user(path);
         }
-        let (mut base, mut at) = (Folder::open(outermost)?, outermost);
+        if others.is_empty() {
+            return Ok((
+                Folder::open(outermost)?,
+                folder::below(outermost, path).unwrap_or_default(),
+            ));
+        }
+        let (mut base, mut at) = (Folder::open_resolved(outermost)?, outermost);
         for inner in others {
             base = base.folder_without_links(folder::below(at, inner).unwrap_or_default())?;
             at = inner;

@@ -19,10 +19,12 @@ use std::{
     path::{Component, Path, PathBuf},
 };
 
-use cap_fs_ext::{DirExt, FollowSymlinks, OpenOptionsFollowExt, OpenOptionsSyncExt};
+use cap_fs_ext::{
+    DirExt, FollowSymlinks, OpenOptionsFollowExt, OpenOptionsMaybeDirExt, OpenOptionsSyncExt,
+};
 use cap_std::{
     ambient_authority,
-    fs::{Dir, Metadata, OpenOptions},
+    fs::{self as cap_fs, Dir, Metadata, OpenOptions},
 };
 
 use super::OutputError;
@@ -52,6 +54,35 @@ impl Folder {
                 },
                 _ => OutputError::new(path, error),
             })
+    }
+
+    /// Opens a folder by the path that it had when its links were resolved, so that it is no link
+    /// itself: who may write in the folder above may have put one in its place.
+    ///
+    /// # Errors
+    /// [`OutputError::Foreign`] for a link.
+    pub fn open_resolved(path: &Path) -> Result<Self, OutputError> {
+        let mut options = OpenOptions::new();
+        options
+            .read(true)
+            .follow(FollowSymlinks::No)
+            .maybe_dir(true);
+        let opened = cap_fs::File::open_ambient_with(path, &options, ambient_authority());
+        match opened.and_then(|file| Ok((file.metadata()?, file))) {
+            Ok((found, file)) if found.is_dir() => Ok(Self {
+                path: path.into(),
+                dir: Dir::from_std_file(file.into_std()),
+            }),
+            Ok(_) => Err(OutputError::InTheWay {
+                path: path.into(),
+                folder: false,
+            }),
+            Err(_) if path.is_symlink() => Err(OutputError::Foreign {
+                path: path.into(),
+                what: "a symbolic link",
+            }),
+            Err(error) => Err(OutputError::new(path, error)),
+        }
     }
 
     /// Opens a folder below this one; the empty name is this folder.

@@ -32,8 +32,7 @@ use std::{
 use viewrank_core::base::error::{Advice, Hint};
 
 pub use disk::{Disk, Operation};
-use folder::Folder;
-pub use folder::{below, open_own, read_own, refuse_to_leave};
+pub use folder::{Folder, below, open_own, read_own, refuse_to_leave};
 
 use crate::packed::Packed;
 
@@ -267,19 +266,20 @@ pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
 }
 
 /// Opens the folder `viewrank` of a root that others may write to, after creating it if necessary.
+/// `root`: its resolved path.
 ///
 /// # Errors
-/// [`OutputError::Foreign`] if it is a link: files that [`replace_in`] replaces would be
+/// [`OutputError::Foreign`] if either is a link: files that [`replace_in`] replaces would be
 /// somebody's.
 pub fn make_own_folder(root: &Path, disk: &Disk) -> Result<Folder, OutputError> {
-    let root = disk.existing(root)?;
+    let root = Folder::open_resolved(root)?;
     disk.make_folder(&root, "viewrank")?;
     root.folder_without_links("viewrank")
 }
 
 /// Opens a lock file, creating it if necessary; doesn't lock or change it. Its folder must exist.
-pub fn open_lock(root: &Path, name: &str) -> Result<std::fs::File, OutputError> {
-    Folder::open(root)?.lock_file(name)
+pub fn open_lock(folder: &Folder, name: &str) -> Result<std::fs::File, OutputError> {
+    folder.lock_file(name)
 }
 
 /// Checks that a name is a relative path of plain components in canonical form.
