@@ -35,13 +35,16 @@ pub fn escaped(text: &str, escape: impl Fn(char) -> String) -> String {
         })
 }
 
-/// Returns whether a character is a graphic one or a blank: no control, no format character (as
+/// Letters that show nothing: with them, one name looks like another.
+const BLANK_LETTERS: [char; 5] = ['\u{115f}', '\u{1160}', '\u{2800}', '\u{3164}', '\u{ffa0}'];
+
+/// Returns whether a character is a graphic one or the blank: no control, no format character (as
 /// those that change the direction of text), no separator of lines, nothing unassigned.
 pub fn is_printable(c: char) -> bool {
     // Of a string, the standard library escapes just the others, and quotes and backslashes; at its
     // start combining accents, too.
     let shown = |c: char| String::from_iter(['a', c]).escape_debug().count() == 2;
-    matches!(c, ' '..='~') || shown(c)
+    matches!(c, ' '..='~') || shown(c) && !BLANK_LETTERS.contains(&c)
 }
 
 #[cfg(test)]
@@ -58,6 +61,7 @@ mod tests {
                 r"\u{9b}31m\u{202e}\u{2066}\u{200b}\u{2028}\u{feff}",
             ),
             ("\u{e0041}\u{fff9}\u{ad}", r"\u{e0041}\u{fff9}\u{ad}"),
+            ("\u{3164}\u{a0}\u{3000}", r"\u{3164}\u{a0}\u{3000}"),
         ];
         for (text, expected) in shown {
             assert_eq!(printable(text), expected);

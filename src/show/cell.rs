@@ -12,20 +12,21 @@ const SEPARATORS: [char; 3] = [',', ';', '|'];
 /// at the start and after a separator. Without the apostrophes in these places, a cell is the
 /// printable name again.
 pub fn cell(name: &str) -> String {
-    let mut before = None;
+    let mut begins = true;
     printable(name).chars().fold(String::new(), |mut cell, c| {
-        if begins(before) && (c == '\'' || FORMULAS.contains(&c)) {
+        if begins && (c == '\'' || FORMULAS.contains(&c)) {
             cell.push('\'');
         }
-        before = Some(c);
+        begins = may_begin_after(c, begins);
         cell.push(c);
         cell
     })
 }
 
-/// Returns whether a cell may begin after this character of a name; `None` at its start.
-fn begins(before: Option<char>) -> bool {
-    before.is_none_or(|c| SEPARATORS.contains(&c))
+/// Returns whether a cell may begin after this character of a name, where it may or may not before
+/// it: some programs leave out blanks.
+fn may_begin_after(c: char, begins: bool) -> bool {
+    SEPARATORS.contains(&c) || begins && c == ' '
 }
 
 #[cfg(test)]
@@ -36,17 +37,17 @@ mod tests {
 
     /// The name of a [`cell`].
     fn name(cell: &str) -> String {
-        let (mut name, mut before) = (String::new(), None);
+        let (mut name, mut begins) = (String::new(), true);
         let mut rest = cell.chars();
         while let Some(c) = rest.next() {
-            let Some(c) = (if begins(before) && c == '\'' {
+            let Some(c) = (if begins && c == '\'' {
                 rest.next()
             } else {
                 Some(c)
             }) else {
                 break;
             };
-            before = Some(c);
+            begins = may_begin_after(c, begins);
             name.push(c);
         }
         name
@@ -58,6 +59,7 @@ mod tests {
             ("IMG-1=2.jpg", "IMG-1=2.jpg"),
             ("=1+2.jpg", "'=1+2.jpg"),
             ("\t=1", r"\t=1"),
+            ("  =1; +2", "  '=1; '+2"),
             ("a\x1b]0;=1\x07", r"a\u{1b}]0;'=1\u{7}"),
             ("a;=1,-2", "a;'=1,'-2"),
             ("'a'", "''a'"),
@@ -69,7 +71,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_name_comes_back_from_its_cell(original in "[-=+@',;|\t\r\n\x1b\u{9b}a＝]{0,12}") {
+        fn a_name_comes_back_from_its_cell(original in "[-=+@',;|\t\r\n\x1b\u{9b}a＝ ]{0,12}") {
             prop_assert_eq!(name(&cell(&original)), printable(&original));
         }
     }
