@@ -12,6 +12,7 @@ use std::path::Path;
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, Trap,
+    strangers::{RUNNER, add_runner},
 };
 use crate::{
     io::output::Contents,
@@ -92,6 +93,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     ]);
     record.note_scale(selection, |_| selection.halved());
     record.fusion = format!("none; models/{OPTIONS}.ply");
+    record.runner = Some(RUNNER.into());
+    add_runner(&mut files, &record.commands);
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }

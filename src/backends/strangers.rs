@@ -14,6 +14,24 @@ pub fn with_refusal(script: &str) -> String {
     script.replacen(PLACE, REFUSE, 1)
 }
 
+/// The file that [`add_runner`] adds.
+pub const RUNNER: &str = "run.sh";
+
+/// Adds `run.sh`, which runs the commands of an export one after the other, and `links.txt`; the
+/// export's files are complete but for its record.
+pub fn add_runner(files: &mut FileSet, commands: &[String]) {
+    let head = with_refusal(include_str!("../../integrations/run_commands.sh"));
+    let lines: String = commands
+        .iter()
+        .map(|command| format!("{command}\n"))
+        .collect();
+    files.add(
+        RUNNER,
+        Contents::Script(format!("{head}{lines}").into_bytes()),
+    );
+    list_links(files);
+}
+
 /// Adds `links.txt`, the links of an export, as `find .` names them: any other is refused.
 pub fn list_links(files: &mut FileSet) {
     let is_link = |(path, contents): (&String, &Contents)| {

@@ -11,7 +11,7 @@ use self::{
 };
 use super::{
     BackendError, Export, ExportOptions, ExportRecord, PATCH_MATCH, Selection, selection,
-    strangers::{list_links, with_refusal},
+    strangers::{RUNNER, add_runner},
 };
 use crate::{
     io::output::{Contents, FileSet},
@@ -32,8 +32,6 @@ const PLANES: u32 = 192;
 /// Number of partners that must agree on a depth: one less than the plan's support, which includes
 /// the key view.
 const AGREEING: u32 = PATCH_MATCH.support - 1;
-/// Script with the commands of a program that joins by one of its own.
-const RUNNER: &str = "run.sh";
 /// Largest number of partners of ACMH, ACMM, ACMP and ACMMP, which use a 32-bit mask.
 const ACM_PARTNERS: usize = 32;
 
@@ -74,11 +72,12 @@ impl Dialect {
             files.add(name, Contents::Script(script.as_bytes().to_vec()));
             let keys: Vec<usize> = (0..selection.clusters.len()).collect();
             self.add_views(&mut files, "fuse/", selection, &lists, &keys)?;
-            files.add(RUNNER, runner(&record.commands));
-            record.runner = Some(RUNNER.into());
         }
         record.moved(near.origin);
-        list_links(&mut files);
+        if !record.commands.is_empty() {
+            record.runner = Some(RUNNER.into());
+            add_runner(&mut files, &record.commands);
+        }
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
@@ -290,14 +289,3 @@ fn note_acm(record: &mut ExportRecord, selection: &Selection) {
         format!("{key}: partners beyond the first {ACM_PARTNERS}")
     }));
 }
-
-/// Returns `run.sh`, which makes all maps and joins them.
-fn runner(commands: &[String]) -> Contents {
-    let lines: String = commands
-        .iter()
-        .map(|command| format!("{command}\n"))
-        .collect();
-    Contents::Script(with_refusal(&format!("{RUNNER_HEAD}{lines}")).into_bytes())
-}
-
-const RUNNER_HEAD: &str = include_str!("../../../integrations/mvsnet/run_head.sh");

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes the depth maps and the cloud. Stopped, the last two commands join the maps that are there.
+# Runs the commands of viewrank's plan in this folder, each if the one before succeeds.
 set -eu
 # sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own.
 case $0 in
@@ -11,4 +11,4 @@ case $0 in
 esac
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
-own_files depths fuse/fused.ply fuse/mask
+own_files .
