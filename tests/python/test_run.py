@@ -78,7 +78,9 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(run, valley):
 def test_maps_of_another_size_are_made_again(run, valley):
     """The backend cannot fuse them with the others."""
     sgm = (valley, "--backend", "sgm", "--no-report", "--budget")
-    run(*sgm, "6")
+    _, err = run(*sgm, "6")
+    cloud = f"the cloud so far, anew from time to time: {valley / 'sgm/fused.ply'}"
+    assert err.count(cloud) == 1 and err.index(cloud) < err.index("6 of 6"), "before the last map"
     small = {path: path.read_bytes() for path in (valley / "sgm/depth_maps").glob("*.npy")}
     (valley / "viewrank.toml").write_text("image_scale = 0.35\n")
     out, err = run(*sgm, "6")

@@ -28,8 +28,9 @@ use crate::{
 /// Undistorts the images if the backend needs that, and matches with the backend that the project
 /// is set up for, else with OpenMVS (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else
 /// with integrations/sgm (Python with numpy and opencv). Each depth map is measured;
-/// PROJECT/viewrank/report.html shows the progress. Ctrl-C stops and fuses what is there, a second
-/// one ends at once; the same command resumes.
+/// PROJECT/viewrank/report.html shows the progress. From 1 % of the maps on, the cloud so far is
+/// fused from time to time. Ctrl-C stops and fuses what is there, a second one ends at once; the
+/// same command resumes.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model

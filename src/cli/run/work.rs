@@ -25,8 +25,13 @@ use crate::{
 const REST: u32 = 4;
 /// The report takes as long as planning; it is rewritten after this multiple of its duration.
 const REPORT_REST: u32 = 20;
+/// The cloud so far is fused anew after this multiple of the time that the last fusion took.
+const FUSION_REST: u32 = 20;
 /// Depth maps of which a cloud can be fused.
 const LEAST_FUSED: usize = 2;
+/// Part of all depth maps after which a cloud is worth a look: the first 1 % give more of it than
+/// any later ones.
+const FIRST_FUSED: f64 = 0.01;
 /// Number of consecutive failures that ends the run.
 const FAILURES: usize = 3;
 
@@ -45,6 +50,7 @@ pub struct Work<'a> {
     /// Estimated share of the finished maps; `None` before the first measurement.
     share: Option<f64>,
     reported: Throttle,
+    fused: Throttle,
     /// Depth maps that this run computed, and the time that they took.
     pub(super) computed: (u32, Duration),
 }
@@ -127,6 +133,7 @@ impl<'a> Work<'a> {
             measured: Throttle::default(),
             share: None,
             reported: Throttle::default(),
+            fused: Throttle::default(),
             computed: (0, Duration::ZERO),
             plan,
         })
@@ -215,6 +222,9 @@ impl<'a> Work<'a> {
             let left =
                 began.elapsed().as_secs_f64() / (i + 1) as f64 * (missing.len() - i - 1) as f64;
             self.line(task, since.elapsed(), left);
+            if i + 1 < missing.len() && !reached {
+                self.fuse_so_far()?;
+            }
         }
         Ok(if reached {
             Ended::TargetReached
@@ -250,6 +260,32 @@ impl<'a> Work<'a> {
             }
             _ => false,
         }
+    }
+
+    /// Fuses the cloud so far, so that who sees enough of it can stop early; not where it would take
+    /// more than a part of the time. A fusion that fails is said, and tried again at the end.
+    fn fuse_so_far(&mut self) -> Result<(), Failure> {
+        let first = (FIRST_FUSED * self.plan.scene.views.len() as f64).ceil() as usize;
+        let done = self.dispatch.finished_maps().count();
+        if done < first.max(LEAST_FUSED) || !self.fused.is_due(FUSION_REST) {
+            return Ok(());
+        }
+        let began = Instant::now();
+        let ended = self.dispatch.fuse_here(self.threads, self.stop)?;
+        let is_first = self.fused.0.is_none();
+        self.fused.note(began);
+        match ended {
+            ScriptResult::Failed(output) => warn(&format!(
+                "cannot fuse the first {done} depth maps: {}",
+                last_line(&output)
+            )),
+            ScriptResult::Done if is_first && !self.arguments.is_silent() => note(&format!(
+                "the cloud so far, anew from time to time: {}",
+                self.dispatch.runner().cloud.display()
+            )),
+            _ => {}
+        }
+        Ok(())
     }
 
     /// Writes the report page, unless the last one is recent.
