@@ -1,8 +1,14 @@
 //! The log of the daemon on stderr, in which values are printable like all text on a terminal.
 
-use std::io::{self, Write};
+use std::{
+    env,
+    io::{self, Write},
+};
 
-use tracing_subscriber::{EnvFilter, field::MakeExt, fmt::format};
+use tracing::level_filters::LevelFilter;
+use tracing_subscriber::{
+    field::MakeExt, filter::Targets, fmt::format, layer::SubscriberExt, util::SubscriberInitExt,
+};
 
 use super::terminal::is_stderr_terminal;
 use crate::base::printable::{json_escaped, printable};
@@ -14,12 +20,17 @@ pub enum LogFormat {
     Json,
 }
 
-/// Starts the log. RUST_LOG sets the level; under systemd the journal adds the times.
+/// Starts the log. RUST_LOG sets the level, as `debug` or `viewrank=debug`; under systemd the journal
+/// adds the times.
 #[expect(clippy::disallowed_methods, reason = "values are escaped")]
 pub fn start(format: LogFormat) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| "viewrank=info".into());
+    let wanted: Option<Targets> = env::var("RUST_LOG")
+        .ok()
+        .and_then(|text| text.parse().ok());
+    let filter =
+        wanted.unwrap_or_else(|| Targets::new().with_target("viewrank", LevelFilter::INFO));
     let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_target(false);
     // The library's own format leaves values as they are.
     let values = format::debug_fn(|text: &mut format::Writer<'_>, field, value| {
@@ -30,14 +41,23 @@ pub fn start(format: LogFormat) {
         }
     });
     match format {
-        LogFormat::Json => log.json().with_writer(|| JsonLines(io::stderr())).init(),
+        LogFormat::Json => {
+            let log = log.json().with_writer(|| JsonLines(io::stderr()));
+            log.finish().with(filter).init();
+        }
         LogFormat::Text => {
             let log = log
                 .fmt_fields(values.delimited(" "))
                 .with_writer(io::stderr);
-            match std::env::var_os("JOURNAL_STREAM") {
-                Some(_) => log.without_time().with_ansi(false).init(),
-                None => log.with_ansi(is_stderr_terminal()).init(),
+            match env::var_os("JOURNAL_STREAM") {
+                Some(_) => {
+                    let log = log.without_time().with_ansi(false);
+                    log.finish().with(filter).init();
+                }
+                None => {
+                    let log = log.with_ansi(is_stderr_terminal());
+                    log.finish().with(filter).init();
+                }
             }
         }
     }
