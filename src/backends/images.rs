@@ -39,11 +39,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
                 .into(),
         );
     }
-    let folder = selection.images_in_commands();
+    let mut files = options.file_set(&BACKEND, selection);
+    let folder = selection.images_in_commands(&files.root);
     record.commands = vec![format!(
         "rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/"
     )];
-    let mut files = options.file_set(&BACKEND, selection);
     files.add_text("images.txt", name_lines(selection, &views));
     let tests = selection.kept_for_tests();
     if !tests.is_empty() {

@@ -78,7 +78,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     );
     record.commands = vec![format!(
         "python3 switch.py {}",
-        selection.images_in_commands()
+        selection.images_in_commands(&files.root)
     )];
     record.not_honoured.extend([
         "matching partners".into(),

@@ -4,10 +4,13 @@ use std::{borrow::Cow, path::Path};
 
 use nalgebra::Vector3;
 
-use super::BackendError;
+use super::{BackendError, place};
 use crate::{
     base::shell::{command_path, quoted_path},
-    io::project::{ImageFaults, ImageFolder, Project},
+    io::{
+        paths,
+        project::{ImageFaults, ImageFolder, Project},
+    },
     model::{
         cluster::{MapScale, RankedCluster},
         scene::{Scene, ViewIndex, ViewPoints},
@@ -142,16 +145,18 @@ impl Selection<'_> {
         )
     }
 
-    /// Returns the folder of the images for a command that runs in any folder; if unknown, a shell
-    /// variable that the command requires.
-    pub fn images_in_commands(&self) -> String {
-        let absolute = |folder: &ImageFolder| {
-            quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()))
+    /// Returns the folder of the images for a command that runs in the folder `from`; if unknown, a
+    /// shell variable that the command requires.
+    pub fn images_in_commands(&self, from: &Path) -> String {
+        let home = paths::real(&self.project.home);
+        let seen_from = |images: &ImageFolder| match paths::real(images).strip_prefix(&home) {
+            Ok(inside) => place::path_from(from, &home).join(inside),
+            Err(_) => std::path::absolute(images).unwrap_or_else(|_| images.to_path_buf()),
         };
-        self.project
-            .images
-            .as_ref()
-            .map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
+        match &self.project.images {
+            Some(images) => quoted_path(&seen_from(images)),
+            None => "\"${IMAGES:?folder of the images}\"".into(),
+        }
     }
 
     /// Returns the folder of the images if these are undistorted.

@@ -16,7 +16,7 @@ use super::{Arguments, Exit, Failure};
 use crate::{
     base::{printable::printable, shell::command_word},
     config::RegionChoice,
-    io::project,
+    io::{paths, project},
 };
 
 /// Other words for subcommands.
@@ -475,6 +475,7 @@ pub fn folder() -> impl TypedValueParser<Value = PathBuf> {
 pub fn project() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(|typed| match project::containing(&typed) {
         Some(project) => {
+            let project = paths::from_here(&project);
             super::note(&format!(
                 "{} belongs to the project {}",
                 typed.display(),
@@ -482,7 +483,7 @@ pub fn project() -> impl TypedValueParser<Value = PathBuf> {
             ));
             project
         }
-        None => typed,
+        None => paths::from_here(&typed),
     })
 }
 

@@ -14,7 +14,7 @@ use crate::{
     backends::ExportRecord,
     base::{
         progress::{Stage, Watcher},
-        shell::command_path,
+        shell::{command_path, shown_path},
     },
     io::{
         output::{self, Disk, FileSet},
@@ -84,7 +84,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     match arguments.format {
         Format::Json => print_json(&serde_json::json!({ "report": page })),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print([page.display().to_string()]),
+        Format::Text => print([shown_path(&page)]),
     }
 }
 

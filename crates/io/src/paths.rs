@@ -29,9 +29,51 @@ pub fn real(path: &Path) -> PathBuf {
     real
 }
 
+/// The path as it is typed most briefly in the working folder: one that is absolute, or leads up and
+/// down, becomes relative where that is shorter.
+pub fn from_here(path: &Path) -> PathBuf {
+    let is_plain = |part| matches!(part, Component::Normal(_));
+    let Ok(here) = std::env::current_dir() else {
+        return path.into();
+    };
+    if path.components().all(is_plain) {
+        return path.into();
+    }
+    let (here, there) = (real(&here), real(path));
+    let mut ups = PathBuf::new();
+    for above in here.ancestors() {
+        if let Ok(inner) = there.strip_prefix(above) {
+            let relative = match ups.join(inner) {
+                empty if empty.as_os_str().is_empty() => ".".into(),
+                relative => relative,
+            };
+            let is_shorter = relative.as_os_str().len() < path.as_os_str().len();
+            return if is_shorter { relative } else { path.into() };
+        }
+        ups.push("..");
+    }
+    path.into()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_path_is_typed_as_briefly_as_it_can_be() {
+        let here = std::env::current_dir().unwrap();
+        for (typed, brief) in [
+            (here.clone(), "."),
+            (here.join("new/a"), "new/a"),
+            (here.join("../b"), "../b"),
+            ("src/../src".into(), "src"),
+            ("a/b".into(), "a/b"),
+            ("..".into(), ".."),
+        ] {
+            assert_eq!(from_here(&typed), Path::new(brief), "{typed:?}");
+        }
+        assert_eq!(from_here(Path::new("/")), Path::new("/"));
+    }
 
     #[test]
     fn a_path_is_resolved_before_it_exists() {

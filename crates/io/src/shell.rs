@@ -38,9 +38,15 @@ pub fn one_after_other(first: &str, second: &str) -> String {
     )
 }
 
-/// Returns a path as the system writes it: on Windows, joined paths have both kinds of separators.
+/// Returns a path as the system writes it, without a `./` before it: on Windows, joined paths have
+/// both kinds of separators.
 pub fn shown_path(path: &Path) -> String {
-    let path = path.display().to_string();
+    let inner = path.strip_prefix(".").unwrap_or(path).display().to_string();
+    let path = match inner {
+        // Such a name would be an option.
+        inner if inner.is_empty() || inner.starts_with('-') => path.display().to_string(),
+        inner => inner,
+    };
     if cfg!(windows) {
         path.replace('/', r"\")
     } else {
@@ -72,6 +78,12 @@ fn is_plain(word: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_path_has_no_dot_before_it() {
+        let shown = ["./a/b", ".", "./-a", "../a"].map(|path| shown_path(Path::new(path)));
+        assert_eq!(shown, ["a/b", ".", "./-a", "../a"]);
+    }
 
     #[test]
     fn a_quoted_path_is_one_word() {
