@@ -9,7 +9,10 @@ pub use ground::{GroundSummary, photographed_ground};
 use crate::{
     base::error::{Advice, Hint},
     config::RegionChoice,
-    io::region_file::{self, RegionFault, RegionFile},
+    io::{
+        paths::from_here,
+        region_file::{self, RegionFault, RegionFile},
+    },
     method::region::{RegionShape, ShapeError},
     model::georeference::{Georeference, MapFrame},
 };
@@ -17,9 +20,9 @@ use crate::{
 /// The file of a region cannot be used, whatever the surface.
 #[derive(Debug, thiserror::Error)]
 pub enum RegionFileError {
-    #[error("cannot read the region {}: {fault}", path.display())]
+    #[error("cannot read the region {}: {fault}", from_here(path).display())]
     Read { path: PathBuf, fault: RegionFault },
-    #[error("cannot use the {}{}{}: {fault}", before(fault), path.display(), after(fault))]
+    #[error("cannot use the {}{}{}: {fault}", before(fault), from_here(path).display(), after(fault))]
     Shape { path: PathBuf, fault: ShapeError },
 }
 
@@ -48,6 +51,9 @@ impl Hint for RegionFileError {
             RegionFault::Read(_) => "check that the file exists and is readable",
             RegionFault::Collection(_) => {
                 "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"
+            }
+            RegionFault::Json(error) if error.is_data() => {
+                "correct the file there (corners in order, weight and gsd as numbers)"
             }
             _ => "give GeoJSON polygons, a closed PLY mesh, or a box x0,y0,z0,x1,y1,z1",
         };

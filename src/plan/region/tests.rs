@@ -427,7 +427,8 @@ fn a_comb_or_many_polygons_above_each_other_are_too_intricate() {
     let tooth = |i: u32| {
         [[0.0, -40.0], [0.2, 40.0]].map(|[dx, y]| [f64::from(i) * 4e-4 - 40.0 + dx * 1e-3, y])
     };
-    let comb: Vec<[f64; 2]> = (0..200_000).flat_map(tooth).collect();
+    let back = [[41.0, -41.0], [-41.0, -41.0]];
+    let comb: Vec<[f64; 2]> = (0..200_000).flat_map(tooth).chain(back).collect();
     let square = [[[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0]]];
     for coordinates in [json!([[comb]]), json!(vec![square; 100_000])] {
         let polygons = json!({ "type": "MultiPolygon", "coordinates": coordinates, "crs": null });

@@ -3,14 +3,17 @@
 //! the 2008 specification, which QGIS still writes, if it is WGS 84 or null. Everything else is
 //! ignored.
 
-use std::{fmt, ops::RangeInclusive};
+use std::{borrow::Cow, fmt, ops::RangeInclusive};
 
 use serde::{
     Deserialize, Deserializer,
     de::{self, Error, IgnoredAny, SeqAccess, Visitor},
 };
 use serde_json::value::RawValue;
-use viewrank_core::method::region::{Area, Areas, Coordinates, Polygon};
+use viewrank_core::{
+    base::error::shortened,
+    method::region::{Area, Areas, Coordinates, Polygon},
+};
 
 use super::{LARGEST, RegionFault};
 
@@ -41,8 +44,8 @@ struct Node {
 
 #[derive(Deserialize)]
 struct Properties {
-    weight: Option<f64>,
-    gsd: Option<f64>,
+    weight: Option<Box<RawValue>>,
+    gsd: Option<Box<RawValue>>,
 }
 
 #[derive(Deserialize)]
@@ -224,22 +227,29 @@ fn area(node: Node) -> Result<Option<Area>, String> {
     let Some(geometry) = geometry else {
         return Ok(None);
     };
-    let within = |name: &str, number: Option<f64>, range: RangeInclusive<f64>| match number {
-        Some(number) if !range.contains(&number) => Err(format!(
-            "{name} is {number}, not a number from {} to {:e}",
-            range.start(),
-            range.end()
-        )),
-        number => Ok(number),
-    };
     let (weight, gsd) = properties.map_or((None, None), |properties| {
         (properties.weight, properties.gsd)
     });
+    let weight = number(weight.as_deref(), WEIGHTS).map_err(|text| {
+        format!("weight is {text}, not a number from 0 (leaves it out) to 1e6; 1 is usual")
+    })?;
+    let gsd = number(gsd.as_deref(), GSDS).map_err(|text| {
+        format!("gsd is {text}, not a positive number of model units per pixel (metres where they are known)")
+    })?;
     Ok(Some(Area {
         polygons: polygons(geometry)?,
-        weight: within("weight", weight, WEIGHTS)?.unwrap_or(1.0),
-        gsd: within("gsd", gsd, GSDS)?,
+        weight: weight.unwrap_or(1.0),
+        gsd,
     }))
+}
+
+/// The number of a property; its text if it is none, or out of range.
+fn number(raw: Option<&RawValue>, range: RangeInclusive<f64>) -> Result<Option<f64>, Cow<'_, str>> {
+    let Some(raw) = raw else { return Ok(None) };
+    match serde_json::from_str(raw.get()) {
+        Ok(number) if range.contains(&number) => Ok(Some(number)),
+        _ => Err(shortened(raw.get())),
+    }
 }
 
 fn polygons(geometry: Node) -> Result<Vec<Polygon>, String> {
@@ -293,9 +303,58 @@ fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
         .count();
     let is_closed = changes > 0 && positions.first() == positions.last();
     match (changes + 1).min(positions.len()) - usize::from(is_closed) {
-        3.. => Ok(positions),
-        distinct => Err(few(distinct)),
+        3.. => {}
+        distinct => return Err(few(distinct)),
     }
+    match crossing(&positions) {
+        None => Ok(positions),
+        Some(place) => {
+            let [x, y] = place.map(|x| (1e7 * x).round() / 1e7);
+            Err(format!("a ring crosses itself near {x}, {y}"))
+        }
+    }
+}
+
+/// Most pairs of edges that are looked at for a crossing: all of a ring that somebody drew, and of
+/// an outline with a hundred thousand edges those near each other.
+const MOST_PAIRS: usize = 20_000_000;
+
+/// The place of a crossing of two edges of a ring: corners in the wrong order enclose other ground
+/// than was meant. Edges that only touch are none.
+fn crossing(ring: &[[f64; 2]]) -> Option<[f64; 2]> {
+    let ends = |i: usize| (ring[i], ring[(i + 1) % ring.len()]);
+    let span = |i: &usize| {
+        let (a, b) = ends(*i);
+        (a[0].min(b[0]), a[0].max(b[0]))
+    };
+    let mut edges: Vec<usize> = (0..ring.len()).collect();
+    edges.sort_by(|a, b| span(a).0.total_cmp(&span(b).0));
+    let mut left = MOST_PAIRS;
+    for (n, i) in edges.iter().enumerate() {
+        let reach = span(i).1;
+        let beside = edges[n + 1..].iter().take_while(|j| span(j).0 <= reach);
+        for j in beside {
+            left = left.checked_sub(1)?;
+            let place = intersection(ends(*i), ends(*j));
+            if place.is_some() {
+                return place;
+            }
+        }
+    }
+    None
+}
+
+/// The place where each of two segments goes through the inside of the other.
+fn intersection((a, b): ([f64; 2], [f64; 2]), (c, d): ([f64; 2], [f64; 2])) -> Option<[f64; 2]> {
+    // Twice the area of a triangle, positive on the left of the segment.
+    let side = |p: [f64; 2], q: [f64; 2], x: [f64; 2]| {
+        (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0])
+    };
+    let (of_c, of_d) = (side(a, b, c), side(a, b, d));
+    let (of_a, of_b) = (side(c, d, a), side(c, d, b));
+    let is_crossed = of_c * of_d < 0.0 && of_a * of_b < 0.0;
+    let t = of_a / (of_a - of_b);
+    is_crossed.then(|| [0, 1].map(|axis| a[axis] + t * (b[axis] - a[axis])))
 }
 
 fn coordinates(crs: Option<Option<Crs>>, axes: Option<&RawValue>) -> Result<Coordinates, String> {

@@ -212,6 +212,46 @@ mod tests {
     }
 
     #[test]
+    fn a_wrong_wish_is_quoted_with_what_is_allowed() {
+        let with = |properties: Value| {
+            let geometry = json!({ "type": "Polygon", "coordinates": [square(1.0)] });
+            let list =
+                json!([{ "type": "Feature", "properties": properties, "geometry": geometry }]);
+            let file = json!({ "type": "FeatureCollection", "features": list });
+            parse(file.to_string().as_bytes()).unwrap_err().to_string()
+        };
+        for (properties, quoted) in [
+            (json!({ "weight": "high" }), "weight is \"high\""),
+            (json!({ "weight": -1 }), "weight is -1"),
+            (json!({ "gsd": "2cm" }), "gsd is \"2cm\""),
+        ] {
+            let fault = with(properties);
+            assert!(
+                fault.contains("number 1 of the list") && fault.contains(quoted),
+                "{fault}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_ring_that_crosses_itself_is_refused_with_the_place() {
+        let ring = |ring: Value| {
+            let polygon = json!({ "type": "Polygon", "coordinates": [ring] });
+            parse(polygon.to_string().as_bytes())
+        };
+        let bow_tie = ring(json!([[0, 0], [4, 2], [4, 0], [0, 2], [0, 0]])).unwrap_err();
+        assert!(bow_tie.to_string().contains("near 2, 1"), "{bow_tie}");
+        // Open, closed, with a repeated corner, with a corner on another edge.
+        for sound in [
+            json!([[0, 0], [4, 0], [4, 2], [0, 2]]),
+            json!([[0, 0], [4, 0], [4, 0], [4, 2], [0, 2], [0, 0]]),
+            json!([[0, 0], [4, 0], [4, 2], [2, 0], [0, 2], [0, 0]]),
+        ] {
+            assert!(ring(sound.clone()).is_ok(), "{sound}");
+        }
+    }
+
+    #[test]
     fn a_box_and_a_mesh_are_told_by_their_contents() {
         assert_eq!(
             parse(b" 0 0 0\n1 2 3\n").unwrap(),
