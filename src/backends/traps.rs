@@ -113,11 +113,11 @@ impl ExaminedProject<'_> {
         })
     }
 
-    /// Finds views that observe no sparse point in front of them.
+    /// Finds views that observe no sparse point in front of them, in a model with points.
     pub(super) fn without_points(&self, trap: &'static str, so: &str) -> Option<Trap> {
         let none = |v: &ViewIndex| selection::depths(self.scene, self.points, *v).is_empty();
         let views: Vec<ViewIndex> = self.scene.view_indices().filter(none).collect();
-        let first = views.first()?;
+        let first = views.first().filter(|_| !self.scene.points.is_empty())?;
         Some(Trap {
             name: trap,
             what: format!("{} observes no sparse point in front of it: {so}", self.scene.name(*first)),

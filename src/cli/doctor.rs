@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::{
-    apps::doctor::{self, Diagnosis, Finding, Severity, ViewFinding},
+    apps::doctor::{self, Diagnosis, Finding, NO_TRACKS, Severity, ViewFinding},
     backends::Backend,
     io::project::Project,
 };
@@ -13,6 +13,8 @@ use super::{Exit, Failure, Format, config, print, print_json, wrapped};
 
 /// Number of views listed by name; further ones are only counted.
 const LISTED: usize = 6;
+/// Number of other programs up to which they are named.
+const NAMED: usize = 3;
 
 /// Find problems of a project: views without partners and why, weak links, impossible units, traps
 /// of MVS programs.
@@ -97,9 +99,19 @@ fn text(findings: &[Finding], listed: usize) -> Vec<String> {
         };
         lines.extend(wrapped(&format!("{severity} "), &finding.what));
         if !finding.backends.is_empty() {
-            lines.extend(wrapped("        for     ", &finding.backends.join(", ")));
+            let programs = match &finding.backends[..] {
+                [first, others @ ..] if others.len() >= NAMED && listed == LISTED => {
+                    format!("{first} and {} other programs", others.len())
+                }
+                all => all.join(", "),
+            };
+            lines.extend(wrapped("        for     ", &programs));
         }
         lines.extend(wrapped("        do      ", &finding.cure));
+        // Of programs that the project is not planned for, only with --all.
+        let is_of_others =
+            finding.severity == Severity::Note && !finding.backends.is_empty() && listed == LISTED;
+        let listed = if is_of_others { 0 } else { listed };
         for ViewFinding { name, why } in finding.views.iter().take(listed) {
             let why = if why.is_empty() {
                 String::new()
@@ -109,10 +121,11 @@ fn text(findings: &[Finding], listed: usize) -> Vec<String> {
             lines.extend(wrapped("          - ", &format!("{name}{why}")));
         }
         if finding.views.len() > listed {
-            lines.push(format!(
-                "          and {} more (--all names them)",
-                finding.views.len() - listed
-            ));
+            let more = match listed {
+                0 => doctor::counted(finding.views.len(), "view"),
+                _ => format!("and {} more", finding.views.len() - listed),
+            };
+            lines.push(format!("          {more} (--all names them)"));
         }
         lines.push(String::new());
     }
@@ -128,15 +141,16 @@ fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> Vec<String> {
         .map(|backend| backend.name)
         .filter(|name| *name != own)
         .collect();
-    let others = if others.is_empty() {
-        String::new()
-    } else {
-        format!("; traps of {}", others.join(", "))
+    let others = match &others[..] {
+        [] => String::new(),
+        few if few.len() <= NAMED => format!("; traps of {}", few.join(", ")),
+        many => format!("; traps of {} other programs", many.len()),
     };
-    let links = if diagnosis.partners_judged {
-        " partners of each view, weak links,"
-    } else {
-        ""
+    let has_tracks = diagnosis.findings.iter().all(|f| f.check != NO_TRACKS);
+    let links = match (diagnosis.partners_judged, has_tracks) {
+        (true, true) => " partners of each view, weak links,",
+        (true, false) => " partners of each view,",
+        (false, _) => "",
     };
     let what = format!(
         "cameras, poses and points of the model, its units,{links} image files and their sizes, masks, traps of {own}, which the project would be \

@@ -12,6 +12,7 @@ mod sense;
 #[cfg(test)]
 mod tests;
 
+pub use model::NO_TRACKS;
 pub use partners::partners_in_words;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -194,7 +195,9 @@ fn scene_findings(inputs: &Inputs) -> (Vec<Finding>, bool) {
         .all(|finding| finding.severity < Severity::Error);
     if is_sound {
         findings.extend(partners::findings(inputs));
-        findings.extend(links::findings(inputs));
+        if findings.iter().all(|finding| finding.check != NO_TRACKS) {
+            findings.extend(links::findings(inputs));
+        }
     }
     findings.extend(region::findings(inputs));
     findings.extend(sense::of_images(inputs));

@@ -6,6 +6,9 @@ use crate::{
     model::scene::{ModelWarning, WarningKind},
 };
 
+/// Finding of a model whose observations are mere projections: they say nothing of its links.
+pub const NO_TRACKS: &str = "no-tracks";
+
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     warnings(inputs)
         .into_iter()
@@ -19,6 +22,11 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
     let finding = |warning: &ModelWarning| {
         let (severity, check, cure) = match warning.kind {
             WarningKind::OtherModels => return other_models(inputs, &warning.text),
+            WarningKind::OtherParts => (
+                Severity::Warning,
+                "other-sub-models",
+                "join them in the program that made the model, and export it again",
+            ),
             WarningKind::OtherWorkspace => (
                 Severity::Warning,
                 "other-workspace",
@@ -33,6 +41,11 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
                 Severity::Error,
                 "no-points",
                 "export the model with its sparse points",
+            ),
+            WarningKind::Projected => (
+                Severity::Note,
+                NO_TRACKS,
+                "no action needed; with the tracks of structure from motion, hidden points would not count as seen",
             ),
             WarningKind::Guessed => (
                 Severity::Warning,
@@ -56,8 +69,7 @@ fn other_models(inputs: &Inputs, what: &str) -> Finding {
     let others = &inputs.project.other_models;
     let copies = inputs.project.copies(inputs.scene);
     if !copies.is_empty() && copies.len() == others.len() {
-        let cure =
-            "no action needed; the others hold mostly the same images (choose one with --model)";
+        let cure = "no action needed; the others have mostly the same images";
         return Finding::new(Severity::Note, "model-copies", what, cure);
     }
     let largest = others
@@ -71,8 +83,12 @@ fn other_models(inputs: &Inputs, what: &str) -> Finding {
     } else {
         Severity::Warning
     };
-    let cure =
-        "match images between them again; until then, plan and match each separately (--model)";
+    let join = if inputs.project.model.format.is_colmap() {
+        "match images between them again in COLMAP"
+    } else {
+        "join them in the program that made them"
+    };
+    let cure = format!("{join}; until then, plan each by itself (--model)");
     Finding::new(severity, "other-sub-models", what, cure)
 }
 

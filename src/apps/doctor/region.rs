@@ -16,15 +16,17 @@ pub fn findings(inputs: &Inputs) -> Option<Finding> {
             .ok()
             .flatten()
     };
-    let ground = planned_ground(inputs.project, settings)
-        .or_else(now)
-        .filter(GroundSummary::is_incomplete)?;
+    let planned = planned_ground(inputs.project, settings);
+    let plans = if planned.is_some() {
+        "viewrank report PROJECT"
+    } else {
+        "viewrank plan PROJECT --region FILE --report"
+    };
+    let ground = planned.or_else(now).filter(GroundSummary::is_incomplete)?;
     let metres = plan::metres(settings.units, &place);
     let covered = ground.covered("the region", metres);
     let what = format!("{covered} {}", ground.missed("it", metres));
-    let root = command_path(&inputs.project.home);
-    let cure = format!(
-        "take images of what was missed: viewrank plan {root} --region FILE --report plans them (viewrank/flight)"
-    );
+    let plans = plans.replace("PROJECT", &command_path(&inputs.project.home));
+    let cure = format!("take images of what was missed: {plans} plans them (viewrank/flight)");
     Some(Finding::new(Severity::Warning, "region-missed", what, cure))
 }

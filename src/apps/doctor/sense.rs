@@ -8,7 +8,7 @@ use crate::{
     method::surface::points::upper_median,
     model::{
         georeference::{Georeference, MapFrame, UPRIGHT},
-        scene::{PointIndex, Units, ViewIndex},
+        scene::{PointIndex, Units, ViewIndex, WarningKind},
     },
     plan::unlikely_gsd,
 };
@@ -47,7 +47,10 @@ fn points(inputs: &Inputs) -> Option<Finding> {
     let mut tracks =
         (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
     let is_shared = tracks.any(|views| views.first() != views.last());
-    (!is_shared).then(|| {
+    // A model without any is a finding of its own, with the remedy for its format.
+    let warnings = &inputs.scene.warnings;
+    let has_none = warnings.iter().any(|w| w.kind == WarningKind::NoPoints);
+    (!is_shared && !has_none).then(|| {
         let what = "no sparse point is seen by two views: surface, overlap and scale are unknown";
         let cure =
             "triangulate points (colmap point_triangulator), or give the model that has them";

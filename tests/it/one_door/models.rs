@@ -45,9 +45,10 @@ fn without_tracks() -> ColmapModel<'static> {
 fn taken(folder: &Folder) -> (String, String) {
     let project = folder.open();
     let warnings = project.read_scene().unwrap().warnings;
+    let kinds = [WarningKind::OtherModels, WarningKind::OtherParts];
     let others = warnings
         .iter()
-        .find(|warning| warning.kind == WarningKind::OtherModels);
+        .find(|warning| kinds.contains(&warning.kind));
     (
         project.model_path(),
         others.map_or(String::new(), |warning| warning.text.clone()),
@@ -82,6 +83,40 @@ fn the_folders_of_other_programs_are_searched() {
         let images = folder.open().images.unwrap();
         assert_eq!(images.to_path_buf(), folder.at("input"), "{place}");
     }
+}
+
+#[test]
+fn the_doctor_knows_the_same_images_under_the_names_of_another_program() {
+    let folder = Folder::new();
+    folder
+        .colmap("colmap/sparse/0", &model())
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let advice = || {
+        let (_, said, _) = said(&viewrank(&["doctor", folder.path().to_str().unwrap()]));
+        said.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let frames = |name: &dyn Fn(&str) -> String| -> String {
+        let pose = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+        let scene = scene();
+        let frame = |view: &viewrank_core::model::scene::View| {
+            let path = name(&view.name);
+            format!(r#"{{"file_path":"{path}","transform_matrix":{pose}}}"#)
+        };
+        let frames: Vec<String> = scene.views.iter().map(frame).collect();
+        let camera = r#""w":200,"h":150,"fl_x":190,"fl_y":190,"cx":100,"cy":75"#;
+        format!("{{{camera},\"frames\":[{}]}}", frames.join(","))
+    };
+    folder.write(
+        "transforms.json",
+        frames(&|name| format!("./images/{name}")),
+    );
+    let same = advice();
+    assert!(
+        same.contains("not transforms.json") && same.contains("no action needed"),
+        "{same}"
+    );
+    folder.write("transforms.json", frames(&|name| format!("images/x{name}")));
+    assert!(advice().contains("match images between them again in COLMAP"));
 }
 
 #[test]

@@ -56,7 +56,7 @@ fn points_without_tracks_are_observed_where_they_project() {
     let (read, whole) = (folder.read(), scene());
     assert_eq!(read.points.len(), whole.points.len());
     assert!(read.observations() >= whole.observations());
-    assert_eq!(kinds(&read), [WarningKind::Format]);
+    assert_eq!(kinds(&read), [WarningKind::Projected]);
     assert_planned(&folder);
 }
 

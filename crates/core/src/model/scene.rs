@@ -173,10 +173,14 @@ pub enum WarningKind {
     Damaged,
     /// The model has views, but no sparse points.
     NoPoints,
+    /// The sparse points have no tracks: those they have here are their projections.
+    Projected,
     /// The format doesn't store something, or the reader ignores it.
     Format,
     /// The project has other models, which were not read.
     OtherModels,
+    /// The model's own file has other parts, which were not read.
+    OtherParts,
     /// A dense workspace was made from another model.
     OtherWorkspace,
     /// Images are missing, so a value was guessed.

@@ -145,10 +145,10 @@ fn observe(model: &mut ColmapModel, why: &str, all: usize) {
         };
         point.track = Cow::Owned(track.into_iter().map(element).collect());
     }
-    warn(
-        model,
-        format!("{why}: every view into which a point projects counts as observing it"),
-    );
+    let text = format!("{why}: every view into which a point projects counts as observing it");
+    model
+        .warnings
+        .push(ModelWarning::new(WarningKind::Projected, text));
     let used = model.points.len();
     if used < all {
         let text = format!("the cloud has {all} points, of which a random {used} are used");

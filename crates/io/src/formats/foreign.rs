@@ -133,7 +133,7 @@ impl ForeignModel {
             others.len() + 1,
             named.join(", ")
         );
-        self.warn(WarningKind::OtherModels, text);
+        self.warn(WarningKind::OtherParts, text);
     }
 
     /// Warns of guessed image sizes, for formats that don't store them.

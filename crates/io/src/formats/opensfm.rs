@@ -15,7 +15,7 @@ use serde::{
 use viewrank_core::model::{
     camera::{Camera, CameraModel},
     georeference::{Geodetic, Georeference},
-    scene::WarningKind,
+    scene::{ModelWarning, WarningKind},
 };
 
 use super::{
@@ -191,7 +191,9 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
     add_points(&mut foreign, &largest.points, &observations);
     if tracks.is_none() && !largest.points.is_empty() {
         let text = "points have no observations: tracks.csv is missing next to the reconstruction";
-        foreign.warn(WarningKind::Damaged, text);
+        let cure = "copy tracks.csv of the OpenSfM project beside the reconstruction";
+        let warning = ModelWarning::new(WarningKind::Damaged, text).with_cure(cure);
+        foreign.model.warnings.push(warning);
     }
     Ok(foreign)
 }
@@ -200,7 +202,7 @@ fn warn_of_smaller(foreign: &mut ForeignModel, all: usize, shots: usize) {
     if all > 1 {
         let text =
             format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
-        foreign.warn(WarningKind::OtherModels, text);
+        foreign.warn(WarningKind::OtherParts, text);
     }
 }
 

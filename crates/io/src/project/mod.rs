@@ -16,7 +16,7 @@ mod other_names;
 mod probe;
 
 use std::{
-    collections::HashSet,
+    collections::{BTreeSet, HashSet},
     path::{Path, PathBuf},
     time::SystemTime,
 };
@@ -35,6 +35,7 @@ pub use probe::{Unread, probe};
 use crate::{
     formats::colmap::ColmapModel,
     output::Disk,
+    paths,
     shell::{command_path, command_word},
 };
 
@@ -207,7 +208,7 @@ impl Project {
         match Self::open(path, model) {
             Err(ProjectError::NoModel { .. }) if elsewhere::project_of(path).is_some() => {
                 let project = elsewhere::project_of(path).unwrap_or_default();
-                Ok(Self::open(&project, model)?.with_home(path))
+                Ok(Self::open(&paths::from_here(&project), model)?.with_home(path))
             }
             opened => opened,
         }
@@ -216,7 +217,7 @@ impl Project {
     /// The same project with the results in another folder; nothing is written to its own. The plan
     /// there names the project, so that the folder can be opened in its place.
     pub fn with_home(self, home: &Path) -> Self {
-        let home = std::path::absolute(home).unwrap_or_else(|_| home.into());
+        let home = home.into();
         // A workspace gets the files of its backend, which would be written into the project.
         Self {
             home,
@@ -229,6 +230,13 @@ impl Project {
     pub fn with_images(self, images: Option<&Path>) -> Self {
         let images = images.map(ImageFolder::new).or(self.images);
         Self { images, ..self }
+    }
+
+    /// Returns the name of the project's folder, also where that was typed as `.`.
+    pub fn name(&self) -> String {
+        let whole = dunce::canonicalize(&self.root).unwrap_or_else(|_| self.root.clone());
+        let name = whole.file_name().unwrap_or(whole.as_os_str());
+        name.to_string_lossy().into_owned()
     }
 
     /// Returns whether results go to a folder outside the project.
@@ -430,12 +438,13 @@ impl Project {
     /// Other models at least half of whose images are in the scene: copies of the model, possibly
     /// in other coordinates.
     pub fn copies(&self, scene: &Scene) -> Vec<&ModelLocation> {
+        // Programs differ in the folders that they put before a name.
+        let ends: BTreeSet<&str> = scene.views.iter().flat_map(|v| ends_of(&v.name)).collect();
+        let is_known =
+            |name: &str| ends.contains(name) || ends_of(name).any(|end| scene.find(end).is_some());
         let is_copy = |model: &&ModelLocation| {
             let names = discover::image_names(&self.root, model).unwrap_or_default();
-            let shared = names
-                .iter()
-                .filter(|name| scene.find(name).is_some())
-                .count();
+            let shared = names.iter().filter(|name| is_known(name)).count();
             2 * shared >= names.len()
         };
         self.other_models.iter().filter(is_copy).collect()
@@ -475,6 +484,12 @@ impl Project {
             )
         })
     }
+}
+
+/// A name, and what follows each of its folders.
+fn ends_of(name: &str) -> impl Iterator<Item = &str> {
+    let inner = name.match_indices('/').map(|(at, _)| &name[at + 1..]);
+    std::iter::once(name).chain(inner)
 }
 
 /// Models that a warning names.

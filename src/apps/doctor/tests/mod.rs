@@ -6,7 +6,7 @@ use std::fs;
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use tempfile::TempDir;
 
-use super::{Finding, Severity, ViewFinding, examine};
+use super::{Finding, NO_TRACKS, Severity, ViewFinding, examine};
 use crate::{
     backends::{self, Backend},
     config::{ConfidenceSource, FrameSettings, Settings, TargetSettings},
@@ -372,6 +372,21 @@ fn far_too_few_shared_points() {
         (1, Severity::Warning)
     );
     assert!(detail(finding, "n12.jpg").contains(" points that n"));
+}
+
+#[test]
+fn projections_say_nothing_of_links() {
+    let mut scene = with_copies(|point| point.x > 0.0);
+    scene.warnings = vec![ModelWarning::new(WarningKind::Projected, "no tracks")];
+    let findings = diagnose(&scene, "sure", &Settings::default());
+    assert_eq!(found(&findings, NO_TRACKS).severity, Severity::Note);
+    let links = ["far-too-few-shared-points", "one-sided-links"];
+    assert!(
+        findings
+            .iter()
+            .all(|finding| !links.contains(&finding.check)),
+        "{findings:#?}"
+    );
 }
 
 #[test]
@@ -778,6 +793,14 @@ fn a_model_without_common_points() {
             Severity::Error
         );
         assert_eq!(findings.len(), 1, "no finding per view: {findings:#?}");
+    }
+    // Where there are none at all, the reader's advice is the only one, for every backend.
+    let mut scene = scene_of(block(0.0, "n"), std::iter::empty(), |_, _| false);
+    scene.warnings =
+        vec![ModelWarning::new(WarningKind::NoPoints, "no points").with_cure("export")];
+    for backend in ["colmap", "mvsnet", "gipuma"] {
+        let findings = diagnose(&scene, backend, &Settings::default());
+        assert_eq!((findings.len(), &*findings[0].cure), (1, "export"));
     }
 }
 
