@@ -11,7 +11,7 @@ use crate::{
     base::{
         error::{Advice, Hint, shortened},
         printable::printable,
-        shell::command_path,
+        shell::{command_path, shown_path},
     },
     daemon::{
         Line,
@@ -27,10 +27,10 @@ use serde_json::json;
 
 use super::{Failure, Format, print, print_json, terminal::print_json_line};
 
-/// Show the state of the projects under a watched folder, even while the daemon is down.
+/// Show what is planned and finished of a project, or of all under a watched folder.
 #[derive(Args)]
 pub struct Arguments {
-    /// The watched folder, or any folder below it.
+    /// The project, the watched folder, or any folder below that.
     #[arg(default_value = ".")]
     root: PathBuf,
     /// Print the status as JSON, as --format json.
@@ -93,7 +93,7 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
                 print([planned_in_words(&plan, maps)])
             }
         }
-        (None, None) => Err(NoStatus::NotWatched(project).into()),
+        (None, None) => Err(NoStatus::NoPlan(project).into()),
     }
 }
 
@@ -118,6 +118,8 @@ enum NoStatus {
     NotFound(PathBuf),
     #[error("no daemon has watched {} or a folder above it", .0.display())]
     NotWatched(PathBuf),
+    #[error("{} has no plan, and no daemon has watched it", shown_path(.0))]
+    NoPlan(PathBuf),
     #[error("{} cannot be read, or is no status of this version", .0.display())]
     Unreadable(PathBuf),
 }
@@ -130,6 +132,9 @@ impl Hint for NoStatus {
             }
             Self::NotWatched(folder) => {
                 format!("start one: viewrank watch {}", command_path(folder)).into()
+            }
+            Self::NoPlan(folder) => {
+                format!("plan it: viewrank plan {}", command_path(folder)).into()
             }
             Self::Unreadable(_) => {
                 "make it readable, or start a daemon of this version, which rewrites it".into()
@@ -171,7 +176,7 @@ fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
             note,
         };
     }
-    Phase::Computing {
+    Phase::Partial {
         done: maps,
         clusters,
         share: None,
@@ -201,7 +206,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
-            ": about {:.0} % of the cloud of all maps ({:.0} % is the aim)",
+            ": about {:.0} % of the area that all maps would cover (target {:.0} %)",
             100.0 * share,
             100.0 * progress.target
         ),

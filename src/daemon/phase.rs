@@ -38,8 +38,8 @@ pub enum Phase {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
     },
-    /// The backend is writing depth maps.
-    Computing {
+    /// Some depth maps are finished; the backend may be at work on others.
+    Partial {
         /// Number of key views with a depth map.
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
@@ -63,7 +63,7 @@ pub enum Phase {
         /// Number of key views up to the cut, plus those beyond it with a depth map.
         clusters: usize,
         /// Share of the result of all view clusters that they give, 0 to 1, estimated as in
-        /// `computing`.
+        /// `partial`.
         share: f64,
         /// Remark about the result.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -96,7 +96,7 @@ impl Phase {
                 share,
                 note,
             },
-            None => Self::Computing {
+            None => Self::Partial {
                 done,
                 clusters,
                 share,
@@ -113,7 +113,7 @@ impl Phase {
             Self::Waiting { reason } | Self::Queued { reason } => vec![reason],
             Self::Planning { .. } => Vec::new(),
             Self::Planned { note, .. }
-            | Self::Computing { note, .. }
+            | Self::Partial { note, .. }
             | Self::Reached { note, .. } => note.iter_mut().collect(),
             Self::Failed { reason, hint, .. } => [reason].into_iter().chain(hint).collect(),
         };
@@ -150,14 +150,14 @@ impl fmt::Display for Phase {
                 )?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
-            Self::Computing {
+            Self::Partial {
                 done,
                 clusters,
                 share,
                 unmeasured,
                 note,
             } => {
-                write!(f, "computing: {done} of {clusters} depth maps")?;
+                write!(f, "partial: {done} of {clusters} depth maps")?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
                 share.iter().try_for_each(|share| {
                     write!(f, ", about {:.0} % reached", (share * 100.0).floor())

@@ -337,13 +337,7 @@ fn seconds_now() -> u64 {
 /// text.
 fn metrics_text(projects: &BTreeMap<PathBuf, TrackedProject>) -> String {
     let mut counts: BTreeMap<&str, usize> = [
-        "waiting",
-        "queued",
-        "planning",
-        "planned",
-        "computing",
-        "reached",
-        "failed",
+        "waiting", "queued", "planning", "planned", "partial", "reached", "failed",
     ]
     .map(|name| (name, 0))
     .into();
@@ -384,7 +378,7 @@ const GAUGES: [Gauge; 3] = [
         name: "viewrank_depth_maps_done",
         help: "Key views with a depth map.",
         value: |phase| match phase {
-            Phase::Computing { done, .. } | Phase::Reached { done, .. } => Some(*done as f64),
+            Phase::Partial { done, .. } | Phase::Reached { done, .. } => Some(*done as f64),
             _ => None,
         },
     },
@@ -392,7 +386,7 @@ const GAUGES: [Gauge; 3] = [
         name: "viewrank_depth_maps_wanted",
         help: "Key views to the cut, and those beyond it that have a depth map.",
         value: |phase| match phase {
-            Phase::Computing { clusters, .. } | Phase::Reached { clusters, .. } => {
+            Phase::Partial { clusters, .. } | Phase::Reached { clusters, .. } => {
                 Some(*clusters as f64)
             }
             _ => None,
@@ -402,7 +396,7 @@ const GAUGES: [Gauge; 3] = [
         name: "viewrank_share_reached",
         help: "What fusion keeps of the finished depth maps over what it would of all.",
         value: |phase| match phase {
-            Phase::Computing { share, .. } => *share,
+            Phase::Partial { share, .. } => *share,
             Phase::Reached { share, .. } => Some(*share),
             _ => None,
         },
@@ -423,7 +417,7 @@ fn name_of(phase: &Phase) -> &'static str {
         Phase::Queued { .. } => "queued",
         Phase::Planning { .. } => "planning",
         Phase::Planned { .. } => "planned",
-        Phase::Computing { .. } => "computing",
+        Phase::Partial { .. } => "partial",
         Phase::Reached { .. } => "reached",
         Phase::Failed { .. } => "failed",
     }

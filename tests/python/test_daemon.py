@@ -358,7 +358,7 @@ def test_the_backend_is_followed_to_the_target_and_the_user_s_command_runs_once(
                 assert said["clusters_to_target"] == 0
                 break
         said = backend.progress()
-        state = "reached" if said["target_reached"] else "computing"
+        state = "reached" if said["target_reached"] else "partial"
         daemon.wait(lambda: daemon.status("p").get("state") == state, state)
         if state == "reached":
             daemon.wait(stop.exists, "the command")

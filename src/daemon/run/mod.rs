@@ -403,7 +403,7 @@ impl<'a> Daemon<'a> {
         let planned = |p: &Phase| {
             matches!(
                 p,
-                Phase::Planned { .. } | Phase::Computing { .. } | Phase::Reached { .. }
+                Phase::Planned { .. } | Phase::Partial { .. } | Phase::Reached { .. }
             )
         };
         WatchSummary {

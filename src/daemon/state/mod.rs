@@ -152,13 +152,13 @@ impl TrackedProject {
             },
             // Depth maps still to be measured leave the last result valid.
             _ if self.concluded => match self.result.clone() {
-                Phase::Computing {
+                Phase::Partial {
                     done,
                     clusters,
                     share,
                     note,
                     ..
-                } => Phase::Computing {
+                } => Phase::Partial {
                     done,
                     clusters,
                     share,

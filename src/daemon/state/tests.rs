@@ -260,7 +260,7 @@ fn maps_newer_than_the_last_measurement_are_counted() {
         note: None,
     };
     let unmeasured = |project: &TrackedProject| match project.phase() {
-        Phase::Computing { unmeasured, .. } => unmeasured,
+        Phase::Partial { unmeasured, .. } => unmeasured,
         phase => panic!("{phase}"),
     };
     run(&mut project, Work::Follow, followed, now + SETTLE);

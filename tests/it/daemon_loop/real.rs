@@ -164,7 +164,7 @@ fn missing_maps_are_forgotten_even_if_a_run_was_killed_meanwhile() {
         real.put_map("sgm");
         assert!(matches!(
             real.once(true),
-            Phase::Computing { .. } | Phase::Reached { .. }
+            Phase::Partial { .. } | Phase::Reached { .. }
         ));
         assert_eq!(real.finished(), 1);
         fs::remove_dir_all(real.project.join("sgm")).expect("a folder");
