@@ -179,15 +179,22 @@ fn properties(plan: &Plan, view: ViewIndex, rank: Option<usize>, what: &str) -> 
     })
 }
 
-/// Rounds to the number of digits that a survey can resolve.
-fn rounded(number: f64, digits: i32) -> f64 {
+/// Rounds to the number of digits that a survey can resolve; never to -0.
+pub fn rounded(number: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
-    (number * scale).round() / scale
+    (number * scale).round() / scale + 0.0
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nothing_is_rounded_to_minus_nothing() {
+        for (number, text) in [(-0.04, "0.0"), (-0.06, "-0.1"), (-0.0, "0.0")] {
+            assert_eq!(format!("{:.1}", rounded(number, 1)), text);
+        }
+    }
 
     fn rings(geometry: &Value) -> Vec<Vec<[f64; 3]>> {
         let of_polygon =

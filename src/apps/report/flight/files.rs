@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::{Flight, Waypoint};
 use crate::{
     model::georeference::{Geodetic, Georeference, MapFrame},
-    show::pictures::views_file,
+    show::pictures::{rounded, views_file},
 };
 
 /// File names below the plan's folder, with their text; none without waypoints. `missing`: what
@@ -211,9 +211,4 @@ fn ply(flight: &Flight) -> String {
         );
     }
     text
-}
-
-pub(super) fn rounded(number: f64, digits: i32) -> f64 {
-    let scale = 10f64.powi(digits);
-    (number * scale).round() / scale
 }

@@ -3,13 +3,13 @@
 use serde_json::{Value, json};
 
 use super::{
-    files::{collection, rounded},
+    files::collection,
     outlines::{Area, Place, areas},
 };
 use crate::{
     method::region::Ground,
     model::georeference::{Geodetic, Georeference, MapFrame},
-    show::pictures::views_file,
+    show::pictures::{rounded, views_file},
 };
 
 /// Name and text of the file, GeoJSON below the plan's folder: a feature for each area, those that
