@@ -16,6 +16,7 @@ use crate::{
         replan,
         report::{folders_of_maps, own_folder_of_maps},
     },
+    base::shell::shown_path,
     io::{
         depthmaps,
         output::{Contents, Disk, FileSet, refuse_to_leave},
@@ -71,8 +72,8 @@ pub struct Arguments {
     /// Folder of depth maps of the same clusters, matched at half the size, to compare with
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
     half_size: Option<PathBuf>,
-    /// Also compare the order with others (with --depth-maps): nocp, realupdate, replan, maxpts,
-    /// every n-th, farthest view, random, optimum
+    /// Also compare the order with others by each triangle (with --depth-maps): without prediction,
+    /// replanned, most sparse points, every n-th, farthest view, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
 
@@ -142,6 +143,13 @@ fn judge(
 ) -> Result<(), Failure> {
     let kept = || kept_cells(project);
     let path = arguments.cells.clone().unwrap_or_else(kept);
+    if arguments.cells.is_none() && !plan.stages.makes_maps {
+        let backend = plan.stages.backend;
+        let message =
+            format!("the plan chooses images for {backend}: there are no depth maps to evaluate");
+        let hint = "keep images apart for tests (viewrank plan --test-every 8), and measure what the program draws of them";
+        return Err(Failure::new(Exit::Usage, message, Some(hint.into())));
+    }
     if arguments.cells.is_none() && !path.is_file() {
         let hint = "name the folder of the finished depth maps with --depth-maps";
         let message = "nothing to evaluate: no finished depth maps were found";
@@ -190,12 +198,13 @@ fn measure(
         half: half.as_ref(),
     };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
-    let name = project.root.file_name();
-    let title = name.unwrap_or(project.root.as_os_str()).to_string_lossy();
     let mut files = FileSet::new(&out, "evaluation");
     files.add_text("evaluation.json", json(&evaluation));
     files.add_text(CELLS, cell_table);
-    files.add_text("evaluation.html", evaluate::page(&evaluation, &title));
+    files.add_text(
+        "evaluation.html",
+        evaluate::page(&evaluation, &project.name()),
+    );
     files.add("evaluation.ply", Contents::Bytes(reached.ply(&model)));
     files.write(&project.disk())?;
     if let Some(folder) = &arguments.dump_tables {
@@ -255,7 +264,7 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
     if missing > 0 {
         let what = counted(missing, "key view");
         warn(&format!(
-            "{what} of the plan without a depth map; shares are of what those with one give"
+            "{what} of the plan without a depth map; the tables are of those with one"
         ));
     }
     let beyond = run
@@ -296,14 +305,17 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
 }
 
 fn text(e: &Evaluation, depth_maps: &Path, out: &Path) -> Vec<String> {
-    let mut lines = vec![format!("Depth maps: {}", depth_maps.display())];
+    let mut lines = vec![format!("Depth maps: {}", shown_path(depth_maps))];
     lines.extend(summary(e));
     lines.push(String::new());
     if e.inside < 1.0 {
         lines.extend(["Fulfilment and shares are those inside the region.", ""].map(String::from));
     }
-    lines.extend(e.cells.lines());
-    lines.push(String::new());
+    // Other orders begin with maps that are not there.
+    if e.without_map.is_empty() {
+        lines.extend(e.cells.lines());
+        lines.push(String::new());
+    }
     lines.extend(shares_of_cells(e));
     if !e.orders.is_empty() {
         lines.push(String::new());
@@ -312,7 +324,7 @@ fn text(e: &Evaluation, depth_maps: &Path, out: &Path) -> Vec<String> {
     lines.push(String::new());
     lines.extend(missing(e));
     lines.push(String::new());
-    lines.push(format!("See {}", out.join("evaluation.html").display()));
+    lines.push(format!("See {}", shown_path(&out.join("evaluation.html"))));
     lines
 }
 
@@ -358,7 +370,10 @@ fn summary(e: &Evaluation) -> Vec<String> {
 
 fn shares_of_cells(e: &Evaluation) -> Vec<String> {
     let mut lines = vec![
-        "share of the cloud (cells) that the plan's first maps give: predicted, and real".into(),
+        format!(
+            "share of the area of these {} maps that the first cover: predicted, and real",
+            e.key_views.len()
+        ),
         "predicted share   key views   pairs   real share   three maps agree".into(),
     ];
     for gap in e

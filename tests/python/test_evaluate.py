@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import struct
 import subprocess
@@ -71,6 +72,10 @@ def test_orders_are_judged_by_the_cells_of_the_cloud(matched, viewrank):
     # The kept table alone says the same.
     kept = json.loads(viewrank("evaluate", matched / "valley", "--cells", out / "cells.tsv", "--format", "json").stdout)
     assert kept["all"]["orders"] == made["all"]["orders"]
+    # Terminal and page have one set of names for the orders.
+    said = viewrank("evaluate", matched / "valley", "--depth-maps", matched / "maps", "--out", out, "--baselines").stdout
+    for text in (said, (out / "evaluation.html").read_text()):
+        assert "without prediction" in text and "most sparse points" in text and not re.search(r"\b(nocp|maxpts|ours)\b", text)
     other = matched / "other.tsv"
     other.write_text("elsewhere.jpg\n1\t0\t1\n")
     assert "none of its maps" in viewrank("evaluate", matched / "valley", "--cells", other, expect=1).stderr

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::{
+    cells::order_in_words,
     curve::{ReachCurve, SHARES},
     orders,
     run::MeasuredClusters,
@@ -106,8 +107,8 @@ pub fn rows(orders: &[Order], pairs: bool) -> Vec<(Vec<&'static str>, Vec<String
         };
         let cells: Vec<String> = order.needed.iter().map(cell).collect();
         match rows.iter_mut().find(|(_, other)| *other == cells) {
-            Some((names, _)) => names.push(order.name),
-            None => rows.push((vec![order.name], cells)),
+            Some((names, _)) => names.push(order_in_words(order.name)),
+            None => rows.push((vec![order_in_words(order.name)], cells)),
         }
     }
     rows

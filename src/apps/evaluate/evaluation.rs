@@ -200,17 +200,17 @@ impl Evaluation {
         };
         let enough = [0.95, 0.9].map(enough);
         let give = if enough[1] == Some(1) {
-            "gives"
+            "covers"
         } else {
-            "give"
+            "cover"
         };
         match enough {
             [Some(most), Some(nearly)] if most < maps => format!(
-                "You could have stopped after {most} of these {maps} depth maps, which give 95 % of the cloud of all of them; {nearly} {give} 90 %."
+                "You could have stopped after {most} of these {maps} depth maps, which cover 95 % of the area that all of them cover; {nearly} {give} 90 %."
             ),
             [Some(_), Some(nearly)] if nearly < maps => {
                 format!(
-                    "All {maps} depth maps were needed for 95 % of their cloud; {nearly} {give} 90 %."
+                    "All {maps} depth maps were needed for 95 % of the area that they cover; {nearly} {give} 90 %."
                 )
             }
             [Some(_), _] => format!("All {maps} depth maps were needed."),
@@ -232,7 +232,7 @@ impl Evaluation {
             .reached
             .share
             .map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
-        format!("{share} of what all depth maps of the plan would give, estimated")
+        format!("{share} of the area that all depth maps of the plan would cover, estimated")
     }
 
     pub fn new(

@@ -4,13 +4,16 @@ use std::fmt::Write;
 
 use super::{
     baselines,
-    cells::{NEEDED, TENTHS},
+    cells::{NEEDED, TENTHS, order_in_words},
     evaluation::{Evaluation, KeyView},
     half_size::HalfSize,
 };
 use crate::{
     base::printable::printable,
-    show::pictures::plot::{self, COLOURS, Line, Plot},
+    show::pictures::{
+        plot::{self, COLOURS, Line, Plot},
+        rounded,
+    },
 };
 
 /// Escapes text for HTML.
@@ -30,11 +33,14 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
         escape(title)
     );
     html += &summary(evaluation);
-    html += "<section><h2>Share of the cloud that these depth maps give together</h2>\n<div class=\"plots\">\n";
+    html += "<section><h2>Share of the area that these depth maps cover together</h2>\n<div class=\"plots\">\n";
     html += &plots(evaluation);
     html += "</div></section>\n";
     html += &gap_table(evaluation);
-    html += &cell_tables(evaluation);
+    // Other orders begin with maps that are not there.
+    if evaluation.without_map.is_empty() {
+        html += &cell_tables(evaluation);
+    }
     html += &triangle_tables(evaluation);
     html += &clouds(evaluation);
     html += &half_size(evaluation);
@@ -103,7 +109,7 @@ fn numbers(e: &Evaluation) -> [(&'static str, String, String); 7] {
     };
     let maps = e.key_views.len().to_string();
     let reached = e.reached.share.map_or("–".into(), percent);
-    let of_all = "of what all depth maps of the plan would give, estimated";
+    let of_all = "of the area that all depth maps of the plan would cover, estimated";
     let complete = percent(e.quality.completeness);
     let [real, predicted] = [e.real, e.predicted].map(|fulfilment| format!("{fulfilment:.3}"));
     [
@@ -132,14 +138,20 @@ fn plots(e: &Evaluation) -> String {
     let predicted = line("predicted", COLOURS[0], DASHED, maps(&e.curve.predicted));
     let real = line("real", COLOURS[0], "", maps(&e.curve.real));
     let mut lines = vec![predicted, real];
-    for (i, order) in e.cells.all.orders.iter().enumerate().skip(1) {
+    let others = if e.without_map.is_empty() {
+        &e.cells.all.orders[..]
+    } else {
+        &[]
+    };
+    for (i, order) in others.iter().enumerate().skip(1) {
         // Colours are reused with dotted lines, except the first, which is the plan's.
         let (round, colour) = (
             (i - 1) / (COLOURS.len() - 1),
             1 + (i - 1) % (COLOURS.len() - 1),
         );
         let dash = if round == 0 { "" } else { DOTTED };
-        lines.push(line(order.name, COLOURS[colour], dash, maps(&order.curve)));
+        let name = order_in_words(order.name);
+        lines.push(line(name, COLOURS[colour], dash, maps(&order.curve)));
     }
     let plot = Plot {
         over: "key views",
@@ -154,7 +166,7 @@ fn plots(e: &Evaluation) -> String {
 }
 
 /// Vertical axis of the curves.
-const SHARE_OF_CELLS: &str = "share of the cells of their cloud";
+const SHARE_OF_CELLS: &str = "share of the area that they cover";
 const DASHED: &str = "6 4";
 const DOTTED: &str = "2 3";
 
@@ -174,7 +186,7 @@ fn line(
 
 fn gap_table(e: &Evaluation) -> String {
     let mut html = String::from(
-        "<section><h2>Prediction</h2>\n<p>Predicted by the plan; real: share of the cells of the cloud that these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>three agree</th><th>gap, points</th></tr>\n",
+        "<section><h2>Prediction</h2>\n<p>Predicted by the plan; real: share of the area that these depth maps cover together, in cells.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>three agree</th><th>gap, points</th></tr>\n",
     );
     // Shares that the same depth maps reach are one row.
     for same in e.gap.chunk_by(|one, next| one.clusters == next.clusters) {
@@ -192,7 +204,7 @@ fn gap_table(e: &Evaluation) -> String {
             gap.pairs,
             100.0 * gap.real,
             100.0 * gap.agreeing,
-            100.0 * (gap.predicted - gap.real)
+            rounded(100.0 * (gap.predicted - gap.real), 1)
         );
     }
     html + "</table></section>\n"
@@ -201,7 +213,7 @@ fn gap_table(e: &Evaluation) -> String {
 /// Orders judged by cells, for both kinds of cells.
 fn cell_tables(e: &Evaluation) -> String {
     let mut html = format!(
-        "<section tabindex=\"0\" aria-label=\"Orders\"><h2>Orders, by the cells of the cloud</h2>\n<p>{}. Way: 0 is every n-th, 1 the oracle, known only afterwards.</p>\n",
+        "<section tabindex=\"0\" aria-label=\"Orders\"><h2>Orders, by the area covered</h2>\n<p>{}. Way: 0 is every n-th, 1 the oracle, known only afterwards.</p>\n",
         escape(&e.cells.source.describe())
     );
     for (name, kind) in e.cells.kinds() {
@@ -215,7 +227,7 @@ fn cell_tables(e: &Evaluation) -> String {
         html += "</tr>\n";
         let ours = kind.ours();
         for order in &kind.orders {
-            let _ = write!(html, "<tr><td>{}</td>", order.name);
+            let _ = write!(html, "<tr><td>{}</td>", order_in_words(order.name));
             order
                 .covered
                 .iter()
@@ -226,9 +238,9 @@ fn cell_tables(e: &Evaluation) -> String {
                 .for_each(|maps| html += &format!("<td>{maps}</td>"));
             html += "</tr>\n";
         }
-        html += "<tr><td>way of ours</td>";
+        html += "<tr><td>viewrank's way</td>";
         for way in ours.way {
-            let way = way.map_or("–".into(), |way| format!("{way:.2}"));
+            let way = way.map_or("–".into(), |way| format!("{:.2}", rounded(way, 2)));
             let _ = write!(html, "<td>{way}</td>");
         }
         html += "</tr></table>\n";

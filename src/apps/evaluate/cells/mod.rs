@@ -24,6 +24,7 @@ use serde::Serialize;
 pub use fused::FusedCloudError;
 pub use incidence::{CountedCells, Incidence, IncidenceError};
 pub use judge::{CellOrders, CellsEvaluation, JudgedOrder, NEEDED, TENTHS};
+pub use words::order_in_words;
 
 use self::{cloud_cells::CloudCells, gsd::PlaceGsd};
 use super::{

@@ -1,13 +1,22 @@
 //! Judged orders as a table of text.
 
 use super::judge::{CellOrders, CellsEvaluation, NEEDED, TENTHS, at};
+use crate::show::pictures::rounded;
 
-/// Names of the orders for users.
-const NAMES: [(&str, &str); 3] = [
+/// Names of the orders for users (method 8); the others are words already.
+const NAMES: [(&str, &str); 5] = [
     ("ours", "viewrank"),
     ("nocp", "without prediction"),
+    ("realupdate", "updated by results"),
+    ("replan", "replanned"),
     ("maxpts", "most sparse points"),
 ];
+
+/// Name of an order for users.
+pub fn order_in_words(order: &'static str) -> &'static str {
+    let known = NAMES.iter().find(|(name, _)| *name == order);
+    known.map_or(order, |(_, words)| words)
+}
 
 impl CellsEvaluation {
     /// Returns the orders as lines: the shares that their first maps cover, the way of ours, and
@@ -29,14 +38,14 @@ impl CellsEvaluation {
                 cells[0], self.maps, cells[1]
             ),
             String::new(),
-            "share of the cloud (cells) that the first maps of an order give, %".into(),
+            "share of the area (cells) that the first maps of an order cover, %".into(),
             row("", ["all cells".into(), "three maps agree".into()]),
         ];
         let head = of_columns(numbers.map(|number| format!("{number:6}")));
         lines.push(row("number of maps", [head.clone(), head]));
         for i in 0..both[0].orders.len() {
             let shares = both.map(|kind| of_columns(kind.orders[i].covered.map(percent)));
-            lines.push(row(both[0].orders[i].name, shares));
+            lines.push(row(order_in_words(both[0].orders[i].name), shares));
         }
         let way = both.map(|kind| of_columns(kind.ours().way.map(way)));
         lines.push(row("viewrank's way", way));
@@ -46,7 +55,7 @@ impl CellsEvaluation {
         );
         lines.extend([
             String::new(),
-            "maps that an order takes for a share of the cloud (cells)".into(),
+            "maps that an order takes for a share of the area (cells)".into(),
         ]);
         let head = NEEDED
             .map(|share| format!("{:>6}", format!("{:.0} %", 100.0 * share)))
@@ -54,7 +63,7 @@ impl CellsEvaluation {
         lines.push(row("share", [head.clone(), head]));
         for i in 0..both[0].orders.len() {
             let needed = both.map(|kind| needed(kind, i));
-            lines.push(row(both[0].orders[i].name, needed));
+            lines.push(row(order_in_words(both[0].orders[i].name), needed));
         }
         lines
     }
@@ -62,9 +71,7 @@ impl CellsEvaluation {
 
 /// A line with an order's name, and its numbers for all cells and for those where three maps agree.
 fn row(name: &str, [all, agreeing]: [String; 2]) -> String {
-    let known = NAMES.iter().find(|(order, _)| *order == name);
-    let name = known.map_or(name, |(_, words)| words);
-    format!("{name:19}{all:>25}{agreeing:>27}")
+    format!("{name:22}{all:>25}{agreeing:>27}")
 }
 
 fn percent(share: f64) -> String {
@@ -72,7 +79,7 @@ fn percent(share: f64) -> String {
 }
 
 fn way(way: Option<f64>) -> String {
-    way.map_or("     –".into(), |way| format!("{way:6.2}"))
+    way.map_or("     –".into(), |way| format!("{:6.2}", rounded(way, 2)))
 }
 
 fn needed(kind: &CellOrders, order: usize) -> String {
