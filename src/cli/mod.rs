@@ -69,6 +69,8 @@ pub struct Failure {
     is_printed: bool,
     /// The result has been printed to stdout: no error may follow it there.
     has_result: bool,
+    /// By the user: no error.
+    is_stop: bool,
 }
 
 impl Failure {
@@ -81,6 +83,15 @@ impl Failure {
             hint: hint.map(|hint| shortened(&hint).into_owned()),
             is_printed: false,
             has_result: false,
+            is_stop: false,
+        }
+    }
+
+    /// Returns the end that the user asked for with Ctrl-C. `at`: how far it got.
+    fn stopped(at: &str, go_on: String) -> Self {
+        Self {
+            is_stop: true,
+            ..Self::new(Exit::Failed, format!("stopped {at}"), go_on)
         }
     }
 
@@ -111,12 +122,17 @@ impl Failure {
     /// Prints the error to stderr, and to stdout as JSON where results are JSON.
     pub fn print(&self) {
         if !self.is_printed {
-            terminal::complain_of("error:", terminal::ERROR, &format!(" {}", self.message));
+            let (error, hint) = if self.is_stop {
+                ("", "")
+            } else {
+                ("error: ", "hint: ")
+            };
+            terminal::complain_of(error, terminal::ERROR, &self.message);
             self.output
                 .iter()
                 .for_each(|line| terminal::complain(&format!("  {line}")));
-            if let Some(hint) = &self.hint {
-                terminal::complain_of("hint:", terminal::HINT, &format!(" {hint}"));
+            if let Some(words) = &self.hint {
+                terminal::complain_of(hint, terminal::HINT, words);
             }
         }
         if arguments::asks_for_json() && !self.message.is_empty() && !self.has_result {

@@ -50,7 +50,7 @@ def test_one_command_plans_matches_and_reports(run, viewrank, valley):
     # Again: nothing is computed twice, and the page is there.
     out, err = run(valley, "--backend", "sgm", "--budget", "3")
     assert {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")} == maps
-    assert (valley / "viewrank/report.html").is_file() and "3 of 28 depth maps: about " in out and "of the cloud that all 28 would give" in out
+    assert (valley / "viewrank/report.html").is_file() and "3 of 28 depth maps: about " in out and "of the area that all 28 would cover" in out
     assert "Computing 3 of 28 depth maps, 3 of them there already (--budget 3)" in out
 
 
@@ -73,6 +73,16 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(run, valley):
     assert kept and (valley / "sgm/fused.ply").is_file() and "Point cloud:" in out, "what is there is fused"
     assert json.loads(run(valley, "--backend", "sgm", "--budget", "4", "--no-report", "--format", "json")[0])["done"] == 4
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
+
+
+def test_ctrl_c_before_the_second_map_is_no_error(run, valley):
+    sgm = (valley, "--backend", "sgm", "--budget", "4", "--no-report")
+    process = run.start(*sgm)
+    assert process.stdout.readline().startswith("Backend") and process.stdout.readline().startswith("Computing")
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    assert process.returncode == 1 and "error" not in err and re.search(r"^stopped with [01] of 4 depth maps$", err, re.M), err
+    assert f"to go on: viewrank run '{valley}' --backend sgm --budget 4" in err.splitlines()
 
 
 def test_maps_of_another_size_are_made_again(run, valley):

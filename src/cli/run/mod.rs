@@ -109,7 +109,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .view_indices()
         .any(|view| !scene.camera_of(view).is_pinhole());
     // Ctrl-C also ends the programs that are asked what they can do.
-    let stopped = || Failure::new(Exit::Failed, "stopped before planning", arguments.go_on());
+    let stopped = || Failure::stopped("before planning", arguments.go_on());
     ready::check(backend, &project, scene, arguments.program.as_deref()).map_err(|failure| {
         if stop.load(Ordering::Relaxed) {
             stopped()

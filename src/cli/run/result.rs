@@ -6,8 +6,10 @@ use serde::Serialize;
 
 use super::work::Work;
 use crate::{
+    base::shell::shown_path,
     cli::{summary::duration, wrapped},
     daemon::follow,
+    io::paths::from_here,
     show::files::report_path,
 };
 
@@ -27,8 +29,8 @@ pub struct RunSummary {
     all: usize,
     /// All of them that can be made are there.
     is_whole: bool,
-    /// Share of the cloud of all of them, 0 to 1, estimated from the finished maps; null before
-    /// the first measurement.
+    /// Share of the area that all of them would cover, 0 to 1, estimated from the finished maps;
+    /// null before the first measurement.
     share: Option<f64>,
     /// The same as the plan predicted it for as many maps; null if it was made around finished ones.
     predicted: Option<f64>,
@@ -120,10 +122,10 @@ impl Work<'_> {
         // On a line of its own, to be copied.
         lines.extend(next);
         if let Some(cloud) = &result.cloud {
-            lines.push(format!("Point cloud: {}", cloud.display()));
+            lines.push(format!("Point cloud: {}", shown_path(&from_here(cloud))));
         }
         if let Some(report) = &result.report {
-            lines.push(format!("Report: {}", report.display()));
+            lines.push(format!("Report: {}", shown_path(&from_here(report))));
         }
         lines
     }
@@ -162,17 +164,17 @@ impl RunSummary {
         let Self { done, all, .. } = *self;
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let share = match (self.share, self.predicted) {
-            _ if self.is_whole => "the whole cloud".to_owned(),
+            _ if self.is_whole => "the whole area".to_owned(),
             (Some(share), predicted) => {
                 let said = predicted.map_or_else(String::new, |predicted| {
                     format!("; the plan said {}", percent(predicted))
                 });
                 let about = percent(share);
                 format!(
-                    "about {about} of the cloud that all {all} would give (estimated from these maps{said})"
+                    "about {about} of the area that all {all} would cover (estimated from these maps{said})"
                 )
             }
-            _ => format!("their share of the cloud that all {all} would give is not known"),
+            _ => format!("their share of the area that all {all} would cover is not known"),
         };
         let seconds =
             self.seconds

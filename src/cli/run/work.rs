@@ -163,7 +163,7 @@ impl<'a> Work<'a> {
             (Some(target), _) => {
                 let target = (1000.0 * target).round() / 10.0;
                 format!(
-                    "Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all would give."
+                    "Computing up to {tasks} of {all} depth maps{done}, until they cover {target} % of the area that all would."
                 )
             }
             (None, Some(budget)) => {
@@ -380,11 +380,8 @@ impl<'a> Work<'a> {
             self.dispatch.finished_maps().count(),
             self.dispatch.tasks.len(),
         );
-        Failure::new(
-            Exit::Failed,
-            format!("stopped with {done} of {all} depth maps"),
-            self.arguments.go_on(),
-        )
+        let at = format!("with {done} of {all} depth maps");
+        Failure::stopped(&at, self.arguments.go_on())
     }
 
     /// `before`: number of tasks that failed just before this one.
@@ -419,9 +416,7 @@ fn failure(outcome: Outcome, stop: &AtomicBool, go_on: String) -> Failure {
     match outcome {
         Outcome::Failed { reason, hint } => Failure::new(Exit::Failed, reason, hint),
         Outcome::Incomplete { reason } => Failure::new(Exit::Failed, reason, None),
-        _ if stop.load(Ordering::Relaxed) => {
-            Failure::new(Exit::Failed, "stopped while planning", go_on)
-        }
+        _ if stop.load(Ordering::Relaxed) => Failure::stopped("while planning", go_on),
         _ => Failure::new(
             Exit::Failed,
             "the project changed while it was planned",
