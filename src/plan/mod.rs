@@ -139,6 +139,21 @@ impl Plan {
             .filter(inside)
     }
 
+    /// Area of a triangle, of that of a region the part inside; square scene units.
+    pub fn area_inside(&self, triangle: u32) -> f64 {
+        let region = self.stages.region.as_ref();
+        let inside = region.map_or(1.0, |region| f64::from(region.covered[triangle as usize]));
+        inside * self.stages.surface.area(triangle)
+    }
+
+    /// Share of the surface, of that of a region inside it, that no cluster fulfils to a tenth.
+    pub fn unfulfilled_share(&self) -> f64 {
+        let all = 0..self.stages.surface.triangles.len() as u32;
+        let whole: f64 = all.map(|t| self.area_inside(t)).sum();
+        let missing: f64 = self.unfulfilled().map(|t| self.area_inside(t)).sum();
+        if whole > 0.0 { missing / whole } else { 0.0 }
+    }
+
     /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the
     /// ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {

@@ -246,7 +246,7 @@ impl Contents {
         let missing = ListedHoles::new(plan, &holes, &frame, watcher)?;
         let summary = RegionSummary::from_plan(plan);
         Ok(Self {
-            title: title(&project.root),
+            title: project.name(),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
             backend: plan.stages.backend,
             makes_maps: plan.stages.makes_maps,
@@ -360,16 +360,6 @@ fn whole_area(plan: &Plan) -> f64 {
     (0..plan.stages.surface.triangles.len() as u32)
         .map(|t| plan.stages.surface.area(t))
         .sum()
-}
-
-/// Returns the name of the folder, with `.` resolved.
-fn title(root: &Path) -> String {
-    let whole = dunce::canonicalize(root).unwrap_or_else(|_| root.into());
-    whole
-        .file_name()
-        .unwrap_or(whole.as_os_str())
-        .to_string_lossy()
-        .into_owned()
 }
 
 /// CSR offsets as the page reads them: u32 in base64.

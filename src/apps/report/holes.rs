@@ -160,12 +160,7 @@ pub fn holes(plan: &Plan, most: usize) -> Holes {
     let (near, far): (Vec<u32>, Vec<u32>) = open.into_par_iter().partition(is_near);
     let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
     let subject = Subject::new(plan, &frame);
-    let area = |triangles: &[u32]| {
-        triangles
-            .iter()
-            .map(|&t| plan.stages.surface.area(t))
-            .sum::<f64>()
-    };
+    let area = |triangles: &[u32]| triangles.iter().map(|&t| plan.area_inside(t)).sum::<f64>();
     let in_subject = |t: &u32| {
         subject
             .as_ref()

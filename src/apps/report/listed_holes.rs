@@ -34,9 +34,15 @@ impl ListedHoles {
     ) -> Result<Self, ReportError> {
         let needed = plan.stages.settings.coverage.min_cameras;
         let place = &plan.stages.place;
-        let mut flight = flight::flight(plan, &holes.largest, watcher)?;
-        let of_surface = holes.largest.iter();
+        // Where no depth maps are made, a place that no cluster reconstructs lacks nothing.
+        let of_surface = if plan.stages.makes_maps {
+            &holes.largest[..]
+        } else {
+            &[]
+        };
+        let mut flight = flight::flight(plan, of_surface, watcher)?;
         let mut listed: Vec<HoleData> = of_surface
+            .iter()
             .map(|hole| HoleData::new(hole, frame, place, needed))
             .collect();
         let for_holes = flight.waypoints.len();

@@ -44,7 +44,7 @@ function drawCurve() {
   for (let tick = 0; tick <= most * 1.0001; tick += step) {
     parts.push(`<text x="${x(tick)}" y="${plot.bottom + 18}" text-anchor="middle">${rounded(tick)}</text>`);
   }
-  parts.push(`<text x="8" y="13">share of what ${allGive}</text>`);
+  parts.push(`<text x="8" y="13">share ${ofAll}</text>`);
   parts.push(`<text x="${(plot.left + plot.right) / 2}" y="${plot.bottom + 35}" text-anchor="middle">${over().label}</text>`);
   parts.push(`<polyline class="predicted" points="${line(clusters, i => [x(at(i)), y(shareAt(i))])}"/>`);
   if (data.real) {
@@ -52,18 +52,23 @@ function drawCurve() {
     const { ranks, share } = data.real, last = ranks.findLastIndex(rank => rank <= clusters);
     parts.push(`<polyline class="real" points="${x(0)},${y(0)} ${line(last, i => [x(at(ranks[i])), y(share[i])])}"/>`);
   }
-  const [cx, cy] = [x(at(state.cut)), y(shareAt(state.cut))];
+  const [cx, cy] = [x(at(state.cut)), y(reachedAt(state.cut))];
   parts.push(`<path class="cut" d="M${cx} ${plot.bottom}V${cy}H${plot.left}"/><circle class="dot" cx="${cx}" cy="${cy}" r="5"/>`);
   const left = cx > 320;
   parts.push(`<text class="strong" x="${cx + (left ? -10 : 10)}" y="${Math.min(cy + 20, plot.bottom - 8)}" text-anchor="${left ? 'end' : 'start'}">`
     + `${reachedText()}</text>`);
   byId('curve').innerHTML = parts.join('');
-  byId('curve').setAttribute('aria-label', `Share of what ${allGive}, over ${over().label}: ${reachedText()}, ${percent(shareAt(clusters))} with ${rounded(most)}`);
+  byId('curve').setAttribute('aria-label', `Share ${ofAll}, over ${over().label}: ${reachedText()}, ${percent(shareAt(clusters))} with ${rounded(most)}`);
+}
+
+// Measured where the maps up to a rank are finished, else predicted.
+function reachedAt(cut) {
+  return measuredAt(cut) ?? shareAt(cut);
 }
 
 function reachedText() {
   const value = over().at(state.cut);
-  return `${percent(shareAt(state.cut))} with ${rounded(value)} ${value === 1 ? over().one : over().label}`;
+  return `${percent(reachedAt(state.cut))} with ${rounded(value)} ${value === 1 ? over().one : over().label}`;
 }
 
 // Points of a polyline, thinned to about 500 including the last.
@@ -104,28 +109,30 @@ function setUpCurve() {
   const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is by their measured fulfilment. ` : '';
   const note = data.real
     ? `Dashed: measured fulfilment of the triangles by the ${counted(data.real.maps, 'depth map')} in ${data.real.folder}${data.real.reference ? ' against the reference'
-      : ' (without --reference every depth counts as right)'}, over what all depth maps are predicted to give: an estimate of their share of the cloud${data.finished ? ' around the finished ones' : ''}.`
+      : ' (without --reference every depth counts as right)'}, over what all depth maps are predicted to give: an estimate of the share of the area${data.finished ? ' around the finished ones' : ''}.`
     : !data.makes_maps ? 'Predicted.' : 'Predicted. To add finished depth maps from another folder to the curve: viewrank report --depth-maps DIR.';
   byId('curve-note').textContent = around + note;
   byId('bound').textContent = boundText();
+  byId('bound').parentElement.hidden = !boundText();
 }
 
 // What all depth maps give, and the bound of method 5.2 for the plan's cut.
 function boundText() {
-  const { reachable, reachable_band: band, share_band: share, fulfilment, fulfilment_bound: bound, given_up: lost, pairs_beyond_gate: beyond } = data.limits;
+  const { reachable, reachable_band: band, fulfilment, fulfilment_bound: bound, given_up: lost, pairs_beyond_gate: beyond } = data.limits;
   if (!data.makes_maps || !(fulfilment > 0)) return '';
   const better = Math.max(0, bound / fulfilment - 1);
   const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
   const part = weight => percent(reachable ? weight / reachable : 0);
-  const givenUp = lost.border + lost.inside > 0
-    ? ` The plan gives up ${part(lost.border)} at the border and ${part(lost.inside)} inside; ${part(lost.single_map)} of it is shown well by one planned map only.` : '';
+  const once = lost.single_map > 0 ? `; ${part(lost.single_map)} of it is shown well by one planned map only` : '';
+  const givenUp = lost.border + lost.inside > 0 ? ` The plan gives up ${part(lost.border)} at the border and ${part(lost.inside)} inside${once}.` : '';
   const gate = beyond ? ` ${counted(beyond, 'pair')} of the plan exceed the limits of the backend, for want of better partners.` : '';
-  return `Measured, the plan's share will likely be ${range(share)}. All depth maps give ${percent(reachable, 0)} of what is wanted (likely ${range(band)}).${givenUp}${gate} No other choice of ${grouped.format(data.cut)} has a fulfilment ${better < 0.005 ? 'even 0.5 %' : `more than ${percent(better, 0)}`} higher than the plan's.`;
+  return `All depth maps give ${percent(reachable, 0)} of what is wanted (likely ${range(band)}).${givenUp}${gate} No other choice of ${grouped.format(data.cut)} has a fulfilment ${better < 0.005 ? 'even 0.5 %' : `more than ${percent(better, 0)}`} higher than the plan's.`;
 }
 
 function fillOver() {
   const chosen = byId('over').value || 'maps';
-  const known = Object.keys(overs).filter(key => (key !== 'time' || timesKnown()) && (key !== 'work' || ranking.work));
+  const known = Object.keys(overs).filter(key => (key === 'maps' || data.makes_maps) && (key !== 'time' || timesKnown()) && (key !== 'work' || ranking.work));
   byId('over').replaceChildren(...known.map(key => make('option', { value: key }, overs[key].label)));
+  byId('over').parentElement.hidden = known.length < 2;
   byId('over').value = known.includes(chosen) ? chosen : 'maps';
 }

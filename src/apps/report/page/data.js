@@ -117,9 +117,10 @@ function statusOf(view, cut) {
 }
 
 // State of the page; listeners redraw what depends on the changed keys.
-// The page begins with the maps that are finished, if those are the first, so that its headline is what was measured; else with the plan.
+// The page begins with the finished maps, if those are the first of the plan and more than it was made around, so that its headline is what was measured; else with the plan.
 const begun = finishedUpTo(Infinity);
-const state = { cut: measuredAt(begun) === null ? data.cut : begun, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
+const firstCut = measuredAt(begun) === null || begun <= data.finished ? data.cut : begun;
+const state = { cut: firstCut, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
 const listeners = [];
 
 function change(what) {
@@ -130,7 +131,7 @@ function change(what) {
 const grouped = new Intl.NumberFormat('en');
 
 function percent(share, digits = 1) {
-  return `${(100 * share).toFixed(digits)}\u00a0%`;
+  return `${(100 * share).toFixed(digits).replace(/^-(0(\.0*)?)$/, '$1')}\u00a0%`;
 }
 
 // Number of finished depth maps among those up to a rank.
@@ -180,9 +181,10 @@ function rounded(number) {
 // A program that uses the images themselves makes no depth maps (method 5.10).
 const products = data.makes_maps ? 'depth maps' : 'images';
 const statusWords = data.makes_maps ? { key: 'key view', partner: 'partner', unused: 'unused' } : { key: 'taken', unused: 'left out' };
-const allGive = data.makes_maps ? 'all depth maps give' : 'all images draw';
+// The denominator of every share.
+const ofAll = data.makes_maps ? 'of the area that all depth maps cover' : 'of what all images draw';
 
-// Follows "what all depth maps give".
+// Follows the denominator.
 const inRegion = data.region ? ' inside the region' : '';
 
 // Lengths of the scene are shown in metres where these are known.

@@ -28,7 +28,7 @@ function drawList() {
 
 function emptyText() {
   const wanted = byId('search').value.trim(), found = data.unregistered.find(name => name.toLowerCase().includes(wanted.toLowerCase()));
-  return found && wanted ? `${found} has no pose in the sparse model and cannot be used.` : 'No such view.';
+  return found && wanted ? `${found} has no pose in the sparse model and cannot be used.` : data.makes_maps ? 'No such view.' : 'No such image.';
 }
 
 function listRow(place) {
@@ -41,7 +41,7 @@ function listRow(place) {
     make('span', { class: 'rank' }, rank ? String(rank) : '–'), picture,
     make('span', {}, make('div', { class: 'name', title: names[view] }, make('bdi', {}, names[view])),
       make('div', { class: 'because' }, make('span', { class: `tag ${status}` }, `${statusWords[status]}${status === 'key' && isHalf(rank) ? ', half size' : ''}`), ` ${becauseShort(view)}`)),
-    make('span', { class: 'gain', title: `Share of what ${allGive} that it adds at its rank` }, rank ? gainText(rank) : '0'));
+    make('span', { class: 'gain', title: `Share ${ofAll} that it adds at its rank` }, rank ? gainText(rank) : '0'));
   row.style.top = `${place * ROW}px`;
   if (view === state.selected) row.classList.add('on');
   if (rank === state.cut + 1) row.classList.add('first-left-out');

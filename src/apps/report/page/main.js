@@ -4,7 +4,9 @@
 const map = new Scene(byId('map'), new Camera(0, 90), false);
 const turn = new Scene(byId('turn'), new Camera(25, 38), true);
 const scenes = [map, turn];
-const colours = { share: 'share reached', count: 'number of key views', maps: 'what fusion keeps', reason: 'reason for holes', weight: 'how much it counts', ...(data.real ? { real: 'measured fulfilment' } : {}) };
+const colours = data.makes_maps
+  ? { share: 'share reached', count: 'number of key views', maps: 'what fusion keeps', reason: 'reason for holes', weight: 'how much it counts', ...(data.real ? { real: 'measured fulfilment' } : {}) }
+  : { share: 'share shown', count: 'number of images', weight: 'how much it counts' };
 
 function drawCut() {
   const { cut } = state;
@@ -14,15 +16,17 @@ function drawCut() {
   const all = data.makes_maps ? `${grouped.format(views.count)} views` : `${grouped.format(data.clusters_total)} images`;
   const chosen = make('b', {}, `${grouped.format(cut)} of ${all}`), measured = measuredAt(cut);
   const mapped = data.makes_maps ? [` ${measured === null ? 'get' : 'have'} a depth map${atHalf}, `, make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`)] : [];
-  byId('verdict').replaceChildren(chosen, ...mapped, `: ${measured === null ? percent(shareAt(cut)) : `about ${percent(measured)}`} of what ${allGive}${inRegion}.`);
+  byId('verdict').replaceChildren(chosen, ...mapped, `: ${measured === null ? percent(shareAt(cut)) : `about ${percent(measured)}`} ${ofAll}${inRegion}.`);
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
 
-// In place of the page's words for programs that make depth maps.
+// In place of the page's words for programs that make depth maps; what says nothing of images is left out.
 function speakOfImages() {
+  document.body.classList.add('of-images');
+  byId('views-title').textContent = 'Images, best first';
   byId('slider').labels[0].textContent = 'Images to take';
   byId('curve-title').textContent = 'What each further image adds';
-  byId('curve').setAttribute('aria-label', `Share of what ${allGive}, along the ranking`);
+  byId('curve').setAttribute('aria-label', `Share ${ofAll}, along the ranking`);
   for (const option of [...byId('which').options]) {
     if (option.value === 'partner') option.remove();
     else if (option.value !== 'all') option.textContent = statusWords[option.value];
@@ -45,9 +49,9 @@ function setUpCut() {
   byId('marks').append(make('option', { value: data.cut }));
 }
 
-// The four numbers of a plan: maps, work, share of what all maps give, and share of what the photographs show.
+// The numbers of a plan: maps, work, and the share of what all give.
 function drawNumbers() {
-  const { cut } = state, { reachable, share_band: share, reachable_band: band } = data.limits, planned = cut === data.cut;
+  const { cut } = state, { share_band: share } = data.limits, planned = cut === data.cut;
   const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
   const halves = halvesUpTo[cut], sizes = halves ? `, ${grouped.format(cut - halves)} at full and ${grouped.format(halves)} at half size` : '';
   const finished = finishedUpTo(cut), soFar = finished && percent(data.real.share[finished - 1]), measured = measuredAt(cut);
@@ -60,8 +64,7 @@ function drawNumbers() {
   ] : [
     ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views${sizes}`],
     ['Work', ...work(cut)],
-    ['Of what all depth maps give', ...given],
-    ['Of what the photographs show', percent(shareAt(cut) * reachable, 0), `all depth maps: ${percent(reachable, 0)}${planned ? ` (likely ${range(band)})` : ''}`],
+    ['Of the area that all depth maps cover', ...given],
   ];
   byId('numbers').replaceChildren(...numbers.map(([what, value, of]) =>
     make('div', {}, make('dt', {}, what), make('dd', {}, make('b', {}, value), make('small', { class: 'of' }, of)))));
@@ -106,9 +109,9 @@ function setUpForecast() {
 
 function drawLegends() {
   const swatch = (colour, text) => make('span', {}, Object.assign(make('i'), { style: `background: rgb(${colour})` }), text);
-  const striped = () => make('span', {}, make('i', { class: 'hatched' }), 'no cluster fulfils it');
+  const striped = () => data.makes_maps ? make('span', {}, make('i', { class: 'hatched' }), 'no cluster fulfils it') : '';
   const lists = {
-    share: () => [rampSwatch('0', `as much as ${data.makes_maps ? allGive : 'depth maps of all would give'}`), striped()],
+    share: () => [rampSwatch('0', `as much as all ${products} ${data.makes_maps ? 'give' : 'show'}`), striped()],
     real: () => [rampSwatch('0', '1, measured'), striped()],
     count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), striped()],
     maps: () => [swatch(MAP_COLOURS[2], 'kept'), swatch(MAP_COLOURS[1], 'one planned map only'), swatch(MAP_COLOURS[0], 'no planned map'), striped()],
@@ -139,29 +142,38 @@ function setUpColours() {
 }
 
 function drawHoles() {
-  const area = size => `${rounded(size * perUnit ** 2)} ${unit}²`;
-  const whole = data.region ? 'surface inside the region' : 'surface';
-  const share = data.area > 0 ? percent(data.holes_area / data.area) : percent(0);
-  const background = `more than ${data.far} times the usual camera distance of sparse points away from every camera`;
+  const area = hole => squared(hole.area * perUnit ** 2);
   if (!data.holes.length) {
-    byId('holes').replaceChildren(make('p', {}, data.far_area > 0
-      ? `No holes near the cameras: the surface that no view cluster can reconstruct (${share}, striped on the map) is ${background}.`
-      : 'No holes: some view cluster can reconstruct every part of the surface.'));
+    const none = data.far_area > 0 ? `No holes near the cameras: the surface that no view cluster can reconstruct (striped on the map) is ${background}.`
+      : 'No holes: some view cluster can reconstruct every part of the surface.';
+    byId('holes').replaceChildren(make('p', {}, none));
+    byId('holes-box').hidden = !data.makes_maps;
     return;
   }
   const where = (hole, i) => hole.place ? `${i + 1}: ${hole.place.map(degrees => degrees.toFixed(6)).join(', ')}` : `hole ${i + 1}`;
   const rows = data.holes.map((hole, i) => make('tr', {},
     make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, where(hole, i))),
-    make('td', {}, area(hole.area)), make('td', {}, hole.missing), make('td', {}, fillText(hole, i))));
+    make('td', {}, `${area(hole)}${hole.triangles ? '' : ' on the map'}`), make('td', {}, hole.missing), make('td', {}, fillText(hole, i))));
   byId('holes').replaceChildren(
-    make('p', {}, `${share} of the ${whole} (${area(data.holes_area)} of ${area(data.area)}, slopes included) is fulfilled by less than a tenth by every view cluster`
-      + ` (striped on the map). ${data.far_area > 0 ? `${area(data.far_area)} of that is background, ${background}. ` : ''}`
-      + 'The largest holes within the subject, numbered on the map:'),
+    ...holesOfSurface(),
     make('table', {}, make('tr', {}, ...['where', 'area', 'what is missing', 'what would fill it'].map(text => make('th', { scope: 'col' }, text))), ...rows),
     ...flightText(),
-    make('p', { class: 'note advice' }, data.holes.some(hole => hole.missing.includes('no surface'))
-      ? 'The last row is ground inside the region that has no surface. Other parts without sparse points are not listed.'
-      : 'Parts of the scene without sparse points have no surface and are not listed.'));
+    make('p', { class: 'note advice' }, 'Parts of the scene without sparse points have no surface and, outside a region, are not listed.'));
+}
+
+const background = `more than ${data.far} times the usual camera distance of sparse points away from every camera`;
+
+// How much of the surface no cluster reconstructs, as a share: areas along slopes are others than those on the map.
+function holesOfSurface() {
+  if (!data.makes_maps || !(data.holes_area > 0)) return [];
+  const share = part => percent(data.area > 0 ? part / data.area : 0);
+  const far = data.far_area > 0 ? ` ${share(data.far_area)} is background, ${background}.` : '';
+  return [make('p', {}, `No view cluster reconstructs ${share(data.holes_area)} of the surface${inRegion} (striped on the map).${far} The largest holes within the subject, numbered on the map:`)];
+}
+
+// In hectares where it is large, as in the summary.
+function squared(area) {
+  return data.metres && area >= 1e4 ? `${rounded(area / 1e4)} ha` : `${rounded(area)} ${unit}²`;
 }
 
 // What would fill a hole: the images planned for it, or advice where none are.
@@ -179,10 +191,11 @@ function fillText(hole, i) {
 function flightText() {
   if (!flight.count) return [];
   const { filled, fillable, for_holes: forHoles } = data.flight, forGround = flight.count - forHoles, files = 'viewrank/flight';
-  const ofHoles = `${percent(filled, 0)} of the holes in the surface, by weight; with every pose tried, ${percent(fillable, 0)}. Predicted from geometry: texture that nothing can match stays a hole`;
-  const ofGround = `${counted(forGround, 'image')} straight down over the part of the region without surface`;
-  const what = !forHoles ? `: ${ofGround}` : ` would fill ${forGround ? `(the first ${grouped.format(forHoles)}) ` : ''}${ofHoles}${forGround ? `; ${ofGround}` : ''}`;
-  return [make('p', {}, make('b', {}, `${counted(flight.count, 'image')} to take`), ` (green rings on the map)${what}. Waypoints with direction, height and overlap: ${files}.`)];
+  const ofHoles = `${grouped.format(forHoles)} for holes in the surface, which would fill ${percent(filled, 0)} of them (with all poses that were tried, ${percent(fillable, 0)})`;
+  const ofGround = `${grouped.format(forGround)} straight down over ground without surface`;
+  const what = [...(forHoles ? [ofHoles] : []), ...(forGround ? [ofGround] : [])].join('; ');
+  return [make('p', {}, make('b', {}, `${counted(flight.count, 'image')} to take`), ` (green rings on the map): ${what}. Forecast from geometry alone: what cannot be matched stays a hole.`
+    + ` ${files} has the waypoints, with direction, height and overlap${data.holes.some(hole => !hole.triangles) ? ', and the outlines of what was missed' : ''}.`)];
 }
 
 function showHole(hole) {
@@ -209,7 +222,7 @@ function drawFacts() {
   byId('title').textContent = data.title;
   const left = data.unregistered.length ? `, ${counted(data.unregistered.length, 'image')} without a pose` : '';
   byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
-    + ` planned for the backend ${data.backend}, ${rounded(data.gsd * perUnit)} ${unit} per pixel wanted`;
+    + ` planned for the backend ${data.backend}${data.makes_maps ? `, ${rounded(data.gsd * perUnit)} ${unit} per pixel wanted` : ''}`;
   if (data.region) byId('facts').after(make('p', {}, data.region.words));
   byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn with fewer triangles than in the plan. ' : ''}`
     + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have thumbnails. ` : '')
@@ -251,13 +264,13 @@ function followTheme() {
 
 // The address keeps the cut, the view and the colours, so that they survive a reload after a new plan.
 function remember() {
-  const kept = new URLSearchParams({ ...(state.cut !== data.cut && { cut: state.cut }), ...(state.selected >= 0 && { view: names[state.selected] }),
+  const kept = new URLSearchParams({ ...(state.cut !== firstCut && { cut: state.cut }), ...(state.selected >= 0 && { view: names[state.selected] }),
     ...(state.colour !== 'share' && { colour: state.colour }) });
   try { history.replaceState(null, '', kept.size ? `#${kept}` : location.pathname); } catch { /* some browsers refuse it for files */ }
 }
 
 function remembered() {
-  const kept = new URLSearchParams(location.hash.slice(1)), cut = Number(kept.get('cut')) || data.cut;
+  const kept = new URLSearchParams(location.hash.slice(1)), cut = Number(kept.get('cut')) || firstCut;
   const colour = kept.get('colour');
   return { cut: Math.min(clusters, Math.max(0, Math.round(cut))), selected: names.indexOf(kept.get('view')), colour: colours[colour] ? colour : 'share' };
 }

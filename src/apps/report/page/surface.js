@@ -48,7 +48,7 @@ const RAMP_TABLE = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
 function colourOf(triangle) {
   if (state.colour === 'reason') return REASON_COLOURS[surface.reason[triangle]];
   if (state.colour === 'weight') return RAMP_TABLE[surface.weightShade[triangle]];
-  if (surface.reason[triangle]) return NOWHERE;
+  if (data.makes_maps && surface.reason[triangle]) return NOWHERE;
   if (state.colour === 'maps') return MAP_COLOURS[(surface.alone[triangle] <= state.cut) + (surface.kept[triangle] <= state.cut)];
   if (state.colour === 'count') return COUNT_COLOURS[chosenViews(triangle, state.cut)];
   if (state.colour === 'real') return RAMP_TABLE[surface.real[triangle]];
@@ -65,7 +65,7 @@ function isInside(triangle) {
 
 // Stripes mark what no cluster fulfils, where colours show something else than the reason.
 function isStriped(triangle) {
-  return surface.reason[triangle] > 0 && state.colour !== 'reason' && state.colour !== 'weight';
+  return data.makes_maps && surface.reason[triangle] > 0 && state.colour !== 'reason' && state.colour !== 'weight';
 }
 
 // Colour of every triangle for the state of the page: red, green, blue, and 0 where striped, else 255.

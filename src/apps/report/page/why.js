@@ -13,21 +13,21 @@ function pairsOf(view) {
 // One line for the list.
 function becauseShort(view) {
   const rank = views.rank[view];
-  if (rank && rank <= data.finished) return `its depth map is finished, ${percent(shareAt(rank))} up to here`;
-  if (data.real && data.real.ranks.includes(rank)) return `its depth map is finished; ${percent(shareAt(rank))} was planned up to here`;
-  if (rank && rank <= state.cut) return `${percent(shareAt(rank))} up to here`;
+  if (rank && rank <= data.finished) return `finished, ${percent(shareAt(rank))} so far`;
+  if (data.real && data.real.ranks.includes(rank)) return `finished; ${percent(shareAt(rank))} was planned so far`;
+  if (rank && rank <= state.cut) return `${percent(shareAt(rank))} so far`;
   const substitute = substituteAt(view, state.cut);
   if (substitute && substitute.share >= 0.5) return `${names[ranking.keys[substitute.rank - 1]]} gives ${percent(substitute.share, 0)} of what it could`;
   if (rank) return `after the cut, at rank ${rank}`;
-  return reasonOf(view) || 'adds nothing to the views before it';
+  return reasonOf(view) || 'adds nothing to those before it';
 }
 
 function drawWhy() {
   const view = state.selected, box = byId('why-box');
   box.classList.toggle('chosen', view >= 0);
-  byId('why-name').textContent = view < 0 ? 'Why is a view chosen or not?' : names[view];
+  byId('why-name').textContent = view < 0 ? `Why is ${data.makes_maps ? 'a view' : 'an image'} chosen or not?` : names[view];
   if (view < 0) {
-    byId('why').replaceChildren(make('p', {}, 'Select a view in the list or on the map, or search by name.'), summary());
+    byId('why').replaceChildren(make('p', {}, `Select ${data.makes_maps ? 'a view' : 'an image'} in the list or on the map, or search by name.`), summary());
     return;
   }
   const parts = [];
@@ -48,9 +48,9 @@ function drawWhy() {
 function whyIn(view) {
   const rank = views.rank[view], partners = Array.from(partnersOf(rank));
   const why = rank <= data.finished ? 'Chosen: its depth map is finished, and the others are ranked after it. Measured, it adds'
-    : `Chosen: rank ${rank} of ${state.cut}, because no other view adds more at that rank. It adds`;
+    : `Chosen: rank ${rank} of ${state.cut}, because no other adds more at that rank. It adds`;
   const parts = [
-    make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what ${allGive}, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
+    make('p', { class: 'answer' }, `${why} ${gainText(rank)} ${ofAll}, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
       + ' Triangles that it improves are purple on the map.')];
   if (!data.makes_maps) return parts;
   parts.push(make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners));
@@ -67,7 +67,7 @@ function whyNot(view) {
     parts.push(make('p', { class: 'answer' }, `Not chosen: its rank is ${rank}, and the cut is at ${state.cut}. It would add ${gainText(rank)}.`),
       make('button', { type: 'button', onclick: () => change({ cut: rank }) }, `Move the cut to ${rank}`));
   } else {
-    parts.push(make('p', { class: 'answer' }, reason ? `Not chosen, because ${reason}${pairsOf(view)}.` : 'Not chosen: other views add more at every rank, until it adds nothing.'));
+    parts.push(make('p', { class: 'answer' }, reason ? `Not chosen, because ${reason}${pairsOf(view)}.` : 'Not chosen: others add more at every rank, until it adds nothing.'));
   }
   if (substitute && data.makes_maps) {
     parts.push(make('p', {}, viewButton(ranking.keys[substitute.rank - 1]), ` (key view ${substitute.rank}) gives ${percent(substitute.share, 0)} of what it could do by itself.`));
@@ -96,5 +96,5 @@ function summary() {
   const table = make('table', {}, ...rows.map(([what, n]) => make('tr', {}, make('td', {}, what), make('td', {}, grouped.format(n)))));
   if (state.cut !== data.cut || !reasons.size) return table;
   const why = [...reasons].sort((a, b) => b[1] - a[1]).map(([reason, n]) => make('li', {}, `${grouped.format(n)}: ${reason}`));
-  return make('div', {}, table, make('p', {}, 'Views that are left out, by reason:'), make('ul', {}, ...why));
+  return make('div', {}, table, make('p', {}, `${data.makes_maps ? 'Views' : 'Images'} that are left out, by reason:`), make('ul', {}, ...why));
 }
