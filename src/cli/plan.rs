@@ -16,7 +16,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         progress::{Stage, Watcher},
-        shell::command_path,
+        shell::{command_path, shown_path},
     },
     config::{CommandLineSettings, Settings},
     io::{
@@ -215,6 +215,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         refuse_unwritable(arguments, &project)?;
     }
     let progress = ProgressDisplay::new(arguments.quiet);
+    let is_survey = settings.region.is_some() || settings.target.gsd.is_some();
     let mut plan = planning::plan(&project, &settings, &progress)
         .map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
@@ -234,9 +235,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         None
     };
     progress.finish();
-    report(arguments, &project, &plan, &files)?;
+    report(arguments, &project, &plan, &files, is_survey)?;
     if let (Some(page), Format::Text, false) = (page, arguments.format, arguments.quiet) {
-        print([page.display().to_string()])?;
+        print([shown_path(&page)])?;
     }
     match &files.not_exported[..] {
         missing if arguments.backend.is_some() && !missing.is_empty() => {
@@ -577,6 +578,7 @@ fn report(
     project: &Project,
     plan: &Plan,
     files: &PlanFiles,
+    is_survey: bool,
 ) -> Result<(), Failure> {
     let next = match (
         arguments.dry_run,
@@ -589,7 +591,7 @@ fn report(
             next::next(project, plan, files, arguments.as_run(&maps_of_run))
         }
     };
-    let summary = Summary::new(project, plan, files, arguments.dry_run, next);
+    let summary = Summary::new(project, plan, files, arguments.dry_run, next, is_survey);
     match arguments.format {
         Format::Json => return print_json(&summary),
         Format::Text if !arguments.quiet => print(summary.text(arguments.verbose))?,

@@ -20,6 +20,8 @@ use serde::Serialize;
 const STEPS: [f64; 4] = [0.5, 0.7, 0.8, 0.9];
 /// Largest number of key views listed by name.
 const NAMED: usize = 3;
+/// Share of the surface that no view cluster fulfils, up to which that is not worth a line: its rim.
+const LEAST_MISSED: f64 = 0.01;
 
 #[derive(Serialize)]
 pub struct Summary<'a> {
@@ -76,16 +78,21 @@ pub struct Summary<'a> {
     /// Use of the images, for a backend that matches none.
     #[serde(skip)]
     use_of_views: Option<&'static str>,
+    /// Share of the surface that no view cluster fulfils, if a region or a resolution was asked for
+    /// and depth maps are made.
+    #[serde(skip)]
+    missed: Option<f64>,
 }
 
 impl<'a> Summary<'a> {
-    /// `next`: the command to type next.
+    /// `next`: the command to type next; `is_survey`: a region or a resolution was asked for.
     pub fn new(
         project: &Project,
         plan: &'a Plan,
         files: &'a PlanFiles,
         dry_run: bool,
         next: String,
+        is_survey: bool,
     ) -> Self {
         let manifest = &files.manifest;
         Self {
@@ -132,6 +139,7 @@ impl<'a> Summary<'a> {
             manifest,
             weight: plan.stages.settings.ranking.weight,
             counts_places: plan.stages.pilot.is_some(),
+            missed: (is_survey && plan.stages.makes_maps).then(|| plan.unfulfilled_share()),
             use_of_views: backends::by_name(plan.stages.backend)
                 .ok()
                 .and_then(|backend| backend.use_of_views),
@@ -163,8 +171,10 @@ impl<'a> Summary<'a> {
             "{views} views, {points} sparse points; a surface of {triangles} triangles."
         )];
         lines.extend(self.memory.on_disk().map(on_disk));
-        let gsd = rounded(self.gsd * metres);
-        lines.push(format!("Wanted: {gsd} {unit} per pixel."));
+        if self.use_of_views.is_none() {
+            let gsd = rounded(self.gsd * metres);
+            lines.push(format!("Wanted: {gsd} {unit} per pixel."));
+        }
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
         let region = self
@@ -172,6 +182,13 @@ impl<'a> Summary<'a> {
             .map(|region| region.describe(self.metres_per_unit))
             .unwrap_or_default();
         lines.extend(region.lines().map(String::from));
+        if let Some(share) = self.missed.filter(|share| *share > LEAST_MISSED) {
+            lines.push(format!(
+                "{} of the surface{} cannot be reconstructed as wanted.",
+                whole_percent(share),
+                self.inside()
+            ));
+        }
         lines
     }
 
@@ -240,16 +257,20 @@ impl<'a> Summary<'a> {
         }
     }
 
+    fn inside(&self) -> &'static str {
+        self.region.map_or("", |_| " inside the region")
+    }
+
     /// The denominator of the share.
     fn whole(&self) -> String {
         let all = grouped(self.forecast.all_maps);
-        let inside = match self.region {
-            Some(_) => " inside the region",
-            None => "",
-        };
+        let inside = self.inside();
         match self.use_of_views {
             Some(_) => format!("what all {all} draw{inside}"),
-            None => format!("the cloud of all {all}{inside}"),
+            None if self.forecast.maps_at_half > 0 => {
+                format!("the area that all {all} cover at full size{inside}")
+            }
+            None => format!("the area that all {all} cover{inside}"),
         }
     }
 
@@ -272,7 +293,12 @@ impl<'a> Summary<'a> {
         let mut lines = vec![format!("The share counts {counted}.")];
         let last = self.cut.clusters.checked_sub(1);
         let last = last.and_then(|last| self.manifest.clusters.get(last));
-        lines.extend(last.map(|last| format!("By area it is {}.", whole_percent(last.area))));
+        lines.extend(last.map(|last| {
+            format!(
+                "With far ground counted as much as near it is {}.",
+                whole_percent(last.area)
+            )
+        }));
         if given_up.single_map > 0.0 {
             lines.push(format!(
                 "Planned once, but kept only if two agree: {:.1} %.",
@@ -281,7 +307,8 @@ impl<'a> Summary<'a> {
         }
         lines.extend(self.region.map(|region| region.part_of_all(self.weight)));
         lines.push(format!(
-            "All together give {} of what is wanted (likely {reachable_band}).",
+            "All {} give {} of what is wanted (likely {reachable_band}).",
+            grouped(self.forecast.all_maps),
             whole_percent(reachable)
         ));
         if fulfilment > 0.0 {
@@ -345,7 +372,7 @@ impl<'a> Summary<'a> {
                 grouped(self.finished)
             )
         };
-        Some(format!("{which} give about {reached:.0} % of that cloud."))
+        Some(format!("{which} cover about {reached:.0} % of that area."))
     }
 
     /// Formats a few points of the curve.
@@ -453,17 +480,30 @@ impl<'a> Summary<'a> {
         vec![format!("Planning took {planning:.1} s. {time}")]
     }
 
+    /// True if a part that somebody asked for was missed.
+    fn is_missing_ground(&self) -> bool {
+        let ground = self.region.and_then(|region| region.ground);
+        ground.is_some_and(|ground| ground.is_incomplete())
+            || self.missed.is_some_and(|share| share > LEAST_MISSED)
+    }
+
     fn where_to_look(&self) -> Vec<String> {
         let folder = Path::new(&self.project).join("viewrank");
         if self.written {
-            vec![
-                format!(
-                    "Look at {} and surface.ply.",
-                    shown_path(&folder.join("curve.svg"))
-                ),
-                format!("On one page: {}", self.look),
-                format!("Next: {}", self.next),
-            ]
+            let curve = shown_path(&folder.join("curve.svg"));
+            let mut lines = vec![format!("Look at {curve} and surface.ply.")];
+            lines.extend(if self.is_missing_ground() {
+                [
+                    format!("Next, what was missed and images to take: {}", self.look),
+                    format!("Then: {}", self.next),
+                ]
+            } else {
+                [
+                    format!("On one page: {}", self.look),
+                    format!("Next: {}", self.next),
+                ]
+            });
+            lines
         } else {
             vec![
                 format!(
@@ -621,7 +661,10 @@ fn grouped(number: usize) -> String {
 
 /// Formats a number with three significant digits.
 fn rounded(number: f64) -> String {
-    if number == 0.0 || !number.is_finite() {
+    if number == 0.0 {
+        return "0".into();
+    }
+    if !number.is_finite() {
         return number.to_string();
     }
     let places = (2 - number.abs().log10().floor() as i32).max(0) as usize;

@@ -69,9 +69,7 @@ fn missed(stages: &Stages) -> Option<String> {
         .ground_summary()
         .filter(GroundSummary::is_incomplete)?;
     let missed = ground.missed("the region", stages.metres);
-    Some(format!(
-        "{missed} The report plans images for that: viewrank/flight"
-    ))
+    Some(format!("{missed} viewrank report plans images for that"))
 }
 
 /// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely

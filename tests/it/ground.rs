@@ -71,6 +71,28 @@ fn what_the_photographs_miss_of_a_region_is_said_first() {
     );
     let (code, found, _) = said(&viewrank(&["doctor", folder.path().to_str().unwrap()]));
     assert!(code == 3 && found.contains(&percent), "{found}");
+    // What was missed comes first, then the depth maps; of files that are not there nothing is said.
+    let next = stdout.find("Next, what was missed").unwrap();
+    assert!(
+        stdout[next..].contains("\nThen: ") && stdout[next..].contains("viewrank report"),
+        "{stdout}"
+    );
+    assert!(!stderr.contains("flight") && !folder.at("viewrank/flight").exists());
+}
+
+#[test]
+fn a_resolution_that_the_photographs_lack_is_said() {
+    let folder = flight("");
+    let (_, as_it_is, _) = folder.plan(&["--backend", "sgm"]);
+    assert!(as_it_is.contains("\nNext: "), "{as_it_is}");
+    let own = scene().median_gsd().unwrap();
+    let finer = format!("{}", own / 4.0);
+    let (code, stdout, stderr) = folder.plan(&["--backend", "sgm", "--gsd", &finer]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        stdout.contains("cannot be reconstructed as wanted") && stdout.contains("Then: "),
+        "{stdout}"
+    );
 }
 
 #[test]

@@ -90,7 +90,7 @@ const MISSED: f64 = 0.01;
 /// Formats an area of square scene units, in hectares where it is large.
 fn square(area: f64, metres: Option<f64>) -> String {
     match metres.map(|metres| area * metres * metres) {
-        Some(area) if area >= 100_000.0 => format!("{:.1} ha", area / 10_000.0),
+        Some(area) if area >= 10_000.0 => format!("{} ha", significant(area / 10_000.0)),
         Some(area) => format!("{} m²", significant(area)),
         None => format!("{} square units", significant(area)),
     }
@@ -154,7 +154,7 @@ mod tests {
             "It covers 96.0 m² on the map; 17.9 % has surface."
         );
         assert!(covered(None).contains("384 square units"));
-        assert!(covered(Some(100.0)).contains("384.0 ha"));
+        assert!(covered(Some(100.0)).contains("384 ha"));
         assert_eq!(
             ground.missed("it", None),
             "No photograph shows 81.2 % of it, and only one shows 0.4 %."
