@@ -137,7 +137,7 @@ def saved(results):
         of_plan = [str(plan["maps"]), f"{minutes['planning'] + minutes['matching']:.1f}", points["plan"]]
         shares = [f"{100 * of['fused']:.0f} %" for of in (plan, plan["every n-th"])]
         rows.append([f"{result['set']}, {SETS[result['set']].removesuffix(', rendered')}", *of_all, *of_plan, *shares])
-    return table(["set", "all maps", "minutes", "points", "plan", "minutes", "points", "of the cloud", "every n-th"], rows) if rows else []
+    return table(["set", "all maps", "minutes", "points", "plan", "minutes", "points", "of the area", "every n-th"], rows) if rows else []
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 
     python3 run.py                                       all clusters, in rank order, then the fusion
     python3 run.py --stop-at 20                          the first 20 clusters
-    python3 run.py --stop-at 80%                         as many as the plan foretells for 80 % of what all would give
+    python3 run.py --stop-at 80%                         as many as the plan foretells for 80 % of the area that all would cover
     python3 run.py --stop-at 2h                          start no cluster after two hours
     python3 run.py --progress ../progress.json           end when that file says "target_reached": true
     python3 run.py --no-fusion                           only the depth maps

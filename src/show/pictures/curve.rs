@@ -1,10 +1,10 @@
-//! `curve.svg`: share of what all depth maps give, over key views and over matching pairs.
+//! `curve.svg`: share of the area that all depth maps cover, over key views and over matching pairs.
 
 use super::plot::{self, COLOURS, Line, Plot};
 use crate::plan::{Cut, Plan};
 
 /// Label of the shares (method 5.2) in every plot.
-pub const SHARE_LABEL: &str = "share of what all depth maps give";
+pub const SHARE_LABEL: &str = "share of the area that all depth maps cover";
 
 /// The share along a ranking; entry i is after i + 1 clusters.
 #[derive(Clone, Debug, Default)]
@@ -81,11 +81,10 @@ impl FulfilmentCurve {
         }
     }
 
-    /// Share of all clusters, and the bound of method 5.2; empty without a cut.
+    /// The bound of method 5.2; empty without a cut.
     fn subtitle(&self) -> String {
         let Cut {
             clusters,
-            reachable,
             fulfilment,
             ..
         } = self.cut;
@@ -93,8 +92,7 @@ impl FulfilmentCurve {
             return String::new();
         }
         format!(
-            "All depth maps give {:.0} % of what is wanted. No other choice of {clusters} has a fulfilment {} higher.",
-            100.0 * reachable,
+            "No other choice of {clusters} depth maps is {} better, by the same prediction",
             self.cut.more_of_others()
         )
     }
@@ -168,9 +166,7 @@ mod tests {
             of_images: false,
         });
         assert!(svg.contains("184 of 1236 views as key views, 920 pairs: 90.0 %"));
-        assert!(
-            svg.contains("give 87 % of what is wanted") && svg.contains("more than 4 % higher")
-        );
+        assert!(svg.contains("more than 4 % better"));
         assert!(svg.contains(">cut at 184<") && svg.contains(">cut at 920<"));
         let mut reader = quick_xml::Reader::from_str(&svg);
         while !matches!(

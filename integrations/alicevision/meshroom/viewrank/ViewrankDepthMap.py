@@ -42,7 +42,7 @@ are then filtered and meshed. `viewrank` has to be on the PATH.
         desc.FloatParam(
             name="target",
             label="Target",
-            description="Stop at this share of what all depth maps together would give, per cent.",
+            description="Stop at this share of the area that all depth maps together would cover, per cent.",
             value=90.0,
             range=(1.0, 100.0, 1.0),
         ),
