@@ -24,9 +24,7 @@ pub enum LogFormat {
 /// adds the times.
 #[expect(clippy::disallowed_methods, reason = "values are escaped")]
 pub fn start(format: LogFormat) {
-    let wanted: Option<Targets> = env::var("RUST_LOG")
-        .ok()
-        .and_then(|text| text.parse().ok());
+    let wanted: Option<Targets> = env::var("RUST_LOG").ok().and_then(|text| text.parse().ok());
     let filter =
         wanted.unwrap_or_else(|| Targets::new().with_target("viewrank", LevelFilter::INFO));
     let log = tracing_subscriber::fmt()
