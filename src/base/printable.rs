@@ -35,8 +35,8 @@ pub fn escaped(text: &str, escape: impl Fn(char) -> String) -> String {
         })
 }
 
-/// Letters that show nothing: with them, one name looks like another.
-const BLANK_LETTERS: [char; 5] = ['\u{115f}', '\u{1160}', '\u{2800}', '\u{3164}', '\u{ffa0}'];
+/// Characters that take a place and show nothing: with them, one name looks like another.
+const BLANK: [char; 5] = ['\u{115f}', '\u{1160}', '\u{2800}', '\u{3164}', '\u{ffa0}'];
 
 /// Returns whether a character is a graphic one or the blank: no control, no format character (as
 /// those that change the direction of text), no separator of lines, nothing unassigned.
@@ -44,7 +44,7 @@ pub fn is_printable(c: char) -> bool {
     // Of a string, the standard library escapes just the others, and quotes and backslashes; at its
     // start combining accents, too.
     let shown = |c: char| String::from_iter(['a', c]).escape_debug().count() == 2;
-    matches!(c, ' '..='~') || shown(c) && !BLANK_LETTERS.contains(&c)
+    matches!(c, ' '..='~') || shown(c) && !BLANK.contains(&c)
 }
 
 #[cfg(test)]

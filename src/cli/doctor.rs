@@ -100,7 +100,7 @@ fn text(findings: &[Finding], listed: usize) -> Vec<String> {
         lines.extend(wrapped(&format!("{severity} "), &finding.what));
         if !finding.backends.is_empty() {
             let programs = match &finding.backends[..] {
-                [first, others @ ..] if others.len() >= NAMED && listed == LISTED => {
+                [first, others @ ..] if others.len() > NAMED && listed == LISTED => {
                     format!("{first} and {} other programs", others.len())
                 }
                 all => all.join(", "),

@@ -73,7 +73,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
     half_size: Option<PathBuf>,
     /// Also compare the order with others by each triangle (with --depth-maps): without prediction,
-    /// replanned, most sparse points, every n-th, farthest view, random, optimum
+    /// updated by results, replanned, most sparse points, every n-th, farthest view, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
 
@@ -264,7 +264,7 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
     if missing > 0 {
         let what = counted(missing, "key view");
         warn(&format!(
-            "{what} of the plan without a depth map; the tables are of those with one"
+            "{what} of the plan without a depth map: shares are of those with one, and orders are compared when all are there"
         ));
     }
     let beyond = run

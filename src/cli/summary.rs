@@ -20,7 +20,8 @@ use serde::Serialize;
 const STEPS: [f64; 4] = [0.5, 0.7, 0.8, 0.9];
 /// Largest number of key views listed by name.
 const NAMED: usize = 3;
-/// Share of the surface that no view cluster fulfils, up to which that is not worth a line: its rim.
+/// Share of the surface that no view cluster reconstructs; where it is less, that is the rim alone, and
+/// not said.
 const LEAST_MISSED: f64 = 0.01;
 
 #[derive(Serialize)]
@@ -184,7 +185,7 @@ impl<'a> Summary<'a> {
         lines.extend(region.lines().map(String::from));
         if let Some(share) = self.missed.filter(|share| *share > LEAST_MISSED) {
             lines.push(format!(
-                "{} of the surface{} cannot be reconstructed as wanted.",
+                "No view cluster reconstructs {} of the surface{}.",
                 whole_percent(share),
                 self.inside()
             ));

@@ -359,17 +359,16 @@ impl PlanJob {
     /// `viewrank.toml` of the watched folder that a project is in, whether it exists or not; `None`
     /// if the project is the folder itself.
     fn root_file(&self, project: &Path) -> Option<PathBuf> {
-        self.watched(project)
-            .filter(|root| *root != project)
+        let above = self.watched(project).filter(|root| *root != project);
+        above
+            .max_by_key(|root| root.components().count())
             .map(|root| root.join("viewrank.toml"))
     }
 
-    /// The watched folder that a project is in, or is.
-    fn watched(&self, project: &Path) -> Option<&Path> {
+    /// The watched folders that a project is in, or is.
+    fn watched(&self, project: &Path) -> impl Iterator<Item = &Path> {
         let roots = self.roots.iter().map(PathBuf::as_path);
-        roots
-            .filter(|root| project.starts_with(root))
-            .max_by_key(|root| root.components().count())
+        roots.filter(move |root| project.starts_with(root))
     }
 
     /// The watched folder and the project, for [`Disk::within`].
@@ -377,7 +376,10 @@ impl PlanJob {
     /// # Errors
     /// Where the project is in none: a folder was exchanged for a link before it was resolved.
     fn within(&self, project: &Path) -> StepResult<Vec<PathBuf>> {
-        let root = match self.watched(project) {
+        let outermost = self
+            .watched(project)
+            .min_by_key(|root| root.components().count());
+        let root = match outermost {
             _ if self.options.follow_links => None,
             None if !self.options.roots.is_empty() => {
                 return Err(Outcome::Failed {

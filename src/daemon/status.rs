@@ -65,7 +65,7 @@ impl Holder {
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
             return Err(error);
         }
-        let lock = output::open_lock(&output::make_own_folder(root, disk)?, LOCK)?;
+        let lock = output::make_own_folder(root, disk)?.lock_file(LOCK)?;
         // A process that only queries the holder of the root locks it for an instant.
         for _ in 0..TRIES {
             match lock.try_lock() {

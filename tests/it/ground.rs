@@ -90,7 +90,7 @@ fn a_resolution_that_the_photographs_lack_is_said() {
     let (code, stdout, stderr) = folder.plan(&["--backend", "sgm", "--gsd", &finer]);
     assert_eq!(code, 0, "{stderr}");
     assert!(
-        stdout.contains("cannot be reconstructed as wanted") && stdout.contains("Then: "),
+        stdout.contains("No view cluster reconstructs") && stdout.contains("Then: "),
         "{stdout}"
     );
 }

@@ -176,7 +176,7 @@ def test_nothing_outside_the_export_changes(case, viewrank, plans, tmp_path):  #
             if put in REFUSED and place.is_refused(name, put) and not is_of_a_run:
                 assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
                 refused += 1
-    assert refused > 15
+    assert refused > (15 if case == "pmvs" else 20)
     if case.startswith("colmap"):
         return
     for name in (b"\xff", b"a\nb", "\x1b]0;owned\x07".encode(), b"\\033[2J"):

@@ -30,7 +30,7 @@ pub fn real(path: &Path) -> PathBuf {
 }
 
 /// The path as it is typed most briefly in the working folder: one that is absolute, or leads up and
-/// down, becomes relative where that is shorter.
+/// down, becomes relative where that is shorter, unless it would look like an option.
 pub fn from_here(path: &Path) -> PathBuf {
     let is_plain = |part| matches!(part, Component::Normal(_));
     let Ok(here) = std::env::current_dir() else {
@@ -48,7 +48,9 @@ pub fn from_here(path: &Path) -> PathBuf {
                 relative => relative,
             };
             let is_shorter = relative.as_os_str().len() < path.as_os_str().len();
-            return if is_shorter { relative } else { path.into() };
+            let is_option = relative.as_os_str().as_encoded_bytes().starts_with(b"-");
+            let is_better = is_shorter && !is_option;
+            return if is_better { relative } else { path.into() };
         }
         ups.push("..");
     }
@@ -69,6 +71,7 @@ mod tests {
             ("src/../src".into(), "src"),
             ("a/b".into(), "a/b"),
             ("..".into(), ".."),
+            ("./-x".into(), "./-x"),
         ] {
             assert_eq!(from_here(&typed), Path::new(brief), "{typed:?}");
         }

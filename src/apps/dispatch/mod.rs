@@ -332,10 +332,8 @@ impl Dispatch {
             &self.folder,
             &Disk::REAL.within(std::slice::from_ref(&self.project)),
         )?;
-        let lock = output::open_lock(
-            &Folder::open(&self.project)?,
-            &format!("viewrank/dispatch/{}/lock", self.backend),
-        )?;
+        let name = format!("viewrank/dispatch/{}/lock", self.backend);
+        let lock = Folder::open(&self.project)?.lock_file(&name)?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => Err(DispatchError::Busy(self.folder.clone())),
             // On a file system without locks, the submission goes ahead unlocked.

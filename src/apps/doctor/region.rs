@@ -20,7 +20,7 @@ pub fn findings(inputs: &Inputs) -> Option<Finding> {
     let plans = if planned.is_some() {
         "viewrank report PROJECT"
     } else {
-        "viewrank plan PROJECT --region FILE --report"
+        "viewrank plan PROJECT --report"
     };
     let ground = planned.or_else(now).filter(GroundSummary::is_incomplete)?;
     let metres = plan::metres(settings.units, &place);

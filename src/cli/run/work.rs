@@ -12,11 +12,13 @@ use super::{Arguments, result::Ended};
 use crate::{
     apps::dispatch::{Dispatch, Task, Tools, local::ScriptResult},
     backends::{Backend, place},
+    base::shell::shown_path,
     cli::{
         Exit, Failure, Format, config, note, print, print_json, progress::ProgressDisplay, report,
         summary::duration, terminal::complain, warn,
     },
     daemon::{follow, foreground::Foreground, state::Outcome},
+    io::paths::from_here,
     model::cluster::MapScale,
     show::manifest::{WrittenPlan, warnings_with},
 };
@@ -29,8 +31,7 @@ const REPORT_REST: u32 = 20;
 const FUSION_REST: u32 = 20;
 /// Depth maps of which a cloud can be fused.
 const LEAST_FUSED: usize = 2;
-/// Part of all depth maps after which a cloud is worth a look: the first 1 % give more of it than
-/// any later ones.
+/// Part of all depth maps after which a cloud is worth a look: no others give as much of it.
 const FIRST_FUSED: f64 = 0.01;
 /// Number of consecutive failures that ends the run.
 const FAILURES: usize = 3;
@@ -50,9 +51,18 @@ pub struct Work<'a> {
     /// Estimated share of the finished maps; `None` before the first measurement.
     share: Option<f64>,
     reported: Throttle,
-    fused: Throttle,
+    so_far: CloudSoFar,
     /// Depth maps that this run computed, and the time that they took.
     pub(super) computed: (u32, Duration),
+}
+
+/// The fusions of a run before its end.
+#[derive(Default)]
+struct CloudSoFar {
+    fused: Throttle,
+    /// Depth maps that the run had computed at the last one.
+    computed: u32,
+    is_announced: bool,
 }
 
 /// End and duration of the last run of a slow step.
@@ -133,7 +143,7 @@ impl<'a> Work<'a> {
             measured: Throttle::default(),
             share: None,
             reported: Throttle::default(),
-            fused: Throttle::default(),
+            so_far: CloudSoFar::default(),
             computed: (0, Duration::ZERO),
             plan,
         })
@@ -223,7 +233,7 @@ impl<'a> Work<'a> {
                 began.elapsed().as_secs_f64() / (i + 1) as f64 * (missing.len() - i - 1) as f64;
             self.line(task, since.elapsed(), left);
             if i + 1 < missing.len() && !reached {
-                self.fuse_so_far()?;
+                self.fuse_so_far();
             }
         }
         Ok(if reached {
@@ -262,30 +272,40 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Fuses the cloud so far, so that who sees enough of it can stop early; not where it would take
-    /// more than a part of the time. A fusion that fails is said, and tried again at the end.
-    fn fuse_so_far(&mut self) -> Result<(), Failure> {
+    /// Fuses the cloud so far, so that a user who has seen enough can stop early: first when this run
+    /// has computed 1 % of all maps, then for a part of the time. A failure is a warning, since the
+    /// maps are kept and fused at the end.
+    fn fuse_so_far(&mut self) {
         let first = (FIRST_FUSED * self.plan.scene.views.len() as f64).ceil() as usize;
-        let done = self.dispatch.finished_maps().count();
-        if done < first.max(LEAST_FUSED) || !self.fused.is_due(FUSION_REST) {
-            return Ok(());
+        let (computed, before) = (self.computed.0, &self.so_far);
+        if computed == before.computed
+            || (computed as usize) < first.max(LEAST_FUSED)
+            || !before.fused.is_due(FUSION_REST)
+        {
+            return;
         }
         let began = Instant::now();
-        let ended = self.dispatch.fuse_here(self.threads, self.stop)?;
-        let is_first = self.fused.0.is_none();
-        self.fused.note(began);
-        match ended {
-            ScriptResult::Failed(output) => warn(&format!(
-                "cannot fuse the first {done} depth maps: {}",
-                last_line(&output)
-            )),
-            ScriptResult::Done if is_first && !self.arguments.is_silent() => note(&format!(
-                "the cloud so far, anew from time to time: {}",
-                self.dispatch.runner().cloud.display()
-            )),
-            _ => {}
+        let ended = self.dispatch.fuse_here(self.threads, self.stop);
+        self.so_far.fused.note(began);
+        self.so_far.computed = computed;
+        let failure = match ended {
+            Ok(ScriptResult::Failed(output)) => last_line(&output).to_owned(),
+            Err(error) => error.to_string(),
+            Ok(ScriptResult::Done) => return self.announce_cloud(),
+            Ok(ScriptResult::Stopped) => return,
+        };
+        warn(&format!("cannot fuse the cloud so far: {failure}"));
+    }
+
+    /// Says once where the cloud so far is.
+    fn announce_cloud(&mut self) {
+        if !self.so_far.is_announced && !self.arguments.is_silent() {
+            let cloud = shown_path(&from_here(&self.dispatch.runner().cloud));
+            note(&format!(
+                "the cloud so far, updated from time to time: {cloud}"
+            ));
         }
-        Ok(())
+        self.so_far.is_announced = true;
     }
 
     /// Writes the report page, unless the last one is recent.

@@ -49,11 +49,14 @@ impl Hint for RegionFileError {
         let hint = match fault {
             RegionFault::Mistaken(mistaken) => mistaken.cure,
             RegionFault::Read(_) => "check that the file exists and is readable",
+            RegionFault::Crossing(_) => {
+                "put the corners of that ring in order, or split it into polygons"
+            }
             RegionFault::Collection(_) => {
                 "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"
             }
             RegionFault::Json(error) if error.is_data() => {
-                "correct the file there (corners in order, weight and gsd as numbers)"
+                "correct it there: rings are lists of positions, weight and gsd are numbers"
             }
             _ => "give GeoJSON polygons, a closed PLY mesh, or a box x0,y0,z0,x1,y1,z1",
         };

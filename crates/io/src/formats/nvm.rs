@@ -71,7 +71,7 @@ pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
     }
     foreign.warn_of_others("models of the NVM file", &others);
     if let Some(text) = cut_off {
-        foreign.warn(WarningKind::OtherParts, text);
+        foreign.warn(WarningKind::Damaged, text);
     }
     Ok(foreign)
 }

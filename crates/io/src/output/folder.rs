@@ -67,6 +67,9 @@ impl Folder {
             .read(true)
             .follow(FollowSymlinks::No)
             .maybe_dir(true);
+        if cfg!(unix) {
+            options.nonblock(true);
+        }
         let opened = cap_fs::File::open_ambient_with(path, &options, ambient_authority());
         match opened.and_then(|file| Ok((file.metadata()?, file))) {
             Ok((found, file)) if found.is_dir() => Ok(Self {
@@ -181,8 +184,8 @@ impl Folder {
         self.regular_file(name, OpenOptions::new().read(true))
     }
 
-    /// Opens a lock file, creating it if necessary, without truncating it.
-    pub(super) fn lock_file(&self, name: &str) -> Result<File, OutputError> {
+    /// Opens a lock file, creating it if necessary; doesn't lock or change it.
+    pub fn lock_file(&self, name: &str) -> Result<File, OutputError> {
         self.regular_file(name, OpenOptions::new().read(true).write(true).create(true))
     }
 

@@ -277,11 +277,6 @@ pub fn make_own_folder(root: &Path, disk: &Disk) -> Result<Folder, OutputError> 
     root.folder_without_links("viewrank")
 }
 
-/// Opens a lock file, creating it if necessary; doesn't lock or change it. Its folder must exist.
-pub fn open_lock(folder: &Folder, name: &str) -> Result<std::fs::File, OutputError> {
-    folder.lock_file(name)
-}
-
 /// Checks that a name is a relative path of plain components in canonical form.
 fn check_name(name: &str) -> Result<(), OutputError> {
     let plain = Path::new(name)

@@ -16,7 +16,7 @@ mod other_names;
 mod probe;
 
 use std::{
-    collections::{BTreeSet, HashSet},
+    collections::{BTreeMap, HashSet},
     path::{Path, PathBuf},
     time::SystemTime,
 };
@@ -438,14 +438,26 @@ impl Project {
     /// Other models at least half of whose images are in the scene: copies of the model, possibly
     /// in other coordinates.
     pub fn copies(&self, scene: &Scene) -> Vec<&ModelLocation> {
-        // Programs differ in the folders that they put before a name.
-        let ends: BTreeSet<&str> = scene.views.iter().flat_map(|v| ends_of(&v.name)).collect();
-        let is_known =
-            |name: &str| ends.contains(name) || ends_of(name).any(|end| scene.find(end).is_some());
+        // Programs differ in the folders that they put before all names.
+        let mut views_by_end: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        for view in &scene.views {
+            for end in ends_of(&view.name).skip(1) {
+                views_by_end.entry(end).or_default().push(&view.name);
+            }
+        }
         let is_copy = |model: &&ModelLocation| {
             let names = discover::image_names(&self.root, model).unwrap_or_default();
-            let shared = names.iter().filter(|name| is_known(name)).count();
-            2 * shared >= names.len()
+            let mut shared: BTreeMap<(bool, &str), usize> = BTreeMap::new();
+            for name in &names {
+                let ends = ends_of(name).filter(|end| scene.find(end).is_some());
+                let before = ends.map(|end| (true, &name[..name.len() - end.len()]));
+                let longer = views_by_end.get(&**name).into_iter().flatten();
+                let beyond = longer.map(|view| (false, &view[..view.len() - name.len()]));
+                before
+                    .chain(beyond)
+                    .for_each(|folders| *shared.entry(folders).or_default() += 1);
+            }
+            2 * shared.into_values().max().unwrap_or(0) >= names.len()
         };
         self.other_models.iter().filter(is_copy).collect()
     }

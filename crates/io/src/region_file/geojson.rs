@@ -212,6 +212,7 @@ fn areas(mut node: Node) -> Result<Areas, RegionFault> {
         return Err(RegionFault::Collection("it has no polygon".into()));
     }
     check_positions(areas.iter().map(positions_of).sum()).map_err(RegionFault::Collection)?;
+    check_rings(&areas)?;
     Ok(Areas {
         coordinates: coordinates(crs, axes.as_deref()).map_err(RegionFault::Collection)?,
         areas,
@@ -234,7 +235,7 @@ fn area(node: Node) -> Result<Option<Area>, String> {
         format!("weight is {text}, not a number from 0 (leaves it out) to 1e6; 1 is usual")
     })?;
     let gsd = number(gsd.as_deref(), GSDS).map_err(|text| {
-        format!("gsd is {text}, not a positive number of model units per pixel (metres where they are known)")
+        format!("gsd is {text}, not a number of model units per pixel (metres where they are known), above 0")
     })?;
     Ok(Some(Area {
         polygons: polygons(geometry)?,
@@ -306,36 +307,48 @@ fn ring(ring: Nested) -> Result<Vec<[f64; 2]>, String> {
         3.. => {}
         distinct => return Err(few(distinct)),
     }
-    match crossing(&positions) {
-        None => Ok(positions),
-        Some(place) => {
-            let [x, y] = place.map(|x| (1e7 * x).round() / 1e7);
-            Err(format!("a ring crosses itself near {x}, {y}"))
-        }
+    Ok(positions)
+}
+
+/// Most pairs of edges of a file that are looked at for a crossing: all of rings with a few thousand
+/// corners, as somebody may draw them.
+const MOST_PAIRS: usize = 20_000_000;
+/// How far the ends of two edges that cross lie beyond each other, over the size of their ring:
+/// rounded corners cross by less, as at the two sides of a cut that leads to a hole.
+const LEAST_BEYOND: f64 = 1e-3;
+
+/// Refuses rings that cross themselves: corners in the wrong order enclose other ground than was
+/// meant.
+fn check_rings(areas: &[Area]) -> Result<(), RegionFault> {
+    let mut pairs = MOST_PAIRS;
+    let rings = areas.iter().flat_map(|area| area.polygons.iter().flatten());
+    let place = rings.filter_map(|ring| crossing(ring, &mut pairs)).next();
+    match place.map(|place| place.map(|x| (1e7 * x).round() / 1e7 + 0.0)) {
+        Some(place) => Err(RegionFault::Crossing(place)),
+        None => Ok(()),
     }
 }
 
-/// Most pairs of edges that are looked at for a crossing: all of a ring that somebody drew, and of
-/// an outline with a hundred thousand edges those near each other.
-const MOST_PAIRS: usize = 20_000_000;
-
-/// The place of a crossing of two edges of a ring: corners in the wrong order enclose other ground
-/// than was meant. Edges that only touch are none.
-fn crossing(ring: &[[f64; 2]]) -> Option<[f64; 2]> {
-    let ends = |i: usize| (ring[i], ring[(i + 1) % ring.len()]);
-    let span = |i: &usize| {
-        let (a, b) = ends(*i);
-        (a[0].min(b[0]), a[0].max(b[0]))
+/// The place of a crossing of two edges of a ring; edges that only touch are none. `pairs`: those
+/// that may still be looked at.
+fn crossing(ring: &[[f64; 2]], pairs: &mut usize) -> Option<[f64; 2]> {
+    let span = |axis: usize| {
+        let range = ring.iter().map(|corner| corner[axis]);
+        range.clone().fold(f64::MIN, f64::max) - range.fold(f64::MAX, f64::min)
     };
-    let mut edges: Vec<usize> = (0..ring.len()).collect();
-    edges.sort_by(|a, b| span(a).0.total_cmp(&span(b).0));
-    let mut left = MOST_PAIRS;
-    for (n, i) in edges.iter().enumerate() {
-        let reach = span(i).1;
-        let beside = edges[n + 1..].iter().take_while(|j| span(j).0 <= reach);
-        for j in beside {
-            left = left.checked_sub(1)?;
-            let place = intersection(ends(*i), ends(*j));
+    let beyond = LEAST_BEYOND * span(0).hypot(span(1));
+    // Along the longer axis, fewer edges lie beside each other.
+    let axis = usize::from(span(1) > span(0));
+    let edge = |i: usize| {
+        let (a, b) = (ring[i], ring[(i + 1) % ring.len()]);
+        (a[axis].min(b[axis]), a[axis].max(b[axis]), (a, b))
+    };
+    let mut edges: Vec<_> = (0..ring.len()).map(edge).collect();
+    edges.sort_by(|a, b| a.0.total_cmp(&b.0));
+    for (n, (_, end, one)) in edges.iter().enumerate() {
+        for (_, _, other) in edges[n + 1..].iter().take_while(|other| other.0 <= *end) {
+            *pairs = pairs.checked_sub(1)?;
+            let place = intersection(*one, *other, beyond);
             if place.is_some() {
                 return place;
             }
@@ -344,15 +357,19 @@ fn crossing(ring: &[[f64; 2]]) -> Option<[f64; 2]> {
     None
 }
 
-/// The place where each of two segments goes through the inside of the other.
-fn intersection((a, b): ([f64; 2], [f64; 2]), (c, d): ([f64; 2], [f64; 2])) -> Option<[f64; 2]> {
-    // Twice the area of a triangle, positive on the left of the segment.
-    let side = |p: [f64; 2], q: [f64; 2], x: [f64; 2]| {
-        (q[0] - p[0]) * (x[1] - p[1]) - (q[1] - p[1]) * (x[0] - p[0])
+type Segment = ([f64; 2], [f64; 2]);
+
+/// The place where each of two segments goes through the other, its ends further than `beyond` from
+/// the line of that one.
+fn intersection((a, b): Segment, (c, d): Segment, beyond: f64) -> Option<[f64; 2]> {
+    // Distance of a point from a line, positive on its left.
+    let from = |p: [f64; 2], q: [f64; 2], x: [f64; 2]| {
+        let (along, to) = ([q[0] - p[0], q[1] - p[1]], [x[0] - p[0], x[1] - p[1]]);
+        (along[0] * to[1] - along[1] * to[0]) / along[0].hypot(along[1])
     };
-    let (of_c, of_d) = (side(a, b, c), side(a, b, d));
-    let (of_a, of_b) = (side(c, d, a), side(c, d, b));
-    let is_crossed = of_c * of_d < 0.0 && of_a * of_b < 0.0;
+    let is_beyond = |one: f64, other: f64| one.min(other) < -beyond && one.max(other) > beyond;
+    let (of_a, of_b) = (from(c, d, a), from(c, d, b));
+    let is_crossed = is_beyond(of_a, of_b) && is_beyond(from(a, b, c), from(a, b, d));
     let t = of_a / (of_a - of_b);
     is_crossed.then(|| [0, 1].map(|axis| a[axis] + t * (b[axis] - a[axis])))
 }

@@ -41,6 +41,9 @@ pub enum RegionFault {
     Json(#[from] serde_json::Error),
     #[error("{0}")]
     Collection(String),
+    /// A ring of polygons, with the place.
+    #[error("a ring crosses itself near {}, {}", .0[0], .0[1])]
+    Crossing([f64; 2]),
     #[error("more than {MOST_TRIANGLES} triangles: simplify the mesh")]
     Triangles,
     #[error(transparent)]
@@ -241,11 +244,23 @@ mod tests {
         };
         let bow_tie = ring(json!([[0, 0], [4, 2], [4, 0], [0, 2], [0, 0]])).unwrap_err();
         assert!(bow_tie.to_string().contains("near 2, 1"), "{bow_tie}");
-        // Open, closed, with a repeated corner, with a corner on another edge.
+        // Open, closed, with a repeated corner, with a corner on another edge, with a cut to a hole
+        // whose sides are rounded otherwise.
         for sound in [
             json!([[0, 0], [4, 0], [4, 2], [0, 2]]),
             json!([[0, 0], [4, 0], [4, 0], [4, 2], [0, 2], [0, 0]]),
             json!([[0, 0], [4, 0], [4, 2], [2, 0], [0, 2], [0, 0]]),
+            json!([
+                [0, 0],
+                [4, 0],
+                [4, 4],
+                [2, 2],
+                [3, 2],
+                [3, 3],
+                [3, 2.001],
+                [2, 1.999],
+                [0, 4]
+            ]),
         ] {
             assert!(ring(sound.clone()).is_ok(), "{sound}");
         }

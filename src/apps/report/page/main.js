@@ -146,7 +146,7 @@ function drawHoles() {
   if (!data.holes.length) {
     const none = data.far_area > 0 ? `No holes near the cameras: the surface that no view cluster can reconstruct (striped on the map) is ${background}.`
       : 'No holes: some view cluster can reconstruct every part of the surface.';
-    byId('holes').replaceChildren(make('p', {}, none));
+    byId('holes').replaceChildren(...(data.holes_area > data.far_area ? holesOfSurface() : [make('p', {}, none)]));
     byId('holes-box').hidden = !data.makes_maps;
     return;
   }
@@ -168,7 +168,7 @@ function holesOfSurface() {
   if (!data.makes_maps || !(data.holes_area > 0)) return [];
   const share = part => percent(data.area > 0 ? part / data.area : 0);
   const far = data.far_area > 0 ? ` ${share(data.far_area)} is background, ${background}.` : '';
-  return [make('p', {}, `No view cluster reconstructs ${share(data.holes_area)} of the surface${inRegion} (striped on the map).${far} The largest holes within the subject, numbered on the map:`)];
+  return [make('p', {}, `No view cluster reconstructs ${share(data.holes_area)} of the surface${inRegion} (striped on the map).${far}${data.holes.some(hole => hole.triangles) ? ' The largest holes within the subject, numbered on the map:' : ''}`)];
 }
 
 // In hectares where it is large, as in the summary.
