@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Writes the tables of the fused cloud into docs/benchmarks.md and README.md, from the cells.json that benches/cells.py wrote, and splats.json of benches/splats.py.
+"""Writes the tables of the fused cloud into docs/benchmarks.md and README.md, from the cells.json that benches/cells.py wrote, splats.json of benches/splats.py and partners.json of
+benches/partners.py.
 
     benches/tables.py RESULTS_FOLDER
 
@@ -39,6 +40,7 @@ def main():
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
     trained = {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("splats.json"))}
     tables["splats"] = splats(trained)
+    tables |= partners([json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("partners.json"))])
     replace(ROOT / "docs/benchmarks.md", tables)
     replace(ROOT / "README.md", {"saved": saved(openmvs), "splats": splats(trained, with_sets=False)})
 
@@ -118,6 +120,25 @@ def splats(of_sets, with_sets=True):
         both = zip(zip(*psnr), zip(*ssim))
         lines.append([f"mean at {100 * share:.0f} % (SSIM)", *(f"{mean(of_psnr):.2f} ({mean(of_ssim):.3f})" for of_psnr, of_ssim in both)])
     return table(["PSNR, dB", *names], lines) if lines else []
+
+
+def partners(results):
+    """Clouds by numbers of partners: against exact depth, and against the union of the clouds."""
+    programs = {"openmvs": "OpenMVS", "sgm": "sgm"}
+    names = {"partners-exact": ("complete", "accurate", "F1"), "partners-union": ("complete", "agreed")}
+    tables = {}
+    for table_name, scores in names.items():
+        rows = []
+        for result in sorted(results, key=lambda result: (list(programs).index(result["matcher"]), list(SETS).index(result["set"]))):
+            if result["exact"] != (table_name == "partners-exact"):
+                continue
+            for row in result["rows"]:
+                at_work = [f"{100 * at[scores[-1]]:.1f} ({at['maps']})" for at in row["at"]]
+                first = f"{programs[result['matcher']]}, {result['set']}, {row['maps']}" if row is result["rows"][0] else ""
+                rows.append([first, str(row["k"]), f"{row['seconds'] / 60:.1f}", f"{row['points'] / 1000:,.0f} k", *(f"{100 * row[score]:.1f}" for score in scores), *at_work])
+        head = ["program, set, maps", "k", "minutes", "points", *scores, *(f"{scores[-1]} in {share} × the time of k = 5" for share in ("¼", "½", "1"))]
+        tables[table_name] = table(head, rows) if rows else []
+    return tables
 
 
 def mean(values):
