@@ -90,8 +90,8 @@ pub static BACKEND: Backend = Backend {
     aliases: &["densifypointcloud"],
     program: "OpenMVS",
     last_run: LastRun::At {
-        date: "2026-11-28",
-        version: "v2.3.0, develop 36f303d of 2024 (CPU)",
+        date: "2026-11-29",
+        version: "develop 36f303d of 2024, and v2.3.0 the day before (CPU)",
         what: "maps and fusion; v2.4.0 and develop of 2026 never",
     },
     capabilities: Capabilities {
