@@ -135,8 +135,8 @@ def partners(results):
             for row in result["rows"]:
                 at_work = [f"{100 * at[scores[-1]]:.1f} ({at['maps']})" for at in row["at"]]
                 first = f"{programs[result['matcher']]}, {result['set']}, {row['maps']}" if row is result["rows"][0] else ""
-                rows.append([first, str(row["k"]), f"{row['seconds'] / 60:.1f}", f"{row['points'] / 1000:,.0f} k", *(f"{100 * row[score]:.1f}" for score in scores), *at_work])
-        head = ["program, set, maps", "k", "minutes", "points", *scores, *(f"{scores[-1]} in {share} × the time of k = 5" for share in ("¼", "½", "1"))]
+                rows.append([first, str(row["k"]), f"{row['seconds']:.0f}", f"{row['points'] / 1000:,.0f} k", *(f"{100 * row[score]:.1f}" for score in scores), *at_work])
+        head = ["program, set, maps", "k", "CPU s", "points", *scores, *(f"{scores[-1]} in {share} of the time" for share in ("¼", "½", "all"))]
         tables[table_name] = table(head, rows) if rows else []
     return tables
 
