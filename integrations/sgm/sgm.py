@@ -315,7 +315,7 @@ def inside(folder):
 def run(clusters, args, out, stop, done):
     """Computes clusters in order on `args.jobs` processes until `stop` says so; `done` gets the row of each. Returns why it stopped."""
     fresh = multiprocessing.get_context("spawn")  # a fork would inherit OpenCV's threads, and hang
-    worker = (args.workspace.absolute(), args.image_scale, args.cache and args.cache.absolute(), out.absolute())
+    worker = (args.workspace.absolute(), args.image_scale, args.cache and args.cache.absolute(), out and out.absolute())
     with contextlib.ExitStack() as stack:
         # A process that Python starts looks for modules in the current folder first, which may be a stranger's.
         empty = stack.enter_context(tempfile.TemporaryDirectory())

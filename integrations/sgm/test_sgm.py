@@ -170,6 +170,14 @@ def test_a_pair_measures_a_slanted_plane(planes):
         assert np.median(error) < 0.15 and np.mean(error < 1) > 0.99
 
 
+def test_pairs_fills_the_cache_alone(planes, tmp_path):
+    clusters, cache = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES)), tmp_path / "pairs"
+    sgm.main(["pairs", str(planes), "--cache", str(cache), "--clusters", str(clusters)])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["clusters.txt", "pairs"]
+    report = run(planes, tmp_path / "out", clusters, "--cache", str(cache))
+    assert all(pair["cached"] for pair in report["clusters"][0]["partners"])
+
+
 def test_motion_along_the_viewing_direction_is_matched(planes):
     pair = Pairs(Workspace(planes)).get("key.png", "forward.png")
     assert not pair.refused
