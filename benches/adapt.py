@@ -3,7 +3,7 @@
 
     adapt.py FOLDER... [--viewrank target/release/viewrank] [--maps rules/k5/ours] [--backend sgm] [--first 5]
 
-Each FOLDER is a set as benches/compare.py leaves it. Printed per set, as shares of what is wanted of all triangles (every depth counts as right):
+Each FOLDER is what integrations/sgm/experiments.py wrote. Printed per set, as shares of what is wanted of all triangles (every depth counts as right):
 
     real       what all depth maps keep
     forecast   what they are predicted to keep before the first map is made

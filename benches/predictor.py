@@ -3,7 +3,7 @@
 
     predictor.py FOLDER... [--viewrank target/release/viewrank] [--maps rules/k5/ours] [--backend sgm]
 
-Each FOLDER is a set as benches/compare.py leaves it: a project with the depth maps of its view clusters and their clusters.txt in --maps, and
+Each FOLDER is what integrations/sgm/experiments.py wrote: a project with the depth maps of its view clusters and their clusters.txt in --maps, and
 truth/depth if it is rendered. The label is "the map has a depth there", per (cluster, triangle) and weighted by nothing. Printed per set and source
 (none, geometric, photometric with the backend's numbers, photometric with numbers fitted by `viewrank train` to all other sets):
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Writes the tables of the fused cloud into docs/benchmarks.md and README.md, from the cells.json that benches/cells.py wrote, splats.json of benches/splats.py and partners.json of
-benches/partners.py.
+"""Writes the tables of docs/benchmarks.md and README.md, from cells.json of benches/cells.py, splats.json of benches/splats.py, partners.json of
+benches/partners.py and experiments.json of integrations/sgm/experiments.py.
 
     benches/tables.py RESULTS_FOLDER
 
@@ -11,6 +11,8 @@ import json
 import re
 import sys
 from pathlib import Path
+
+import paper
 
 SETS = {
     "lewis": "oblique, from a drone",
@@ -40,7 +42,8 @@ def main():
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
     trained = {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("splats.json"))}
     tables["splats"] = splats(trained)
-    tables |= partners([json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("partners.json"))])
+    found = lambda name: [json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob(name))]
+    tables |= partners(found("partners.json")) | paper.tables(found("experiments.json"))
     replace(ROOT / "docs/benchmarks.md", tables)
     replace(ROOT / "README.md", {"saved": saved(openmvs), "splats": splats(trained, with_sets=False)})
 

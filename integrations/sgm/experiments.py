@@ -1,17 +1,19 @@
 #!/usr/bin/env python3
-"""The paper's three experiments on one project: partner selection, ranking only, and the full method against Max (maxcon + maxpts).
+"""The paper's experiments on one project: ranking, partner selection, the full method against Max (maxcon + maxpts), the gap between prediction and result, and time.
 
-    experiments.py PROJECT --out DIR [--cache DIR] [--reference DIR] [--truth PROJECT/truth/depth] [--image-scale 0.5]
+    experiments.py PROJECT --out DIR [--reference DIR] [--cache DIR] [--image-scale 0.5] [-k 2,3,5,11] [--rules ours,maxcon,openmvs]
 
-PROJECT (sparse/, images/) stays as it is; everything goes to DIR:
+PROJECT (sparse/, images/) stays as it is; DIR becomes a project with links to it:
 
-    project/       the plan
-    reference22/   depth maps with the 22 most connected partners, the reference where there is no exact one (--reference: take these)
-    rules/kK/RULE/ view clusters of each partner rule, and their depth maps
-    results/       partners.csv, orders.csv, full.csv, gap.csv, results.json, and a picture of each
-    results-truth/ the same against exact depth (--truth: NAME.npz as in the rendered sets of benches/sets.py)
+    viewrank/         the plan, and the evaluation of all its clusters
+    bare/             the model without pictures, planned to be timed
+    truth/depth/      exact depth of a rendered set (PROJECT/truth/depth of benches/sets.py), the reference where there is one
+    reference22/      else depth maps with the 22 most connected partners (--reference: take these)
+    rules/kK/RULE/    view clusters of each partner rule, and their depth maps
+    pairs/            depth by single pairs (--cache: elsewhere)
+    experiments.json  all results, of which benches/tables.py makes tables; and a picture of each experiment
 
-Depth maps that are there already are kept, single pairs come from the cache, so a second run costs little.
+Depth maps that are there already are kept, single pairs come from the cache, so a second run costs little. Planning is timed once.
 """
 
 import os
@@ -22,8 +24,8 @@ if __name__ == "__main__":
     sys.path[1:] = [path for path in sys.path[1:] if os.path.realpath(path) != os.path.realpath(os.curdir)]
 
 import argparse
-import csv
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -32,160 +34,162 @@ import numpy as np
 from measure import read_rendered
 
 HERE = Path(__file__).resolve().parent
-SHARES = (0.5, 0.7, 0.8, 0.9)
+SHARES = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9)
 CONNECTED = 22  # partners of the reference maps: the paper's n
+RANKED = 5  # partners of the clusters whose orders are compared
+NEEDED = ("ours", "maxcon")
 
 
 class Experiments:
     def __init__(self, args):
         self.args = args
-        self.project, self.rules = args.out / "project", args.out / "rules"
+        self.project, self.rules = args.out, args.out / "rules"
 
     def viewrank(self, *arguments):
-        done = subprocess.run([self.args.viewrank, *map(str, arguments)], stdout=subprocess.PIPE, text=True, check=False)
-        if done.returncode:
-            sys.exit(f"viewrank {' '.join(map(str, arguments))} ended with {done.returncode}")
-        return done.stdout
+        """What the program prints with --format json, and the usage of the process."""
+        process = subprocess.Popen([self.args.viewrank, *map(str, arguments), "--quiet", "--format", "json"], stdout=subprocess.PIPE)
+        answer = process.stdout.read()
+        _, status, usage = os.wait4(process.pid, 0)
+        if status:
+            sys.exit(f"viewrank {' '.join(map(str, arguments))} ended with {os.waitstatus_to_exitcode(status)}")
+        return json.loads(answer), usage
 
     def bench(self, *arguments):
         """The program of crates/bench, which is built beside viewrank."""
         program = Path(self.args.viewrank).with_name("viewrank-bench")
         return subprocess.run([program, *map(str, arguments)], stdout=subprocess.PIPE, text=True, check=True).stdout
 
-    def evaluate(self, *arguments):
-        return json.loads(self.viewrank("evaluate", self.project, "--quiet", "--format", "json", *arguments))
-
     def match(self, out, *arguments):
         command = [sys.executable, HERE / "sgm.py", "match", self.args.project, "--out", out, "--cache", self.args.cache, "--image-scale", self.args.image_scale, "--jobs", self.args.jobs]
         subprocess.run([str(c) for c in (*command, *arguments)], check=True)
 
-    def prepare(self):
-        """The plan, the reference, and the depth maps of every rule."""
-        self.project.mkdir(parents=True, exist_ok=True)
-        for name in ("sparse", "images"):
-            link = self.project / name
-            if not link.is_symlink():
-                link.symlink_to(self.args.project.resolve() / name)
-        (self.project / "viewrank.toml").write_text(f"image_scale = {self.args.image_scale}\n" + self.args.settings.replace(";", "\n") + "\n")
-        self.viewrank("plan", self.project, "--backend", "sgm", "-k", 5, "--quiet")
-        if not self.args.reference:
-            self.args.reference = self.args.out / "reference22"
-            self.match(self.args.reference, "--connected", CONNECTED)
+    def plan(self, project, backend, *options):
+        """A plan, with its seconds, those of all cores together, and its peak memory."""
+        plan, usage = self.viewrank("plan", project, *(["--backend", backend] if backend else []), "-k", RANKED, *options)
+        return {"views": plan["views"], "seconds": plan["timings"], "cpu": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss / 1024}
+
+    def plan_timed(self):
+        """Plans from nothing on one thread and on two, then once more with another target; leaves the plan for sgm."""
+        note, bare = self.project / "planning.json", self.project / "bare"
+        linked(self.args.project, self.project, ("sparse", "images"), self.settings())
+        linked(self.args.project, bare, ("sparse",), self.settings())
+        if note.exists():
+            return
+        timed = {}
+        for name, project, backend in (("no pictures", bare, None), ("pictures and pilot", self.project, "openmvs"), ("pictures", self.project, "sgm")):
+            for threads in (1, 2):
+                shutil.rmtree(project / "viewrank", ignore_errors=True)
+                timed[f"{name}, {threads}"] = self.plan(project, backend, "--threads", threads)
+            timed[f"{name}, again"] = self.plan(project, backend, "--threads", 2, "--target", "80%")
+        self.plan(self.project, "sgm")
+        note.write_text(json.dumps(timed, indent=1) + "\n")
+
+    def settings(self):
+        return f"image_scale = {self.args.image_scale}\n" + self.args.settings.replace(";", "\n") + "\n"
+
+    def reference(self):
+        """The folder of reference maps, and what they are."""
+        exact = self.args.project / "truth/depth"
+        if self.args.reference:
+            return self.args.reference, "given maps"
+        if exact.is_dir():
+            unpack_truth(exact, self.project / "truth/depth")
+            return self.project / "truth/depth", "exact depth"
+        self.match(self.project / "reference22", "--connected", CONNECTED)
+        return self.project / "reference22", f"maps with {CONNECTED} partners"
+
+    def match_rules(self):
+        """View clusters of every rule with their depth maps, those whose orders are compared first."""
         self.bench("partners", self.project, self.rules, "-k", ",".join(map(str, self.args.k)))
-        for clusters in sorted(self.rules.glob("k*/*/clusters.txt")):
-            if not self.args.rules or clusters.parent.name in self.args.rules:
+        found = {(int(path.parts[-3][1:]), path.parts[-2]): path for path in self.rules.glob("k*/*/clusters.txt")}
+        for k, rule in sorted(found, key=lambda choice: (choice[0] != RANKED, choice[1] not in NEEDED, choice)):
+            clusters = found[k, rule]
+            if k in self.args.k and (not self.args.rules or rule in self.args.rules):
                 self.match(clusters.parent, "--clusters", clusters)
             else:
                 clusters.unlink()
 
-    def run(self, reference, folder):
-        """All three experiments against one reference."""
-        folder.mkdir(parents=True, exist_ok=True)
+    def run(self):
+        self.plan_timed()
+        reference, about = self.reference()
+        self.match_rules()
         compared = {}
         for k in self.args.k:
             rows = self.bench("compare", self.project, self.rules / f"k{k}", "--reference", reference, "--json")
             compared |= {(k, row["name"]): row for row in json.loads(rows)}
-        orders = {}
-        for rule in ("ours", "maxcon"):
-            maps = self.rules / "k5" / rule
-            orders[rule] = self.evaluate("--depth-maps", maps, "--clusters", maps / "clusters.txt", "--reference", reference, "--baselines", "--out", folder / f"evaluation-{rule}")
-        partners(compared, folder)
-        ranking(orders, folder)
-        gap(orders["ours"], folder)
-        full = full_method(compared, self.args.k, folder)
-        speed = {} if self.args.truth and folder.name == "results-truth" else self.speed(orders["ours"])
-        summary = {"orders": {r: closed(e["orders"]) for r, e in orders.items()}, "full": full, "gap": orders["ours"]["gap"], "speed": speed}
-        (folder / "results.json").write_text(json.dumps(summary, indent=1))
-        print(report(folder, compared, orders, full, speed), flush=True)
+        maps = self.rules / f"k{RANKED}/ours"
+        evaluation, _ = self.viewrank("evaluate", self.project, "--depth-maps", maps, "--clusters", maps / "clusters.txt", "--reference", reference, "--baselines")
+        results = {"set": self.args.project.resolve().name, "reference": about, "maps": len(evaluation["key_views"]), "image_scale": self.args.image_scale}
+        results |= {"ranking": ranking(evaluation), "partners": partners(compared), "full": full_method(compared), "gap": gap(evaluation), "time": self.time()}
+        (self.project / "experiments.json").write_text(json.dumps(results, indent=1) + "\n")
+        pictures(self.project, evaluation, compared, results)
 
-    def speed(self, evaluation):
-        """Plan plus matching of the clusters that are predicted to reach 70 %, against matching all; seconds of one core."""
-        report = json.loads((self.rules / "k5/ours/report.json").read_text())
-        seconds = {row["key"]: sum(p["seconds"] for p in row["partners"]) for row in report["clusters"]}
-        plan = json.loads((self.project / "viewrank/timings.json").read_text())["total"]
-        count = next(row["clusters"] for row in evaluation["gap"] if row["share"] > 0.69)
-        keys = [row["name"] for row in evaluation["key_views"]]
-        chosen, everything = (sum(seconds.get(k, 0) for k in names) for names in (keys[:count], keys))
-        return {"plan": plan, "chosen": chosen, "all": everything, "times": everything / max(plan + chosen, 1e-9), "real": next(row["real"] for row in evaluation["gap"] if row["share"] > 0.69)}
+    def time(self):
+        """Planning as `plan_timed` has it; matching in seconds of one core, for the clusters of the plan."""
+        report = json.loads((self.rules / f"k{RANKED}/ours/report.json").read_text())
+        seconds = [pair["seconds"] for row in report["clusters"] for pair in row["partners"]]
+        return {"planning": json.loads((self.project / "planning.json").read_text()), "matching": {"maps": len(report["clusters"]), "pairs": len(seconds), "cpu": sum(seconds)}}
 
 
-def closed(orders):
-    """(maxpts - ours) / (maxpts - optimum) in key views, at each share: how much of the way from maxpts to the optimum ours goes."""
-    needed = {o["name"]: {round(n["share"], 2): n["clusters"] for n in o["needed"]} for o in orders}
-    rows = {}
-    for share in SHARES:
-        ours, most, best = (needed[name][share] for name in ("ours", "maxpts", "optimum"))
-        rows[share] = {name: values[share] for name, values in needed.items()} | {"way": (most - ours) / (most - best) if most > best else float(ours <= best)}
-    return rows
+def linked(source, project, names, settings):
+    """A project with links to parts of another."""
+    project.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        if not (project / name).is_symlink():
+            (project / name).symlink_to(source.resolve() / name)
+    (project / "viewrank.toml").write_text(settings)
 
 
-def write_csv(path, header, rows):
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([header, *rows])
+def reached_at(curve, share):
+    """The first place of a rising curve that has this share of its end; none if it never does."""
+    places = np.flatnonzero(np.asarray(curve) >= share - 1e-9)
+    return int(places[0]) if len(places) else None
 
 
-def partners(compared, folder):
-    """Experiment 1: completeness and outliers of each rule."""
-    rows = [[k, name, r["clusters"], r["pairs"], *(round(r["quality"][q], 5) for q in ("completeness", "outliers", "rmse")), round(r["predicted"], 5), round(r["real"], 5)] for (k, name), r in compared.items()]
-    write_csv(folder / "partners.csv", ["k", "rule", "key_views", "pairs", "completeness", "outliers", "rmse", "predicted", "real"], rows)
+def ranking(evaluation):
+    """Clusters that each order needs, by real fulfilment and by cells of the cloud."""
+    total = evaluation["kept"]["real"]
+    by_triangle = {o["name"]: {round(n["share"], 2): n["clusters"] for n in o["needed"]} for o in evaluation["orders"]}
+    needed = {"f_o": {name: [row[share] for share in SHARES] for name, row in by_triangle.items()}}
+    for kind in ("all", "agreeing"):
+        curves = {o["name"]: o["curve"] for o in evaluation["cells"][kind]["orders"]}
+        needed[kind] = {name: [reached_at(curve, share) for share in SHARES] for name, curve in curves.items()}
+    return {"shares": SHARES, "reachable": total, "needed": needed}
+
+
+def partners(compared):
+    """Quality of the maps of each rule, and f_o of all of them."""
+    quality = ("completeness", "outliers", "rmse")
+    return [{"k": k, "rule": rule, "maps": r["clusters"], "pairs": r["pairs"], **{name: r["quality"][name] for name in quality}, "forecast": r["predicted"], "real": r["real"]} for (k, rule), r in compared.items()]
+
+
+def full_method(compared):
+    """Pairs that each choice needs in its own order for shares of what all clusters of Max reach at its best k."""
+    total = max(row["real"] for (_, rule), row in compared.items() if rule == "maxcon")
+    rows = []
+    for (k, rule), row in compared.items():
+        if rule in (*NEEDED, "ours-nocp"):
+            at = [reached_at(np.asarray(row["curve"]["fulfilment"]) / total, share) for share in SHARES]
+            rows.append({"k": k, "rule": rule, "pairs": row["pairs"], "needed": [None if i is None else row["curve"]["pairs"][i] for i in at]})
+    return {"shares": SHARES, "reachable": total, "rows": rows}
+
+
+def gap(evaluation):
+    """Forecast and real share of what all clusters give, along the order: by fulfilment and by cells."""
+    curve = evaluation["curve"]
+    return {"forecast": curve["predicted"], "f_o": [f / evaluation["real"] for f in curve["fulfilment"]], "all": curve["real"], "agreeing": curve["agreeing"], "f_o of all": [evaluation["predicted"], evaluation["real"]]}
+
+
+def pictures(out, evaluation, compared, results):
+    lines = {o["name"]: [(i, 100 * kept / evaluation["kept"]["real"]) for i, kept in enumerate(o["kept"])] for o in evaluation["orders"]}
+    (out / "orders.svg").write_text(plot(lines, "key views", "real fulfilment, %"))
     names = sorted({name for _, name in compared})
     lines = {n: [(100 * r["quality"]["outliers"], 100 * r["quality"]["completeness"]) for (_, name), r in compared.items() if name == n] for n in names}
-    (folder / "partners.svg").write_text(plot(lines, "outliers, %", "completeness, %", marks=True))
-
-
-def ranking(orders, folder):
-    """Experiment 2: the same clusters in different orders."""
-    rows, lines = [], {}
-    for rule, evaluation in orders.items():
-        for order in evaluation["orders"]:
-            rows += [[rule, order["name"], n["share"], n["clusters"], n["pairs"]] for n in order["needed"]]
-            if rule == "ours":
-                lines[order["name"]] = [(i, 100 * kept / evaluation["kept"]["real"]) for i, kept in enumerate(order["kept"])]
-    write_csv(folder / "orders.csv", ["partners", "order", "share", "key_views", "pairs"], rows)
-    (folder / "orders.svg").write_text(plot(lines, "key views", "real fulfilment, %"))
-
-
-def gap(evaluation, folder):
-    rows = [[g["share"], g["clusters"], g["pairs"], round(g["predicted"], 4), round(g["real"], 4)] for g in evaluation["gap"]]
-    write_csv(folder / "gap.csv", ["share", "key_views", "pairs", "predicted", "real"], rows)
-    lines = {name: [(i, 100 * s) for i, s in enumerate(evaluation["curve"][name])] for name in ("predicted", "real")}
-    (folder / "gap.svg").write_text(plot(lines, "key views", "share, %"))
-
-
-def pairs_for(curve, fulfilment):
-    reached = np.searchsorted(curve["fulfilment"], fulfilment - 1e-9)
-    return curve["pairs"][reached] if reached < len(curve["pairs"]) else None
-
-
-def full_method(compared, counts, folder):
-    """Experiment 3: pairs that ours and Max need for the same real fulfilment: shares of what all clusters of Max reach at its best k."""
-    total = max(compared[k, "maxcon"]["real"] for k in counts)
-    names = [(k, rule) for rule in ("ours", "ours-nocp", "maxcon") for k in counts if (k, rule) in compared]
-    table = {f"{rule} k={k}": [pairs_for(compared[k, rule]["curve"], s * total) for s in SHARES] for k, rule in names}
-    best = [min((row[i] for name, row in table.items() if name.startswith("maxcon") and row[i] is not None), default=None) for i in range(len(SHARES))]
-    write_csv(folder / "full.csv", ["clusters", *(f"{s:.0%}" for s in SHARES)], [[name, *row] for name, row in table.items()])
-    lines = {f"{rule} k={k}": list(zip(compared[k, rule]["curve"]["pairs"], [100 * f / total for f in compared[k, rule]["curve"]["fulfilment"]], strict=True)) for k, rule in names if rule != "ours-nocp"}
-    (folder / "full.svg").write_text(plot(lines, "matching pairs", "real fulfilment, %"))
-    ratio = {name: [None if a is None or not b else round(a / b, 3) for a, b in zip(row, table[name.replace("ours-nocp", "maxcon").replace("ours", "maxcon")], strict=True)] for name, row in table.items() if not name.startswith("maxcon")}
-    return {"total": total, "pairs": table, "of_max_at_same_k": ratio, "best_max": best}
-
-
-def report(folder, compared, orders, full, speed):
-    lines = [f"\n== {folder}", "partners: completeness / outliers / real f_o"]
-    for (k, name), r in compared.items():
-        lines.append(f"  k={k:<3} {name:12} {100 * r['quality']['completeness']:6.2f} % {100 * r['quality']['outliers']:6.2f} % {r['real']:.4f} ({r['clusters']} maps)")
-    for rule, evaluation in orders.items():
-        lines.append(f"ranking of the clusters of {rule}: key views for {', '.join(f'{s:.0%}' for s in SHARES)}")
-        rows = closed(evaluation["orders"])
-        for name in [o["name"] for o in evaluation["orders"]]:
-            lines.append(f"  {name:12}" + "".join(f"{rows[s][name]:8.1f}" for s in SHARES))
-        lines.append("  way to opt. " + "".join(f"{rows[s]['way']:8.2f}" for s in SHARES))
-    lines.append("predicted / real: " + ", ".join(f"{100 * g['predicted']:.0f}/{100 * g['real']:.0f}" for g in orders["ours"]["gap"]))
-    lines.append(f"full method, pairs for {', '.join(f'{s:.0%}' for s in SHARES)} of Max")
-    lines += [f"  {name:18}" + "".join(f"{v if v is not None else '-':>7}" for v in row) + "   " + str(full["of_max_at_same_k"].get(name, "")) for name, row in full["pairs"].items()]
-    if speed:
-        lines.append("time: plan {plan:.1f} s + chosen {chosen:.1f} s against {all:.1f} s: {times:.1f} times, {real:.2f} really reached".format(**speed))
-    return "\n".join(lines)
+    (out / "partners.svg").write_text(plot(lines, "outliers, %", "completeness, %", marks=True))
+    lines = {f"{rule} k={k}": [(p, 100 * f / results["full"]["reachable"]) for p, f in zip(r["curve"]["pairs"], r["curve"]["fulfilment"], strict=True)] for (k, rule), r in compared.items() if rule in NEEDED}
+    (out / "full.svg").write_text(plot(lines, "matching pairs", "real fulfilment, %"))
+    lines = {name: [(i, 100 * share) for i, share in enumerate(results["gap"][name])] for name in ("forecast", "f_o", "all")}
+    (out / "gap.svg").write_text(plot(lines, "key views", "share, %"))
 
 
 COLOURS = ["#1668a8", "#2a9d6f", "#8e5bb5", "#c0392b", "#b8860b", "#777777", "#222222", "#e377c2", "#17becf", "#7f3b08", "#4d9221", "#c51b7d"]
@@ -226,8 +230,7 @@ def main():
     parser.add_argument("project", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--cache", type=Path, help="matched pairs (default OUT/pairs)")
-    parser.add_argument("--reference", type=Path, help="finished maps with many partners (default: made in OUT/reference22)")
-    parser.add_argument("--truth", type=Path, help="exact depth of a rendered set")
+    parser.add_argument("--reference", type=Path, help="reference maps (default: exact depth, else maps with many partners)")
     parser.add_argument("--image-scale", type=float, default=0.5)
     parser.add_argument("-k", type=lambda text: [int(k) for k in text.split(",")], default=[2, 3, 5, 11], help="partners per key view (default 2,3,5,11; 5 is needed)")
     parser.add_argument("--rules", type=lambda text: text.split(","), default=[], help="only these partner rules, ours and maxcon among them (default: all)")
@@ -236,12 +239,9 @@ def main():
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     args.cache = args.cache or args.out / "pairs"
-    experiments = Experiments(args)
-    experiments.prepare()
-    experiments.run(args.reference, args.out / "results")
-    if args.truth:
-        unpack_truth(args.truth, args.out / "truth")
-        experiments.run(args.out / "truth", args.out / "results-truth")
+    if RANKED not in args.k or (args.rules and not set(NEEDED) <= set(args.rules)):
+        parser.error(f"-k needs {RANKED}, --rules {' and '.join(NEEDED)}")
+    Experiments(args).run()
 
 
 if __name__ == "__main__":
