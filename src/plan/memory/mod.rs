@@ -92,7 +92,7 @@ pub struct Memory {
     pub confidence: u64,
     /// Partners, fulfilment and ranking.
     pub partners: u64,
-    /// Thumbnails and their maps; 0 if none are matched.
+    /// Thumbnails with their maps, then the places; 0 if none are matched.
     pub pilot: u64,
     /// Tables on disk; 0 if they fit in memory.
     pub disk: u64,
@@ -260,11 +260,12 @@ impl Memory {
     }
 
     /// Forecasts the pilot: thumbnails and maps of all views, and the costs of the planes of one view
-    /// per thread.
+    /// per thread; then the places, with what the ranking makes of them.
     pub(super) fn before_pilot(&mut self, scene: &Scene) -> Result<(), PlanError> {
         let threads = rayon::current_num_threads() as u64;
-        let [of_all, of_one] = pilot::bytes(scene);
-        self.pilot = self.tables + of_all + threads * of_one.max(self.basis.picture);
+        let [of_all, of_one, of_places] = pilot::bytes(scene);
+        let matching = of_all + threads * of_one.max(self.basis.picture);
+        self.pilot = self.tables + matching.max(of_places);
         self.check_limit(PILOT, self.pilot)
     }
 

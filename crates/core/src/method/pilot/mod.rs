@@ -94,18 +94,20 @@ const VIEW_PIXEL: u64 = 1 + 4 + 1 + 4;
 /// Bytes per pixel while a view is matched: costs of the planes and their sums, and rows of floats.
 const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60;
 
-/// Returns the memory of the thumbnails and maps of all views, and of one view that is being
-/// matched, bytes.
-pub fn bytes(scene: &Scene) -> [u64; 2] {
+/// Returns the memory of the thumbnails and maps of all views, of one view that is being matched,
+/// and of the places with the tables that the ranking makes of them, bytes.
+pub fn bytes(scene: &Scene) -> [u64; 3] {
     let pixels = |camera: &Camera| {
         let [width, height] = thumbnail::size(camera).map(|side| side as u64);
         width * height
     };
     let of_view = |view: &View| pixels(&scene.cameras[view.camera.index()]);
     let most = scene.cameras.iter().map(pixels).max().unwrap_or_default();
+    let all = scene.views.iter().map(of_view).sum::<u64>();
     [
-        VIEW_PIXEL * scene.views.iter().map(of_view).sum::<u64>(),
+        VIEW_PIXEL * all,
         SWEPT_PIXEL * most,
+        places::bytes(all as usize),
     ]
 }
 
