@@ -13,7 +13,7 @@ PROJECT (sparse/, images/) stays as it is; DIR becomes a project with links to i
     pairs/            depth by single pairs (--cache: elsewhere)
     experiments.json  all results, of which benches/tables.py makes tables; and a picture of each experiment
 
-Depth maps that are there already are kept, single pairs come from the cache, so a second run costs little. Planning is timed once.
+View clusters and depth maps that are there already are kept, single pairs come from the cache, so a second run costs little. Planning is timed once.
 """
 
 import os
@@ -100,7 +100,9 @@ class Experiments:
 
     def match_rules(self):
         """View clusters of every rule with their depth maps, those whose orders are compared first."""
-        self.bench("partners", self.project, self.rules, "-k", ",".join(map(str, self.args.k)))
+        wanted = [self.rules / f"k{k}/{rule}/clusters.txt" for k in self.args.k for rule in self.args.rules]
+        if not wanted or not all(path.exists() for path in wanted):
+            self.bench("partners", self.project, self.rules, "-k", ",".join(map(str, self.args.k)))
         found = {(int(path.parts[-3][1:]), path.parts[-2]): path for path in self.rules.glob("k*/*/clusters.txt")}
         for k, rule in sorted(found, key=lambda choice: (choice[0] != RANKED, choice[1] not in NEEDED, choice)):
             clusters = found[k, rule]
