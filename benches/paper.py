@@ -41,12 +41,13 @@ def per_cent(part, whole, digits=1):
 
 
 def ranking(result):
-    """Per cent of the clusters that each order needs: by fulfilment / by cells of the cloud."""
+    """Per cent of the clusters that each order needs: by fulfilment / by cells of the cloud / by those where three maps agree."""
     shares, needed = result["ranking"]["shares"], result["ranking"]["needed"]
     rows = []
     for order, name in ORDERS.items():
-        both = needed["f_o"][order], needed["all"]["oracle" if order == "optimum" else order]
-        rows.append([name, *(" / ".join(per_cent(row[i], result["maps"]) for row in both) for i in range(len(shares)))])
+        best_of_cells = "oracle" if order == "optimum" else order
+        kinds = needed["f_o"][order], needed["all"][best_of_cells], needed["agreeing"][best_of_cells]
+        rows.append([name, *(" / ".join(per_cent(row[i], result["maps"]) for row in kinds) for i in range(len(shares)))])
     rows.append(["the paper, k = 5", *(PAPER_RANKING.get(share, "") for share in shares)])
     return table([f"{result['set']}, {result['maps']}", *(f"{share:.0%}" for share in shares)], rows)
 
@@ -61,58 +62,49 @@ def partners(result):
 
 
 def full_method(result):
-    """Pairs in per cent of all at the same k: ours / Max (ratio)."""
+    """Pairs in per cent of all at the same k: ours / its clusters in the best order / Max (ratio of ours to Max)."""
     full = result["full"]
     found = {(row["rule"], row["k"]): row for row in full["rows"]}
     rows = []
     for k in sorted({k for _, k in found}):
-        both = [found[rule, k] for rule in ("ours", "maxcon")]
-        rows.append([f"k = {k}", *(compared(both, i) for i in range(len(full["shares"])))])
+        ours, most = (found[rule, k] for rule in ("ours", "maxcon"))
+        rows.append([f"k = {k}", *(compared(ours, most, i) for i in range(len(full["shares"])))])
     rows.append(["the paper, ratio", *(PAPER_PAIRS.get(share, "") for share in full["shares"])])
     return table([result["set"], *(f"{share:.0%}" for share in full["shares"])], rows)
 
 
-def compared(both, i):
-    """Where one of the two never gets there, it has a dash."""
-    ours, most = (row["needed"][i] for row in both)
-    text = " / ".join(per_cent(row["needed"][i], row["pairs"]) for row in both)
-    return f"{text} ({ours / most:.2f})" if ours and most else text
+def compared(ours, most, i):
+    """Where one never gets there, it has a dash."""
+    pairs = [(ours["needed"][i], ours["pairs"]), (ours["optimum"][i], ours["pairs"]), (most["needed"][i], most["pairs"])]
+    text = " / ".join(per_cent(*one) for one in pairs)
+    return f"{text} ({ours['needed'][i] / most['needed'][i]:.2f})" if ours["needed"][i] and most["needed"][i] else text
 
 
 def gaps(results):
-    """Forecast share minus real one in points, along the order: by fulfilment / by cells."""
+    """Forecast share minus real one in points, along the order: by fulfilment / by cells / by those where three maps agree."""
     rows = []
     for result in results:
         gap = result["gap"]
-        off = {kind: [100 * (forecast - real) for forecast, real in zip(gap["forecast"], gap[kind])] for kind in ("f_o", "all")}
+        off = {kind: [100 * (forecast - real) for forecast, real in zip(gap["forecast"], gap[kind])] for kind in ("f_o", "all", "agreeing")}
         along = [" / ".join(f"{of[i]:+.1f}" for of in off.values()) if i < result["maps"] else "" for i in ALONG]
-        worst = " / ".join(f"{max(of[SETTLED:], key=abs):+.1f}" for of in off.values())
+        worst = " / ".join(f"{max(of[SETTLED:], key=abs):+.1f}" for of in off.values()) if result["maps"] > SETTLED else "–"
         rows.append([f"{result['set']}, {result['maps']}", *along, worst, " / ".join(f"{share:.3f}" for share in gap["f_o of all"])])
     return table(["set, maps", *map(str, ALONG), f"largest from {SETTLED} on", "f_o of all, forecast / real"], rows)
 
 
-def serial_share(alone, pair):
-    """Share of the work that only one thread can do: T1 = serial + parallel, T2 = serial + parallel / 2."""
-    return max(0.0, min(1.0, (2 * pair - alone) / alone))
-
-
 def planning(results):
+    """Planning from nothing, and once more with another target; processor time, which other programs hardly change."""
     rows = []
     for result in results:
-        timed = result["time"]["planning"]
-        for kind in dict.fromkeys(name.rsplit(", ", 1)[0] for name in timed):
-            alone, pair, again = (timed[f"{kind}, {of}"] for of in ("1", "2", "again"))
-            of_view = [f"{1000 * one['seconds']['total'] / one['views']:.0f}" for one in (alone, pair)]
-            serial = f"{100 * serial_share(alone['seconds']['total'], pair['seconds']['total']):.0f}"
-            rows.append([f"{result['set']}, {alone['views']}", kind, *of_view, serial, f"{pair['peak_mb']:,.0f}", f"{again['seconds']['total']:.2f}"])
-    return table(["set, views", "planned with", "ms per view, 1 thread", "2 threads", "serial, %", "peak, MB", "other target, s"], rows)
+        for kind, (plan, again) in result["time"]["planning"].items():
+            rows.append([f"{result['set']}, {plan['views']}", kind, f"{1000 * plan['cpu'] / plan['views']:.0f}", f"{plan['peak_mb']:,.0f}", f"{again['cpu']:.2f}"])
+    return table(["set, views", "planned with", "CPU, ms per view", "peak, MB", "other target, CPU s"], rows)
 
 
 def matching(results):
     """Planning beside matching of all clusters, seconds of one core per key view."""
     rows = []
     for result in results:
-        matched, timed = result["time"]["matching"], result["time"]["planning"]["pictures, 1"]
-        plan, match = timed["cpu"] / matched["maps"], matched["cpu"] / matched["maps"]
-        rows.append([f"{result['set']}, {matched['maps']}", f"{1000 * plan:.0f}", f"{1000 * match:.0f}", f"{100 * plan / match:.1f}", "2 to 6"])
+        plan, match = result["time"]["planning"]["pictures"][0]["cpu"] / result["maps"], result["time"]["matching"]
+        rows.append([f"{result['set']}, {result['maps']}", f"{1000 * plan:.0f}", f"{1000 * match:.0f}", f"{100 * plan / match:.1f}", "2 to 6"])
     return table(["set, maps", "planning, ms", "matching, ms", "planning over matching, %", "the paper, %"], rows)
