@@ -28,7 +28,7 @@ def tables(results):
         name = result["set"]
         made |= {f"ranking-{name}": ranking(result), f"partners-{name}": partners(result), f"full-{name}": full_method(result)}
     if results:
-        made |= {"gap": gaps(results), "planning": planning(results), "matching": matching(results)}
+        made |= {"gap": gaps(results), "matching": matching(results)}
     return made
 
 
@@ -92,12 +92,12 @@ def gaps(results):
     return table(["set, maps", *map(str, ALONG), f"largest from {SETTLED} on", "f_o of all, forecast / real"], rows)
 
 
-def planning(results):
-    """Planning from nothing, and once more with another target; processor time, which other programs hardly change."""
+def planning(timed):
+    """Planning from nothing, and once more with another target, by set; processor time, which other programs hardly change."""
     rows = []
-    for result in results:
-        for kind, (plan, again) in result["time"]["planning"].items():
-            rows.append([f"{result['set']}, {plan['views']}", kind, f"{1000 * plan['cpu'] / plan['views']:.0f}", f"{plan['peak_mb']:,.0f}", f"{again['cpu']:.2f}"])
+    for name, kinds in sorted(timed.items(), key=lambda one: one[1]["pictures"][0]["views"]):
+        for kind, (plan, again) in kinds.items():
+            rows.append([f"{name}, {plan['views']}", kind, f"{1000 * plan['cpu'] / plan['views']:.0f}", f"{plan['peak_mb']:,.0f}", f"{again['cpu']:.2f}"])
     return table(["set, views", "planned with", "CPU, ms per view", "peak, MB", "other target, CPU s"], rows)
 
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Writes the tables of docs/benchmarks.md and README.md, from cells.json of benches/cells.py, splats.json of benches/splats.py, partners.json of
-benches/partners.py and experiments.json of integrations/sgm/experiments.py.
+benches/partners.py, experiments.json and planning.json of integrations/sgm/experiments.py.
 
     benches/tables.py RESULTS_FOLDER
 
@@ -32,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def main():
     if len(sys.argv) != 2:
         sys.exit(__doc__)
+    by_set = lambda name: {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob(name))}
     found = [json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("cells.json"))]
     results = {(one["set"], one["matcher"]): one for one in found}
     for matcher in ("openmvs", "sgm"):
@@ -40,10 +41,11 @@ def main():
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
     openmvs, sgm = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm"))
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
-    trained = {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("splats.json"))}
+    trained = by_set("splats.json")
     tables["splats"] = splats(trained)
-    found = lambda name: [json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob(name))]
-    tables |= partners(found("partners.json")) | paper.tables(found("experiments.json"))
+    timed = by_set("planning.json")
+    tables["planning"] = paper.planning(timed) if timed else []
+    tables |= partners([*by_set("partners.json").values()]) | paper.tables([*by_set("experiments.json").values()])
     replace(ROOT / "docs/benchmarks.md", tables)
     replace(ROOT / "README.md", {"saved": saved(openmvs), "splats": splats(trained, with_sets=False)})
 
