@@ -193,9 +193,9 @@ def strip(plan):
     holes = [t for t in ground.order if ground.reason[t]]
     layers = [f'<path fill="{colour}" stroke="{colour}" stroke-width=".7" d="{ground.path(of)}"/>' for colour, of in ((SHOWN, ground.order), (HOLE, holes))]
     for of in missed:
-        rings = (polygon[0] for polygon in of["geometry"]["coordinates"])
+        outline_of_gap = of["geometry"]["coordinates"][0]
         colour = ONE_PHOTOGRAPH if of["properties"]["photographs"] else NO_PHOTOGRAPH
-        layers.append(f'<path fill="{colour}" d="{"".join("M" + "L".join(at(*corner) for corner in ring) + "z" for ring in rings)}"/>')
+        layers.append(f'<path fill="{colour}" d="M{"L".join(at(*corner) for corner in outline_of_gap)}z"/>')
     centres = list(zip(*[iter(numbers(data["views"]["centres"], "f"))] * 3))
     drawn = [centre for centre in centres if all(low[i] < centre[i] < high[i] for i in (0, 1))]
     layers += [f'<path fill="none" stroke="#1d2329" stroke-width="2" d="M{at(x, y)}m-4 -4l8 8m0 -8l-8 8"/>' for x, y, _ in drawn]
