@@ -262,9 +262,9 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
         .filter(|key| listed.contains(*key))
         .count();
     if missing > 0 {
-        let what = counted(missing, "key view");
         warn(&format!(
-            "{what} of the plan without a depth map: shares are of those with one, and orders are compared when all are there"
+            "{missing} of the {} planned depth maps are not there: shares are of those that are, and orders are not compared",
+            listed.len()
         ));
     }
     let beyond = run

@@ -206,7 +206,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
-            ": about {:.0} % of the area that all maps would cover (target {:.0} %)",
+            ": about {:.0} % of the area that all maps would cover (planned: {:.0} %)",
             100.0 * share,
             100.0 * progress.target
         ),
@@ -216,7 +216,10 @@ fn unwatched(progress: &Progress) -> Vec<String> {
         "{done} of {clusters} planned depth maps are finished{share}."
     )];
     lines.extend(progress.note.clone());
-    lines.push("As of its last map; no daemon watches the project.".into());
+    if progress.target_reached {
+        lines.push("The target is reached.".into());
+    }
+    lines.push("As measured at the last depth map; viewrank watch would go on measuring.".into());
     lines
 }
 

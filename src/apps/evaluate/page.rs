@@ -78,8 +78,9 @@ fn summary(e: &Evaluation) -> String {
     if !e.without_map.is_empty() {
         let _ = write!(
             html,
-            "<p class=\"note\">{} planned clusters have no depth map; shares refer to the others.</p>",
-            e.without_map.len()
+            "<p class=\"note\">{} of {} key views have no depth map; shares are of the others.</p>",
+            e.without_map.len(),
+            e.without_map.len() + e.key_views.len()
         );
     }
     html + "</section>\n"

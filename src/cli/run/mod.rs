@@ -97,7 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             print([line])
         }
     };
-    refuse_plan_for_images(arguments, &project)?;
+    refuse_images(arguments, &project, backend)?;
     say(format!(
         "Backend: {} ({}).",
         backend.name,
@@ -136,9 +136,23 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     work.end(ended)
 }
 
-/// Fails where the project's plan is for a program that uses the images themselves, unless a backend
-/// is named: another plan would take its place.
-fn refuse_plan_for_images(arguments: &Arguments, project: &Project) -> Result<(), Failure> {
+/// Fails for a program that uses the images themselves, and where the project's plan is for one,
+/// unless a backend is named: another plan would take its place.
+fn refuse_images(
+    arguments: &Arguments,
+    project: &Project,
+    backend: &Backend,
+) -> Result<(), Failure> {
+    if !backend.makes_maps() {
+        let (name, project) = (backend.name, command_path(&arguments.project));
+        return Err(Failure::new(
+            Exit::Usage,
+            format!("run computes depth maps, and {name} takes the images themselves"),
+            Some(format!(
+                "viewrank plan {project} --backend {name} chooses them"
+            )),
+        ));
+    }
     let planned = planned_maps(&project.home).filter(|_| arguments.backend.is_none());
     let is_for_images = |plan: &PlannedMaps| {
         backends::by_name(&plan.backend).is_ok_and(|backend| !backend.makes_maps())

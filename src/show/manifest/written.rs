@@ -405,6 +405,16 @@ pub enum WrittenPlanError {
     Project(#[from] ProjectError),
 }
 
+/// The folder of the plan, where `path` is looked for in the folder `viewrank` of that.
+fn folder_of_plan(path: &Path) -> Option<&Path> {
+    let inner = path.parent()?.parent()?;
+    let above = match inner.parent()? {
+        here if here.as_os_str().is_empty() => Path::new("."),
+        above => above,
+    };
+    (above.join(FILE).is_file() && inner.join("manifest.json").is_file()).then_some(above)
+}
+
 /// The command that writes the manifest at `path`, for the same program.
 fn plan_command(path: &Path) -> String {
     let root = path
@@ -425,7 +435,11 @@ impl Hint for WrittenPlanError {
                     Advice::text("make it readable for yourself, or plan elsewhere: ")
                         .set_to("out", "DIR")
                 }
-                _ => format!("make the plan first: {}", plan_command(path)).into(),
+                _ => match folder_of_plan(path) {
+                    Some(above) => format!("name the folder of the plan: {}", command_path(above)),
+                    None => format!("make the plan first: {}", plan_command(path)),
+                }
+                .into(),
             }),
             Self::Manifest { path, .. }
             | Self::Version { path, .. }

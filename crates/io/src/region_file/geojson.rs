@@ -268,7 +268,7 @@ fn polygons(geometry: Node) -> Result<Vec<Polygon>, String> {
                 .ok_or("the geometry has no list \"geometries\"")?;
             Ok(parts.0.into_iter().flat_map(|part| part.polygons).collect())
         }
-        Some(kind) => Err(format!("a {kind} encloses no area")),
+        Some(kind) => Err(format!("a {kind} encloses no area: make it a Polygon")),
         None => Err("it has no \"type\"".into()),
     }
 }
