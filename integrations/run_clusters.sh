@@ -6,6 +6,7 @@ set -u
 case $0 in
 .//run.sh) ;;
 *)
+    unset CDPATH
     cd "$(dirname "$0")" && export OLDPWD && exec sh .//run.sh "$@"
     exit 1
     ;;

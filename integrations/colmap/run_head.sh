@@ -21,6 +21,7 @@ esac
 case $0 in
 .//stereo/viewrank/run.sh) ;;
 *)
+    unset CDPATH
     cd "$(dirname "$0")/../.." && exec sh .//stereo/viewrank/run.sh "$@"
     exit 1
     ;;

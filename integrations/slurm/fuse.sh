@@ -4,6 +4,7 @@
 case $0 in
 .//fuse.sh) ;;
 */fuse.sh)
+    unset CDPATH
     cd "$(dirname "$0")" && exec sh .//fuse.sh "$@"
     exit 1
     ;;
@@ -13,6 +14,10 @@ set -u
 @REFUSE_STRANGERS@
 refuse_strangers /dev/null "$folder"
 tab=$(printf '\t')
+# Of runs that were killed.
+for old in "$folder/fused.$(uname -n)".*; do
+    kill -0 "${old##*.}" 2>/dev/null || rm -f "$old"
+done
 found=$folder/fused.$(uname -n).$$
 trap 'rm -f "$found"' EXIT
 rm -f "$found"

@@ -5,6 +5,7 @@
 case $0 in
 .//task.sh) ;;
 */task.sh)
+    unset CDPATH
     cd "$(dirname "$0")" && exec sh .//task.sh "$@"
     exit 1
     ;;

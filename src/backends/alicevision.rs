@@ -96,7 +96,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         Contents::Script(include_bytes!("../../integrations/alicevision/finished.py").to_vec()),
     );
     record.commands.extend([
-        "python3 finished.py".into(),
+        "python3 -I finished.py".into(),
         "rm -rf filtered && mkdir filtered".into(),
         format!("aliceVision_depthMapFiltering -i finished.sfm --depthMapsFolder depthMaps -o filtered {FILTERING}"),
         // `-o` is short for two options here.

@@ -1,9 +1,8 @@
-//! The ground floor of this crate: that of the crates below, signals and processes, how the command
-//! line says advice, and what is printable.
+//! The ground floor of this crate: that of the crates below, signals and processes, and how the command
+//! line says advice.
 
 pub mod advice;
 pub mod platform;
-pub mod printable;
 
 pub use viewrank_core::base::*;
-pub use viewrank_io::{bounded, input, packed, paths, shell};
+pub use viewrank_io::{bounded, input, packed, paths, printable, shell};

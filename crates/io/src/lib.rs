@@ -18,6 +18,7 @@ pub mod picture;
 pub mod pictures;
 pub mod platform;
 pub mod ply;
+pub mod printable;
 pub mod project;
 pub mod region_file;
 pub mod shell;

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use crate::printable::is_printable;
+
 /// Quotes a word for a script of POSIX sh, if it needs quotes.
 pub fn quoted(word: &str) -> String {
     if is_plain(word) {
@@ -16,13 +18,26 @@ pub fn quoted_path(path: &Path) -> String {
     quoted(&path.display().to_string())
 }
 
-/// Quotes a word for a command that the user types: in sh, on Windows in cmd or PowerShell.
+/// Quotes a word for a command that the user types: in a shell, on Windows in cmd or PowerShell.
 pub fn command_word(word: &str) -> String {
     if cfg!(windows) {
         for_windows(word)
-    } else {
+    } else if word.chars().all(is_printable) {
         quoted(word)
+    } else {
+        with_escapes(word)
     }
+}
+
+/// Quotes a word with characters that are escaped where they are shown, so that what is typed is the
+/// same word: `$'...'` of bash, zsh and others.
+fn with_escapes(word: &str) -> String {
+    let escaped = word.chars().map(|c| match c {
+        '\'' | '\\' => format!("\\{c}"),
+        c if is_printable(c) => c.into(),
+        c => format!("\\U{:08x}", u32::from(c)),
+    });
+    format!("$'{}'", escaped.collect::<String>())
 }
 
 /// Quotes a path for a command that the user types.
@@ -44,7 +59,8 @@ pub fn shown_path(path: &Path) -> String {
     let inner = path.strip_prefix(".").unwrap_or(path).display().to_string();
     let path = match inner {
         // Such a name would be an option.
-        inner if inner.is_empty() || inner.starts_with('-') => path.display().to_string(),
+        inner if inner.starts_with('-') => format!("./{inner}"),
+        inner if inner.is_empty() => path.display().to_string(),
         inner => inner,
     };
     if cfg!(windows) {
@@ -81,14 +97,21 @@ mod tests {
 
     #[test]
     fn a_path_has_no_dot_before_it() {
-        let shown = ["./a/b", ".", "./-a", "../a"].map(|path| shown_path(Path::new(path)));
-        assert_eq!(shown, ["a/b", ".", "./-a", "../a"]);
+        let shown = ["./a/b", ".", "./-a", "-a/b", "../a"].map(|path| shown_path(Path::new(path)));
+        assert_eq!(shown, ["a/b", ".", "./-a", "./-a/b", "../a"]);
     }
 
     #[test]
     fn a_quoted_path_is_one_word() {
         assert_eq!(quoted_path(Path::new("/a b/it's")), r"'/a b/it'\''s'");
         assert_eq!(quoted_path(Path::new("/a-b/c_1.x")), "/a-b/c_1.x");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_command_names_what_is_escaped_where_it_is_shown() {
+        let path = Path::new("a\u{3164}'\\/b\t");
+        assert_eq!(command_path(path), r"$'a\U00003164\'\\/b\U00000009'");
     }
 
     #[test]

@@ -134,7 +134,7 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
     ),
     join: Some(Join {
         commands: &[
-            "python3 finished.py",
+            "python3 -I finished.py",
             "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/fuse\" \
              --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEINGSIZE)",
         ],

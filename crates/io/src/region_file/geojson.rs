@@ -115,6 +115,19 @@ impl<'de> Deserialize<'de> for Nested {
     }
 }
 
+/// Lists around the positions of a MultiPolygon.
+const DEEPEST: usize = 3;
+
+impl Nested {
+    /// Number of lists around the first position.
+    fn depth(&self) -> usize {
+        match self {
+            Self::List(members) => 1 + members.first().map_or(0, Self::depth),
+            _ => 0,
+        }
+    }
+}
+
 struct NestedVisitor;
 
 impl<'de> Visitor<'de> for NestedVisitor {
@@ -155,6 +168,9 @@ impl<'de> Visitor<'de> for NestedVisitor {
             Some(Nested::Position(_)) if members.len() < 3 => {
                 Err(A::Error::custom(few(members.len())))
             }
+            Some(member) if member.depth() == DEEPEST => Err(A::Error::custom(
+                "lists deeper than those of a MultiPolygon",
+            )),
             _ => Ok(Nested::List(members)),
         }
     }

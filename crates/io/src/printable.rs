@@ -35,8 +35,20 @@ pub fn escaped(text: &str, escape: impl Fn(char) -> String) -> String {
         })
 }
 
-/// Characters that take a place and show nothing: with them, one name looks like another.
-const BLANK: [char; 5] = ['\u{115f}', '\u{1160}', '\u{2800}', '\u{3164}', '\u{ffa0}'];
+/// Returns whether a letter or mark shows nothing: with it, one name looks like another.
+fn is_blank(c: char) -> bool {
+    matches!(
+        c,
+        '\u{34f}'
+            | '\u{115f}'
+            | '\u{1160}'
+            | '\u{17b4}'
+            | '\u{17b5}'
+            | '\u{2800}'
+            | '\u{3164}'
+            | '\u{ffa0}'
+    ) || matches!(c, '\u{180b}'..='\u{180f}' | '\u{fe00}'..='\u{fe0f}' | '\u{e0100}'..='\u{e01ef}')
+}
 
 /// Returns whether a character is a graphic one or the blank: no control, no format character (as
 /// those that change the direction of text), no separator of lines, nothing unassigned.
@@ -44,7 +56,7 @@ pub fn is_printable(c: char) -> bool {
     // Of a string, the standard library escapes just the others, and quotes and backslashes; at its
     // start combining accents, too.
     let shown = |c: char| String::from_iter(['a', c]).escape_debug().count() == 2;
-    matches!(c, ' '..='~') || shown(c) && !BLANK.contains(&c)
+    matches!(c, ' '..='~') || shown(c) && !is_blank(c)
 }
 
 #[cfg(test)]
@@ -62,6 +74,7 @@ mod tests {
             ),
             ("\u{e0041}\u{fff9}\u{ad}", r"\u{e0041}\u{fff9}\u{ad}"),
             ("\u{3164}\u{a0}\u{3000}", r"\u{3164}\u{a0}\u{3000}"),
+            ("a\u{34f}\u{fe0f}", r"a\u{34f}\u{fe0f}"),
         ];
         for (text, expected) in shown {
             assert_eq!(printable(text), expected);
