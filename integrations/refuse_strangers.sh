@@ -9,7 +9,7 @@ refuse_strangers() {
     # A folder that cannot be listed may hide links, and a line break in a name would make two entries of one. Names are bytes in any encoding. The word at
     # the end says that all were looked at.
     found=$(LC_ALL=C find "$@" '(' ! -type f ! -type d -o -type d ! -perm -500 -o -type d ! -exec test -r '{}' ';' -o -type d ! -exec test -x '{}' ';' -o -name '*
-*' ')' | LC_ALL=C awk -v links="$links" '
+*' ')' -print | LC_ALL=C awk -v links="$links" '
         BEGIN { while ((getline link < links) > 0) known[link] }
         !($0 in known) && !stranger { stranger = 1; print }
         END { if (!stranger) print "none" }')
