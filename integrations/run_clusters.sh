@@ -2,15 +2,7 @@
 # Computes viewrank's plan cluster by cluster in rank order, and joins the results. The run goes on after a failed cluster and skips finished ones. Results
 # carry a hash of their inputs, so those of another plan are not mistaken for these. Exit code 1: something failed.
 set -u
-# sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own.
-case $0 in
-.//run.sh) ;;
-*)
-    unset CDPATH
-    cd "$(dirname "$0")" && export OLDPWD && exec sh .//run.sh "$@"
-    exit 1
-    ;;
-esac
+@RESTART@
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
 mkdir -p older || exit 1

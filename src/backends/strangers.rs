@@ -1,17 +1,19 @@
-//! Refusal of what somebody else has put into the folder of an export, by the scripts that run
-//! there: a link, a pipe or the like.
+//! What the scripts of exports share: they start as a name of our own, and refuse what somebody else
+//! has put into the folder, a link, a pipe or the like.
 
 use crate::io::output::{Contents, FileSet};
 
 /// The function of sh that refuses.
 const REFUSE: &str = include_str!("../../integrations/refuse_strangers.sh");
 
-/// The line in whose place [`REFUSE`] is put.
-const PLACE: &str = "@REFUSE_STRANGERS@\n";
+/// The lines of sh with which a `run.sh` starts itself again.
+const RESTART: &str = include_str!("../../integrations/restart.sh");
 
-/// Returns a script with the function in its place.
+/// Returns a script with the function, and the restart if it has one, in the places of their lines.
 pub fn with_refusal(script: &str) -> String {
-    script.replacen(PLACE, REFUSE, 1)
+    script
+        .replacen("@RESTART@\n", RESTART, 1)
+        .replacen("@REFUSE_STRANGERS@\n", REFUSE, 1)
 }
 
 /// The file that [`add_runner`] adds.

@@ -1,5 +1,5 @@
-//! The ground floor of this crate: that of the crates below, signals and processes, and how the command
-//! line says advice.
+//! The ground floor of this crate: that of the crates below, signals and processes, and how the
+//! command line says advice.
 
 pub mod advice;
 pub mod platform;

@@ -263,7 +263,7 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
         .count();
     if missing > 0 {
         warn(&format!(
-            "{missing} of the {} planned depth maps are not there: shares are of those that are, and orders are not compared",
+            "{missing} of the {} planned depth maps are not there: shares are of those that are, and other orders are not judged by cells",
             listed.len()
         ));
     }

@@ -20,8 +20,7 @@ use serde::Serialize;
 const STEPS: [f64; 4] = [0.5, 0.7, 0.8, 0.9];
 /// Largest number of key views listed by name.
 const NAMED: usize = 3;
-/// Share of the surface that no view cluster reconstructs; where it is less, that is the rim alone, and
-/// not said.
+/// Share of the surface that no view cluster reconstructs, up to which it is but its rim.
 const LEAST_MISSED: f64 = 0.01;
 
 #[derive(Serialize)]
@@ -79,8 +78,8 @@ pub struct Summary<'a> {
     /// Use of the images, for a backend that matches none.
     #[serde(skip)]
     use_of_views: Option<&'static str>,
-    /// Share of the surface that no view cluster fulfils, if a region or a resolution was asked for
-    /// and depth maps are made.
+    /// Share of the surface that no view cluster fulfils, where it is more than the rim; if a region
+    /// or a resolution was asked for and depth maps are made.
     #[serde(skip)]
     missed: Option<f64>,
 }
@@ -140,7 +139,9 @@ impl<'a> Summary<'a> {
             manifest,
             weight: plan.stages.settings.ranking.weight,
             counts_places: plan.stages.pilot.is_some(),
-            missed: (is_survey && plan.stages.makes_maps).then(|| plan.unfulfilled_share()),
+            missed: (is_survey && plan.stages.makes_maps)
+                .then(|| plan.unfulfilled_share())
+                .filter(|share| *share > LEAST_MISSED),
             use_of_views: backends::by_name(plan.stages.backend)
                 .ok()
                 .and_then(|backend| backend.use_of_views),
@@ -183,7 +184,7 @@ impl<'a> Summary<'a> {
             .map(|region| region.describe(self.metres_per_unit))
             .unwrap_or_default();
         lines.extend(region.lines().map(String::from));
-        if let Some(share) = self.missed.filter(|share| *share > LEAST_MISSED) {
+        if let Some(share) = self.missed {
             lines.push(format!(
                 "No view cluster reconstructs {} of the surface{}.",
                 whole_percent(share),
@@ -482,10 +483,9 @@ impl<'a> Summary<'a> {
     }
 
     /// True if a part that somebody asked for was missed.
-    fn is_missing_ground(&self) -> bool {
+    fn has_missed_part(&self) -> bool {
         let ground = self.region.and_then(|region| region.ground);
-        ground.is_some_and(|ground| ground.is_incomplete())
-            || self.missed.is_some_and(|share| share > LEAST_MISSED)
+        ground.is_some_and(|ground| ground.is_incomplete()) || self.missed.is_some()
     }
 
     fn where_to_look(&self) -> Vec<String> {
@@ -493,7 +493,7 @@ impl<'a> Summary<'a> {
         if self.written {
             let curve = shown_path(&folder.join("curve.svg"));
             let mut lines = vec![format!("Look at {curve} and surface.ply.")];
-            lines.extend(if self.is_missing_ground() {
+            lines.extend(if self.has_missed_part() {
                 [
                     format!("Next, what was missed and images to take: {}", self.look),
                     format!("Then: {}", self.next),

@@ -146,10 +146,15 @@ impl Plan {
         inside * self.stages.surface.area(triangle)
     }
 
+    /// Area of the surface, of that of a region the part inside; square scene units.
+    pub fn whole_area_inside(&self) -> f64 {
+        let all = 0..self.stages.surface.triangles.len() as u32;
+        all.map(|t| self.area_inside(t)).sum()
+    }
+
     /// Share of the surface, of that of a region inside it, that no cluster fulfils to a tenth.
     pub fn unfulfilled_share(&self) -> f64 {
-        let all = 0..self.stages.surface.triangles.len() as u32;
-        let whole: f64 = all.map(|t| self.area_inside(t)).sum();
+        let whole = self.whole_area_inside();
         let missing: f64 = self.unfulfilled().map(|t| self.area_inside(t)).sum();
         if whole > 0.0 { missing / whole } else { 0.0 }
     }

@@ -9,11 +9,8 @@ use super::{
     half_size::HalfSize,
 };
 use crate::{
-    base::printable::printable,
-    show::pictures::{
-        plot::{self, COLOURS, Line, Plot},
-        rounded,
-    },
+    base::{decimals::to_decimals, printable::printable},
+    show::pictures::plot::{self, COLOURS, Line, Plot},
 };
 
 /// Escapes text for HTML.
@@ -205,7 +202,7 @@ fn gap_table(e: &Evaluation) -> String {
             gap.pairs,
             100.0 * gap.real,
             100.0 * gap.agreeing,
-            rounded(100.0 * (gap.predicted - gap.real), 1)
+            to_decimals(100.0 * (gap.predicted - gap.real), 1)
         );
     }
     html + "</table></section>\n"
@@ -241,7 +238,7 @@ fn cell_tables(e: &Evaluation) -> String {
         }
         html += "<tr><td>viewrank's way</td>";
         for way in ours.way {
-            let way = way.map_or("–".into(), |way| format!("{:.2}", rounded(way, 2)));
+            let way = way.map_or("–".into(), |way| format!("{:.2}", to_decimals(way, 2)));
             let _ = write!(html, "<td>{way}</td>");
         }
         html += "</tr></table>\n";

@@ -112,7 +112,7 @@ impl MeasuredProgress {
     }
 }
 
-/// The cluster of a key view in the plan; `None` if it has none.
+/// Returns the plan's cluster with this key view; `None` if there is none.
 fn planned(stages: &Stages, key: ViewIndex) -> Option<usize> {
     let clusters = &stages.clusters;
     clusters

@@ -255,9 +255,7 @@ impl Contents {
             wanted_partners: plan.stages.settings.partners.k,
             points: plan.stages.scene.points.len(),
             triangles: plan.stages.surface.triangles.len(),
-            area: summary
-                .as_ref()
-                .map_or_else(|| whole_area(plan), |region| region.area),
+            area: plan.whole_area_inside(),
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished,
             limits: Limits::new(&plan.decision.cut),
@@ -354,12 +352,6 @@ fn weights(plan: &Plan, surface: &DrawnSurface) -> Vec<u8> {
         }
     };
     densities.iter().map(shade).collect()
-}
-
-fn whole_area(plan: &Plan) -> f64 {
-    (0..plan.stages.surface.triangles.len() as u32)
-        .map(|t| plan.stages.surface.area(t))
-        .sum()
 }
 
 /// CSR offsets as the page reads them: u32 in base64.

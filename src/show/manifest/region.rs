@@ -37,9 +37,7 @@ impl RegionSummary {
     pub fn from_plan(plan: &Plan) -> Option<Self> {
         let (region, surface) = (plan.stages.region.as_ref()?, &plan.stages.surface);
         let all = || 0..surface.triangles.len() as u32;
-        let area: f64 = all()
-            .map(|t| surface.area(t) * f64::from(region.covered[t as usize]))
-            .sum();
+        let area = plan.whole_area_inside();
         let whole: f64 = all().map(|t| surface.area(t)).sum();
         Some(Self {
             kind: region.kind,

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use super::footprints;
 use crate::{
+    base::decimals::to_decimals,
     method::region::Outline,
     model::{
         georeference::{Georeference, MapFrame},
@@ -34,11 +35,11 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     let local = *place == Georeference::Local;
     let position = |point: &Point3<f64>| match place.geodetic(point) {
         Some(at) => [
-            rounded(at.longitude, 9),
-            rounded(at.latitude, 9),
-            rounded(at.height, 4),
+            to_decimals(at.longitude, 9),
+            to_decimals(at.latitude, 9),
+            to_decimals(at.height, 4),
         ],
-        None => frame.direction(&point.coords).map(|x| rounded(x, 6)),
+        None => frame.direction(&point.coords).map(|x| to_decimals(x, 6)),
     };
     let mut rank = vec![None; plan.stages.scene.views.len()];
     plan.ranked()
@@ -136,7 +137,7 @@ fn polygon_on_the_earth(mut corners: Vec<[f64; 3]>) -> Value {
     let mut outside = part(&corners, meridian, meridian.signum());
     outside
         .iter_mut()
-        .for_each(|corner| corner[0] = rounded(corner[0] - 2.0 * meridian, 9));
+        .for_each(|corner| corner[0] = to_decimals(corner[0] - 2.0 * meridian, 9));
     json!({ "type": "MultiPolygon", "coordinates": [[closed(inside)], [closed(outside)]] })
 }
 
@@ -153,8 +154,8 @@ fn part(ring: &[[f64; 3]], meridian: f64, side: f64) -> Vec<[f64; 3]> {
             let t = before / (before - after);
             part.push([
                 meridian,
-                rounded(from[1] + t * (to[1] - from[1]), 9),
-                rounded(from[2] + t * (to[2] - from[2]), 4),
+                to_decimals(from[1] + t * (to[1] - from[1]), 9),
+                to_decimals(from[2] + t * (to[2] - from[2]), 4),
             ]);
         }
     }
@@ -179,22 +180,9 @@ fn properties(plan: &Plan, view: ViewIndex, rank: Option<usize>, what: &str) -> 
     })
 }
 
-/// Rounds to the number of digits that a survey can resolve; never to -0.
-pub fn rounded(number: f64, digits: i32) -> f64 {
-    let scale = 10f64.powi(digits);
-    (number * scale).round() / scale + 0.0
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn nothing_is_rounded_to_minus_nothing() {
-        for (number, text) in [(-0.04, "0.0"), (-0.06, "-0.1"), (-0.0, "0.0")] {
-            assert_eq!(format!("{:.1}", rounded(number, 1)), text);
-        }
-    }
 
     fn rings(geometry: &Value) -> Vec<Vec<[f64; 3]>> {
         let of_polygon =

@@ -13,7 +13,7 @@ mod surface;
 pub use confidence::{confidence_picture, in_colour};
 pub use curve::{FulfilmentCurve, SHARE_LABEL, curve_svg};
 pub use expected::expected_success;
-pub use geojson::{rounded, views_file, views_geojson};
+pub use geojson::{views_file, views_geojson};
 pub use map::footprints;
 pub use overview::map_svg;
 pub use surface::{RAMP, TriangleState, for_each_step, surface_ply, triangle_states};

@@ -1,10 +1,11 @@
-//! Foundations that all floors share: errors, progress, amounts with units, bounds of pixels, large columns, sets of
+//! Foundations that all floors share: errors, progress, amounts with units, decimals, bounds of pixels, large columns, sets of
 //! bits, CSR offsets, nearest points, tiles of space, vectorised loops.
 
 pub mod amounts;
 pub mod bits;
 pub mod column;
 pub mod connected;
+pub mod decimals;
 pub mod error;
 pub mod kd_tree;
 pub mod large_pages;

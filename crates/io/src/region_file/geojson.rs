@@ -11,7 +11,7 @@ use serde::{
 };
 use serde_json::value::RawValue;
 use viewrank_core::{
-    base::error::shortened,
+    base::{decimals::to_decimals, error::shortened},
     method::region::{Area, Areas, Coordinates, Polygon},
 };
 
@@ -339,7 +339,7 @@ fn check_rings(areas: &[Area]) -> Result<(), RegionFault> {
     let mut pairs = MOST_PAIRS;
     let rings = areas.iter().flat_map(|area| area.polygons.iter().flatten());
     let place = rings.filter_map(|ring| crossing(ring, &mut pairs)).next();
-    match place.map(|place| place.map(|x| (1e7 * x).round() / 1e7 + 0.0)) {
+    match place.map(|place| place.map(|x| to_decimals(x, 7))) {
         Some(place) => Err(RegionFault::Crossing(place)),
         None => Ok(()),
     }

@@ -267,6 +267,14 @@ mod tests {
     }
 
     #[test]
+    fn lists_deeper_than_a_multipolygon_are_refused_at_the_first() {
+        let deep = format!("{}[0,0],[1,0],[1,1]{}", "[".repeat(9), "]".repeat(9));
+        let text = format!(r#"{{"type":"MultiPolygon","coordinates":[{deep},not read"#);
+        let fault = parse(text.as_bytes()).unwrap_err().to_string();
+        assert!(fault.contains("deeper"), "{fault}");
+    }
+
+    #[test]
     fn a_box_and_a_mesh_are_told_by_their_contents() {
         assert_eq!(
             parse(b" 0 0 0\n1 2 3\n").unwrap(),

@@ -794,7 +794,7 @@ fn a_model_without_common_points() {
         );
         assert_eq!(findings.len(), 1, "no finding per view: {findings:#?}");
     }
-    // Where there are none at all, the reader's advice is the only one, for every backend.
+    // A model without points gets the reader's advice alone, whatever the backend.
     let mut scene = scene_of(block(0.0, "n"), std::iter::empty(), |_, _| false);
     scene.warnings =
         vec![ModelWarning::new(WarningKind::NoPoints, "no points").with_cure("export")];

@@ -1,7 +1,7 @@
 //! Judged orders as a table of text.
 
 use super::judge::{CellOrders, CellsEvaluation, NEEDED, TENTHS, at};
-use crate::show::pictures::rounded;
+use crate::base::decimals::to_decimals;
 
 /// Names of the orders for users (method 8); the others are words already.
 const NAMES: [(&str, &str); 5] = [
@@ -79,7 +79,9 @@ fn percent(share: f64) -> String {
 }
 
 fn way(way: Option<f64>) -> String {
-    way.map_or("     –".into(), |way| format!("{:6.2}", rounded(way, 2)))
+    way.map_or("     –".into(), |way| {
+        format!("{:6.2}", to_decimals(way, 2))
+    })
 }
 
 fn needed(kind: &CellOrders, order: usize) -> String {

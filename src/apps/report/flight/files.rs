@@ -7,8 +7,9 @@ use serde_json::{Value, json};
 
 use super::{Flight, Waypoint};
 use crate::{
+    base::decimals::to_decimals,
     model::georeference::{Geodetic, Georeference, MapFrame},
-    show::pictures::{rounded, views_file},
+    show::pictures::views_file,
 };
 
 /// File names below the plan's folder, with their text; none without waypoints. `missing`: what
@@ -94,9 +95,9 @@ impl<'a> Described<'a> {
     fn properties(&self, number: usize) -> Value {
         json!({
             "name": format!("{number}"), "rank": self.waypoint.rank, "hole": self.waypoint.hole + 1, "missing": self.missing,
-            "heading_deg": rounded(self.heading, 1), "pitch_deg": rounded(self.pitch, 1),
-            "height_above_surface": rounded(self.height, 3), "distance": rounded(self.distance, 3),
-            "overlap": rounded(self.waypoint.overlap, 2),
+            "heading_deg": to_decimals(self.heading, 1), "pitch_deg": to_decimals(self.pitch, 1),
+            "height_above_surface": to_decimals(self.height, 3), "distance": to_decimals(self.distance, 3),
+            "overlap": to_decimals(self.waypoint.overlap, 2),
         })
     }
 }
@@ -124,7 +125,7 @@ pub(super) fn collection(features: Vec<Value>, local: bool) -> String {
 
 fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {
     let digits = if local { [6, 6, 6] } else { [9, 9, 3] };
-    [0, 1, 2].map(|i| rounded(waypoint.position[i], digits[i]))
+    [0, 1, 2].map(|i| to_decimals(waypoint.position[i], digits[i]))
 }
 
 fn kml(all: &[Described]) -> String {

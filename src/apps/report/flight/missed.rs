@@ -7,9 +7,10 @@ use super::{
     outlines::{Area, Place, areas},
 };
 use crate::{
+    base::decimals::to_decimals,
     method::region::Ground,
     model::georeference::{Geodetic, Georeference, MapFrame},
-    show::pictures::{rounded, views_file},
+    show::pictures::views_file,
 };
 
 /// Name and text of the file, GeoJSON below the plan's folder: a feature for each area, those that
@@ -40,7 +41,7 @@ pub fn missed(
         json!({
             "type": "Feature",
             "geometry": { "type": "Polygon", "coordinates": rings },
-            "properties": { "photographs": photographs, unit: rounded(area, 3) },
+            "properties": { "photographs": photographs, unit: to_decimals(area, 3) },
         })
     };
     let shown_by = |photographs: u32| {
@@ -70,10 +71,10 @@ fn position(ground: &Ground, at: [f64; 2], frame: &MapFrame, place: &Georeferenc
             longitude,
             latitude,
             ..
-        }) => [rounded(longitude, 9), rounded(latitude, 9)],
+        }) => [to_decimals(longitude, 9), to_decimals(latitude, 9)],
         None => {
             let [x, y, _] = frame.direction(&world.coords);
-            [rounded(x, 6), rounded(y, 6)]
+            [to_decimals(x, 6), to_decimals(y, 6)]
         }
     }
 }
