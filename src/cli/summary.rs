@@ -4,7 +4,10 @@ use std::path::Path;
 
 use crate::{
     backends,
-    base::shell::{command_path, shown_path},
+    base::{
+        decimals::significant,
+        shell::{command_path, shown_path},
+    },
     config::{ConfidenceSource, TriangleWeight},
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
@@ -174,7 +177,7 @@ impl<'a> Summary<'a> {
         )];
         lines.extend(self.memory.on_disk().map(on_disk));
         if self.use_of_views.is_none() {
-            let gsd = rounded(self.gsd * metres);
+            let gsd = significant(self.gsd * metres);
             lines.push(format!("Wanted: {gsd} {unit} per pixel."));
         }
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
@@ -473,7 +476,7 @@ impl<'a> Summary<'a> {
                 Some(seconds) if is_verbose && planning >= 0.05 => {
                     format!(
                         "It pays if a depth map takes more than {} s.",
-                        rounded(seconds)
+                        significant(seconds)
                     )
                 }
                 _ => return vec![format!("Planning took {planning:.1} s.")],
@@ -565,7 +568,7 @@ fn note_on_gps(project: &Project, plan: &Plan, place: &Georeference) -> Option<S
             "On earth by the GPS of {} of {} images, {} m off in the median (not with --no-gps).",
             grouped(support.fitting),
             grouped(support.positions),
-            rounded(support.median)
+            significant(support.median)
         )),
         Georeference::Local if plan.stages.settings.frame.gps => {
             let (_, positions) = positions_in_images(project, &plan.stages.scene);
@@ -660,18 +663,6 @@ fn grouped(number: usize) -> String {
     text
 }
 
-/// Formats a number with three significant digits.
-fn rounded(number: f64) -> String {
-    if number == 0.0 {
-        return "0".into();
-    }
-    if !number.is_finite() {
-        return number.to_string();
-    }
-    let places = (2 - number.abs().log10().floor() as i32).max(0) as usize;
-    format!("{number:.places$}")
-}
-
 /// Formats seconds as "3 h 20 min", "4 min" or "12 s".
 pub fn duration(seconds: f64) -> String {
     let minutes = (seconds / 60.0).round() as u64;
@@ -691,10 +682,6 @@ mod tests {
         assert_eq!(
             [0, 999, 1000, 1_234_567].map(grouped),
             ["0", "999", "1,000", "1,234,567"]
-        );
-        assert_eq!(
-            [0.0123456, 1.0, 12345.6, 0.5].map(rounded),
-            ["0.0123", "1.00", "12346", "0.500"]
         );
         assert_eq!(
             [12.4, 90.0, 240.0, 12_000.0].map(duration),

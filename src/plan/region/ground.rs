@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RegionFileError;
 use crate::{
-    base::progress::NoWatcher,
+    base::{decimals::significant, progress::NoWatcher},
     config::Settings,
     method::{
         region::{Ground, Photographed},
@@ -94,15 +94,6 @@ fn square(area: f64, metres: Option<f64>) -> String {
         Some(area) => format!("{} m²", significant(area)),
         None => format!("{} square units", significant(area)),
     }
-}
-
-/// Formats a number with three significant digits.
-fn significant(number: f64) -> String {
-    let places = (2.0 - number.log10().floor()).clamp(0.0, 9.0);
-    format!(
-        "{number:.0$}",
-        if places.is_nan() { 0 } else { places as usize }
-    )
 }
 
 /// Counts the photographs of the region of the settings, without a surface; `None` without a

@@ -1,4 +1,4 @@
-//! Foundations that all floors share: errors, progress, amounts with units, decimals, bounds of pixels, large columns, sets of
+//! Foundations that all floors share: errors, progress, amounts with units, digits of numbers, bounds of pixels, large columns, sets of
 //! bits, CSR offsets, nearest points, tiles of space, vectorised loops.
 
 pub mod amounts;
