@@ -73,7 +73,7 @@ def test_near_misses_get_the_right_suggestion(viewrank, typed, meant):
 
 WRONG = [
     (["--target", "180"], 2, "is not a share above 0% and up to 100%"), (["--target", "1"], 2, "write 1% or 100%"), (["--target", "-5"], 2, "--target"),
-    (["--target", "high"], 2, "is not a share"), (["--budget", "0"], 2, "is not a number of clusters"), (["--budget", "4.5"], 2, "is not a number of clusters"),
+    (["--target", "high"], 2, "is not a share"), (["--budget", "0"], 2, "is not a whole number"), (["--budget", "4.5"], 2, "is not a whole number"),
     (["-k", "0"], 2, "must be at least 1"), (["-k", "many"], 2, "must be a whole number"), (["--gsd", "0"], 2, "must be above 0"),
     (["--gsd", "fine"], 2, "must be a number"), (["--time", "2"], 2, "is not a time"), (["--points", "50 million"], 2, "is not a number such as"),
     (["--max-memory", "lots"], 2, "is not a size"), (["--backend", "colmpa"], 2, "did you mean colmap?"), (["--model", "7"], 2, "no sub-model"),
