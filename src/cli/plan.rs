@@ -592,18 +592,19 @@ fn report(
         }
     };
     let summary = Summary::new(project, plan, files, arguments.dry_run, next, is_survey);
-    match arguments.format {
+    let said = match arguments.format {
         Format::Json => return print_json(&summary),
-        Format::Text if !arguments.quiet => print(summary.text(arguments.verbose))?,
-        Format::Text => {}
-    }
-    // What the error will say is no warning as well.
-    let is_error =
-        |warning: &&String| arguments.backend.is_some() && files.not_exported.contains(warning);
-    summary
-        .warnings
-        .iter()
-        .filter(|warning| !is_error(warning))
-        .for_each(|warning| warn(warning));
+        Format::Text if !arguments.quiet => summary.text(arguments.verbose),
+        Format::Text => Vec::new(),
+    };
+    // What the summary says, or the error will, is no warning as well.
+    let is_said = |warning: &&String| {
+        said.iter().any(|line| line.contains(*warning))
+            || arguments.backend.is_some() && files.not_exported.contains(warning)
+    };
+    let warnings = summary.warnings.iter();
+    let left: Vec<&String> = warnings.filter(|warning| !is_said(warning)).collect();
+    print(said)?;
+    left.into_iter().for_each(|warning| warn(warning));
     Ok(())
 }

@@ -68,8 +68,7 @@ fn missed(stages: &Stages) -> Option<String> {
     let ground = stages
         .ground_summary()
         .filter(GroundSummary::is_incomplete)?;
-    let missed = ground.missed("the region", stages.metres);
-    Some(format!("{missed} viewrank report plans images for that"))
+    Some(ground.missed(stages.metres))
 }
 
 /// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely

@@ -25,7 +25,7 @@ pub fn findings(inputs: &Inputs) -> Option<Finding> {
     let ground = planned.or_else(now).filter(GroundSummary::is_incomplete)?;
     let metres = plan::metres(settings.units, &place);
     let covered = ground.covered("the region", metres);
-    let what = format!("{covered} {}", ground.missed("it", metres));
+    let what = format!("{covered} {}", ground.missed(metres));
     let plans = plans.replace("PROJECT", &command_path(&inputs.project.home));
     let cure = format!("take images of what was missed: {plans} plans them (viewrank/flight)");
     Some(Finding::new(Severity::Warning, "region-missed", what, cure))

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::{
     bytes,
-    flight::Flight,
+    flight::{self, Flight},
     history::History,
     holes::{FAR, holes},
     listed_holes::{HoleData, ListedHoles},
@@ -113,13 +113,16 @@ struct Corners {
 }
 
 impl Corners {
-    /// A box around the subject, and around the region on the map.
-    fn shown_first(plan: &Plan, frame: &MapFrame) -> Option<Self> {
+    /// A box around the subject, and on the map also around the region and the images to take.
+    fn shown_first(plan: &Plan, flight: &Flight, frame: &MapFrame) -> Option<Self> {
         let Subject {
             mut low, mut high, ..
         } = Subject::new(plan, frame)?;
         let rings = plan.stages.ground.iter().flat_map(|ground| &ground.rings);
-        for place in rings.flatten() {
+        let planned = flight.waypoints.iter();
+        let planned = planned.map(|waypoint| frame.local(&waypoint.centre));
+        let corners = rings.flatten().copied();
+        for place in corners.chain(planned.map(|[x, y, _]| [x, y])) {
             for axis in 0..2 {
                 low[axis] = low[axis].min(place[axis]);
                 high[axis] = high[axis].max(place[axis]);
@@ -129,22 +132,13 @@ impl Corners {
     }
 }
 
-/// The outline of the region on the map, at the height of the ground: f32, 3 per corner, a list for
-/// each ring.
-fn outline(plan: &Plan, frame: &MapFrame) -> Vec<String> {
-    let ring = |ground: &Ground, ring: &Vec<[f64; 2]>| {
+/// Rings on the map at the height of the ground: f32, 3 per corner.
+fn on_ground(frame: &MapFrame, ground: &Ground, rings: &[Vec<[f64; 2]>]) -> Vec<String> {
+    let ring = |ring: &Vec<[f64; 2]>| {
         let corners: Vec<Point3<f64>> = ring.iter().map(|at| ground.plane.at(*at)).collect();
         bytes(&in_frame(frame, corners.iter()))
     };
-    let ground = plan.stages.ground.iter();
-    ground
-        .flat_map(|ground| {
-            ground
-                .rings
-                .iter()
-                .map(move |corners| ring(ground, corners))
-        })
-        .collect()
+    rings.iter().map(ring).collect()
 }
 
 #[derive(Serialize)]
@@ -205,6 +199,9 @@ struct RegionData {
     border: String,
     /// Rings on the map: f32, 3 per corner.
     outline: Vec<String>,
+    /// Rings, likewise, around the ground that no photograph shows, and that a single one does.
+    unseen: Vec<String>,
+    seen_once: Vec<String>,
 }
 
 impl RegionData {
@@ -217,11 +214,22 @@ impl RegionData {
         let stages = &plan.stages;
         let region = stages.region.as_ref()?;
         let inside = surface.original.iter().map(|&t| region.is_inside(t));
+        let ground = stages.ground.as_ref();
+        let missed = ground.map(flight::missed_areas).unwrap_or_default();
+        let rings = |rings: &[Vec<[f64; 2]>]| {
+            ground.map_or_else(Vec::new, |ground| on_ground(frame, ground, rings))
+        };
+        let shown_by = |photographs: u32| {
+            let areas = missed.iter().filter(|a| a.photographs == photographs);
+            areas.flat_map(|area| rings(&area.rings)).collect()
+        };
         Some(Self {
             words: summary.describe(stages.metres),
             inside: list(inside.map(u8::from)),
             border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
-            outline: outline(plan, frame),
+            outline: rings(ground.map_or(&[], |ground| &ground.rings)),
+            unseen: shown_by(0),
+            seen_once: shown_by(1),
         })
     }
 }
@@ -245,6 +253,11 @@ impl Contents {
         let holes = holes(plan, HOLES);
         let missing = ListedHoles::new(plan, &holes, &frame, watcher)?;
         let summary = RegionSummary::from_plan(plan);
+        let region = summary.and_then(|summary| RegionData::new(plan, &summary, &surface, &frame));
+        // What the page says of the region is no warning as well.
+        let is_said =
+            |warning: &&String| region.as_ref().is_some_and(|r| r.words.contains(*warning));
+        let warnings = plan.warnings.iter().filter(|warning| !is_said(warning));
         Ok(Self {
             title: project.name(),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
@@ -259,7 +272,7 @@ impl Contents {
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished,
             limits: Limits::new(&plan.decision.cut),
-            warnings: plan.warnings.iter().cloned().chain(left_out).collect(),
+            warnings: warnings.cloned().chain(left_out).collect(),
             notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
             reasons: Reason::NUMBERED.iter().map(|r| r.describe()).collect(),
@@ -268,9 +281,9 @@ impl Contents {
             pairs_total: plan.decision.forecast.all_pairs,
             views: ViewData::new(plan, &frame)?,
             ranking: RankingData::new(plan),
-            region: summary.and_then(|summary| RegionData::new(plan, &summary, &surface, &frame)),
+            region,
             surface: SurfaceData::new(plan, &surface, &frame),
-            subject: Corners::shown_first(plan, &frame),
+            subject: Corners::shown_first(plan, &missing.flight, &frame),
             flight: FlightData::new(&missing.flight, missing.for_holes, &frame),
             flight_files: missing.files(plan, &frame),
             holes: missing.holes,

@@ -18,7 +18,7 @@ use crate::{
 
 /// Parts of the scene that no cluster can reconstruct, and the images to take of them.
 pub(super) struct ListedHoles {
-    /// The largest holes of the surface, and ground without surface.
+    /// Ground of the region without surface, then the largest holes of the surface.
     pub holes: Vec<HoleData>,
     pub flight: Flight,
     /// Waypoints for the holes of the surface, which come first.
@@ -46,9 +46,9 @@ impl ListedHoles {
             .map(|hole| HoleData::new(hole, frame, place, needed))
             .collect();
         let for_holes = flight.waypoints.len();
-        if let Some(bare) = bare_ground(plan, frame, needed, listed.len(), &flight.waypoints) {
-            listed.push(HoleData::of_ground(&bare, frame, place, needed));
-            flight = flight.and_then(&bare);
+        if let Some(bare) = bare_ground(plan, frame, needed, &flight.waypoints) {
+            listed.insert(0, HoleData::of_ground(&bare, frame, place, needed));
+            flight = flight.with_ground_first(&bare);
         }
         Ok(Self {
             holes: listed,

@@ -47,28 +47,28 @@ impl GroundSummary {
         let area = square(self.area, metres);
         match self.surface {
             Some(share) => format!(
-                "{what} covers {area} on the map; {} has surface.",
+                "{what} covers {area} on the map; the surface between the sparse points spans {} of it.",
                 percent(share)
             ),
             None => format!("{what} covers {area} on the map."),
         }
     }
 
-    /// Says how much of the region the photographs miss. `of`: the region, as the object; `metres`:
-    /// in a scene unit, if known.
-    pub fn missed(&self, of: &str, metres: Option<f64>) -> String {
+    /// Says how much of the region the photographs miss. `metres`: in a scene unit, if known.
+    pub fn missed(&self, metres: Option<f64>) -> String {
         let in_metres = |share: f64| match metres {
             Some(_) if share > 0.0 => format!(" ({})", square(share * self.area, metres)),
             _ => String::new(),
         };
         match (self.unseen, self.seen_once) {
-            (0.0, 0.0) => format!("Two photographs or more show all of {of}."),
+            (0.0, 0.0) => "Two photographs or more show all of the region.".into(),
             (unseen, once) => format!(
-                "No photograph shows {} of {of}{}, and only one shows {}{}.",
+                "No photograph shows {} of the region{}, only one shows {}{}, and two or more show {}.",
                 percent(unseen),
                 in_metres(unseen),
                 percent(once),
-                in_metres(once)
+                in_metres(once),
+                percent(1.0 - unseen - once)
             ),
         }
     }
@@ -142,17 +142,17 @@ mod tests {
         let covered = |metres| ground.covered("It", metres);
         assert_eq!(
             covered(Some(0.5)),
-            "It covers 96.0 m² on the map; 17.9 % has surface."
+            "It covers 96.0 m² on the map; the surface between the sparse points spans 17.9 % of it."
         );
         assert!(covered(None).contains("384 square units"));
         assert!(covered(Some(100.0)).contains("384 ha"));
         assert_eq!(
-            ground.missed("it", None),
-            "No photograph shows 81.2 % of it, and only one shows 0.4 %."
+            ground.missed(None),
+            "No photograph shows 81.2 % of the region, only one shows 0.4 %, and two or more show 18.4 %."
         );
         assert_eq!(
-            ground.missed("it", Some(0.5)),
-            "No photograph shows 81.2 % of it (78.0 m²), and only one shows 0.4 % (0.384 m²)."
+            ground.missed(Some(0.5)),
+            "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), and two or more show 18.4 %."
         );
         let unbuilt = GroundSummary {
             surface: None,
@@ -168,6 +168,6 @@ mod tests {
             seen_once: 0.0,
             ..ground
         };
-        assert!(!whole.is_incomplete() && whole.missed("it", None).contains("all of it"));
+        assert!(!whole.is_incomplete() && whole.missed(None).contains("all of the region"));
     }
 }

@@ -62,7 +62,7 @@ impl RegionSummary {
         };
         let ground = self
             .ground
-            .map(|ground| [ground.covered("It", metres), ground.missed("it", metres)]);
+            .map(|ground| [ground.covered("It", metres), ground.missed(metres)]);
         [format!("Region: {what}.")]
             .into_iter()
             .chain(ground.into_iter().flatten())

@@ -14,6 +14,7 @@ mod shen;
 mod tests;
 
 use nalgebra::Point3;
+use rayon::prelude::*;
 
 use viewrank_core::model::{
     cluster::ViewCluster,
@@ -71,7 +72,7 @@ impl SelectionRule {
             key,
             partners: (self.choose)(&Neighbourhood::new(scene, &points, key), k),
         };
-        keys.iter()
+        keys.par_iter()
             .map(cluster)
             .filter(|c| !c.partners.is_empty())
             .collect()

@@ -22,6 +22,8 @@ const MOST: usize = 2000;
 const MOST_PLACES: usize = 100_000;
 /// Share of the region from which on ground without surface is worth a flight.
 const WORTH_IT: f64 = 0.01;
+/// The ground's place among the listed holes.
+const GROUND: usize = 0;
 /// Distance, over that which gives the wanted resolution, up to which a planned image shows a place.
 const FARTHER: f64 = 1.5;
 
@@ -60,13 +62,11 @@ struct Overhead<'a> {
 }
 
 /// Plans the images; `None` without a region, or without such ground. `needed`: cameras that must
-/// see a place; `hole`: index of the ground among the listed holes; `planned`: images for the other
-/// holes, which show some of it.
+/// see a place; `planned`: images for the other holes, which show some of it.
 pub fn bare_ground(
     plan: &Plan,
     frame: &MapFrame,
     needed: u32,
-    hole: usize,
     planned: &[Waypoint],
 ) -> Option<BareGround> {
     let ground = plan.stages.ground.as_ref()?;
@@ -90,7 +90,7 @@ pub fn bare_ground(
     Some(BareGround {
         area: bare.len() as f64 * ground.side * ground.side,
         centre: ground.plane.at(typical(&bare)),
-        waypoints: images.waypoints(plan, ground, frame, &chosen, hole),
+        waypoints: images.waypoints(plan, ground, frame, &chosen),
         covered: covered as f64 / (each * bare.len()) as f64,
     })
 }
@@ -166,7 +166,6 @@ impl<'a> Overhead<'a> {
         ground: &Ground,
         frame: &MapFrame,
         chosen: &BTreeSet<Square>,
-        hole: usize,
     ) -> Vec<Waypoint> {
         let heights = self.heights(plan, frame, chosen);
         let up = ground.plane.up();
@@ -180,7 +179,7 @@ impl<'a> Overhead<'a> {
                 rank: n + 1,
                 centre: below + up * distance,
                 direction: -up,
-                hole,
+                hole: GROUND,
                 height: distance,
                 distance,
                 overlap: overlap(self.camera, distance, self.step),

@@ -13,9 +13,45 @@ use crate::{
     show::pictures::views_file,
 };
 
-/// Name and text of the file, GeoJSON below the plan's folder: a feature for each area, those that
-/// no photograph shows and of these the largest first. `None` where nothing was missed. `metres`:
-/// in a scene unit, if known.
+/// Cells of the ground that are joined, each shown by the same number of photographs.
+pub struct MissedArea {
+    /// 0 or 1.
+    pub photographs: u32,
+    cells: usize,
+    /// Closed rings on the map, scene units: the outline, then holes in it.
+    pub rings: Vec<Vec<[f64; 2]>>,
+}
+
+/// Returns the areas that no photograph shows, then those that a single one does, of both the
+/// largest first.
+pub fn missed_areas(ground: &Ground) -> Vec<MissedArea> {
+    let Some(origin) = ground.cells.first().map(|cell| cell.place) else {
+        return Vec::new();
+    };
+    // Positions are multiples of the side, up to rounding.
+    let number = |at: [f64; 2]| -> Place {
+        [0, 1].map(|axis| ((at[axis] - origin[axis]) / ground.side).round() as i32)
+    };
+    let on_map = |corner: &Place| {
+        [0, 1].map(|axis| origin[axis] + (f64::from(corner[axis]) - 0.5) * ground.side)
+    };
+    let shown_by = |photographs: u32| {
+        let cells = ground.cells.iter().filter(move |c| c.views == photographs);
+        let joined = areas(cells.map(|cell| number(cell.place)));
+        joined.into_iter().map(move |Area { cells, rings }| {
+            let rings = rings.iter().map(|ring| ring.iter().map(on_map).collect());
+            MissedArea {
+                photographs,
+                cells,
+                rings: rings.collect(),
+            }
+        })
+    };
+    [0, 1].into_iter().flat_map(shown_by).collect()
+}
+
+/// Name and text of the file, GeoJSON below the plan's folder: a feature for each area. `None`
+/// where nothing was missed. `metres`: in a scene unit, if known.
 pub fn missed(
     ground: &Ground,
     frame: &MapFrame,
@@ -23,38 +59,24 @@ pub fn missed(
     metres: Option<f64>,
 ) -> Option<(&'static str, String)> {
     let is_local = views_file(place) != "views.geojson";
-    let origin = ground.cells.first()?.place;
-    let position = |corner: &Place| {
-        let at = [0, 1].map(|axis| origin[axis] + (f64::from(corner[axis]) - 0.5) * ground.side);
-        position(ground, at, frame, place)
-    };
     let (unit, scale) = match metres {
         Some(metres) => ("area_m2", metres),
         None => ("area_units2", 1.0),
     };
-    let feature = |photographs: u32, Area { cells, rings }: Area| {
-        let rings: Vec<Vec<[f64; 2]>> = rings
-            .iter()
-            .map(|ring| ring.iter().map(position).collect())
-            .collect();
-        let area = cells as f64 * (ground.side * scale).powi(2);
+    let feature = |missed: MissedArea| {
+        let ring = |ring: &Vec<[f64; 2]>| -> Vec<[f64; 2]> {
+            let positions = ring.iter().map(|at| position(ground, *at, frame, place));
+            positions.collect()
+        };
+        let rings: Vec<Vec<[f64; 2]>> = missed.rings.iter().map(ring).collect();
+        let area = missed.cells as f64 * (ground.side * scale).powi(2);
         json!({
             "type": "Feature",
             "geometry": { "type": "Polygon", "coordinates": rings },
-            "properties": { "photographs": photographs, unit: to_decimals(area, 3) },
+            "properties": { "photographs": missed.photographs, unit: to_decimals(area, 3) },
         })
     };
-    let shown_by = |photographs: u32| {
-        let cells = ground.cells.iter().filter(move |c| c.views == photographs);
-        // Positions are multiples of the side, up to rounding.
-        let number = |at: [f64; 2]| -> Place {
-            [0, 1].map(|axis| ((at[axis] - origin[axis]) / ground.side).round() as i32)
-        };
-        areas(cells.map(|cell| number(cell.place)))
-            .into_iter()
-            .map(move |area| feature(photographs, area))
-    };
-    let features: Vec<Value> = [0, 1].into_iter().flat_map(shown_by).collect();
+    let features: Vec<Value> = missed_areas(ground).into_iter().map(feature).collect();
     let name = if is_local {
         "flight/missed_local.json"
     } else {

@@ -20,7 +20,7 @@ use crate::{
 
 pub use bare::{BareGround, bare_ground};
 pub use files::files;
-pub use missed::missed;
+pub use missed::{missed, missed_areas};
 
 /// An image to take.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,15 +71,16 @@ pub fn flight(
 }
 
 impl Flight {
-    /// Appends the images of bare ground, which is the last of the listed holes.
-    pub fn and_then(mut self, bare: &BareGround) -> Self {
+    /// Adds the images of bare ground, which becomes the first of the listed holes.
+    pub fn with_ground_first(mut self, bare: &BareGround) -> Self {
         let before = self.waypoints.len();
+        self.waypoints.iter_mut().for_each(|own| own.hole += 1);
         self.waypoints
             .extend(bare.waypoints.iter().map(|waypoint| Waypoint {
                 rank: before + waypoint.rank,
                 ..waypoint.clone()
             }));
-        self.of_holes.push(bare.covered);
+        self.of_holes.insert(0, bare.covered);
         self
     }
 }

@@ -6,6 +6,8 @@ let theme = {};
 const HOLE = '#a8281a';
 // Colour of the region's border, which has a white outline in both themes.
 const BORDER = '#1d2329';
+// Colours of ground that no photograph shows, and that a single one does: stripes, so that neither is taken for a surface.
+const MISSED = { unseen: '#a8281a', seen_once: '#c98a1b' };
 // Colour of images to take, which have a white outline in both themes.
 const FLIGHT = '#127a3d';
 // Holes that are numbered whatever their size.
@@ -178,6 +180,7 @@ class Scene {
     const shown = state.hovered >= 0 ? state.hovered : state.selected;
     if (shown >= 0) this.drawFootprint(shown);
     const size = Math.max(1.6, Math.min(4.5, 0.22 * Math.sqrt(this.width * this.height / Math.max(views.count, 1))));
+    this.drawMissed();
     this.drawBorder();
     this.drawHoles();
     this.drawFlight(size);
@@ -276,20 +279,47 @@ class Scene {
     context.setLineDash([]);
   }
 
+  // Adds a corner to a path.
+  lineTo(path, points, at, isFirst) {
+    const [x, y] = this.camera.screen(points, 3 * at, this.width, this.height);
+    if (isFirst) path.moveTo(x, y); else path.lineTo(x, y);
+  }
+
+  // Closed rings on the ground.
+  ringsPath(rings) {
+    const path = new Path2D();
+    for (const ring of rings) {
+      for (let corner = 0; corner < ring.length / 3; corner++) this.lineTo(path, ring, corner, corner === 0);
+      path.closePath();
+    }
+    return path;
+  }
+
+  // Ground of the region that photographs miss.
+  drawMissed() {
+    if (!data.region) return;
+    const { context } = this;
+    for (const [rings, colour] of Object.entries(MISSED)) {
+      context.save();
+      context.clip(this.ringsPath(data.region[rings]), 'evenodd');
+      context.beginPath();
+      for (let x = -this.height; x < this.width; x += 8) {
+        context.moveTo(x, this.height);
+        context.lineTo(x + this.height, 0);
+      }
+      context.strokeStyle = colour;
+      context.lineWidth = 2.5;
+      context.stroke();
+      context.restore();
+    }
+  }
+
   // The border of the region.
   drawBorder() {
     if (!data.region) return;
-    const { context } = this, lines = new Path2D(), { border, outline } = data.region;
-    const line = (points, at, isFirst) => {
-      const [x, y] = this.camera.screen(points, 3 * at, this.width, this.height);
-      if (isFirst) lines.moveTo(x, y); else lines.lineTo(x, y);
-    };
+    const { context } = this, { border, outline } = data.region, lines = this.ringsPath(outline);
     // From above, the outline is all of the border, also where there is no surface.
-    if (this.turns || !outline.length) border.forEach((vertex, end) => line(surface.vertices, vertex, end % 2 === 0));
-    for (const ring of outline) {
-      for (let corner = 0; corner < ring.length / 3; corner++) line(ring, corner, corner === 0);
-      lines.closePath();
-    }
+    if (this.turns || !outline.length) border.forEach((vertex, end) => this.lineTo(lines, surface.vertices, vertex, end % 2 === 0));
     for (const [colour, width] of [['#fff', 3], [BORDER, 1.5]]) {
       context.strokeStyle = colour;
       context.lineWidth = width;
