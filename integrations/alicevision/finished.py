@@ -42,6 +42,14 @@ def read_record(path):
 
 
 folder = Path(__file__).resolve().parent
+
+
+def explain(kind, error, _):
+    """An error in place of a trace: the files here may be a stranger's, or half of viewrank's."""
+    print("stopped" if kind is KeyboardInterrupt else f"error: {folder}: {kind.__name__}: {error}; if its lists are not what viewrank wrote, export again", file=sys.stderr)
+
+
+sys.excepthook = explain
 try:
     scene = json.loads(read_record(folder / "keys.sfm"))
 except (ValueError, RecursionError):

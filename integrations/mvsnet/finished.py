@@ -35,6 +35,14 @@ from pathlib import Path
 
 folder = Path(__file__).resolve().parent
 
+
+def explain(kind, error, _):
+    """An error in place of a trace: the files here may be a stranger's, or half of viewrank's."""
+    print("stopped" if kind is KeyboardInterrupt else f"error: {folder}: {kind.__name__}: {error}; if its lists are not what viewrank wrote, export again", file=sys.stderr)
+
+
+sys.excepthook = explain
+
 # Maps that the fusion compares with one: the best of those that are finished.
 FUSED_WITH = 24
 MOST_BYTES_OF_A_RECORD = 16 << 20

@@ -165,6 +165,14 @@ pub fn not_ready(backend: &Backend, program: &Path, python: &Path) -> Option<Not
     })
 }
 
+/// Returns why the backend's program that is installed here cannot match; `None` also where none is
+/// installed, since the files may be for another machine.
+pub fn not_ready_here(backend: &Backend) -> Option<NotReady> {
+    let is_colmap = backend.name == colmap::BACKEND.name;
+    let program = is_colmap.then(|| installed("COLMAP", "colmap"))??;
+    not_ready(backend, &program, &python())
+}
+
 /// Reads from `colmap help` whether it was built without CUDA: the words of 3.8 to 4.1, and since
 /// 4.2.
 fn is_without_gpu(help: &str) -> bool {

@@ -49,7 +49,9 @@ mod workspace;
 pub(crate) use clusters::recipe;
 pub use error::BackendError;
 pub use listing::{FIRST_PAGE, LastRun, names};
-pub use machine::{Choice, NotReady, by_default, can_match_here, chosen, not_ready, python};
+pub use machine::{
+    Choice, NotReady, by_default, can_match_here, chosen, not_ready, not_ready_here, python,
+};
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::{
     apps::doctor::{self, Diagnosis, Finding, NO_TRACKS, Severity, ViewFinding},
     backends::Backend,
+    config::CommandLineSettings,
     io::project::Project,
 };
 use clap::Args;
@@ -35,6 +36,14 @@ pub struct Arguments {
     /// Sub-model to check [default: the one with most images]
     #[arg(long, value_name = "N")]
     model: Option<String>,
+    /// Part of the scene to check for missed ground, as plan takes it [default: that of the
+    /// settings or of the plan]
+    #[arg(
+        long,
+        value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto",
+        allow_hyphen_values = true
+    )]
+    region: Option<String>,
     /// List every view, not only the first few
     #[arg(long)]
     all: bool,
@@ -45,7 +54,10 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
-    let settings = config::load(Some(&project), Default::default())?.settings;
+    let mut typed = CommandLineSettings::default();
+    let region = arguments.region.as_deref();
+    typed.set("--region", "region", region.map(super::arguments::region));
+    let settings = config::load(Some(&project), typed)?.settings;
     let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() {
         &settings.backends

@@ -124,6 +124,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     arguments.refuse_other_share(&backends, &plan)?;
     let clusters = &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)];
     warn_of_end(arguments, &plan, clusters.len());
+    if arguments.out.is_none() && backends.iter().any(|b| b.name == plan.backend) {
+        warn_of_other_end(&plan, clusters.len());
+    }
     let image_faults = plan.project.image_faults(&plan.scene);
     let selection = plan.selection(clusters, &image_faults);
     let tiles = arguments.tiles.map(|count| tiles(&selection, count));
@@ -193,6 +196,18 @@ fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
         warn(
             "the sizes were chosen for the target or budget of the plan: for another one, plan again with it",
         );
+    }
+}
+
+/// Warns of files of another length than the plan's, where `status` and `evaluate` look for the
+/// plan's.
+fn warn_of_other_end(plan: &WrittenPlan, length: usize) {
+    if length != plan.cut {
+        warn(&format!(
+            "the plan stops at {} view clusters, and `viewrank status` counts those; to plan {length}: viewrank plan {} --budget {length}",
+            plan.cut,
+            plan.project.as_argument()
+        ));
     }
 }
 

@@ -606,5 +606,12 @@ fn report(
     let left: Vec<&String> = warnings.filter(|warning| !is_said(warning)).collect();
     print(said)?;
     left.into_iter().for_each(|warning| warn(warning));
+    let backend = backends::by_name(plan.stages.backend).ok();
+    if let Some(not_ready) = backend.and_then(backends::not_ready_here) {
+        warn(&format!(
+            "{}: run these files where a COLMAP with CUDA is, or plan with --backend openmvs or --backend sgm",
+            not_ready.what
+        ));
+    }
     Ok(())
 }

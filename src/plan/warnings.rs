@@ -6,7 +6,7 @@ use super::{Band, Cut, Decision, FinishedMaps, GroundSummary, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     base::error::shortened,
-    config::{Settings, Share, SurfaceChoice},
+    config::{Budget, Settings, Share, SurfaceChoice},
     decision::DEFAULT_TARGET,
     method::{
         confidence::{Confidence, Sharpness},
@@ -53,6 +53,7 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
         warnings.extend(unconfirmed(stages, cut));
         warnings.extend((is_unsure && !has_said_so).then(|| unsure(&cut.reachable_band)));
     }
+    warnings.extend(more_than_all(stages));
     warnings.extend(no_number_of_images(stages));
     warnings.extend(unused_pilot(stages));
     warnings.extend(contradictions(stages));
@@ -219,13 +220,27 @@ fn little_fulfilled(ranking: &Ranking, band: Option<&Band>) -> Option<String> {
     })
 }
 
+/// Warns of a budget above all that there is, most likely counted in something else.
+fn more_than_all(stages: &Stages) -> Option<String> {
+    let Some(Budget::Clusters(budget)) = stages.settings.cut.budget else {
+        return None;
+    };
+    let (all, what) = match stages.clusters.len() {
+        all if stages.makes_maps => (all, "depth maps"),
+        all => (all, "images"),
+    };
+    (budget > all as u64).then(|| {
+        format!("--budget {budget} is more than the {all} {what} there are: the plan has all")
+    })
+}
+
 /// Warns of a choice of images that nobody limited, which is rarely what a training wants.
 fn no_number_of_images(stages: &Stages) -> Option<String> {
     let limits = &stages.settings.cut;
     let is_default = limits.limits() == 1 && limits.target == Some(Share(DEFAULT_TARGET));
     (!stages.makes_maps && is_default).then(|| {
         "no number of images was given: the share says how well these draw the others, and a training gains from more; set it \
-         (--budget 60 or --budget 25%)"
+         (--budget 60 or --budget 25%), and keep images apart to measure the training (--test-every 8)"
             .into()
     })
 }

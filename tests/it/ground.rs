@@ -81,6 +81,30 @@ fn what_the_photographs_miss_of_a_region_is_said_first() {
 }
 
 #[test]
+fn doctor_judges_a_region_before_anything_is_planned() {
+    let folder = georeferenced();
+    let root = folder.path().to_str().unwrap().to_owned();
+    let doctor = |region: &str| said(&viewrank(&["doctor", &root, "--region", region]));
+    let (code, missed, _) = doctor(&site(&folder, [-10.0, -10.0, 200.0, 10.0]));
+    assert!(
+        code == 3 && missed.contains("No photograph shows"),
+        "{missed}"
+    );
+    assert!(
+        missed.contains("--region") && missed.contains("--report"),
+        "{missed}"
+    );
+    let (code, whole, _) = doctor(&site(&folder, [-10.0, -10.0, 10.0, 10.0]));
+    assert!(
+        code == 0 && whole.contains("nothing: it is covered"),
+        "{whole}"
+    );
+    let (code, found, _) = doctor("nowhere.geojson");
+    assert!(code == 4 && found.contains("nowhere.geojson"), "{found}");
+    assert!(!folder.at("viewrank").exists());
+}
+
+#[test]
 fn a_resolution_that_the_photographs_lack_is_said() {
     let folder = flight("");
     let (_, as_it_is, _) = folder.plan(&["--backend", "sgm"]);

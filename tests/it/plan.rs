@@ -236,6 +236,34 @@ fn settings_of_the_project_and_the_command_line_are_in_force() {
 }
 
 #[test]
+fn a_length_that_others_do_not_share_is_said() {
+    let project = project();
+    let root = project.path().to_str().unwrap();
+    let warned = |arguments: &[&str]| {
+        let output = viewrank(arguments);
+        assert!(output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let many = warned(&["plan", root, "--backend", "pairs", "--budget", "1000"]);
+    assert!(many.contains("more than the 28 depth maps"), "{many}");
+    let other = warned(&["export", root, "--budget", "3"]);
+    assert!(
+        other.contains("the plan stops at 28 view clusters") && other.contains("--budget 3"),
+        "{other}"
+    );
+    let elsewhere = project.path().join("elsewhere");
+    let own = ["export", root];
+    let out = [
+        &own[..],
+        &["--budget", "3", "--out", elsewhere.to_str().unwrap()],
+    ]
+    .concat();
+    for quiet in [&own[..], &out] {
+        assert!(!warned(quiet).contains("stops at"));
+    }
+}
+
+#[test]
 fn budgets_and_targets_cut_where_they_say() {
     let project = project();
     let cut_and_limit = |options: &[&str]| {

@@ -1,32 +1,61 @@
-//! A region of which the photographs miss a part.
+//! A region, and what the photographs miss of it.
 
 use super::{Finding, Inputs, Severity};
 use crate::{
-    base::shell::command_path,
-    plan::{self, GroundSummary, photographed_ground},
+    base::shell::{command_path, command_word},
+    plan::{self, GroundSummary, RegionFileError, photographed_ground},
     show::manifest::planned_ground,
 };
 
 pub fn findings(inputs: &Inputs) -> Option<Finding> {
+    match ground(inputs) {
+        Ok((ground, is_planned)) => of_ground(inputs, &ground?, is_planned),
+        Err(error) => {
+            let cure =
+                "give another file or a box as the region (--region, or region in viewrank.toml)";
+            Some(Finding::new(
+                Severity::Error,
+                "region",
+                error.to_string(),
+                cure,
+            ))
+        }
+    }
+}
+
+/// Returns the ground of the region, and whether it is that of a plan, which has a surface.
+fn ground(inputs: &Inputs) -> Result<(Option<GroundSummary>, bool), RegionFileError> {
+    let (scene, settings) = (inputs.scene, inputs.settings);
+    if let Some(planned) = planned_ground(inputs.project, settings) {
+        return Ok((Some(planned), true));
+    }
+    let place = plan::georeference(inputs.project, scene, &settings.frame);
+    let without_image = inputs.images.without_image(scene.views.len());
+    let now = photographed_ground(scene, &place, settings, &without_image)?;
+    Ok((now, false))
+}
+
+fn of_ground(inputs: &Inputs, ground: &GroundSummary, is_planned: bool) -> Option<Finding> {
     let (scene, settings) = (inputs.scene, inputs.settings);
     let place = plan::georeference(inputs.project, scene, &settings.frame);
-    let now = || {
-        let without_image = inputs.images.without_image(scene.views.len());
-        photographed_ground(scene, &place, settings, &without_image)
-            .ok()
-            .flatten()
-    };
-    let planned = planned_ground(inputs.project, settings);
-    let plans = if planned.is_some() {
-        "viewrank report PROJECT"
-    } else {
-        "viewrank plan PROJECT --report"
-    };
-    let ground = planned.or_else(now).filter(GroundSummary::is_incomplete)?;
     let metres = plan::metres(settings.units, &place);
     let covered = ground.covered("the region", metres);
     let what = format!("{covered} {}", ground.missed(metres));
-    let plans = plans.replace("PROJECT", &command_path(&inputs.project.home));
+    if !ground.is_incomplete() {
+        // Whoever asked wants to hear it.
+        let is_asked = settings.region.is_some();
+        return is_asked
+            .then(|| Finding::new(Severity::Note, "region", what, "nothing: it is covered"));
+    }
+    let project = command_path(&inputs.project.home);
+    let plans = match (is_planned, &settings.region) {
+        (true, _) => format!("viewrank report {project}"),
+        (false, Some(region)) => {
+            let region = command_word(&String::from(region.clone()));
+            format!("viewrank plan {project} --region {region} --report")
+        }
+        (false, None) => format!("viewrank plan {project} --report"),
+    };
     let cure = format!("take images of what was missed: {plans} plans them (viewrank/flight)");
     Some(Finding::new(Severity::Warning, "region-missed", what, cure))
 }

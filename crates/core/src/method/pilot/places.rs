@@ -15,10 +15,16 @@ use crate::{
 /// Only every second row and column gives places: those between are in the same cells.
 const LEAST_STEP: usize = 2;
 /// Pixels that are looked at for places in all.
-const MOST_PIXELS: usize = 1 << 22;
-/// Bytes per pixel that is looked at, in the places and in the tables that are ranked by. Measured on
-/// a survey of 485 views, where a fifth of these pixels are places with 45 maps each.
-const BYTES_PER_PIXEL: usize = 420;
+const MOST_PIXELS: usize = 1 << 21;
+/// Parts of maps in places: of more, every second place is left out, then every second of those
+/// left. Where 1,236 views overlap so much that 124 maps agree on a place, the order by a quarter of
+/// the places reaches as much of all of them as their own.
+const MOST_PARTS: usize = 1 << 24;
+/// Parts per pixel that is looked at. Measured on a survey of 485 views, where a fifth of these
+/// pixels are places with 45 maps each.
+const PARTS_PER_PIXEL: usize = 9;
+/// Bytes per part, in the places and in the tables that are ranked by; measured likewise.
+const BYTES_PER_PART: usize = 47;
 /// Edge of a cell, in wanted GSDs of the thumbnails.
 const EDGE: f64 = 2.0;
 /// Maps that agree on a sure place.
@@ -74,16 +80,43 @@ impl Places {
             parts: vec![Vec::new(); maps.len()],
             ..Self::default()
         };
-        let mut taken = HashSet::new();
+        let mut sample = Sample::default();
         for (own, others) in overlapping.iter().enumerate() {
             watcher.check()?;
             for found in agreed(maps, own, others, step) {
-                if taken.insert(found.cell()) {
+                if sample.takes(found.cell()) {
                     places.push(&found, smaller);
                 }
             }
+            while places.parts.iter().map(Vec::len).sum::<usize>() > MOST_PARTS {
+                places.keep(&sample.halve());
+            }
         }
         Ok(places)
+    }
+
+    /// Leaves out the places that are not `kept`.
+    fn keep(&mut self, kept: &[bool]) {
+        let mut left = 0;
+        let renumbered: Vec<Option<u32>> = kept
+            .iter()
+            .map(|is_kept| {
+                left += u32::from(*is_kept);
+                is_kept.then(|| left - 1)
+            })
+            .collect();
+        for parts in &mut self.parts {
+            parts.retain_mut(|part| {
+                let new = renumbered[part.place as usize];
+                part.place = new.unwrap_or_default();
+                new.is_some()
+            });
+            parts.shrink_to_fit();
+        }
+        retain(&mut self.centres, kept);
+        retain(&mut self.sizes, kept);
+        retain(&mut self.measured_area, kept);
+        retain(&mut self.weights, kept);
     }
 
     fn push(&mut self, found: &Agreed, smaller: f64) {
@@ -130,7 +163,8 @@ fn step(pixels: usize) -> usize {
 /// Returns the memory that the places of maps with so many pixels need, with the tables that are
 /// ranked by.
 pub(super) fn bytes(pixels: usize) -> u64 {
-    (BYTES_PER_PIXEL * pixels / step(pixels).pow(2)) as u64
+    let parts = PARTS_PER_PIXEL * pixels / step(pixels).pow(2);
+    (BYTES_PER_PART * parts.min(MOST_PARTS)) as u64
 }
 
 /// Returns the wanted GSD where this is the finest, as the exponent of a power of two.
@@ -180,14 +214,70 @@ impl Agreed {
         })
     }
 
-    fn cell(&self) -> (i32, [i64; 3]) {
+    fn cell(&self) -> Cell {
         let octave = octave(self.finest);
         let edge = EDGE * f64::from(octave).exp2();
-        (
-            octave,
-            [0, 1, 2].map(|axis| (self.place[axis] / edge).floor() as i64),
-        )
+        let position = [0, 1, 2].map(|axis| (self.place[axis] / edge).floor() as i64);
+        Cell { octave, position }
     }
+}
+
+/// Cell of a place: its edge, as the exponent of a power of two, and its position in such edges.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+struct Cell {
+    octave: i32,
+    position: [i64; 3],
+}
+
+impl Cell {
+    /// Returns how often the cells can be halved, by chance, until this one is left out.
+    fn halvings(&self) -> u32 {
+        let [x, y, z] = self.position.map(|at| at as u64);
+        let numbers = [self.octave as u64, x, y, z];
+        let mixed = numbers.into_iter().fold(0, |mixed: u64, number| {
+            // An odd factor with bits all over, so that neighbours differ in the high bits.
+            let product = (mixed ^ number).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            product ^ (product >> 32)
+        });
+        mixed.trailing_zeros()
+    }
+}
+
+/// The cells that are places: all, or those that were left after some halvings. What is left does
+/// not depend on when it was halved.
+#[derive(Default)]
+struct Sample {
+    halvings: u32,
+    taken: HashSet<Cell>,
+    in_order: Vec<Cell>,
+}
+
+impl Sample {
+    /// Returns whether the cell is new and one of the sample.
+    fn takes(&mut self, cell: Cell) -> bool {
+        let is_new = cell.halvings() >= self.halvings && self.taken.insert(cell);
+        if is_new {
+            self.in_order.push(cell);
+        }
+        is_new
+    }
+
+    /// Leaves out about half of the cells; returns which were kept, in the order of taking.
+    fn halve(&mut self) -> Vec<bool> {
+        self.halvings += 1;
+        let is_kept = |cell: &Cell| cell.halvings() >= self.halvings;
+        let kept = self.in_order.iter().map(is_kept).collect();
+        self.taken.retain(is_kept);
+        self.in_order.retain(is_kept);
+        kept
+    }
+}
+
+/// Leaves out what is not `kept`.
+fn retain<T>(list: &mut Vec<T>, kept: &[bool]) {
+    let mut kept = kept.iter();
+    list.retain(|_| kept.next().copied().unwrap_or(false));
+    list.shrink_to_fit();
 }
 
 /// Returns the places of every `step`-th pixel of a map on which it agrees with others.
@@ -230,4 +320,67 @@ fn overlapping(maps: &[Option<PilotMap>]) -> Vec<Vec<u32>> {
         (0..maps.len() as u32).filter(shows_some).collect()
     };
     maps.par_iter().enumerate().map(of_map).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cells() -> impl Iterator<Item = Cell> {
+        let position = |n: i64| [n % 20, n / 20 % 20, n / 400];
+        (0..4000).map(move |n| Cell {
+            octave: -3,
+            position: position(n),
+        })
+    }
+
+    #[test]
+    fn what_is_left_does_not_depend_on_when_it_was_halved() {
+        let (mut early, mut late) = (Sample::default(), Sample::default());
+        early.halve();
+        for (n, cell) in cells().enumerate() {
+            early.takes(cell);
+            late.takes(cell);
+            if n == 1000 {
+                early.halve();
+            }
+        }
+        assert_eq!(late.in_order.len(), 4000);
+        let first = late.halve();
+        let second = late.halve();
+        assert_eq!(second.len(), first.iter().filter(|kept| **kept).count());
+        assert!(early.in_order == late.in_order);
+        let left = late.in_order.len();
+        assert!((900..1100).contains(&left), "a quarter of 4000: {left}");
+        assert!(!cells().any(|cell| late.takes(cell)), "none twice");
+    }
+
+    #[test]
+    fn parts_stay_with_their_places() {
+        let part = |place| Part {
+            place,
+            density: 1.0 + place as f32,
+            is_kept: true,
+        };
+        let mut places = Places {
+            centres: (0..5)
+                .map(|n| Point3::new(f64::from(n), 0.0, 0.0))
+                .collect(),
+            sizes: vec![1.0; 5],
+            measured_area: vec![1.0; 5],
+            weights: vec![1.0; 5],
+            views: vec![ViewIndex(0), ViewIndex(1)],
+            parts: vec![vec![part(0), part(1), part(4)], vec![part(2), part(3)]],
+        };
+        places.keep(&[false, true, false, true, true]);
+        assert_eq!(places.sizes.len(), 3);
+        let left: usize = places.parts.iter().map(Vec::len).sum();
+        assert_eq!(left, 3);
+        for part in places.parts.iter().flatten() {
+            assert_eq!(
+                1.0 + places.centres[part.place as usize].x as f32,
+                part.density
+            );
+        }
+    }
 }
