@@ -72,6 +72,8 @@ pub struct Contents {
     /// Parts of the plan that the exports do not honour. The user cannot change them.
     notes: Vec<String>,
     unregistered: Vec<String>,
+    /// Number of images that are neither taken nor left out.
+    kept_for_tests: usize,
     /// Colours of the surface at shares of 0, 1/2 and 1 of what all clusters give.
     ramp: [[u8; 3]; 3],
     reasons: Vec<&'static str>,
@@ -275,6 +277,7 @@ impl Contents {
             warnings: warnings.cloned().chain(left_out).collect(),
             notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
+            kept_for_tests: plan.stages.kept_for_tests.len(),
             reasons: Reason::NUMBERED.iter().map(|r| r.describe()).collect(),
             forecast: plan.stages.settings.forecast.clone(),
             clusters_total: plan.decision.forecast.all_maps,

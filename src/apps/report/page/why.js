@@ -90,8 +90,9 @@ function summary() {
     counts[status]++;
     if (status !== 'key' && reasonOf(view)) reasons.set(reasonOf(view), (reasons.get(reasonOf(view)) || 0) + 1);
   }
+  const tests = data.kept_for_tests, forTests = tests ? [['kept apart for tests', tests]] : [];
   const rows = data.makes_maps ? [['key views', counts.key], ['partners only', counts.partner], ['unused', counts.unused]]
-    : [['taken', counts.key], ['left out', counts.unused]];
+    : [['taken', counts.key], ['left out', counts.unused - tests], ...forTests];
   if (data.unregistered.length) rows.push(['without a pose in the sparse model', data.unregistered.length]);
   const table = make('table', {}, ...rows.map(([what, n]) => make('tr', {}, make('td', {}, what), make('td', {}, grouped.format(n)))));
   if (state.cut !== data.cut || !reasons.size) return table;
