@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use super::{Finding, Inputs, MOST, Severity, counted};
 use crate::plan;
 use crate::{
-    method::surface::points::upper_median,
+    base::median::upper_median,
     model::{
         georeference::{Georeference, MapFrame, UPRIGHT},
         scene::{PointIndex, Units, ViewIndex, WarningKind},
@@ -225,7 +225,7 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
     }
     let medians: Vec<Option<f64>> = of_view
         .into_iter()
-        .map(|errors| upper_median(errors.into_iter()))
+        .map(|errors| upper_median(errors))
         .collect();
     let wrong = |view: &ViewIndex| medians[view.index()].is_some_and(|error| error > ERROR_PX);
     let views: Vec<ViewIndex> = scene.view_indices().filter(wrong).collect();

@@ -7,11 +7,8 @@ use rayon::prelude::*;
 
 use super::subject::Subject;
 use crate::{
-    base::connected::components,
-    method::surface::{
-        corners::{BORDER, opposites},
-        points::upper_median,
-    },
+    base::{connected::components, median::upper_median},
+    method::surface::corners::{BORDER, opposites},
     model::{
         georeference::MapFrame,
         reason::Reason,

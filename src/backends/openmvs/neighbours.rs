@@ -16,7 +16,10 @@ use crate::{
         record::capped_scale,
         selection::{self, origin_among},
     },
-    base::input::{self, FileKind},
+    base::{
+        input::{self, FileKind},
+        median::upper_median,
+    },
     io::{
         formats::openmvs::{Mvs, NO_POSE},
         output::Contents,
@@ -41,7 +44,7 @@ pub fn export(
     let given = GivenScene::read(selection, path)?;
     let depths = given.depths();
     let scale = if options.scale {
-        SCALED_DEPTH / median(depths.iter().map(|d| d.median))
+        SCALED_DEPTH / upper_median(depths.iter().map(|d| d.median)).unwrap_or(SCALED_DEPTH)
     } else {
         1.0
     };
@@ -360,15 +363,6 @@ impl Depths {
             greatest,
         }
     }
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_unstable_by(f64::total_cmp);
-    values
-        .get(values.len() / 2)
-        .copied()
-        .unwrap_or(SCALED_DEPTH)
 }
 
 fn check_depths(depths: &[Depths], scale: f64, scaled: bool) -> Result<(), BackendError> {

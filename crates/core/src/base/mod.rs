@@ -1,4 +1,4 @@
-//! Foundations that all floors share: errors, progress, amounts with units, digits of numbers, bounds of pixels, large columns, sets of
+//! Foundations that all floors share: errors, progress, amounts with units, digits and medians of numbers, bounds of pixels, large columns, sets of
 //! bits, CSR offsets, nearest points, tiles of space, vectorised loops.
 
 pub mod amounts;
@@ -9,6 +9,7 @@ pub mod decimals;
 pub mod error;
 pub mod kd_tree;
 pub mod large_pages;
+pub mod median;
 pub mod pixels;
 pub mod progress;
 pub mod rows;

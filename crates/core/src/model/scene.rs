@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    base::{error::shortened, rows::Offsets},
+    base::{error::shortened, median::median, rows::Offsets},
     model::{camera::Camera, georeference::Georeference},
 };
 
@@ -296,11 +296,12 @@ impl Scene {
             let points = view_points.observed_by(view).iter();
             let depths =
                 points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.index()])));
-            let depth = median(depths.filter(|&depth| depth > 0.0).collect())?;
+            let depth = median(depths.filter(|&depth| depth > 0.0))?;
             Some(depth / camera.mean_focal_length())
         };
         let views: Vec<ViewIndex> = self.view_indices().collect();
-        median(views.into_par_iter().filter_map(of_view).collect())
+        let of_views: Vec<f64> = views.into_par_iter().filter_map(of_view).collect();
+        median(of_views)
     }
 
     /// Returns a copy of the scene whose world origin is at `origin`.
@@ -324,23 +325,6 @@ impl Scene {
 pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (n, sum) = values.fold((0u64, 0.0), |(n, sum), value| (n + 1, sum + value));
     (n > 0).then(|| sum / n as f64)
-}
-
-/// Median, for an even number of values the mean of the two in the middle; `None` without values.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    let even = values.len().is_multiple_of(2);
-    let (below, &mut high, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    let low = below
-        .iter()
-        .copied()
-        .max_by(f64::total_cmp)
-        .filter(|_| even)
-        .unwrap_or(high);
-    Some(0.5 * (low + high))
 }
 
 /// The points that each view observes, CSR by view.

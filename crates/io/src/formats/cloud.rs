@@ -6,7 +6,7 @@ use std::{borrow::Cow, collections::HashMap};
 use nalgebra::Point3;
 use rayon::prelude::*;
 use viewrank_core::{
-    method::surface::points::upper_median,
+    base::median::upper_median,
     model::{
         camera::Camera,
         scene::{ModelWarning, Pose, WarningKind},

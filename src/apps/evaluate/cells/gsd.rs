@@ -44,17 +44,18 @@ impl<'a> PlaceGsd<'a> {
     }
 
     fn finest(&self, place: &Point3<f64>) -> Option<f64> {
-        let of_view = |&view: &ViewIndex| {
+        let mut finest = f64::INFINITY;
+        for &view in &self.views {
             let camera = self.scene.camera_of(view);
-            let x = self
-                .scene
-                .view(view)
-                .cam_from_world
-                .camera_from_world(place);
+            let pose = &self.scene.view(view).cam_from_world;
+            let x = pose.camera_from_world(place);
             let gsd = camera.depth(&x) / camera.mean_focal_length();
-            let pixel = (gsd > 0.0).then(|| camera.project(&x)).flatten()?;
-            camera.contains(&pixel).then_some(self.margin * gsd)
-        };
-        self.views.iter().filter_map(of_view).min_by(f64::total_cmp)
+            // Most are coarser than one found before, and need not be projected.
+            let is_finer = gsd > 0.0 && gsd < finest;
+            if is_finer && camera.project(&x).is_some_and(|at| camera.contains(&at)) {
+                finest = gsd;
+            }
+        }
+        finest.is_finite().then_some(self.margin * finest)
     }
 }

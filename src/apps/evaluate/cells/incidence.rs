@@ -156,7 +156,15 @@ impl Incidence {
 
     /// Returns the share of the cells that these maps cover.
     pub fn covered(&self, maps: &[u32], counted: CountedCells) -> f64 {
-        self.curve(maps, counted).last().copied().unwrap_or(0.0)
+        let mut is_chosen = vec![false; self.names.len()];
+        maps.iter().for_each(|&map| is_chosen[map as usize] = true);
+        let is_covered = |row: &&Row| {
+            // Most rows have many maps, of which the first few are enough.
+            let chosen = row.maps.iter().filter(|&&map| is_chosen[map as usize]);
+            chosen.take(self.support as usize).count() == self.support as usize
+        };
+        let covered = self.rows.iter().filter(is_covered);
+        covered.map(|row| counted.of(row)).sum::<f64>() / self.total(counted).max(1.0)
     }
 
     /// Reads a table. `support`: maps that fusion wants. `views`: number of views of the scene, which

@@ -1,9 +1,14 @@
 //! The best choice of maps, known only afterwards.
 
+use std::cmp::Reverse;
+
 use super::incidence::{CountedCells, Incidence};
 
+/// A cell that is covered, in the unit of the credits: sums of integers are exact, so that gains can
+/// be kept up to date.
+const WHOLE: u64 = 15;
 /// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
-const CREDITS: [f64; 2] = [0.2, 1.0 / 3.0];
+const CREDITS: [u64; 2] = [WHOLE / 5, WHOLE / 3];
 
 /// Entries of the table that exchanges of single maps look at: a second or two.
 const MOST_STEPS: usize = 1_000_000_000;
@@ -17,26 +22,35 @@ pub fn orders(table: &Incidence, counted: CountedCells) -> Vec<Vec<u32>> {
 }
 
 /// The map next that adds most cells; ties by index.
-fn greedy(table: &Incidence, counted: CountedCells, credit: f64) -> Vec<u32> {
+fn greedy(table: &Incidence, counted: CountedCells, credit: u64) -> Vec<u32> {
     let value = |taken: u32| match table.support().checked_sub(taken + 1) {
-        Some(0) if taken == 0 => 1.0,
-        Some(0) => 1.0 - credit,
+        Some(0) if taken == 0 => WHOLE,
+        Some(0) => WHOLE - credit,
         Some(1) => credit,
-        _ => 0.0,
+        _ => 0,
     };
+    let weight = |row: u32| counted.of(&table.rows()[row as usize]) as u64;
     let mut taken = vec![0; table.rows().len()];
-    let gain = |map: u32, taken: &[u32]| -> f64 {
+    let gain = |map: u32| -> u64 {
         let rows = table.rows_of(map).iter();
-        rows.map(|&row| value(taken[row as usize]) * counted.of(&table.rows()[row as usize]))
-            .sum()
+        rows.map(|&row| value(0) * weight(row)).sum()
     };
+    let mut gains: Vec<u64> = (0..table.names().len() as u32).map(gain).collect();
     let (mut left, mut order) = (table.usable(), Vec::new());
-    while !left.is_empty() {
-        let gains = left.iter().map(|&map| gain(map, &taken));
-        let best = first_largest(gains);
-        let map = left.remove(best);
-        let rows = table.rows_of(map).iter();
-        rows.for_each(|&row| taken[row as usize] += 1);
+    while let Some(&map) = left
+        .iter()
+        .max_by_key(|&&map| (gains[map as usize], Reverse(map)))
+    {
+        left.retain(|&other| other != map);
+        for &row in table.rows_of(map) {
+            let before = value(taken[row as usize]) * weight(row);
+            taken[row as usize] += 1;
+            let now = value(taken[row as usize]) * weight(row);
+            if now != before {
+                let maps = table.rows()[row as usize].maps.iter();
+                maps.for_each(|&map| gains[map as usize] = gains[map as usize] + now - before);
+            }
+        }
         order.push(map);
     }
     order

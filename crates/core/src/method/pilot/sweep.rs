@@ -14,7 +14,7 @@ use super::{
     pinhole::Pinhole,
     thumbnail::Thumbnail,
 };
-use crate::base::vector::vectorised;
+use crate::base::{median::upper_median, vector::vectorised};
 
 /// Pixels of a window beside its middle.
 const BESIDE: usize = 2;
@@ -98,8 +98,7 @@ fn median_shift(key: &Thumbnail, partners: &[&Thumbnail], ends: [f64; 2]) -> Opt
             shifts.extend(a.zip(b).map(|(a, b)| (a - b).norm()));
         }
     }
-    shifts.sort_by(f64::total_cmp);
-    shifts.get(shifts.len() / 2).copied()
+    upper_median(shifts)
 }
 
 /// The way from a pixel of the key picture at an inverse depth to the partner's: `rotation (x, y,

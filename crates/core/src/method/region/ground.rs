@@ -16,7 +16,10 @@ use super::{
     polygon::{crosses, ring_edges},
 };
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::{
+        median::upper_median,
+        progress::{Cancelled, Watcher},
+    },
     method::surface::Surface,
     model::{
         georeference::MapFrame,
@@ -131,9 +134,7 @@ impl GroundPlane {
 fn without_outliers(mut places: Vec<[f64; 3]>) -> Option<Vec<[f64; 3]>> {
     let rough = fitted(&places)?;
     let off = |[x, y, z]: &[f64; 3]| (z - rough[0] - rough[1] * x - rough[2] * y).abs();
-    let mut distances: Vec<f64> = places.iter().map(off).collect();
-    let middle = distances.len() / 2;
-    let most = OUTLIER * *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let most = OUTLIER * upper_median(places.iter().map(off))?;
     places.retain(|place| off(place) <= most);
     Some(places)
 }

@@ -15,11 +15,12 @@ use super::{
     Surface, SurfaceKind,
     cut::{Capacities, minimum_cut},
     delaunay::{Delaunay, FACET_VERTICES, Facet, INFINITE},
-    points::{depth_sigma, extremes, upper_median, views_of},
+    points::{depth_sigma, extremes, views_of},
 };
 use crate::{
     base::{
         large_pages,
+        median::upper_median,
         progress::{Cancelled, Watcher},
     },
     method::surface::SurfaceSettings,
@@ -83,7 +84,7 @@ impl Rays {
             rays.views.extend(chunk.views);
             sigmas.extend(chunk.sigmas);
         }
-        rays.sigma = upper_median(sigmas.into_iter()).unwrap_or(0.0);
+        rays.sigma = upper_median(sigmas).unwrap_or(0.0);
         rays
     }
 

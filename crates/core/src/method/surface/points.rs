@@ -3,7 +3,10 @@
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use rayon::prelude::*;
 
-use crate::model::scene::{PointIndex, Scene, ViewIndex};
+use crate::{
+    base::median::upper_median,
+    model::scene::{PointIndex, Scene, ViewIndex},
+};
 
 /// Mean reprojection error, pixels, above which a point is rejected, unless the model's median is
 /// large.
@@ -51,13 +54,6 @@ pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex
     // If most points coincide, the median distance is 0 and no limit applies.
     points.retain(|p| limit == 0.0 || distance(p) <= limit);
     points
-}
-
-/// Returns the median, for an even number of values the upper of the two; `None` without values.
-pub fn upper_median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// Returns the mean reprojection error of a point over its observations with a known pixel; `None`

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 
 use super::{Surface, SurfaceKind};
-use crate::model::georeference::UprightFrame;
+use crate::{base::median::upper_median, model::georeference::UprightFrame};
 
 /// Number of nodes below which the cells of the height grid are halved.
 const ENOUGH_NODES: usize = 100;
@@ -84,9 +84,10 @@ fn drop_spikes(nodes: Vec<[f64; 3]>, edge: f64) -> Vec<[f64; 3]> {
         if heights.len() < 3 {
             continue;
         }
-        let middle = median(&mut heights);
+        let middle = upper_median(heights.iter().copied()).unwrap_or(0.0);
         heights.iter_mut().for_each(|h| *h = (*h - middle).abs());
-        let limit = (MAX_DEVIATIONS * 1.4826 * median(&mut heights)).max(edge);
+        let deviation = upper_median(heights).unwrap_or(0.0);
+        let limit = (MAX_DEVIATIONS * 1.4826 * deviation).max(edge);
         keep[node] = (nodes[node][2] - middle).abs() <= limit;
     }
     nodes
@@ -94,11 +95,6 @@ fn drop_spikes(nodes: Vec<[f64; 3]>, edge: f64) -> Vec<[f64; 3]> {
         .zip(keep)
         .filter_map(|(n, k)| k.then_some(n))
         .collect()
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 struct Node {

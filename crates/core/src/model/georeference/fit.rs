@@ -6,6 +6,8 @@ use nalgebra::{Matrix3, SVD, Vector3};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+use crate::base::median::upper_median;
+
 /// Number of random triples; 200 contain one of three right positions with 0.99999 where 40 % are
 /// wrong.
 const TRIPLES: usize = 200;
@@ -50,7 +52,7 @@ pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Fit> {
     }
     let (best, inliers) = refined(least_median(from, to)?, from, to)?;
     let distances = distances(&best, from, to);
-    let fitting = median(inliers.iter().map(|&i| distances[i]).collect());
+    let fitting = median_distance(inliers.iter().map(|&i| distances[i]));
     let second = extents(inliers.iter().map(|&i| to[i]))[1];
     let is_sure = inliers.len() >= LEAST && 2 * inliers.len() >= n && fitting <= LOOSE * second;
     is_sure.then_some(Fit {
@@ -71,7 +73,7 @@ fn refined(
     let mut inliers = Vec::new();
     for _ in 0..3 {
         let near = distances(&best, from, to);
-        let spread = median(near.clone());
+        let spread = median_distance(near.iter().copied());
         // 1.4826: a median of absolute values as a standard deviation of normal errors.
         let limit = INLIER * 1.4826 * spread * (1.0 + 5.0 / (n as f64 - 3.0).max(1.0));
         inliers = (0..n).filter(|&i| near[i] <= limit).collect();
@@ -88,7 +90,12 @@ fn least_median(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Similarity
         .map(|_| [draw(), draw(), draw()])
         .filter(|[a, b, c]| a != b && b != c && a != c);
     let candidates = triples.filter_map(|triple| least_squares(from, to, &triple));
-    let rated = candidates.map(|similarity| (median(distances(&similarity, from, to)), similarity));
+    let rated = candidates.map(|similarity| {
+        (
+            median_distance(distances(&similarity, from, to)),
+            similarity,
+        )
+    });
     let (_, best) = rated.min_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(best)
 }
@@ -100,13 +107,9 @@ fn distances(similarity: &Similarity, from: &[Vector3<f64>], to: &[Vector3<f64>]
         .collect()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        f64::INFINITY
-    } else {
-        *values.select_nth_unstable_by(middle, f64::total_cmp).1
-    }
+/// Median of distances; infinite where there are none.
+fn median_distance(distances: impl IntoIterator<Item = f64>) -> f64 {
+    upper_median(distances).unwrap_or(f64::INFINITY)
 }
 
 fn mean(points: impl Iterator<Item = Vector3<f64>> + Clone) -> Vector3<f64> {

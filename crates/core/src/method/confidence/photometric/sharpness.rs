@@ -1,6 +1,9 @@
 //! Sharpness of the pictures, from the detail that each has left in its finest band (method 7.4).
 
-use crate::model::scene::{Scene, ViewIndex};
+use crate::{
+    base::median::upper_median,
+    model::scene::{Scene, ViewIndex},
+};
 
 /// Sharpness below which a picture is blurred, over the median of its camera's. On nine sets, no
 /// picture had less than 0.71, and few more than this after blurring by a pixel.
@@ -44,21 +47,16 @@ impl Sharpness {
 
 /// Returns the median of each camera's pictures, that of all pictures where a camera has few.
 fn medians_by_camera(scene: &Scene, own: &[Option<f64>]) -> Vec<Option<f64>> {
-    let all = median(own.iter().copied().flatten().collect());
+    let all = upper_median(own.iter().copied().flatten());
     let mut by_camera: Vec<Vec<f64>> = vec![Vec::new(); scene.cameras.len()];
     for (view, own) in scene.views.iter().zip(own) {
         by_camera[view.camera.index()].extend(own);
     }
     let of_camera = |values: Vec<f64>| match values.len() {
         0..LEAST => all,
-        _ => median(values),
+        _ => upper_median(values),
     };
     by_camera.into_iter().map(of_camera).collect()
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]
