@@ -99,7 +99,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     if without_images.is_none() {
         record.commands = commands(selection, &views, !tests.is_empty());
     }
-    record.not_honoured = not_honoured(selection, &views, !tests.is_empty());
+    record.not_honoured = not_honoured(!tests.is_empty());
     record.note_own_scale(selection);
     record.fusion = "none".into();
     record.warnings.extend(without_images);
@@ -145,22 +145,15 @@ fn add_models(
     Ok(warning)
 }
 
-fn not_honoured(selection: &Selection, views: &[ViewIndex], has_tests: bool) -> Vec<String> {
+fn not_honoured(has_tests: bool) -> Vec<String> {
     let tests = if has_tests {
         "test images, except by nerfstudio: other trainers hold out every n-th image, so train/ has no test images"
     } else {
         "tests: test_list.txt repeats training images, since nerfstudio must have one (plan with --test-every N)"
     };
-    let first = views.iter().min().map(|&v| {
-        format!(
-            "{}: gsplat holds the first image by name out of training, always",
-            selection.scene.name(v)
-        )
-    });
     ["matching partners", "the rank order", tests]
         .into_iter()
         .map(String::from)
-        .chain(first)
         .collect()
 }
 
@@ -305,6 +298,13 @@ fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
             "the cameras are distorted: gsplat and brush take that, gaussian-splatting stops, and transforms.json is left out; \
              `viewrank undistort {}` makes undistorted images, as does `colmap image_undistorter`",
             command_path(&selection.project.root)
+        ));
+    }
+    if let Some(&first) = views.iter().min() {
+        warnings.push(format!(
+            "gsplat always holds the first image by name ({}) out: of these {} it trains on the others; the other trainers take all",
+            selection.scene.name(first),
+            views.len()
         ));
     }
     let mut by_stem: HashMap<&str, &str> = HashMap::new();

@@ -203,8 +203,12 @@ fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
 /// plan's.
 fn warn_of_other_end(plan: &WrittenPlan, length: usize) {
     if length != plan.cut {
+        let what = match backends::by_name(&plan.backend) {
+            Ok(backend) if !backend.makes_maps() => "images",
+            _ => "view clusters",
+        };
         warn(&format!(
-            "the plan stops at {} view clusters, and `viewrank status` counts those; to plan {length}: viewrank plan {} --budget {length}",
+            "the plan stops at {} {what}, and `viewrank status` counts those; to plan {length}: viewrank plan {} --budget {length}",
             plan.cut,
             plan.project.as_argument()
         ));

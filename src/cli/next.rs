@@ -41,10 +41,37 @@ pub fn not_dry() -> String {
     })
 }
 
+/// Returns the typed command for another project, which is quoted already. `typed`: the project as
+/// it was typed; `backend`: that of the plan, if none was typed.
+pub fn for_other_project(typed: &Path, project: &str, backend: &str) -> String {
+    let typed = typed.to_string_lossy();
+    let (mut command, mut is_replaced, mut has_backend) = ("viewrank".to_owned(), false, false);
+    for word in typed_words().into_iter().skip(1) {
+        has_backend |= word == "--backend" || word.starts_with("--backend=");
+        if !is_replaced && word == typed {
+            is_replaced = true;
+            command += &format!(" {project}");
+        } else {
+            command += &format!(" {}", command_word(&word));
+        }
+    }
+    if !has_backend {
+        command += &format!(" --backend {backend}");
+    }
+    command
+}
+
 /// Returns what makes depth maps of a plan: `run` where this machine can match, else the first
 /// command of a backend whose files were written, or the command that writes such files. `run`: the
-/// command of `viewrank run` that makes the same plan.
-pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<String>) -> String {
+/// command of `viewrank run` that makes the same plan. `again`: the command that plans another
+/// project, whose path is given quoted, in the same way.
+pub fn next(
+    project: &Project,
+    plan: &Plan,
+    files: &PlanFiles,
+    run: Option<String>,
+    again: &dyn Fn(&str) -> String,
+) -> String {
     let root = project.as_argument();
     let backend = backends::by_name(plan.stages.backend).ok();
     let has_images = project.images.is_some()
@@ -70,16 +97,10 @@ pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<Strin
             let images = command_path(&images);
             let cure = plan.stages.image_faults.cure().map(str::to_owned);
             let cure = cure.unwrap_or_else(|| format!("put the images into {images}"));
-            format!(
-                "{cure}, then viewrank plan {root} --backend {}",
-                plan.stages.backend
-            )
+            format!("{cure}, then {}", again(&root))
         }
         (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {
-            let plan_of = |dense: &Path| {
-                let dense = command_path(dense);
-                format!("viewrank plan {dense} --backend {}", plan.stages.backend)
-            };
+            let plan_of = |dense: &Path| again(&command_path(dense));
             match &project.dense_workspace {
                 Some(dense) => plan_of(dense),
                 None => one_after_other(

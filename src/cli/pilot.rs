@@ -80,12 +80,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let side = longest_side(&plan.stages.scene) * settings.image_scale();
     let folder = command_path(&project.home);
+    let again = |other: &str| format!("viewrank plan {other} --backend {}", matcher.name);
     print([
         format!(
             "{} small depth maps ({side:.0} pixels) of {}, most useful first.",
             plan.decision.cut.clusters, matcher.name
         ),
-        format!("Next: {}", next::next(&project, &plan, &files, None)),
+        format!(
+            "Next: {}",
+            next::next(&project, &plan, &files, None, &again)
+        ),
         format!(
             "Then: viewrank plan {root} --backend {} --pilot {folder}",
             matcher.name

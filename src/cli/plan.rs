@@ -588,7 +588,11 @@ fn report(
         (true, false) => next::not_dry(),
         (false, false) => {
             let maps_of_run = project.home.join(plan.stages.backend);
-            next::next(project, plan, files, arguments.as_run(&maps_of_run))
+            let again = |other: &str| {
+                next::for_other_project(&arguments.project, other, plan.stages.backend)
+            };
+            let run = arguments.as_run(&maps_of_run);
+            next::next(project, plan, files, run, &again)
         }
     };
     let summary = Summary::new(project, plan, files, arguments.dry_run, next, is_survey);

@@ -206,7 +206,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
-            ": about {:.0} % of the area that all maps would cover (planned: {:.0} %)",
+            ": about {:.0} % of the area that all maps would cover (target: {:.0} %)",
             100.0 * share,
             100.0 * progress.target
         ),
@@ -219,7 +219,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     if progress.target_reached {
         lines.push("The target is reached.".into());
     }
-    lines.push("As measured at the last depth map; viewrank watch would go on measuring.".into());
+    lines.push("As measured at the last depth map that `viewrank run` or `watch` saw.".into());
     lines
 }
 

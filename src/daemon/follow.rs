@@ -19,7 +19,7 @@ use crate::apps::replan;
 use crate::base::advice::on_command_line;
 use crate::{
     apps::{
-        evaluate::{MeasuredClusters, curve::ReachCurve},
+        evaluate::{MeasuredClusters, MeasuredProgress, curve::ReachCurve},
         replan::{EarlierPlan, MapFolder, ReplanError, replan},
     },
     base::{bounded, error::Hint, input::FileKind, progress::Watcher},
@@ -265,16 +265,18 @@ impl FollowJob<'_> {
             folder: self.folder,
             ready: &|path| self.files.contains_key(path),
         };
-        let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
+        let (plan, measured) = replan(self.plan, self.earlier, &maps, watcher)?;
         let (order, cut) = if self.replan {
             let order = plan.decision.ranking.maps().collect();
             (order, plan.decision.cut.clusters)
         } else {
             (listed(&plan, &written), with_finished(&plan, &list))
         };
-        let forecast = TargetForecast::new(&plan, &order, cut, target);
-        let run = run.as_ref();
-        let seconds_per_pair = run.and_then(|run| seconds_per_pair(&plan, run, self.folder));
+        let measured = measured.as_ref();
+        let so_far = measured.map(|measured| measured.progress);
+        let forecast = TargetForecast::new(&plan, &order, cut, target, so_far.unwrap_or_default());
+        let seconds_per_pair =
+            measured.and_then(|of| seconds_per_pair(&plan, &of.run, self.folder));
         let progress = forecast.progress(&plan, seconds_per_pair);
         Ok((plan, progress))
     }
@@ -367,15 +369,20 @@ struct TargetForecast {
     /// Length of the list, clusters.
     cut: usize,
     target: f64,
-    kept: f64,
-    share: f64,
+    so_far: MeasuredProgress,
     /// Numbers of clusters and pairs to the target.
     to_target: Option<(usize, usize)>,
     pairs_left: usize,
 }
 
 impl TargetForecast {
-    fn new(plan: &Plan, order: &[(u32, MapScale)], cut: usize, target: f64) -> Self {
+    fn new(
+        plan: &Plan,
+        order: &[(u32, MapScale)],
+        cut: usize,
+        target: f64,
+        so_far: MeasuredProgress,
+    ) -> Self {
         let counted = plan.stages.counted();
         let ((objective, maps), clusters) = (counted.kept, &plan.stages.clusters);
         let rows = order
@@ -383,15 +390,22 @@ impl TargetForecast {
             .map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));
         let curve = ReachCurve::of_rows(objective, rows);
         let (done, total) = (plan.decision.finished, plan.decision.ranking.reachable);
+        // The list gives the missing part in the proportions in which it is expected to.
+        let share = so_far.share.unwrap_or(0.0);
+        let expected = curve.share(done, total);
+        let missing = match 1.0 - share {
+            missing if missing > 0.0 => (target - share) / missing,
+            _ => 0.0,
+        };
+        let wanted = expected + missing.max(0.0) * (1.0 - expected);
         let reached = curve
-            .clusters_for(target * total)
+            .clusters_for(wanted * total)
             .filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {
             cut,
             target,
-            kept: curve.kept[done],
-            share: curve.share(done, total),
+            so_far,
             to_target: reached.map(|n| (n.saturating_sub(done), pairs(n))),
             pairs_left: pairs(cut.min(order.len())),
         }
@@ -414,7 +428,7 @@ impl TargetForecast {
         let finished: Vec<String> = finished.map(name).collect();
         // Where only other limits are set, all maps of the list are wanted.
         let is_reached = match stages.settings.cut.target {
-            Some(_) => self.share >= self.target,
+            Some(_) => self.so_far.share.is_some_and(|share| share >= self.target),
             None => finished.len() >= self.cut,
         };
         let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
@@ -423,10 +437,10 @@ impl TargetForecast {
             target_reached: !finished.is_empty() && is_reached,
             done: finished.len(),
             clusters: self.cut,
-            share: Some(self.share),
+            share: self.so_far.share.or(Some(0.0)),
             target: self.target,
-            kept: Some(self.kept),
-            reachable: decision.ranking.reachable,
+            kept: Some(self.so_far.kept),
+            reachable: self.so_far.reachable,
             clusters_to_target: self.to_target.map(|(clusters, _)| clusters),
             seconds_per_pair,
             seconds_to_target: self.to_target.and_then(|(_, pairs)| seconds(pairs)),

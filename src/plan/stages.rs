@@ -167,7 +167,8 @@ impl Stages {
     /// The area of the region in numbers.
     pub fn ground_summary(&self) -> Option<GroundSummary> {
         let ground = self.ground.as_ref()?;
-        Some(GroundSummary::new(ground, true))
+        let needed = self.settings.coverage.min_cameras;
+        Some(GroundSummary::new(ground, true, needed))
     }
 
     /// Returns the stages with other clusters, their fulfilment, and that at half the size.

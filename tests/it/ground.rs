@@ -126,7 +126,7 @@ fn a_region_within_the_flight_is_whole() {
     let (code, stdout, stderr) = folder.plan(&["--region", &region, "--backend", "sgm"]);
     assert_eq!(code, 0, "{stderr}");
     assert!(
-        stdout.contains("Two photographs or more show all of the region"),
+        stdout.contains("3 photographs or more show all of the region"),
         "{stdout}"
     );
     assert!(!stderr.contains("No photograph"), "{stderr}");

@@ -317,7 +317,7 @@ def test_a_hole_is_labelled_where_it_is_and_says_what_to_fly(browser, page, proj
         assert all(a <= x <= b for a, x, b in zip(low, hole["centre"], high)), "within the subject"
         assert hole["missing"] and hole["advice"]
     centres, directions = (np.reshape(values, (-1, 3)) for values in flight[:2])
-    assert len(centres) == len(flight[2]["holes"]) and 0 <= flight[2]["filled"] <= flight[2]["fillable"] <= 1
+    assert len(centres) == len(flight[2]["holes"]) and all(0 <= part <= 1 for part in flight[2]["of_holes"])
     vertices = np.reshape(browser.script("Array.from(surface.vertices)"), (-1, 3))
     for centre, direction, hole in zip(centres, directions, flight[2]["holes"]):
         distance = np.linalg.norm(centroids - centre, axis=1)

@@ -3,7 +3,8 @@
 use super::{Finding, Inputs, Severity};
 use crate::{
     base::shell::{command_path, command_word},
-    plan::{self, GroundSummary, RegionFileError, photographed_ground},
+    model::georeference::Georeference,
+    plan::{self, GroundSummary, RegionFileError, photographed_ground, positions_in_images},
     show::manifest::planned_ground,
 };
 
@@ -38,6 +39,11 @@ fn ground(inputs: &Inputs) -> Result<(Option<GroundSummary>, bool), RegionFileEr
 fn of_ground(inputs: &Inputs, ground: &GroundSummary, is_planned: bool) -> Option<Finding> {
     let (scene, settings) = (inputs.scene, inputs.settings);
     let place = plan::georeference(inputs.project, scene, &settings.frame);
+    if ground.unseen >= 1.0 {
+        let what = "no photograph shows any of the region";
+        let cure = place_of_region(inputs, &place);
+        return Some(Finding::new(Severity::Error, "region", what, cure));
+    }
     let metres = plan::metres(settings.units, &place);
     let covered = ground.covered("the region", metres);
     let what = format!("{covered} {}", ground.missed(metres));
@@ -58,4 +64,21 @@ fn of_ground(inputs: &Inputs, ground: &GroundSummary, is_planned: bool) -> Optio
     };
     let cure = format!("take images of what was missed: {plans} plans them (viewrank/flight)");
     Some(Finding::new(Severity::Warning, "region-missed", what, cure))
+}
+
+/// What to look at where a region is not where the photographs are.
+fn place_of_region(inputs: &Inputs, place: &Georeference) -> String {
+    if *place != Georeference::Local {
+        return "check that its polygon has longitude before latitude, and frame.origin or frame.utm"
+            .into();
+    }
+    let gps = match positions_in_images(inputs.project, inputs.scene).1.len() {
+        0 | 1 => String::new(),
+        images => format!(
+            "; the GPS positions of {images} images do not fit the model's cameras, or are on one line"
+        ),
+    };
+    format!(
+        "draw it in the coordinates of the model, whose place on earth is not known (set frame.origin or frame.utm){gps}"
+    )
 }

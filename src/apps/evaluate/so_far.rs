@@ -1,20 +1,16 @@
 //! The single definition of the share reached, with its denominator (method 8).
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use super::run::MeasuredClusters;
 use crate::{
     decision::CountedPlaces,
-    method::{
-        pilot::Part,
-        ranking::{Beliefs, Reached},
-    },
+    method::ranking::{Beliefs, Objective, Reached},
     model::{cluster::MapScale, scene::ViewIndex},
     plan::Stages,
 };
-
-/// Maps that the pilot's word counts as much as, at each place.
-const PRIOR_MAPS: f32 = 0.3;
 
 /// Measured weight that fusion keeps of the finished depth maps, over the weight that it is
 /// expected to keep of all.
@@ -65,41 +61,36 @@ impl MeasuredProgress {
         Self::of(&so_far, &all)
     }
 
-    /// Computes the progress by the places of the pilot: measured where a map is finished, else as
-    /// the pilot shows them.
+    /// Computes the progress by the places of the pilot: measured where a map is finished. What the
+    /// others add is what the pilot shows, as far as the finished maps bear it out.
     fn by_places(stages: &Stages, pilot: &CountedPlaces, run: &MeasuredClusters) -> Self {
-        let mut all = Reached::new(&pilot.kept.objective);
-        let mut kept = Reached::new(&pilot.kept.objective);
-        let mut beliefs = PlaceBeliefs::new(pilot.kept.objective.weights.len());
+        let objective = &pilot.kept.objective;
+        let (mut kept, mut shown) = (Reached::new(objective), Reached::new(objective));
+        let mut record = PlaceRecord::new(objective);
         for (finished, cluster) in run.clusters.iter().enumerate() {
             let size = run.scales[finished];
             let real = run.real.row(finished);
-            let row = |places: &[Part], size| -> (Vec<u32>, Vec<f32>) {
-                pilot.kept_row(places, size, real).into_iter().unzip()
-            };
-            let measured = row(&run.places[finished], size);
+            let row = pilot.kept_row(&run.places[finished], size, real);
+            let measured: (Vec<u32>, Vec<f32>) = row.into_iter().unzip();
             kept.take((&measured.0, &measured.1));
-            let shown = match size {
+            let of_size = match size {
                 MapScale::Full => Some(&pilot.kept.table),
                 MapScale::Half => pilot.kept.half.as_ref(),
             };
-            if let Some((c, shown)) = planned(stages, cluster.key).zip(shown) {
-                beliefs.learn(shown.row(c), (&measured.0, &measured.1));
-            }
-            // At full size a map at half the size would give what the pilot shows.
-            let at_full = match size {
-                MapScale::Full => measured,
-                MapScale::Half => row(pilot.places.of_view(cluster.key), MapScale::Full),
-            };
-            all.take((&at_full.0, &at_full.1));
+            let expected = planned(stages, cluster.key).zip(of_size);
+            let expected = expected.map_or(&[][..], |(c, table)| table.row(c).0);
+            record.add(expected, &measured.0);
         }
         for (c, cluster) in stages.clusters.iter().enumerate() {
+            let row = pilot.kept.table.row(c);
+            shown.take(row);
             if run.finished(cluster.key).is_none() {
-                let (places, values) = pilot.kept.table.row(c);
-                all.take((places, &beliefs.believed(places, values)));
+                row.0
+                    .iter()
+                    .for_each(|&place| record.further[place as usize] += 1);
             }
         }
-        Self::of(&kept, &all)
+        record.progress(&kept, &shown)
     }
 
     fn of(so_far: &Reached, all: &Reached) -> Self {
@@ -120,42 +111,127 @@ fn planned(stages: &Stages, key: ViewIndex) -> Option<usize> {
         .ok()
 }
 
-/// Expectation of further maps by place, in the light of the finished ones: where these gave less
-/// than the pilot had shown, others will, too.
-struct PlaceBeliefs {
-    /// Sums over the finished maps, by place.
-    predicted: Vec<f32>,
-    measured: Vec<f32>,
+/// What finished maps kept of what the pilot shows, by place and triangle, and how many further maps
+/// show it.
+///
+/// Whether a map keeps a place is a matter of chance, with a probability that differs by place: a
+/// white wall fails in all maps, a blurred edge in some. Over the places it has a beta
+/// distribution, whose mean and spread the finished maps tell; what they gave at a place corrects it
+/// there (a beta-binomial model).
+struct PlaceRecord<'a> {
+    objective: &'a Objective,
+    /// Finished maps of which the pilot shows it, those of them that kept it, and all that did.
+    tried: Vec<u32>,
+    kept: Vec<u32>,
+    taking_part: Vec<u32>,
+    /// Maps to come of which the pilot shows it.
+    further: Vec<u32>,
 }
 
-impl PlaceBeliefs {
-    fn new(places: usize) -> Self {
+/// Numbers of trials that the mean counts as at each place, of which the likeliest is taken.
+const TRIALS: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
+
+impl<'a> PlaceRecord<'a> {
+    fn new(objective: &'a Objective) -> Self {
+        let none = vec![0; objective.weights.len()];
         Self {
-            predicted: vec![0.0; places],
-            measured: vec![0.0; places],
+            objective,
+            tried: none.clone(),
+            kept: none.clone(),
+            taking_part: none.clone(),
+            further: none,
         }
     }
 
-    /// Learns from a finished map: rows of places and of what fusion keeps there.
-    fn learn(&mut self, predicted: (&[u32], &[f32]), measured: (&[u32], &[f32])) {
-        let add = |sums: &mut [f32], (places, values): (&[u32], &[f32])| {
-            let values = places.iter().zip(values);
-            values.for_each(|(&place, &value)| sums[place as usize] += value);
-        };
-        add(&mut self.predicted, predicted);
-        add(&mut self.measured, measured);
+    /// Adds a finished map: what the pilot shows of it, and what it kept, both ascending.
+    fn add(&mut self, shown: &[u32], measured: &[u32]) {
+        measured
+            .iter()
+            .for_each(|&place| self.taking_part[place as usize] += 1);
+        for &place in shown {
+            self.tried[place as usize] += 1;
+            self.kept[place as usize] += u32::from(measured.binary_search(&place).is_ok());
+        }
     }
 
-    /// Returns what is left of the predicted values of a map at these places.
-    fn believed(&self, places: &[u32], values: &[f32]) -> Vec<f32> {
-        let share = |place: u32| {
-            let [measured, predicted] =
-                [&self.measured, &self.predicted].map(|sums| sums[place as usize] + PRIOR_MAPS);
-            (measured / predicted).min(1.0)
-        };
-        let believed = |(&place, &value): (&u32, &f32)| value * share(place);
-        places.iter().zip(values).map(believed).collect()
+    fn progress(&self, kept: &Reached, shown: &Reached) -> MeasuredProgress {
+        let [mean, trials] = self.distribution();
+        let (mut so_far, mut all) = (0.0, 0.0);
+        for place in 0..self.objective.weights.len() {
+            let weight = self.objective.weights[place];
+            let measured = f64::from(kept.agreed(place as u32));
+            let left = (f64::from(shown.agreed(place as u32)) - measured).max(0.0);
+            so_far += weight * measured;
+            all += weight * measured;
+            if left > 0.0 {
+                all += weight * left * self.completed(place, mean, trials);
+            }
+        }
+        MeasuredProgress {
+            kept: so_far,
+            reachable: all,
+            share: (all > 0.0).then(|| so_far / all),
+        }
     }
+
+    /// Returns the probability that enough of the further maps keep a place.
+    fn completed(&self, place: usize, mean: f64, trials: f64) -> f64 {
+        let further = self.further[place];
+        let wanted = (self.objective.support)
+            .saturating_sub(self.taking_part[place])
+            .max(1);
+        let kept = f64::from(self.kept[place]);
+        let alpha = mean * trials + kept;
+        let beta = (1.0 - mean) * trials + f64::from(self.tried[place]) - kept;
+        at_least(wanted, further, alpha, beta)
+    }
+
+    /// Returns the mean probability of the places, and the number of trials that it counts as: those
+    /// under which the record is likeliest.
+    fn distribution(&self) -> [f64; 2] {
+        let sum = |list: &[u32]| list.iter().map(|&n| f64::from(n)).sum::<f64>();
+        let (kept, tried) = (sum(&self.kept), sum(&self.tried));
+        // As if one map more had kept all, so that nothing is certain.
+        let mean = (kept + 1.0) / (tried + 1.0);
+        let mut counts: BTreeMap<[u32; 2], f64> = BTreeMap::new();
+        for (&kept, &tried) in self.kept.iter().zip(&self.tried).filter(|(_, n)| **n > 1) {
+            *counts.entry([kept, tried]).or_default() += 1.0;
+        }
+        let likelihood = |trials: f64| -> f64 {
+            let [alpha, beta] = [mean * trials, (1.0 - mean) * trials];
+            let of_record = |(&[kept, tried], number): (&[u32; 2], &f64)| {
+                let rising = |from: f64, count: u32| -> f64 {
+                    (0..count).map(|i| (from + f64::from(i)).ln()).sum()
+                };
+                let log = rising(alpha, kept) + rising(beta, tried - kept) - rising(trials, tried);
+                number * log
+            };
+            counts.iter().map(of_record).sum()
+        };
+        let rated = TRIALS.map(|trials| (likelihood(trials), trials));
+        let best = rated.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        [mean, best.map_or(1.0, |(_, trials)| trials)]
+    }
+}
+
+/// Returns the probability of at least `wanted` successes among `number` trials whose common
+/// probability has a beta distribution.
+fn at_least(wanted: u32, number: u32, alpha: f64, beta: f64) -> f64 {
+    if wanted > number {
+        return 0.0;
+    }
+    // P(k) from k = 0 on; each follows from the one before.
+    let (n, mut fewer) = (f64::from(number), 0.0);
+    let mut of_k: f64 = (0..number)
+        .map(|i| (beta + f64::from(i)) / (alpha + beta + f64::from(i)))
+        .product();
+    for k in 0..wanted {
+        fewer += of_k;
+        let k = f64::from(k);
+        let next = (n - k) / (k + 1.0) * (alpha + k) / (beta + n - k - 1.0);
+        of_k *= next;
+    }
+    (1.0 - fewer).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
@@ -163,18 +239,35 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_where_maps_failed_count_less_for_others() {
-        let mut beliefs = PlaceBeliefs::new(3);
-        let believed = |beliefs: &PlaceBeliefs| beliefs.believed(&[0, 1, 2], &[0.5; 3]);
-        assert_eq!(believed(&beliefs), [0.5; 3]);
-        for _ in 0..3 {
-            beliefs.learn((&[0, 1], &[0.5, 0.5]), (&[0], &[0.9]));
+    fn probabilities_are_those_of_counting() {
+        // With a flat distribution every number of successes is as likely.
+        for (wanted, number) in [(1, 1), (1, 4), (2, 4), (4, 4)] {
+            let counted = f64::from(number + 1 - wanted) / f64::from(number + 1);
+            assert!((at_least(wanted, number, 1.0, 1.0) - counted).abs() < 1e-12);
         }
-        let [better, failed, unseen] = believed(&beliefs)[..] else {
-            panic!("three places")
-        };
-        // More than was shown makes no place better than the pilot says.
-        assert_eq!([better, unseen], [0.5, 0.5]);
-        assert!((failed - 0.5 * PRIOR_MAPS / (PRIOR_MAPS + 1.5)).abs() < 1e-6);
+        assert_eq!(at_least(2, 1, 5.0, 1.0), 0.0);
+        // Nearly certain knowledge: independent trials.
+        assert!((at_least(1, 3, 0.5e9, 0.5e9) - 0.875).abs() < 1e-6);
+    }
+
+    #[test]
+    fn where_maps_failed_others_are_expected_to() {
+        let objective = Objective::weighing(vec![1.0; 4], 1);
+        let mut record = PlaceRecord::new(&objective);
+        for _ in 0..4 {
+            record.add(&[0, 1, 2], &[0, 2]);
+        }
+        record.further = vec![2; 4];
+        let [mean, trials] = record.distribution();
+        let expected: Vec<f64> = (0..4).map(|p| record.completed(p, mean, trials)).collect();
+        assert!(expected[0] > 0.9 && expected[1] < 0.3, "{expected:?}");
+        assert!(expected[1] < expected[3] && expected[3] < expected[0]);
+        // All alike: what failed once fails no more often than others.
+        let mut alike = PlaceRecord::new(&objective);
+        for missing in 0..4u32 {
+            let kept: Vec<u32> = (0..4).filter(|place| *place != missing).collect();
+            alike.add(&[0, 1, 2, 3], &kept);
+        }
+        assert!(alike.distribution()[1] > 4.0);
     }
 }

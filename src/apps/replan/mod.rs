@@ -16,7 +16,7 @@ use std::{
 use self::movement::{MovedView, movement};
 pub use self::repeat::{RepeatError, as_written, repeat};
 use crate::{
-    apps::evaluate::{EvaluateError, EvaluationInput, MapSize, MeasuredClusters},
+    apps::evaluate::{EvaluateError, EvaluationInput, MapSize, MeasuredClusters, MeasuredProgress},
     base::{
         error::{Advice, Hint},
         input,
@@ -121,14 +121,14 @@ pub struct MapFolder<'a> {
 /// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are
 /// none.
 ///
-/// Finished clusters keep the partners of the earlier plan. `None`: none of the maps could be
-/// measured.
+/// Finished clusters keep the partners of the earlier plan. Also returns what was measured; `None`:
+/// none of the maps could be.
 pub fn replan(
     plan: Plan,
     earlier: &EarlierPlan,
     maps: &MapFolder,
     watcher: &dyn Watcher,
-) -> Result<(Plan, Option<MeasuredClusters>), ReplanError> {
+) -> Result<(Plan, Option<Measured>), ReplanError> {
     if !plan.stages.makes_maps {
         return Err(ReplanError::NoMaps(plan.stages.backend));
     }
@@ -155,7 +155,18 @@ pub fn replan(
         [] => None,
         clusters => Some(measure(&plan, clusters, maps.folder, watcher)?),
     };
-    Ok((rank_around(plan, finished, run.as_ref(), watcher)?, run))
+    let measured = run.map(|run| Measured {
+        progress: MeasuredProgress::new(&plan.stages, &run),
+        run,
+    });
+    let run = measured.as_ref().map(|measured| &measured.run);
+    Ok((rank_around(plan, finished, run, watcher)?, measured))
+}
+
+/// Finished maps, and what they reach of what all would.
+pub struct Measured {
+    pub run: MeasuredClusters,
+    pub progress: MeasuredProgress,
 }
 
 fn measure(

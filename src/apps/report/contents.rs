@@ -56,6 +56,8 @@ pub struct Contents {
     makes_maps: bool,
     /// Metres in a scene unit; null if unknown.
     metres: Option<f64>,
+    /// Direction of north on the map, x to the right and y up; null if unknown.
+    north: Option<[f64; 2]>,
     gsd: f64,
     /// Partners wanted per key view, k.
     wanted_partners: u32,
@@ -134,6 +136,20 @@ impl Corners {
     }
 }
 
+/// Returns the direction of north on the map, at the first camera.
+fn north(plan: &Plan, frame: &MapFrame) -> Option<[f64; 2]> {
+    let here = plan.stages.scene.views.first()?.cam_from_world.centre();
+    let from = plan.stages.place.geodetic(&here)?;
+    // How far north a unit along each axis of the map leads.
+    let northing = |axis: usize| {
+        let to = plan.stages.place.geodetic(&(here + frame.axes[axis]))?;
+        Some(flight::metres(from, to)[1])
+    };
+    let [x, y] = [northing(0)?, northing(1)?];
+    let length = x.hypot(y);
+    (length > 0.0).then(|| [x / length, y / length])
+}
+
 /// Rings on the map at the height of the ground: f32, 3 per corner.
 fn on_ground(frame: &MapFrame, ground: &Ground, rings: &[Vec<[f64; 2]>]) -> Vec<String> {
     let ring = |ring: &Vec<[f64; 2]>| {
@@ -201,9 +217,11 @@ struct RegionData {
     border: String,
     /// Rings on the map: f32, 3 per corner.
     outline: Vec<String>,
-    /// Rings, likewise, around the ground that no photograph shows, and that a single one does.
+    /// Rings, likewise, around the ground that no photograph shows, that a single one does, and
+    /// that more show but where no sparse points make a surface.
     unseen: Vec<String>,
     seen_once: Vec<String>,
+    unbuilt: Vec<String>,
 }
 
 impl RegionData {
@@ -225,6 +243,7 @@ impl RegionData {
             let areas = missed.iter().filter(|a| a.photographs == photographs);
             areas.flat_map(|area| rings(&area.rings)).collect()
         };
+        let unbuilt = ground.map(flight::unbuilt_ground).unwrap_or_default();
         Some(Self {
             words: summary.describe(stages.metres),
             inside: list(inside.map(u8::from)),
@@ -232,6 +251,7 @@ impl RegionData {
             outline: rings(ground.map_or(&[], |ground| &ground.rings)),
             unseen: shown_by(0),
             seen_once: shown_by(1),
+            unbuilt: rings(&unbuilt),
         })
     }
 }
@@ -266,6 +286,7 @@ impl Contents {
             backend: plan.stages.backend,
             makes_maps: plan.stages.makes_maps,
             metres: plan.stages.metres,
+            north: north(plan, &frame),
             gsd: plan.stages.settings.target.gsd.unwrap_or_default(),
             wanted_partners: plan.stages.settings.partners.k,
             points: plan.stages.scene.points.len(),
@@ -495,10 +516,6 @@ struct FlightData {
     /// Number of them that are for holes of the surface, the first ones; the others are for ground
     /// without any.
     for_holes: usize,
-    /// Part of the holes' weight that fusion is expected to keep with them, and with images from
-    /// all candidate poses; 0 to 1.
-    filled: f64,
-    fillable: f64,
     /// Part of the weight of each hole.
     of_holes: Vec<f64>,
 }
@@ -517,9 +534,7 @@ impl FlightData {
             heights: all().map(|w| w.height).collect(),
             overlaps: all().map(|w| w.overlap).collect(),
             for_holes,
-            filled: flight.filled,
             of_holes: flight.of_holes.clone(),
-            fillable: flight.fillable,
         }
     }
 }

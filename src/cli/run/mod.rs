@@ -130,9 +130,21 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         typed.set("--region", "region", Some(region));
     }
     let foreground = Foreground::new(&root, typed, &stop);
-    let mut work = Work::new(arguments, backend, &foreground, &stop)?;
+    let begin = || Work::new(arguments, backend, &foreground, &stop);
+    let mut work = begin()?;
     say(work.plan_in_words())?;
-    let ended = work.compute()?;
+    let mut ended = work.compute()?;
+    // Where the maps gave less than the plan had promised, a plan around them may have more.
+    while work.fell_short(ended) {
+        let planned = work.length();
+        drop(work);
+        work = begin()?;
+        if work.length() <= planned {
+            break;
+        }
+        say(work.plan_in_words())?;
+        ended = work.compute()?;
+    }
     work.end(ended)
 }
 

@@ -151,7 +151,7 @@ impl Work<'_> {
                 None => (ALL_DONE.into(), None),
                 Some(higher) => {
                     let more = format!("for more: {}", self.arguments.again(Some(&higher)));
-                    ("the list is done below the target".into(), Some(more))
+                    ("the target was not reached".into(), Some(more))
                 }
             },
         }

@@ -190,6 +190,17 @@ impl<'a> Work<'a> {
         self.plan.settings.cut.target.map(|target| target.0)
     }
 
+    /// Number of depth maps of the plan.
+    pub fn length(&self) -> usize {
+        self.dispatch.tasks.len()
+    }
+
+    /// Returns whether all maps of the plan are there, and cover less than the target.
+    pub fn fell_short(&self, ended: Ended) -> bool {
+        let below = |target| self.share.is_some_and(|share| share < target);
+        ended == Ended::ListDone && self.failed.is_empty() && self.target().is_some_and(below)
+    }
+
     /// Computes the depth maps in rank order.
     pub fn compute(&mut self) -> Result<Ended, Failure> {
         let tasks = self.dispatch.tasks.clone();

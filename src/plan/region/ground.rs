@@ -28,16 +28,25 @@ pub struct GroundSummary {
     pub unseen: f64,
     /// Share that a single photograph shows, 0 to 1.
     pub seen_once: f64,
+    /// Photographs that must show a place for a depth there (`coverage.min_cameras`).
+    #[serde(default)]
+    pub needed: u32,
+    /// Share that at least so many show, 0 to 1.
+    #[serde(default)]
+    pub enough: f64,
 }
 
 impl GroundSummary {
-    /// `has_surface`: a surface was laid over the region.
-    pub fn new(ground: &Ground, has_surface: bool) -> Self {
+    /// `has_surface`: a surface was laid over the region. `needed`: photographs that must show a
+    /// place.
+    pub fn new(ground: &Ground, has_surface: bool, needed: u32) -> Self {
         Self {
             area: ground.area(),
             surface: has_surface.then(|| ground.share(|cell| cell.has_surface)),
             unseen: ground.share(|cell| cell.views == 0),
             seen_once: ground.share(|cell| cell.views == 1),
+            needed,
+            enough: ground.share(|cell| cell.views >= needed),
         }
     }
 
@@ -60,17 +69,24 @@ impl GroundSummary {
             Some(_) if share > 0.0 => format!(" ({})", square(share * self.area, metres)),
             _ => String::new(),
         };
-        match (self.unseen, self.seen_once) {
-            (0.0, 0.0) => "Two photographs or more show all of the region.".into(),
-            (unseen, once) => format!(
-                "No photograph shows {} of the region{}, only one shows {}{}, and two or more show {}.",
-                percent(unseen),
-                in_metres(unseen),
-                percent(once),
-                in_metres(once),
-                percent(1.0 - unseen - once)
-            ),
+        let Self {
+            unseen,
+            seen_once,
+            needed,
+            enough,
+            ..
+        } = *self;
+        if enough >= 1.0 {
+            return format!("{needed} photographs or more show all of the region.");
         }
+        format!(
+            "No photograph shows {} of the region{}, only one shows {}{}, and the {needed} that a depth needs, or more, show {}.",
+            percent(unseen),
+            in_metres(unseen),
+            percent(seen_once),
+            in_metres(seen_once),
+            percent(enough)
+        )
     }
 
     /// Returns whether a part of the region was missed that is worth a warning.
@@ -124,7 +140,8 @@ pub fn photographed_ground(
             .ok()
             .flatten()
     });
-    Ok(ground.map(|ground| GroundSummary::new(&ground, false)))
+    let needed = settings.coverage.min_cameras;
+    Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed)))
 }
 
 #[cfg(test)]
@@ -138,6 +155,8 @@ mod tests {
             surface: Some(0.179),
             unseen: 0.812,
             seen_once: 0.004,
+            needed: 3,
+            enough: 0.18,
         };
         let covered = |metres| ground.covered("It", metres);
         assert_eq!(
@@ -148,11 +167,11 @@ mod tests {
         assert!(covered(Some(100.0)).contains("384 ha"));
         assert_eq!(
             ground.missed(None),
-            "No photograph shows 81.2 % of the region, only one shows 0.4 %, and two or more show 18.4 %."
+            "No photograph shows 81.2 % of the region, only one shows 0.4 %, and the 3 that a depth needs, or more, show 18.0 %."
         );
         assert_eq!(
             ground.missed(Some(0.5)),
-            "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), and two or more show 18.4 %."
+            "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
         );
         let unbuilt = GroundSummary {
             surface: None,
@@ -166,6 +185,7 @@ mod tests {
         let whole = GroundSummary {
             unseen: 0.0,
             seen_once: 0.0,
+            enough: 1.0,
             ..ground
         };
         assert!(!whole.is_incomplete() && whole.missed(None).contains("all of the region"));

@@ -184,7 +184,9 @@ pub fn planned_region(root: &Path) -> Option<String> {
 pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSummary> {
     let recorded = RecordedPlan::read(project).ok()?;
     let is_same = settings.region.is_none() || settings.region == recorded.settings.region;
-    recorded.region.filter(|_| is_same)?.ground
+    // An older program counted less.
+    let ground = recorded.region.filter(|_| is_same)?.ground;
+    ground.filter(|ground| ground.needed > 0)
 }
 
 /// Returns the project's workspace of undistorted images if it has a plan, and the project none.

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::{Waypoint, candidates};
 use crate::{
+    base::kd_tree::KdTree,
     method::region::{Ground, GroundCell},
     model::{camera::Camera, georeference::MapFrame},
     plan::Plan,
@@ -36,7 +37,8 @@ pub struct BareGround {
     pub centre: Point3<f64>,
     /// Images over it, row by row.
     pub waypoints: Vec<Waypoint>,
-    /// Part of its area below them, 0 to 1: less than 1 where more than the most would be needed.
+    /// Part of its area below them and those for other holes, 0 to 1: less than 1 where more than
+    /// the most would be needed.
     pub covered: f64,
 }
 
@@ -71,12 +73,14 @@ pub fn bare_ground(
 ) -> Option<BareGround> {
     let ground = plan.stages.ground.as_ref()?;
     let images = Overhead::new(plan)?;
-    let bare = images.lacking(ground, needed, planned);
-    if (bare.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
+    let all = images.lacking(ground, needed, &[]);
+    if (all.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
         return None;
     }
-    let flown = flown(plan, frame);
-    let (places, each) = divided(&bare, ground.side, images.step, &flown);
+    // What the images for the other holes leave.
+    let left = images.lacking(ground, needed, planned);
+    let flown = Flown::new(plan, frame);
+    let (places, each) = divided(&left, ground.side, images.step, &flown);
     // One more on each side: at the rim, too, a place is seen from several.
     let squares = places
         .iter()
@@ -86,12 +90,13 @@ pub fn bare_ground(
         ..=MOST => images.enough(&places, &squares),
         _ => images.nearest_to(&flown, squares),
     };
-    let covered = images.shown_often_enough(&places, &chosen);
+    let covered = images.shown_often_enough(&places, &chosen) as f64 / each as f64;
+    let uncovered = left.len() as f64 - covered;
     Some(BareGround {
-        area: bare.len() as f64 * ground.side * ground.side,
-        centre: ground.plane.at(typical(&bare)),
+        area: all.len() as f64 * ground.side * ground.side,
+        centre: ground.plane.at(typical(&all)),
         waypoints: images.waypoints(plan, ground, frame, &chosen),
-        covered: covered as f64 / (each * bare.len()) as f64,
+        covered: 1.0 - uncovered / all.len() as f64,
     })
 }
 
@@ -228,11 +233,11 @@ impl<'a> Overhead<'a> {
         chosen
     }
 
-    /// The squares whose middles are nearest to some positions, [`MOST`] at most.
-    fn nearest_to(&self, positions: &[[f64; 2]], squares: BTreeSet<Square>) -> BTreeSet<Square> {
+    /// The squares whose middles are nearest to the photographs, [`MOST`] at most.
+    fn nearest_to(&self, flown: &Flown, squares: BTreeSet<Square>) -> BTreeSet<Square> {
         let mut by_distance: Vec<(f64, Square)> = squares
             .iter()
-            .map(|square| (distance(positions, self.middle(*square)), *square))
+            .map(|square| (flown.distance(self.middle(*square)), *square))
             .collect();
         by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let nearest = by_distance.into_iter().take(MOST);
@@ -261,7 +266,7 @@ impl<'a> Overhead<'a> {
 /// Divides cells into places no farther apart than the images, as many in each; returns them and
 /// their number in a cell. Of more than [`MOST_PLACES`], those in the cells nearest to the
 /// photographs.
-fn divided(cells: &[Lack], side: f64, step: f64, flown: &[[f64; 2]]) -> (Vec<Lack>, usize) {
+fn divided(cells: &[Lack], side: f64, step: f64, flown: &Flown) -> (Vec<Lack>, usize) {
     let most = (MOST_PLACES as f64).sqrt();
     let along = (side / step).ceil().clamp(1.0, most) as usize;
     let each = along * along;
@@ -269,7 +274,7 @@ fn divided(cells: &[Lack], side: f64, step: f64, flown: &[[f64; 2]]) -> (Vec<Lac
     if cells.len() * each > MOST_PLACES {
         let mut by_distance: Vec<(f64, Lack)> = nearest
             .into_iter()
-            .map(|cell| (distance(flown, cell.place), cell))
+            .map(|cell| (flown.distance(cell.place), cell))
             .collect();
         // A stable sort: ties stay row by row.
         by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -289,16 +294,35 @@ fn divided(cells: &[Lack], side: f64, step: f64, flown: &[[f64; 2]]) -> (Vec<Lac
 }
 
 /// Positions of the photographs on the map.
-fn flown(plan: &Plan, frame: &MapFrame) -> Vec<[f64; 2]> {
-    let centres = plan.stages.scene.views.iter();
-    let flat = centres.map(|view| frame.local(&view.cam_from_world.centre()));
-    flat.map(|[x, y, _]| [x, y]).collect()
+struct Flown {
+    positions: Vec<Point3<f64>>,
+    tree: KdTree,
 }
 
-/// Distance of a place from the nearest of some positions.
-fn distance(positions: &[[f64; 2]], [x, y]: [f64; 2]) -> f64 {
-    let to = |[px, py]: &[f64; 2]| (px - x).hypot(py - y);
-    positions.iter().map(to).fold(f64::INFINITY, f64::min)
+impl Flown {
+    fn new(plan: &Plan, frame: &MapFrame) -> Self {
+        let centres = plan.stages.scene.views.iter();
+        let flat = centres.map(|view| frame.local(&view.cam_from_world.centre()));
+        Self::at(flat.map(|[x, y, _]| [x, y]))
+    }
+
+    fn at(positions: impl Iterator<Item = [f64; 2]>) -> Self {
+        let positions: Vec<Point3<f64>> = positions.map(|[x, y]| Point3::new(x, y, 0.0)).collect();
+        Self {
+            tree: KdTree::new(&positions),
+            positions,
+        }
+    }
+
+    /// Distance of a place from the nearest; infinite without any.
+    fn distance(&self, [x, y]: [f64; 2]) -> f64 {
+        if self.positions.is_empty() {
+            return f64::INFINITY;
+        }
+        let place = Point3::new(x, y, 0.0);
+        let [nearest] = self.tree.nearest::<1>(&place);
+        (self.positions[nearest as usize] - place).norm()
+    }
 }
 
 /// A square and the eight beside it.
@@ -375,13 +399,13 @@ mod tests {
     #[test]
     fn large_cells_are_covered_without_gaps() {
         let cells = [lack(0.0, 3), lack(47.0, 3)];
-        let (places, each) = divided(&cells, 47.0, 12.5, &[]);
+        let (places, each) = divided(&cells, 47.0, 12.5, &Flown::at([].into_iter()));
         assert_eq!((places.len(), each), (32, 16));
         let square = |at: f64| (at / 12.5).floor() as i64;
         let columns: BTreeSet<i64> = places.iter().map(|lack| square(lack.place[0])).collect();
         assert!(columns.into_iter().eq(square(-23.5)..=square(70.4)));
         let cells: Vec<Lack> = (0..1000).map(|n| lack(f64::from(n) * 50.0, 1)).collect();
-        let (places, each) = divided(&cells, 50.0, 1.0, &[[0.0, 0.0]]);
+        let (places, each) = divided(&cells, 50.0, 1.0, &Flown::at([[0.0, 0.0]].into_iter()));
         assert_eq!((places.len(), each), (MOST_PLACES, 2500));
         assert!(places.iter().all(|lack| lack.place[0] < 40.0 * 50.0));
     }
@@ -409,10 +433,13 @@ mod tests {
         let squares: BTreeSet<Square> = (0..MOST as i64 + 10).map(|column| [column, 0]).collect();
         let camera = camera();
         let images = overhead(&camera, 1.0);
-        let kept = images.nearest_to(&[[5.0, 0.0]], squares.clone());
+        let kept = images.nearest_to(&Flown::at([[5.0, 0.0]].into_iter()), squares.clone());
         assert_eq!(kept.len(), MOST);
         assert_eq!(kept.last(), Some(&[MOST as i64 - 1, 0]));
         let few: BTreeSet<Square> = squares.into_iter().take(3).collect();
-        assert_eq!(images.nearest_to(&[], few.clone()), few);
+        assert_eq!(
+            images.nearest_to(&Flown::at([].into_iter()), few.clone()),
+            few
+        );
     }
 }

@@ -150,8 +150,6 @@ pub fn choose(
     let mut reached = Reached::new(&objective);
     (0..stages.clusters.len()).for_each(|c| reached.take(stages.fulfilment.row(c)));
     let flown = greedy(&extended, &clusters, &table, reached.clone());
-    let (before, mut all) = (reached.kept_weight(), reached.clone());
-    (0..clusters.len()).for_each(|c| all.take(table.row(c)));
     flown.taken.iter().for_each(|&c| reached.take(table.row(c)));
     let waypoint = |(order, &i): (usize, &usize)| Waypoint {
         rank: order + 1,
@@ -166,8 +164,6 @@ pub fn choose(
     Ok(Flight {
         of_holes: holes.iter().map(of_hole).collect(),
         waypoints: flown.images.par_iter().enumerate().map(waypoint).collect(),
-        filled: reached.kept_weight() - before,
-        fillable: all.kept_weight() - before,
     })
 }
 

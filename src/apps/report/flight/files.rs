@@ -103,7 +103,7 @@ impl<'a> Described<'a> {
 }
 
 /// East, north and up from one place to another nearby, in the same unit.
-fn metres(from: Geodetic, to: Geodetic) -> [f64; 3] {
+pub fn metres(from: Geodetic, to: Geodetic) -> [f64; 3] {
     let local = from.east_north_up().transpose() * (to.to_ecef() - from.to_ecef());
     [local.x, local.y, local.z]
 }

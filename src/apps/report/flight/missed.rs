@@ -4,11 +4,11 @@ use serde_json::{Value, json};
 
 use super::{
     files::collection,
-    outlines::{Area, Place, areas},
+    outlines::{Place, areas},
 };
 use crate::{
     base::decimals::to_decimals,
-    method::region::Ground,
+    method::region::{Ground, GroundCell},
     model::georeference::{Geodetic, Georeference, MapFrame},
     show::pictures::views_file,
 };
@@ -25,6 +25,28 @@ pub struct MissedArea {
 /// Returns the areas that no photograph shows, then those that a single one does, of both the
 /// largest first.
 pub fn missed_areas(ground: &Ground) -> Vec<MissedArea> {
+    let shown_by = |photographs: u32| {
+        let areas = joined(ground, move |cell| cell.views == photographs);
+        areas.into_iter().map(move |(cells, rings)| MissedArea {
+            photographs,
+            cells,
+            rings,
+        })
+    };
+    [0, 1].into_iter().flat_map(shown_by).collect()
+}
+
+/// Returns the rings around the ground that several photographs show and that has no surface.
+pub fn unbuilt_ground(ground: &Ground) -> Vec<Vec<[f64; 2]>> {
+    let areas = joined(ground, |cell| cell.views > 1 && !cell.has_surface);
+    areas.into_iter().flat_map(|(_, rings)| rings).collect()
+}
+
+/// Joins cells to areas, the largest first: their numbers, and their rings on the map.
+fn joined(
+    ground: &Ground,
+    belongs: impl Fn(&GroundCell) -> bool,
+) -> Vec<(usize, Vec<Vec<[f64; 2]>>)> {
     let Some(origin) = ground.cells.first().map(|cell| cell.place) else {
         return Vec::new();
     };
@@ -35,19 +57,13 @@ pub fn missed_areas(ground: &Ground) -> Vec<MissedArea> {
     let on_map = |corner: &Place| {
         [0, 1].map(|axis| origin[axis] + (f64::from(corner[axis]) - 0.5) * ground.side)
     };
-    let shown_by = |photographs: u32| {
-        let cells = ground.cells.iter().filter(move |c| c.views == photographs);
-        let joined = areas(cells.map(|cell| number(cell.place)));
-        joined.into_iter().map(move |Area { cells, rings }| {
-            let rings = rings.iter().map(|ring| ring.iter().map(on_map).collect());
-            MissedArea {
-                photographs,
-                cells,
-                rings: rings.collect(),
-            }
-        })
+    let cells = ground.cells.iter().filter(|cell| belongs(cell));
+    let areas = areas(cells.map(|cell| number(cell.place))).into_iter();
+    let rings = |rings: Vec<Vec<Place>>| -> Vec<Vec<[f64; 2]>> {
+        let ring = |ring: &Vec<Place>| ring.iter().map(on_map).collect();
+        rings.iter().map(ring).collect()
     };
-    [0, 1].into_iter().flat_map(shown_by).collect()
+    areas.map(|area| (area.cells, rings(area.rings))).collect()
 }
 
 /// Name and text of the file, GeoJSON below the plan's folder: a feature for each area. `None`

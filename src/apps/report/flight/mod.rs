@@ -19,8 +19,8 @@ use crate::{
 };
 
 pub use bare::{BareGround, bare_ground};
-pub use files::files;
-pub use missed::{missed, missed_areas};
+pub use files::{files, metres};
+pub use missed::{missed, missed_areas, unbuilt_ground};
 
 /// An image to take.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,12 +46,8 @@ pub struct Waypoint {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flight {
     pub waypoints: Vec<Waypoint>,
-    /// Part of the weight of the listed holes that fusion is expected to keep with them, 0 to 1.
-    pub filled: f64,
-    /// Part of the weight of each listed hole, 0 to 1.
+    /// Part of the weight of each listed hole that fusion is expected to keep with them, 0 to 1.
     pub of_holes: Vec<f64>,
-    /// As `filled`, with an image from every candidate.
-    pub fillable: f64,
 }
 
 /// Plans the images for the holes.

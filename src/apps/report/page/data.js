@@ -59,7 +59,7 @@ surface.count = surface.triangles.length / 3;
 if (data.region) {
   data.region.inside = decode(data.region.inside, Uint8Array);
   data.region.border = decode(data.region.border, Uint32Array);
-  for (const rings of ['outline', 'unseen', 'seen_once']) data.region[rings] = data.region[rings].map(ring => decode(ring, Float32Array));
+  for (const rings of ['outline', 'unseen', 'seen_once', 'unbuilt']) data.region[rings] = data.region[rings].map(ring => decode(ring, Float32Array));
 }
 const COUNTED = surface.count ? surface.first.length / surface.count : 0;
 const clusters = ranking.keys.length;

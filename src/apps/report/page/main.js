@@ -125,7 +125,7 @@ function drawLegends() {
     make('span', {}, make('i', { class: status === 'unused' ? 'ring' : '', style: `background: var(--${status}); color: var(--${status}); border-radius: 50%` }), text));
   if (ranking.ofFull) cameras.splice(1, 0, make('span', {}, make('i', { class: 'diamond', style: 'background: var(--key)' }), 'key view at half size'));
   if (flight.count) cameras.push(make('span', {}, make('i', { class: 'ring', style: `color: ${FLIGHT}` }), 'image to take'));
-  const missed = { seen_once: 'ground that only one shows', unseen: 'ground that no photograph shows' };
+  const missed = { unbuilt: 'ground without sparse points', seen_once: 'ground that only one shows', unseen: 'ground that no photograph shows' };
   for (const [rings, text] of Object.entries(missed)) {
     const stripes = `repeating-linear-gradient(135deg, ${MISSED[rings]} 0 2.5px, transparent 2.5px 5.7px)`;
     if (data.region?.[rings].length) cameras.unshift(make('span', {}, make('i', { style: `background: ${stripes}` }), text));
@@ -185,7 +185,7 @@ function squared(area) {
 function fillText(hole, i) {
   const own = data.flight.holes.flatMap((of, w) => of === i ? [w] : []);
   const filled = data.flight.of_holes[i] || 0;
-  if (!own.length) return filled > 0.5 ? `the images for other holes: they fill ${percent(filled, 0)} of it` : hole.advice;
+  if (!own.length) return filled > 0.5 ? `the images for other holes: they fill ${percent(filled, 0)} of it` : `${hole.advice}; of the poses that were tried, none fills much of it`;
   const range = (values, digits) => {
     const [low, high] = [Math.min(...values), Math.max(...values)].map(value => digits === 0 ? `${Math.round(100 * value)}` : rounded(value));
     return low === high ? low : `${low} to ${high}`;
@@ -195,8 +195,11 @@ function fillText(hole, i) {
 
 function flightText() {
   if (!flight.count) return [];
-  const { filled, fillable, for_holes: forHoles } = data.flight, forGround = flight.count - forHoles, files = 'viewrank/flight';
-  const ofHoles = `${grouped.format(forHoles)} for holes in the surface, which would fill ${percent(filled, 0)} of them (with all poses that were tried, ${percent(fillable, 0)})`;
+  const { for_holes: forHoles } = data.flight, forGround = flight.count - forHoles, files = 'viewrank/flight';
+  // By the rows of the table.
+  const areas = data.holes.map((hole, i) => hole.triangles ? [hole.area, hole.area * (data.flight.of_holes[i] || 0)] : [0, 0]);
+  const [all, filled] = [0, 1].map(which => areas.reduce((sum, of) => sum + of[which], 0));
+  const ofHoles = `${grouped.format(forHoles)} for the listed holes in the surface, which would fill ${percent(all > 0 ? filled / all : 0, 0)} of their area`;
   const ofGround = `${grouped.format(forGround)} straight down over ground without surface`;
   const what = [...(forHoles ? [ofHoles] : []), ...(forGround ? [ofGround] : [])].join('; ');
   return [make('p', {}, make('b', {}, `${counted(flight.count, 'image')} to take`), ` (green rings on the map): ${what}. Forecast from geometry alone: what cannot be matched stays a hole.`

@@ -6,8 +6,8 @@ let theme = {};
 const HOLE = '#a8281a';
 // Colour of the region's border, which has a white outline in both themes.
 const BORDER = '#1d2329';
-// Colours of ground that no photograph shows, and that a single one does: stripes, so that neither is taken for a surface.
-const MISSED = { unseen: '#a8281a', seen_once: '#c98a1b' };
+// Colours of ground that no photograph shows, that a single one does, and that lacks sparse points: stripes, so that none is taken for a surface.
+const MISSED = { unseen: '#a8281a', seen_once: '#c98a1b', unbuilt: '#8b98a5' };
 // Colour of images to take, which have a white outline in both themes.
 const FLIGHT = '#127a3d';
 // Holes that are numbered whatever their size.
@@ -186,7 +186,7 @@ class Scene {
     this.drawFlight(size);
     if (views.count > MANY) this.drawSquares(size); else this.drawCameras(size);
     if (shown >= 0) this.drawCluster(shown, size);
-    if (!this.turns) this.drawScale();
+    if (!this.turns) { this.drawScale(); this.drawNorth(); }
   }
 
   // Key views last, so that they are on top.
@@ -387,6 +387,24 @@ class Scene {
     context.stroke();
     context.font = '12px system-ui, sans-serif';
     context.fillText(`${rounded(length)} ${unit}`, 18, this.height - 18);
+  }
+
+  // An arrow to the north, in the lower right corner.
+  drawNorth() {
+    if (!data.north) return;
+    const { context } = this, [x, y] = data.north, middle = [this.width - 26, this.height - 26], size = 16;
+    const at = (along, across) => [middle[0] + size * (along * x + across * y), middle[1] - size * (along * y - across * x)];
+    context.fillStyle = theme.card;
+    context.globalAlpha = 0.75;
+    context.fillRect(middle[0] - 22, middle[1] - 22, 44, 44);
+    context.globalAlpha = 1;
+    context.fillStyle = theme.text;
+    context.beginPath();
+    for (const [along, across] of [[1, 0], [-0.4, 0.5], [-0.1, 0], [-0.4, -0.5]]) context.lineTo(...at(along, across));
+    context.fill();
+    context.font = '600 11px system-ui, sans-serif';
+    const [left, top] = at(-0.85, 0);
+    context.fillText('N', left - 4, top + 4);
   }
 }
 
