@@ -6,10 +6,14 @@ refuse_strangers() {
     if [ "$links" != /dev/null ] && { [ -L "$links" ] || [ ! -f "$links" ]; }; then
         refuse "$links"
     fi
+    [ "$links" = /dev/null ] || refuse_long "$links"
     # A folder that cannot be listed may hide links, and a line break in a name would make two entries of one. Names are bytes in any encoding. The word at
     # the end says that all were looked at.
-    found=$(LC_ALL=C find "$@" '(' ! -type f ! -type d -o -type d ! -perm -500 -o -type d ! -exec test -r '{}' ';' -o -type d ! -exec test -x '{}' ';' -o -name '*
-*' ')' -print | LC_ALL=C awk -v links="$links" '
+    found=$(LC_ALL=C find "$@" '(' ! -type f ! -type d -o -type d ! -perm -500 -o -name '*
+*' ')' -print -o -type d -exec sh -c '
+        for folder; do
+            [ -r "$folder" ] && [ -x "$folder" ] || printf "%s\n" "$folder"
+        done' sh '{}' + 2>/dev/null | LC_ALL=C awk -v links="$links" '
         BEGIN { while ((getline link < links) > 0) known[link] }
         !($0 in known) && !stranger { stranger = 1; print }
         END { if (!stranger) print "none" }')
@@ -23,7 +27,7 @@ refuse_no_files() {
         find "$@" ! -type f '(' -type d ! -perm -500 -print -o ! -type d ! -type l -print -o -type l -exec sh -c '
             for link; do
                 [ -f "$link" ] || [ ! -e "$link" ] || printf "%s\n" "$link"
-            done' sh '{}' + ')' || :
+            done' sh '{}' + ')' 2>/dev/null || :
         echo none
     } | head -n 1)
     [ "$found" = none ] || refuse "$found"
@@ -31,8 +35,22 @@ refuse_no_files() {
 # Gives files that have other names, which may be somebody else's, a file of their own, before a program writes into what is there: PATH...
 own_files() {
     find "$@" -type f -links +1 2>/dev/null | while IFS= read -r file; do
-        own=$(mktemp "${file%/*}/XXXXXX") && cp -p "$file" "$own" 2>/dev/null && mv "$own" "$file" || refuse "$file"
+        own=$(tried mktemp "${file%/*}/XXXXXX") && tried cp -p "$file" "$own" && tried mv -f "$own" "$file" || exit 1
     done || exit 1
+}
+# Refuses a list of more than 64 MiB, which is more than that of a hundred thousand images, before anything reads it: FILE. The system counts blocks of 512 bytes.
+refuse_long() {
+    [ -z "$(find "$1" -type f -size +131072 2>/dev/null)" ] || {
+        say "error: $1: longer than the 64 MiB that a list of viewrank may have: move it away" >&2
+        exit 1
+    }
+}
+# Calls a tool whose own messages would have names of strangers in them as they are: COMMAND...
+tried() {
+    "$@" 2>/dev/null || {
+        say "error: failed: $*" >&2
+        return 1
+    }
 }
 # Ends the script because of a path.
 refuse() {

@@ -3,7 +3,8 @@ case $0 in
 .//run.sh) ;;
 *)
     unset CDPATH
-    cd "$(dirname "$0")" && export OLDPWD && exec sh .//run.sh "$@"
+    case $0 in */*) here=${0%/*}/ ;; *) here=./ ;; esac
+    cd -- "$here" && export OLDPWD && exec sh .//run.sh "$@"
     exit 1
     ;;
 esac

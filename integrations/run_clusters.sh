@@ -5,7 +5,7 @@ set -u
 @RESTART@
 @REFUSE_STRANGERS@
 refuse_strangers links.txt .
-mkdir -p older || exit 1
+tried mkdir -p older || exit 1
 failed=0
 fail() {
     say "error: $1 failed" >&2
@@ -20,16 +20,16 @@ move() {
     if [ -e "$2" ] || [ -L "$2" ]; then
         refuse "$2"
     fi
-    mv "$1" "$2" || exit 1
+    tried mv -f "$1" "$2" || exit 1
 }
 # Moves a file or folder to a new folder in older/.
 put_aside() {
-    aside=$(mktemp -d older/XXXXXX) && mv "$1" "$aside" || exit 1
+    aside=$(tried mktemp -d older/XXXXXX) && tried mv -f "$1" "$aside" || exit 1
 }
 # Leaves in the folder only those results that the plan has: FOLDER NAMES. Others wait in older/ for a plan that has them. What is not named like a
 # result, as `$result` says, stays where it is.
 only() {
-    mkdir -p "$1" || exit 1
+    tried mkdir -p "$1" || exit 1
     for path in "$1"/*; do
         name=${path#"$1"/}
         case $name in
@@ -51,7 +51,7 @@ only() {
 withdraw() {
     for kept in kept/"$2"-*/"${1##*/}"; do
         if cmp -s "$1" "$kept"; then
-            rm -f "$1"
+            tried rm -f "$1"
             return
         fi
     done
@@ -69,6 +69,6 @@ present() {
         fi
         ln "$kept" "$place" 2>/dev/null && continue
         # Not every file system has hard links.
-        draft=$(mktemp "$2/XXXXXX") && cp -p "$kept" "$draft" && mv "$draft" "$place" || exit 1
+        draft=$(tried mktemp "$2/XXXXXX") && tried cp -p "$kept" "$draft" && tried mv -f "$draft" "$place" || exit 1
     done
 }

@@ -22,7 +22,8 @@ case $0 in
 .//stereo/viewrank/run.sh) ;;
 *)
     unset CDPATH
-    cd "$(dirname "$0")/../.." && exec sh .//stereo/viewrank/run.sh "$@"
+    case $0 in */*) here=${0%/*}/ ;; *) here=./ ;; esac
+    cd -- "$here../.." && exec sh .//stereo/viewrank/run.sh "$@"
     exit 1
     ;;
 esac
@@ -42,11 +43,11 @@ refuse_paths_out() {
     [ -z "$found" ] || refuse "$found"
 }
 for list in "$maps" stereo/patch-match.cfg stereo/viewrank/*.cfg stereo/viewrank/*.txt; do
-    [ ! -f "$list" ] || refuse_paths_out "$list"
+    [ ! -f "$list" ] || { refuse_long "$list" && refuse_paths_out "$list"; }
 done
 # Prints what a map was made by, as a note says that may be anybody's: FILE
 noted() {
-    made=$(head -c 20 -- "$1" | LC_ALL=C tr -c '0-9a-f\n' '?')
+    made=$(head -c 20 -- "$1" 2>/dev/null | LC_ALL=C tr -c '0-9a-f\n' '?')
     case "${#made} $made" in
     '16 '*[!0-9a-f]*) made='?' ;;
     '16 '*) ;;
@@ -58,7 +59,7 @@ noted() {
 # A map of COLMAP is whole when its size is what its head says: WIDTH&HEIGHT&CHANNELS& and as many floats.
 whole() {
     [ -f "$1" ] || return 1
-    head=$(head -c 40 -- "$1" | LC_ALL=C tr -c '0-9&' ' ')
+    head=$(head -c 40 -- "$1" 2>/dev/null | LC_ALL=C tr -c '0-9&' ' ')
     width=${head%%&*} rest=${head#*&}
     height=${rest%%&*} rest=${rest#*&}
     channels=${rest%%&*}
@@ -70,11 +71,14 @@ there() {
 }
 # Writes a line to a new file, so that no other name of an older file gets it: LINE FILE
 note() {
-    rm -f -- "$2"
-    printf '%s\n' "$1" > "$2"
+    tried rm -f -- "$2"
+    { printf '%s\n' "$1" > "$2"; } 2>/dev/null || {
+        say "error: cannot write $2" >&2
+        exit 1
+    }
 }
 remove() {
-    rm -f -- "stereo/depth_maps/$1" "stereo/depth_maps/$1.made" "stereo/normal_maps/$1" "stereo/consistency_graphs/$1"
+    tried rm -f -- "stereo/depth_maps/$1" "stereo/depth_maps/$1.made" "stereo/normal_maps/$1" "stereo/consistency_graphs/$1"
 }
 # Sets maps aside that were made otherwise than the plan wants, each with its note. Lines of maps.tsv: what is wanted, what the map was made by
 # when these lists were written, the map. The note beside a map, of the run that made it, says more than that line; a map without either is by
@@ -87,7 +91,7 @@ set_aside() {
         there "$map" || continue
         note "$made" "stereo/depth_maps/$map.made"
         for file in "depth_maps/$map" "depth_maps/$map.made" "normal_maps/$map" "consistency_graphs/$map"; do
-            [ ! -f "stereo/$file" ] || mv -f -- "stereo/$file" "stereo/$file.before"
+            [ ! -f "stereo/$file" ] || tried mv -f -- "stereo/$file" "stereo/$file.before"
         done
     done
 }
@@ -100,9 +104,9 @@ bring_back() {
     for file in "depth_maps/$1" "depth_maps/$1.made" "normal_maps/$1" "consistency_graphs/$1"; do
         [ -f "stereo/$file.before" ] || continue
         if [ "$whole" -eq 1 ]; then
-            rm -f -- "stereo/$file.before"
+            tried rm -f -- "stereo/$file.before"
         elif [ "$noted" -eq 1 ] || [ ! -e "stereo/$file" ]; then
-            mv -f -- "stereo/$file.before" "stereo/$file"
+            tried mv -f -- "stereo/$file.before" "stereo/$file"
         fi
     done
 }

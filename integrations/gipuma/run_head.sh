@@ -5,7 +5,7 @@ only results "$results"
 map() {
     name=$1
     shift
-    rm -rf unfinished
+    tried rm -rf unfinished
     mkdir unfinished && gipuma "$@" -output_folder unfinished/ || return 1
     made=$(echo unfinished/*_"${1%.jpg}")
     [ -s "$made/disp.dmb" ] && [ -s "$made/normals.dmb" ] && move "$made" "results/$name"

@@ -1,11 +1,11 @@
 # usage: run.sh PATH/TO/Ori-NAME
 # mm3d ($MM3D) is called. A copy of the orientations, Ori-viewrank, takes the ImSec files: the folder that is named stays as it is.
 usage="usage: run.sh PATH/TO/Ori-NAME"
-ori=$(cd "$OLDPWD" && [ $# -eq 1 ] && cd "$1" 2>/dev/null && pwd -P) || {
+ori=$(cd "$OLDPWD" && [ $# -eq 1 ] && cd "$1" 2>/dev/null && pwd -P && echo .) && ori=${ori%??} || {
     say "error: no folder ${1:-} of orientations; $usage" >&2
     exit 2
 }
-copy="$(pwd -P)/Ori-viewrank"
+copy=$(pwd -P && echo .) && copy=${copy%??}/Ori-viewrank
 case "$copy/" in
 "${ori%/}"/*)
     say "error: $ori is the copy that this script makes, or holds it; $usage, of the MicMac project that the model comes from" >&2
@@ -27,8 +27,8 @@ refuse_strangers /dev/null "$ori"
 rules=MicMac-LocalChantierDescripteur.xml
 [ ! -e "$rules" ] || refuse "$rules"
 own_files .
-rm -rf Ori-viewrank
-mkdir Ori-viewrank && : >Ori-viewrank/made-by-viewrank && cp -R "$ori"/. Ori-viewrank/ || exit 1
+tried rm -rf Ori-viewrank
+mkdir Ori-viewrank && : >Ori-viewrank/made-by-viewrank && tried cp -R "$ori"/. Ori-viewrank/ || exit 1
 # With other orientations all is to be computed anew.
 orientations=$(cat Ori-viewrank/*.xml | cksum | tr ' ' -)
-cp ImSec/*.xml Ori-viewrank/ || exit 1
+tried cp ImSec/*.xml Ori-viewrank/ || exit 1

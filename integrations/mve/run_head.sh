@@ -1,5 +1,5 @@
 # dmrecon skips a view that has a map, and scene2pset joins all maps that the views have.
-mkdir -p kept || exit 1
+tried mkdir -p kept || exit 1
 map_names='*-L*'
 for view in views/*.mve; do
     name=${view#views/}
@@ -17,7 +17,7 @@ done
 map() {
     name=$1 view=views/${1%-*}.mve bundle=bundles/$2
     shift 2
-    rm -rf synth_0.out unfinished
-    cp "$bundle" synth_0.out && dmrecon "$@" . && ls "$view"/depth-L*.mvei >/dev/null && mkdir unfinished &&
-        mv "$view"/*-L* unfinished && move unfinished "kept/$name" && present "$name" "$view"
+    tried rm -rf synth_0.out unfinished
+    tried cp "$bundle" synth_0.out && dmrecon "$@" . && ls "$view"/depth-L*.mvei >/dev/null 2>&1 && mkdir unfinished &&
+        tried mv -f "$view"/*-L* unfinished && move unfinished "kept/$name" && present "$name" "$view"
 }

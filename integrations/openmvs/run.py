@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
 """Computes the depth maps of viewrank's plan with OpenMVS's DensifyPointCloud, checks each of them, and fuses them.
 
-    python3 run.py                                       all clusters, in rank order, then the fusion
-    python3 run.py --stop-at 20                          the first 20 clusters
-    python3 run.py --stop-at 80%                         as many as the plan foretells for 80 % of the area that all would cover
-    python3 run.py --stop-at 2h                          start no cluster after two hours
-    python3 run.py --progress ../progress.json           end when that file says "target_reached": true
-    python3 run.py --no-fusion                           only the depth maps
-    python3 run.py --rank 7                              the seventh cluster alone; many such runs may go on side by side
-    python3 run.py --stop-at 0                           only the fusion
-    python3 run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes, in place of those of run.py
-    python3 run.py --stop-at 0 -- --number-views-fuse 3  another fusion of the same maps
+    python3 -I run.py                                       all clusters, in rank order, then the fusion
+    python3 -I run.py --stop-at 20                          the first 20 clusters
+    python3 -I run.py --stop-at 80%                         as many as the plan foretells for 80 % of the area that all would cover
+    python3 -I run.py --stop-at 2h                          start no cluster after two hours
+    python3 -I run.py --progress ../progress.json           end when that file says "target_reached": true
+    python3 -I run.py --no-fusion                           only the depth maps
+    python3 -I run.py --rank 7                              the seventh cluster alone; many such runs may go on side by side
+    python3 -I run.py --stop-at 0                           only the fusion
+    python3 -I run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes, in place of those of run.py
+    python3 -I run.py --stop-at 0 -- --number-views-fuse 3  another fusion of the same maps
 
 Runs resume: a map that is there, is as planned, and whose row in report.json fits its scene and options is kept; any other is made anew and never fused. Options that only
 change the cloud or the speed leave the maps as they are. A map is made in a folder under unfinished/ and takes the place of the one before when it is whole and as planned; a

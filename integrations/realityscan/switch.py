@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Puts the side files beside the images: python3 switch.py IMAGES
+"""Puts the side files beside the images: python3 -I switch.py IMAGES
 
 xmp.txt lists them. A side file that is there already is replaced if it holds the two switches and nothing else, as one of an earlier plan does.
 Any other holds poses or settings of somebody's: it stays as it is and is named.

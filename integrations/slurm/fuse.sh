@@ -5,25 +5,27 @@ case $0 in
 .//fuse.sh) ;;
 */fuse.sh)
     unset CDPATH
-    cd "$(dirname "$0")" && exec sh .//fuse.sh "$@"
+    cd -- "${0%/*}/" && exec sh .//fuse.sh "$@"
     exit 1
     ;;
 esac
 @HEAD@
 set -u
 @REFUSE_STRANGERS@
+@LIST@
 refuse_strangers /dev/null "$folder"
+refuse_forged_list
 tab=$(printf '\t')
 # Of runs that were killed.
 for old in "$folder/fused.$(uname -n)".*; do
-    kill -0 "${old##*.}" 2>/dev/null || rm -f "$old"
+    kill -0 "${old##*.}" 2>/dev/null || tried rm -f "$old" || exit 1
 done
 found=$folder/fused.$(uname -n).$$
 trap 'rm -f "$found"' EXIT
 rm -f "$found"
 missing=0
 while IFS=$tab read -r rank marker id map key; do
-    if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(cat "$folder/done/$marker" 2>/dev/null)" = "$id" ]; }; then
+    if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(noted "$folder/done/$marker")" = "$id" ]; }; then
         printf '%s\n' "$id"
     else
         missing=$((missing + 1))
@@ -35,4 +37,4 @@ if [ ! -s "$found" ] || cmp -s "$found" "$folder/fused"; then
     exit 0
 fi
 fuse || exit 1
-mv "$found" "$folder/fused"
+tried mv -f "$found" "$folder/fused"

@@ -6,13 +6,14 @@ case $0 in
 .//task.sh) ;;
 */task.sh)
     unset CDPATH
-    cd "$(dirname "$0")" && exec sh .//task.sh "$@"
+    cd -- "${0%/*}/" && exec sh .//task.sh "$@"
     exit 1
     ;;
 esac
 @HEAD@
 set -u
 @REFUSE_STRANGERS@
+@LIST@
 refuse_strangers /dev/null "$folder"
 case ${1:-} in
 array) rank=$((${2:-0} + ${SLURM_ARRAY_TASK_ID:?is set by the queue})) ;;
@@ -24,7 +25,7 @@ array) rank=$((${2:-0} + ${SLURM_ARRAY_TASK_ID:?is set by the queue})) ;;
 esac
 
 reached() {
-    [ -f "$project/viewrank/progress.json" ] && grep -Eq '"target_reached": *true' "$project/viewrank/progress.json"
+    [ -f "$project/viewrank/progress.json" ] && refuse_long "$project/viewrank/progress.json" && grep -Eq '"target_reached": *true' "$project/viewrank/progress.json"
 }
 # The tasks of this array that wait are not needed any more.
 stop() {
@@ -36,10 +37,7 @@ if reached; then
     exit 0
 fi
 
-if [ ! -r "$list" ]; then
-    say "$list is gone: the plan has changed, dispatch it again" >&2
-    exit 1
-fi
+refuse_forged_list
 tab=$(printf '\t')
 IFS=$tab read -r _ marker id map key <<EOF
 $(awk -F '\t' -v rank="$rank" '$1 == rank' "$list")
@@ -49,20 +47,18 @@ if [ -z "$map" ]; then
     exit 0
 fi
 marker=$folder/done/$marker
-if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(cat "$marker" 2>/dev/null)" = "$id" ]; }; then
+if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(noted "$marker")" = "$id" ]; }; then
     say "rank $rank: $key is there"
     exit 0
 fi
-mkdir -p "$folder/done" || exit 1
-rm -f "$marker"
+tried mkdir -p "$folder/done" && tried rm -f "$marker" || exit 1
 say "rank $rank: $key on $(uname -n)"
 if ! compute || [ ! -s "$map" ]; then
     say "rank $rank: $key failed" >&2
     exit 1
 fi
 draft=$marker.$(uname -n).$$
-rm -f "$draft"
-printf '%s\n' "$id" > "$draft" && mv "$draft" "$marker" || exit 1
+tried rm -f "$draft" && printf '%s\n' "$id" > "$draft" && tried mv -f "$draft" "$marker" || exit 1
 if reached; then
     stop
 fi

@@ -11,7 +11,7 @@ use super::{
     strangers::{list_links, with_refusal},
 };
 use crate::{
-    base::shell::{command_path, quoted_path},
+    base::shell::{command_path, sh_word},
     io::{output::Contents, project::ModelFormat},
     model::camera::Camera,
 };
@@ -102,8 +102,8 @@ fn project_of(root: &Path) -> Option<PathBuf> {
 /// Commands of `run.sh` in the engine's project.
 fn steps() -> [String; 3] {
     [
-        format!("rm -rf \"{PROJECT}/opensfm/undistorted/openmvs\""),
-        format!("cp -rL openmvs \"{PROJECT}/opensfm/undistorted/\""),
+        format!("tried rm -rf \"{PROJECT}/opensfm/undistorted/openmvs\""),
+        format!("tried cp -rL openmvs \"{PROJECT}/opensfm/undistorted/\""),
         format!(
             "docker run --rm -v \"$(dirname \"{PROJECT}\")\":/datasets \"{ENGINE}\" --project-path /datasets \"$(basename \"{PROJECT}\")\""
         ),
@@ -130,8 +130,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "openmvs/scene.mvs in place of the engine's own; ENGINE=opendronemap/odm runs ODM, not ODX"
             .into();
     let script = format!("{RUNNER_HEAD}{}\n", steps().join("\n"));
-    let project = project_of(&selection.project.root)
-        .map_or_else(|| format!("\"{PROJECT}\""), |path| quoted_path(&path));
+    let project = project_of(&selection.project.root).map_or_else(
+        || format!("\"{PROJECT}\""),
+        |path| sh_word(&path.display().to_string()),
+    );
     record.commands = vec![format!("./run.sh {project}")];
     files.add(
         "run.sh",

@@ -77,7 +77,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()),
     );
     record.commands = vec![format!(
-        "python3 switch.py {}",
+        "python3 -I switch.py {}",
         selection.images_in_commands(&files.root)
     )];
     record.not_honoured.extend([

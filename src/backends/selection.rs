@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use super::{BackendError, place};
 use crate::{
-    base::shell::{command_path, quoted_path},
+    base::shell::command_path,
     io::{
         paths,
         project::{ImageFaults, ImageFolder, Project},
@@ -154,7 +154,7 @@ impl Selection<'_> {
             Err(_) => std::path::absolute(images).unwrap_or_else(|_| images.to_path_buf()),
         };
         match &self.project.images {
-            Some(images) => quoted_path(&seen_from(images)),
+            Some(images) => command_path(&seen_from(images)),
             None => "\"${IMAGES:?folder of the images}\"".into(),
         }
     }

@@ -11,7 +11,7 @@ use crate::{
         slurm::{self, SlurmQueue, Submission},
     },
     backends::{self, place},
-    base::shell::{quoted, quoted_path},
+    base::shell::sh_word,
     config::{Budget, CommandLineSettings, DispatchSettings, Share},
     daemon::{follow, state::Outcome},
     io::{
@@ -373,7 +373,7 @@ impl Report<'_> {
                 }
                 let commands = commands.iter().filter(|_| arguments.dry_run);
                 for command in commands {
-                    let words: Vec<String> = command.iter().map(|word| quoted(word)).collect();
+                    let words: Vec<String> = command.iter().map(|word| sh_word(word)).collect();
                     lines.push(format!("  would run     {}", words.join(" ")));
                 }
             }
@@ -382,14 +382,18 @@ impl Report<'_> {
     }
 }
 
-/// Returns the commands that start the scripts without a queue.
+/// Returns the commands that start the scripts without a queue. They name the folder once: GNU parallel
+/// would take braces in the path of a script for its own.
 fn by_hand(dispatch: &Dispatch, at_once: Option<u32>) -> [String; 2] {
-    let script = |name: &str| quoted_path(&dispatch.folder.join(name));
-    let (task, fuse) = (script("task.sh"), script("fuse.sh"));
+    let folder = sh_word(&dispatch.folder.display().to_string());
     let last = dispatch.tasks.last().map_or(0, |task| task.rank);
     let jobs = at_once.unwrap_or(2);
     [
-        format!("  one by one       for rank in $(seq {last}); do {task} $rank; done; {fuse}"),
-        format!("  with parallel    seq {last} | parallel -q -j {jobs} {task}; {fuse}"),
+        format!(
+            "  one by one       cd {folder} && {{ for rank in $(seq {last}); do ./task.sh $rank; done; ./fuse.sh; }}"
+        ),
+        format!(
+            "  with parallel    cd {folder} && {{ seq {last} | parallel -j {jobs} ./task.sh; ./fuse.sh; }}"
+        ),
     ]
 }

@@ -184,12 +184,30 @@ def test_a_target_beyond_the_plan_is_refused(work):
     assert "plan again with --target 100%" in done.stderr
 
 
-@pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
-def test_gnu_parallel(work):
-    work.dispatch("shell")
-    subprocess.run(["parallel", "--will-cite", "-q", "-j", "2", work.script("task.sh")], input="\n".join(map(str, range(1, RANKS + 1))), text=True, check=True)
-    assert sorted(work.ranks()) == list(range(1, RANKS + 1))
-    assert work.maps() == work.keys(RANKS)
+@pytest.mark.parametrize("way", ["one by one", pytest.param("with parallel", marks=pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed"))])
+@pytest.mark.parametrize("name", ["my valley", '{= system("touch pwned") =}{}', "a\u3164'; touch pwned #", "%s\x1b\\"])
+def test_the_printed_commands(way, name, work, tmp_path):
+    project = tmp_path / name
+    if not project.exists():
+        work.project.rename(project)
+    work.project = project
+    program = tmp_path / "colmap-program"
+    program.write_text(COLMAP.format(folder=tmp_path))
+    program.chmod(0o755)
+    (tmp_path / "depth_maps").write_bytes(b"4&3&1&" + bytes(48))
+    (tmp_path / "normal_maps").write_bytes(b"4&3&3&" + bytes(144))
+    (tmp_path / "bytes").write_text("1000")
+    said = work.viewrank("dispatch", project, "--scheduler", "shell", "--backend", "colmap", "--program", program, "--budget", RANKS).stdout
+    (command,) = [line.split(way)[1] for line in said.splitlines() if way in line]
+    assert command.isprintable()
+    for shell in (["sh"], ["bash"], ["zsh"], ["busybox", "sh"]):
+        if shutil.which(shell[0]):
+            made = "viewrank/colmap/stereo/depth_maps/*.bin", "viewrank/dispatch/colmap/fused"
+            for path in (*project.glob(made[0]), *project.glob(made[1])):
+                path.unlink()
+            subprocess.run([*shell, "-c", command], cwd=tmp_path, check=True)
+            assert len(list(project.glob(made[0]))) == RANKS and len(list(project.glob(made[1]))) == 1
+    assert not list(tmp_path.rglob("pwned"))
 
 
 COLMAP = """#!/bin/sh

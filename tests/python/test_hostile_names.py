@@ -91,6 +91,23 @@ def run(command, folder, machine, calls):
     subprocess.run(["sh", "-c", command], cwd=folder, env=environment, capture_output=True, timeout=60, stdin=subprocess.DEVNULL)
 
 
+@pytest.mark.parametrize("name", ["a\u3164", "a'\u202e$(touch pwned)", "a\x01';touch pwned;#'", "%s\\\x1b", "a\n", "=ls"])
+def test_a_shown_command_names_the_same_folder(fixtures, tmp_path, name):
+    """Whatever of its name cannot be shown."""
+    project = tmp_path / name
+    shutil.copytree(fixtures / "valley", project)
+    (project / "opensfm").mkdir()
+    done = subprocess.run([PROGRAM, "plan", project, "--quiet", "--confidence", "none"], capture_output=True, check=True)
+    done = subprocess.run([PROGRAM, "export", project, "--backend", "odm"], capture_output=True, text=True)
+    (command,) = [line.split("run there")[1] for line in done.stdout.splitlines() if "run there" in line]
+    assert command.isprintable()
+    for shell in (["sh"], ["bash"], ["zsh"], ["busybox", "sh"]):
+        if shutil.which(shell[0]):
+            said = subprocess.run([*shell, "-c", command.replace("./run.sh", "printf '%s'", 1)], cwd=tmp_path, capture_output=True, text=True).stdout
+            assert os.path.samefile(said, project) and said.rstrip("/") == str(project)
+    assert not list(tmp_path.rglob("pwned*"))
+
+
 @pytest.mark.parametrize("backend", backends())
 def test_names_stay_names(fixtures, few_points, machine, tmp_path, backend):
     project, refused = Model(fixtures, few_points, tmp_path / "model").plan(backend)

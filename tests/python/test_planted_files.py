@@ -105,7 +105,45 @@ def test_no_program_writes_into_files_that_have_other_names(work, tmp_path, back
     assert all(path.stat().st_mode == user.stat().st_mode for path, user in zip(planted, outside))
 
 
+@pytest.mark.parametrize("tool", ["mktemp", "cp", "mv"])
+def test_messages_of_tools_do_not_reach_the_terminal(work, tmp_path, tool):  # noqa: F811
+    """They name files as they are."""
+    refuses = f"#!/bin/sh\nprintf '{tool}: %s\\n' \"$*\" >&2\nexit 1\n"
+    sure = work("sure", {"sure": WRITES, tool: refuses})
+    (sure.folder / f"product{ESCAPE}").write_text("x")
+    os.link(sure.folder / f"product{ESCAPE}", tmp_path / "outside")
+    done, calls = sure.run()
+    assert done.returncode == 1 and not calls and "error: failed: " in done.stderr and "\x1b" not in done.stderr, done.stderr
+
+
+def test_a_folder_whose_name_ends_in_a_line_break(work):  # noqa: F811
+    """The script runs there, not in its neighbour without the line break, however it is started."""
+    pmvs = work("pmvs", {"pmvs2": "#!/bin/sh\npwd -P; exit 1\n"})
+    folder = pmvs.folder.with_name("pmvs\n")
+    shutil.copytree(pmvs.folder, folder, symlinks=True)
+    environment = {"PATH": f"{pmvs.bin}:/usr/bin:/bin"}
+    ways = [(["sh", folder / "run.sh"], "/"), (["sh", "run.sh"], folder), (["./run.sh"], folder), (["sh", "pmvs\n/run.sh"], folder.parent)]
+    for command, place in ways:
+        done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True)
+        assert done.stdout == f"{folder}\n", f"{command}: {done.stdout}{done.stderr}"
+
+
+def test_lists_that_are_too_long_are_not_read(work, tmp_path):  # noqa: F811
+    pmvs = work("pmvs", {"pmvs2": "#!/bin/sh\nexit 0\n"})
+    os.truncate(pmvs.folder / "links.txt", 1 << 32)
+    done, _ = pmvs.run()
+    assert done.returncode == 1 and "links.txt: longer than the 64 MiB" in done.stderr
+
+
 # COLMAP
+
+
+@pytest.mark.parametrize("list", ["stereo/viewrank/maps.tsv", "stereo/patch-match.cfg", "stereo/viewrank/ranks.txt"])
+@pytest.mark.parametrize("options", [[], ["--rank", "1"]])
+def test_lists_of_colmap_that_are_too_long_are_not_read(colmap, list, options):
+    os.truncate(colmap.folder / list, 1 << 32)
+    done, calls = colmap.run(*options, script="stereo/viewrank/run.sh")
+    assert done.returncode == 1 and f"{list}: longer than the 64 MiB" in done.stderr and not calls
 
 
 @pytest.fixture

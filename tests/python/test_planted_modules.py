@@ -1,4 +1,5 @@
 """Scripts of an export are started in a folder that may be a stranger's. What he put beside them is not imported."""
+import json
 import os
 import re
 import shutil
@@ -29,6 +30,23 @@ def test_planted_modules_are_not_imported(script, tmp_path):
         environment = {**os.environ, "PYTHONPATH": os.pathsep}
         done = subprocess.run([sys.executable, path, "--help"], cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert not trap.exists() and "has no attribute" not in done.stderr and "cannot import" not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("backend", ["openmvs", "realityscan", "alicevision"])
+def test_commands_of_an_export_run_no_planted_start_file(backend, fixtures, tmp_path):
+    """Python runs a sitecustomize.py of its path before the script, which cannot refuse it."""
+    project, trap = tmp_path / "valley", tmp_path / "trapped"
+    shutil.copytree(fixtures / "valley", project)
+    subprocess.run([PROGRAM, "plan", project, "--backend", backend, "--quiet", "--confidence", "none"], check=True)
+    export = project / "viewrank" / backend
+    (export / "sitecustomize.py").write_text(f"open({str(trap)!r}, 'w').close()")
+    (export / "usercustomize.py").write_text(f"open({str(trap)!r}, 'w').close()")
+    record = json.loads((export / "export.json").read_text())
+    scripts = [path.name for path in export.glob("run.sh")]
+    for command in [f"./{script}" for script in scripts] or record["commands"]:
+        done = subprocess.run(["sh", "-c", command], cwd=export, env={**os.environ, "PYTHONPATH": os.pathsep}, capture_output=True, text=True)
+        assert not trap.exists(), done.stderr
+    assert any("python3" in text for text in [*record["commands"], *((export / script).read_text() for script in scripts)])
 
 
 def test_all_scripts_print_alike():

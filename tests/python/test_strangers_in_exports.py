@@ -187,9 +187,8 @@ def test_nothing_outside_the_export_changes(case, viewrank, plans, tmp_path):  #
         assert done.returncode != 0 and "error:" in done.stderr and "\x1b" not in done.stdout + done.stderr, done.stderr
 
 
-@pytest.mark.parametrize("script", ["task.sh", "fuse.sh"])
-def test_scripts_of_a_queue(script, viewrank, plans, tmp_path):  # noqa: F811
-    """The same for what `viewrank dispatch` and `viewrank run` start."""
+def queue(viewrank, plans, tmp_path):  # noqa: F811
+    """A project with the scripts of a queue, their folder, and one outside."""
     project = tmp_path / "project"
     shutil.copytree(plans[4], project, symlinks=True)
     program = tmp_path / "colmap"
@@ -200,6 +199,45 @@ def test_scripts_of_a_queue(script, viewrank, plans, tmp_path):  # noqa: F811
     folder, outside = project / "viewrank/dispatch/colmap", tmp_path / "outside"
     (outside / "docs").mkdir(parents=True)
     (outside / "profile").write_text("export PATH")
+    return project, folder, outside
+
+
+@pytest.mark.parametrize("script", ["task.sh", "fuse.sh"])
+def test_a_list_that_viewrank_has_not_written_is_refused(script, viewrank, plans, tmp_path):  # noqa: F811
+    project, folder, outside = queue(viewrank, plans, tmp_path)
+    (path,) = folder.glob("list-*.tsv")
+    lines = path.read_text().splitlines()
+    rank, marker, id, map, key = lines[0].split("\t")
+    up = "../" * 5
+    forged = [(rank, f"{up}outside/profile", id, map, key), (rank, "0" * 15 + "/", id, map, key), (rank, marker, "touch profile", map, key), (rank, marker, id, "/etc/hostname", key),
+              (rank, marker, id, f"{project}/{up}etc/hostname", key), (rank, marker, id, f"{project}x/map", key), ("-1", marker, id, map, key), (rank, marker, id, map), (rank,)]
+    (folder / "done").mkdir()
+
+    def run():
+        done = subprocess.run(["sh", folder / script, "1"], capture_output=True, text=True, cwd=outside, timeout=20, stdin=subprocess.DEVNULL)
+        assert sorted(path.name for path in outside.rglob("*")) == ["docs", "profile"] and (outside / "profile").read_text() == "export PATH"
+        return done
+
+    for fields in forged:
+        for text in ("\t".join(fields), "\n".join([*lines, "\t".join(fields)])):
+            path.write_text(text + "\n")
+            done = run()
+            assert done.returncode == 1 and "not made by viewrank" in done.stderr, f"{fields}: {done.stdout}{done.stderr}"
+    with path.open("wb") as file:
+        file.truncate(1 << 32)
+    done = run()
+    assert done.returncode == 1 and "64 MiB" in done.stderr
+    path.write_text("\n".join(lines) + "\n")
+    # What is not the id of a cluster is no marker, however long.
+    with (folder / "done" / marker).open("wb") as file:
+        file.truncate(1 << 32)
+    assert run().returncode == 0
+
+
+@pytest.mark.parametrize("script", ["task.sh", "fuse.sh"])
+def test_scripts_of_a_queue(script, viewrank, plans, tmp_path):  # noqa: F811
+    """The same for what `viewrank dispatch` and `viewrank run` start."""
+    project, folder, outside = queue(viewrank, plans, tmp_path)
     words = ["1"] if script == "task.sh" else []
 
     def run():

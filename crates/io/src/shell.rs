@@ -22,7 +22,14 @@ pub fn quoted_path(path: &Path) -> String {
 pub fn command_word(word: &str) -> String {
     if cfg!(windows) {
         for_windows(word)
-    } else if word.chars().all(is_printable) {
+    } else {
+        sh_word(word)
+    }
+}
+
+/// Quotes a word for a command that the user types in a POSIX shell, on any system.
+pub fn sh_word(word: &str) -> String {
+    if word.chars().all(is_printable) {
         quoted(word)
     } else {
         with_escapes(word)
@@ -30,14 +37,16 @@ pub fn command_word(word: &str) -> String {
 }
 
 /// Quotes a word with characters that are escaped where they are shown, so that what is typed is the
-/// same word: `$'...'` of bash, zsh and others.
+/// same word. `$'...'` is not in all shells, and means something else in those without it.
 fn with_escapes(word: &str) -> String {
-    let escaped = word.chars().map(|c| match c {
-        '\'' | '\\' => format!("\\{c}"),
-        c if is_printable(c) => c.into(),
-        c => format!("\\U{:08x}", u32::from(c)),
+    let escaped = word.bytes().map(|byte| match byte {
+        byte if byte.is_ascii_alphanumeric() || b"/._ ".contains(&byte) => char::from(byte).into(),
+        byte => format!("\\{byte:03o}"),
     });
-    format!("$'{}'", escaped.collect::<String>())
+    // `$(...)` drops line breaks at the end. With a slash behind them, a folder's name is the same, and
+    // that of a file names nothing.
+    let end = if word.ends_with('\n') { "/" } else { "" };
+    format!("\"$(printf '{}{end}')\"", escaped.collect::<String>())
 }
 
 /// Quotes a path for a command that the user types.
@@ -84,8 +93,10 @@ fn for_windows(word: &str) -> String {
     format!("\"{word}{}\"", r"\".repeat(end))
 }
 
+/// Returns whether no shell takes a word for something else; zsh has a command's path for `=ls`.
 fn is_plain(word: &str) -> bool {
     !word.is_empty()
+        && !word.starts_with('=')
         && word
             .chars()
             .all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c))
@@ -93,6 +104,8 @@ fn is_plain(word: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::process::Command;
+
     use super::*;
 
     #[test]
@@ -105,13 +118,50 @@ mod tests {
     fn a_quoted_path_is_one_word() {
         assert_eq!(quoted_path(Path::new("/a b/it's")), r"'/a b/it'\''s'");
         assert_eq!(quoted_path(Path::new("/a-b/c_1.x")), "/a-b/c_1.x");
+        assert_eq!(quoted("=ls"), "'=ls'");
+        assert_eq!(quoted("a=ls"), "a=ls");
     }
 
     #[test]
     #[cfg(unix)]
     fn a_command_names_what_is_escaped_where_it_is_shown() {
-        let path = Path::new("a\u{3164}'\\/b\t");
-        assert_eq!(command_path(path), r"$'a\U00003164\'\\/b\U00000009'");
+        let path = Path::new("a\u{3164}'\\/b%\t");
+        assert_eq!(
+            command_path(path),
+            r#""$(printf 'a\343\205\244\047\134/b\045\011')""#
+        );
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn all_shells_read_the_same_word() {
+        let words = [
+            "a\u{3164}';touch x #",
+            "-n\u{202e}$(touch x)`touch x`\"!!",
+            "%s\\n\u{1b}[2J",
+            "a\nb",
+            "=ls",
+            "é'\u{200b}",
+        ];
+        for shell in [
+            &["sh"][..],
+            &["bash"],
+            &["dash"],
+            &["zsh"],
+            &["busybox", "sh"],
+        ] {
+            for word in words {
+                let script = format!("printf '%s' {}", command_word(word));
+                let mut command = Command::new(shell[0]);
+                // Not all are installed.
+                let Ok(done) = command.args(&shell[1..]).args(["-c", &script]).output() else {
+                    continue;
+                };
+                let said = String::from_utf8_lossy(&done.stdout);
+                assert_eq!(said, word, "{shell:?}: {script}");
+            }
+        }
+        assert_eq!(command_word("a\n"), r#""$(printf 'a\012/')""#);
     }
 
     #[test]

@@ -228,9 +228,10 @@ impl Dispatch {
         };
         let head = self.head(tools, settings);
         let script = |template: &str| {
-            Contents::Script(
-                backends::with_refusal(&template.replacen("@HEAD@\n", &head, 1)).into_bytes(),
-            )
+            let list = include_str!("../../../integrations/slurm/list.sh");
+            let script = backends::with_refusal(&template.replacen("@LIST@\n", list, 1));
+            // The last: a path in it may hold anything.
+            Contents::Script(script.replacen("@HEAD@\n", &head, 1).into_bytes())
         };
         add(
             "task.sh",
@@ -259,15 +260,13 @@ impl Dispatch {
     fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
         let TaskRunner { compute, fuse, .. } = &self.runner;
         let body = |name: &str, command: &str| {
-            format!(
-                "{name}() {{\n    cd {} && {command}\n}}\n",
-                quoted_path(&self.workplace)
-            )
+            format!("{name}() {{\n    cd \"$workplace\" && {command}\n}}\n")
         };
         let setup = settings.setup.trim_end();
         format!(
-            "project={}\nfolder={}\nlist={}\nfinished={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
+            "project={}\nworkplace={}\nfolder={}\nlist={}\nfinished={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
             quoted_path(&self.project),
+            quoted_path(&self.workplace),
             quoted_path(&self.folder),
             quoted_path(&self.list_path(&self.list_name())),
             self.finished,

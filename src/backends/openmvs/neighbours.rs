@@ -77,7 +77,7 @@ pub fn export(
         record.way = "list of neighbours, with a scaled copy of the scene without points".into();
         record.commands = vec![
             densify.command(1),
-            format!("python3 unscale.py dense.ply dense_unscaled.ply {scale}"),
+            format!("python3 -I unscale.py dense.ply dense_unscaled.ply {scale}"),
         ];
         record.fusion = "number-views-fuse 1: partners have no depth maps that could agree".into();
     } else {

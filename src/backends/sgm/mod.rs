@@ -9,7 +9,7 @@ use super::{
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
 };
 use crate::{
-    base::shell::quoted_path,
+    base::shell::{command_path, quoted_path},
     model::cluster::{Gate, RankedCluster},
     plan::WorkPerMap,
 };
@@ -129,7 +129,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way = "pair files".into();
     let scale = selection.image_scale;
     let mut files = options.file_set(&BACKEND, selection);
-    let project = quoted_path(&place::path_from(&files.root, &selection.project.root));
+    let project = command_path(&place::path_from(&files.root, &selection.project.root));
     let command = |what| {
         format!(
             "python3 sgm.py {what} {project} --clusters clusters.txt --out depth_maps --image-scale {scale}"
