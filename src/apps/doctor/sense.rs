@@ -223,10 +223,7 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
             of_view[scene.track_views[observation].index()].extend(error);
         }
     }
-    let medians: Vec<Option<f64>> = of_view
-        .into_iter()
-        .map(|errors| upper_median(errors))
-        .collect();
+    let medians: Vec<Option<f64>> = of_view.into_iter().map(upper_median).collect();
     let wrong = |view: &ViewIndex| medians[view.index()].is_some_and(|error| error > ERROR_PX);
     let views: Vec<ViewIndex> = scene.view_indices().filter(wrong).collect();
     let known = medians.iter().flatten().count();
