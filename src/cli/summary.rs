@@ -496,6 +496,10 @@ impl<'a> Summary<'a> {
         if self.written {
             let curve = shown_path(&folder.join("curve.svg"));
             let mut lines = vec![format!("Look at {curve} and surface.ply.")];
+            let list = folder.join(self.backend).join("train_list.txt");
+            if list.is_file() {
+                lines.insert(0, format!("The images: {}.", shown_path(&list)));
+            }
             lines.extend(if self.has_missed_part() {
                 [
                     format!("Next, what was missed and images to take: {}", self.look),
@@ -639,13 +643,10 @@ fn notes_on_left_out(plan: &Plan) -> Vec<String> {
     let twins = plan.stages.twins.len();
     if twins > 0 {
         let (image, is) = match twins {
-            1 => ("image", "is"),
-            _ => ("images", "are"),
+            1 => ("image shows the same from the same place as another", "is"),
+            _ => ("images show the same from the same place as others", "are"),
         };
-        notes.push(format!(
-            "{} {image} from the place of another {is} set aside.",
-            grouped(twins)
-        ));
+        notes.push(format!("{} {image} and {is} set aside.", grouped(twins)));
     }
     notes
 }

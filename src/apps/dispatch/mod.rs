@@ -462,7 +462,7 @@ impl Hint for DispatchError {
             Self::Refused { .. } => "see the queue's message; --dry-run shows all commands".into(),
             Self::Answer { .. } => "look whether that command works by itself".into(),
             Self::Stuck => "look with squeue, then try again".into(),
-            Self::Busy(_) => "wait for it to end, or stop it with Ctrl-C: its command goes on where it was".into(),
+            Self::Busy(_) => "wait for it to end, or stop it with Ctrl-C; the same command, typed again, goes on from there".into(),
             Self::Lock(error) => return error.hint(),
             Self::Target { wanted, .. } => Advice::text("plan again with ").set_to("cut.target", wanted.to_string()),
         })

@@ -2,7 +2,11 @@
 
 use super::{Finding, Inputs, Severity};
 use crate::{
-    base::shell::{command_path, command_word},
+    base::{
+        advice::on_command_line,
+        error::Hint,
+        shell::{command_path, command_word},
+    },
     model::georeference::Georeference,
     plan::{self, GroundSummary, RegionFileError, photographed_ground, positions_in_images},
     show::manifest::planned_ground,
@@ -12,8 +16,8 @@ pub fn findings(inputs: &Inputs) -> Option<Finding> {
     match ground(inputs) {
         Ok((ground, is_planned)) => of_ground(inputs, &ground?, is_planned),
         Err(error) => {
-            let cure =
-                "give another file or a box as the region (--region, or region in viewrank.toml)";
+            let cure = error.hint().map(|hint| on_command_line(&hint));
+            let cure = cure.unwrap_or_else(|| "give another region".into());
             Some(Finding::new(
                 Severity::Error,
                 "region",

@@ -75,7 +75,7 @@ fn gsplat_holdout_eats_key_views() {
         .min()
         .unwrap()
         .to_owned();
-    assert!(files.says(&format!("{first}: gsplat holds the first image")));
+    assert!(files.says(&format!("the first image by name ({first})")));
 }
 
 #[test]

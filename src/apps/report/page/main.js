@@ -190,7 +190,7 @@ function fillText(hole, i) {
     const [low, high] = [Math.min(...values), Math.max(...values)].map(value => digits === 0 ? `${Math.round(100 * value)}` : rounded(value));
     return low === high ? low : `${low} to ${high}`;
   };
-  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w] * perUnit))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; they fill ${filled < 0.005 ? 'hardly any' : percent(filled, 0)} of it`;
+  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w] * perUnit))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; ${own.length === 1 ? 'it fills' : 'they fill'} ${filled < 0.005 ? 'hardly any' : percent(filled, 0)} of it`;
 }
 
 function flightText() {

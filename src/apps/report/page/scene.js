@@ -386,7 +386,7 @@ class Scene {
     context.lineTo(12 + px, this.height - 18);
     context.stroke();
     context.font = '12px system-ui, sans-serif';
-    context.fillText(`${rounded(length)} ${unit}`, 18, this.height - 18);
+    context.fillText(`${rounded(length)} ${length === 1 && !data.metres ? 'unit' : unit}`, 18, this.height - 18);
   }
 
   // An arrow to the north, in the lower right corner.
