@@ -4,8 +4,7 @@
 use super::{PlanError, Stages, Timings};
 use crate::{
     base::progress::{Stage, Watcher},
-    decision::{self, Cut, Decision, Options, UncutRanking},
-    model::cluster::MapScale,
+    decision::{self, Cut, Decision, FinishedClusters, Options, UncutRanking},
 };
 
 /// Returns what the decision reads of the settings.
@@ -21,17 +20,17 @@ pub(super) fn options(stages: &Stages) -> Options<'_> {
 }
 
 /// Ranks the clusters by their fulfilment and cuts the ranking as set. The finished clusters come
-/// first, as listed in `order`.
+/// first.
 pub fn decide(
     stages: &Stages,
-    order: &[(u32, MapScale)],
+    finished: &FinishedClusters,
     timings: &mut Timings,
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
     let known = stages.known_ranking.as_ref();
     let decision = timings.time(Stage::Ranking, || {
         let options = options(stages);
-        decision::decide(&stages.tables, &options, known, order, watcher)
+        decision::decide(&stages.tables, &options, known, finished, watcher)
     })?;
     watcher.check()?;
     Ok(decision)

@@ -46,7 +46,7 @@ use crate::{
         progress::{Stage, Watcher},
     },
     config::Settings,
-    decision::DecisionError,
+    decision::{DecisionError, FinishedClusters},
     io::project::Project,
     model::{
         cluster::{RankedCluster, ViewCluster},
@@ -96,7 +96,7 @@ impl Plan {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let stages = Stages::run(project, scene, settings, matcher, &mut timings, watcher)?;
-        let decision = decide(&stages, &[], &mut timings, watcher)?;
+        let decision = decide(&stages, &FinishedClusters::default(), &mut timings, watcher)?;
         timings.end();
         Ok(Self::of(stages, decision, FinishedMaps::default(), timings))
     }

@@ -22,6 +22,7 @@ use crate::{
         input,
         progress::{Cancelled, Watcher},
     },
+    decision::FinishedClusters,
     io::{
         depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
         project::Project,
@@ -159,8 +160,10 @@ pub fn replan(
         progress: MeasuredProgress::new(&plan.stages, &run),
         run,
     });
-    let run = measured.as_ref().map(|measured| &measured.run);
-    Ok((rank_around(plan, finished, run, watcher)?, measured))
+    Ok((
+        rank_around(plan, finished, measured.as_ref(), watcher)?,
+        measured,
+    ))
 }
 
 /// Finished maps, and what they reach of what all would.
@@ -185,10 +188,10 @@ fn measure(
 fn rank_around(
     mut plan: Plan,
     finished: FinishedMaps,
-    run: Option<&MeasuredClusters>,
+    measured: Option<&Measured>,
     watcher: &dyn Watcher,
 ) -> Result<Plan, PlanError> {
-    if run.is_some() {
+    if measured.is_some() {
         plan.keep_predictions();
     }
     let Plan {
@@ -196,11 +199,15 @@ fn rank_around(
         stages,
         ..
     } = plan;
-    let (stages, order) = match run {
-        Some(run) => with_finished(stages, run, watcher)?,
+    let (stages, order) = match measured {
+        Some(measured) => with_finished(stages, &measured.run, watcher)?,
         None => (stages, Vec::new()),
     };
-    let decision = decide(&stages, &order, &mut timings, watcher)?;
+    let clusters = FinishedClusters {
+        order: &order,
+        share: measured.and_then(|measured| measured.progress.share),
+    };
+    let decision = decide(&stages, &clusters, &mut timings, watcher)?;
     Ok(Plan::of(stages, decision, finished, timings))
 }
 

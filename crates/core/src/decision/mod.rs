@@ -85,6 +85,15 @@ pub struct Options<'a> {
     pub makes_maps: bool,
 }
 
+/// The finished clusters.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FinishedClusters<'a> {
+    /// In their order, with the sizes of their maps.
+    pub order: &'a [(u32, MapScale)],
+    /// Share of what all clusters reach that they do, as measured; `None`: by the tables.
+    pub share: Option<f64>,
+}
+
 /// A ranking cannot be cut as asked, or not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum DecisionError {
@@ -123,21 +132,25 @@ impl Hint for DecisionError {
 }
 
 /// Ranks the clusters by their fulfilment and cuts the ranking as set. The finished clusters come
-/// first, as listed in `order`. `known`: the ranking without finished clusters, if it is known.
+/// first. `known`: the ranking without finished clusters, if it is known.
 pub fn decide(
     tables: &Tables,
     options: &Options,
     known: Option<&UncutRanking>,
-    order: &[(u32, MapScale)],
+    finished: &FinishedClusters,
     watcher: &dyn Watcher,
 ) -> Result<Decision, DecisionError> {
+    let FinishedClusters { order, share } = *finished;
     // Where there are no maps, none are finished.
     let order = if options.makes_maps { order } else { &[] };
     let finished = order.len();
     let ranked = match known {
         Some(known) if order.is_empty() => known.clone(),
         _ => {
-            let ranking = rank(tables, options, order, watcher)?;
+            let mut ranking = rank(tables, options, order, watcher)?;
+            if let Some(share) = share {
+                ranking.correct(finished, share);
+            }
             UncutRanking::new(tables, ranking, options.makes_maps)
         }
     };

@@ -97,6 +97,24 @@ impl Ranking {
         }
     }
 
+    /// Corrects the shares by that of the first clusters, which are finished, as it was measured: of
+    /// what they leave, the others are expected to add the same parts as before.
+    pub fn correct(&mut self, finished: usize, measured: f64) {
+        let expected = self.share(finished);
+        if !(expected > 0.0 && expected < 1.0) {
+            return;
+        }
+        for (rank, kept) in self.kept.iter_mut().enumerate() {
+            let share = *kept / self.reachable;
+            let corrected = if rank < finished {
+                share * measured / expected
+            } else {
+                measured + (share - expected) * (1.0 - measured) / (1.0 - expected)
+            };
+            *kept = corrected * self.reachable;
+        }
+    }
+
     /// Returns the minimum number of clusters with that [`Self::share`]; all of them if fusion
     /// keeps nothing.
     pub fn length_for_share(&self, share: f64) -> usize {

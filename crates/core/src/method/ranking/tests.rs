@@ -402,3 +402,22 @@ fn the_bound_is_near_the_optimum() {
         assert!(excess < most, "support {support}: {excess}");
     }
 }
+
+#[test]
+fn shares_are_corrected_by_what_the_first_clusters_gave() {
+    let expected = Ranking {
+        kept: vec![0.1, 0.2, 0.3, 0.4],
+        reachable: 0.4,
+        ..Ranking::default()
+    };
+    let mut measured = expected.clone();
+    measured.correct(2, 0.8);
+    let shares: Vec<f64> = (1..=4).map(|length| measured.share(length)).collect();
+    for (share, wanted) in shares.iter().zip([0.4, 0.8, 0.9, 1.0]) {
+        assert!((share - wanted).abs() < 1e-12, "{shares:?}");
+    }
+    // All of them: nothing is left to be expected.
+    let mut whole = expected.clone();
+    whole.correct(4, 0.9);
+    assert_eq!(whole, expected);
+}
