@@ -83,9 +83,12 @@ impl<'a> Inputs<'a> {
                 let mut settings =
                     in_force(project, settings, (&scene, image_gsd), matcher, source)?;
                 let place = georeference(project, &scene, &settings.frame);
-                settings.units.get_or_insert(match place.metres_per_unit() {
-                    Some(1.0) => Units::Metric,
-                    _ => Units::Relative,
+                // Neither, where the model's unit is some other length: a plan that is repeated with
+                // these settings must find it again.
+                settings.units = settings.units.or(match place.metres_per_unit() {
+                    Some(1.0) => Some(Units::Metric),
+                    Some(_) => None,
+                    None => Some(Units::Relative),
                 });
                 let region = shape(&place, &scene, &settings)?;
                 Ok::<_, PlanError>((points, fingerprints, image_gsd, settings, place, region))

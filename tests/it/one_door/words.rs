@@ -67,7 +67,7 @@ fn positions_that_do_not_fit_are_named() {
     assert!(!stdout.contains("GPS"), "{stdout}");
     // All from one place.
     for n in 0..9 {
-        folder.write(&format!("images/view_{n}.png"), with_position());
+        folder.write(&format!("images/view_{n}.png"), with_position([0.0; 2]));
     }
     let (_, stdout, _) = folder.plan(&["--dry-run"]);
     assert!(
@@ -76,8 +76,36 @@ fn positions_that_do_not_fit_are_named() {
     );
 }
 
-/// A picture of 100 x 75 pixels taken at 52° north, 21° east.
-fn with_position() -> Vec<u8> {
+#[test]
+fn a_model_placed_by_positions_is_in_metres_on_its_page_too() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    for view in &scene().views {
+        // Two metres in a unit; a second of arc is 30.9 m to the north, and 19.1 to the east at 52°.
+        let centre = view.cam_from_world.centre();
+        let position = [200.0 + 2.0 * centre.y, 200.0 + 2.0 * centre.x];
+        let seconds = [position[0] / 30.9, position[1] / 19.06];
+        folder.write(&format!("images/{}", view.name), with_position(seconds));
+    }
+    let (code, stdout, stderr) = folder.plan(&["--backend", "pairs", "--report"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("On earth by the GPS of 9"), "{stdout}");
+    let metres = || {
+        let page = fs::read_to_string(folder.at("viewrank/report.html")).unwrap();
+        let (_, rest) = page.split_once("\"metres\":").unwrap();
+        let (number, _) = rest.split_once(',').unwrap();
+        number.parse::<f64>().ok()
+    };
+    assert!((metres().unwrap() - 2.0).abs() < 0.05, "{:?}", metres());
+    // Made again from the plan's record.
+    let again = viewrank(&["report", folder.path().to_str().unwrap()]);
+    assert!(again.status.success());
+    assert!((metres().unwrap() - 2.0).abs() < 0.05, "{:?}", metres());
+}
+
+/// A picture of 100 x 75 pixels taken at 52° and 21° and so many seconds of arc to the north and to
+/// the east.
+fn with_position([north, east]: [f64; 2]) -> Vec<u8> {
     let mut picture = std::io::Cursor::new(Vec::new());
     let grey = image::GrayImage::new(100, 75);
     grey.write_to(&mut picture, image::ImageFormat::Jpeg)
@@ -91,8 +119,8 @@ fn with_position() -> Vec<u8> {
         let count = (entries.len() as u16).to_le_bytes();
         [&count[..], &entries.concat(), &[0; 4]].concat()
     };
-    let degrees = |degrees: u32| -> Vec<u8> {
-        let numbers = [degrees, 1, 0, 1, 0, 1];
+    let degrees = |degrees: u32, seconds: f64| -> Vec<u8> {
+        let numbers = [degrees, 1, 0, 1, (1e6 * seconds) as u32, 1_000_000];
         numbers.into_iter().flat_map(u32::to_le_bytes).collect()
     };
     // The GPS directory follows that of the image, and its numbers follow it.
@@ -108,8 +136,8 @@ fn with_position() -> Vec<u8> {
         b"Exif\0\0II*\0\x08\0\0\0".as_slice(),
         &first,
         &gps,
-        &degrees(52),
-        &degrees(21),
+        &degrees(52, north),
+        &degrees(21, east),
     ]
     .concat();
     let jpeg = picture.into_inner();
