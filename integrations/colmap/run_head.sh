@@ -39,7 +39,7 @@ refuse_paths_out() {
         BEGIN { hash = "[0-9a-f]"; hash = hash hash hash hash; hash = "^(" hash hash hash hash "|[?-])$" }
         { path = $0 }
         FILENAME == maps { wrong = $1 !~ hash || $2 !~ hash || !sub(/^[^\t]*\t[^\t]*\t/, "", path) }
-        wrong || path == "" && FILENAME == maps || path ~ /^\// || path ~ /(^|\/|, )\.\.(\/|$)/ { print FILENAME; exit }' "$@")
+        wrong || path == "" && FILENAME == maps || path ~ /^\// || path ~ /(^|\/|, )\.\.(\/|$)/ { print FILENAME; exit }' "$1" 2>/dev/null) || [ ! -e "$1" ] || refuse "$1" # gone: another cluster's, which is done
     [ -z "$found" ] || refuse "$found"
 }
 for list in "$maps" stereo/patch-match.cfg stereo/viewrank/*.cfg stereo/viewrank/*.txt; do
