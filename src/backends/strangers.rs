@@ -1,5 +1,5 @@
-//! What the scripts of exports share: they start as a name of our own, and refuse what somebody else
-//! has put into the folder, a link, a pipe or the like.
+//! Shell functions that all exported scripts share: a script restarts itself under a fixed name, and
+//! refuses links, pipes and the like that somebody else has put into its folder.
 
 use crate::io::output::{Contents, FileSet};
 

@@ -27,6 +27,7 @@ use crate::{
         depthmaps::{self, DepthMapError},
         output::{self, Disk, OutputError},
     },
+    method::ranking,
     model::{cluster::MapScale, scene::ViewIndex},
     plan::{Decision, OutdatedMap, Plan},
 };
@@ -393,11 +394,7 @@ impl TargetForecast {
         // The list gives the missing part in the proportions in which it is expected to.
         let share = so_far.share.unwrap_or(0.0);
         let expected = curve.share(done, total);
-        let missing = match 1.0 - share {
-            missing if missing > 0.0 => (target - share) / missing,
-            _ => 0.0,
-        };
-        let wanted = expected + missing.max(0.0) * (1.0 - expected);
+        let wanted = ranking::as_part_of_rest(target.max(share), share, expected);
         let reached = curve
             .clusters_for(wanted * total)
             .filter(|&n| n <= cut.max(done));

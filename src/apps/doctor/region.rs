@@ -13,8 +13,10 @@ use crate::{
 };
 
 pub fn findings(inputs: &Inputs) -> Option<Finding> {
-    match ground(inputs) {
-        Ok((ground, is_planned)) => of_ground(inputs, &ground?, is_planned),
+    // May read the positions in the images.
+    let place = plan::georeference(inputs.project, inputs.scene, &inputs.settings.frame);
+    match ground(inputs, &place) {
+        Ok((ground, is_planned)) => of_ground(inputs, &place, &ground?, is_planned),
         Err(error) => {
             let cure = error.hint().map(|hint| on_command_line(&hint));
             let cure = cure.unwrap_or_else(|| "give another region".into());
@@ -29,26 +31,32 @@ pub fn findings(inputs: &Inputs) -> Option<Finding> {
 }
 
 /// Returns the ground of the region, and whether it is that of a plan, which has a surface.
-fn ground(inputs: &Inputs) -> Result<(Option<GroundSummary>, bool), RegionFileError> {
+fn ground(
+    inputs: &Inputs,
+    place: &Georeference,
+) -> Result<(Option<GroundSummary>, bool), RegionFileError> {
     let (scene, settings) = (inputs.scene, inputs.settings);
     if let Some(planned) = planned_ground(inputs.project, settings) {
         return Ok((Some(planned), true));
     }
-    let place = plan::georeference(inputs.project, scene, &settings.frame);
     let without_image = inputs.images.without_image(scene.views.len());
-    let now = photographed_ground(scene, &place, settings, &without_image)?;
+    let now = photographed_ground(scene, place, settings, &without_image)?;
     Ok((now, false))
 }
 
-fn of_ground(inputs: &Inputs, ground: &GroundSummary, is_planned: bool) -> Option<Finding> {
-    let (scene, settings) = (inputs.scene, inputs.settings);
-    let place = plan::georeference(inputs.project, scene, &settings.frame);
+fn of_ground(
+    inputs: &Inputs,
+    place: &Georeference,
+    ground: &GroundSummary,
+    is_planned: bool,
+) -> Option<Finding> {
+    let settings = inputs.settings;
     if ground.unseen >= 1.0 {
         let what = "no photograph shows any of the region";
-        let cure = place_of_region(inputs, &place);
+        let cure = place_of_region(inputs, place);
         return Some(Finding::new(Severity::Error, "region", what, cure));
     }
-    let metres = plan::metres(settings.units, &place);
+    let metres = plan::metres(settings.units, place);
     let covered = ground.covered("the region", metres);
     let what = format!("{covered} {}", ground.missed(metres));
     if !ground.is_incomplete() {
@@ -70,7 +78,7 @@ fn of_ground(inputs: &Inputs, ground: &GroundSummary, is_planned: bool) -> Optio
     Some(Finding::new(Severity::Warning, "region-missed", what, cure))
 }
 
-/// What to look at where a region is not where the photographs are.
+/// Advice on a region that lies outside the photographs.
 fn place_of_region(inputs: &Inputs, place: &Georeference) -> String {
     if *place != Georeference::Local {
         return "check that its polygon has longitude before latitude, and frame.origin or frame.utm"

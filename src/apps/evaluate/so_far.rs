@@ -84,7 +84,8 @@ impl MeasuredProgress {
         for (c, cluster) in stages.clusters.iter().enumerate() {
             let row = pilot.kept.table.row(c);
             shown.take(row);
-            if run.finished(cluster.key).is_none() {
+            // A map at half the size may still be made at full size, which is what all would have.
+            if !matches!(run.finished(cluster.key), Some((MapScale::Full, _))) {
                 row.0
                     .iter()
                     .for_each(|&place| record.further[place as usize] += 1);
@@ -103,7 +104,7 @@ impl MeasuredProgress {
     }
 }
 
-/// Returns the plan's cluster with this key view; `None` if there is none.
+/// Returns the index of this key view's cluster in the plan, if it has one.
 fn planned(stages: &Stages, key: ViewIndex) -> Option<usize> {
     let clusters = &stages.clusters;
     clusters
@@ -111,13 +112,13 @@ fn planned(stages: &Stages, key: ViewIndex) -> Option<usize> {
         .ok()
 }
 
-/// What finished maps kept of what the pilot shows, by place and triangle, and how many further maps
-/// show it.
+/// For each place and triangle, the number of finished maps in which the pilot expects it, how many of
+/// these keep it, and in how many of the maps to come the pilot expects it.
 ///
-/// Whether a map keeps a place is a matter of chance, with a probability that differs by place: a
-/// white wall fails in all maps, a blurred edge in some. Over the places it has a beta
-/// distribution, whose mean and spread the finished maps tell; what they gave at a place corrects it
-/// there (a beta-binomial model).
+/// Maps keep a place with a probability that differs from place to place: a white wall fails in every
+/// map, a blurred edge in some. The probability is taken as beta distributed over the places; mean and
+/// spread come from the finished maps, and their results at a place update it there (a beta-binomial
+/// model).
 struct PlaceRecord<'a> {
     objective: &'a Objective,
     /// Finished maps of which the pilot shows it, those of them that kept it, and all that did.

@@ -143,7 +143,7 @@ fn north(plan: &Plan, frame: &MapFrame) -> Option<[f64; 2]> {
     // How far north a unit along each axis of the map leads.
     let northing = |axis: usize| {
         let to = plan.stages.place.geodetic(&(here + frame.axes[axis]))?;
-        Some(flight::metres(from, to)[1])
+        Some(from.offset_to(to)[1])
     };
     let [x, y] = [northing(0)?, northing(1)?];
     let length = x.hypot(y);

@@ -31,7 +31,7 @@ pub struct GroundSummary {
     /// Photographs that must show a place for a depth there (`coverage.min_cameras`).
     #[serde(default)]
     pub needed: u32,
-    /// Share that at least so many show, 0 to 1.
+    /// Share that at least that many photographs show, 0 to 1.
     #[serde(default)]
     pub enough: f64,
 }

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::{Flight, Waypoint};
 use crate::{
     base::decimals::to_decimals,
-    model::georeference::{Geodetic, Georeference, MapFrame},
+    model::georeference::{Georeference, MapFrame},
     show::pictures::views_file,
 };
 
@@ -73,7 +73,7 @@ impl<'a> Described<'a> {
             match (place.geodetic(&waypoint.centre), place.geodetic(&ahead)) {
                 (Some(from), Some(to)) => (
                     [from.longitude, from.latitude, from.height],
-                    metres(from, to),
+                    from.offset_to(to),
                 ),
                 _ => (
                     frame.direction(&waypoint.centre.coords),
@@ -100,12 +100,6 @@ impl<'a> Described<'a> {
             "overlap": to_decimals(self.waypoint.overlap, 2),
         })
     }
-}
-
-/// East, north and up from one place to another nearby, in the same unit.
-pub fn metres(from: Geodetic, to: Geodetic) -> [f64; 3] {
-    let local = from.east_north_up().transpose() * (to.to_ecef() - from.to_ecef());
-    [local.x, local.y, local.z]
 }
 
 fn geojson(all: &[Described], local: bool) -> String {

@@ -19,7 +19,7 @@ use crate::{
 };
 
 pub use bare::{BareGround, bare_ground};
-pub use files::{files, metres};
+pub use files::files;
 pub use missed::{missed, missed_areas, unbuilt_ground};
 
 /// An image to take.

@@ -89,20 +89,20 @@ impl Places {
                 }
             }
             while places.parts.iter().map(Vec::len).sum::<usize>() > MOST_PARTS {
-                places.keep(&sample.halve());
+                places.thin_out(&sample.halve());
             }
         }
         Ok(places)
     }
 
-    /// Leaves out the places that are not `kept`.
-    fn keep(&mut self, kept: &[bool]) {
-        let mut left = 0;
-        let renumbered: Vec<Option<u32>> = kept
+    /// Removes the places that are not `sampled`.
+    fn thin_out(&mut self, sampled: &[bool]) {
+        let mut number = 0;
+        let renumbered: Vec<Option<u32>> = sampled
             .iter()
-            .map(|is_kept| {
-                left += u32::from(*is_kept);
-                is_kept.then(|| left - 1)
+            .map(|is_sampled| {
+                number += u32::from(*is_sampled);
+                is_sampled.then(|| number - 1)
             })
             .collect();
         for parts in &mut self.parts {
@@ -113,10 +113,10 @@ impl Places {
             });
             parts.shrink_to_fit();
         }
-        retain(&mut self.centres, kept);
-        retain(&mut self.sizes, kept);
-        retain(&mut self.measured_area, kept);
-        retain(&mut self.weights, kept);
+        retain(&mut self.centres, sampled);
+        retain(&mut self.sizes, sampled);
+        retain(&mut self.measured_area, sampled);
+        retain(&mut self.weights, sampled);
     }
 
     fn push(&mut self, found: &Agreed, smaller: f64) {
@@ -262,21 +262,21 @@ impl Sample {
         is_new
     }
 
-    /// Leaves out about half of the cells; returns which were kept, in the order of taking.
+    /// Removes about half of the cells; returns which are left, in the order of taking.
     fn halve(&mut self) -> Vec<bool> {
         self.halvings += 1;
-        let is_kept = |cell: &Cell| cell.halvings() >= self.halvings;
-        let kept = self.in_order.iter().map(is_kept).collect();
-        self.taken.retain(is_kept);
-        self.in_order.retain(is_kept);
-        kept
+        let is_left = |cell: &Cell| cell.halvings() >= self.halvings;
+        let left = self.in_order.iter().map(is_left).collect();
+        self.taken.retain(is_left);
+        self.in_order.retain(is_left);
+        left
     }
 }
 
-/// Leaves out what is not `kept`.
-fn retain<T>(list: &mut Vec<T>, kept: &[bool]) {
-    let mut kept = kept.iter();
-    list.retain(|_| kept.next().copied().unwrap_or(false));
+/// Removes what is not `sampled`.
+fn retain<T>(list: &mut Vec<T>, sampled: &[bool]) {
+    let mut sampled = sampled.iter();
+    list.retain(|_| sampled.next().copied().unwrap_or(false));
     list.shrink_to_fit();
 }
 
@@ -372,7 +372,7 @@ mod tests {
             views: vec![ViewIndex(0), ViewIndex(1)],
             parts: vec![vec![part(0), part(1), part(4)], vec![part(2), part(3)]],
         };
-        places.keep(&[false, true, false, true, true]);
+        places.thin_out(&[false, true, false, true, true]);
         assert_eq!(places.sizes.len(), 3);
         let left: usize = places.parts.iter().map(Vec::len).sum();
         assert_eq!(left, 3);

@@ -109,7 +109,7 @@ impl Ranking {
             let corrected = if rank < finished {
                 share * measured / expected
             } else {
-                measured + (share - expected) * (1.0 - measured) / (1.0 - expected)
+                as_part_of_rest(share, expected, measured)
             };
             *kept = corrected * self.reachable;
         }
@@ -128,6 +128,16 @@ impl Ranking {
     /// Returns the clusters with the size at which they are matched, best first.
     pub fn maps(&self) -> impl Iterator<Item = (u32, MapScale)> {
         self.order.iter().copied().zip(self.scales.iter().copied())
+    }
+}
+
+/// Returns the share that is the same part of what is left of all beyond the share `to` as `share`
+/// is beyond `from`.
+pub fn as_part_of_rest(share: f64, from: f64, to: f64) -> f64 {
+    if from < 1.0 {
+        to + (share - from) * (1.0 - to) / (1.0 - from)
+    } else {
+        to
     }
 }
 

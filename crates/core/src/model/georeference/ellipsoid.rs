@@ -69,6 +69,12 @@ impl Geodetic {
         ])
     }
 
+    /// Returns how far another place nearby is to the east, to the north and above, metres.
+    pub fn offset_to(self, other: Self) -> [f64; 3] {
+        let offset = self.east_north_up().transpose() * (other.to_ecef() - self.to_ecef());
+        [offset.x, offset.y, offset.z]
+    }
+
     /// Converts from UTM coordinates, metres, by the series of Krüger (1912) to the fourth power of
     /// the third flattening: accurate to 0.1 mm within the zone and its neighbours.
     pub fn from_utm(zone: Zone, easting: f64, northing: f64, height: f64) -> Self {
