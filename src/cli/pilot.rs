@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = project.with_images(settings.images.as_deref());
     let scene = project.read_scene()?;
     let matcher = backends::planned_for(&project, &settings)?;
-    refuse_useless(&scene, &settings, &matcher)?;
+    refuse_impossible(&scene, &matcher)?;
     refuse_other_plan(&project, arguments)?;
     let settings = small(settings, &scene, &matcher);
     let progress = ProgressDisplay::new(arguments.quiet);
@@ -97,27 +97,22 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     ])
 }
 
-/// Fails where the program's small maps would be of no use to a plan.
-fn refuse_useless(scene: &Scene, settings: &Settings, matcher: &Matcher) -> Result<(), Failure> {
-    let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
-    let why = if !matcher.makes_maps {
-        "makes no depth maps"
-    } else if support <= 1 {
-        "keeps what a single map shows, and its plans are ranked by the surface"
-    } else {
-        let takes_distorted =
-            backends::by_name(matcher.name).is_ok_and(|backend| backend.takes_distorted);
-        let mut cameras = scene.view_indices().map(|view| scene.camera_of(view));
-        if takes_distorted || cameras.all(Camera::is_pinhole) {
-            return Ok(());
-        }
-        let message = format!("{} needs undistorted images", matcher.name);
-        let hint = "undistort them (viewrank undistort), and name the folder that it makes";
-        return Err(Failure::new(Exit::Failed, message, Some(hint.into())));
-    };
-    let message = format!("no pilot for {}: it {why}", matcher.name);
-    let hint = "plan without one: viewrank plan";
-    Err(Failure::new(Exit::Usage, message, Some(hint.into())))
+/// Fails where the program cannot make small maps.
+fn refuse_impossible(scene: &Scene, matcher: &Matcher) -> Result<(), Failure> {
+    if !matcher.makes_maps {
+        let message = format!("no pilot for {}: it makes no depth maps", matcher.name);
+        let hint = "plan without one: viewrank plan";
+        return Err(Failure::new(Exit::Usage, message, Some(hint.into())));
+    }
+    let takes_distorted =
+        backends::by_name(matcher.name).is_ok_and(|backend| backend.takes_distorted);
+    let mut cameras = scene.view_indices().map(|view| scene.camera_of(view));
+    if takes_distorted || cameras.all(Camera::is_pinhole) {
+        return Ok(());
+    }
+    let message = format!("{} needs undistorted images", matcher.name);
+    let hint = "undistort them (viewrank undistort), and name the folder that it makes";
+    Err(Failure::new(Exit::Failed, message, Some(hint.into())))
 }
 
 /// Fails if `--out` has a plan that is no pilot, which would be lost.

@@ -290,7 +290,7 @@ impl<'a> Summary<'a> {
             ..
         } = self.cut;
         let counted = match self.weight {
-            _ if self.counts_places => "the places on which thumbnails agree",
+            _ if self.counts_places => "the places that thumbnails show",
             TriangleWeight::Pixels => "the pixels that show the surface",
             TriangleWeight::Area => "the area of the surface",
             TriangleWeight::Count => "triangles",

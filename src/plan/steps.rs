@@ -384,8 +384,8 @@ impl Step for ClustersStep<'_> {
     }
 }
 
-/// Returns the places that a pilot finds, if there are maps or pictures to find them in, and fusion
-/// wants `support` maps to agree.
+/// Returns the places that a pilot finds, if there are maps or pictures to find them in. `support`: maps
+/// that fusion wants to agree.
 pub(super) fn pilot(
     inputs: &Inputs,
     clusters: &Filed<CachedClusters>,
@@ -398,10 +398,7 @@ pub(super) fn pilot(
     let made = made.transpose()?;
     let has_pictures = matches!(inputs.confidence, Confidence::Photometric { .. })
         && inputs.pictures.have_images();
-    // Where fusion keeps what a single map shows, how well it shows it is all that counts; and where
-    // there are no maps, none agree.
-    let is_agreement_wanted = support > 1 && inputs.matcher.makes_maps;
-    if !is_agreement_wanted || !(has_pictures || made.is_some()) {
+    if !inputs.matcher.makes_maps || !(has_pictures || made.is_some()) {
         return Ok(None);
     }
     let places = run.step(PilotStep {
@@ -410,11 +407,12 @@ pub(super) fn pilot(
         clusters: &clusters.clusters,
         made: made.as_ref(),
         thumbnails,
+        support,
     })?;
     Ok(Some(places))
 }
 
-/// The places on which the maps of the clusters in thumbnails agree.
+/// The places that the maps of the clusters in thumbnails show.
 struct PilotStep<'a> {
     inputs: &'a Inputs<'a>,
     clusters_file: &'a ResultFile,
@@ -423,6 +421,7 @@ struct PilotStep<'a> {
     made: Option<&'a PilotMaps>,
     /// Those that were taken while pictures were compared.
     thumbnails: Thumbnails,
+    support: u32,
 }
 
 impl Step for PilotStep<'_> {
@@ -434,9 +433,12 @@ impl Step for PilotStep<'_> {
         let Inputs {
             scene, pictures, ..
         } = self.inputs;
-        self.inputs
-            .fingerprints
-            .pilot(scene, &self.clusters_file.file, pictures, self.made)
+        self.inputs.fingerprints.pilot(
+            scene,
+            &self.clusters_file.file,
+            pictures,
+            (self.made, self.support),
+        )
     }
 
     fn unpack(&self, (): (), bytes: &[u8]) -> Option<Places> {
@@ -463,6 +465,12 @@ impl Step for PilotStep<'_> {
         let scene = (scene, points);
         let maps = pilot::maps(scene, self.clusters, made, self.thumbnails, seen, watcher)?;
         let smaller = pilot::smaller(&self.inputs.scene, settings.image_scale());
-        Ok(Places::new(self.clusters, &maps, smaller, watcher)?)
+        Ok(Places::new(
+            self.clusters,
+            &maps,
+            self.support,
+            smaller,
+            watcher,
+        )?)
     }
 }

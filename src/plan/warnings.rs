@@ -245,12 +245,12 @@ fn no_number_of_images(stages: &Stages) -> Option<String> {
     })
 }
 
-/// Warns of small maps of a program whose fusion needs no second map.
+/// Warns of small maps for a product without depth maps.
 fn unused_pilot(stages: &Stages) -> Option<String> {
     let is_named = stages.settings.pilot.maps.is_some();
-    (is_named && stages.objective.support <= 1).then(|| {
+    (is_named && !stages.makes_maps).then(|| {
         format!(
-            "the small maps of pilot.maps are not used: {} keeps what a single map shows, and its plans are ranked by the surface",
+            "the small maps of pilot.maps are not used: {} takes the images themselves",
             stages.backend
         )
     })

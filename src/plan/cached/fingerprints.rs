@@ -203,10 +203,11 @@ impl<'a> Fingerprints<'a> {
         scene: &Scene,
         clusters: &CacheFile,
         pictures: &PictureFolders,
-        made: Option<&PilotMaps>,
+        (made, support): (Option<&PilotMaps>, u32),
     ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
+            add(&mut hasher, &(support == 1));
             for view in scene.view_indices() {
                 add(&mut hasher, &pictures.stamps(scene.name(view))?);
             }

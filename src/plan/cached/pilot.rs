@@ -7,7 +7,7 @@ use crate::{
         packed::{Packed, Packer, Unpacker},
         rows::Offsets,
     },
-    method::pilot::{Part, Places},
+    method::pilot::{Agreement, Part, Places},
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
@@ -29,8 +29,15 @@ pub(super) fn pack(places: &Places) -> Packed {
     packer.list(&centres);
     packer.list(&places.sizes);
     packer.list(&places.measured_area);
-    packer.list(&places.weights);
+    packer.list(&Vec::from_iter(
+        places.agreement.iter().map(|&maps| maps as u8),
+    ));
     packer.finish()
+}
+
+fn of_byte(maps: u8) -> Option<Agreement> {
+    let known = [Agreement::Single, Agreement::Two, Agreement::More];
+    known.into_iter().find(|agreement| *agreement as u8 == maps)
 }
 
 /// Unpacks the places of these clusters.
@@ -44,7 +51,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
     let (densities, kept) = (lists.list::<f32>()?, lists.list::<u8>()?);
     let centres = lists.list::<f64>()?;
     let (sizes, measured_area) = (lists.list::<f32>()?, lists.list::<f32>()?);
-    let weights = lists.list::<f64>()?;
+    let agreement = lists.list::<u8>()?;
     let number = sizes.len();
     let offsets = Offsets::from_lengths(lengths.iter().map(|&length| length as usize));
     let is_whole = lists.is_at_end()
@@ -54,7 +61,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         && kept.len() == parts.len()
         && centres.len() == 3 * number
         && measured_area.len() == number
-        && weights.len() == number;
+        && agreement.len() == number;
     let of_clusters = clusters
         .iter()
         .map(|cluster| cluster.key.0)
@@ -62,8 +69,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
     let is_possible = centres.iter().all(|x| x.is_finite())
         && [&sizes, &measured_area, &densities]
             .iter()
-            .all(|list| list.iter().all(|&size| size.is_finite() && size > 0.0))
-        && weights.iter().all(|weight| (0.0..=1.0).contains(weight));
+            .all(|list| list.iter().all(|&size| size.is_finite() && size > 0.0));
     if !(is_whole && of_clusters && is_possible) {
         return None;
     }
@@ -85,6 +91,6 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         centres: centres.chunks_exact(3).map(Point3::from_slice).collect(),
         sizes,
         measured_area,
-        weights,
+        agreement: agreement.into_iter().map(of_byte).collect::<Option<_>>()?,
     })
 }

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 pub use self::{
     pinhole::Pinhole,
-    places::{Part, Places},
+    places::{Agreement, Part, Places},
     sweep::PilotMap,
     thumbnail::{PicturesWithThumbnails, Thumbnails},
 };
@@ -35,8 +35,14 @@ use crate::{
     },
 };
 
-/// Matches each cluster in thumbnails, and keeps the depths that other maps confirm. A cluster
-/// without a thumbnail, or without sparse points, has no map. Thumbnails that are missing are made
+/// The pilot's maps of all clusters, one each: `None` without a thumbnail or sparse points.
+pub struct MatchedThumbnails {
+    pub maps: Vec<Option<PilotMap>>,
+    /// Of these, the depths that other maps confirm.
+    pub confirmed: Vec<Option<PilotMap>>,
+}
+
+/// Matches each cluster in thumbnails, and finds the depths that other maps confirm. Thumbnails that are missing are made
 /// of the pictures of the `source`, which are read for matching at this size. Nothing is matched
 /// where a map is `made` already, one for each cluster.
 pub fn maps(
@@ -46,7 +52,7 @@ pub fn maps(
     thumbnails: Thumbnails,
     source: (&dyn Pictures, f64),
     watcher: &dyn Watcher,
-) -> Result<Vec<Option<PilotMap>>, Cancelled> {
+) -> Result<MatchedThumbnails, Cancelled> {
     let unmatched = clusters
         .iter()
         .zip(&made)
@@ -67,7 +73,11 @@ pub fn maps(
     watcher.check()?;
     // No longer needed, and larger than the maps.
     drop(thumbnails);
-    Ok(confirm::confirmed(clusters, &matched))
+    let confirmed = confirm::confirmed(clusters, &matched);
+    Ok(MatchedThumbnails {
+        maps: matched,
+        confirmed,
+    })
 }
 
 /// Returns the views of some clusters, ascending.
@@ -89,8 +99,9 @@ pub fn smaller(scene: &Scene, image_scale: f64) -> f64 {
     thumbnail::LONG_SIDE / (f64::from(side.unwrap_or(1)) * image_scale)
 }
 
-/// Bytes per pixel of a thumbnail, with its quads and mask, and of its map before it is confirmed.
-const VIEW_PIXEL: u64 = 1 + 4 + 1 + 4;
+/// Bytes per pixel of a thumbnail, with its quads and mask, and of its map before and after it is
+/// confirmed.
+const VIEW_PIXEL: u64 = 1 + 4 + 1 + 4 + 4;
 /// Bytes per pixel while a view is matched: costs of the planes and their sums, and rows of floats.
 const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60;
 
@@ -283,7 +294,7 @@ mod tests {
         (scene, (0..4).map(cluster).collect())
     }
 
-    fn matched(scene: &Scene, clusters: &[ViewCluster]) -> Vec<Option<PilotMap>> {
+    fn matched(scene: &Scene, clusters: &[ViewCluster]) -> MatchedThumbnails {
         let thumbnails = Thumbnails::new(scene.views.len());
         // One is there already, as after a comparison of the pictures.
         let beside = thumbnails.beside(&Stage);
@@ -297,7 +308,7 @@ mod tests {
     fn maps_show_the_ground_and_the_wall() {
         let (scene, clusters) = scene();
         let maps = matched(&scene, &clusters);
-        for (cluster, map) in clusters.iter().zip(&maps) {
+        for (cluster, map) in clusters.iter().zip(&maps.confirmed) {
             let map = map.as_ref().unwrap();
             let (mut right, mut wrong) = (0, 0);
             for (pixel, &inverse) in map.inverse.iter().enumerate().filter(|(_, v)| **v > 0.0) {
@@ -314,7 +325,7 @@ mod tests {
                 "{right} right, {wrong} wrong"
             );
         }
-        let places = Places::new(&clusters, &maps, 1.0, &NoWatcher).unwrap();
+        let places = Places::new(&clusters, &maps, 2, 1.0, &NoWatcher).unwrap();
         assert!(places.centres.len() > 500);
         let near =
             |place: &&Point3<f64>| (place.z - 10.0).abs() < 0.3 || (place.z - 7.0).abs() < 0.3;
@@ -327,9 +338,9 @@ mod tests {
         // Most of what view 1 shows is in the maps of its neighbours too.
         assert!(
             places
-                .weights
+                .agreement
                 .iter()
-                .filter(|&&weight| weight == 1.0)
+                .filter(|&&agreement| agreement == Agreement::More)
                 .count()
                 * 2
                 > places.centres.len()
@@ -357,7 +368,7 @@ mod tests {
             (&NoPictures, 1.0),
             &NoWatcher,
         );
-        for (cluster, map) in clusters.iter().zip(maps.unwrap()) {
+        for (cluster, map) in clusters.iter().zip(maps.unwrap().confirmed) {
             let inverse = map.unwrap().inverse;
             let kept = inverse.iter().enumerate().filter(|(_, v)| **v > 0.0);
             let right = |(pixel, inverse): &(usize, &f32)| {
@@ -379,8 +390,8 @@ mod tests {
         scene.track_views.clear();
         scene.track_offsets = vec![0];
         let found = matched(&scene, &clusters);
-        assert_eq!(found, [None, None, None, None]);
-        let places = Places::new(&clusters, &found, 1.0, &NoWatcher).unwrap();
+        assert_eq!(found.maps, [None, None, None, None]);
+        let places = Places::new(&clusters, &found, 1, 1.0, &NoWatcher).unwrap();
         assert!(places.centres.is_empty());
     }
 }

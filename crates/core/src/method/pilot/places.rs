@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::{sweep::PilotMap, thumbnail::LONG_SIDE};
+use super::{MatchedThumbnails, sweep::PilotMap, thumbnail::LONG_SIDE};
 use crate::{
     base::progress::{Cancelled, Watcher},
     method::target::GSD_MARGIN,
@@ -27,14 +27,11 @@ const PARTS_PER_PIXEL: usize = 9;
 const BYTES_PER_PART: usize = 47;
 /// Edge of a cell, in wanted GSDs of the thumbnails.
 const EDGE: f64 = 2.0;
-/// Maps that agree on a sure place.
-const SURE: usize = 3;
-/// Weight of a place on which two maps agree: half of those are chance.
-const UNSURE_WEIGHT: f64 = 0.5;
 /// Places of a map at which it is looked whether another shows the same.
 const PROBES: usize = 64;
 
-/// Cells of the scene on which at least two pilot maps agree.
+/// Cells of the scene on which pilot maps agree or, where fusion keeps what a single map shows, of
+/// which one has a depth.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Places {
     /// A point of each cell, world coordinates.
@@ -45,12 +42,33 @@ pub struct Places {
     /// the size of the thumbnails, over that of the place's cell: GSDs are rounded to powers of two
     /// at either size.
     pub measured_area: Vec<f32>,
-    /// How much the place counts: less where only two maps agree.
-    pub weights: Vec<f64>,
+    /// Maps that agree on the place.
+    pub agreement: Vec<Agreement>,
     /// Key views of the maps, ascending.
     pub views: Vec<ViewIndex>,
     /// For each of them, the places on which its map agrees with others, ascending.
     pub parts: Vec<Vec<Part>>,
+}
+
+/// Maps that agree on a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Agreement {
+    /// No other map confirms it.
+    Single = 1,
+    Two,
+    More,
+}
+
+impl Agreement {
+    /// Returns the agreement of a number of maps; `None` for one, with which none agrees.
+    fn of(maps: usize) -> Option<Self> {
+        match maps {
+            ..=1 => None,
+            2 => Some(Self::Two),
+            3.. => Some(Self::More),
+        }
+    }
 }
 
 /// A place in which a map takes part.
@@ -64,35 +82,57 @@ pub struct Part {
 }
 
 impl Places {
-    /// Finds the places of confirmed maps, one per cluster. `smaller`: size of the thumbnails over
-    /// that of the matched images.
+    /// Finds the places of the maps of all clusters: those that others confirm; then, if fusion wants
+    /// no more than `support` = 1 of them, those that a single one shows. `smaller`: size of the
+    /// thumbnails over that of the matched images.
     pub fn new(
         clusters: &[ViewCluster],
-        maps: &[Option<PilotMap>],
+        maps: &MatchedThumbnails,
+        support: u32,
         smaller: f64,
         watcher: &dyn Watcher,
     ) -> Result<Self, Cancelled> {
-        let overlapping = overlapping(maps);
-        let pixels: usize = maps.iter().flatten().map(|map| map.inverse.len()).sum();
-        let step = step(pixels);
         let mut places = Self {
             views: clusters.iter().map(|cluster| cluster.key).collect(),
-            parts: vec![Vec::new(); maps.len()],
+            parts: vec![Vec::new(); clusters.len()],
             ..Self::default()
         };
         let mut sample = Sample::default();
-        for (own, others) in overlapping.iter().enumerate() {
-            watcher.check()?;
-            for found in agreed(maps, own, others, step) {
-                if sample.takes(found.cell()) {
-                    places.push(&found, smaller);
-                }
-            }
-            while places.parts.iter().map(Vec::len).sum::<usize>() > MOST_PARTS {
-                places.thin_out(&sample.halve());
-            }
+        let mut add = |maps: &[Option<PilotMap>], agreement: fn(usize) -> Option<Agreement>| {
+            places.add(maps, agreement, &mut sample, smaller, watcher)
+        };
+        add(&maps.confirmed, Agreement::of)?;
+        if support == 1 {
+            // Depths that were not confirmed agree by chance.
+            add(&maps.maps, |_| Some(Agreement::Single))?;
         }
         Ok(places)
+    }
+
+    /// Adds the places of some maps in cells that have none yet. `agreement`: of a number of maps.
+    fn add(
+        &mut self,
+        maps: &[Option<PilotMap>],
+        agreement: fn(usize) -> Option<Agreement>,
+        sample: &mut Sample,
+        smaller: f64,
+        watcher: &dyn Watcher,
+    ) -> Result<(), Cancelled> {
+        let pixels: usize = maps.iter().flatten().map(|map| map.inverse.len()).sum();
+        let step = step(pixels);
+        for (own, others) in overlapping(maps).iter().enumerate() {
+            watcher.check()?;
+            for found in agreed(maps, own, others, step) {
+                let agreement = agreement(found.maps.len());
+                if let Some(agreement) = agreement.filter(|_| sample.takes(found.cell())) {
+                    self.push(&found, agreement, smaller);
+                }
+            }
+            while self.parts.iter().map(Vec::len).sum::<usize>() > MOST_PARTS {
+                self.thin_out(&sample.halve());
+            }
+        }
+        Ok(())
     }
 
     /// Removes the places that are not `sampled`.
@@ -116,10 +156,10 @@ impl Places {
         retain(&mut self.centres, sampled);
         retain(&mut self.sizes, sampled);
         retain(&mut self.measured_area, sampled);
-        retain(&mut self.weights, sampled);
+        retain(&mut self.agreement, sampled);
     }
 
-    fn push(&mut self, found: &Agreed, smaller: f64) {
+    fn push(&mut self, found: &Agreed, agreement: Agreement, smaller: f64) {
         let index = self.centres.len() as u32;
         let size = f64::from(octave(found.finest)).exp2();
         let measured = f64::from(octave(found.finest * smaller)).exp2() / smaller;
@@ -132,10 +172,9 @@ impl Places {
                 is_kept: agreeing.is_kept,
             });
         }
-        let is_sure = found.maps.len() >= SURE;
         self.centres.push(found.place);
         self.sizes.push(size);
-        self.weights.push(if is_sure { 1.0 } else { UNSURE_WEIGHT });
+        self.agreement.push(agreement);
     }
 
     /// Returns the places in which the map of a view takes part.
@@ -176,7 +215,7 @@ fn density(size: f32, gsd: f64) -> f32 {
     (f64::from(size) / gsd).powi(2) as f32
 }
 
-/// A place on which at least two maps agree.
+/// A place that maps show.
 struct Agreed {
     place: Point3<f64>,
     /// Finest GSD of the thumbnails that show it, scene units.
@@ -192,7 +231,7 @@ struct Agreeing {
 }
 
 impl Agreed {
-    /// Returns which of the maps that may show a place agree on it; `None` if fewer than two do.
+    /// Returns which of the maps that may show a place agree on it; `None` if none does.
     fn new(maps: &[Option<PilotMap>], showing: &[u32], place: &Point3<f64>) -> Option<Self> {
         let (mut finest, mut agreeing) = (f64::INFINITY, Vec::new());
         for &map in showing {
@@ -207,7 +246,7 @@ impl Agreed {
             let is_kept = of_map.agrees_at(pixel, z);
             agreeing.extend(is_kept.map(|is_kept| Agreeing { map, gsd, is_kept }));
         }
-        (agreeing.len() >= 2 && finest > 0.0 && finest.is_finite()).then_some(Self {
+        (!agreeing.is_empty() && finest > 0.0 && finest.is_finite()).then_some(Self {
             place: *place,
             finest,
             maps: agreeing,
@@ -368,7 +407,7 @@ mod tests {
                 .collect(),
             sizes: vec![1.0; 5],
             measured_area: vec![1.0; 5],
-            weights: vec![1.0; 5],
+            agreement: vec![Agreement::More; 5],
             views: vec![ViewIndex(0), ViewIndex(1)],
             parts: vec![vec![part(0), part(1), part(4)], vec![part(2), part(3)]],
         };
