@@ -3,13 +3,13 @@
 
     benches/cells.py PROJECT WORK_FOLDER --openmvs FOLDER [--image-scale 0.5] [--check] [--viewrank viewrank]
     benches/cells.py PROJECT WORK_FOLDER --matcher sgm
-    benches/cells.py PROJECT WORK_FOLDER --matcher colmap --colmap PROGRAM
+    benches/cells.py PROJECT WORK_FOLDER --matcher colmap --colmap PROGRAM [--maps WORKSPACE]
 
 Matches all key views once, fuses all maps, and lets `viewrank evaluate` judge the orders (docs/method.md, section 8). Writes WORK_FOLDER/.../cells.tsv, which says which maps take part in which
 cells, and cells.json with the shares, from which benches/tables.py makes the tables of the documents. From then on `viewrank evaluate PROJECT --cells cells.tsv` judges any plan within seconds.
 
 With COLMAP, run.sh of the export matches and fuses, and all is also fused with other min_num_pixels than run.sh's. PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of
-another PatchMatch.
+another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
 
 --check also fuses the first maps of two orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
 benches/sizes.py, whose folder of maps this shares.
@@ -44,6 +44,7 @@ def main():
     parser.add_argument("--image-scale", type=float, default=0.5)
     parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
     parser.add_argument("--colmap", default=os.environ.get("COLMAP", "colmap"), help="its program")
+    parser.add_argument("--maps", type=Path, help="COLMAP workspace with all depth and normal maps")
     parser.add_argument("--check", action="store_true", help="compare the table with real fusions of the first maps")
     parser.add_argument("--viewrank", default="viewrank")
     args = parser.parse_args()
@@ -156,7 +157,9 @@ class Colmap(Bench):
         workspace = self.maps(scale)
         if not workspace.exists():
             shutil.copytree(self.project / "viewrank/colmap", workspace, symlinks=True)
-        self.run(workspace)
+        for kind in ("depth_maps", "normal_maps") if self.args.maps else ():
+            shutil.copytree(self.args.maps / "stereo" / kind, workspace / "stereo" / kind, dirs_exist_ok=True)
+        self.run(workspace, *(["--fuse"] if self.args.maps else []))
 
     def run(self, workspace, *options):
         program = shutil.which(self.args.colmap) or sys.exit(f"error: no program {self.args.colmap}: give --colmap")

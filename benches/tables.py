@@ -23,6 +23,7 @@ SETS = {
     "room": "an interior with white walls, rendered",
     "valley": "nadir and oblique, rendered",
     "kitchen": "hand-held frames, 7-Scenes",
+    "office": "hand-held, a room, COLMAP's own maps",
 }
 ORDERS = ("ours", "every n-th", "maxpts", "farthest view", "random", "oracle")
 KINDS = {"all": "all", "agreeing": "three agree"}
