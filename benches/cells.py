@@ -8,7 +8,8 @@
 Matches all key views once, fuses all maps, and lets `viewrank evaluate` judge the orders (docs/method.md, section 8). Writes WORK_FOLDER/.../cells.tsv, which says which maps take part in which
 cells, and cells.json with the shares, from which benches/tables.py makes the tables of the documents. From then on `viewrank evaluate PROJECT --cells cells.tsv` judges any plan within seconds.
 
-With COLMAP, run.sh of the export matches and fuses, and all is also fused with other min_num_pixels than run.sh's. PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of
+With COLMAP, run.sh of the export matches and fuses, and all is also fused with other min_num_pixels than run.sh's; where there is exact depth, the clouds of all maps are compared with it as in
+benches/partners.py. PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of
 another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
 
 --check also fuses the first maps of two orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
@@ -26,6 +27,7 @@ import sys
 from pathlib import Path
 
 import colmap_cuda
+from partners import Exact
 from scipy.spatial import cKDTree
 from sizes import Bench, OpenMvs, Reference, Sgm
 
@@ -77,8 +79,11 @@ def main():
         for of, cloud in zip((spread, plan), clouds):
             of["fused"] = reference.covered(cKDTree(cloud), 2)[0] / 100
         if args.matcher == "colmap":
+            truth = args.project / "truth"
+            exact = Exact(truth, bench).of if (truth / "depth").is_dir() else lambda _: None
             plan["min_num_pixels"] = {"all": bench.pixels(every), "plan": bench.pixels(choices[1])}
-            result["fused_of"] = {pixels: fused_of(bench, every, choices, pixels) for pixels in PIXELS}
+            plan["exact"] = exact(whole)
+            result["fused_of"] = {pixels: fused_of(bench, every, choices, pixels, exact) for pixels in PIXELS}
         if args.check:
             result["check"] = check(bench, reference, every, judged)
     (bench.work / "cells.json").write_text(json.dumps(result, indent=1) + "\n")
@@ -94,13 +99,14 @@ def processor_seconds():
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
 
 
-def fused_of(bench, every, choices, pixels):
+def fused_of(bench, every, choices, pixels, exact):
     """What main() finds, with this min_num_pixels in all fusions."""
-    reference = Reference(bench.fuse(every, 1.0, pixels), bench)
+    whole = bench.fuse(every, 1.0, pixels)
+    reference = Reference(whole, bench)
     cells = judge(bench, True)
     nth, plan = (bench.fuse(of, 1.0, pixels) for of in choices)
     covered = {name: reference.covered(cKDTree(cloud), 2)[0] / 100 for name, cloud in (("every n-th", nth), ("plan", plan))}
-    return {"cells": cells, "points": {"all": reference.number, "plan": len(plan)}, "fused": covered}
+    return {"cells": cells, "points": {"all": len(whole), "plan": len(plan)}, "fused": covered, "exact": exact(whole)}
 
 
 def judge(bench, fused):

@@ -3,8 +3,8 @@
 
     COLMAP=benches/colmap_cpu.py PROJECT/viewrank/colmap/stereo/viewrank/run.sh
 
-`patch_match_stereo` matches the lists, photometric only, by the PatchMatch of PyPI's pyarchinit-photogrammetry-core (0.5.0, CPU) with the options of that package: the depth ranges, sizes and files
-are as COLMAP's, the depths are not. `stereo_fusion` is COLMAP's own, of pycolmap (4.2). Needs both, numpy and opencv-python-headless.
+`patch_match_stereo` matches the lists, photometric only, by the PatchMatch of PyPI's pyarchinit-photogrammetry-core (0.5.0, CPU, GPL) with the defaults of that package: depth ranges, sizes and
+files are as COLMAP's, the depths are not. `stereo_fusion` is COLMAP's own, of pycolmap (4.2). Needs both, numpy and opencv-python-headless.
 """
 
 import argparse

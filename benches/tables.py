@@ -42,7 +42,7 @@ def main():
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
     openmvs, sgm, colmap = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm", "colmap"))
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
-    tables |= {"cells-colmap": covered_by_colmap(colmap), "maps-colmap": needed([fused_of(2, result) for result in colmap]), "default-colmap": default_of_colmap(colmap)}
+    tables |= {"cells-colmap": covered_by_colmap(colmap), "maps-colmap": needed([fused_of(2, result) for result in colmap]), "default-colmap": default_of_colmap(colmap), "exact-colmap": exact_of_colmap(colmap)}
     trained = by_set("splats.json")
     tables["splats"] = splats(trained)
     timed = by_set("planning.json")
@@ -115,6 +115,18 @@ def default_of_colmap(results):
         row = [str(plan["maps"]), f"{100 * plan['forecast']:.1f}", f"{pixels['plan']} of {pixels['all']}", points, *(f"{100 * ours:.1f}, {100 * nth:.1f}" for ours, nth in fused)]
         rows.append([f"{result['set']}, {result['cells']['maps']}", *row])
     return table(["set, maps", "plan", "forecast", "min_num_pixels of run.sh: plan, all", "points", "run.sh: plan, every n-th", "2", "5"], rows) if rows else []
+
+
+def exact_of_colmap(results):
+    """Clouds of all maps against exact depth."""
+    rows = []
+    for result in results:
+        if result["default"]["exact"]:
+            run = f"run.sh: {result['default']['min_num_pixels']['all']}"
+            for name, of in (("2", result["fused_of"]["2"]), (run, result["default"]), ("5", result["fused_of"]["5"])):
+                scores = [f"{100 * of['exact'][score]:.1f}" for score in ("complete", "accurate", "F1")]
+                rows.append([f"{result['set']}, {result['cells']['maps']}" if name == "2" else "", name, f"{of['points']['all'] / 1000:.0f} k", *scores])
+    return table(["set, maps", "min_num_pixels", "points", "complete", "accurate", "F1"], rows) if rows else []
 
 
 def needed(results):
