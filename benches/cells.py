@@ -3,50 +3,64 @@
 
     benches/cells.py PROJECT WORK_FOLDER --openmvs FOLDER [--image-scale 0.5] [--check] [--viewrank viewrank]
     benches/cells.py PROJECT WORK_FOLDER --matcher sgm
+    benches/cells.py PROJECT WORK_FOLDER --matcher colmap --colmap PROGRAM [--maps WORKSPACE]
 
 Matches all key views once, fuses all maps, and lets `viewrank evaluate` judge the orders (docs/method.md, section 8). Writes WORK_FOLDER/.../cells.tsv, which says which maps take part in which
 cells, and cells.json with the shares, from which benches/tables.py makes the tables of the documents. From then on `viewrank evaluate PROJECT --cells cells.tsv` judges any plan within seconds.
 
---check also fuses the first maps of three orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
+With COLMAP, run.sh of the export matches and fuses, and all is also fused with other min_num_pixels than run.sh's; where there is exact depth, the clouds of all maps are compared with it as in
+benches/partners.py. PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of
+another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
+
+--check also fuses the first maps of two orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
 benches/sizes.py, whose folder of maps this shares.
 """
 
 import argparse
 import json
 import os
+import re
 import resource
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import colmap_cuda
+from partners import Exact
 from scipy.spatial import cKDTree
-from sizes import OpenMvs, Reference, Sgm, read_cloud
+from sizes import Bench, OpenMvs, Reference, Sgm
 
 CHECKED = (0.1, 0.3)
 # Maps that the fusion wants.
-LEAST = {"openmvs": 2, "sgm": 1}
+LEAST = {"openmvs": 2, "sgm": 1, "colmap": 2}
+# min_num_pixels of stereo_fusion besides run.sh's: what plans count on, and COLMAP's default.
+PIXELS = (2, 5)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
     parser.add_argument("work", type=Path, metavar="work_folder", help="folder for maps, clouds and the table")
-    parser.add_argument("--matcher", choices=("openmvs", "sgm"), default="openmvs")
+    parser.add_argument("--matcher", choices=LEAST, default="openmvs")
     parser.add_argument("--image-scale", type=float, default=0.5)
     parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
+    parser.add_argument("--colmap", default=os.environ.get("COLMAP", "colmap"), help="its program")
+    parser.add_argument("--maps", type=Path, help="COLMAP workspace with all depth and normal maps")
     parser.add_argument("--check", action="store_true", help="compare the table with real fusions of the first maps")
     parser.add_argument("--viewrank", default="viewrank")
     args = parser.parse_args()
     args.gsd = None
-    bench = {"openmvs": OpenMvs, "sgm": Sgm}[args.matcher](args)
+    bench = {"openmvs": OpenMvs, "sgm": Sgm, "colmap": Colmap}[args.matcher](args)
     shutil.rmtree(bench.project / "viewrank/cache", ignore_errors=True)
     before = processor_seconds()
     default = bench.plan()
     planning = processor_seconds() - before
     every = bench.plan("--budget", "100%", "--target", "100%")
     matching = bench.match(every, 1.0)
-    judged = judge(bench, every)
+    whole = None if args.matcher == "sgm" else bench.fuse(every, 1.0)
+    judged = judge(bench, whole is not None)
+    shutil.copy(bench.project / "viewrank/evaluation/cells.tsv", bench.work)
     clusters = default["clusters"][: default["cut"]["clusters"]]
     # Some may have no map: OpenMVS found too little of them.
     names, _ = read_table(bench.work / "cells.tsv")
@@ -56,13 +70,20 @@ def main():
     plan = {"maps": len(clusters), "forecast": default["cut"]["share"], "covered": covered, "every n-th": spread}
     plan["seconds"] = {"planning": planning, "matching": len(clusters) * matching, "all": judged["maps"] * matching}
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
-    if args.matcher == "openmvs":
-        reference = Reference(read_cloud(bench.work / "fused/fused.ply"), bench)
+    if whole is not None:
         nth = every_nth(sorted(every["clusters"], key=lambda cluster: cluster["key"]), len(clusters))
-        clouds = [bench.fuse({**every, "clusters": of}, 1.0) for of in (nth, clusters)]
+        choices = [{**every, "clusters": of} for of in (nth, clusters)]
+        reference = Reference(whole, bench)
+        clouds = [bench.fuse(of, 1.0) for of in choices]
         plan["points"] = {"all": reference.number, "plan": len(clouds[1])}
-        for of, cloud in zip((plan["every n-th"], plan), clouds):
+        for of, cloud in zip((spread, plan), clouds):
             of["fused"] = reference.covered(cKDTree(cloud), 2)[0] / 100
+        if args.matcher == "colmap":
+            truth = args.project / "truth"
+            exact = Exact(truth, bench).of if (truth / "depth").is_dir() else lambda _: None
+            plan["min_num_pixels"] = {"all": bench.pixels(every), "plan": bench.pixels(choices[1])}
+            plan["exact"] = exact(whole)
+            result["fused_of"] = {pixels: fused_of(bench, every, choices, pixels, exact) for pixels in PIXELS}
         if args.check:
             result["check"] = check(bench, reference, every, judged)
     (bench.work / "cells.json").write_text(json.dumps(result, indent=1) + "\n")
@@ -78,15 +99,21 @@ def processor_seconds():
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
 
 
-def judge(bench, every):
-    """What `viewrank evaluate` says of the cloud of all maps; it keeps the table."""
-    cloud = []
-    if bench.args.matcher == "openmvs":
-        bench.fuse(every, 1.0)
-        cloud = ["--cloud", bench.work / "fused/fused.ply"]
+def fused_of(bench, every, choices, pixels, exact):
+    """What main() finds, with this min_num_pixels in all fusions."""
+    whole = bench.fuse(every, 1.0, pixels)
+    reference = Reference(whole, bench)
+    cells = judge(bench, True)
+    nth, plan = (bench.fuse(of, 1.0, pixels) for of in choices)
+    covered = {name: reference.covered(cKDTree(cloud), 2)[0] / 100 for name, cloud in (("every n-th", nth), ("plan", plan))}
+    return {"cells": cells, "points": {"all": len(whole), "plan": len(plan)}, "fused": covered, "exact": exact(whole)}
+
+
+def judge(bench, fused):
+    """What `viewrank evaluate` says of the cloud of all maps, which is the last that was fused."""
+    cloud = ["--cloud", bench.cloud()] if fused else []
     command = [bench.args.viewrank, "evaluate", bench.project, "--depth-maps", bench.maps(1.0), *cloud, "--format", "json", "--quiet"]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
-    shutil.copy(bench.project / "viewrank/evaluation/cells.tsv", bench.work)
     return json.loads(done.stdout)["cells"]
 
 
@@ -127,6 +154,48 @@ def read_table(path):
     head, *lines = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
     rows = [line.split("\t") for line in lines]
     return head.split("\t"), [(int(cells), int(maps, 16)) for cells, _, maps in rows]
+
+
+class Colmap(Bench):
+    """A workspace in which run.sh matches all key views; each fusion takes some of its maps."""
+
+    def match_all(self, plan, scale):
+        workspace = self.maps(scale)
+        if not workspace.exists():
+            shutil.copytree(self.project / "viewrank/colmap", workspace, symlinks=True)
+        for kind in ("depth_maps", "normal_maps") if self.args.maps else ():
+            shutil.copytree(self.args.maps / "stereo" / kind, workspace / "stereo" / kind, dirs_exist_ok=True)
+        self.run(workspace, *(["--fuse"] if self.args.maps else []))
+
+    def run(self, workspace, *options):
+        program = shutil.which(self.args.colmap) or sys.exit(f"error: no program {self.args.colmap}: give --colmap")
+        environment = {**os.environ, "COLMAP": str(Path(program).resolve())}
+        done = subprocess.run([workspace / "stereo/viewrank/run.sh", *options], env=environment, capture_output=True, text=True)
+        if done.returncode:
+            sys.exit(done.stdout + done.stderr)
+
+    def cloud(self):
+        return self.maps(1.0) / "stereo/viewrank/fused.ply"
+
+    def pixels(self, plan):
+        """min_num_pixels that run.sh has for a plan of as many maps."""
+        out = self.work / "as-many"
+        shutil.rmtree(out, ignore_errors=True)
+        command = [self.args.viewrank, "export", self.project, "--backend", "colmap", "--budget", str(len(plan["clusters"])), "--out", out]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        return int(colmap_cuda.commands(out)[1]["StereoFusion.min_num_pixels"])
+
+    def fuse(self, plan, scale, pixels=None):
+        """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
+        workspace, keys = self.maps(scale), {cluster["key"] for cluster in plan["clusters"]}
+        exported = self.project / "viewrank/colmap/stereo"
+        listed = [key for key in (exported / "fusion.cfg").read_text().splitlines() if key in keys]
+        (workspace / "stereo/fusion.cfg").write_text("".join(f"{key}\n" for key in listed))
+        script = (exported / "viewrank/run.sh").read_text()
+        script = re.sub(r"(--StereoFusion.min_num_pixels) \d+", rf"\1 {pixels or self.pixels(plan)}", script)
+        (workspace / "stereo/viewrank/run.sh").write_text(script)
+        self.run(workspace, "--fuse")
+        return colmap_cuda.read_cloud(self.cloud())
 
 
 if __name__ == "__main__":

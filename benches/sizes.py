@@ -191,6 +191,9 @@ class OpenMvs(Bench):
     def reference(self, every):
         return self.fuse(every, 1.0, agreeing=3)
 
+    def cloud(self):
+        return self.work / "fused/fused.ply"
+
     def fuse(self, plan, scale=None, agreeing=1):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
         folder = self.work / "fused"
@@ -204,7 +207,7 @@ class OpenMvs(Bench):
                 shutil.copy(self.maps(cluster["scale"]) / f"depth{cluster['id']:04d}.dmap", folder)
         (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))
         self.run(folder, "--stop-at", "0")
-        return read_cloud(folder / "fused.ply", agreeing)
+        return read_cloud(self.cloud(), agreeing)
 
 
 class Sgm(Bench):

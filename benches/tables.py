@@ -23,6 +23,7 @@ SETS = {
     "room": "an interior with white walls, rendered",
     "valley": "nadir and oblique, rendered",
     "kitchen": "hand-held frames, 7-Scenes",
+    "office": "hand-held, a room, COLMAP's own maps",
 }
 ORDERS = ("ours", "every n-th", "maxpts", "farthest view", "random", "oracle")
 KINDS = {"all": "all", "agreeing": "three agree"}
@@ -35,12 +36,13 @@ def main():
     by_set = lambda name: {path.parent.name: json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob(name))}
     found = [json.loads(path.read_text()) for path in sorted(Path(sys.argv[1]).rglob("cells.json"))]
     results = {(one["set"], one["matcher"]): one for one in found}
-    for matcher in ("openmvs", "sgm"):
+    for matcher in ("openmvs", "sgm", "colmap"):
         missing = [name for name in SETS if (name, matcher) not in results]
         if missing:
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
-    openmvs, sgm = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm"))
+    openmvs, sgm, colmap = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm", "colmap"))
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
+    tables |= {"cells-colmap": covered_by_colmap(colmap), "maps-colmap": needed([fused_of(2, result) for result in colmap]), "default-colmap": default_of_colmap(colmap), "exact-colmap": exact_of_colmap(colmap)}
     trained = by_set("splats.json")
     tables["splats"] = splats(trained)
     timed = by_set("planning.json")
@@ -76,10 +78,55 @@ def covered(results):
     rows = []
     for result in results:
         for kind, name in KINDS.items():
-            shares = [" ".join(f"{100 * share:.0f}" for share in order(result, kind, one)["covered"]) for one in ORDERS]
-            way = " ".join("–" if way is None else f"{way:.2f}" for way in order(result, kind, "ours")["way"])
-            rows.append([title(result) if kind == "all" else "", name, *shares, way])
+            rows.append([title(result) if kind == "all" else "", name, *shares(result, kind)])
     return table(["set, maps", "cells", *ORDERS, "way of ours"], rows) if rows else []
+
+
+def shares(result, kind):
+    """Covered by each order, and the way of ours."""
+    covered = [" ".join(f"{100 * share:.0f}" for share in order(result, kind, one)["covered"]) for one in ORDERS]
+    return [*covered, " ".join("–" if way is None else f"{way:.2f}" for way in order(result, kind, "ours")["way"])]
+
+
+def fused_of(pixels, result):
+    """A result as it is with another min_num_pixels of COLMAP."""
+    return {**result, **result["fused_of"][str(pixels)]}
+
+
+def covered_by_colmap(results):
+    """Cells covered, of the cloud that run.sh fuses, and of that of what two maps agree on."""
+    rows = []
+    for result in results:
+        pixels = result["default"]["min_num_pixels"]["all"]
+        for kind, name, of_cloud in (("all", f"run.sh: {pixels}", result), ("all", "2", fused_of(2, result)), ("agreeing", "2, three agree", fused_of(2, result))):
+            rows.append([title(result) if of_cloud is result else "", name, *shares(of_cloud, kind)])
+    return table(["set, maps", "fused of", *ORDERS, "way of ours"], rows) if rows else []
+
+
+def default_of_colmap(results):
+    """The default plan fused by run.sh, and with the same min_num_pixels as all maps."""
+    rows = []
+    for result in results:
+        plan, spread = result["default"], result["default"]["every n-th"]
+        pixels = plan["min_num_pixels"]
+        same = [result["fused_of"][number]["fused"] for number in ("2", "5")]
+        fused = [(plan["fused"], spread["fused"]), *((of["plan"], of["every n-th"]) for of in same)]
+        points = " of ".join(f"{plan['points'][name] / 1000:.0f} k" for name in ("plan", "all"))
+        row = [str(plan["maps"]), f"{100 * plan['forecast']:.1f}", f"{pixels['plan']} of {pixels['all']}", points, *(f"{100 * ours:.1f}, {100 * nth:.1f}" for ours, nth in fused)]
+        rows.append([f"{result['set']}, {result['cells']['maps']}", *row])
+    return table(["set, maps", "plan", "forecast", "min_num_pixels of run.sh: plan, all", "points", "run.sh: plan, every n-th", "2", "5"], rows) if rows else []
+
+
+def exact_of_colmap(results):
+    """Clouds of all maps against exact depth."""
+    rows = []
+    for result in results:
+        if result["default"]["exact"]:
+            run = f"run.sh: {result['default']['min_num_pixels']['all']}"
+            for name, of in (("2", result["fused_of"]["2"]), (run, result["default"]), ("5", result["fused_of"]["5"])):
+                scores = [f"{100 * of['exact'][score]:.1f}" for score in ("complete", "accurate", "F1")]
+                rows.append([f"{result['set']}, {result['cells']['maps']}" if name == "2" else "", name, f"{of['points']['all'] / 1000:.0f} k", *scores])
+    return table(["set, maps", "min_num_pixels", "points", "complete", "accurate", "F1"], rows) if rows else []
 
 
 def needed(results):
