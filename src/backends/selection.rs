@@ -267,29 +267,6 @@ impl Selection<'_> {
             .max()
             .unwrap_or(0)
     }
-
-    /// Returns the median, over the sparse points that a key view observes, of the number of key
-    /// views that observe the point.
-    pub fn typical_key_views_per_point(&self) -> usize {
-        let is_key = self.is_key();
-        let mut counts: Vec<usize> = (0..self.scene.points.len() as u32)
-            .map(|p| {
-                let mut views: Vec<_> = self
-                    .scene
-                    .track_views(crate::model::scene::PointIndex(p))
-                    .to_vec();
-                views.dedup();
-                views.iter().filter(|v| is_key[v.index()]).count()
-            })
-            .filter(|&n| n > 0)
-            .collect();
-        let middle = counts.len() / 2;
-        if counts.is_empty() {
-            0
-        } else {
-            *counts.select_nth_unstable(middle).1
-        }
-    }
 }
 
 /// Spacing of f32 from which it is too coarse, ground pixels.

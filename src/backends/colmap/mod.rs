@@ -44,6 +44,9 @@ mod script;
 mod traps;
 mod widths;
 
+/// Maps that must agree on a point. COLMAP's default of 5 gives half of the surface that 2 does, a few
+/// points more accurate (docs/benchmarks.md), and how many maps see a place depends on the plan.
+const MIN_PIXELS: usize = 2;
 /// Path of the cloud: `fused.ply` in the workspace itself may be the user's.
 const FUSED: &str = "stereo/viewrank/fused.ply";
 /// List that COLMAP reads by default.
@@ -463,13 +466,8 @@ impl Passes {
     }
 
     fn add_fusion(&self, selection: &Selection, record: &mut ExportRecord) {
-        let typical = if self.refs == References::All {
-            5
-        } else {
-            selection.typical_key_views_per_point()
-        };
         // With a single map no other can agree.
-        let min_pixels = typical.clamp(2, 5).min(self.last.len().max(1));
+        let min_pixels = MIN_PIXELS.min(self.last.len().max(1));
         let kind = if self.geometric {
             "geometric"
         } else {
@@ -481,8 +479,7 @@ impl Passes {
             selection.scene.views.len()
         ));
         record.fusion = format!(
-            "min_num_pixels {min_pixels}: a sparse point is typically seen by {typical} key views (COLMAP's default of 5 leaves nothing \
-             where fewer see it); check_num_images: key views are joined although other views overlap them more"
+            "min_num_pixels {min_pixels}: COLMAP's default of 5 leaves nothing where fewer key views see a place; check_num_images: key views are joined although other views overlap them more"
         );
     }
 }

@@ -251,14 +251,9 @@ fn colmap_fusion_min_pixels() {
     let mut fixture = Fixture::new(3);
     fixture.choose(&[12, 13, 11], 3);
     let command = fixture.export("colmap").0.record.commands.pop().unwrap();
-    let words: Vec<&str> = command.split_whitespace().collect();
-    let at = words
-        .iter()
-        .position(|w| *w == "--StereoFusion.min_num_pixels")
-        .unwrap();
     assert!(
-        (2..=3).contains(&words[at + 1].parse::<u32>().unwrap()),
-        "three key views with COLMAP's 5 give an empty cloud"
+        command.contains("--StereoFusion.min_num_pixels 2 "),
+        "three key views with COLMAP's 5 give an empty cloud: {command}"
     );
 }
 
