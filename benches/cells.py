@@ -8,9 +8,8 @@
 Matches all key views once, fuses all maps, and lets `viewrank evaluate` judge the orders (docs/method.md, section 8). Writes WORK_FOLDER/.../cells.tsv, which says which maps take part in which
 cells, and cells.json with the shares, from which benches/tables.py makes the tables of the documents. From then on `viewrank evaluate PROJECT --cells cells.tsv` judges any plan within seconds.
 
-With COLMAP, run.sh of the export matches and fuses, and all is also fused with other min_num_pixels than run.sh's; where there is exact depth, the clouds of all maps are compared with it as in
-benches/partners.py. PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of
-another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
+With COLMAP, run.sh of the export matches and fuses, and its clouds are compared with those of COLMAP's default min_num_pixels, also with exact depth (as in benches/partners.py) where there is any.
+PROGRAM needs a card, or is benches/colmap_cpu.py, whose depths are those of another PatchMatch. With --maps, the photometric maps of all views are those of a workspace that COLMAP has matched, with whatever partners.
 
 --check also fuses the first maps of two orders at 10 and 30 %, and compares their clouds with what the table says. Needs numpy, scipy and pycolmap; runs resume as those of
 benches/sizes.py, whose folder of maps this shares.
@@ -32,9 +31,10 @@ from scipy.spatial import cKDTree
 from sizes import Bench, OpenMvs, Reference, Sgm
 
 CHECKED = (0.1, 0.3)
+FINISHED = (0.1, 0.2, 0.3, 0.5)
 # Maps that the fusion wants.
 LEAST = {"openmvs": 2, "sgm": 1, "colmap": 2}
-# min_num_pixels of stereo_fusion besides run.sh's: what plans count on, and COLMAP's default.
+# min_num_pixels of stereo_fusion: run.sh's, and COLMAP's default.
 PIXELS = (2, 5)
 
 
@@ -70,6 +70,7 @@ def main():
     plan = {"maps": len(clusters), "forecast": default["cut"]["share"], "covered": covered, "every n-th": spread}
     plan["seconds"] = {"planning": planning, "matching": len(clusters) * matching, "all": judged["maps"] * matching}
     result = {"set": args.project.resolve().name, "matcher": args.matcher, "image_scale": args.image_scale, "maps": len(every["clusters"]), "cells": judged, "default": plan}
+    result["so far"] = so_far(bench, every, judged)
     if whole is not None:
         nth = every_nth(sorted(every["clusters"], key=lambda cluster: cluster["key"]), len(clusters))
         choices = [{**every, "clusters": of} for of in (nth, clusters)]
@@ -81,13 +82,29 @@ def main():
         if args.matcher == "colmap":
             truth = args.project / "truth"
             exact = Exact(truth, bench).of if (truth / "depth").is_dir() else lambda _: None
-            plan["min_num_pixels"] = {"all": bench.pixels(every), "plan": bench.pixels(choices[1])}
-            plan["exact"] = exact(whole)
             result["fused_of"] = {pixels: fused_of(bench, every, choices, pixels, exact) for pixels in PIXELS}
         if args.check:
             result["check"] = check(bench, reference, every, judged)
     (bench.work / "cells.json").write_text(json.dumps(result, indent=1) + "\n")
     show(result)
+
+
+def so_far(bench, every, judged):
+    """The share of the area that `viewrank evaluate` says of the first maps of the plan, when no others are there yet, and what the table of all maps says of them."""
+    names, _ = read_table(bench.work / "cells.tsv")
+    ranked = [cluster["key"] for cluster in every["clusters"] if cluster["key"] in names]
+    curve, folder, found = judged["all"]["orders"][0]["curve"], bench.work / "first", []
+    for share in FINISHED:
+        number = max(2, round(share * len(ranked)))
+        shutil.rmtree(folder, ignore_errors=True)
+        for path in (bench.map_of(key) for key in ranked[:number]):
+            link = folder / path
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.hardlink_to(bench.maps(1.0) / path)
+        command = [bench.args.viewrank, "evaluate", bench.project, "--depth-maps", folder, "--out", bench.work / "of-first", "--format", "json", "--quiet"]
+        said = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)["reached"]["share"]
+        found.append({"maps": number, "real": curve[number], "said": said})
+    return found
 
 
 def every_nth(items, number):
@@ -103,10 +120,9 @@ def fused_of(bench, every, choices, pixels, exact):
     """What main() finds, with this min_num_pixels in all fusions."""
     whole = bench.fuse(every, 1.0, pixels)
     reference = Reference(whole, bench)
-    cells = judge(bench, True)
     nth, plan = (bench.fuse(of, 1.0, pixels) for of in choices)
     covered = {name: reference.covered(cKDTree(cloud), 2)[0] / 100 for name, cloud in (("every n-th", nth), ("plan", plan))}
-    return {"cells": cells, "points": {"all": len(whole), "plan": len(plan)}, "fused": covered, "exact": exact(whole)}
+    return {"points": {"all": len(whole), "plan": len(plan)}, "fused": covered, "exact": exact(whole)}
 
 
 def judge(bench, fused):
@@ -129,6 +145,7 @@ def show(result):
         print(f"{row['name']:14} " + "   ".join(" ".join(f"{100 * share:6.1f}" for share in of["covered"]) for of in (row, agreeing)))
     print(f"{'way of ours':14} " + "   ".join(" ".join(f"{way or 0:6.2f}" for way in cells[kind]["orders"][0]["way"]) for kind in ("all", "agreeing")))
     plan = result["default"]
+    print("first maps, real and said by evaluate: " + ", ".join(f"{of['maps']}: {100 * of['real']:.1f}, {100 * of['said']:.1f}" for of in result["so far"]))
     print(f"default plan: {plan['maps']} maps, forecast {100 * plan['forecast']:.1f} %, covered {100 * plan['covered']['all']:.1f} % of the cells")
 
 
@@ -177,22 +194,17 @@ class Colmap(Bench):
     def cloud(self):
         return self.maps(1.0) / "stereo/viewrank/fused.ply"
 
-    def pixels(self, plan):
-        """min_num_pixels that run.sh has for a plan of as many maps."""
-        out = self.work / "as-many"
-        shutil.rmtree(out, ignore_errors=True)
-        command = [self.args.viewrank, "export", self.project, "--backend", "colmap", "--budget", str(len(plan["clusters"])), "--out", out]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        return int(colmap_cuda.commands(out)[1]["StereoFusion.min_num_pixels"])
+    def map_of(self, key):
+        return f"stereo/depth_maps/{key}.photometric.bin"
 
-    def fuse(self, plan, scale, pixels=None):
+    def fuse(self, plan, scale, pixels=PIXELS[0]):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
         workspace, keys = self.maps(scale), {cluster["key"] for cluster in plan["clusters"]}
         exported = self.project / "viewrank/colmap/stereo"
         listed = [key for key in (exported / "fusion.cfg").read_text().splitlines() if key in keys]
         (workspace / "stereo/fusion.cfg").write_text("".join(f"{key}\n" for key in listed))
         script = (exported / "viewrank/run.sh").read_text()
-        script = re.sub(r"(--StereoFusion.min_num_pixels) \d+", rf"\1 {pixels or self.pixels(plan)}", script)
+        script = re.sub(r"(--StereoFusion.min_num_pixels) \d+", rf"\1 {pixels}", script)
         (workspace / "stereo/viewrank/run.sh").write_text(script)
         self.run(workspace, "--fuse")
         return colmap_cuda.read_cloud(self.cloud())

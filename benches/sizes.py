@@ -161,6 +161,11 @@ class OpenMvs(Bench):
             self.export(folder, scale)
         self.run(folder, "--no-fusion", check=False)
 
+    def map_of(self, key):
+        """Path of a map in the folder of all."""
+        run = json.loads((self.maps(1.0) / "run.json").read_text())
+        return next(f"depth{cluster['id']:04d}.dmap" for cluster in run["clusters"] if cluster["key"] == key)
+
     def run(self, folder, *options, check=True):
         command = [sys.executable, "run.py", *options, "--threads", "1", "--densify", self.programs / "DensifyPointCloud"]
         subprocess.run(command, cwd=folder, check=check, stdout=subprocess.DEVNULL)
@@ -221,6 +226,9 @@ class Sgm(Bench):
         done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         if done.returncode:
             sys.exit(done.stderr)
+
+    def map_of(self, key):
+        return f"depth_maps/{key}.npy"
 
     def match_all(self, plan, scale):
         self.run("match", self.maps(scale), plan, scale)

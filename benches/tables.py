@@ -16,7 +16,7 @@ import paper
 
 SETS = {
     "lewis": "oblique, from a drone",
-    "boruszyn": "a stone relief",
+    "boruszyn": "from a kite, a farm",
     "caliterra": "nadir, fields",
     "ochota": "oblique, a city",
     "statue": "a bust in a hall, rendered",
@@ -42,7 +42,7 @@ def main():
             print(f"{matcher}: no results of {', '.join(missing)}", file=sys.stderr)
     openmvs, sgm, colmap = ([results[name, matcher] for name in SETS if (name, matcher) in results] for matcher in ("openmvs", "sgm", "colmap"))
     tables = {"cells-openmvs": covered(openmvs), "cells-sgm": covered(sgm), "maps-openmvs": needed(openmvs), "default-openmvs": default(openmvs), "default-sgm": default(sgm), "check-openmvs": checked(openmvs)}
-    tables |= {"cells-colmap": covered_by_colmap(colmap), "maps-colmap": needed([fused_of(2, result) for result in colmap]), "default-colmap": default_of_colmap(colmap), "exact-colmap": exact_of_colmap(colmap)}
+    tables |= {"cells-colmap": covered(colmap), "maps-colmap": needed(colmap), "default-colmap": default(colmap), "exact-colmap": exact_of_colmap(colmap), "so-far": so_far([*openmvs, *sgm, *colmap])}
     trained = by_set("splats.json")
     tables["splats"] = splats(trained)
     timed = by_set("planning.json")
@@ -88,45 +88,25 @@ def shares(result, kind):
     return [*covered, " ".join("–" if way is None else f"{way:.2f}" for way in order(result, kind, "ours")["way"])]
 
 
-def fused_of(pixels, result):
-    """A result as it is with another min_num_pixels of COLMAP."""
-    return {**result, **result["fused_of"][str(pixels)]}
-
-
-def covered_by_colmap(results):
-    """Cells covered, of the cloud that run.sh fuses, and of that of what two maps agree on."""
+def so_far(results):
+    """What is said of the first maps of a plan before the others are there."""
     rows = []
     for result in results:
-        pixels = result["default"]["min_num_pixels"]["all"]
-        for kind, name, of_cloud in (("all", f"run.sh: {pixels}", result), ("all", "2", fused_of(2, result)), ("agreeing", "2, three agree", fused_of(2, result))):
-            rows.append([title(result) if of_cloud is result else "", name, *shares(of_cloud, kind)])
-    return table(["set, maps", "fused of", *ORDERS, "way of ours"], rows) if rows else []
-
-
-def default_of_colmap(results):
-    """The default plan fused by run.sh, and with the same min_num_pixels as all maps."""
-    rows = []
-    for result in results:
-        plan, spread = result["default"], result["default"]["every n-th"]
-        pixels = plan["min_num_pixels"]
-        same = [result["fused_of"][number]["fused"] for number in ("2", "5")]
-        fused = [(plan["fused"], spread["fused"]), *((of["plan"], of["every n-th"]) for of in same)]
-        points = " of ".join(f"{plan['points'][name] / 1000:.0f} k" for name in ("plan", "all"))
-        row = [str(plan["maps"]), f"{100 * plan['forecast']:.1f}", f"{pixels['plan']} of {pixels['all']}", points, *(f"{100 * ours:.1f}, {100 * nth:.1f}" for ours, nth in fused)]
-        rows.append([f"{result['set']}, {result['cells']['maps']}", *row])
-    return table(["set, maps", "plan", "forecast", "min_num_pixels of run.sh: plan, all", "points", "run.sh: plan, every n-th", "2", "5"], rows) if rows else []
+        of = [f"{100 * row['real']:.0f} / {100 * row['said']:.0f}" for row in result.get("so far", [])]
+        if of:
+            rows.append([result["matcher"], result["set"], *of])
+    return table(["program", "set", "10 %", "20 %", "30 %", "50 %"], rows) if rows else []
 
 
 def exact_of_colmap(results):
-    """Clouds of all maps against exact depth."""
+    """Clouds of COLMAP with other min_num_pixels: share of the cloud of all maps that the default plan gives, and the latter against exact depth."""
     rows = []
     for result in results:
-        if result["default"]["exact"]:
-            run = f"run.sh: {result['default']['min_num_pixels']['all']}"
-            for name, of in (("2", result["fused_of"]["2"]), (run, result["default"]), ("5", result["fused_of"]["5"])):
-                scores = [f"{100 * of['exact'][score]:.1f}" for score in ("complete", "accurate", "F1")]
-                rows.append([f"{result['set']}, {result['cells']['maps']}" if name == "2" else "", name, f"{of['points']['all'] / 1000:.0f} k", *scores])
-    return table(["set, maps", "min_num_pixels", "points", "complete", "accurate", "F1"], rows) if rows else []
+        for pixels, of in result["fused_of"].items():
+            fused = [f"{100 * of['fused'][name]:.1f}" for name in ("plan", "every n-th")]
+            scores = [f"{100 * of['exact'][score]:.1f}" if of["exact"] else "" for score in ("complete", "accurate", "F1")]
+            rows.append([f"{result['set']}, {result['cells']['maps']}" if pixels == "2" else "", pixels, f"{of['points']['all'] / 1000:.0f} k", *fused, *scores])
+    return table(["set, maps", "min_num_pixels", "points", "plan", "every n-th", "complete", "accurate", "F1"], rows) if rows else []
 
 
 def needed(results):

@@ -206,7 +206,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
-            ": about {:.0} % of the area that all maps would cover (target: {:.0} %)",
+            ": about {:.0} % of the area that all maps would cover (planned: {:.0} %)",
             100.0 * share,
             100.0 * progress.target
         ),
@@ -216,8 +216,12 @@ fn unwatched(progress: &Progress) -> Vec<String> {
         "{done} of {clusters} planned depth maps are finished{share}."
     )];
     lines.extend(progress.note.clone());
-    if progress.target_reached {
-        lines.push("The target is reached.".into());
+    // Without a target of the user's the list ends the work, whatever it reached.
+    let is_reached = progress.share.is_some_and(|share| share >= progress.target);
+    match (progress.target_reached, is_reached) {
+        (true, true) => lines.push("The target is reached.".into()),
+        (true, false) => lines.push("The list is done.".into()),
+        (false, _) => {}
     }
     lines.push("As measured at the last depth map that `viewrank run` or `watch` saw.".into());
     lines

@@ -54,6 +54,11 @@ impl<'a> Foreground<'a> {
         self.job(progress, &|_| true, PlanJob::plan)
     }
 
+    /// Plans the project around the depth maps that are finished, whatever it was planned from before.
+    pub fn plan_around_maps(&self, progress: &(dyn Fn(&str, u8) + Sync)) -> Outcome {
+        self.job(progress, &|_| true, PlanJob::plan_anew)
+    }
+
     /// Measures those of the present depth maps that count, and writes `progress.json`.
     pub fn measure(&self, counts: &dyn Fn(&Path) -> bool) -> Outcome {
         self.job(&|_, _| {}, counts, PlanJob::follow)

@@ -143,6 +143,18 @@ impl PlanJob {
         }
     }
 
+    /// Plans also where the last plan was made of the same.
+    pub(super) fn plan_anew(&self, job: &Job) -> Outcome {
+        let removed = self.within(job.project).and_then(|within| {
+            let disk = Disk::REAL.within(&within);
+            output::remove(&job.project.join(RECORD), &disk).map_err(failed)
+        });
+        match removed {
+            Ok(_) => self.plan(job),
+            Err(ended) => ended,
+        }
+    }
+
     fn try_plan(&self, job: &Job) -> StepResult<Outcome> {
         let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import pytest
@@ -52,6 +53,28 @@ def test_one_command_plans_matches_and_reports(run, viewrank, valley):
     assert {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")} == maps
     assert (valley / "viewrank/report.html").is_file() and "3 of 28 depth maps: about " in out and "of the area that all 28 would cover" in out
     assert "Computing 3 of 28 depth maps, 3 of them there already (--budget 3)" in out
+
+
+def test_it_goes_on_where_maps_give_less_than_planned(run, valley, tmp_path):
+    matcher = Path(__file__).resolve().parents[2] / "integrations/sgm/sgm.py"
+    # The first six maps lose all but a quarter.
+    program = tmp_path / "sgm.py"
+    program.write_text(f"""import subprocess, sys
+from pathlib import Path
+import numpy as np
+done = subprocess.run([sys.executable, {str(matcher)!r}, *sys.argv[1:]])
+maps = [path for path in Path(sys.argv[sys.argv.index("--out") + 1]).glob("depth_maps/*.npy")]
+if sys.argv[1] == "match" and len(maps) <= 6:
+    for path in maps:
+        depth = np.load(path)
+        depth[:, : 3 * depth.shape[1] // 4] = 0
+        np.save(path, depth)
+sys.exit(done.returncode)
+""")
+    out, _ = run(valley, "--backend", "sgm", "--target", "85%", "--no-report", SGM=str(program))
+    planned = [int(number) for number in re.findall(r"Computing up to (\d+) of 28", out)]
+    assert planned == sorted(set(planned)) and len(planned) > 1, out
+    assert "the target is reached" in " ".join(out.split()), out
 
 
 def test_it_stops_at_the_target(run, valley):

@@ -8,7 +8,7 @@ use std::{path::PathBuf, sync::atomic::Ordering};
 
 use clap::Args;
 
-use self::work::Work;
+use self::work::{Planning, Work};
 use super::{
     Exit, Failure, Format, arguments, config, next, note, print, progress::ProgressDisplay, ready,
     warn,
@@ -130,15 +130,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         typed.set("--region", "region", Some(region));
     }
     let foreground = Foreground::new(&root, typed, &stop);
-    let begin = || Work::new(arguments, backend, &foreground, &stop);
-    let mut work = begin()?;
+    let begin = |planning| Work::new(arguments, backend, &foreground, &stop, planning);
+    let mut work = begin(Planning::UnlessCurrent)?;
     say(work.plan_in_words())?;
     let mut ended = work.compute()?;
     // Where the maps gave less than the plan had promised, a plan around them may have more.
     while work.fell_short(ended) {
-        let planned = work.length();
+        let (planned, computed) = (work.length(), work.computed);
         drop(work);
-        work = begin()?;
+        work = begin(Planning::AroundMaps)?;
+        work.computed = computed;
         if work.length() <= planned {
             break;
         }

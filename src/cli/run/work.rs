@@ -80,6 +80,15 @@ impl Throttle {
     }
 }
 
+/// When a project is planned.
+#[derive(Clone, Copy)]
+pub enum Planning {
+    /// Unless it is planned for the same.
+    UnlessCurrent,
+    /// Around the finished maps.
+    AroundMaps,
+}
+
 fn note_maps_of_other_plans(dispatch: &Dispatch) {
     let others = dispatch
         .tasks
@@ -99,9 +108,15 @@ impl<'a> Work<'a> {
         backend: &'static Backend,
         foreground: &'a Foreground<'a>,
         stop: &'a AtomicBool,
+        planning: Planning,
     ) -> Result<Self, Failure> {
         let lines = Lines::new(arguments.is_silent());
-        match foreground.plan(&|stage, percent| lines.stage(stage, percent)) {
+        let progress = |stage: &str, percent| lines.stage(stage, percent);
+        let planned = match planning {
+            Planning::UnlessCurrent => foreground.plan(&progress),
+            Planning::AroundMaps => foreground.plan_around_maps(&progress),
+        };
+        match planned {
             Outcome::Planned { note, .. } => note.iter().for_each(|text| warn(text)),
             other => return Err(failure(other, stop, arguments.go_on())),
         }

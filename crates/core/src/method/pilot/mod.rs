@@ -353,6 +353,26 @@ mod tests {
     }
 
     #[test]
+    fn where_a_single_map_is_enough_it_gives_places_beside_the_confirmed_ones() {
+        let (scene, clusters) = scene();
+        let maps = matched(&scene, &clusters);
+        let places = |support| Places::new(&clusters, &maps, support, 1.0, &NoWatcher).unwrap();
+        let (confirmed, all) = (places(2), places(1));
+        let number = confirmed.centres.len();
+        assert_eq!(all.centres[..number], confirmed.centres);
+        assert_eq!(all.agreement[..number], confirmed.agreement);
+        assert!(!confirmed.agreement.contains(&Agreement::Single));
+        let beside = &all.agreement[number..];
+        assert!(!beside.is_empty() && beside.iter().all(|&maps| maps == Agreement::Single));
+        // Each is in a map at least.
+        let shown = |places: &Places| places.parts.iter().map(Vec::len).sum::<usize>();
+        assert!(shown(&all) >= shown(&confirmed) + beside.len());
+        for parts in &all.parts {
+            assert!(parts.windows(2).all(|two| two[0].place < two[1].place));
+        }
+    }
+
+    #[test]
     fn maps_of_a_program_take_the_place_of_own_ones() {
         let (scene, clusters) = scene();
         let of_cluster = |cluster: &ViewCluster| {
