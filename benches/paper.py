@@ -81,11 +81,11 @@ def compared(ours, most, i):
 
 
 def gaps(results):
-    """Forecast share minus real one in points, along the order: by fulfilment / by cells / by those where three maps agree."""
+    """Forecast share minus real one in points, along the order: by cells / by those where three maps agree."""
     rows = []
     for result in results:
         gap = result["gap"]
-        off = {kind: [100 * (forecast - real) for forecast, real in zip(gap["forecast"], gap[kind])] for kind in ("f_o", "all", "agreeing")}
+        off = {kind: [100 * (forecast - real) for forecast, real in zip(gap["forecast"], gap[kind])] for kind in ("all", "agreeing")}
         along = [" / ".join(f"{of[i]:+.1f}" for of in off.values()) if i < result["maps"] else "" for i in ALONG]
         worst = " / ".join(f"{max(of[SETTLED:], key=abs):+.1f}" for of in off.values()) if result["maps"] > SETTLED else "–"
         rows.append([f"{result['set']}, {result['maps']}", *along, worst, " / ".join(f"{share:.3f}" for share in gap["f_o of all"])])
@@ -95,7 +95,7 @@ def gaps(results):
 def planning(timed):
     """Planning from nothing, and once more with another target, by set; processor time, which other programs hardly change."""
     rows = []
-    for name, kinds in sorted(timed.items(), key=lambda one: one[1]["pictures"][0]["views"]):
+    for name, kinds in sorted(timed.items(), key=lambda one: one[1]["sgm"][0]["views"]):
         for kind, (plan, again) in kinds.items():
             rows.append([f"{name}, {plan['views']}", kind, f"{1000 * plan['cpu'] / plan['views']:.0f}", f"{plan['peak_mb']:,.0f}", f"{again['cpu']:.2f}"])
     return table(["set, views", "planned with", "CPU, ms per view", "peak, MB", "other target, CPU s"], rows)
@@ -105,6 +105,6 @@ def matching(results):
     """Planning beside matching of all clusters, seconds of one core per key view."""
     rows = []
     for result in results:
-        plan, match = result["time"]["planning"]["pictures"][0]["cpu"] / result["maps"], result["time"]["matching"]
+        plan, match = result["time"]["planning"]["sgm"][0]["cpu"] / result["maps"], result["time"]["matching"]
         rows.append([f"{result['set']}, {result['maps']}", f"{1000 * plan:.0f}", f"{1000 * match:.0f}", f"{100 * plan / match:.1f}", "2 to 6"])
     return table(["set, maps", "planning, ms", "matching, ms", "planning over matching, %", "the paper, %"], rows)

@@ -79,7 +79,7 @@ class Experiments:
         if note.exists():
             return
         timed = {}
-        for name, project, backend in (("no pictures", bare, None), ("pictures and pilot", self.project, "openmvs"), ("pictures", self.project, "sgm")):
+        for name, project, backend in (("no pictures", bare, None), ("OpenMVS", self.project, "openmvs"), ("sgm", self.project, "sgm")):
             shutil.rmtree(project / "viewrank", ignore_errors=True)
             timed[name] = [self.plan(project, backend, *again) for again in ([], ["--target", "80%"])]
         self.plan(self.project, "sgm")
@@ -118,7 +118,7 @@ class Experiments:
         self.match_rules()
         compared = self.compare(reference)
         maps = self.rules / f"k{RANKED}/ours"
-        evaluation, _ = self.viewrank("evaluate", self.project, "--depth-maps", maps, "--clusters", maps / "clusters.txt", "--reference", reference, "--baselines")
+        evaluation, _ = self.viewrank("evaluate", self.project, "--depth-maps", maps, "--reference", reference, "--baselines")
         results = {"set": self.args.project.resolve().name, "reference": about, "maps": len(evaluation["key_views"]), "image_scale": self.args.image_scale}
         results |= {"ranking": ranking(evaluation), "partners": partners(compared), "full": full_method(compared), "gap": gap(evaluation), "time": self.time()}
         (self.project / "experiments.json").write_text(json.dumps(results, indent=1) + "\n")
@@ -200,9 +200,9 @@ def pairs_for(curve, fulfilment):
 
 
 def gap(evaluation):
-    """Forecast and real share of what all clusters give, along the order: by fulfilment and by cells."""
+    """Forecast and real share of the cloud of all clusters, along the order."""
     curve = evaluation["curve"]
-    return {"forecast": curve["predicted"], "f_o": [f / evaluation["real"] for f in curve["fulfilment"]], "all": curve["real"], "agreeing": curve["agreeing"], "f_o of all": [evaluation["predicted"], evaluation["real"]]}
+    return {"forecast": curve["predicted"], "all": curve["real"], "agreeing": curve["agreeing"], "f_o of all": [evaluation["predicted"], evaluation["real"]]}
 
 
 def pictures(out, evaluation, compared, results):
@@ -213,7 +213,7 @@ def pictures(out, evaluation, compared, results):
     (out / "partners.svg").write_text(plot(lines, "outliers, %", "completeness, %", marks=True))
     lines = {f"{rule} k={k}": [(p, 100 * f / results["full"]["reachable"]) for p, f in zip(r["curve"]["pairs"], r["curve"]["fulfilment"], strict=True)] for (k, rule), r in compared.items() if rule in NEEDED}
     (out / "full.svg").write_text(plot(lines, "matching pairs", "real fulfilment, %"))
-    lines = {name: [(i, 100 * share) for i, share in enumerate(results["gap"][name])] for name in ("forecast", "f_o", "all")}
+    lines = {name: [(i, 100 * share) for i, share in enumerate(results["gap"][name])] for name in ("forecast", "all")}
     (out / "gap.svg").write_text(plot(lines, "key views", "share, %"))
 
 
