@@ -194,6 +194,34 @@ fn attack_3_settings_name_a_device() {
     }
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn files_of_the_system_without_a_length_hold_up_no_project() {
+    let place = Place::new();
+    let [region, masked] = ["region", "masked"].map(|name| place.root().join(name));
+    valley::copy_to(&region);
+    let settings = "region = \"/proc/self/pagemap\"\n";
+    fs::write(region.join("viewrank.toml"), settings).unwrap();
+    valley::copy_to(&masked);
+    fs::create_dir(masked.join("masks")).unwrap();
+    // The times of this one are new at each look.
+    symlink("/proc/uptime", masked.join("masks/any.png")).unwrap();
+    let done = viewrank(&[
+        "watch",
+        path(&place.root()),
+        "--once",
+        "--follow-links",
+        "--settle",
+        "10ms",
+    ]);
+    let said = fails(done);
+    assert!(
+        ["pagemap", "any.png"].map(|name| said.contains(name)) == [true; 2],
+        "{said}"
+    );
+    assert!(place.own("manifest.json").is_file());
+}
+
 #[test]
 fn attack_4_pipes_in_place_of_an_image_and_a_mask_hold_nobody_up() {
     let place = Place::new();
