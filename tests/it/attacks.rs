@@ -669,4 +669,48 @@ fn scripts_of_dispatch_wait_for_no_pipe_and_write_through_no_link() {
     }
     assert!(fs::read_dir(outside).unwrap().next().is_none());
     succeeds(dispatch());
+    symlink(place.precious(), place.own("progress.json")).unwrap();
+    let task = Command::new(place.own("dispatch/sgm/task.sh"))
+        .arg("1")
+        .output()
+        .unwrap();
+    assert!(fails(task).contains("progress.json: not made by viewrank"));
+}
+
+#[test]
+fn no_program_of_the_current_folder_is_started() {
+    let place = Place::new();
+    let plan = ["plan", path(&place.project()), "--backend", "openmvs"];
+    succeeds(viewrank(
+        &[&plan[..], &["--quiet", "--confidence", "geometric"]].concat(),
+    ));
+    for name in ["sh", "squeue", "scontrol", "sbatch", "xdg-open", "open"] {
+        let program = place.project().join(name);
+        fs::write(&program, "#!/bin/sh\ntouch ../../started\n").unwrap();
+        fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    }
+    let slurm = ["dispatch", ".", "--scheduler", "slurm"];
+    for entry in ["", "."] {
+        for call in [
+            &["report", ".", "--open"][..],
+            &[&slurm[..], &["--program", "/bin/true"]].concat(),
+            &[
+                "watch",
+                ".",
+                "--once",
+                "--settle",
+                "10ms",
+                "--on-target",
+                "sh",
+            ],
+        ] {
+            Command::new(env!("CARGO_BIN_EXE_viewrank"))
+                .args(call)
+                .current_dir(place.project())
+                .env("PATH", format!("{entry}:/nowhere"))
+                .output()
+                .unwrap();
+            assert!(!place.folder.path().join("started").exists(), "{call:?}");
+        }
+    }
 }
