@@ -680,30 +680,33 @@ fn scripts_of_dispatch_wait_for_no_pipe_and_write_through_no_link() {
 #[test]
 fn no_program_of_the_current_folder_is_started() {
     let place = Place::new();
-    let plan = ["plan", path(&place.project()), "--backend", "openmvs"];
-    succeeds(viewrank(
-        &[&plan[..], &["--quiet", "--confidence", "geometric"]].concat(),
-    ));
+    succeeds(place.plan());
     for name in ["sh", "squeue", "scontrol", "sbatch", "xdg-open", "open"] {
         let program = place.project().join(name);
-        fs::write(&program, "#!/bin/sh\ntouch ../../started\n").unwrap();
+        fs::write(&program, "#!/bin/sh\n: >../../started\n").unwrap();
         fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
     }
-    let slurm = ["dispatch", ".", "--scheduler", "slurm"];
+    let slurm = [
+        "dispatch",
+        ".",
+        "--scheduler",
+        "slurm",
+        "--backend",
+        "sgm",
+        "--program",
+        "/bin/true",
+    ];
+    let watch = [
+        "watch",
+        ".",
+        "--once",
+        "--settle",
+        "10ms",
+        "--on-target",
+        "sh",
+    ];
     for entry in ["", "."] {
-        for call in [
-            &["report", ".", "--open"][..],
-            &[&slurm[..], &["--program", "/bin/true"]].concat(),
-            &[
-                "watch",
-                ".",
-                "--once",
-                "--settle",
-                "10ms",
-                "--on-target",
-                "sh",
-            ],
-        ] {
+        for call in [&["report", ".", "--open"][..], &slurm, &watch] {
             Command::new(env!("CARGO_BIN_EXE_viewrank"))
                 .args(call)
                 .current_dir(place.project())
