@@ -253,7 +253,9 @@ fn refuses_jpegs_in_micmacs_images() {
     let entry = |method: u8| [3, 1, 3, 0, 1, 0, 0, 0, method, 0];
     let compressed = |_: &str, mut bytes: Vec<u8>| {
         let at = bytes.windows(10).position(|window| window == entry(1));
-        at.map(|at| bytes[at..at + 10].copy_from_slice(&entry(7)));
+        if let Some(at) = at {
+            bytes[at..at + 10].copy_from_slice(&entry(7));
+        }
         bytes
     };
     let what = micmac(|xml| xml, compressed).unwrap_err().1;
