@@ -22,6 +22,11 @@ move() {
     fi
     tried mv -f "$1" "$2" || exit 1
 }
+# Writes a line to a new file, which takes the place of what is there: a link may be somebody's. LINE FILE
+note() {
+    draft=$2.$$
+    tried rm -f "$draft" && (set -C && printf '%s\n' "$1" >"$draft") && tried rm -f "$2" && tried mv -f "$draft" "$2"
+}
 # Moves a file or folder to a new folder in older/.
 put_aside() {
     aside=$(tried mktemp -d older/XXXXXX) && tried mv -f "$1" "$aside" || exit 1

@@ -39,6 +39,8 @@ if __name__ == "__main__":
     sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
     # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
     sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
+    # Nor is a program, here or by DensifyPointCloud, which the empty entries and those beneath the current folder would do.
+    os.environ["PATH"] = os.pathsep.join(filter(os.path.isabs, os.environ.get("PATH", os.defpath).split(os.pathsep)))
 
 import argparse
 import array
@@ -78,6 +80,8 @@ def main():
     refuse_strangers()
     try:
         run = json.loads(read_record(HERE / "run.json"))
+        if not isinstance(run, dict):
+            raise ValueError
     except (ValueError, RecursionError):
         sys.exit(f"error: {HERE / 'run.json'}: missing, or not what viewrank wrote: export again")
     refuse_other_pictures(run.get("pictures", {}))
@@ -527,6 +531,8 @@ def is_row(row):
     kinds = {"key": str, "digest": str, "rank": int, "problems": list, "filled": (int, float), "seconds": (int, float)}
     if not isinstance(row, dict) or not all(isinstance(row.get(name), kind) for name, kind in kinds.items()):
         return False
+    if not all(abs(row[name]) < 1e9 for name in ("rank", "filled", "seconds")):  # nor is one a number for which there is no float
+        return False
     return all(isinstance(problem, str) for problem in row["problems"]) and ("before" not in row or is_row(row["before"]))
 
 
@@ -681,8 +687,13 @@ def fusion_scene(rows, there):
 def write_whole(path, content):
     make_folder(path.parent)
     draft = path.with_suffix(f".{os.getpid()}.tmp")
-    write_new(draft, json.dumps(content, indent=1) + "\n")
-    draft.replace(path)
+    try:
+        write_new(draft, json.dumps(content, indent=1) + "\n")
+        draft.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+        raise
 
 
 def make_folder(path):
@@ -712,3 +723,8 @@ if __name__ == "__main__":
         main()
     except KeyboardInterrupt:
         sys.exit("interrupted; finished maps stay, run again to go on")
+    except OSError as error:
+        where = f"{ascii(os.fsdecode(error.filename))}: " if isinstance(error.filename, (str, bytes, os.PathLike)) else ""
+        sys.exit(f"error: {where}{error.strerror or error}\nhint: finished maps stay, run again to go on")
+    except Exception as error:
+        sys.exit(f"error: a file here is not what viewrank or run.py wrote ({type(error).__name__}: {error})\nhint: export again")

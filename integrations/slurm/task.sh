@@ -25,6 +25,7 @@ array) rank=$((${2:-0} + ${SLURM_ARRAY_TASK_ID:?is set by the queue})) ;;
 esac
 
 reached() {
+    [ ! -L "$project/viewrank/progress.json" ] || refuse "$project/viewrank/progress.json"
     [ -f "$project/viewrank/progress.json" ] && refuse_long "$project/viewrank/progress.json" && grep -Eq '"target_reached": *true' "$project/viewrank/progress.json"
 }
 # The tasks of this array that wait are not needed any more.

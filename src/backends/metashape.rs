@@ -8,7 +8,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
 };
-use crate::io::output::Contents;
+use crate::{base::printable::json_escaped, io::output::Contents};
 
 pub static BACKEND: Backend = Backend {
     name: "metashape",
@@ -61,7 +61,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut files = options.file_set(&BACKEND, selection);
     files.add_text(
         "clusters.json",
-        serde_json::to_string_pretty(&list).expect("string keys") + "\n",
+        json_escaped(&serde_json::to_string_pretty(&list).expect("string keys")) + "\n",
     );
     files.add(
         "depth_maps.py",

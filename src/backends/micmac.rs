@@ -192,7 +192,7 @@ fn runner(selection: &Selection) -> Contents {
         let commands = [
             format!("rm -f {mark}"),
             call,
-            format!("echo {recipe} >{mark}"),
+            format!("note {recipe} {mark}"),
         ];
         script.cluster(
             stem,

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Backend, Selection, by_name};
 use crate::{
+    base::printable::json_escaped,
     io::{output::FileSet, pictures::PictureFolders},
     model::{
         camera::Camera,
@@ -178,8 +179,8 @@ impl ExportRecord {
 
     /// Returns the contents of `export.json`.
     pub(super) fn to_json(&self) -> String {
-        serde_json::to_string_pretty(self).expect("a record has string keys and finite numbers")
-            + "\n"
+        let text = serde_json::to_string_pretty(self);
+        json_escaped(&text.expect("a record has string keys and finite numbers")) + "\n"
     }
 }
 

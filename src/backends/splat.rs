@@ -23,7 +23,7 @@ use super::{
     workspace::{Workspace, add_workspace},
 };
 use crate::{
-    base::shell::command_path,
+    base::{printable::json_escaped, shell::command_path},
     io::output::{Contents, FileSet},
     model::scene::{PointIndex, ViewIndex},
 };
@@ -197,7 +197,7 @@ fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex], te
     {
         let text = serde_json::to_string_pretty(&transforms(selection, &all, views, &judged))
             .expect("string keys");
-        files.add_text("transforms.json", text + "\n");
+        files.add_text("transforms.json", json_escaped(&text) + "\n");
     }
 }
 

@@ -220,7 +220,7 @@ fn shell_script(selection: &Selection) -> Contents {
             format!("mkdir -p {folder}"),
             prepare,
             compute,
-            format!(": >{finished}"),
+            format!("note finished {finished}"),
         ];
         script.cluster(name, &format!("[ -f {finished} ]"), &commands);
     }

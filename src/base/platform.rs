@@ -2,6 +2,7 @@
 //! processes, the user. Each function has a plain equivalent for systems other than Unix.
 
 use std::{
+    ffi::OsStr,
     io,
     path::{Path, PathBuf},
     process::{Child, Command},
@@ -24,11 +25,31 @@ fn on_path(program: &Path) -> Option<PathBuf> {
         names.insert(0, program.with_extension("exe"));
     }
     let path = std::env::var_os("PATH")?;
-    // An empty entry is the current folder, too.
-    let folders = std::env::split_paths(&path).filter(|folder| folder.is_absolute());
+    let folders = absolute_folders(&path);
     folders
         .flat_map(|folder| names.iter().map(move |name| folder.join(name)))
         .find(|path| path.is_file())
+}
+
+/// The entries of a PATH that do not depend on the current folder; an empty one is that folder,
+/// too.
+fn absolute_folders(path: &OsStr) -> impl Iterator<Item = PathBuf> {
+    std::env::split_paths(path).filter(|folder| folder.is_absolute())
+}
+
+/// A call of a program of the system by its name. Neither it nor what it calls in turn is looked
+/// for in the current folder, whatever the PATH.
+///
+/// # Errors
+/// If it is not on the PATH.
+pub fn command(program: &str) -> io::Result<Command> {
+    let found = located(Path::new(program)).ok_or(io::ErrorKind::NotFound)?;
+    let mut command = Command::new(found);
+    if let Some(path) = std::env::var_os("PATH") {
+        let folders = std::env::join_paths(absolute_folders(&path));
+        command.env("PATH", folders.map_err(io::Error::other)?);
+    }
+    Ok(command)
 }
 
 /// Sets the flag at Ctrl-C and, where the system has them, at other requests to end. A second

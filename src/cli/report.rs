@@ -2,7 +2,7 @@
 
 use std::{
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::Stdio,
 };
 
 use crate::base::error::{Advice, Hint};
@@ -13,6 +13,7 @@ use crate::{
     },
     backends::ExportRecord,
     base::{
+        platform,
         progress::{Stage, Watcher},
         shell::{command_path, shown_path},
     },
@@ -168,13 +169,14 @@ fn open(page: &Path) -> Result<(), OpenFailure> {
         "windows" => "explorer",
         _ => "xdg-open",
     };
-    let mut command = Command::new(opener);
-    let started = command
-        .arg(page)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn();
+    let started = platform::command(opener).and_then(|mut command| {
+        command
+            .arg(page)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+    });
     started.map(|_| ()).map_err(|source| OpenFailure {
         page: page.into(),
         opener,

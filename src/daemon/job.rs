@@ -344,18 +344,20 @@ impl PlanJob {
             },
         };
         let Some(command) = command else { return false };
-        let mut command = platform::shell(&command);
         // Standard output may be a worker's answers.
         #[expect(
             clippy::disallowed_methods,
             reason = "the command's own words, not viewrank's"
         )]
         let output = io::stderr();
-        command
-            .env("VIEWRANK_PROJECT", project)
-            .stdin(Stdio::null())
-            .stdout(output);
-        match command.spawn() {
+        let started = platform::shell(&command).and_then(|mut command| {
+            command
+                .env("VIEWRANK_PROJECT", project)
+                .stdin(Stdio::null())
+                .stdout(output)
+                .spawn()
+        });
+        match started {
             Ok(child) => {
                 let project = project.to_path_buf();
                 thread::spawn(move || wait_for(child, &project));

@@ -6,6 +6,8 @@ use std::{
     process::Command,
 };
 
+use crate::base::platform;
+
 /// Physical memory to assume, in bytes, where the system doesn't report it.
 const ASSUMED_MEMORY: u64 = 8 << 30;
 
@@ -107,15 +109,15 @@ pub fn host() -> String {
 }
 
 /// A command line for the user's shell.
-pub fn shell(command: &str) -> Command {
+pub fn shell(command: &str) -> io::Result<Command> {
     let (shell, option) = if cfg!(windows) {
         ("cmd", "/C")
     } else {
         ("sh", "-c")
     };
-    let mut shell = Command::new(shell);
+    let mut shell = platform::command(shell)?;
     shell.arg(option).arg(command);
-    shell
+    Ok(shell)
 }
 
 /// This program again, with the arguments of this process and `--WORD` behind the subcommand; the

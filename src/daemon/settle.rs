@@ -8,7 +8,8 @@
 use std::{
     collections::BTreeMap,
     ffi::OsStr,
-    fs, io,
+    fs,
+    io::{self, Read},
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
@@ -36,6 +37,10 @@ impl Entry {
     };
 
     pub(super) fn from_metadata(metadata: &fs::Metadata) -> Self {
+        // The times of files of `/proc` are new at each look.
+        if metadata.is_file() && metadata.len() == 0 {
+            return Self::NONE;
+        }
         let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
         let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
         // The modification time of a folder covers its length.
@@ -370,7 +375,7 @@ impl HashCache {
             return Ok(*hash);
         }
         let hash = blake3::Hasher::new()
-            .update_reader(file)
+            .update_reader(file.take(entry.length))
             .map_err(named)?
             .finalize();
         lock(cache).0.insert(path.into(), (entry, hash));

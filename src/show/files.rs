@@ -11,6 +11,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         input::FileKind,
+        printable::json_escaped,
         shell::{command_path, one_after_other},
     },
     io::{
@@ -214,7 +215,8 @@ fn own_files(plan: &Plan, project: &Project, manifest: &Manifest) -> FileSet {
     let planned_views = PlannedViews::new(&plan.stages.scene, &plan.finished);
     add(
         "planned_views.json",
-        serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n",
+        json_escaped(&serde_json::to_string(&planned_views).expect("numbers and texts are JSON"))
+            + "\n",
     );
     add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
     add(

@@ -194,6 +194,34 @@ fn attack_3_settings_name_a_device() {
     }
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn files_of_the_system_without_a_length_hold_up_no_project() {
+    let place = Place::new();
+    let [region, masked] = ["region", "masked"].map(|name| place.root().join(name));
+    valley::copy_to(&region);
+    let settings = "region = \"/proc/self/pagemap\"\n";
+    fs::write(region.join("viewrank.toml"), settings).unwrap();
+    valley::copy_to(&masked);
+    fs::create_dir(masked.join("masks")).unwrap();
+    // The times of this one are new at each look.
+    symlink("/proc/uptime", masked.join("masks/any.png")).unwrap();
+    let done = viewrank(&[
+        "watch",
+        path(&place.root()),
+        "--once",
+        "--follow-links",
+        "--settle",
+        "10ms",
+    ]);
+    let said = fails(done);
+    assert!(
+        ["pagemap", "any.png"].map(|name| said.contains(name)) == [true; 2],
+        "{said}"
+    );
+    assert!(place.own("manifest.json").is_file());
+}
+
 #[test]
 fn attack_4_pipes_in_place_of_an_image_and_a_mask_hold_nobody_up() {
     let place = Place::new();
@@ -641,4 +669,51 @@ fn scripts_of_dispatch_wait_for_no_pipe_and_write_through_no_link() {
     }
     assert!(fs::read_dir(outside).unwrap().next().is_none());
     succeeds(dispatch());
+    symlink(place.precious(), place.own("progress.json")).unwrap();
+    let task = Command::new(place.own("dispatch/sgm/task.sh"))
+        .arg("1")
+        .output()
+        .unwrap();
+    assert!(fails(task).contains("progress.json: not made by viewrank"));
+}
+
+#[test]
+fn no_program_of_the_current_folder_is_started() {
+    let place = Place::new();
+    succeeds(place.plan());
+    for name in ["sh", "squeue", "scontrol", "sbatch", "xdg-open", "open"] {
+        let program = place.project().join(name);
+        fs::write(&program, "#!/bin/sh\n: >../../started\n").unwrap();
+        fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    }
+    let slurm = [
+        "dispatch",
+        ".",
+        "--scheduler",
+        "slurm",
+        "--backend",
+        "sgm",
+        "--program",
+        "/bin/true",
+    ];
+    let watch = [
+        "watch",
+        ".",
+        "--once",
+        "--settle",
+        "10ms",
+        "--on-target",
+        "sh",
+    ];
+    for entry in ["", "."] {
+        for call in [&["report", ".", "--open"][..], &slurm, &watch] {
+            Command::new(env!("CARGO_BIN_EXE_viewrank"))
+                .args(call)
+                .current_dir(place.project())
+                .env("PATH", format!("{entry}:/nowhere"))
+                .output()
+                .unwrap();
+            assert!(!place.folder.path().join("started").exists(), "{call:?}");
+        }
+    }
 }

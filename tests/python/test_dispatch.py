@@ -255,6 +255,15 @@ def test_dry_run_writes_nothing(work):
     assert all("night" not in script.split("would run")[0] for script in scripts), "no cluster's names in the scripts"
 
 
+def test_a_percent_sign_in_a_folder_stays_one_in_names_of_logs(viewrank, fixtures, tmp_path):
+    project = tmp_path / "100%u"
+    shutil.copytree(fixtures / "valley", project)
+    viewrank("plan", project, "--backend", "openmvs", "--confidence", "none", "--quiet")
+    done = viewrank("dispatch", project, "--scheduler", "slurm", "--dry-run")
+    logs = str(project / "viewrank/dispatch/openmvs/logs")
+    assert f"--output={logs.replace('%', '%%')}/%A_%a.log" in done.stdout and f"--output={logs}/" not in done.stdout
+
+
 class Slurm:
     """A controller and two nodes of this machine, in a folder."""
 

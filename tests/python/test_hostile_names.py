@@ -108,6 +108,16 @@ def test_a_shown_command_names_the_same_folder(fixtures, tmp_path, name):
     assert not list(tmp_path.rglob("pwned*"))
 
 
+def test_no_json_file_has_signs_that_a_terminal_obeys(fixtures, few_points, tmp_path):
+    model = Model(fixtures, few_points, tmp_path / "model")
+    model.names[:2] = ["\u202egpj.exe.jpg", "\u2028ls.jpg"]
+    project, refused = model.plan("splat")
+    assert not set(refused) & set(model.names[:2])
+    texts = {path: path.read_text() for suffix in ("json", "geojson") for path in project.rglob(f"*.{suffix}")}
+    assert len(texts) > 3 and any("\\u" in text for text in texts.values())
+    assert [path.name for path, text in texts.items() if not text.replace("\n", "").isprintable()] == []
+
+
 @pytest.mark.parametrize("backend", backends())
 def test_names_stay_names(fixtures, few_points, machine, tmp_path, backend):
     project, refused = Model(fixtures, few_points, tmp_path / "model").plan(backend)

@@ -485,3 +485,43 @@ def test_a_single_rank_that_is_not_as_planned_fails(folder):
     make(folder, k1=[])
     done = subprocess.run([sys.executable, folder / "run.py", "--densify", folder / "densify", "--rank", "2"], capture_output=True, text=True)
     assert done.returncode == 1 and "no depth map" in done.stdout
+
+
+def of_a_stranger(folder):
+    """What somebody else may leave here, by name."""
+    row = dict(key="k0", digest="a", rank=1, problems=[], filled=10**400, seconds=1)
+    return {
+        "folder for fuse.txt": lambda: (folder / "fuse.txt").mkdir(),
+        "folder for fused.ply": lambda: (folder / "fused.ply").mkdir(),
+        "folder for a map": lambda: (folder / "depth0010.dmap/x").mkdir(parents=True),
+        "folder for a log": lambda: (folder / "DensifyPointCloud-x.log").mkdir(),
+        "list for run.json": lambda: (folder / "run.json").write_text("[]"),
+        "no clusters": lambda: (folder / "run.json").write_text('{"clusters": [[]]}'),
+        "number without a float": lambda: [(folder / "unfinished/0010-a").mkdir(parents=True), (folder / "unfinished/0010-a/row.json").write_text(json.dumps(row)), (folder / "report.json").write_text(json.dumps({"clusters": [row]}))],
+    }
+
+
+@pytest.mark.parametrize("what", of_a_stranger(Path()))
+def test_what_a_stranger_left_is_no_traceback(folder, what):
+    of_a_stranger(folder)[what]()
+    done, _, _ = run(folder)
+    assert "Traceback" not in done.stderr and (done.returncode == 0 or done.stderr.startswith("error: ") and done.returncode == 1), done.stderr
+
+
+def test_a_full_disk_loses_nothing_and_leaves_no_draft(folder):
+    run(folder)
+    before = {name: (folder / name).read_bytes() for name in ("report.json", "fused.ply")}
+    limited = "import resource, sys, runpy; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    done, _, _ = run(folder, program=("-c", limited, "run.py"))
+    assert done.returncode == 1 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr, done.stderr
+    assert not list(folder.glob("*.tmp")) and before == {name: (folder / name).read_bytes() for name in before}
+
+
+@pytest.mark.parametrize("entry", ["", ".", "images"])
+def test_no_program_of_this_folder_is_started(folder, entry):
+    program = folder / entry / "DensifyPointCloud"
+    program.write_text("#!/bin/sh\ntouch started\n")
+    program.chmod(0o755)
+    environment = {**os.environ, "PATH": f"{entry}{os.pathsep}/usr/bin"}
+    done = subprocess.run([sys.executable, "-I", "run.py"], env=environment, capture_output=True, text=True, cwd=folder)
+    assert done.returncode == 1 and "no program" in done.stderr and not list(folder.rglob("started"))

@@ -2,9 +2,9 @@
 //!
 //! A project may come from a stranger, and its settings name files. Links are followed, for images
 //! often live elsewhere, but only a regular file is read: a pipe would block and a device never
-//! end. Files that are read whole have a size limit. A file that is mostly a hole costs its sender
-//! nothing and the reader minutes, so it is refused; so is a download that stopped after its space
-//! was reserved.
+//! end, nor may some files of the system that say they are empty. Files that are read whole have a
+//! size limit. A file that is mostly a hole costs its sender nothing and the reader minutes, so it
+//! is refused; so is a download that stopped after its space was reserved.
 
 use std::{
     fs::{File, Metadata},
@@ -85,19 +85,26 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
     platform::never_block(&mut options);
     let file = options.open(path)?;
     let found = file.metadata()?;
-    if found.is_file() {
-        check_holes(&file, found.len())?;
-        return Ok((file, found));
-    }
     let what = if found.is_dir() {
         "a folder"
-    } else {
+    } else if !found.is_file() {
         "a pipe or a device"
+    } else if is_endless(&file, found.len())? {
+        "one of the system, of unknown length"
+    } else {
+        check_holes(&file, found.len())?;
+        return Ok((file, found));
     };
     Err(io::Error::new(
         io::ErrorKind::InvalidInput,
         format!("not a regular file but {what}: name a file"),
     ))
+}
+
+/// Returns whether a file claims to be empty and isn't, as those of `/proc`; not if it grew just
+/// now.
+fn is_endless(file: &File, length: u64) -> io::Result<bool> {
+    Ok(length == 0 && platform::has_content(file) && file.metadata()?.len() == 0)
 }
 
 /// Returns the bytes in holes of a file, if that is more than in any that somebody wrote.
@@ -169,9 +176,8 @@ pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     check_length(length, kind)?;
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(length as usize)?;
-    // It may grow meanwhile, and some system files don't say how long they are.
-    file.take(kind.limit() + 1).read_to_end(&mut bytes)?;
-    check_length(bytes.len() as u64, kind)?;
+    // It may grow meanwhile.
+    file.take(length).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
@@ -288,6 +294,17 @@ mod tests {
                 path.display()
             );
         }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_file_of_unknown_length_is_refused_and_an_empty_one_is_not() {
+        for path in ["/proc/self/pagemap", "/proc/uptime"] {
+            let error = open(Path::new(path)).expect_err(path);
+            assert_eq!(error.kind(), io::ErrorKind::InvalidInput, "{path}");
+        }
+        let empty = tempfile::NamedTempFile::new().expect("a temporary file");
+        assert_eq!(read(empty.path(), FileKind::List).expect("empty"), b"");
     }
 
     #[test]

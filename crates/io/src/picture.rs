@@ -2,13 +2,24 @@
 
 use std::io::{BufRead, Cursor, Read, Seek};
 
-use image::{ImageDecoder, ImageFormat, ImageReader, ImageResult, Limits};
+use image::{
+    ImageDecoder, ImageFormat, ImageReader, ImageResult, Limits,
+    error::{ImageError, UnsupportedError, UnsupportedErrorKind},
+};
+use tiff::{
+    TiffResult,
+    decoder::Decoder,
+    tags::{CompressionMethod, Tag},
+};
 use viewrank_core::base::pixels::{PixelBound, TooManyPixels, most_decoded_bytes};
 
 /// Limit on colour profile and other metadata, bytes: they may be deflated.
 const METADATA_BYTES: u64 = 32 << 20;
 /// Bytes in which the size of a JPEG is searched; its decoder reads a file whole.
 const JPEG_HEADER_BYTES: u64 = 16 << 20;
+
+/// Says what to do with a TIFF of JPEGs.
+pub const TIFF_OF_JPEGS: &str = "JPEG compression: convert it to a JPEG, a PNG or another TIFF";
 
 /// Reads the header of an image.
 pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecoder + 'a> {
@@ -19,11 +30,38 @@ pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecod
     reader.into_decoder()
 }
 
+/// Returns whether the strips or tiles of a TIFF are JPEGs, each of which may be larger than the
+/// TIFF says.
+pub fn is_tiff_of_jpegs(tiff: &mut Decoder<impl Read + Seek>) -> TiffResult<bool> {
+    let method = tiff.find_tag_unsigned(Tag::Compression)?;
+    Ok(method
+        .map(CompressionMethod::from_u16_exhaustive)
+        .is_some_and(|method| {
+            matches!(
+                method,
+                CompressionMethod::JPEG | CompressionMethod::ModernJPEG
+            )
+        }))
+}
+
+fn refuse_tiff_of_jpegs(bytes: &[u8]) -> ImageResult<()> {
+    if image::guess_format(bytes).ok() != Some(ImageFormat::Tiff)
+        || !Decoder::new(Cursor::new(bytes))
+            .is_ok_and(|mut tiff| is_tiff_of_jpegs(&mut tiff).unwrap_or(true))
+    {
+        return Ok(());
+    }
+    let kind = UnsupportedErrorKind::GenericFeature(TIFF_OF_JPEGS.into());
+    let error = UnsupportedError::from_format_and_kind(ImageFormat::Tiff.into(), kind);
+    Err(ImageError::Unsupported(error))
+}
+
 /// Opens an image of no more pixels than the bound, to be decoded.
 pub fn open<'a, E>(bytes: &'a [u8], bound: PixelBound) -> Result<impl ImageDecoder + 'a, E>
 where
     E: From<image::ImageError> + From<TooManyPixels>,
 {
+    refuse_tiff_of_jpegs(bytes)?;
     let mut decoder = header(Cursor::new(bytes))?;
     let (width, height) = decoder.dimensions();
     bound.admit(width, height)?;

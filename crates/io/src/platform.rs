@@ -45,6 +45,21 @@ pub fn file_system(found: &Metadata) -> u64 {
     }
 }
 
+/// Returns whether anything but the end is at the start of a file; false where every file knows its
+/// length.
+pub fn has_content(file: &File) -> bool {
+    #[cfg(unix)]
+    return !matches!(
+        std::os::unix::fs::FileExt::read_at(file, &mut [0; 8], 0),
+        Ok(0)
+    );
+    #[cfg(not(unix))]
+    {
+        let _ = file;
+        false
+    }
+}
+
 /// Fills the buffer from offset `at`; several threads may read the same file.
 pub fn read_exact_at(file: &File, buffer: &mut [u8], at: u64) -> io::Result<()> {
     #[cfg(unix)]

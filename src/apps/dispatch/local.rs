@@ -3,7 +3,7 @@
 use std::{
     fs::File,
     io::{self, Read, Seek, SeekFrom},
-    process::{Command, Stdio},
+    process::Stdio,
     sync::atomic::{AtomicBool, Ordering},
     thread,
     time::Duration,
@@ -60,7 +60,7 @@ impl Dispatch {
         };
         let mut output = tempfile::tempfile().map_err(failed)?;
         let copy = |file: &File| file.try_clone().map(Stdio::from).map_err(failed);
-        let mut command = Command::new("sh");
+        let mut command = platform::command("sh").map_err(failed)?;
         command
             .arg(self.folder.join(script))
             .args(rank.map(|rank| rank.to_string()));

@@ -15,7 +15,6 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    process::Command,
     thread,
     time::Duration,
 };
@@ -306,6 +305,8 @@ impl SlurmQueue {
         before: &[String],
     ) -> Vec<String> {
         let folder = dispatch.folder.display();
+        // In the name of a log `%%` is a %.
+        let logs = format!("{folder}/logs").replace('%', "%%");
         let mut command: Vec<String> = vec!["sbatch".into(), "--parsable".into()];
         let after = |jobs: &[String]| {
             (!jobs.is_empty()).then(|| format!("--dependency=afterany:{}", jobs.join(":")))
@@ -325,7 +326,7 @@ impl SlurmQueue {
                     array.offset
                 ));
                 command.push(format!("--array={}", array.specification(settings.at_once)));
-                command.push(format!("--output={folder}/logs/%A_%a.log"));
+                command.push(format!("--output={logs}/%A_%a.log"));
                 // The tasks of a failed node go back to the queue.
                 command.extend(["--open-mode=append".into(), "--requeue".into()]);
                 command.extend(
@@ -338,7 +339,7 @@ impl SlurmQueue {
             }
             Step::Fusion(jobs) => {
                 command.push(format!("--job-name={}fuse", self.prefix));
-                command.push(format!("--output={folder}/logs/fuse-%j.log"));
+                command.push(format!("--output={logs}/fuse-%j.log"));
                 command.extend(after(&[jobs, before].concat()));
             }
         }
@@ -493,7 +494,8 @@ impl Array {
 
 /// Runs a command of the queue and returns what it printed.
 fn run(command: &[String]) -> Result<String, DispatchError> {
-    let done = Command::new(&command[0]).args(&command[1..]).output();
+    let done =
+        platform::command(&command[0]).and_then(|mut program| program.args(&command[1..]).output());
     let done = done.map_err(|source| DispatchError::Start {
         program: command[0].clone(),
         source,

@@ -110,6 +110,16 @@ impl Overlap {
 
 /// Returns the overlaps of a view with its nearest neighbours of similar direction and scale.
 fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
+    let all = inputs.points.observed_by(view);
+    let sample: Vec<PointIndex> = all
+        .iter()
+        .step_by(all.len().div_ceil(SAMPLE).max(1))
+        .copied()
+        .collect();
+    // A model may have any number of views without points.
+    if sample.len() < ENOUGH {
+        return (view, Vec::new());
+    }
     let scene = inputs.scene;
     let centre = scene.view(view).cam_from_world.centre();
     let mut others: Vec<(f64, ViewIndex)> = scene
@@ -129,12 +139,6 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
         others.truncate(NEAREST);
     }
     others.sort_by(nearer);
-    let all = inputs.points.observed_by(view);
-    let sample: Vec<PointIndex> = all
-        .iter()
-        .step_by(all.len().div_ceil(SAMPLE).max(1))
-        .copied()
-        .collect();
     let found = others
         .iter()
         .filter_map(|&(_, other)| overlap(inputs, view, other, &sample))

@@ -24,6 +24,7 @@ use crate::{
         error::{Advice, Hint},
         input::{self, FileKind},
         paths,
+        printable::json_escaped,
         progress::{Cancelled, Stage, Watcher},
     },
     io::{
@@ -274,7 +275,8 @@ impl<'a> Undistortion<'a> {
             .par_iter()
             .map(made)
             .collect::<Result<_, UndistortError>>()?;
-        Ok(serde_json::to_string_pretty(&made).expect("strings are JSON") + "\n")
+        let text = serde_json::to_string_pretty(&made).expect("strings are JSON");
+        Ok(json_escaped(&text) + "\n")
     }
 
     fn read(&self, view: ViewIndex) -> Result<Vec<u8>, UndistortError> {

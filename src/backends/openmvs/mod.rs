@@ -18,7 +18,7 @@ use super::{
     selection, strangers::list_links,
 };
 use crate::{
-    base::shell::command_path,
+    base::{printable::json_escaped, shell::command_path},
     io::{
         formats::openmvs::Mvs,
         output::Contents,
@@ -205,7 +205,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     };
     files.add_text(
         "run.json",
-        serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n",
+        json_escaped(&serde_json::to_string_pretty(&run).expect("string keys and finite numbers"))
+            + "\n",
     );
     files.add_text("dense.cfg", dense_config(selection));
     list_links(&mut files);

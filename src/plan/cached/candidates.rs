@@ -1,5 +1,7 @@
 //! The candidate partners, and the pairs that were refused.
 
+use std::collections::HashSet;
+
 use crate::{
     base::{
         packed::{Packed, Packer, Unpacker},
@@ -59,6 +61,8 @@ pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
     let (refusal_offsets, refused) = unpack_rows(&mut lists, count)?;
     let numbers = lists.bytes()?;
     let fits = beyond.len() == count
+        && are_others_once(&offsets, &views)
+        && are_others_once(&refusal_offsets, &refused)
         && (0..count).all(|view| beyond[view] <= offsets.row(view).len())
         && numbers.len() == refused.len()
         && lists.is_at_end();
@@ -80,10 +84,63 @@ pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
     })
 }
 
+/// Returns true if no row has its own view, or another one twice.
+fn are_others_once(offsets: &Offsets, views: &[ViewIndex]) -> bool {
+    let is_valid = |row: usize| {
+        let mut known = HashSet::from([row]);
+        views[offsets.row(row)]
+            .iter()
+            .all(|view| known.insert(view.index()))
+    };
+    (0..offsets.rows()).all(is_valid)
+}
+
 fn unpack_rows(lists: &mut Unpacker, count: usize) -> Option<(Offsets, Vec<ViewIndex>)> {
     let (lengths, views) = (lists.list::<u32>()?, lists.list::<u32>()?);
     let offsets = Offsets::from_lengths(lengths.iter().map(|&length| length as usize));
     let fits = lengths.len() == count && offsets.entries() == views.len();
     let fits = fits && views.iter().all(|&view| (view as usize) < count);
     fits.then(|| (offsets, views.into_iter().map(ViewIndex).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether partners of the first of three views are believed, and views that it refuses.
+    fn is_believed(partners: &[u32], refused: &[u32]) -> bool {
+        let mut packer = Packer::default();
+        packer.list(&[partners.len() as u32, 0, 0]);
+        packer.list(partners);
+        packer.list(&[0_u32; 3]);
+        packer.list(&[refused.len() as u32, 0, 0]);
+        packer.list(refused);
+        packer.list(&vec![
+            Reason::number(Some(Reason::NotMatchable));
+            refused.len()
+        ]);
+        let packed = packer.finish();
+        let bytes: Vec<u8> = packed
+            .iter()
+            .flat_map(|part| part.as_bytes())
+            .copied()
+            .collect();
+        unpack(&bytes, 3).is_some()
+    }
+
+    #[test]
+    fn a_view_is_once_a_partner_of_others() {
+        for views in [&[][..], &[1], &[2, 1]] {
+            assert!(
+                is_believed(views, &[]) && is_believed(&[], views),
+                "{views:?}"
+            );
+        }
+        for views in [&[1, 1][..], &[0], &[2, 0], &[1, 2, 1], &[3]] {
+            assert!(
+                !is_believed(views, &[]) && !is_believed(&[], views),
+                "{views:?}"
+            );
+        }
+    }
 }

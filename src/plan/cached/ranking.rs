@@ -76,7 +76,7 @@ pub fn unpack(bytes: &[u8], clusters: usize, triangles: usize) -> Option<UncutRa
     let is_valid = lists.is_at_end()
         && is_order_of(clusters, &known.ranking.order)
         && fits(&known, triangles)
-        && are_numbers(&known);
+        && is_possible(&known);
     is_valid.then_some(known)
 }
 
@@ -106,15 +106,81 @@ fn fits(known: &UncutRanking, triangles: usize) -> bool {
         && [known.triangle_reasons.len(), known.border.len()] == [triangles; 2]
 }
 
-fn are_numbers(known: &UncutRanking) -> bool {
+/// Rounding of sums of gains.
+const ROUNDING: f64 = 1e-6;
+
+/// Returns true if a plan with these numbers can be read again: shares, in sums that rise.
+fn is_possible(known: &UncutRanking) -> bool {
     let ranking = &known.ranking;
-    let lists = [
-        &ranking.gains,
-        &ranking.fulfilment,
-        &ranking.kept,
-        &known.area_shares,
-        &known.pixels,
-    ];
-    let numbers = lists.into_iter().flatten().chain([&ranking.reachable]);
-    numbers.copied().all(f64::is_finite)
+    let is_share = |share: &f64| (-ROUNDING..=1.0 + ROUNDING).contains(share);
+    let mut sum = 0.0;
+    let mut adds_up = |(gain, fulfilment): (&f64, &f64)| {
+        let expected = std::mem::replace(&mut sum, *fulfilment) + gain;
+        is_share(gain) && (expected - fulfilment).abs() <= ROUNDING
+    };
+    let least = -ROUNDING * ranking.reachable;
+    is_share(&ranking.reachable)
+        && ranking
+            .gains
+            .iter()
+            .zip(&ranking.fulfilment)
+            .all(&mut adds_up)
+        && ranking.fulfilment.iter().all(is_share)
+        && ranking
+            .kept
+            .windows(2)
+            .all(|pair| pair[1] - pair[0] >= least)
+        && ranking
+            .kept
+            .iter()
+            .all(|&kept| (least..=ranking.reachable - least).contains(&kept))
+        && known.area_shares.iter().all(is_share)
+        && known
+            .pixels
+            .iter()
+            .all(|pixels| (0.0..f64::INFINITY).contains(pixels))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether a ranking of two clusters and one triangle is believed.
+    fn is_believed(gains: [f64; 2], fulfilment: [f64; 2], kept: [f64; 2], reachable: f64) -> bool {
+        let mut packer = Packer::default();
+        packer.list(&[1_u32, 0]);
+        packer.list(&[0_u8, 0]);
+        for list in [gains, fulfilment, kept] {
+            packer.list(&list);
+        }
+        packer.list(&[reachable]);
+        packer.list(&[0.5, 0.25]);
+        packer.list(&[Reason::number(None)]);
+        packer.list(&[0_u8]);
+        packer.list(&[90.0]);
+        let packed = packer.finish();
+        let bytes: Vec<u8> = packed
+            .iter()
+            .flat_map(|part| part.as_bytes())
+            .copied()
+            .collect();
+        unpack(&bytes, 2, 1).is_some()
+    }
+
+    #[test]
+    fn impossible_rankings_are_not_believed() {
+        let (gains, fulfilment, kept) = ([0.5, 0.25], [0.5, 0.75], [0.25, 0.5]);
+        assert!(is_believed(gains, fulfilment, kept, 0.5));
+        for reachable in [-1.0, 0.4, 1.5, f64::NAN, f64::INFINITY, 1e-300] {
+            assert!(
+                !is_believed(gains, fulfilment, kept, reachable),
+                "{reachable}"
+            );
+        }
+        assert!(!is_believed([0.5, 0.5], fulfilment, kept, 0.5));
+        assert!(!is_believed([0.5, 0.75], [0.5, 1.25], kept, 0.5));
+        assert!(!is_believed([0.5, -2.5], [0.5, -2.0], kept, 0.5));
+        assert!(!is_believed(gains, fulfilment, [0.5, 0.25], 0.5));
+        assert!(!is_believed(gains, fulfilment, [-1.0, 0.25], 0.5));
+    }
 }

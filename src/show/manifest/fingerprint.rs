@@ -59,7 +59,7 @@ pub fn fingerprint(
         let length = fs::metadata(&path).map_err(failed)?.len();
         hasher.update(&length.to_le_bytes());
         hasher
-            .update_reader(input::open(&path).map_err(failed)?)
+            .update_reader(input::open(&path).map_err(failed)?.take(length))
             .map_err(failed)?;
     }
     let pictures = PictureFolders::new(project);

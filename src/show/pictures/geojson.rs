@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::footprints;
 use crate::{
-    base::decimals::to_decimals,
+    base::{decimals::to_decimals, printable::json_escaped},
     method::region::Outline,
     model::{
         georeference::{Georeference, MapFrame},
@@ -80,7 +80,7 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
         })
     });
     collection["features"] = features.into_iter().chain(region).collect();
-    collection.to_string() + "\n"
+    json_escaped(&collection.to_string()) + "\n"
 }
 
 /// Returns the region on the map as it was given, or the hull of its corners.

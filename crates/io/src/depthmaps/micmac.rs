@@ -23,9 +23,12 @@ use tiff::{
 use viewrank_core::base::pixels::PixelBound;
 
 use super::{Beside, DepthMap, DepthMapFormat, Parsed, pixels};
-use crate::formats::{
-    Fault, Place, Problem,
-    xml::{Element, Xml},
+use crate::{
+    formats::{
+        Fault, Place, Problem,
+        xml::{Element, Xml},
+    },
+    picture,
 };
 
 /// Distance from 1 of the product of DirFaisceaux, a unit vector, and the optical axis from which
@@ -238,6 +241,9 @@ fn decoded(
         return Err(fault(format!(
             "{width} x {height} pixels are more than its {length} bytes hold"
         )));
+    }
+    if picture::is_tiff_of_jpegs(&mut decoder).map_err(broken)? {
+        return Err(fault(picture::TIFF_OF_JPEGS.into()));
     }
     let mut limits = Limits::default();
     limits.decoding_buffer_size = length.saturating_add(1 << 20) as usize;

@@ -248,6 +248,21 @@ fn reads_micmacs_inverse_depths_where_the_mask_has_them() {
 }
 
 #[test]
+fn refuses_jpegs_in_micmacs_images() {
+    // The entry of the directory for the compression: tag, type, number of values, value.
+    let entry = |method: u8| [3, 1, 3, 0, 1, 0, 0, 0, method, 0];
+    let compressed = |_: &str, mut bytes: Vec<u8>| {
+        let at = bytes.windows(10).position(|window| window == entry(1));
+        if let Some(at) = at {
+            bytes[at..at + 10].copy_from_slice(&entry(7));
+        }
+        bytes
+    };
+    let what = micmac(|xml| xml, compressed).unwrap_err().1;
+    assert!(what.contains("JPEG"), "{what}");
+}
+
+#[test]
 fn micmacs_maps_are_of_distorted_images_and_finished_when_all_is_there() {
     let folder = tempfile::tempdir().unwrap();
     let inside = folder.path().join("MM-Malt-Img-IMG_9394");

@@ -6,7 +6,10 @@
 
 mod resize;
 
-use std::{io::BufReader, path::Path};
+use std::{
+    io::{BufRead, BufReader},
+    path::Path,
+};
 
 use crate::{
     input::{self, FileKind},
@@ -14,7 +17,7 @@ use crate::{
     project::Unread,
 };
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
-use jpeg_decoder::PixelFormat;
+use jpeg_decoder::{CodingProcess, PixelFormat};
 use viewrank_core::{
     base::{
         error::shortened,
@@ -65,6 +68,8 @@ pub enum ImageError {
     Large(#[from] TooManyPixels),
     #[error("a JPEG of more than {MOST_SCANS} scans")]
     Scans,
+    #[error("a JPEG in several scans that takes too much memory: save it as a baseline JPEG")]
+    Coefficients,
     #[error("{width} x {height} pixels, the camera has {} x {}", camera[0], camera[1])]
     Shape {
         width: u32,
@@ -167,6 +172,7 @@ pub struct GreyImage {
 /// Decodes to grey levels, with the slower decoder if the faster one fails.
 fn jpeg_grey(bytes: &[u8], bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
     check_scans(bytes)?;
+    check_coefficients(bytes)?;
     if let Some(stored) = stored_luma(bytes, bound) {
         return Ok(stored);
     }
@@ -214,6 +220,7 @@ fn jpeg(
     wanted: &impl Fn([u32; 2]) -> [u32; 2],
 ) -> Result<Image, ImageError> {
     check_scans(bytes)?;
+    check_coefficients(bytes)?;
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_max_decoding_buffer_size(most_decoded_bytes(bytes.len() as u64) as usize);
     decoder.read_info()?;
@@ -255,6 +262,24 @@ fn rgb(format: PixelFormat, data: Vec<u8>) -> Vec<u8> {
 fn check_scans(bytes: &[u8]) -> Result<(), ImageError> {
     if scans(bytes) > MOST_SCANS {
         Err(ImageError::Scans)
+    } else {
+        Ok(())
+    }
+}
+
+/// Checks the size of an image in several scans: decoders keep the coefficients of all its blocks,
+/// at any scale and for grey alone.
+fn check_coefficients(bytes: &[u8]) -> Result<(), ImageError> {
+    let mut decoder = jpeg_decoder::Decoder::new(bytes);
+    decoder.read_info()?;
+    let Some(info) = decoder.info() else {
+        return Ok(());
+    };
+    let coefficients =
+        u64::from(info.width) * u64::from(info.height) * info.pixel_format.pixel_bytes() as u64;
+    let is_kept = info.coding_process == CodingProcess::DctProgressive || scans(bytes) > 1;
+    if is_kept && coefficients > most_decoded_bytes(bytes.len() as u64) {
+        Err(ImageError::Coefficients)
     } else {
         Ok(())
     }
@@ -320,6 +345,10 @@ pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
     let (width, height) = (image.width(), image.height());
     let usable = match image {
         DynamicImage::ImageLuma8(pixels) => pixels.iter().map(|&grey| grey > 0).collect(),
+        // Without a copy: a mask may be large.
+        DynamicImage::ImageLuma16(pixels) => pixels.iter().map(|&grey| grey > 0).collect(),
+        DynamicImage::ImageLumaA8(pixels) => pixels.pixels().map(|pixel| pixel.0[0] > 0).collect(),
+        DynamicImage::ImageLumaA16(pixels) => pixels.pixels().map(|pixel| pixel.0[0] > 0).collect(),
         // 16 bits, so that the darkest grey is not rounded to black.
         other => other.into_luma16().iter().map(|&grey| grey > 0).collect(),
     };
@@ -329,19 +358,21 @@ pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
 /// Returns about how many bytes of memory reading a mask takes at its peak, by its header;
 /// `None` if it cannot be read.
 pub fn mask_reading_bytes(path: &Path, bound: PixelBound) -> Option<u64> {
-    let file = BufReader::new(input::open(path).ok()?);
+    let mut file = BufReader::new(input::open(path).ok()?);
     let length = file.get_ref().metadata().ok()?.len();
+    let is_jpeg = image::guess_format(file.fill_buf().ok()?).ok() == Some(ImageFormat::Jpeg);
     let decoder = picture::header(file).ok()?;
     let decoded =
         Some(decoder.total_bytes()).filter(|&bytes| bytes <= most_decoded_bytes(length))?;
     let (width, height) = decoder.dimensions();
     let pixels = bound.admit(width, height).ok()? as u64;
-    let of_pixel = if matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
-        1
-    } else {
-        2
+    let of_pixel = match decoder.color_type() {
+        ColorType::L8 | ColorType::L16 | ColorType::La8 | ColorType::La16 => 1,
+        _ => 2,
     };
-    Some(length + decoded + of_pixel * pixels)
+    // A progressive JPEG keeps its coefficients, of two bytes each.
+    let coefficients = if is_jpeg { 2 * decoded } else { 0 };
+    Some(length + decoded + coefficients + of_pixel * pixels)
 }
 
 #[cfg(test)]

@@ -149,14 +149,14 @@ fn a_mask_forbids_black_pixels_alone() {
 }
 
 /// A grey TIFF of this width and height (TIFF 6.0, section 4), without its pixels.
-fn tiff_header(side: u32) -> Vec<u8> {
+fn tiff_header(side: u32, compression: u32) -> Vec<u8> {
     const SHORT: u16 = 3;
     const LONG: u16 = 4;
     let entries = [
         (256, LONG, side),
         (257, LONG, side),
         (258, SHORT, 8),
-        (259, SHORT, 1),
+        (259, SHORT, compression),
         (262, SHORT, 1),
         (273, LONG, 8),
         (277, SHORT, 1),
@@ -174,6 +174,50 @@ fn tiff_header(side: u32) -> Vec<u8> {
 }
 
 #[test]
+fn a_tiff_of_jpegs_is_refused_and_nothing_else_is_wrong_with_it() {
+    for compression in [6, 7] {
+        let bytes = tiff_header(40, compression);
+        let errors = [
+            Image::decode(&bytes, PixelBound::LARGEST, drawn_size).unwrap_err(),
+            mask(&bytes, PixelBound::LARGEST).unwrap_err(),
+        ];
+        for error in errors {
+            assert!(
+                matches!(error, ImageError::Other(image::ImageError::Unsupported(_))),
+                "{error}"
+            );
+            assert!(!error.is_unusable());
+        }
+    }
+}
+
+#[test]
+fn coefficients_of_a_jpeg_count_at_any_scale() {
+    let jpeg = |process: u8, [width, height]: [u16; 2]| {
+        let sides = [height.to_be_bytes(), width.to_be_bytes()].concat();
+        let parts: [&[u8]; 6] = [
+            &[0xff, 0xd8, 0xff, process, 0, 17, 8],
+            &sides,
+            &[3, 1, 0x11, 0, 2, 0x11, 0, 3, 0x11, 0],
+            &[0xff, 0xda, 0, 12, 3, 1, 0, 2, 0, 3, 0],
+            &[0, 0, 0],
+            &[0xff, 0xd9],
+        ];
+        parts.concat()
+    };
+    let (sequential, progressive) = (0xc0, 0xc2);
+    let is_refused = |bytes: &[u8]| {
+        let grey = Image::decode_grey(bytes, PixelBound::LARGEST, |_| [60, 45]).err();
+        let drawn = Image::decode(bytes, PixelBound::LARGEST, |_| [60, 45]).err();
+        [grey, drawn].map(|error| matches!(error, Some(ImageError::Coefficients)))
+    };
+    assert_eq!(is_refused(&jpeg(progressive, [18_900, 14_175])), [true; 2]);
+    for (process, sides) in [(progressive, [600, 450]), (sequential, [18_900, 14_175])] {
+        assert_eq!(is_refused(&jpeg(process, sides)), [false; 2]);
+    }
+}
+
+#[test]
 fn memory_for_a_mask_depends_on_its_channels() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mask.png");
@@ -187,12 +231,13 @@ fn memory_for_a_mask_depends_on_its_channels() {
     };
     assert_eq!(bytes_per_pixel(DynamicImage::new_luma8(40, 30)), 2);
     assert_eq!(bytes_per_pixel(DynamicImage::new_luma16(40, 30)), 3);
+    assert_eq!(bytes_per_pixel(DynamicImage::new_luma_a16(40, 30)), 5);
     assert_eq!(bytes_per_pixel(DynamicImage::new_rgba8(40, 30)), 6);
     std::fs::write(&path, "no image").unwrap();
     assert_eq!(mask_reading_bytes(&path, PixelBound::LARGEST), None);
-    std::fs::write(&path, tiff_header(10_000)).unwrap();
+    std::fs::write(&path, tiff_header(10_000, 1)).unwrap();
     assert!(mask_reading_bytes(&path, PixelBound::LARGEST).unwrap() > 200_000_000);
-    std::fs::write(&path, tiff_header(60_000)).unwrap();
+    std::fs::write(&path, tiff_header(60_000, 1)).unwrap();
     assert_eq!(
         mask_reading_bytes(&path, PixelBound::LARGEST),
         None,
@@ -231,9 +276,9 @@ fn what_others_may_read_is_not_unusable() {
         assert!(is_unusable(&bytes[..bytes.len().min(300)]), "{format:?}");
     }
     assert!(!is_unusable(b"no image"));
-    assert!(!is_unusable(&tiff_header(60_000)), "too large");
+    assert!(!is_unusable(&tiff_header(60_000, 1)), "too large");
     // The compression (259, one 16-bit number) of a TIFF that no decoder here knows.
-    let mut other = tiff_header(64);
+    let mut other = tiff_header(64, 1);
     let compression = other
         .windows(4)
         .position(|bytes| bytes == [3, 1, 3, 0])

@@ -16,7 +16,7 @@ use super::{
     journal::{Change, Root, STAGING, Step, staged},
     record::{self, Record, Records, hash},
 };
-use crate::{input, packed::Packed, platform};
+use crate::{input, packed::Packed, platform, printable::json_escaped};
 
 /// Stages the differences between the sets and the files on disk, as one change for all sets.
 pub(super) fn stage(
@@ -321,12 +321,12 @@ impl Staging<'_> {
         let path = format!("{}/{set}.json", record::FOLDER);
         self.check_folder_of_records()?;
         self.missing_folders(&path)?;
-        let mut text = serde_json::to_vec_pretty(&self.record).expect("strings are JSON");
-        text.push(b'\n');
+        let text = serde_json::to_string_pretty(&self.record).expect("strings are JSON");
+        let text = json_escaped(&text) + "\n";
         let new = staged(self.change.steps.len(), "new");
         self.root
             .disk
-            .write_new(self.folder, &new, text.as_slice(), false)?;
+            .write_new(self.folder, &new, text.as_bytes(), false)?;
         let old = if self.folder.find(&path)?.is_some() {
             self.keep_old(&path)?
         } else {

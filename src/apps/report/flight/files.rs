@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::{Flight, Waypoint};
 use crate::{
-    base::decimals::to_decimals,
+    base::{decimals::to_decimals, printable::json_escaped},
     model::georeference::{Georeference, MapFrame},
     show::pictures::views_file,
 };
@@ -114,7 +114,7 @@ pub(super) fn collection(features: Vec<Value>, local: bool) -> String {
         collection["note"] = json!("local coordinates as in views_local.json, not WGS 84");
         collection["crs"] = Value::Null;
     }
-    collection.to_string() + "\n"
+    json_escaped(&collection.to_string()) + "\n"
 }
 
 fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {

@@ -2,6 +2,7 @@
 
 use std::{
     cmp::Reverse,
+    collections::BTreeMap,
     ops::Range,
     sync::{Mutex, OnceLock},
 };
@@ -179,12 +180,33 @@ pub fn neighbours(
     points: &ViewPoints,
     view: ViewIndex,
 ) -> Vec<(ViewIndex, Vec<PointIndex>)> {
-    let mut neighbours = Neighbours::new(scene);
-    neighbours.collect(scene, points, view);
+    // Not with a row as long as the scene has views: a caller may ask for all of them.
+    let mut shared: BTreeMap<ViewIndex, Vec<PointIndex>> = BTreeMap::new();
+    for_each_shared(scene, points, view, |point, other| {
+        shared.entry(other).or_default().push(point);
+    });
+    let mut neighbours: Vec<_> = shared.into_iter().collect();
+    neighbours.sort_by_key(|(_, points)| Reverse(points.len()));
     neighbours
-        .pairs()
-        .map(|(other, shared)| (other, shared.to_vec()))
-        .collect()
+}
+
+/// Calls `act` with each point that a view shares, and each view with which it does.
+fn for_each_shared(
+    scene: &Scene,
+    points: &ViewPoints,
+    key: ViewIndex,
+    mut act: impl FnMut(PointIndex, ViewIndex),
+) {
+    for &point in points.observed_by(key) {
+        // A view that observes the point twice occurs twice in a row.
+        let mut last = key;
+        for &view in scene.track_views(point) {
+            if view != key && view != last {
+                act(point, view);
+            }
+            last = view;
+        }
+    }
 }
 
 /// The candidates of one view.
@@ -303,20 +325,13 @@ impl Neighbours {
     fn count(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
         self.shared.clear();
         self.views.clear();
-        for &point in points.observed_by(key) {
-            // A view that observes the point twice occurs twice in a row.
-            let mut last = key;
-            for &view in scene.track_views(point) {
-                if view != key && view != last {
-                    self.shared.push((point, view));
-                    self.counts[view.index()] += 1;
-                    if self.counts[view.index()] == 1 {
-                        self.views.push(view);
-                    }
-                }
-                last = view;
+        for_each_shared(scene, points, key, |point, view| {
+            self.shared.push((point, view));
+            self.counts[view.index()] += 1;
+            if self.counts[view.index()] == 1 {
+                self.views.push(view);
             }
-        }
+        });
     }
 }
 
