@@ -16,7 +16,7 @@ import paper
 
 SETS = {
     "lewis": "oblique, from a drone",
-    "boruszyn": "from a kite, a farm",
+    "boruszyn": "a farm, from a kite",
     "caliterra": "nadir, fields",
     "ochota": "oblique, a city",
     "statue": "a bust in a hall, rendered",

@@ -39,8 +39,9 @@ if __name__ == "__main__":
     sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
     # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
     sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
-    # Nor is a program, here or by DensifyPointCloud, which the empty entries and those beneath the current folder would do.
-    os.environ["PATH"] = os.pathsep.join(filter(os.path.isabs, os.environ.get("PATH", os.defpath).split(os.pathsep)))
+    # Nor is a program started from there: relative entries of PATH are dropped, and Windows does not look there first.
+    os.environ["PATH"] = os.pathsep.join(filter(os.path.isabs, os.environ.get("PATH", os.defpath).split(os.pathsep))) or os.defpath
+    os.environ["NoDefaultCurrentDirectoryInExePath"] = "1"
 
 import argparse
 import array
@@ -726,5 +727,5 @@ if __name__ == "__main__":
     except OSError as error:
         where = f"{ascii(os.fsdecode(error.filename))}: " if isinstance(error.filename, (str, bytes, os.PathLike)) else ""
         sys.exit(f"error: {where}{error.strerror or error}\nhint: finished maps stay, run again to go on")
-    except Exception as error:
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error) as error:
         sys.exit(f"error: a file here is not what viewrank or run.py wrote ({type(error).__name__}: {error})\nhint: export again")

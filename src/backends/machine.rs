@@ -14,6 +14,8 @@ use crate::{base::platform, config::Settings, config::UnknownBackend, io::projec
 pub enum Choice {
     /// The command line or the settings name it.
     Named,
+    /// The project is planned for it.
+    Planned,
     /// The project has its workspace or its model.
     Project,
     /// This program is installed.
@@ -27,6 +29,7 @@ impl Choice {
     pub fn describe(&self) -> String {
         match self {
             Self::Named => "as named".into(),
+            Self::Planned => "as planned; --backend names another".into(),
             Self::Project => "as the project is set up".into(),
             Self::Installed(program) => format!("{} is installed", program.display()),
             Self::NothingElse => "no DensifyPointCloud and no colmap with CUDA on the PATH".into(),

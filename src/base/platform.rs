@@ -24,7 +24,8 @@ fn on_path(program: &Path) -> Option<PathBuf> {
     if cfg!(windows) && program.extension().is_none() {
         names.insert(0, program.with_extension("exe"));
     }
-    let path = std::env::var_os("PATH")?;
+    // Where none is set, as the system looks.
+    let path = std::env::var_os("PATH").unwrap_or_else(|| "/usr/bin:/bin".into());
     let folders = absolute_folders(&path);
     folders
         .flat_map(|folder| names.iter().map(move |name| folder.join(name)))
@@ -45,6 +46,8 @@ fn absolute_folders(path: &OsStr) -> impl Iterator<Item = PathBuf> {
 pub fn command(program: &str) -> io::Result<Command> {
     let found = located(Path::new(program)).ok_or(io::ErrorKind::NotFound)?;
     let mut command = Command::new(found);
+    // On Windows, programs are looked for there before the PATH unless this is set.
+    command.env("NoDefaultCurrentDirectoryInExePath", "1");
     if let Some(path) = std::env::var_os("PATH") {
         let folders = std::env::join_paths(absolute_folders(&path));
         command.env("PATH", folders.map_err(io::Error::other)?);

@@ -219,7 +219,7 @@ fn unwatched(progress: &Progress) -> Vec<String> {
     // Without a target of the user's the list ends the work, whatever it reached.
     let is_reached = progress.share.is_some_and(|share| share >= progress.target);
     match (progress.target_reached, is_reached) {
-        (true, true) => lines.push("The target is reached.".into()),
+        (true, true) => lines.push("The planned share is reached.".into()),
         (true, false) => lines.push("The list is done.".into()),
         (false, _) => {}
     }

@@ -103,13 +103,7 @@ impl Planner for PlanJob {
     }
 
     fn plan(&self, job: &Job) -> Outcome {
-        self.try_plan(job).unwrap_or_else(|ended| {
-            if job.is_cancelled() {
-                Outcome::Abandoned
-            } else {
-                ended
-            }
-        })
+        self.plan_unless(&Some, job)
     }
 
     fn follow(&self, job: &Job) -> Outcome {
@@ -129,6 +123,9 @@ impl Planner for PlanJob {
     }
 }
 
+/// Returns the outcome of a plan of the same input, if that still is one.
+type Current<'a> = &'a dyn Fn(Outcome) -> Option<Outcome>;
+
 impl PlanJob {
     pub fn new(options: PlanOptions) -> Self {
         let plans = Mutex::new(PlanCache::new(options.cache));
@@ -145,17 +142,21 @@ impl PlanJob {
 
     /// Plans also where the last plan was made of the same.
     pub(super) fn plan_anew(&self, job: &Job) -> Outcome {
-        let removed = self.within(job.project).and_then(|within| {
-            let disk = Disk::REAL.within(&within);
-            output::remove(&job.project.join(RECORD), &disk).map_err(failed)
-        });
-        match removed {
-            Ok(_) => self.plan(job),
-            Err(ended) => ended,
-        }
+        self.plan_unless(&|_| None, job)
     }
 
-    fn try_plan(&self, job: &Job) -> StepResult<Outcome> {
+    /// Plans, unless there is a plan that is current.
+    fn plan_unless(&self, current: Current, job: &Job) -> Outcome {
+        self.try_plan(current, job).unwrap_or_else(|ended| {
+            if job.is_cancelled() {
+                Outcome::Abandoned
+            } else {
+                ended
+            }
+        })
+    }
+
+    fn try_plan(&self, current: Current, job: &Job) -> StepResult<Outcome> {
         let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);
         output::recover(job.project, &disk).map_err(failed)?;
@@ -168,18 +169,24 @@ impl PlanJob {
                 .map_err(failed)?
                 .is_empty()
         {
-            return self.plan_input(job, is_by_hand, &disk);
+            return self.plan_input(current, job, is_by_hand, &disk);
         }
         // The depth maps are gone: nothing is finished or reached any more. The progress is removed
         // last, so that the next run completes an interrupted one.
         output::remove(&job.project.join(RECORD), &disk).map_err(failed)?;
-        let outcome = self.plan_input(job, is_by_hand, &disk)?;
+        let outcome = self.plan_input(current, job, is_by_hand, &disk)?;
         Progress::remove(job.project, &disk).map_err(failed)?;
         Ok(outcome)
     }
 
     /// `is_by_hand`: a plan that is there is not the daemon's.
-    fn plan_input(&self, job: &Job, is_by_hand: bool, disk: &Disk) -> StepResult<Outcome> {
+    fn plan_input(
+        &self,
+        current: Current,
+        job: &Job,
+        is_by_hand: bool,
+        disk: &Disk,
+    ) -> StepResult<Outcome> {
         if let Some(reason) = job.stamp.read_error() {
             let hint = Some("make it readable for the user who runs viewrank".into());
             return Err(Outcome::Failed { reason, hint });
@@ -191,7 +198,7 @@ impl PlanJob {
         let model = project.model_files();
         refuse_links(job, &model)?;
         let fingerprint = self.fingerprint(job, &project, &settings, &model)?;
-        if let Some(planned) = planned_before(job, &fingerprint, &note) {
+        if let Some(planned) = planned_before(job, &fingerprint, &note).and_then(current) {
             return Ok(planned);
         }
         refuse_large(job, &model)?;
@@ -255,7 +262,7 @@ impl PlanJob {
                 .is_empty();
             let gone = none && progress_file(job.project).is_file();
             return if gone {
-                self.try_plan(job)
+                self.try_plan(&Some, job)
             } else {
                 Err(Outcome::Abandoned)
             };
@@ -264,7 +271,7 @@ impl PlanJob {
             Some(record) => record,
             // The plan is gone, or was replaced by hand.
             None => {
-                let planned = self.try_plan(job)?;
+                let planned = self.try_plan(&Some, job)?;
                 PlannedFrom::read(job.project).ok_or(planned)?
             }
         };

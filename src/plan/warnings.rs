@@ -24,7 +24,7 @@ const WANTED_RATIO: f64 = 20.0;
 const LITTLE: f64 = 0.4;
 /// Width of the band of what all clusters give, over what they give, from which on the scene is one
 /// that the confidence cannot judge: 0.9 to 1.2 in a room, around a bust and over a far oblique
-/// view, 0.2 to 0.5 over flights and a relief.
+/// view, 0.2 to 0.5 over flights.
 const UNSURE: f64 = 0.7;
 /// Eastings of UTM coordinates, metres; a zone is no wider.
 const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;

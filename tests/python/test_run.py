@@ -77,6 +77,18 @@ sys.exit(done.returncode)
     assert "the target is reached" in " ".join(out.split()), out
 
 
+def test_the_plan_of_another_program_stays(run, viewrank, valley):
+    viewrank("plan", valley, "--backend", "pairs", "--budget", "3")
+    planned = (valley / "viewrank/manifest.json").read_bytes()
+    _, err = run(valley, "--target", "60%", expect=1)
+    assert "cannot run pairs view by view" in err and (valley / "viewrank/manifest.json").read_bytes() == planned, err
+    # Named, it takes its place.
+    out, _ = run(valley, "--backend", "sgm", "--budget", "2", "--no-report")
+    assert "Backend: sgm (as named)" in out
+    out, _ = run(valley, "--budget", "2", "--no-report")
+    assert "Backend: sgm (as planned" in out or "Backend: sgm (no DensifyPointCloud" in out
+
+
 def test_it_stops_at_the_target(run, valley):
     result = json.loads(run(valley, "--backend", "sgm", "--target", "60", "--no-report", "--format", "json")[0])
     assert result["target_reached"] or result["done"] == result["tasks"]

@@ -15,9 +15,9 @@ use super::{
 };
 use crate::{
     apps::{dispatch::Dispatch, planning, undistort},
-    backends::{self, Backend},
+    backends::{self, Backend, Choice},
     base::{platform, shell::command_path},
-    config::CommandLineSettings,
+    config::{CommandLineSettings, Settings},
     daemon::foreground::Foreground,
     io::project::Project,
     show::manifest::{PlannedMaps, planned_maps, planned_region},
@@ -26,8 +26,8 @@ use crate::{
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
 ///
 /// Undistorts the images if the backend needs that, and matches with the backend that the project
-/// is set up for, else with OpenMVS (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else
-/// with integrations/sgm (Python with numpy and opencv). Each depth map is measured;
+/// is planned or set up for, else with OpenMVS (DensifyPointCloud) or a COLMAP with CUDA if on the
+/// PATH, else with integrations/sgm (Python with numpy and opencv). Each depth map is measured;
 /// PROJECT/viewrank/report.html shows the progress. From 1 % of the maps on, the cloud so far is
 /// fused from time to time. Ctrl-C stops and fuses what is there, a second one ends at once; the
 /// same command resumes.
@@ -89,7 +89,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open(&arguments.project, None)?;
     let settings = config::load(Some(&project), arguments.typed(None, true))?.settings;
     let project = project.with_images(settings.images.as_deref());
-    let (backend, choice) = backends::chosen(&project, &settings)?;
+    let (backend, choice) = planned_or_chosen(&project, &settings)?;
     let say = |line: String| {
         if arguments.is_silent() {
             Ok(())
@@ -130,16 +130,19 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         typed.set("--region", "region", Some(region));
     }
     let foreground = Foreground::new(&root, typed, &stop);
-    let begin = |planning| Work::new(arguments, backend, &foreground, &stop, planning);
-    let mut work = begin(Planning::UnlessCurrent)?;
+    let mut work = Work::new(
+        arguments,
+        backend,
+        &foreground,
+        &stop,
+        Planning::UnlessCurrent,
+    )?;
     say(work.plan_in_words())?;
     let mut ended = work.compute()?;
     // Where the maps gave less than the plan had promised, a plan around them may have more.
     while work.fell_short(ended) {
-        let (planned, computed) = (work.length(), work.computed);
-        drop(work);
-        work = begin(Planning::AroundMaps)?;
-        work.computed = computed;
+        let planned = work.length();
+        work = work.replanned()?;
         if work.length() <= planned {
             break;
         }
@@ -147,6 +150,20 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         ended = work.compute()?;
     }
     work.end(ended)
+}
+
+/// Returns the backend of the project's plan, if none is named: another could not use its maps. Without
+/// a plan for depth maps, the one that is chosen for a plan.
+fn planned_or_chosen(
+    project: &Project,
+    settings: &Settings,
+) -> Result<(&'static Backend, Choice), Failure> {
+    let (backend, choice) = backends::chosen(project, settings)?;
+    let planned = planned_maps(&project.home)
+        .filter(|_| choice != Choice::Named)
+        .and_then(|plan| backends::by_name(&plan.backend).ok())
+        .filter(|planned| planned.makes_maps() && planned.name != backend.name);
+    Ok(planned.map_or((backend, choice), |planned| (planned, Choice::Planned)))
 }
 
 /// Fails for a program that uses the images themselves, and where the project's plan is for one,

@@ -164,6 +164,28 @@ impl<'a> Work<'a> {
         })
     }
 
+    /// Plans anew around the finished maps, and goes on with that plan.
+    pub fn replanned(self) -> Result<Self, Failure> {
+        let Self {
+            arguments,
+            backend,
+            foreground,
+            stop,
+            _held: held,
+            ..
+        } = self;
+        drop(held);
+        let next = Self::new(arguments, backend, foreground, stop, Planning::AroundMaps)?;
+        Ok(Self {
+            computed: self.computed,
+            failed: self.failed,
+            measured: self.measured,
+            reported: self.reported,
+            so_far: self.so_far,
+            ..next
+        })
+    }
+
     pub fn plan_in_words(&self) -> String {
         let (all, tasks) = (self.plan.scene.views.len(), self.dispatch.tasks.len());
         let done = self.dispatch.finished_maps().count();

@@ -1,4 +1,4 @@
-//! The places on which pilot maps agree.
+//! The places that pilot maps show.
 
 use nalgebra::Point3;
 

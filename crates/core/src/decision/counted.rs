@@ -1,5 +1,5 @@
-//! What the ranking counts: the places on which pilot maps agree, or without a pilot the triangles
-//! of the surface.
+//! What the ranking counts: the places that pilot maps show, or without a pilot the triangles of the
+//! surface.
 
 use std::sync::Arc;
 
@@ -32,8 +32,8 @@ const PREDICTED: f64 = 0.02;
 /// The same for the order where fusion keeps what a single map shows, which the prediction knows as
 /// well as the pilot does: with half of each, five sets are covered sooner than with either alone.
 const PREDICTED_OF_SINGLE: f64 = 0.5;
-/// Part of the places that a single map of the pilot shows, by the clouds of five sets, in which fusion
-/// keeps something: most of the others are chance.
+/// Part of the places that a single map of the pilot shows in which fusion keeps something, by the
+/// clouds of five sets: the others are chance.
 const SINGLE_KEPT: f64 = 0.25;
 /// Weight for the order of a place on which two maps agree: half of those are chance.
 const TWO_FOR_ORDER: f64 = 0.5;

@@ -243,7 +243,9 @@ fn decoded(
         )));
     }
     if picture::is_tiff_of_jpegs(&mut decoder).map_err(broken)? {
-        return Err(fault(picture::TIFF_OF_JPEGS.into()));
+        return Err(fault(
+            "JPEG compression, which MicMac does not write".into(),
+        ));
     }
     let mut limits = Limits::default();
     limits.decoding_buffer_size = length.saturating_add(1 << 20) as usize;

@@ -180,7 +180,7 @@ pub fn neighbours(
     points: &ViewPoints,
     view: ViewIndex,
 ) -> Vec<(ViewIndex, Vec<PointIndex>)> {
-    // Not with a row as long as the scene has views: a caller may ask for all of them.
+    // Without an array of all views: a caller may ask for the neighbours of each.
     let mut shared: BTreeMap<ViewIndex, Vec<PointIndex>> = BTreeMap::new();
     for_each_shared(scene, points, view, |point, other| {
         shared.entry(other).or_default().push(point);

@@ -101,7 +101,9 @@ pub fn smaller(scene: &Scene, image_scale: f64) -> f64 {
 
 /// Bytes per pixel of a thumbnail, with its quads and mask, and of its map before and after it is
 /// confirmed.
-const VIEW_PIXEL: u64 = 1 + 4 + 1 + 4 + 4;
+const VIEW_PIXEL: u64 = 1 + 4 + 1 + MAPS_PIXEL;
+/// Of these, the maps, which are there until all places are found.
+const MAPS_PIXEL: u64 = 4 + 4;
 /// Bytes per pixel while a view is matched: costs of the planes and their sums, and rows of floats.
 const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60;
 
@@ -118,7 +120,7 @@ pub fn bytes(scene: &Scene) -> [u64; 3] {
     [
         VIEW_PIXEL * all,
         SWEPT_PIXEL * most,
-        places::bytes(all as usize),
+        MAPS_PIXEL * all + places::bytes(all as usize),
     ]
 }
 

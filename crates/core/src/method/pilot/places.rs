@@ -1,4 +1,4 @@
-//! The places on which pilot maps agree, and the maps that take part in each.
+//! The places that pilot maps show, and the maps that take part in each.
 
 use std::collections::HashSet;
 
@@ -46,7 +46,7 @@ pub struct Places {
     pub agreement: Vec<Agreement>,
     /// Key views of the maps, ascending.
     pub views: Vec<ViewIndex>,
-    /// For each of them, the places on which its map agrees with others, ascending.
+    /// For each of them, the places in which its map takes part, ascending.
     pub parts: Vec<Vec<Part>>,
 }
 
@@ -103,7 +103,7 @@ impl Places {
         };
         add(&maps.confirmed, Agreement::of)?;
         if support == 1 {
-            // Depths that were not confirmed agree by chance.
+            // Depths that are left agree by chance.
             add(&maps.maps, |_| Some(Agreement::Single))?;
         }
         Ok(places)
