@@ -92,8 +92,8 @@ def test_lists_are_the_plan_and_the_clouds_are_scored(packed, plane, tmp_path, m
     result = json.loads((tmp_path / "colmap_cuda.json").read_text())
     rows = {row["name"]: row for row in result["clouds"]}
     assert result["left_out"] == [] and len(rows) == 2 * len(colmap_cuda.PREFIXES)
-    # The sensor's scale was found, and the fused plane is the reference.
-    assert rows["ours, 100%"]["F"] > 0.9 and rows["COLMAP's defaults"]["F"] > 0.9
+    # The sensor's scale was found, and the fused plane is the reference; what two maps agree on is less exact than what five do.
+    assert rows["ours, 100%"]["F"] > 0.85 and rows["COLMAP's defaults"]["F"] > 0.9
     assert rows["ours, 10%"]["recall"] < rows["ours, 30%"]["recall"] < rows["ours, 100%"]["recall"]
     assert 0 < result["aim"]["seconds"] and result["aim"]["F"] >= colmap_cuda.AIM
 

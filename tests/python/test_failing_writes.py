@@ -13,7 +13,7 @@ from conftest import LONG, spread
 PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
 # Times, and what depends on them.
 VARYING = {"viewrank/timings.json"} | {
-    f"viewrank/cache/{stage}.table" for stage in ("twins", "agreement", "clusters", "ranking")}
+    f"viewrank/cache/{stage}.table" for stage in ("twins", "agreement", "clusters", "pilot", "ranking")}
 # Number of a command's changes that fail in turn without VIEWRANK_LONG=1. tests/it/output/ has each change of each kind of set for the library,
 # through which all commands write.
 MOST = 4

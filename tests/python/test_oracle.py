@@ -75,6 +75,8 @@ def test_a_triangle_counts_what_the_photographs_show_of_it(planned):
 
 def test_the_order_is_plain_greedys(planned):
     _, tables = planned
+    if tables.settings["confidence"]["source"] == "photometric":
+        pytest.skip("ranked by the places of the pilot, and the tables have triangles")
     expected = oracle.greedy(tables, len(tables.order))
     assert [cluster for cluster, _ in expected] == tables.order.tolist()
     np.testing.assert_allclose(tables.gain, [gain for _, gain in expected], rtol=1e-5)
