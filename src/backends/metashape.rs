@@ -8,7 +8,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
 };
-use crate::{base::printable::json_escaped, io::output::Contents};
+use crate::{base::printable::to_json, io::output::Contents};
 
 pub static BACKEND: Backend = Backend {
     name: "metashape",
@@ -59,10 +59,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "downscale": downscale,
     });
     let mut files = options.file_set(&BACKEND, selection);
-    files.add_text(
-        "clusters.json",
-        json_escaped(&serde_json::to_string_pretty(&list).expect("string keys")) + "\n",
-    );
+    files.add_text("clusters.json", to_json(&list));
     files.add(
         "depth_maps.py",
         Contents::Script(include_bytes!("../../integrations/metashape/depth_maps.py").to_vec()),

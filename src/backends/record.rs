@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Backend, Selection, by_name};
 use crate::{
-    base::printable::json_escaped,
+    base::printable::to_json,
     io::{output::FileSet, pictures::PictureFolders},
     model::{
         camera::Camera,
@@ -179,8 +179,7 @@ impl ExportRecord {
 
     /// Returns the contents of `export.json`.
     pub(super) fn to_json(&self) -> String {
-        let text = serde_json::to_string_pretty(self);
-        json_escaped(&text.expect("a record has string keys and finite numbers")) + "\n"
+        to_json(self)
     }
 }
 

@@ -23,7 +23,7 @@ use super::{
     workspace::{Workspace, add_workspace},
 };
 use crate::{
-    base::{printable::json_escaped, shell::command_path},
+    base::{printable::to_json, shell::command_path},
     io::output::{Contents, FileSet},
     model::scene::{PointIndex, ViewIndex},
 };
@@ -195,9 +195,10 @@ fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex], te
         .iter()
         .all(|&v| selection.scene.camera_of(v).is_pinhole())
     {
-        let text = serde_json::to_string_pretty(&transforms(selection, &all, views, &judged))
-            .expect("string keys");
-        files.add_text("transforms.json", json_escaped(&text) + "\n");
+        files.add_text(
+            "transforms.json",
+            to_json(&transforms(selection, &all, views, &judged)),
+        );
     }
 }
 

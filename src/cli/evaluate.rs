@@ -16,7 +16,7 @@ use crate::{
         replan,
         report::{folders_of_maps, own_folder_of_maps},
     },
-    base::shell::shown_path,
+    base::{printable::to_json, shell::shown_path},
     io::{
         depthmaps,
         output::{Contents, Disk, FileSet, refuse_to_leave},
@@ -29,8 +29,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Format, print, print_json, progress::ProgressDisplay, terminal::json,
-    use_threads, warn,
+    Exit, Failure, Format, print, print_json, progress::ProgressDisplay, use_threads, warn,
 };
 
 /// Measure finished depth maps: quality reached, what is missing and why.
@@ -199,7 +198,7 @@ fn measure(
     };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let mut files = FileSet::new(&out, "evaluation");
-    files.add_text("evaluation.json", json(&evaluation));
+    files.add_text("evaluation.json", to_json(&evaluation));
     files.add_text(CELLS, cell_table);
     files.add_text(
         "evaluation.html",

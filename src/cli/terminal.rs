@@ -13,7 +13,7 @@ use clap::builder::styling::{AnsiColor, Style};
 use serde::Serialize;
 
 use super::{Exit, Failure};
-use crate::base::printable::{escaped, json_escaped, printable};
+use crate::base::printable::{escaped, json_escaped, printable, to_json};
 
 /// Width of text output, characters.
 pub const COLUMNS: usize = 80;
@@ -35,7 +35,7 @@ pub fn print(lines: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), Fai
 
 /// Prints a value as indented JSON to stdout.
 pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
-    print_data(&json(value))
+    print_data(&to_json(value))
 }
 
 /// Prints a value as JSON on one line to stdout.
@@ -144,11 +144,6 @@ pub fn wrapped(heading: &str, words: &str) -> Vec<String> {
     lines
 }
 
-/// Formats a value as indented JSON with a final newline.
-pub fn json(value: &impl Serialize) -> String {
-    json_escaped(&serde_json::to_string_pretty(value).expect("what is printed is JSON")) + "\n"
-}
-
 /// Escapes in a string of TOML what is not printable.
 pub fn toml_escaped(text: &str) -> String {
     escaped(text, |c| format!("\\U{:08x}", u32::from(c)))
@@ -162,7 +157,7 @@ mod tests {
     #[test]
     fn escaped_data_says_the_same() {
         let text = "é \"\\ \x1b\u{7f}\u{9b}\u{202e}\u{e0041}\u{1f600}\n";
-        let as_json = json(&[text]);
+        let as_json = to_json(&[text]);
         assert!(
             as_json.chars().all(|c| c == '\n' || is_printable(c)),
             "{as_json}"

@@ -7,7 +7,7 @@ use std::{
 };
 
 use super::{
-    Job, PlanJob, PlanOptions, Planner,
+    Job, PlanJob, PlanOptions, PlanWhen, Planner,
     follow::failed,
     maps::map_files,
     settle::Stamp,
@@ -49,14 +49,10 @@ impl<'a> Foreground<'a> {
         &self.root
     }
 
-    /// Plans the project, unless its plan is current.
-    pub fn plan(&self, progress: &(dyn Fn(&str, u8) + Sync)) -> Outcome {
-        self.job(progress, &|_| true, PlanJob::plan)
-    }
-
-    /// Plans the project around the depth maps that are finished, whatever it was planned from before.
-    pub fn plan_around_maps(&self, progress: &(dyn Fn(&str, u8) + Sync)) -> Outcome {
-        self.job(progress, &|_| true, PlanJob::plan_anew)
+    /// Plans the project.
+    pub fn plan(&self, when: PlanWhen, progress: &(dyn Fn(&str, u8) + Sync)) -> Outcome {
+        let plan = |planner: &PlanJob, job: &Job| planner.plan_if(when, job);
+        self.job(progress, &|_| true, plan)
     }
 
     /// Measures those of the present depth maps that count, and writes `progress.json`.
@@ -68,7 +64,7 @@ impl<'a> Foreground<'a> {
         &self,
         progress: &(dyn Fn(&str, u8) + Sync),
         counts: &dyn Fn(&Path) -> bool,
-        work: fn(&PlanJob, &Job) -> Outcome,
+        work: impl FnOnce(&PlanJob, &Job) -> Outcome,
     ) -> Outcome {
         let named = self.planner.named_files(&self.root);
         let stamp = Stamp::read(&self.root, true).with(&named);

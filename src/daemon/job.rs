@@ -69,6 +69,15 @@ pub struct PlanOptions {
     pub is_run: bool,
 }
 
+/// When a project is planned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlanWhen {
+    /// Where its last plan was made of something else.
+    Outdated,
+    /// Anyhow, around the depth maps that are finished by now.
+    AroundMaps,
+}
+
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
 pub struct PlanJob {
     options: PlanOptions,
@@ -103,7 +112,7 @@ impl Planner for PlanJob {
     }
 
     fn plan(&self, job: &Job) -> Outcome {
-        self.plan_unless(&Some, job)
+        self.plan_if(PlanWhen::Outdated, job)
     }
 
     fn follow(&self, job: &Job) -> Outcome {
@@ -123,9 +132,6 @@ impl Planner for PlanJob {
     }
 }
 
-/// Returns the outcome of a plan of the same input, if that still is one.
-type Current<'a> = &'a dyn Fn(Outcome) -> Option<Outcome>;
-
 impl PlanJob {
     pub fn new(options: PlanOptions) -> Self {
         let plans = Mutex::new(PlanCache::new(options.cache));
@@ -140,14 +146,9 @@ impl PlanJob {
         }
     }
 
-    /// Plans also where the last plan was made of the same.
-    pub(super) fn plan_anew(&self, job: &Job) -> Outcome {
-        self.plan_unless(&|_| None, job)
-    }
-
-    /// Plans, unless there is a plan that is current.
-    fn plan_unless(&self, current: Current, job: &Job) -> Outcome {
-        self.try_plan(current, job).unwrap_or_else(|ended| {
+    /// As [`Planner::plan`], also at another time.
+    pub(super) fn plan_if(&self, when: PlanWhen, job: &Job) -> Outcome {
+        self.try_plan(when, job).unwrap_or_else(|ended| {
             if job.is_cancelled() {
                 Outcome::Abandoned
             } else {
@@ -156,7 +157,7 @@ impl PlanJob {
         })
     }
 
-    fn try_plan(&self, current: Current, job: &Job) -> StepResult<Outcome> {
+    fn try_plan(&self, when: PlanWhen, job: &Job) -> StepResult<Outcome> {
         let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);
         output::recover(job.project, &disk).map_err(failed)?;
@@ -169,12 +170,12 @@ impl PlanJob {
                 .map_err(failed)?
                 .is_empty()
         {
-            return self.plan_input(current, job, is_by_hand, &disk);
+            return self.plan_input(when, job, is_by_hand, &disk);
         }
         // The depth maps are gone: nothing is finished or reached any more. The progress is removed
         // last, so that the next run completes an interrupted one.
         output::remove(&job.project.join(RECORD), &disk).map_err(failed)?;
-        let outcome = self.plan_input(current, job, is_by_hand, &disk)?;
+        let outcome = self.plan_input(when, job, is_by_hand, &disk)?;
         Progress::remove(job.project, &disk).map_err(failed)?;
         Ok(outcome)
     }
@@ -182,7 +183,7 @@ impl PlanJob {
     /// `is_by_hand`: a plan that is there is not the daemon's.
     fn plan_input(
         &self,
-        current: Current,
+        when: PlanWhen,
         job: &Job,
         is_by_hand: bool,
         disk: &Disk,
@@ -198,7 +199,9 @@ impl PlanJob {
         let model = project.model_files();
         refuse_links(job, &model)?;
         let fingerprint = self.fingerprint(job, &project, &settings, &model)?;
-        if let Some(planned) = planned_before(job, &fingerprint, &note).and_then(current) {
+        if let (PlanWhen::Outdated, Some(planned)) =
+            (when, planned_before(job, &fingerprint, &note))
+        {
             return Ok(planned);
         }
         refuse_large(job, &model)?;
@@ -262,7 +265,7 @@ impl PlanJob {
                 .is_empty();
             let gone = none && progress_file(job.project).is_file();
             return if gone {
-                self.try_plan(&Some, job)
+                self.try_plan(PlanWhen::Outdated, job)
             } else {
                 Err(Outcome::Abandoned)
             };
@@ -271,7 +274,7 @@ impl PlanJob {
             Some(record) => record,
             // The plan is gone, or was replaced by hand.
             None => {
-                let planned = self.try_plan(&Some, job)?;
+                let planned = self.try_plan(PlanWhen::Outdated, job)?;
                 PlannedFrom::read(job.project).ok_or(planned)?
             }
         };

@@ -27,7 +27,7 @@ mod worker;
 
 use std::{path::PathBuf, time::Duration};
 
-pub use job::{PlanJob, PlanOptions};
+pub use job::{PlanJob, PlanOptions, PlanWhen};
 pub use planner::{Job, Planner};
 pub use run::{Signal, watch_roots};
 pub use status::{Line, read_status, status_file};

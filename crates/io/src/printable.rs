@@ -3,6 +3,8 @@
 
 use std::fmt::Write;
 
+use serde::Serialize;
+
 /// Escapes what a terminal would not show but obey, as Rust does: `\n`, `\u{1b}`.
 pub fn printable(text: &str) -> String {
     escaped(text, |c| c.escape_default().to_string())
@@ -20,6 +22,14 @@ pub fn json_escaped(text: &str) -> String {
             })
     };
     escaped(text, |c| if c == '\n' { c.into() } else { escape(c) })
+}
+
+/// Formats a value as indented JSON with a final newline, without what a terminal would obey.
+///
+/// # Panics
+/// On values that JSON does not have: maps with keys other than strings, and the like.
+pub fn to_json(value: &impl Serialize) -> String {
+    json_escaped(&serde_json::to_string_pretty(value).expect("what is written is JSON")) + "\n"
 }
 
 /// Escapes all but printable characters.

@@ -24,7 +24,7 @@ use crate::{
         error::{Advice, Hint},
         input::{self, FileKind},
         paths,
-        printable::json_escaped,
+        printable::to_json,
         progress::{Cancelled, Stage, Watcher},
     },
     io::{
@@ -275,8 +275,7 @@ impl<'a> Undistortion<'a> {
             .par_iter()
             .map(made)
             .collect::<Result<_, UndistortError>>()?;
-        let text = serde_json::to_string_pretty(&made).expect("strings are JSON");
-        Ok(json_escaped(&text) + "\n")
+        Ok(to_json(&made))
     }
 
     fn read(&self, view: ViewIndex) -> Result<Vec<u8>, UndistortError> {

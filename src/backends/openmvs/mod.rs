@@ -18,7 +18,7 @@ use super::{
     selection, strangers::list_links,
 };
 use crate::{
-    base::{printable::json_escaped, shell::command_path},
+    base::{printable::to_json, shell::command_path},
     io::{
         formats::openmvs::Mvs,
         output::Contents,
@@ -203,11 +203,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         resolution: resolution(selection),
         pictures,
     };
-    files.add_text(
-        "run.json",
-        json_escaped(&serde_json::to_string_pretty(&run).expect("string keys and finite numbers"))
-            + "\n",
-    );
+    files.add_text("run.json", to_json(&run));
     files.add_text("dense.cfg", dense_config(selection));
     list_links(&mut files);
     files.add(

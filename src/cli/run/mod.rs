@@ -8,7 +8,7 @@ use std::{path::PathBuf, sync::atomic::Ordering};
 
 use clap::Args;
 
-use self::work::{Planning, Work};
+use self::work::Work;
 use super::{
     Exit, Failure, Format, arguments, config, next, note, print, progress::ProgressDisplay, ready,
     warn,
@@ -18,7 +18,7 @@ use crate::{
     backends::{self, Backend, Choice},
     base::{platform, shell::command_path},
     config::{CommandLineSettings, Settings},
-    daemon::foreground::Foreground,
+    daemon::{PlanWhen, foreground::Foreground},
     io::project::Project,
     show::manifest::{PlannedMaps, planned_maps, planned_region},
 };
@@ -130,13 +130,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         typed.set("--region", "region", Some(region));
     }
     let foreground = Foreground::new(&root, typed, &stop);
-    let mut work = Work::new(
-        arguments,
-        backend,
-        &foreground,
-        &stop,
-        Planning::UnlessCurrent,
-    )?;
+    let mut work = Work::new(arguments, backend, &foreground, &stop, PlanWhen::Outdated)?;
     say(work.plan_in_words())?;
     let mut ended = work.compute()?;
     // Where the maps gave less than the plan had promised, a plan around them may have more.

@@ -17,7 +17,7 @@ use crate::{
         Exit, Failure, Format, config, note, print, print_json, progress::ProgressDisplay, report,
         summary::duration, terminal::complain, warn,
     },
-    daemon::{follow, foreground::Foreground, state::Outcome},
+    daemon::{PlanWhen, follow, foreground::Foreground, state::Outcome},
     io::paths::from_here,
     model::cluster::MapScale,
     show::manifest::{WrittenPlan, warnings_with},
@@ -80,15 +80,6 @@ impl Throttle {
     }
 }
 
-/// When a project is planned.
-#[derive(Clone, Copy)]
-pub enum Planning {
-    /// Unless it is planned for the same.
-    UnlessCurrent,
-    /// Around the finished maps.
-    AroundMaps,
-}
-
 fn note_maps_of_other_plans(dispatch: &Dispatch) {
     let others = dispatch
         .tasks
@@ -108,15 +99,10 @@ impl<'a> Work<'a> {
         backend: &'static Backend,
         foreground: &'a Foreground<'a>,
         stop: &'a AtomicBool,
-        planning: Planning,
+        when: PlanWhen,
     ) -> Result<Self, Failure> {
         let lines = Lines::new(arguments.is_silent());
-        let progress = |stage: &str, percent| lines.stage(stage, percent);
-        let planned = match planning {
-            Planning::UnlessCurrent => foreground.plan(&progress),
-            Planning::AroundMaps => foreground.plan_around_maps(&progress),
-        };
-        match planned {
+        match foreground.plan(when, &|stage, percent| lines.stage(stage, percent)) {
             Outcome::Planned { note, .. } => note.iter().for_each(|text| warn(text)),
             other => return Err(failure(other, stop, arguments.go_on())),
         }
@@ -175,7 +161,7 @@ impl<'a> Work<'a> {
             ..
         } = self;
         drop(held);
-        let next = Self::new(arguments, backend, foreground, stop, Planning::AroundMaps)?;
+        let next = Self::new(arguments, backend, foreground, stop, PlanWhen::AroundMaps)?;
         Ok(Self {
             computed: self.computed,
             failed: self.failed,

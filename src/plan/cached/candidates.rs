@@ -106,8 +106,10 @@ fn unpack_rows(lists: &mut Unpacker, count: usize) -> Option<(Offsets, Vec<ViewI
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::cached::bytes;
 
-    /// Whether partners of the first of three views are believed, and views that it refuses.
+    /// Returns whether a cache is accepted in which the first of three views has these partners, and
+    /// these views are refused as such.
     fn is_believed(partners: &[u32], refused: &[u32]) -> bool {
         let mut packer = Packer::default();
         packer.list(&[partners.len() as u32, 0, 0]);
@@ -119,13 +121,7 @@ mod tests {
             Reason::number(Some(Reason::NotMatchable));
             refused.len()
         ]);
-        let packed = packer.finish();
-        let bytes: Vec<u8> = packed
-            .iter()
-            .flat_map(|part| part.as_bytes())
-            .copied()
-            .collect();
-        unpack(&bytes, 3).is_some()
+        unpack(&bytes(&packer.finish()), 3).is_some()
     }
 
     #[test]

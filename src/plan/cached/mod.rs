@@ -26,6 +26,16 @@ use crate::{
     io::{cache::CacheFile, output::FileSet},
 };
 
+/// Returns packed lists in one piece, as they are read.
+#[cfg(test)]
+fn bytes(packed: &Packed) -> Vec<u8> {
+    packed
+        .iter()
+        .flat_map(|part| part.as_bytes())
+        .copied()
+        .collect()
+}
+
 /// The files of the stages.
 #[derive(Clone, Debug)]
 pub struct Cached {

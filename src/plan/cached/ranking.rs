@@ -144,8 +144,9 @@ fn is_possible(known: &UncutRanking) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::cached::bytes;
 
-    /// Whether a ranking of two clusters and one triangle is believed.
+    /// Returns whether a cached ranking of two clusters and one triangle is accepted.
     fn is_believed(gains: [f64; 2], fulfilment: [f64; 2], kept: [f64; 2], reachable: f64) -> bool {
         let mut packer = Packer::default();
         packer.list(&[1_u32, 0]);
@@ -158,13 +159,7 @@ mod tests {
         packer.list(&[Reason::number(None)]);
         packer.list(&[0_u8]);
         packer.list(&[90.0]);
-        let packed = packer.finish();
-        let bytes: Vec<u8> = packed
-            .iter()
-            .flat_map(|part| part.as_bytes())
-            .copied()
-            .collect();
-        unpack(&bytes, 2, 1).is_some()
+        unpack(&bytes(&packer.finish()), 2, 1).is_some()
     }
 
     #[test]

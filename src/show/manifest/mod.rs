@@ -22,7 +22,7 @@ pub use written::{
 
 use crate::{
     backends::ExportRecord,
-    base::printable::json_escaped,
+    base::printable::to_json,
     config::Settings,
     io::project::{ImageFaults, Project},
     method::surface::{SurfaceKind, SurfaceStats},
@@ -222,8 +222,7 @@ impl Manifest {
 
     /// Returns the contents of `manifest.json`.
     pub fn to_json(&self) -> String {
-        let text = serde_json::to_string_pretty(self);
-        json_escaped(&text.expect("a manifest has string keys and finite numbers")) + "\n"
+        to_json(self)
     }
 
     /// Returns the contents of `manifest.csv`: a line per cluster, for spreadsheets, with names as

@@ -172,7 +172,6 @@ pub struct GreyImage {
 /// Decodes to grey levels, with the slower decoder if the faster one fails.
 fn jpeg_grey(bytes: &[u8], bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
     check_scans(bytes)?;
-    check_coefficients(bytes)?;
     if let Some(stored) = stored_luma(bytes, bound) {
         return Ok(stored);
     }
@@ -220,7 +219,6 @@ fn jpeg(
     wanted: &impl Fn([u32; 2]) -> [u32; 2],
 ) -> Result<Image, ImageError> {
     check_scans(bytes)?;
-    check_coefficients(bytes)?;
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_max_decoding_buffer_size(most_decoded_bytes(bytes.len() as u64) as usize);
     decoder.read_info()?;
@@ -258,18 +256,13 @@ fn rgb(format: PixelFormat, data: Vec<u8>) -> Vec<u8> {
     }
 }
 
-/// Checks the number of scans.
+/// Checks the number of scans, and the size of an image in several: decoders keep the coefficients
+/// of all its blocks, at any scale and for grey alone.
 fn check_scans(bytes: &[u8]) -> Result<(), ImageError> {
-    if scans(bytes) > MOST_SCANS {
-        Err(ImageError::Scans)
-    } else {
-        Ok(())
+    let scans = scans(bytes);
+    if scans > MOST_SCANS {
+        return Err(ImageError::Scans);
     }
-}
-
-/// Checks the size of an image in several scans: decoders keep the coefficients of all its blocks,
-/// at any scale and for grey alone.
-fn check_coefficients(bytes: &[u8]) -> Result<(), ImageError> {
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     // What it cannot read the other decoder refuses, or reads in one scan.
     let (Ok(()), Some(info)) = (decoder.read_info(), decoder.info()) else {
@@ -277,7 +270,7 @@ fn check_coefficients(bytes: &[u8]) -> Result<(), ImageError> {
     };
     let coefficients =
         u64::from(info.width) * u64::from(info.height) * info.pixel_format.pixel_bytes() as u64;
-    let is_kept = info.coding_process == CodingProcess::DctProgressive || scans(bytes) > 1;
+    let is_kept = info.coding_process == CodingProcess::DctProgressive || scans > 1;
     if is_kept && coefficients > most_decoded_bytes(bytes.len() as u64) {
         Err(ImageError::Coefficients)
     } else {

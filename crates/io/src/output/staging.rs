@@ -16,7 +16,7 @@ use super::{
     journal::{Change, Root, STAGING, Step, staged},
     record::{self, Record, Records, hash},
 };
-use crate::{input, packed::Packed, platform, printable::json_escaped};
+use crate::{input, packed::Packed, platform, printable::to_json};
 
 /// Stages the differences between the sets and the files on disk, as one change for all sets.
 pub(super) fn stage(
@@ -321,8 +321,7 @@ impl Staging<'_> {
         let path = format!("{}/{set}.json", record::FOLDER);
         self.check_folder_of_records()?;
         self.missing_folders(&path)?;
-        let text = serde_json::to_string_pretty(&self.record).expect("strings are JSON");
-        let text = json_escaped(&text) + "\n";
+        let text = to_json(&self.record);
         let new = staged(self.change.steps.len(), "new");
         self.root
             .disk

@@ -42,9 +42,9 @@ pub struct MatchedThumbnails {
     pub confirmed: Vec<Option<PilotMap>>,
 }
 
-/// Matches each cluster in thumbnails, and finds the depths that other maps confirm. Thumbnails that are missing are made
-/// of the pictures of the `source`, which are read for matching at this size. Nothing is matched
-/// where a map is `made` already, one for each cluster.
+/// Matches each cluster in thumbnails, and finds the depths that other maps confirm. Thumbnails that
+/// are missing are made of the pictures of the `source`, which are read for matching at this size.
+/// Nothing is matched where a map is `made` already, one for each cluster.
 pub fn maps(
     (scene, points): (&Scene, &ViewPoints),
     clusters: &[ViewCluster],

@@ -122,7 +122,7 @@ impl Places {
         let step = step(pixels);
         for (own, others) in overlapping(maps).iter().enumerate() {
             watcher.check()?;
-            for found in agreed(maps, own, others, step) {
+            for found in shown(maps, own, others, step) {
                 let agreement = agreement(found.maps.len());
                 if let Some(agreement) = agreement.filter(|_| sample.takes(found.cell())) {
                     self.push(&found, agreement, smaller);
@@ -159,7 +159,7 @@ impl Places {
         retain(&mut self.agreement, sampled);
     }
 
-    fn push(&mut self, found: &Agreed, agreement: Agreement, smaller: f64) {
+    fn push(&mut self, found: &Shown, agreement: Agreement, smaller: f64) {
         let index = self.centres.len() as u32;
         let size = f64::from(octave(found.finest)).exp2();
         let measured = f64::from(octave(found.finest * smaller)).exp2() / smaller;
@@ -216,7 +216,7 @@ fn density(size: f32, gsd: f64) -> f32 {
 }
 
 /// A place that maps show.
-struct Agreed {
+struct Shown {
     place: Point3<f64>,
     /// Finest GSD of the thumbnails that show it, scene units.
     finest: f64,
@@ -230,7 +230,7 @@ struct Agreeing {
     is_kept: bool,
 }
 
-impl Agreed {
+impl Shown {
     /// Returns which of the maps that may show a place agree on it; `None` if none does.
     fn new(maps: &[Option<PilotMap>], showing: &[u32], place: &Point3<f64>) -> Option<Self> {
         let (mut finest, mut agreeing) = (f64::INFINITY, Vec::new());
@@ -319,8 +319,8 @@ fn retain<T>(list: &mut Vec<T>, sampled: &[bool]) {
     list.shrink_to_fit();
 }
 
-/// Returns the places of every `step`-th pixel of a map on which it agrees with others.
-fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) -> Vec<Agreed> {
+/// Returns the places that every `step`-th pixel of a map shows.
+fn shown(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) -> Vec<Shown> {
     let Some(map) = &maps[own] else {
         return Vec::new();
     };
@@ -334,7 +334,7 @@ fn agreed(maps: &[Option<PilotMap>], own: usize, others: &[u32], step: usize) ->
         .map(|(_, place)| place)
         .collect();
     let showing = [others, &[own as u32]].concat();
-    let look = |place: &Point3<f64>| Agreed::new(maps, &showing, place);
+    let look = |place: &Point3<f64>| Shown::new(maps, &showing, place);
     places.par_iter().filter_map(look).collect()
 }
 
