@@ -60,7 +60,7 @@ pub enum PlanError {
         stage: &'static str,
         need: u64,
         limit: u64,
-        with_picture: u64,
+        with_pictures: u64,
     },
     #[error(
         "the {stage} needs about {} of memory, but a plan may take {} here",
@@ -71,7 +71,7 @@ pub enum PlanError {
         stage: &'static str,
         need: u64,
         most: u64,
-        with_picture: u64,
+        with_pictures: u64,
     },
     /// The folder of `pilot.maps`.
     #[error("the pilot: {0}")]
@@ -149,12 +149,12 @@ impl Hint for PlanError {
             }
             Self::Memory {
                 stage,
-                with_picture,
+                with_pictures,
                 ..
-            } => more_memory(stage, *with_picture),
-            Self::Refused { with_picture, .. } => Advice::text("give ")
+            } => more_memory(stage, *with_pictures),
+            Self::Refused { with_pictures, .. } => Advice::text("give ")
                 .run("watch ")
-                .set_to("max_memory", memory::enough(*with_picture))
+                .set_to("max_memory", memory::enough(*with_pictures))
                 .and(
                     " or more; less may do with max_memory in the project's viewrank.toml: a larger surface is then \
                      built in tiles, larger tables are kept on disk, and fewer pictures and masks are read at once",

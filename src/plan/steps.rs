@@ -453,7 +453,7 @@ impl Step for PilotStep<'_> {
             settings,
             ..
         } = self.inputs;
-        memory.before_pilot(scene)?;
+        memory.before_pilot()?;
         let seen = (
             pictures as &dyn confidence::Pictures,
             settings.image_scale(),

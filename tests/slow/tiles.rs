@@ -3,7 +3,12 @@
 
 use std::{fs, path::Path};
 
-use viewrank::{Plan, PlanError, Settings, config::Bytes, evaluate::curve::ReachCurve, plan};
+use viewrank::{
+    Plan, PlanError, Settings,
+    config::{Bytes, ConfidenceSource},
+    evaluate::curve::ReachCurve,
+    plan,
+};
 use viewrank_core::{
     base::{column::Storage, progress::NoWatcher},
     method::{fulfilment, synthetic::Town},
@@ -29,6 +34,12 @@ fn planned(project: &Project, change: impl FnOnce(&mut Settings)) -> Plan {
     };
     change(&mut settings);
     plan(project, &settings, &NoWatcher).unwrap()
+}
+
+/// Plans by triangles alone: an order by the pilot's places is made of pictures, not of the surface
+/// that tiles change.
+fn by_triangles(settings: &mut Settings) {
+    settings.confidence.source = ConfidenceSource::Geometric;
 }
 
 /// f_o, on the whole surface, of the first i clusters of the tiled plan.
@@ -79,8 +90,11 @@ fn one_tile_is_the_whole() {
 #[test]
 fn tiles_lose_next_to_nothing() {
     let project = fixture();
-    let whole = planned(&project, |_| ());
-    let tiled = planned(&project, |s| s.surface.tile_points = Some(4000));
+    let whole = planned(&project, by_triangles);
+    let tiled = planned(&project, |s| {
+        by_triangles(s);
+        s.surface.tile_points = Some(4000);
+    });
     assert_eq!(tiled.stages.surface_stats.tiles, 4);
     assert!(tiled.warnings.iter().any(|w| w.contains("4 tiles")));
     let area = |plan: &Plan| {
@@ -188,9 +202,12 @@ fn a_survey_in_tiles() {
     let folder =
         Path::new(&std::env::var_os("VIEWRANK_DATA").unwrap_or_else(default)).join("survey");
     let project = Project::open(Path::new(&folder), None).unwrap();
-    let whole = planned(&project, |_| ());
+    let whole = planned(&project, by_triangles);
     let most = project.read_scene().unwrap().points.len() as u32 / 4;
-    let tiled = planned(&project, |s| s.surface.tile_points = Some(most));
+    let tiled = planned(&project, |s| {
+        by_triangles(s);
+        s.surface.tile_points = Some(most);
+    });
     let loss = loss(&whole, &tiled);
     eprintln!(
         "{} views in {} tiles: loss {:.3} %",
@@ -209,15 +226,17 @@ fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
         ..Settings::default()
     };
     let error = plan(&fixture(), &settings, &NoWatcher).unwrap_err();
-    let PlanError::Memory { need, .. } = error else {
+    let PlanError::Memory { with_pictures, .. } = error else {
         panic!("{error}")
     };
     assert!(error.hint().unwrap().to_string().contains("max_memory"));
+    // What the hint adds.
+    let advised = with_pictures + with_pictures / 20;
     let enough = Settings {
-        max_memory: Some(Bytes(need + need / 20)),
+        max_memory: Some(Bytes(advised)),
         ..Settings::default()
     };
     let plan = plan(&fixture(), &enough, &NoWatcher).unwrap();
-    assert!(plan.stages.memory.peak() <= need + need / 20);
+    assert!(plan.stages.memory.peak() <= advised);
     assert_eq!(plan.stages.settings.max_memory, enough.max_memory);
 }

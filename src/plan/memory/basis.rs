@@ -6,6 +6,7 @@ use crate::{
     config::{Bytes, ConfidenceSource, Settings},
     method::{
         fulfilment::{BATCH, block::Block},
+        pilot,
         ranking::{PRICES, Redrawing},
     },
     model::scene::Scene,
@@ -49,6 +50,8 @@ pub struct Basis {
     choosers: u64,
     /// Bytes for the largest picture alone; 0 if none is compared.
     pub picture: u64,
+    /// Bytes of the pilot besides the tables; 0 if no thumbnails are matched.
+    pub pilot: u64,
     /// Bytes per triangle while clusters are ranked at several prices at once.
     pub ranked: u64,
     /// True if the images themselves are ranked, by what they draw (method 5.10).
@@ -74,6 +77,10 @@ impl Basis {
         let has_half = settings.ranking.has_half();
         let candidates = u64::from(settings.partners.candidates).min(views.saturating_sub(1));
         let support = u64::from(settings.ranking.support.unwrap_or_default());
+        let picture = where_true(compared, PICTURE_PIXEL * PixelBound::new(pixels).pixels());
+        // Of all views, of one that is matched, and of the places afterwards.
+        let [of_all, of_one, of_places] = pilot::bytes(scene);
+        let has_pilot = makes_maps && (compared || settings.pilot.maps.is_some());
         Self {
             limit: settings.max_memory,
             most,
@@ -81,7 +88,11 @@ impl Basis {
             samples_row: where_true(compared, SAMPLES_ROW),
             candidates,
             choosers: threads.min(views).min(BATCH as u64),
-            picture: where_true(compared, PICTURE_PIXEL * PixelBound::new(pixels).pixels()),
+            picture,
+            pilot: where_true(
+                has_pilot,
+                of_places.max(of_all + threads * of_one.max(picture)),
+            ),
             redrawn: !makes_maps,
             ranked: where_true(
                 has_half,

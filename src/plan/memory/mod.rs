@@ -31,7 +31,6 @@ use crate::{
         confidence::SampleRoom,
         fulfilment::FulfilmentTable,
         geometry::Geometry,
-        pilot,
         surface::{
             Surface, SurfaceError,
             refine::{MAX_TRIANGLES, RefineError, TRIANGLE_BYTES},
@@ -184,6 +183,7 @@ impl Memory {
             candidates,
             ranked,
             redrawn,
+            pilot,
             ..
         } = self.basis;
         let threads = rayon::current_num_threads();
@@ -196,6 +196,7 @@ impl Memory {
                 candidates,
                 ranked,
                 redrawn,
+                pilot,
                 threads,
             )
         })
@@ -221,6 +222,7 @@ impl Memory {
         let basis = &self.basis;
         if basis.fits(drawing + VISIBILITY_ROW * rows.all)
             && basis.fits(held + basis.in_memory(rows, triangles))
+            && basis.fits(held + basis.row * rows.all + basis.pilot)
         {
             self.visibility = drawing + VISIBILITY_ROW * rows.all;
             // The rest is forecast from the real rows, which occlusion makes fewer.
@@ -230,7 +232,8 @@ impl Memory {
         self.visibility = drawing + VISIBILITY_ROW * rows.at_once();
         self.partners = held + basis.batches(rows, triangles);
         self.disk = (basis.row + basis.samples_row.max(BY_TRIANGLE_ROW)) * rows.all;
-        self.check_limit(MODEL, self.visibility.max(self.partners))?;
+        let later = self.partners.max(held + basis.pilot);
+        self.check_limit(MODEL, self.visibility.max(later))?;
         Ok(Storage::Disk)
     }
 
@@ -261,11 +264,8 @@ impl Memory {
 
     /// Forecasts the pilot: thumbnails and maps of all views, and the costs of the planes of one view
     /// per thread; then the places, with what the ranking makes of them.
-    pub(super) fn before_pilot(&mut self, scene: &Scene) -> Result<(), PlanError> {
-        let threads = rayon::current_num_threads() as u64;
-        let [of_all, of_one, of_places] = pilot::bytes(scene);
-        let matching = of_all + threads * of_one.max(self.basis.picture);
-        self.pilot = self.tables + matching.max(of_places);
+    pub(super) fn before_pilot(&mut self) -> Result<(), PlanError> {
+        self.pilot = self.tables + self.basis.pilot;
         self.check_limit(PILOT, self.pilot)
     }
 
@@ -375,28 +375,29 @@ impl Memory {
         )
     }
 
-    /// Returns an error if `need` exceeds a limit. The size of the largest picture is known before
-    /// any stage, so the limit that the error advises allows for it.
+    /// Returns an error if `need` exceeds a limit. The sizes of the largest picture and of the
+    /// thumbnails are known before any stage, so the limit that the error advises allows for them.
     fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
         let Basis {
             limit,
             most,
             picture,
+            pilot,
             ..
         } = self.basis;
-        let with_picture = need.max(self.read + picture);
+        let with_pictures = need.max(self.read + picture.max(pilot));
         match (limit, most) {
             (Some(Bytes(limit)), _) if need > limit => Err(PlanError::Memory {
                 stage,
                 need,
                 limit,
-                with_picture,
+                with_pictures,
             }),
             (_, Some(most)) if need > most => Err(PlanError::Refused {
                 stage,
                 need,
                 most,
-                with_picture,
+                with_pictures,
             }),
             _ => Ok(()),
         }
