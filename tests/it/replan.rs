@@ -6,6 +6,7 @@ use std::{
 };
 
 use nalgebra::{Point2, Vector3};
+use serde_json::{Value, json};
 use viewrank::{
     Plan, Settings,
     daemon::follow::{self, Progress},
@@ -35,6 +36,8 @@ use viewrank_io::{
     output::Disk,
     project::Project,
 };
+
+use super::valley::printed;
 
 const FOCAL: f64 = 320.0;
 const ALTITUDE: f64 = 40.0;
@@ -777,4 +780,31 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
             "{shown}: {share}, plan: {of_plan}"
         );
     }
+}
+
+#[test]
+fn status_shows_what_evaluate_measured_and_counts_the_maps_that_came_after() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..1, |column, _| column % 3 > 0);
+    let root = planned.folder.path().to_str().unwrap();
+    let of = |command: &str| -> Value {
+        serde_json::from_str(&printed(&[command, root, "--format", "json"])).unwrap()
+    };
+    let evaluated = of("evaluate");
+    let status = &of("status")["projects"][0];
+    assert_eq!(status["share"], evaluated["reached"]["share"]);
+    assert_eq!(
+        (&status["done"], &status["unmeasured"]),
+        (&json!(1), &Value::Null)
+    );
+    planned.write_maps(1..2, |_, _| true);
+    let status = &of("status")["projects"][0];
+    assert_eq!(
+        (&status["done"], &status["unmeasured"]),
+        (&json!(1), &json!(1))
+    );
+    // Of a later plan the measurement says nothing.
+    let manifest = planned.folder.path().join("viewrank/manifest.json");
+    fs::write(&manifest, fs::read(&manifest).unwrap()).unwrap();
+    assert_eq!(of("status")["projects"][0]["share"], Value::Null);
 }

@@ -22,6 +22,7 @@ mod run;
 mod size;
 mod so_far;
 pub mod tables;
+mod written;
 
 #[cfg(test)]
 mod tests;
@@ -37,3 +38,4 @@ pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};
 pub use size::MapSize;
 pub use so_far::MeasuredProgress;
+pub use written::{EVALUATION_FILE, WrittenEvaluation};
