@@ -105,6 +105,25 @@ fn doctor_judges_a_region_before_anything_is_planned() {
 }
 
 #[test]
+fn ground_that_is_seen_too_coarsely_is_told_from_ground_that_is_not_seen() {
+    let own = scene().median_gsd().unwrap();
+    let origin = format!("frame.origin = [{LATITUDE}, {LONGITUDE}, 0]\n");
+    let folder = flight(&format!("{origin}target.gsd = {}\n", own / 10.0));
+    let root = folder.path().to_str().unwrap().to_owned();
+    let doctor = |region: &str| said(&viewrank(&["doctor", &root, "--region", region]));
+    let (code, within, _) = doctor(&site(&folder, [-10.0, -10.0, 10.0, 10.0]));
+    assert!(
+        code == 4 && within.contains("sharply") && within.contains("target.gsd"),
+        "{within}"
+    );
+    let (code, partly, _) = doctor(&site(&folder, [-10.0, -10.0, 200.0, 10.0]));
+    assert!(code == 4 && partly.contains("none shows"), "{partly}");
+    // What is only far outside has another reason.
+    let (code, outside, _) = doctor(&site(&folder, [1000.0, 1000.0, 1100.0, 1100.0]));
+    assert!(code == 4 && !outside.contains("sharply"), "{outside}");
+}
+
+#[test]
 fn a_resolution_that_the_photographs_lack_is_said() {
     let folder = flight("");
     let (_, as_it_is, _) = folder.plan(&["--backend", "sgm"]);

@@ -51,12 +51,17 @@ fn of_ground(
     is_planned: bool,
 ) -> Option<Finding> {
     let settings = inputs.settings;
+    let metres = plan::metres(settings.units, place);
     if ground.unseen >= 1.0 {
-        let what = "no photograph shows any of the region";
-        let cure = place_of_region(inputs, place);
+        let finely_enough = ground.finely_enough(metres);
+        let less = finely_enough
+            .as_ref()
+            .map_or("", |_| "set a larger target.gsd, or ");
+        let cure = format!("{less}{}", place_of_region(inputs, place));
+        let finely_enough = finely_enough.unwrap_or_default();
+        let what = format!("no photograph shows any of the region{finely_enough}");
         return Some(Finding::new(Severity::Error, "region", what, cure));
     }
-    let metres = plan::metres(settings.units, place);
     let covered = ground.covered("the region", metres);
     let what = format!("{covered} {}", ground.missed(metres));
     if !ground.is_incomplete() {

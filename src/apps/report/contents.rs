@@ -217,11 +217,13 @@ struct RegionData {
     border: String,
     /// Rings on the map: f32, 3 per corner.
     outline: Vec<String>,
-    /// Rings, likewise, around the ground that no photograph shows, that a single one does, and
-    /// that more show but where no sparse points make a surface.
+    /// Rings, likewise, around the ground that no photograph shows finely enough, that a single one
+    /// does, and that more show but where no sparse points make a surface.
     unseen: Vec<String>,
     seen_once: Vec<String>,
     unbuilt: Vec<String>,
+    /// Some of what is `unseen` is in photographs that are too coarse.
+    too_coarse: bool,
 }
 
 impl RegionData {
@@ -252,6 +254,8 @@ impl RegionData {
             unseen: shown_by(0),
             seen_once: shown_by(1),
             unbuilt: rings(&unbuilt),
+            too_coarse: ground
+                .is_some_and(|ground| ground.cells.iter().any(|cell| cell.too_coarse)),
         })
     }
 }

@@ -8,7 +8,7 @@ use crate::{
     base::{decimals::significant, progress::NoWatcher},
     config::Settings,
     method::{
-        region::{Ground, Photographed},
+        region::{COARSEST, Ground, Photographed},
         target::GSD_MARGIN,
     },
     model::{
@@ -24,8 +24,15 @@ pub struct GroundSummary {
     pub area: f64,
     /// Share with a surface that some photograph shows, 0 to 1; null where no surface was built.
     pub surface: Option<f64>,
-    /// Share that no photograph shows, 0 to 1.
+    /// Share that no photograph shows finely enough, 0 to 1: beside the surface in pixels of
+    /// `coarsest` or less.
     pub unseen: f64,
+    /// Part of it that some photograph shows more coarsely, as a share of the whole, 0 to 1.
+    #[serde(default)]
+    pub too_coarse: f64,
+    /// Scene units per pixel at the size of the plan's images.
+    #[serde(default)]
+    pub coarsest: f64,
     /// Share that a single photograph shows, 0 to 1.
     pub seen_once: f64,
     /// Photographs that must show a place for a depth there (`coverage.min_cameras`).
@@ -38,12 +45,14 @@ pub struct GroundSummary {
 
 impl GroundSummary {
     /// `has_surface`: a surface was laid over the region. `needed`: photographs that must show a
-    /// place.
-    pub fn new(ground: &Ground, has_surface: bool, needed: u32) -> Self {
+    /// place. `gsd`: the wanted one.
+    pub fn new(ground: &Ground, has_surface: bool, needed: u32, gsd: f64) -> Self {
         Self {
             area: ground.area(),
             surface: has_surface.then(|| ground.share(|cell| cell.has_surface)),
             unseen: ground.share(|cell| cell.views == 0),
+            too_coarse: ground.share(|cell| cell.too_coarse),
+            coarsest: COARSEST * gsd,
             seen_once: ground.share(|cell| cell.views == 1),
             needed,
             enough: ground.share(|cell| cell.views >= needed),
@@ -80,13 +89,27 @@ impl GroundSummary {
             return format!("{needed} photographs or more show all of the region.");
         }
         format!(
-            "No photograph shows {} of the region{}, only one shows {}{}, and the {needed} that a depth needs, or more, show {}.",
+            "No photograph shows {} of the region{}{}, only one shows {}{}, and the {needed} that a depth needs, or more, show {}.",
             percent(unseen),
             in_metres(unseen),
+            self.finely_enough(metres).unwrap_or_default(),
             percent(seen_once),
             in_metres(seen_once),
             percent(enough)
         )
+    }
+
+    /// Says what counts as shown, where photographs show more than that.
+    pub fn finely_enough(&self, metres: Option<f64>) -> Option<String> {
+        let unit = if metres.is_some() { "m" } else { "units" };
+        let coarsest = significant(self.coarsest * metres.unwrap_or(1.0));
+        let others = match self.unseen - self.too_coarse {
+            at_all if at_all < 0.0005 => "others show it".into(),
+            at_all => format!("none shows {} at all", percent(at_all)),
+        };
+        (self.too_coarse > 0.0).then(|| {
+            format!(" sharply enough ({coarsest} {unit} per pixel, {COARSEST} times the wanted, or finer; {others})")
+        })
     }
 
     /// Returns whether a part of the region was missed that is worth a warning.
@@ -121,9 +144,9 @@ pub fn photographed_ground(
     without_image: &[ViewIndex],
 ) -> Result<Option<GroundSummary>, RegionFileError> {
     // As the plan wants it.
+    let scale = settings.image_scale();
     let wanted = settings.target.gsd;
-    let wanted = wanted.map(|gsd| gsd * settings.image_scale());
-    let gsd = wanted.or_else(|| Some(GSD_MARGIN * scene.median_gsd()?));
+    let gsd = wanted.or_else(|| Some(GSD_MARGIN * scene.median_gsd()? / scale));
     let (Some(choice), Some(gsd)) = (&settings.region, gsd) else {
         return Ok(None);
     };
@@ -132,7 +155,7 @@ pub fn photographed_ground(
     let photographed = Photographed {
         scene,
         left_out: without_image,
-        gsd,
+        gsd: gsd * scale,
         surface: None,
     };
     let ground = region.footprint(&frame).and_then(|area| {
@@ -141,7 +164,7 @@ pub fn photographed_ground(
             .flatten()
     });
     let needed = settings.coverage.min_cameras;
-    Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed)))
+    Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed, gsd)))
 }
 
 #[cfg(test)]
@@ -154,6 +177,8 @@ mod tests {
             area: 384.0,
             surface: Some(0.179),
             unseen: 0.812,
+            too_coarse: 0.0,
+            coarsest: 0.2,
             seen_once: 0.004,
             needed: 3,
             enough: 0.18,
@@ -172,6 +197,14 @@ mod tests {
         assert_eq!(
             ground.missed(Some(0.5)),
             "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
+        );
+        let oblique = GroundSummary {
+            too_coarse: 0.512,
+            ..ground
+        };
+        assert_eq!(
+            oblique.missed(Some(0.5)),
+            "No photograph shows 81.2 % of the region (78.0 m²) sharply enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
         );
         let unbuilt = GroundSummary {
             surface: None,

@@ -42,7 +42,7 @@ const OUTLIER: f64 = 4.0;
 const STEEPEST: f64 = 1.0;
 /// Resolution, as a multiple of the wanted ground sampling distance, down to which a photograph
 /// shows a place: without a limit, an oblique one shows all up to the horizon.
-const COARSEST: f64 = 4.0;
+pub const COARSEST: f64 = 4.0;
 
 /// A plane through the sparse points, as a height above the map.
 #[derive(Clone, Copy, Debug)]
@@ -214,8 +214,10 @@ impl Footprint<'_> {
 pub struct GroundCell {
     /// Its centre on the map.
     pub place: [f64; 2],
-    /// Photographs that show it.
+    /// Photographs that show it; beside the surface, no coarser than [`COARSEST`].
     pub views: u32,
+    /// Some photographs show it, but all of them more coarsely.
+    pub too_coarse: bool,
     pub has_surface: bool,
 }
 
@@ -337,35 +339,37 @@ impl Photographed<'_> {
         let cell = |&place: &[f64; 2]| {
             watcher.check()?;
             let seen = on_surface.get(grid.cell(place)).copied().unwrap_or(0);
+            let (views, too_coarse) = match seen {
+                0 => self.views_of(&plane.at(place)),
+                seen => (seen, false),
+            };
             Ok(GroundCell {
                 place,
+                views,
+                too_coarse,
                 has_surface: seen > 0,
-                views: match seen {
-                    0 => self.views_of(&plane.at(place)),
-                    seen => seen,
-                },
             })
         };
         places.par_iter().map(cell).collect()
     }
 
-    /// Photographs into which a place projects, fine enough.
-    fn views_of(&self, place: &Point3<f64>) -> u32 {
-        let shows = |view: &ViewIndex| {
-            let camera = self.scene.camera_of(*view);
-            let x = self
-                .scene
-                .view(*view)
-                .cam_from_world
-                .camera_from_world(place);
-            camera.depth(&x) / camera.mean_focal_length() <= COARSEST * self.gsd
-                && camera
-                    .project(&x)
-                    .is_some_and(|pixel| camera.contains(&pixel))
-        };
+    /// Returns the number of photographs into which a place projects finely enough, and whether it
+    /// projects into others only.
+    fn views_of(&self, place: &Point3<f64>) -> (u32, bool) {
+        let (mut fine, mut coarse) = (0, 0);
         let counts = |view: &ViewIndex| self.left_out.binary_search(view).is_err();
-        let views = self.scene.view_indices();
-        views.filter(counts).filter(shows).count() as u32
+        for view in self.scene.view_indices().filter(counts) {
+            let camera = self.scene.camera_of(view);
+            let pose = &self.scene.view(view).cam_from_world;
+            let x = pose.camera_from_world(place);
+            let pixel = camera.project(&x);
+            if pixel.is_some_and(|pixel| camera.contains(&pixel)) {
+                let gsd = camera.depth(&x) / camera.mean_focal_length();
+                let is_fine = gsd <= COARSEST * self.gsd;
+                *(if is_fine { &mut fine } else { &mut coarse }) += 1;
+            }
+        }
+        (fine, fine == 0 && coarse > 0)
     }
 }
 

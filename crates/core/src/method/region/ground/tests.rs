@@ -85,10 +85,10 @@ fn photographs_are_counted_all_over_the_region() {
 }
 
 #[test]
-fn a_place_seen_too_coarsely_is_not_photographed() {
+fn a_place_seen_too_coarsely_is_not_photographed_but_told_from_one_that_is_not_seen() {
     let scene = flight();
     let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
-    let region = rectangle([-5.0, -5.0], [10.0, 5.0]);
+    let region = rectangle([-5.0, -5.0], [15.0, 5.0]);
     let wanted = |gsd| {
         let photographed = Photographed {
             gsd,
@@ -97,10 +97,18 @@ fn a_place_seen_too_coarsely_is_not_photographed() {
         let ground = Ground::new(&region, &photographed, &frame, &NoWatcher)
             .unwrap()
             .unwrap();
-        ground.share(|cell| cell.views == 0)
+        [0, 1].map(|beyond| {
+            let place = [12.0 * f64::from(beyond), 0.0];
+            let cell = ground.cells.iter().min_by(|a, b| {
+                let off = |cell: &GroundCell| (cell.place[0] - place[0]).abs();
+                off(a).total_cmp(&off(b))
+            });
+            cell.map(|cell| (cell.views == 0, cell.too_coarse)).unwrap()
+        })
     };
-    assert_eq!(wanted(0.1 / COARSEST * 1.01), 0.0);
-    assert_eq!(wanted(0.1 / COARSEST * 0.99), 1.0);
+    let beyond = (true, false);
+    assert_eq!(wanted(0.1 / COARSEST * 1.01), [(false, false), beyond]);
+    assert_eq!(wanted(0.1 / COARSEST * 0.99), [(true, true), beyond]);
 }
 
 #[test]
