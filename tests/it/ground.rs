@@ -173,11 +173,17 @@ fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
     assert_eq!(code, 0, "{stderr}");
     let flown = fs::read_to_string(folder.at("viewrank/flight/waypoints.geojson")).unwrap();
     let flown: Value = serde_json::from_str(&flown).unwrap();
-    let straight_down: Vec<f64> = flown["features"]
+    let straight_down: Vec<&Value> = flown["features"]
         .as_array()
         .unwrap()
         .iter()
-        .filter(|waypoint| waypoint["properties"]["pitch_deg"] == -90.0)
+        .filter(|waypoint| waypoint["properties"]["gimbal_pitch_deg"] == -90.0)
+        .collect();
+    // North is up the map, however the vertical of a place differs from that of the map.
+    let is_north = |waypoint: &&&Value| waypoint["properties"]["heading_deg"] == 0.0;
+    assert!(straight_down.iter().all(|waypoint| is_north(&waypoint)));
+    let straight_down: Vec<f64> = straight_down
+        .iter()
         .map(|waypoint| waypoint["geometry"]["coordinates"][0].as_f64().unwrap())
         .collect();
     let east = |metres: f64| LONGITUDE + metres / (LATITUDE.to_radians().cos() * 111_320.0);

@@ -44,13 +44,17 @@ pub fn files(
     }
 }
 
+/// Slope of a viewing direction from the vertical below which its heading means nothing: the
+/// vertical of the map is not quite that of the place.
+const LEVEL: f64 = 0.02;
+
 /// A waypoint in the coordinates of its file.
 struct Described<'a> {
     waypoint: &'a Waypoint,
     /// Longitude, latitude and height above the ellipsoid; or x to the right, y up the map and z
     /// up, scene units.
     position: [f64; 3],
-    /// Clockwise from north, or from the map's up, degrees.
+    /// Clockwise from north, or from the map's up, degrees, to a tenth.
     heading: f64,
     /// Above the horizon, degrees; -90 straight down.
     pitch: f64,
@@ -80,7 +84,14 @@ impl<'a> Described<'a> {
                     frame.direction(&waypoint.direction),
                 ),
             };
-        let heading = east.atan2(north).to_degrees().rem_euclid(360.0);
+        let heading = if east.hypot(north) > LEVEL * up.abs() {
+            east.atan2(north)
+        } else {
+            // Straight down: the top of the image is up the map.
+            up_the_map(waypoint, frame, place)
+        };
+        // Rounded first: a hair west of north is 0, not 360.
+        let heading = to_decimals(heading.to_degrees(), 1).rem_euclid(360.0) + 0.0;
         Self {
             waypoint,
             position,
@@ -95,10 +106,22 @@ impl<'a> Described<'a> {
     fn properties(&self, number: usize) -> Value {
         json!({
             "name": format!("{number}"), "rank": self.waypoint.rank, "hole": self.waypoint.hole + 1, "missing": self.missing,
-            "heading_deg": to_decimals(self.heading, 1), "pitch_deg": to_decimals(self.pitch, 1),
+            "heading_deg": self.heading, "gimbal_pitch_deg": to_decimals(self.pitch, 1),
             "height_above_surface": to_decimals(self.height, 3), "distance": to_decimals(self.distance, 3),
             "overlap": to_decimals(self.waypoint.overlap, 2),
         })
+    }
+}
+
+/// Bearing of the map's up at an image, radians clockwise from north.
+fn up_the_map(waypoint: &Waypoint, frame: &MapFrame, place: &Georeference) -> f64 {
+    let ahead = waypoint.centre + frame.axes[1] * waypoint.distance;
+    match (place.geodetic(&waypoint.centre), place.geodetic(&ahead)) {
+        (Some(from), Some(to)) => {
+            let [east, north, _] = from.offset_to(to);
+            east.atan2(north)
+        }
+        _ => 0.0,
     }
 }
 
