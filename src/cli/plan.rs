@@ -559,18 +559,14 @@ fn page(
     // What finished depth maps have measured is not on the page, whose surface is predicted
     // throughout.
     if plan.decision.finished > 0 {
-        return super::report::write(&project.home, progress);
+        let page = super::report::write(&project.home, progress)?;
+        return Ok(page.after_warning());
     }
     let exports = &files.manifest.exports;
     plan.warnings = warnings_with(&plan.warnings, exports, &[]);
-    super::report::write_page(
-        project,
-        plan,
-        exports,
-        None,
-        &DepthMapFolders::default(),
-        progress,
-    )
+    let folders = DepthMapFolders::default();
+    let page = super::report::write_page(project, plan, exports, None, &folders, progress)?;
+    Ok(page.after_warning())
 }
 
 fn report(

@@ -79,6 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         &progress,
     )?;
     progress.finish();
+    let page = page.after_warning();
     if arguments.open {
         open(&page)?;
     }
@@ -89,8 +90,22 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Writes the page of a project's plan into the project, and returns its path.
-pub fn write(project: &Path, progress: &ProgressDisplay) -> Result<PathBuf, Failure> {
+/// A report page on the disk.
+pub struct WrittenPage {
+    path: PathBuf,
+    warning: Option<String>,
+}
+
+impl WrittenPage {
+    /// Prints the warning, if any, and returns the path.
+    pub fn after_warning(self) -> PathBuf {
+        self.warning.iter().for_each(|warning| warn(warning));
+        self.path
+    }
+}
+
+/// Writes the page of a project's plan into the project.
+pub fn write(project: &Path, progress: &ProgressDisplay) -> Result<WrittenPage, Failure> {
     write_to(project, None, &DepthMapFolders::default(), progress)
 }
 
@@ -100,7 +115,7 @@ fn write_to(
     out: Option<&Path>,
     folders: &DepthMapFolders,
     progress: &ProgressDisplay,
-) -> Result<PathBuf, Failure> {
+) -> Result<WrittenPage, Failure> {
     let folder = out.map_or_else(|| project.join("viewrank"), Path::to_path_buf);
     // Without that folder there is no plan, which is another error.
     if out.is_some() || folder.is_dir() {
@@ -132,7 +147,7 @@ fn keep(plan: &Plan) {
 }
 
 /// Writes the page of a plan that is in memory, with the warnings of its exports, into the project
-/// or the folder `out`; returns its path.
+/// or the folder `out`.
 pub fn write_page(
     project: &Project,
     plan: &Plan,
@@ -140,7 +155,7 @@ pub fn write_page(
     out: Option<&Path>,
     folders: &DepthMapFolders,
     progress: &ProgressDisplay,
-) -> Result<PathBuf, Failure> {
+) -> Result<WrittenPage, Failure> {
     let (root, name) = match out {
         Some(folder) => (folder, "report.html"),
         None => (&*project.home, REPORT_FILE),
@@ -155,11 +170,13 @@ pub fn write_page(
     }
     files.write(&project.disk())?;
     progress.progress(Stage::Write, 1, 1);
-    Ok(if out.is_some() {
+    let path = if out.is_some() {
         root.join(name)
     } else {
         report_path(root)
-    })
+    };
+    let warning = contents.unplanned;
+    Ok(WrittenPage { path, warning })
 }
 
 /// Opens the page in the desktop's default program.

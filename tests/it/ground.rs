@@ -166,6 +166,20 @@ fn a_doctor_without_a_plan_counts_the_photographs_of_the_region() {
 }
 
 #[test]
+fn images_beyond_the_most_that_are_planned_are_counted() {
+    let folder = georeferenced();
+    let region = site(&folder, [-10.0, -10.0, 1500.0, 1500.0]);
+    let (code, _, stderr) = folder.plan(&["--region", &region, "--backend", "sgm", "--report"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains("more: want a coarser --gsd"), "{stderr}");
+    let flown = fs::read_to_string(folder.at("viewrank/flight/waypoints.geojson")).unwrap();
+    let flown: Value = serde_json::from_str(&flown).unwrap();
+    let note = flown["note"].as_str().unwrap();
+    assert!(note.contains("would take about"), "{note}");
+    assert!(flown["features"].as_array().unwrap().len() >= 2000);
+}
+
+#[test]
 fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
     let folder = georeferenced();
     let region = site(&folder, [-10.0, -10.0, 90.0, 10.0]);

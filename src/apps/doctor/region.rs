@@ -2,6 +2,7 @@
 
 use super::{Finding, Inputs, Severity};
 use crate::{
+    apps::report::MOST_PLANNED,
     base::{
         advice::on_command_line,
         error::Hint,
@@ -79,7 +80,9 @@ fn of_ground(
         }
         (false, None) => format!("viewrank plan {project} --report"),
     };
-    let cure = format!("take images of what was missed: {plans} plans them (viewrank/flight)");
+    let cure = format!(
+        "take images of what was missed: {plans} plans them, up to {MOST_PLANNED} (viewrank/flight)"
+    );
     Some(Finding::new(Severity::Warning, "region-missed", what, cure))
 }
 

@@ -95,6 +95,9 @@ pub struct Contents {
     /// The same as files below the plan's folder.
     #[serde(skip)]
     pub flight_files: Vec<(&'static str, String)>,
+    /// How many images are missing where not all that are needed are planned.
+    #[serde(skip)]
+    pub unplanned: Option<String>,
     /// Area of all holes, square scene units.
     holes_area: f64,
     /// Area of the holes farther than `far` usual distances from every camera, square scene units.
@@ -314,6 +317,7 @@ impl Contents {
             subject: Corners::shown_first(plan, &missing.flight, &frame),
             flight: FlightData::new(&missing.flight, missing.for_holes, &frame),
             flight_files: missing.files(plan, &frame),
+            unplanned: missing.flight.unplanned(),
             holes: missing.holes,
             holes_area: holes.area,
             far_area: holes.far_area,
@@ -522,6 +526,8 @@ struct FlightData {
     for_holes: usize,
     /// Part of the weight of each hole.
     of_holes: Vec<f64>,
+    /// What to know before flying.
+    remarks: String,
 }
 
 impl FlightData {
@@ -539,6 +545,7 @@ impl FlightData {
             overlaps: all().map(|w| w.overlap).collect(),
             for_holes,
             of_holes: flight.of_holes.clone(),
+            remarks: flight.remarks(),
         }
     }
 }

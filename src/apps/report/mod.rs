@@ -22,6 +22,7 @@ use bytemuck::NoUninit;
 use crate::base::printable::json_escaped;
 
 pub use contents::{Contents, ReportError};
+pub use flight::MOST as MOST_PLANNED;
 pub use holes::{Hole, Holes, holes};
 pub use real::{DepthMapFolders, folders_of_maps, own_folder_of_maps};
 

@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// Most images that are planned; of more, those nearest to the photographs.
-const MOST: usize = 2000;
+pub const MOST: usize = 2000;
 /// Most places that images are planned over before the nearest are taken.
 const MOST_PLACES: usize = 100_000;
 /// Share of the region from which on ground without surface is worth a flight.
@@ -40,6 +40,8 @@ pub struct BareGround {
     /// Part of its area below them and those for other holes, 0 to 1: less than 1 where more than
     /// the most would be needed.
     pub covered: f64,
+    /// About how many more would be needed for all of it, beyond the most that are planned.
+    pub more: usize,
 }
 
 /// A square of the grid of images: column and row.
@@ -86,17 +88,22 @@ pub fn bare_ground(
         .iter()
         .flat_map(|lack| around(images.square(lack.place)));
     let squares: BTreeSet<Square> = squares.collect();
-    let chosen = match squares.len() {
-        ..=MOST => images.enough(&places, &squares),
-        _ => images.nearest_to(&flown, squares),
+    let are_too_many = squares.len() > MOST;
+    let chosen = if are_too_many {
+        images.nearest_to(&flown, squares)
+    } else {
+        images.enough(&places, &squares)
     };
     let covered = images.shown_often_enough(&places, &chosen) as f64 / each as f64;
     let uncovered = left.len() as f64 - covered;
+    // In proportion to the area.
+    let more = (chosen.len() as f64 * uncovered / covered.max(1.0)).ceil() as usize;
     Some(BareGround {
         area: all.len() as f64 * ground.side * ground.side,
         centre: ground.plane.at(typical(&all)),
         waypoints: images.waypoints(plan, ground, frame, &chosen),
         covered: 1.0 - uncovered / all.len() as f64,
+        more: if are_too_many { more } else { 0 },
     })
 }
 

@@ -164,6 +164,7 @@ pub fn choose(
     Ok(Flight {
         of_holes: holes.iter().map(of_hole).collect(),
         waypoints: flown.images.par_iter().enumerate().map(waypoint).collect(),
+        more: 0,
     })
 }
 

@@ -25,6 +25,7 @@ pub fn files(
         return Vec::new();
     }
     let is_local = views_file(place) != "views.geojson";
+    let remarks = flight.remarks();
     let all: Vec<Described> = flight
         .waypoints
         .iter()
@@ -32,13 +33,13 @@ pub fn files(
         .collect();
     if is_local {
         vec![
-            ("flight/waypoints_local.json", geojson(&all, true)),
-            ("flight/waypoints.ply", ply(flight)),
+            ("flight/waypoints_local.json", geojson(&all, &remarks, true)),
+            ("flight/waypoints.ply", ply(flight, &remarks)),
         ]
     } else {
         vec![
-            ("flight/waypoints.geojson", geojson(&all, false)),
-            ("flight/waypoints.kml", kml(&all)),
+            ("flight/waypoints.geojson", geojson(&all, &remarks, false)),
+            ("flight/waypoints.kml", kml(&all, &remarks)),
             ("flight/waypoints.csv", csv(&all)),
         ]
     }
@@ -125,16 +126,24 @@ fn up_the_map(waypoint: &Waypoint, frame: &MapFrame, place: &Georeference) -> f6
     }
 }
 
-fn geojson(all: &[Described], local: bool) -> String {
+fn geojson(all: &[Described], remarks: &str, local: bool) -> String {
     let feature = |(i, w): (usize, &Described)| json!({ "type": "Feature", "geometry": { "type": "Point", "coordinates": coordinates(w, local) }, "properties": w.properties(i + 1) });
-    collection(all.iter().enumerate().map(feature).collect(), local)
+    collection(
+        all.iter().enumerate().map(feature).collect(),
+        Some(remarks),
+        local,
+    )
 }
 
 /// Text of a GeoJSON file; `local`: in the coordinates of `views_local.json`.
-pub(super) fn collection(features: Vec<Value>, local: bool) -> String {
+pub(super) fn collection(features: Vec<Value>, remarks: Option<&str>, local: bool) -> String {
     let mut collection = json!({ "type": "FeatureCollection", "features": features });
+    let frame = local.then_some("Local coordinates as in views_local.json, not WGS 84.");
+    let notes: Vec<&str> = frame.into_iter().chain(remarks).collect();
+    if !notes.is_empty() {
+        collection["note"] = json!(notes.join(" "));
+    }
     if local {
-        collection["note"] = json!("local coordinates as in views_local.json, not WGS 84");
         collection["crs"] = Value::Null;
     }
     json_escaped(&collection.to_string()) + "\n"
@@ -145,9 +154,9 @@ fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {
     [0, 1, 2].map(|i| to_decimals(waypoint.position[i], digits[i]))
 }
 
-fn kml(all: &[Described]) -> String {
-    let mut text = String::from(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name>\n",
+fn kml(all: &[Described], remarks: &str) -> String {
+    let mut text = format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name><description>{remarks}</description>\n",
     );
     let position = |w: &Described| {
         let [longitude, latitude, height] = coordinates(w, false);
@@ -204,9 +213,9 @@ fn csv(all: &[Described]) -> String {
 }
 
 /// Camera centres in the coordinates of the model, their viewing directions as normals.
-fn ply(flight: &Flight) -> String {
+fn ply(flight: &Flight, remarks: &str) -> String {
     let mut text = format!(
-        "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\nelement vertex {}\n",
+        "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\ncomment {remarks}\nelement vertex {}\n",
         flight.waypoints.len()
     );
     for name in ["x", "y", "z", "nx", "ny", "nz"] {

@@ -98,7 +98,7 @@ pub fn missed(
     } else {
         "flight/missed.geojson"
     };
-    (!features.is_empty()).then(|| (name, collection(features, is_local)))
+    (!features.is_empty()).then(|| (name, collection(features, None, is_local)))
 }
 
 /// Longitude and latitude of a place on the ground, or x and y on the map.

@@ -14,11 +14,13 @@ use nalgebra::{Point3, Vector3};
 
 use super::holes::Hole;
 use crate::{
-    base::progress::Watcher, method::visibility::VisibilityError, model::georeference::MapFrame,
+    base::progress::Watcher,
+    method::{target::GSD_MARGIN, visibility::VisibilityError},
+    model::georeference::MapFrame,
     plan::Plan,
 };
 
-pub use bare::{BareGround, bare_ground};
+pub use bare::{BareGround, MOST, bare_ground};
 pub use files::files;
 pub use missed::{missed, missed_areas, unbuilt_ground};
 
@@ -48,6 +50,8 @@ pub struct Flight {
     pub waypoints: Vec<Waypoint>,
     /// Part of the weight of each listed hole that fusion is expected to keep with them, 0 to 1.
     pub of_holes: Vec<f64>,
+    /// About how many more would be needed beyond the most that are planned.
+    pub more: usize,
 }
 
 /// Plans the images for the holes.
@@ -77,8 +81,37 @@ impl Flight {
                 ..waypoint.clone()
             }));
         self.of_holes.insert(0, bare.covered);
+        self.more = bare.more;
         self
     }
+
+    /// Says how many images are missing where not all that are needed are planned.
+    pub fn unplanned(&self) -> Option<String> {
+        (self.more > 0).then(|| {
+            format!(
+                "only the {MOST} images nearest to the photographs are planned for ground without surface; all of it would take about {} more: want a coarser --gsd, or plan the region in parts",
+                two_digits(self.more)
+            )
+        })
+    }
+
+    /// What to know before flying.
+    pub fn remarks(&self) -> String {
+        let margin = format!(
+            "Each image is planned at {} of the distance that gives the wanted resolution: what is lower or slanted comes out coarser.",
+            1.0 / GSD_MARGIN
+        );
+        match self.unplanned() {
+            Some(unplanned) => format!("{margin} Also, {unplanned}."),
+            None => margin,
+        }
+    }
+}
+
+/// Rounds up to two significant digits.
+fn two_digits(number: usize) -> usize {
+    let unit = 10_usize.pow(number.max(1).ilog10().saturating_sub(1));
+    number.div_ceil(unit) * unit
 }
 
 /// Returns the waypoints ordered so that each is followed by the nearest one left.
