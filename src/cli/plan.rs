@@ -12,7 +12,7 @@ use crate::{
         replan::{EarlierPlan, MapFolder, replan},
         report::DepthMapFolders,
     },
-    backends,
+    backends::{self, Choice},
     base::{
         error::{Advice, Hint},
         progress::{Stage, Watcher},
@@ -28,7 +28,7 @@ use crate::{
     plan::{Plan, PlanError},
     show::{
         files::PlanFiles,
-        manifest::{WrittenPlanError, planned_model, warnings_with},
+        manifest::{WrittenPlanError, planned_backends, planned_model, warnings_with},
         tables,
     },
 };
@@ -36,7 +36,9 @@ use clap::Args;
 
 use super::{
     Exit, Failure, Format, arguments, config, next, note, print, print_json,
-    progress::ProgressDisplay, summary::Summary, use_threads, warn,
+    progress::ProgressDisplay,
+    summary::{Asked, Summary},
+    use_threads, warn,
 };
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
@@ -122,7 +124,7 @@ pub struct Arguments {
         value_delimiter = ',',
         help = super::backends::option_help(
             "Write for these backends; the plan is made for the first",
-            "as the project is set up, else what is installed",
+            "those of the plan before, else as the project is set up, else what is installed",
         ),
         help_heading = "Method"
     )]
@@ -200,6 +202,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project), arguments.typed())?.settings;
     let project = project.with_images(settings.images.as_deref());
+    let kept = kept_backends(arguments, &project, &settings)?;
+    let settings = Settings {
+        backends: kept.clone().unwrap_or(settings.backends),
+        ..settings
+    };
     let (project, settings) = matchable(arguments, project, settings)?;
     let project = match &arguments.out {
         Some(out) => {
@@ -235,7 +242,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         None
     };
     progress.finish();
-    report(arguments, &project, &plan, &files, is_survey)?;
+    let asked = Asked {
+        is_survey,
+        keeps_backend: kept.is_some(),
+    };
+    report(arguments, &project, &plan, &files, asked)?;
     if let (Some(page), Format::Text, false) = (page, arguments.format, arguments.quiet) {
         print([shown_path(&page)])?;
     }
@@ -245,6 +256,27 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+/// Returns the backends of the plan that this one replaces, if none are named and the default is
+/// another: its depth maps would be lost.
+fn kept_backends(
+    arguments: &Arguments,
+    project: &Project,
+    settings: &Settings,
+) -> Result<Option<Vec<String>>, Failure> {
+    let (backend, choice) = backends::chosen(project, settings)?;
+    let planned = match &arguments.out {
+        Some(out) => planned_backends(&project.clone().with_home(out)),
+        None => planned_backends(project),
+    };
+    let Ok(known) = backends::by_names(&planned) else {
+        return Ok(None);
+    };
+    let is_other = known
+        .first()
+        .is_some_and(|first| first.name != backend.name);
+    Ok((is_other && choice != Choice::Named).then_some(planned))
 }
 
 /// Returns the project that the backend can match, with the settings for it: the workspace of
@@ -574,7 +606,7 @@ fn report(
     project: &Project,
     plan: &Plan,
     files: &PlanFiles,
-    is_survey: bool,
+    asked: Asked,
 ) -> Result<(), Failure> {
     let next = match (
         arguments.dry_run,
@@ -591,7 +623,7 @@ fn report(
             next::next(project, plan, files, run, &again)
         }
     };
-    let summary = Summary::new(project, plan, files, arguments.dry_run, next, is_survey);
+    let summary = Summary::new(project, plan, files, arguments.dry_run, next, asked);
     let said = match arguments.format {
         Format::Json => return print_json(&summary),
         Format::Text if !arguments.quiet => summary.text(arguments.verbose),

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::{
-    backends,
+    backends::{self, Choice},
     base::{
         decimals::significant,
         shell::{command_path, shown_path},
@@ -87,15 +87,24 @@ pub struct Summary<'a> {
     missed: Option<f64>,
 }
 
+/// What the user asked for, or left open.
+#[derive(Clone, Copy)]
+pub struct Asked {
+    /// A region or a resolution.
+    pub is_survey: bool,
+    /// No backend, so that that of the plan before is kept.
+    pub keeps_backend: bool,
+}
+
 impl<'a> Summary<'a> {
-    /// `next`: the command to type next; `is_survey`: a region or a resolution was asked for.
+    /// `next`: the command to type next.
     pub fn new(
         project: &Project,
         plan: &'a Plan,
         files: &'a PlanFiles,
         dry_run: bool,
         next: String,
-        is_survey: bool,
+        asked: Asked,
     ) -> Self {
         let manifest = &files.manifest;
         Self {
@@ -134,7 +143,9 @@ impl<'a> Summary<'a> {
             timings: &plan.timings,
             memory: plan.stages.memory,
             tiles: plan.stages.surface_stats.tiles,
-            chosen_for: if plan.stages.settings.backends.is_empty() {
+            chosen_for: if asked.keeps_backend {
+                format!(" ({})", Choice::Planned.describe())
+            } else if plan.stages.settings.backends.is_empty() {
                 format!(" ({})", backends::by_default(project).1.describe())
             } else {
                 String::new()
@@ -142,7 +153,7 @@ impl<'a> Summary<'a> {
             manifest,
             weight: plan.stages.settings.ranking.weight,
             counts_places: plan.stages.pilot.is_some(),
-            missed: (is_survey && plan.stages.makes_maps)
+            missed: (asked.is_survey && plan.stages.makes_maps)
                 .then(|| plan.unfulfilled_share())
                 .filter(|share| *share > LEAST_MISSED),
             use_of_views: backends::by_name(plan.stages.backend)

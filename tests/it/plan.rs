@@ -750,3 +750,30 @@ fn a_backend_that_matches_all_at_one_size_says_so() {
     ])];
     assert_eq!(error.status.code(), Some(2));
 }
+
+#[test]
+fn a_plan_without_a_backend_is_for_those_of_the_plan_before() {
+    let folder = project();
+    let root = folder.path().to_str().unwrap();
+    let planned = |options: &[&str]| -> (String, String) {
+        let said = printed(&[&["plan", root, "--confidence", "geometric"], options].concat());
+        let written = fs::read(folder.path().join("viewrank/manifest.json")).unwrap();
+        let written: Value = serde_json::from_slice(&written).unwrap();
+        (said, written["backend"].as_str().unwrap().to_owned())
+    };
+    planned(&["--backend", "pairs,mve"]);
+    let (said, backend) = planned(&["--budget", "3"]);
+    assert_eq!(backend, "pairs");
+    assert!(said.contains("as the plan before; --backend"), "{said}");
+    assert!(folder.path().join("viewrank/mve").is_dir());
+    // A name on the command line or in the settings counts for more.
+    assert_eq!(planned(&["--backend", "sgm"]).1, "sgm");
+    fs::write(
+        folder.path().join("viewrank.toml"),
+        "backends = [\"mve\"]\n",
+    )
+    .unwrap();
+    let (said, backend) = planned(&[]);
+    assert_eq!(backend, "mve");
+    assert!(!said.contains("as the plan before"), "{said}");
+}

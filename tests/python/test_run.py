@@ -183,6 +183,8 @@ def test_plan_names_run_where_the_program_is(run, viewrank, valley, tmp_path):
     assert following(path=here) == f"Next: viewrank run '{valley}'"
     assert following("--target", "80", "-k", "4", path=here) == f"Next: viewrank run '{valley}' --target 80 -k 4"
     assert following("--surface", "3d", path=here) == f"Next: viewrank export '{valley}' --backend openmvs", "run has no such option"
+    assert following(path="/bin").startswith(f"Next: cd '{valley}/viewrank/openmvs'"), "the program of the plan before"
+    shutil.rmtree(valley / "viewrank")
     assert following(path="/bin") == f"Next: viewrank export '{valley}' --backend sgm", "without a program and without Python"
 
 

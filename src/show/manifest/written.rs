@@ -147,6 +147,20 @@ pub fn planned_backend(project: &Project) -> Option<String> {
         .map(|recorded| recorded.backend)
 }
 
+/// Returns the names of the backends that the project's plan was written for, the one that it is for
+/// first; none without a plan.
+pub fn planned_backends(project: &Project) -> Vec<String> {
+    let workspace = planned_workspace(project);
+    let workspace = workspace.and_then(|folder| Project::open(folder, None).ok());
+    let Ok(recorded) = RecordedPlan::read(workspace.as_ref().unwrap_or(project)) else {
+        return Vec::new();
+    };
+    match recorded.settings.backends {
+        named if named.is_empty() => vec![recorded.backend],
+        named => named,
+    }
+}
+
 /// Returns the path, relative to the project, of the model that its plan is for; `None` without a
 /// plan.
 pub fn planned_model(project: &Project) -> Option<String> {
