@@ -16,7 +16,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         progress::{Stage, Watcher},
-        shell::{command_path, shown_path},
+        shell::command_path,
     },
     config::{CommandLineSettings, Settings},
     io::{
@@ -245,11 +245,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let asked = Asked {
         is_survey,
         keeps_backend: kept.is_some(),
+        page,
     };
     report(arguments, &project, &plan, &files, asked)?;
-    if let (Some(page), Format::Text, false) = (page, arguments.format, arguments.quiet) {
-        print([shown_path(&page)])?;
-    }
     match &files.not_exported[..] {
         missing if arguments.backend.is_some() && !missing.is_empty() => {
             Err(Failure::from(ExportFailure(missing.to_vec())).behind_result())
@@ -478,6 +476,8 @@ impl Arguments {
             ("--budget", self.budget.clone()),
             ("-k", self.k.clone()),
             ("--scales", next::scales(self.scales.as_deref())),
+            ("--region", self.region.clone()),
+            ("--gsd", self.gsd.clone()),
             (
                 "--images",
                 self.images.as_ref().map(|path| path.display().to_string()),

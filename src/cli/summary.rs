@@ -1,6 +1,6 @@
 //! Summary of a plan for users who don't know the method, at 80 columns; as JSON for programs.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::{
     backends::{self, Choice},
@@ -88,12 +88,13 @@ pub struct Summary<'a> {
 }
 
 /// What the user asked for, or left open.
-#[derive(Clone, Copy)]
 pub struct Asked {
     /// A region or a resolution.
     pub is_survey: bool,
     /// No backend, so that that of the plan before is kept.
     pub keeps_backend: bool,
+    /// The report, which is written.
+    pub page: Option<PathBuf>,
 }
 
 impl<'a> Summary<'a> {
@@ -138,7 +139,10 @@ impl<'a> Summary<'a> {
                 .as_ref()
                 .map(|images| images.display().to_string()),
             notes: notes(project, plan, &files.place),
-            look: format!("viewrank report {} --open", command_path(&project.home)),
+            look: match &asked.page {
+                Some(page) => shown_path(page),
+                None => format!("viewrank report {} --open", command_path(&project.home)),
+            },
             next,
             timings: &plan.timings,
             memory: plan.stages.memory,

@@ -634,7 +634,7 @@ def test_a_plan_with_its_page_has_the_page_of_report(viewrank, fixtures, tmp_pat
     shutil.copytree(fixtures / "valley", project, ignore=shutil.ignore_patterns("viewrank"))
     done = viewrank("plan", project, "--backend", "sgm", "--report")
     page = project / "viewrank/report.html"
-    assert done.stdout.rstrip().endswith(str(page))
+    assert str(page) in done.stdout and "viewrank report" not in done.stdout, "the page is there"
     files = [page, *sorted((project / "viewrank/flight").iterdir())]
     before = [file.read_bytes() for file in files]
     viewrank("report", project)

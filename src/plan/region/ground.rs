@@ -85,18 +85,34 @@ impl GroundSummary {
             enough,
             ..
         } = *self;
-        if enough >= 1.0 {
+        if enough >= ALL {
             return format!("{needed} photographs or more show all of the region.");
         }
         format!(
-            "No photograph shows {} of the region{}{}, only one shows {}{}, and the {needed} that a depth needs, or more, show {}.",
+            "No photograph shows {} of the region{}{}, only one shows {}{}{}, and the {needed} that a depth needs, or more, show {}.",
             percent(unseen),
             in_metres(unseen),
             self.finely_enough(metres).unwrap_or_default(),
             percent(seen_once),
             in_metres(seen_once),
+            self.seen_by_few(in_metres),
             percent(enough)
         )
+    }
+
+    /// Says how much more than one photograph shows, but fewer than needed. `in_metres`: the area of
+    /// a share in brackets.
+    fn seen_by_few(&self, in_metres: impl Fn(f64) -> String) -> String {
+        let share = 1.0 - self.unseen - self.seen_once - self.enough;
+        let few = match self.needed {
+            ..=2 => return String::new(),
+            3 => "2".into(),
+            needed => format!("2 to {}", needed - 1),
+        };
+        match 1.0 - share {
+            ALL.. => String::new(),
+            _ => format!(", {few} show {}{}", percent(share), in_metres(share)),
+        }
     }
 
     /// Says what counts as shown, where photographs show more than that.
@@ -104,7 +120,7 @@ impl GroundSummary {
         let unit = if metres.is_some() { "m" } else { "units" };
         let coarsest = significant(self.coarsest * metres.unwrap_or(1.0));
         let others = match self.unseen - self.too_coarse {
-            at_all if at_all < 0.0005 => "others show it".into(),
+            at_all if at_all < 1.0 - ALL => "others show it".into(),
             at_all => format!("none shows {} at all", percent(at_all)),
         };
         (self.too_coarse > 0.0).then(|| {
@@ -117,6 +133,9 @@ impl GroundSummary {
         self.unseen + self.seen_once > MISSED
     }
 }
+
+/// Share that reads as 100.0 %.
+const ALL: f64 = 0.9995;
 
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
@@ -192,11 +211,11 @@ mod tests {
         assert!(covered(Some(100.0)).contains("384 ha"));
         assert_eq!(
             ground.missed(None),
-            "No photograph shows 81.2 % of the region, only one shows 0.4 %, and the 3 that a depth needs, or more, show 18.0 %."
+            "No photograph shows 81.2 % of the region, only one shows 0.4 %, 2 show 0.4 %, and the 3 that a depth needs, or more, show 18.0 %."
         );
         assert_eq!(
             ground.missed(Some(0.5)),
-            "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
+            "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
         );
         let oblique = GroundSummary {
             too_coarse: 0.512,
@@ -204,7 +223,7 @@ mod tests {
         };
         assert_eq!(
             oblique.missed(Some(0.5)),
-            "No photograph shows 81.2 % of the region (78.0 m²) sharply enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
+            "No photograph shows 81.2 % of the region (78.0 m²) sharply enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
         );
         let unbuilt = GroundSummary {
             surface: None,
