@@ -261,8 +261,9 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
         .filter(|key| listed.contains(*key))
         .count();
     if missing > 0 {
+        let are = if missing == 1 { "is" } else { "are" };
         warn(&format!(
-            "{missing} of the {} planned depth maps are not there: shares are of those that are, and other orders are not judged by cells",
+            "{missing} of the {} planned depth maps {are} not there: shares are of those that are, and other orders are not judged by cells",
             listed.len()
         ));
     }

@@ -214,6 +214,8 @@ struct SurfaceData {
 #[derive(Serialize)]
 struct RegionData {
     words: String,
+    /// The last line of them says that a part was missed.
+    is_incomplete: bool,
     /// 1 where a drawn triangle counts, u8.
     inside: String,
     /// Border on the drawn surface: u32, 2 vertices per edge.
@@ -251,6 +253,7 @@ impl RegionData {
         let unbuilt = ground.map(flight::unbuilt_ground).unwrap_or_default();
         Some(Self {
             words: summary.describe(stages.metres),
+            is_incomplete: summary.ground.is_some_and(|ground| ground.is_incomplete()),
             inside: list(inside.map(u8::from)),
             border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
             outline: rings(ground.map_or(&[], |ground| &ground.rings)),

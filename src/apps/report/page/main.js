@@ -231,7 +231,10 @@ function drawFacts() {
   const left = data.unregistered.length ? `, ${counted(data.unregistered.length, 'image')} without a pose` : '';
   byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
     + ` planned for the backend ${data.backend}${data.makes_maps ? `, ${rounded(data.gsd * perUnit)} ${unit} per pixel wanted` : ''}`;
-  if (data.region) byId('facts').after(make('p', {}, data.region.words));
+  if (data.region) {
+    const lines = data.region.words.split('\n'), last = lines.pop();
+    byId('facts').after(make('p', {}, lines.join(' '), ' ', data.region.is_incomplete ? make('b', {}, last) : last));
+  }
   byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn with fewer triangles than in the plan. ' : ''}`
     + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have thumbnails. ` : '')
     + (data.finished || data.real ? 'Colours of the surface are predicted unless labelled measured' : (data.makes_maps ? 'Predicted before any depth map was computed' : 'Predicted'))
