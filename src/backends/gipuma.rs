@@ -81,10 +81,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.fusion = format!(
         "{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone"
     );
-    files.add("run.sh", script.finish(&[]));
+    files.add_script("run.sh", script.finish(&[]));
     list_links(&mut files);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Adds images, projections and the table of names. Returns the names in the files, by view.

@@ -13,7 +13,7 @@ use crate::{
     },
     model::{
         cluster::{MapScale, RankedCluster},
-        scene::{Scene, ViewIndex, ViewPoints},
+        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
     },
 };
 
@@ -77,7 +77,7 @@ impl Selection<'_> {
         let mut views: Vec<_> = self
             .clusters
             .iter()
-            .flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied()))
+            .flat_map(RankedCluster::views)
             .collect();
         views.sort_unstable();
         views.dedup();
@@ -313,8 +313,7 @@ fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
 /// Returns the depths of the points that the view observes, in front of it, ascending, scene units.
 pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let pose = &scene.view(view).cam_from_world;
-    let depth =
-        |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
+    let depth = |&p: &PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
     let mut depths: Vec<f64> = points
         .observed_by(view)
         .iter()
@@ -358,6 +357,29 @@ pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec
     }
     shared[view.index()] = 0;
     shared
+}
+
+/// Returns the one of these extensions that a name has, in lower case and as it is usually spelt.
+pub fn extension(name: &str, known: &[&'static str]) -> Option<&'static str> {
+    let given = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
+    let usual = match &*given {
+        "jpeg" => "jpg",
+        "tif" => "tiff",
+        given => given,
+    };
+    known.iter().find(|known| **known == usual).copied()
+}
+
+/// Returns those of the views that observe a point that are wanted, each once.
+pub fn observers(
+    scene: &Scene,
+    point: PointIndex,
+    wanted: impl Fn(ViewIndex) -> bool,
+) -> Vec<ViewIndex> {
+    let mut views = scene.track_views(point).to_vec();
+    views.dedup();
+    views.retain(|view| wanted(*view));
+    views
 }
 
 /// Number of key views that a fusion compares with one: all that share points would take long.

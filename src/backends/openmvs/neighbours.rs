@@ -72,8 +72,8 @@ pub fn export(
     files.add_text("neighbours.txt", lists);
     files.add_text("dense.cfg", dense_config(selection));
     if options.scale {
-        let unscale = include_bytes!("../../../integrations/openmvs/unscale.py");
-        files.add("unscale.py", Contents::Script(unscale.to_vec()));
+        let unscale = include_str!("../../../integrations/openmvs/unscale.py");
+        files.add_script("unscale.py", unscale);
         record.way = "list of neighbours, with a scaled copy of the scene without points".into();
         record.commands = vec![
             densify.command(1),
@@ -90,8 +90,7 @@ pub fn export(
     }
     record.not_honoured.push("the rank order".into());
     record.note_scale(selection, capped_scale(size));
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// The run that matches the lists.
@@ -160,8 +159,7 @@ impl<'a> GivenScene<'a> {
 
     fn lists(&self) -> String {
         let line = |cluster: &RankedCluster| {
-            let views = std::iter::once(&cluster.key).chain(&cluster.partners);
-            let names: Vec<String> = views.map(|&view| self.name(view)).collect();
+            let names: Vec<String> = cluster.views().map(|view| self.name(view)).collect();
             names.join(" ") + "\n"
         };
         self.selection.clusters.iter().map(line).collect()

@@ -106,6 +106,10 @@ impl FileSet {
         self.add(path, Contents::Bytes(text.into().into_bytes()));
     }
 
+    pub fn add_script(&mut self, path: impl Into<String>, text: impl Into<String>) {
+        self.add(path, Contents::Script(text.into().into_bytes()));
+    }
+
     /// Writes the set, completely or not at all. Files that already have their contents are not
     /// touched.
     pub fn write(&self, disk: &Disk) -> Result<WriteReport, OutputError> {
