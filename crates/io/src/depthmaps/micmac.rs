@@ -129,14 +129,7 @@ fn root(bytes: &[u8]) -> Result<Element, Fault> {
         Some(root) if root.name == "XML_ParamNuage3DMaille" => return xml.whole(root),
         found => found.map_or("nothing".into(), |root| format!("<{}>", root.name)),
     };
-    Err(Fault::new(
-        "",
-        Place::File,
-        Problem::Syntax {
-            expected: "<XML_ParamNuage3DMaille> of MicMac",
-            found,
-        },
-    ))
+    Err(Problem::syntax("<XML_ParamNuage3DMaille> of MicMac", found).at(Place::File))
 }
 
 fn fault(fault: Fault) -> (usize, String) {

@@ -8,7 +8,7 @@ use viewrank_core::model::scene::{ModelWarning, WarningKind};
 
 use super::{ModelFormat, ModelLocation, ProjectError, files, foreign::file_names};
 use crate::{
-    formats::{Fault, Place, Problem, cloud, colmap::ColmapModel},
+    formats::{Place, Problem, cloud, colmap::ColmapModel},
     ply,
 };
 
@@ -61,7 +61,7 @@ pub(super) fn cloud_beside(location: &ModelLocation) -> Option<PathBuf> {
 /// The vertices of a PLY file.
 pub(super) fn vertices(path: &Path) -> Result<Vec<Point3<f64>>, ProjectError> {
     let cloud = ply::read(&files::read(path)?).map_err(|error| ProjectError::Fault {
-        fault: Fault::new("", Place::File, Problem::Json(error.to_string())),
+        fault: Problem::Json(error.to_string()).at(Place::File),
         path: path.into(),
     })?;
     Ok(cloud.vertices)
@@ -74,7 +74,7 @@ fn other_coordinates(path: PathBuf, how: &str) -> ProjectError {
     let problem = Problem::Unsupported { what, hint };
     ProjectError::Fault {
         path,
-        fault: Fault::new("", Place::File, problem),
+        fault: problem.at(Place::File),
     }
 }
 

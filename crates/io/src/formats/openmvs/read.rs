@@ -25,7 +25,7 @@ impl Mvs {
             version: 0,
         };
         if bytes.get(..4) != Some(b"MVSI") {
-            return Err(Fault::new("", Place::Byte(0), foreign(bytes)));
+            return Err(foreign(bytes).at(Place::Byte(0)));
         }
         reader.header()?;
         let scene = reader.scene()?;
@@ -34,16 +34,15 @@ impl Mvs {
             left => {
                 let problem =
                     Problem::Contradiction(format!("{left} bytes follow the end of the scene"));
-                Err(Fault::new("", Place::Byte(reader.offset() as u64), problem))
+                Err(problem.at(Place::Byte(reader.offset() as u64)))
             }
         }
     }
 
     fn checked(self) -> Result<Self, Fault> {
         for (i, image) in self.images.iter().enumerate() {
-            self.check_image(image).map_err(|problem| {
-                Fault::new("", Place::File, problem).in_record(|| format!("image {i}"))
-            })?;
+            self.check_image(image)
+                .map_err(|problem| problem.at(Place::File).in_record(|| format!("image {i}")))?;
         }
         let views = self
             .vertices
@@ -54,7 +53,8 @@ impl Mvs {
             .into_iter()
             .find(|&(_, image)| image as usize >= self.images.len())
         {
-            Some((i, image)) => Err(Fault::new("", Place::File, absent("image", image))
+            Some((i, image)) => Err(absent("image", image)
+                .at(Place::File)
                 .in_record(|| format!("vertex {i}"))),
             None => Ok(self),
         }
@@ -157,7 +157,7 @@ impl<'a> Reader<'a> {
     }
 
     fn fault(&self, problem: Problem) -> Fault {
-        Fault::new("", Place::Byte(self.offset() as u64), problem)
+        problem.at(Place::Byte(self.offset() as u64))
     }
 
     /// Reads the signature, the version, which must be known, and a reserved number.
@@ -171,11 +171,7 @@ impl<'a> Reader<'a> {
                 self.version
             );
             let hint = "write the scene with OpenMVS v1.0 to v2.3";
-            return Err(Fault::new(
-                "",
-                Place::Byte(at as u64),
-                Problem::Unsupported { what, hint },
-            ));
+            return Err(Problem::Unsupported { what, hint }.at(Place::Byte(at as u64)));
         }
         self.u32("the header").map(drop)
     }

@@ -153,7 +153,7 @@ impl<'a> Projection<'a> {
         let of_image = |image: &ColmapImage| {
             let pose = image.cam_from_world.pose();
             Ok(Self {
-                pose: pose.map_err(|problem| Fault::new("", Place::File, problem))?,
+                pose: pose.map_err(|problem| problem.at(Place::File))?,
                 camera: by_id[&image.camera_id],
             })
         };

@@ -264,6 +264,6 @@ fn read_sure(root: &Path, folder: &Path) -> Result<(ForeignModel, Option<PathBuf
     let warnings = tracks.model.warnings.iter().cloned();
     foreign.model.warnings.extend(warnings);
     sure::add_tracks(&mut foreign, &tracks)
-        .map_err(|problem| at(&path, Fault::new("", Place::File, problem)))?;
+        .map_err(|problem| at(&path, problem.at(Place::File)))?;
     Ok((foreign, None))
 }
