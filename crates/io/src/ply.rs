@@ -109,10 +109,7 @@ pub fn read_at_most(bytes: &[u8], most: usize) -> Result<Option<Mesh>, PlyError>
                     return Ok(None);
                 }
             }
-            // Without properties it has no bytes, and any count fits.
-            _ if element.properties.is_empty() => {}
-            _ => (0..element.count)
-                .try_for_each(|_| element.properties.iter().try_for_each(|p| body.skip(p)))?,
+            _ => body.skip_element(element)?,
         }
     }
     let count = mesh.vertices.len() as u64;
@@ -150,10 +147,7 @@ pub fn read_with_lists(
     };
     for before in header.elements.iter().take_while(|of| of.name != "vertex") {
         body.check_room(before)?;
-        if !before.properties.is_empty() {
-            (0..before.count)
-                .try_for_each(|_| before.properties.iter().try_for_each(|p| body.skip(p)))?;
-        }
+        body.skip_element(before)?;
     }
     body.check_room(element)?;
     let axes = ["x", "y", "z"];
@@ -376,6 +370,16 @@ impl Body<'_> {
                 "a list of {length} items does not fit into the file"
             )))
         }
+    }
+
+    fn skip_element(&mut self, element: &Element) -> Result<(), PlyError> {
+        // Without properties it has no bytes, and any count fits.
+        let count = if element.properties.is_empty() {
+            0
+        } else {
+            element.count
+        };
+        (0..count).try_for_each(|_| element.properties.iter().try_for_each(|p| self.skip(p)))
     }
 
     fn skip(&mut self, property: &Property) -> Result<(), PlyError> {

@@ -311,6 +311,9 @@ impl Hint for DepthMapError {
 /// A parse result; an error has the byte offset and the problem, the caller adds the path.
 type Parsed<T> = Result<T, (usize, String)>;
 
+/// Width and height of a map, and its values as the file has them, row-major.
+type Plane = ([u32; 2], Vec<f32>);
+
 /// Reads another file of a depth map's folder, by its name.
 pub type Beside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
@@ -448,24 +451,31 @@ pub fn parse(
     bound: PixelBound,
     beside: Beside,
 ) -> Parsed<DepthMap> {
-    let mut map = match format {
+    let mut ids = Vec::new();
+    let ([width, height], mut depth) = match format {
         DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => {
-            colmap::parse(bytes, format, bound)
+            colmap::parse(bytes, bound)
         }
-        DepthMapFormat::OpenMvs => openmvs::parse(bytes, bound),
+        DepthMapFormat::OpenMvs => openmvs::parse(bytes, bound, &mut ids),
         DepthMapFormat::Pfm => pfm::parse(bytes, bound),
-        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, format, bound),
+        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, bound),
         DepthMapFormat::Mve => mvei::parse(bytes, bound),
         DepthMapFormat::AliceVision => exr::parse(bytes, bound),
         DepthMapFormat::MicMac => micmac::parse(bytes, bound, beside),
         DepthMapFormat::Npy => npy::parse(bytes, bound),
     }?;
-    for z in &mut map.depth {
+    for z in &mut depth {
         if !(z.is_finite() && *z > 0.0) {
             *z = 0.0;
         }
     }
-    Ok(map)
+    Ok(DepthMap {
+        format,
+        width,
+        height,
+        depth,
+        ids,
+    })
 }
 
 /// Returns the number of pixels of a map, which every reader needs before it allocates: at least
@@ -481,7 +491,7 @@ fn pixels(width: u32, height: u32, bound: PixelBound) -> Parsed<usize> {
 fn plane<const N: usize>(
     bytes: &[u8],
     start: usize,
-    (width, height): (u32, u32),
+    [width, height]: [u32; 2],
     bound: PixelBound,
 ) -> Parsed<impl Iterator<Item = [u8; N]>> {
     let needed = pixels(width, height, bound)? * N;
@@ -498,11 +508,10 @@ fn plane<const N: usize>(
     }
 }
 
-/// Reads `width` x `height` little-endian f32 from `start`.
-fn floats(bytes: &[u8], start: usize, size: (u32, u32), bound: PixelBound) -> Parsed<Vec<f32>> {
-    Ok(plane(bytes, start, size, bound)?
-        .map(f32::from_le_bytes)
-        .collect())
+/// Reads a map of this size of little-endian f32 from `start`.
+fn floats(bytes: &[u8], start: usize, size: [u32; 2], bound: PixelBound) -> Parsed<Plane> {
+    let values = plane(bytes, start, size, bound)?.map(f32::from_le_bytes);
+    Ok((size, values.collect()))
 }
 
 /// Reads the little-endian u32 at a byte offset.

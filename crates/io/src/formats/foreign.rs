@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use viewrank_core::model::{
     camera::{Camera, CameraError, CameraModel},
     georeference::Georeference,
-    scene::{ModelWarning, Scene, WarningKind},
+    scene::{Scene, WarningKind},
 };
 
 use super::{
@@ -148,7 +148,7 @@ impl ForeignModel {
     }
 
     pub fn warn(&mut self, kind: WarningKind, text: impl AsRef<str>) {
-        self.model.warnings.push(ModelWarning::new(kind, text));
+        self.model.warn(kind, text);
     }
 
     /// Writes names with `/` and without `.` and `..`, and makes absolute ones, or those that lead

@@ -15,7 +15,7 @@ use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use viewrank_core::model::{
     camera::Camera,
-    scene::{CameraIndex, ModelWarning, Pose, Scene, View},
+    scene::{CameraIndex, ModelWarning, Pose, Scene, View, WarningKind},
 };
 
 pub use self::reduce::ImageUse;
@@ -210,6 +210,10 @@ pub struct FrameData {
 }
 
 impl ColmapModel<'_> {
+    pub fn warn(&mut self, kind: WarningKind, text: impl AsRef<str>) {
+        self.warnings.push(ModelWarning::new(kind, text));
+    }
+
     /// Converts the model to a scene.
     ///
     /// # Errors
