@@ -151,7 +151,7 @@ impl Selection<'_> {
         let home = paths::real(&self.project.home);
         let seen_from = |images: &ImageFolder| match paths::real(images).strip_prefix(&home) {
             Ok(inside) => place::path_from(from, &home).join(inside),
-            Err(_) => std::path::absolute(images).unwrap_or_else(|_| images.to_path_buf()),
+            Err(_) => paths::absolute(images),
         };
         match &self.project.images {
             Some(images) => command_path(&seen_from(images)),

@@ -11,7 +11,10 @@ use viewrank_core::model::scene::{Scene, ViewIndex};
 use walkdir::WalkDir;
 
 use super::{DepthMapError, DepthMapFormat, micmac, openmvs};
-use crate::input::{self, FileKind};
+use crate::{
+    input::{self, FileKind},
+    paths,
+};
 
 /// Bytes read from a `.dmap` to get its header.
 const DMAP_HEADER: u64 = 1 << 17;
@@ -86,7 +89,7 @@ impl DepthMapSet {
 /// its dense workspaces (`dense`, `dense/N`), other programs' in a folder of their name.
 pub fn default_folders(project: &Path) -> Vec<PathBuf> {
     let mut workspaces = vec![project.to_path_buf(), project.join("dense")];
-    workspaces.extend(sub_folders(&project.join("dense")));
+    workspaces.extend(paths::sub_folders(&project.join("dense")));
     workspaces.push(project.join("viewrank/colmap"));
     let mut folders: Vec<PathBuf> = workspaces
         .iter()
@@ -115,19 +118,6 @@ fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
         project.join("viewrank").join(kind),
         project.join("export").join(kind),
     ]
-}
-
-fn sub_folders(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .filter_map(Result::ok);
-    let mut folders: Vec<_> = entries
-        .map(|entry| entry.path())
-        .filter(|path| path.is_dir())
-        .collect();
-    folders.sort();
-    folders
 }
 
 /// Depth map folder of a program in a project (`dense`: its dense workspace): the first that
@@ -315,8 +305,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
 /// Returns whether `finished.py` of an export has made the map for the fusion, with those of half
 /// the size enlarged.
 fn is_copy(map: &Path) -> bool {
-    let folder = std::path::absolute(map).unwrap_or_else(|_| map.into());
-    folder
+    paths::absolute(map)
         .parent()
         .is_some_and(|folder| folder.ends_with("fuse/depth_est"))
 }

@@ -134,7 +134,7 @@ impl<'a> Disk<'a> {
     ) -> Result<(), OutputError> {
         let name = name.as_ref();
         match folder.folder(name) {
-            Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
+            Err(error) if error.is_missing() => {}
             found => return found.map(drop),
         }
         self.change(Operation::MakeFolder, (folder, name), || {
