@@ -84,12 +84,8 @@ fn reduced_model(
         let reduced = model.reduced(use_of, workspace.least_views)?;
         Ok(colmap_bin::write(&reduced.moved(origin)?))
     };
-    let fault = |fault| ProjectError::Fault {
-        path: selection.project.model.path.clone(),
-        fault,
-    };
     Ok(selection
         .project
         .with_colmap_model(selection.scene, write)?
-        .map_err(fault)?)
+        .map_err(ProjectError::fault(&selection.project.model.path))?)
 }

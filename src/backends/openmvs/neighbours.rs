@@ -185,14 +185,8 @@ fn folder_of(scene: &Path) -> PathBuf {
 }
 
 fn read(path: &Path) -> Result<Mvs, BackendError> {
-    let bytes = input::read(path, FileKind::Sparse).map_err(|source| ProjectError::Io {
-        path: path.into(),
-        source,
-    })?;
-    Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault {
-        path: path.into(),
-        fault,
-    })?)
+    let bytes = input::read(path, FileKind::Sparse).map_err(ProjectError::io(path))?;
+    Ok(Mvs::read(&bytes).map_err(ProjectError::fault(path))?)
 }
 
 /// Returns, for each view of the selection, the index of its image in the scene: the one with the

@@ -191,11 +191,7 @@ impl DepthMap {
                 size(&confidence),
                 size(self)
             );
-            return Err(DepthMapError::Format {
-                path: path.into(),
-                byte: 0,
-                what,
-            });
+            return Err(DepthMapError::format(path)((0, what)));
         }
         for (z, &confidence) in self.depth.iter_mut().zip(&confidence.depth) {
             // Not a number is no confidence either.
@@ -265,6 +261,25 @@ pub enum DepthMapError {
     },
 }
 
+impl DepthMapError {
+    /// Makes the error of a file that cannot be read.
+    fn io(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        move |source| Self::Io {
+            path: path.into(),
+            source,
+        }
+    }
+
+    /// Makes the error of a file with a fault at a byte.
+    fn format(path: &Path) -> impl Fn((usize, String)) -> Self {
+        move |(byte, what)| Self::Format {
+            path: path.into(),
+            byte,
+            what,
+        }
+    }
+}
+
 impl Hint for DepthMapError {
     fn hint(&self) -> Option<Advice> {
         let hint = match self {
@@ -329,10 +344,7 @@ pub fn read(
         DepthMapFormat::MicMac => input::read(path, FileKind::Settings),
         _ => input::read_start(path, FileKind::Picture, bound.file_bytes()),
     };
-    let bytes = read(path).map_err(|source| DepthMapError::Io {
-        path: path.into(),
-        source,
-    })?;
+    let bytes = read(path).map_err(DepthMapError::io(path))?;
     let beside = |name: &str| {
         input::read_start(
             &path.with_file_name(name),
@@ -341,11 +353,7 @@ pub fn read(
         )
     };
     check_kind(path, format, &bytes)?;
-    parse(&bytes, format, bound, &beside).map_err(|(byte, what)| DepthMapError::Format {
-        path: path.into(),
-        byte,
-        what,
-    })
+    parse(&bytes, format, bound, &beside).map_err(DepthMapError::format(path))
 }
 
 /// Refuses a map of a kind that came after this program: it is as good as any other.

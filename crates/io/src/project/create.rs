@@ -67,10 +67,7 @@ impl Project {
             if folder.join("sparse").exists() {
                 return Err(CreateError::OtherModel(folder.into()));
             }
-            fs::create_dir_all(folder).map_err(|source| ProjectError::Io {
-                path: folder.into(),
-                source,
-            })?;
+            fs::create_dir_all(folder).map_err(ProjectError::io(folder))?;
             files.write(&Disk::REAL)?;
         }
         let project = Self::open(folder, None)?;

@@ -60,10 +60,7 @@ pub(super) fn in_binary(root: &Path) -> Option<ProjectError> {
             hint,
         }
         .at(Place::File);
-        Some(ProjectError::Fault {
-            path: root.join(name),
-            fault,
-        })
+        Some(ProjectError::fault(&root.join(name))(fault))
     })
 }
 
