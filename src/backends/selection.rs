@@ -326,7 +326,15 @@ pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
 
 /// Returns the 1 % and 99 % quantiles of the depths of the view's sparse points; if it observes
 /// none, of all points in front of it.
-pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Option<[f64; 2]> {
+///
+/// # Errors
+/// If no point is in front of it; `backend` needs a range.
+pub fn depth_range(
+    backend: &'static str,
+    scene: &Scene,
+    points: &ViewPoints,
+    view: ViewIndex,
+) -> Result<[f64; 2], BackendError> {
     let mut all = depths(scene, points, view);
     if all.is_empty() {
         let pose = &scene.view(view).cam_from_world;
@@ -338,11 +346,15 @@ pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Optio
             .collect();
         all.sort_unstable_by(f64::total_cmp);
     }
-    let at = |share: f64| {
-        all.get(((all.len().checked_sub(1)? as f64) * share).round() as usize)
-            .copied()
+    let Some(last) = all.len().checked_sub(1) else {
+        let name = scene.name(view);
+        return Err(BackendError::Needs {
+            backend,
+            what: format!("a depth range, and {name} observes no sparse point in front of it"),
+            hint: "leave the view out of the model".into(),
+        });
     };
-    Some([at(0.01)?, at(0.99)?])
+    Ok([0.01, 0.99].map(|share| all[(last as f64 * share).round() as usize]))
 }
 
 /// Returns the number of sparse points that each view of the scene shares with `view`; 0 for

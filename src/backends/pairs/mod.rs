@@ -176,17 +176,8 @@ impl Dialect {
             format!("{} {} {} {}\n", r[0], r[1], r[2], pose.translation[i])
         };
         let (f, c) = scene.camera_of(view).pinhole_part();
-        let depths =
-            self.depth_line(selection::depth_range(scene, points, view).ok_or_else(|| {
-                BackendError::Needs {
-                    backend: self.backend.name,
-                    what: format!(
-                        "a depth range, and {} observes no sparse point in front of it",
-                        scene.name(view)
-                    ),
-                    hint: "leave the view out of the model".into(),
-                }
-            })?);
+        let range = selection::depth_range(self.backend.name, scene, points, view)?;
+        let depths = self.depth_line(range);
         Ok(format!(
             "extrinsic\n{}{}{}0 0 0 1\n\nintrinsic\n{} 0 {}\n0 {} {}\n0 0 1\n\n{depths}\n",
             row(0),

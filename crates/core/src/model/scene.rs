@@ -25,7 +25,9 @@ use crate::{
 pub struct ViewIndex(pub u32);
 
 /// Index of a sparse point in [`Scene::points`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
 #[serde(transparent)]
 pub struct PointIndex(pub u32);
 
@@ -336,25 +338,14 @@ pub struct ViewPoints {
 
 impl ViewPoints {
     fn new(scene: &Scene) -> Self {
-        let distinct = |p: usize| {
-            let track = &scene.track_views[scene.track_offsets[p]..scene.track_offsets[p + 1]];
+        let distinct = |p: PointIndex| {
+            let track = scene.track_views(p);
             (0..track.len())
                 .filter(move |&i| i == 0 || track[i] != track[i - 1])
-                .map(move |i| track[i])
+                .map(move |i| (track[i].index(), p))
         };
-        let mut counts = vec![0usize; scene.views.len()];
-        (0..scene.points.len())
-            .flat_map(distinct)
-            .for_each(|v| counts[v.index()] += 1);
-        let offsets = Offsets::from_lengths(counts);
-        let mut next = offsets.as_slice().to_vec();
-        let mut points = vec![PointIndex(0); offsets.entries()];
-        for p in 0..scene.points.len() {
-            for v in distinct(p) {
-                points[next[v.index()]] = PointIndex(p as u32);
-                next[v.index()] += 1;
-            }
-        }
+        let all = || (0..scene.points.len() as u32).map(PointIndex);
+        let (offsets, points) = Offsets::sorted(scene.views.len(), || all().flat_map(distinct));
         Self { offsets, points }
     }
 
