@@ -61,7 +61,7 @@ impl Project {
         scene: &Scene,
         images: Option<&Path>,
     ) -> Result<Self, CreateError> {
-        let images = images.map(|images| paths::absolute(images));
+        let images = images.map(paths::absolute);
         let files = model_files(folder, scene, images.as_deref());
         if !are_there(&files) {
             if folder.join("sparse").exists() {
