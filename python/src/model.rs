@@ -213,27 +213,19 @@ impl Model {
     }
 
     fn points<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.points),
-            3,
-        )
+        rows::<f64>(slf, &slf.get().0.scene.points, 3)
     }
 
     fn point_ids<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.scene.point_ids)
+        view(slf, &slf.get().0.scene.point_ids)
     }
 
     fn colours<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, u8>(&slf.get().0.scene.colours),
-            3,
-        )
+        rows::<u8>(slf, &slf.get().0.scene.colours, 3)
     }
 
     fn track_offsets<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.scene.track_offsets)
+        view(slf, &slf.get().0.scene.track_offsets)
     }
 
     fn track_views(&self) -> Vec<u32> {
@@ -241,11 +233,7 @@ impl Model {
     }
 
     fn track_pixels<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.track_pixels),
-            2,
-        )
+        rows::<f64>(slf, &slf.get().0.scene.track_pixels, 2)
     }
 
     #[getter]

@@ -90,11 +90,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let selection = &near.selection();
     let images = selection.undistorted_images(BACKEND.name)?;
     let views = selection.keys_first();
-    let mut ids = vec![None; selection.scene.views.len()];
-    views
-        .iter()
-        .enumerate()
-        .for_each(|(i, v)| ids[v.index()] = Some(i));
+    let ids = selection.scene.places_of(views.iter().copied());
     let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
     let mut files = options.file_set(&BACKEND, selection);
     for (i, &view) in views.iter().enumerate() {

@@ -85,6 +85,16 @@ struct Header {
     body: usize,
 }
 
+impl Header {
+    fn body_of<'a>(&self, bytes: &'a [u8]) -> Body<'a> {
+        Body {
+            bytes,
+            at: self.body,
+            encoding: self.encoding,
+        }
+    }
+}
+
 /// Reads a mesh; vertices and triangles keep the order of the file.
 pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
     read_at_most(bytes, usize::MAX).map(Option::unwrap_or_default)
@@ -94,11 +104,7 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
 /// make.
 pub fn read_at_most(bytes: &[u8], most: usize) -> Result<Option<Mesh>, PlyError> {
     let header = read_header(bytes)?;
-    let mut body = Body {
-        bytes,
-        at: header.body,
-        encoding: header.encoding,
-    };
+    let mut body = header.body_of(bytes);
     let mut mesh = Mesh::default();
     for element in &header.elements {
         body.check_room(element)?;
@@ -137,11 +143,7 @@ pub fn read_with_lists(
     mut take: impl FnMut(Point3<f64>, &[u32]),
 ) -> Result<(), PlyError> {
     let header = read_header(bytes)?;
-    let mut body = Body {
-        bytes,
-        at: header.body,
-        encoding: header.encoding,
-    };
+    let mut body = header.body_of(bytes);
     let Some(element) = header.elements.iter().find(|of| of.name == "vertex") else {
         return Ok(());
     };

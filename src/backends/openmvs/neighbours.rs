@@ -140,7 +140,8 @@ impl<'a> GivenScene<'a> {
         let mvs = read(path)?;
         let positions = positions(selection, &mvs, path)?;
         let views = selection.views();
-        let centre = |view: &ViewIndex| pose_of(&mvs, positions[view.index()]).1;
+        let image = |view: &ViewIndex| &mvs.images[positions[view.index()]];
+        let centre = |view| mvs.rotation_and_centre(image(view)).1;
         let centres: Vec<Vector3<f64>> = views.iter().map(centre).collect();
         let size = size_of_scene(selection, &centres, path)?;
         Ok(Self {
@@ -225,19 +226,6 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
         positions[view.index()] = position;
     }
     Ok(positions)
-}
-
-/// Returns the camera centre of an image of the scene and its rotation from world to camera.
-fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
-    let image = &mvs.images[position];
-    let platform = &mvs.platforms[image.platform as usize];
-    let (camera, pose) = (
-        &platform.cameras[image.camera as usize],
-        &platform.poses[image.pose as usize],
-    );
-    let pose_r = Matrix3::from_row_slice(&pose.r);
-    let centre = pose_r.transpose() * Vector3::from(camera.c) + Vector3::from(pose.c);
-    (Matrix3::from_row_slice(&camera.r) * pose_r, centre)
 }
 
 /// Returns scene units per model unit, from the spread of the cameras in both. `of_scene`: centres
@@ -329,7 +317,7 @@ impl Depths {
     /// vertex.
     fn new(given: &GivenScene, view: ViewIndex) -> Self {
         let (scene, position) = (given.selection.scene, given.positions[view.index()]);
-        let (r, centre) = pose_of(&given.mvs, position);
+        let (r, centre) = given.mvs.rotation_and_centre(&given.mvs.images[position]);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
         let seen = given
             .mvs

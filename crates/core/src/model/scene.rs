@@ -202,6 +202,15 @@ impl Scene {
         &self.views[view.index()].name
     }
 
+    /// Returns, for each view, its place among these; `None` if it is none of them.
+    pub fn places_of(&self, views: impl IntoIterator<Item = ViewIndex>) -> Vec<Option<usize>> {
+        let mut places = vec![None; self.views.len()];
+        (0..)
+            .zip(views)
+            .for_each(|(i, view)| places[view.index()] = Some(i));
+        places
+    }
+
     pub fn view_indices(&self) -> impl ExactSizeIterator<Item = ViewIndex> + Clone {
         (0..self.views.len() as u32).map(ViewIndex)
     }

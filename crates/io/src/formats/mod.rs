@@ -146,6 +146,16 @@ impl Problem {
         Self::Syntax { expected, found }
     }
 
+    pub fn duplicate(what: &'static str, id: impl ToString) -> Self {
+        let id = id.to_string();
+        Self::Duplicate { what, id }
+    }
+
+    pub fn absent(what: &'static str, id: impl Into<u64>) -> Self {
+        let id = id.into();
+        Self::Absent { what, id }
+    }
+
     /// The fault at a place of a model of one file.
     pub fn at(self, place: Place) -> Fault {
         Fault::new("", place, self)

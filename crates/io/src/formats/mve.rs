@@ -239,12 +239,7 @@ impl Bundle<'_> {
             let view: usize = words.number("a view")?;
             let _ = words.numbers::<2>("a feature and 0")?;
             let known = self.registered.get(view);
-            let known = known.ok_or_else(|| {
-                words.fault(Problem::Absent {
-                    what: "view",
-                    id: view as u64,
-                })
-            })?;
+            let known = known.ok_or_else(|| words.fault(Problem::absent("view", view as u64)))?;
             if let Some(registered) = known {
                 let in_camera = registered.pose.camera_from_world(point);
                 let pixel = registered.camera.project(&in_camera);

@@ -246,10 +246,7 @@ impl ColmapModel<'_> {
         let mut by_id = HashMap::with_capacity(self.cameras.len());
         for (index, camera) in self.cameras.iter().enumerate() {
             if by_id.insert(camera.id, CameraIndex(index as u32)).is_some() {
-                let problem = Problem::Duplicate {
-                    what: "camera",
-                    id: camera.id.to_string(),
-                };
+                let problem = Problem::duplicate("camera", camera.id);
                 return Err(Fault::new("cameras", Place::File, problem));
             }
         }
@@ -297,10 +294,7 @@ impl ColmapModel<'_> {
             .min();
         twice.map_or(Ok(()), |p| {
             let point = &self.points[p];
-            Err(point.fault(Problem::Duplicate {
-                what: "point",
-                id: point.id.to_string(),
-            }))
+            Err(point.fault(Problem::duplicate("point", point.id)))
         })
     }
 }
@@ -313,10 +307,7 @@ impl ColmapImage<'_> {
 
     fn view(&self, position: u32, cameras: &HashMap<u32, CameraIndex>) -> Result<View, Problem> {
         check_name(&self.name)?;
-        let absent = Problem::Absent {
-            what: "camera",
-            id: self.camera_id.into(),
-        };
+        let absent = Problem::absent("camera", self.camera_id);
         Ok(View {
             name: self.name.clone().into_owned(),
             image_id: self.id,

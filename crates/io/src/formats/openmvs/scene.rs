@@ -74,7 +74,7 @@ impl Mvs {
     }
 
     /// World-to-camera pose: that of the platform, followed by that of the camera on the platform.
-    fn rotation_and_centre(&self, image: &Image) -> (Matrix3<f64>, Vector3<f64>) {
+    pub fn rotation_and_centre(&self, image: &Image) -> (Matrix3<f64>, Vector3<f64>) {
         let platform = &self.platforms[image.platform as usize];
         let (camera, pose) = (
             &platform.cameras[image.camera as usize],
