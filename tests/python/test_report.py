@@ -369,8 +369,7 @@ def measured(viewrank, fixtures, tmp_path_factory):
     for folder in ("sparse", "images"):
         (project / folder).symlink_to(fixtures / "valley" / folder)
     (project / "viewrank.toml").write_text("image_scale = 0.25\n")
-    # Without a pilot: its thumbnails show places beside the surface, on which these maps are.
-    viewrank("plan", project, "--backend", "sgm", "--confidence", "geometric", "--quiet")
+    viewrank("plan", project, "--backend", "sgm", "--quiet")
     model, surface = oracle.Model(fixtures / "valley" / "sparse" / "0"), Surface(project)
     manifest = json.loads((project / "viewrank" / "manifest.json").read_text())
     views = {view["name"]: i for i, view in enumerate(model.views)}
@@ -395,9 +394,9 @@ def reported(viewrank, browser, project, *options):
     return browser.script("data.real")
 
 
-@pytest.mark.parametrize(("factor", "least", "most"), [(1, 0.75, 1.6), (1.3, 0, 0.1), (0, 0, 0)], ids=["right", "of a wrong scale", "empty"])
+@pytest.mark.parametrize(("factor", "least", "most"), [(1, 0.75, 1.6), (1.3, 0, 0.25), (0, 0, 0)], ids=["right", "of a wrong scale", "empty"])
 def test_the_real_curve_stands_beside_the_predicted_one(viewrank, browser, measured, tmp_path, factor, least, most):
-    """With true depths as reference, right maps reach the prediction, and maps of a wrong scale reach nothing."""
+    """With true depths as reference, right maps reach the prediction; maps of a wrong scale reach what they share with thumbnails by chance, empty ones nothing."""
     project, manifest, write = measured
     ranks = [1, 2, 4]
     write(ranks, factor)

@@ -22,6 +22,9 @@ const PLACE_WITHIN: f64 = 0.02;
 /// Part of that difference within which fusion is expected to keep the depth, as it is of the
 /// pilot's own: 1 %.
 const KEPT_WITHIN: f64 = 0.5;
+/// Part of the depths beyond that which fusion keeps: it compares maps with each other, not with
+/// thumbnails. By the clouds of eight sets and three programs.
+const KEPT_BEYOND: f32 = 0.35;
 /// Relative difference of reference depths beyond which they belong to two surfaces and are not
 /// interpolated.
 const SAME_SURFACE: f64 = 0.02;
@@ -214,7 +217,7 @@ fn agreed(places: &Places, scene: &Scene, key: ViewIndex, map: &DepthMap) -> Vec
         (off <= 1.0).then(|| Part {
             place,
             density: places.density(place, camera, x.z),
-            is_kept: off <= KEPT_WITHIN,
+            kept: if off <= KEPT_WITHIN { 1.0 } else { KEPT_BEYOND },
         })
     };
     (0..places.centres.len() as u32).filter_map(part).collect()

@@ -64,9 +64,10 @@ impl MeasuredProgress {
     /// Computes the progress by the places of the pilot: measured where a map is finished. What the
     /// others add is what the pilot shows, as far as the finished maps bear it out.
     fn by_places(stages: &Stages, pilot: &CountedPlaces, run: &MeasuredClusters) -> Self {
-        let objective = &pilot.kept.objective;
-        let (mut kept, mut shown) = (Reached::new(objective), Reached::new(objective));
-        let mut record = PlaceRecord::new(objective);
+        let objective = pilot.measured();
+        let (mut kept, mut shown) = (Reached::new(&objective), Reached::new(&objective));
+        let chance = (0..objective.weights.len() as u32).map(|item| pilot.chance(item));
+        let mut record = PlaceRecord::new(&objective, chance.collect());
         for (finished, cluster) in run.clusters.iter().enumerate() {
             let size = run.scales[finished];
             let real = run.real.row(finished);
@@ -79,7 +80,8 @@ impl MeasuredProgress {
             };
             let expected = planned(stages, cluster.key).zip(of_size);
             let expected = expected.map_or(&[][..], |(c, table)| table.row(c).0);
-            record.add(expected, &measured.0);
+            let surely_kept = pilot.surely_kept(&run.places[finished], real.0);
+            record.add(expected, &surely_kept);
         }
         for (c, cluster) in stages.clusters.iter().enumerate() {
             let row = pilot.kept.table.row(c);
@@ -118,9 +120,12 @@ fn planned(stages: &Stages, key: ViewIndex) -> Option<usize> {
 /// Maps keep a place with a probability that differs from place to place: a white wall fails in every
 /// map, a blurred edge in some. The probability is taken as beta distributed over the places; mean and
 /// spread come from the finished maps, and their results at a place update it there (a beta-binomial
-/// model).
+/// model). What a single map of the pilot shows has a distribution of its own: most of it is chance.
 struct PlaceRecord<'a> {
     objective: &'a Objective,
+    /// Probability that fusion keeps anything there, before any map is finished.
+    chance: Vec<f64>,
+    maps: u32,
     /// Finished maps of which the pilot shows it, those of them that kept it, and all that did.
     tried: Vec<u32>,
     kept: Vec<u32>,
@@ -133,10 +138,12 @@ struct PlaceRecord<'a> {
 const TRIALS: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 
 impl<'a> PlaceRecord<'a> {
-    fn new(objective: &'a Objective) -> Self {
+    fn new(objective: &'a Objective, chance: Vec<f64>) -> Self {
         let none = vec![0; objective.weights.len()];
         Self {
             objective,
+            chance,
+            maps: 0,
             tried: none.clone(),
             kept: none.clone(),
             taking_part: none.clone(),
@@ -145,18 +152,21 @@ impl<'a> PlaceRecord<'a> {
     }
 
     /// Adds a finished map: what the pilot shows of it, and what it kept, both ascending.
-    fn add(&mut self, shown: &[u32], measured: &[u32]) {
-        measured
-            .iter()
+    fn add(&mut self, shown: &[u32], kept: &[u32]) {
+        self.maps += 1;
+        kept.iter()
             .for_each(|&place| self.taking_part[place as usize] += 1);
         for &place in shown {
             self.tried[place as usize] += 1;
-            self.kept[place as usize] += u32::from(measured.binary_search(&place).is_ok());
+            self.kept[place as usize] += u32::from(kept.binary_search(&place).is_ok());
         }
     }
 
     fn progress(&self, kept: &Reached, shown: &Reached) -> MeasuredProgress {
-        let [mean, trials] = self.distribution();
+        let mut chances = self.chance.clone();
+        chances.sort_by(f64::total_cmp);
+        chances.dedup();
+        let distributions: Vec<_> = chances.iter().map(|&of| self.distribution(of)).collect();
         let (mut so_far, mut all) = (0.0, 0.0);
         for place in 0..self.objective.weights.len() {
             let weight = self.objective.weights[place];
@@ -164,8 +174,9 @@ impl<'a> PlaceRecord<'a> {
             let left = (f64::from(shown.agreed(place as u32)) - measured).max(0.0);
             so_far += weight * measured;
             all += weight * measured;
-            if left > 0.0 {
-                all += weight * left * self.completed(place, mean, trials);
+            let own = chances.iter().position(|of| *of == self.chance[place]);
+            if let Some(own) = own.filter(|_| left > 0.0) {
+                all += weight * left * self.completed(place, distributions[own]);
             }
         }
         MeasuredProgress {
@@ -176,7 +187,7 @@ impl<'a> PlaceRecord<'a> {
     }
 
     /// Returns the probability that enough of the further maps keep a place.
-    fn completed(&self, place: usize, mean: f64, trials: f64) -> f64 {
+    fn completed(&self, place: usize, [mean, trials]: [f64; 2]) -> f64 {
         let further = self.further[place];
         let wanted = (self.objective.support)
             .saturating_sub(self.taking_part[place])
@@ -187,17 +198,21 @@ impl<'a> PlaceRecord<'a> {
         at_least(wanted, further, alpha, beta)
     }
 
-    /// Returns the mean probability of the places, and the number of trials that it counts as: those
-    /// under which the record is likeliest.
-    fn distribution(&self) -> [f64; 2] {
-        let sum = |list: &[u32]| list.iter().map(|&n| f64::from(n)).sum::<f64>();
-        let (kept, tried) = (sum(&self.kept), sum(&self.tried));
-        // As if one map more had kept all, so that nothing is certain.
-        let mean = (kept + 1.0) / (tried + 1.0);
+    /// Returns the mean probability of the places of this chance, and the number of trials that it
+    /// counts as: those under which the record is likeliest.
+    fn distribution(&self, chance: f64) -> [f64; 2] {
+        let own = (0..self.chance.len()).filter(|&place| self.chance[place] == chance);
         let mut counts: BTreeMap<[u32; 2], f64> = BTreeMap::new();
-        for (&kept, &tried) in self.kept.iter().zip(&self.tried).filter(|(_, n)| **n > 1) {
-            *counts.entry([kept, tried]).or_default() += 1.0;
+        for place in own {
+            let record = [self.kept[place], self.tried[place]];
+            *counts.entry(record).or_default() += 1.0;
         }
+        let sum = |of: usize| -> f64 { counts.iter().map(|(r, n)| f64::from(r[of]) * n).sum() };
+        let (kept, tried) = (sum(0), sum(1));
+        // As if half a map more had kept what it could, so that not all is lost if none has.
+        let before = (0.5 * tried / f64::from(self.maps.max(1))).max(1.0);
+        let mean = (kept + chance * before) / (tried + before);
+        counts.retain(|[_, tried], _| *tried > 1);
         let likelihood = |trials: f64| -> f64 {
             let [alpha, beta] = [mean * trials, (1.0 - mean) * trials];
             let of_record = |(&[kept, tried], number): (&[u32; 2], &f64)| {
@@ -254,21 +269,37 @@ mod tests {
     #[test]
     fn where_maps_failed_others_are_expected_to() {
         let objective = Objective::weighing(vec![1.0; 4], 1);
-        let mut record = PlaceRecord::new(&objective);
+        let mut record = PlaceRecord::new(&objective, vec![1.0; 4]);
         for _ in 0..4 {
             record.add(&[0, 1, 2], &[0, 2]);
         }
         record.further = vec![2; 4];
-        let [mean, trials] = record.distribution();
-        let expected: Vec<f64> = (0..4).map(|p| record.completed(p, mean, trials)).collect();
+        let of_all = record.distribution(1.0);
+        let expected: Vec<f64> = (0..4).map(|p| record.completed(p, of_all)).collect();
         assert!(expected[0] > 0.9 && expected[1] < 0.3, "{expected:?}");
         assert!(expected[1] < expected[3] && expected[3] < expected[0]);
         // All alike: what failed once fails no more often than others.
-        let mut alike = PlaceRecord::new(&objective);
+        let mut alike = PlaceRecord::new(&objective, vec![1.0; 4]);
         for missing in 0..4u32 {
             let kept: Vec<u32> = (0..4).filter(|place| *place != missing).collect();
             alike.add(&[0, 1, 2, 3], &kept);
         }
-        assert!(alike.distribution()[1] > 4.0);
+        assert!(alike.distribution(1.0)[1] > 4.0);
+    }
+
+    #[test]
+    fn maps_to_come_are_expected_to_keep_something_where_none_has() {
+        let objective = Objective::weighing(vec![1.0; 2000], 1);
+        let chance = [1.0, 0.25].iter().flat_map(|&of| vec![of; 1000]);
+        let mut record = PlaceRecord::new(&objective, chance.collect());
+        let all: Vec<u32> = (0..2000).collect();
+        for _ in 0..3 {
+            record.add(&all, &[]);
+        }
+        record.further = vec![3; 2000];
+        let of_places = record.completed(0, record.distribution(1.0));
+        let of_singles = record.completed(1000, record.distribution(0.25));
+        assert!(of_places > 0.01, "{of_places}");
+        assert!(of_singles < of_places && of_singles > 0.0, "{of_singles}");
     }
 }

@@ -141,8 +141,7 @@ fn counted(plan: &Plan, run: &MeasuredClusters) -> ReachCurve {
     };
     let row = |c: usize| pilot.kept_row(&run.places[c], run.scales[c], run.real.row(c));
     let measured = FulfilmentTable::new((0..run.clusters.len()).map(row));
-    let objective = &pilot.kept.objective;
-    ReachCurve::new(&measured, objective, &run.clusters, &run.order)
+    ReachCurve::new(&measured, &pilot.measured(), &run.clusters, &run.order)
 }
 
 /// Returns the folders that may hold depth maps, that of the plan's backend first.

@@ -18,7 +18,7 @@ pub(super) fn pack(places: &Places) -> Packed {
     let parts = || places.parts.iter().flatten();
     packer.each(parts().map(|part| part.place));
     packer.each(parts().map(|part| part.density));
-    packer.each(parts().map(|part| u8::from(part.is_kept)));
+    packer.each(parts().map(|part| part.kept));
     packer.each(
         places
             .centres
@@ -44,7 +44,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         lists.list::<u32>()?,
         lists.list::<u32>()?,
     );
-    let (densities, kept) = (lists.list::<f32>()?, lists.list::<u8>()?);
+    let (densities, kept) = (lists.list::<f32>()?, lists.list::<f32>()?);
     let centres = lists.list::<f64>()?;
     let (sizes, measured_area) = (lists.list::<f32>()?, lists.list::<f32>()?);
     let agreement = lists.list::<u8>()?;
@@ -63,6 +63,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         .map(|cluster| cluster.key.0)
         .eq(views.iter().copied());
     let is_possible = centres.iter().all(|x| x.is_finite())
+        && kept.iter().all(|part| (0.0..=1.0).contains(part))
         && [&sizes, &measured_area, &densities]
             .iter()
             .all(|list| list.iter().all(|&size| size.is_finite() && size > 0.0));
@@ -77,7 +78,7 @@ pub fn unpack(bytes: &[u8], clusters: &[ViewCluster]) -> Option<Places> {
         let part = |at: usize| Part {
             place: parts[at],
             density: densities[at],
-            is_kept: kept[at] != 0,
+            kept: kept[at],
         };
         (ascends && fits).then(|| row.map(part).collect::<Vec<Part>>())
     };

@@ -198,6 +198,14 @@ impl CountedPlaces {
         self.row(places, size, predicted, For::Kept)
     }
 
+    /// Returns the places and triangles that a finished map keeps for sure, ascending.
+    pub fn surely_kept(&self, places: &[Part], triangles: &[u32]) -> Vec<u32> {
+        let first = self.nearest.len() as u32;
+        let is_sure = |part: &&Part| self.is_single() || part.kept == 1.0;
+        let places = places.iter().filter(is_sure).map(|part| part.place);
+        places.chain(triangles.iter().map(|&t| first + t)).collect()
+    }
+
     fn row(
         &self,
         places: &[Part],
@@ -210,21 +218,36 @@ impl CountedPlaces {
             MapScale::Half => self.half_worth,
         };
         let first = self.nearest.len() as u32;
-        let counts = |part: &&Part| what_for == For::Order || self.is_single() || part.is_kept;
         let f = |part: &Part| (part.place, worth * self.filled(part, what_for));
-        let places = places.iter().filter(counts).map(f);
+        let places = places.iter().map(f).filter(|(_, f)| *f > 0.0);
         let triangles = triangles.iter().zip(values).map(|(&t, &f)| (first + t, f));
         places.chain(triangles).collect()
     }
 
-    /// Returns the share of a place's cells that a map fills.
+    /// Returns the share of a place's cells that a map fills, or that fusion keeps of it.
     fn filled(&self, part: &Part, what_for: For) -> f32 {
-        let filled = if what_for == For::Order && !self.is_single() {
-            FILLED_FOR_ORDER * part.density
-        } else {
-            FILLED * part.density * self.places.measured_area[part.place as usize]
-        };
-        filled.min(1.0)
+        let measured = FILLED * part.density * self.places.measured_area[part.place as usize];
+        match what_for {
+            _ if self.is_single() => measured.min(1.0),
+            For::Order => (FILLED_FOR_ORDER * part.density).min(1.0),
+            For::Kept => part.kept * measured.min(1.0),
+        }
+    }
+
+    /// Returns the weights of what finished maps have shown, which is no longer a matter of
+    /// chance ([`chance`](Self::chance)).
+    pub fn measured(&self) -> Objective {
+        let mut objective = self.kept.objective.clone();
+        let weights = objective.weights.iter_mut().zip(0..);
+        weights.for_each(|(weight, item)| *weight /= self.chance(item));
+        objective
+    }
+
+    /// Returns the probability that fusion keeps something of what the pilot shows in this place;
+    /// 1 for a triangle.
+    pub fn chance(&self, item: u32) -> f64 {
+        let agreement = self.places.agreement.get(item as usize);
+        agreement.map_or(1.0, |&agreement| chance(agreement))
     }
 
     /// Returns whether fusion keeps what a single map shows, so that none need agree.
@@ -343,7 +366,7 @@ impl Weighing<'_> {
     fn kept(&self, sum: f64) -> Objective {
         let by_triangle = (self.rule.objective, PREDICTED);
         self.objective(by_triangle, sum, |place| {
-            self.expected(place) * self.by_setting(place)
+            chance(self.places.agreement[place]) * self.by_setting(place)
         })
     }
 
@@ -351,16 +374,8 @@ impl Weighing<'_> {
         let rule = self.rule;
         let by_area = Objective::by_area(rule.surface, rule.region, rule.objective.support);
         self.objective((&by_area, PREDICTED), 1.0, |place| {
-            self.expected(place) * self.area(place)
+            chance(self.places.agreement[place]) * self.area(place)
         })
-    }
-
-    /// Returns the probability that fusion keeps something at a place.
-    fn expected(&self, place: usize) -> f64 {
-        match self.places.agreement[place] {
-            Agreement::Single => SINGLE_KEPT,
-            Agreement::Two | Agreement::More => 1.0,
-        }
     }
 
     fn area(&self, place: usize) -> f64 {
@@ -399,6 +414,14 @@ impl Weighing<'_> {
         weights.extend(by_triangle.weights.iter().map(|weight| predicted * weight));
         objective.inside = by_triangle.inside;
         objective
+    }
+}
+
+/// Returns the probability that fusion keeps something where so many maps agree.
+fn chance(agreement: Agreement) -> f64 {
+    match agreement {
+        Agreement::Single => SINGLE_KEPT,
+        Agreement::Two | Agreement::More => 1.0,
     }
 }
 

@@ -77,8 +77,8 @@ pub struct Part {
     pub place: u32,
     /// Pixels of the map per wanted pixel of the place.
     pub density: f32,
-    /// Whether fusion is expected to keep the map's depth there.
-    pub is_kept: bool,
+    /// Part of what the map has there that fusion is expected to keep, 0 to 1.
+    pub kept: f32,
 }
 
 impl Places {
@@ -169,7 +169,7 @@ impl Places {
             self.parts[agreeing.map as usize].push(Part {
                 place: index,
                 density: density(size, agreeing.gsd),
-                is_kept: agreeing.is_kept,
+                kept: f32::from(u8::from(agreeing.is_kept)),
             });
         }
         self.centres.push(found.place);
@@ -399,7 +399,7 @@ mod tests {
         let part = |place| Part {
             place,
             density: 1.0 + place as f32,
-            is_kept: true,
+            kept: 1.0,
         };
         let mut places = Places {
             centres: (0..5)
