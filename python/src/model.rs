@@ -28,6 +28,15 @@ pub struct Held {
 }
 
 impl Model {
+    fn of(project: Project, temporary: Option<TempDir>) -> Result<Self, Failure> {
+        let scene = project.read_scene()?;
+        Ok(Self(Arc::new(Held {
+            project,
+            scene,
+            temporary,
+        })))
+    }
+
     pub fn held(&self) -> Arc<Held> {
         self.0.clone()
     }
@@ -51,16 +60,7 @@ impl Model {
         runner.run(py, |_| {
             let project = Project::open(&project, model.as_deref())?;
             let images = images.map(|images| std::path::absolute(&images).unwrap_or(images));
-            let project = Project {
-                images: images.map(Into::into).or(project.images.clone()),
-                ..project
-            };
-            let scene = project.read_scene()?;
-            Ok(Self(Arc::new(Held {
-                project,
-                scene,
-                temporary: None,
-            })))
+            Self::of(project.with_images(images.as_deref()), None)
         })
     }
 
@@ -92,16 +92,7 @@ impl Model {
                 )?;
             }
             let project = Project::open(&folder, None)?;
-            let project = Project {
-                images: images.map(Into::into).or(project.images.clone()),
-                ..project
-            };
-            let scene = project.read_scene()?;
-            Ok(Self(Arc::new(Held {
-                project,
-                scene,
-                temporary,
-            })))
+            Self::of(project.with_images(images.as_deref()), temporary)
         })
     }
 
@@ -151,12 +142,7 @@ impl Model {
             let (folder, temporary) = folder_or_temporary(folder)?;
             let project = Project::create(&folder, &scene, images.as_deref())?;
             // As a project on disk is read, so that the plan is that of the program.
-            let scene = project.read_scene()?;
-            Ok(Self(Arc::new(Held {
-                project,
-                scene,
-                temporary,
-            })))
+            Self::of(project, temporary)
         })
     }
 
@@ -227,27 +213,19 @@ impl Model {
     }
 
     fn points<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.points),
-            3,
-        )
+        rows::<f64>(slf, &slf.get().0.scene.points, 3)
     }
 
     fn point_ids<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.scene.point_ids)
+        view(slf, &slf.get().0.scene.point_ids)
     }
 
     fn colours<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, u8>(&slf.get().0.scene.colours),
-            3,
-        )
+        rows::<u8>(slf, &slf.get().0.scene.colours, 3)
     }
 
     fn track_offsets<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.scene.track_offsets)
+        view(slf, &slf.get().0.scene.track_offsets)
     }
 
     fn track_views(&self) -> Vec<u32> {
@@ -255,11 +233,7 @@ impl Model {
     }
 
     fn track_pixels<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, f64>(&slf.get().0.scene.track_pixels),
-            2,
-        )
+        rows::<f64>(slf, &slf.get().0.scene.track_pixels, 2)
     }
 
     #[getter]

@@ -191,19 +191,11 @@ impl Plan {
     }
 
     fn vertices<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, f64>(&slf.get().0.plan.stages.surface.vertices),
-            3,
-        )
+        rows::<f64>(slf, &slf.get().0.plan.stages.surface.vertices, 3)
     }
 
     fn triangles<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        rows(
-            slf.as_any(),
-            bytemuck::cast_slice::<_, u32>(&slf.get().0.plan.stages.surface.triangles),
-            3,
-        )
+        rows::<u32>(slf, &slf.get().0.plan.stages.surface.triangles, 3)
     }
 
     /// Fulfilment of each triangle by the chosen clusters and by all, and the number of chosen key
@@ -218,14 +210,11 @@ impl Plan {
     }
 
     fn visibility_offsets<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(
-            slf.as_any(),
-            slf.get().0.plan.stages.visibility.offsets.as_slice(),
-        )
+        view(slf, slf.get().0.plan.stages.visibility.offsets.as_slice())
     }
 
     fn visibility_triangles<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.plan.stages.visibility.triangles)
+        view(slf, &slf.get().0.plan.stages.visibility.triangles)
     }
 
     /// View of the key view of each row of the fulfilment table.
@@ -240,15 +229,15 @@ impl Plan {
     }
 
     fn fulfilment_offsets<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.plan.stages.fulfilment.offsets)
+        view(slf, &slf.get().0.plan.stages.fulfilment.offsets)
     }
 
     fn fulfilment_triangles<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.plan.stages.fulfilment.triangles)
+        view(slf, &slf.get().0.plan.stages.fulfilment.triangles)
     }
 
     fn fulfilment_values<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyUntypedArray>> {
-        view(slf.as_any(), &slf.get().0.plan.stages.fulfilment.values)
+        view(slf, &slf.get().0.plan.stages.fulfilment.values)
     }
 
     /// Writes the plan to its project; returns the folder and the warnings.

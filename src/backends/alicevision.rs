@@ -18,12 +18,9 @@ use super::{
     selection,
     strangers::list_links,
 };
-use crate::{
-    io::output::Contents,
-    model::{
-        cluster::RankedCluster,
-        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
-    },
+use crate::model::{
+    cluster::RankedCluster,
+    scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };
 
 /// Least number of common landmarks of neighbours: AliceVision requires more than 20.
@@ -91,9 +88,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "keys.sfm",
         scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())),
     );
-    files.add(
+    files.add_script(
         "finished.py",
-        Contents::Script(include_bytes!("../../integrations/alicevision/finished.py").to_vec()),
+        include_str!("../../integrations/alicevision/finished.py"),
     );
     record.commands.extend([
         "python3 -I finished.py".into(),
@@ -104,10 +101,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             .into(),
     ]);
     record.note_scale(selection, |_| 1.0 / downscale(selection));
-    files.add("run.sh", script.finish(&[format!("join {FILTERING}")]));
+    files.add_script("run.sh", script.finish(&[format!("join {FILTERING}")]));
     list_links(&mut files);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 fn record_of(selection: &Selection) -> ExportRecord {
@@ -183,13 +179,11 @@ type Landmark = (PointIndex, Vec<ViewIndex>);
 /// Key view and partners, with a landmark per point that the key view shares with a partner,
 /// repeated if too few.
 fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> String {
-    let members: Vec<_> = std::iter::once(cluster.key)
-        .chain(cluster.partners.iter().copied())
-        .collect();
+    let members: Vec<_> = cluster.views().collect();
     let mut landmarks: Vec<Landmark> = points
         .observed_by(cluster.key)
         .iter()
-        .map(|&p| (p, observers(scene, p, |v| members.contains(&v))))
+        .map(|&p| (p, selection::observers(scene, p, |v| members.contains(&v))))
         .filter(|(_, v)| v.len() > 1)
         .collect();
     for &partner in &cluster.partners {
@@ -213,24 +207,9 @@ fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> 
 fn all_landmarks(scene: &Scene, is_key: &[bool]) -> Vec<Landmark> {
     let points = (0..scene.points.len() as u32).map(PointIndex);
     points
-        .map(|p| (p, observers(scene, p, |v| is_key[v.index()])))
+        .map(|p| (p, selection::observers(scene, p, |v| is_key[v.index()])))
         .filter(|(_, v)| v.len() > 1)
         .collect()
-}
-
-fn observers(
-    scene: &Scene,
-    point: PointIndex,
-    among: impl Fn(ViewIndex) -> bool,
-) -> Vec<ViewIndex> {
-    let mut views: Vec<_> = scene
-        .track_views(point)
-        .iter()
-        .copied()
-        .filter(|&v| among(v))
-        .collect();
-    views.dedup();
-    views
 }
 
 /// A `.sfm` of version 1.2.6. Only listed views may occur in observations.

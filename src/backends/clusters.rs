@@ -2,7 +2,7 @@
 //! its head.
 
 use super::{Selection, strangers};
-use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
+use crate::{base::shell::quoted, model::cluster::RankedCluster};
 
 const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
 
@@ -37,15 +37,14 @@ impl ClusterScript {
 
     /// Returns the script, with the commands that fuse the results, each run if the previous one
     /// succeeds.
-    pub fn finish(mut self, joining: &[String]) -> Contents {
+    pub fn finish(mut self, joining: &[String]) -> String {
         if !joining.is_empty() {
             self.0 += &format!(
                 "{{\n    {}\n}} || fail 'the fusion'\n",
                 joining.join(" &&\n    ")
             );
         }
-        self.0 += "exit \"$failed\"\n";
-        Contents::Script(self.0.into_bytes())
+        self.0 + "exit \"$failed\"\n"
     }
 }
 
@@ -53,7 +52,7 @@ impl ClusterScript {
 /// partners, and of the program's `options`.
 pub fn recipe(selection: &Selection, cluster: &RankedCluster, options: &str) -> String {
     let mut text = options.to_owned();
-    for view in std::iter::once(cluster.key).chain(cluster.partners.iter().copied()) {
+    for view in cluster.views() {
         let (camera, pose) = (
             selection.scene.camera_of(view),
             &selection.scene.view(view).cam_from_world,

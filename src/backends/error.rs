@@ -49,6 +49,17 @@ impl From<ProjectError> for BackendError {
     }
 }
 
+impl BackendError {
+    /// The backend cannot take the name of an image.
+    pub(super) fn name(backend: &'static str, name: &str, why: impl Into<String>) -> Self {
+        Self::Name {
+            backend,
+            name: name.into(),
+            why: why.into(),
+        }
+    }
+}
+
 impl Hint for BackendError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {

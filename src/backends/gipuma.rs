@@ -81,10 +81,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.fusion = format!(
         "{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone"
     );
-    files.add("run.sh", script.finish(&[]));
+    files.add_script("run.sh", script.finish(&[]));
     list_links(&mut files);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Adds images, projections and the table of names. Returns the names in the files, by view.
@@ -128,20 +127,8 @@ fn call(
     names: &[String],
 ) -> Result<String, BackendError> {
     let key = cluster.key;
-    let range = selection::depth_range(selection.scene, points, key).ok_or_else(|| {
-        BackendError::Needs {
-            backend: "gipuma",
-            what: format!(
-                "a depth range, and {} observes no sparse point in front of it",
-                selection.scene.name(key)
-            ),
-            hint: "leave the view out of the model".into(),
-        }
-    })?;
-    let images: Vec<&str> = std::iter::once(&key)
-        .chain(&cluster.partners)
-        .map(|v: &ViewIndex| names[v.index()].as_str())
-        .collect();
+    let range = selection::depth_range(BACKEND.name, selection.scene, points, key)?;
+    let images: Vec<&str> = cluster.views().map(|v| &*names[v.index()]).collect();
     Ok(format!(
         "{} -images_folder images/ -p_folder p/ --depth_min={} --depth_max={}",
         images.join(" "),

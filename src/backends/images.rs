@@ -49,8 +49,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     if !tests.is_empty() {
         files.add_text("test.txt", name_lines(selection, &tests));
     }
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Numbers for programs that choose pairs themselves: no pair is excluded, and a place should be in
@@ -68,12 +67,13 @@ pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
 /// by its partners if wanted, then all others if wanted but those kept for tests.
 pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> Vec<ViewIndex> {
     let mut listed = vec![false; selection.scene.views.len()];
-    let with_partners = refs.is_some_and(|r| r != References::Keys);
+    let of_cluster = match refs {
+        None | Some(References::Keys) => 1,
+        _ => usize::MAX,
+    };
     let clusters = selection.clusters.iter();
     let mut views: Vec<_> = clusters
-        .flat_map(|c| {
-            std::iter::once(c.key).chain(c.partners.iter().copied().filter(move |_| with_partners))
-        })
+        .flat_map(|cluster| cluster.views().take(of_cluster))
         .filter(|v| !std::mem::replace(&mut listed[v.index()], true))
         .collect();
     if refs == Some(References::All) {

@@ -8,7 +8,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
 };
-use crate::{base::printable::to_json, io::output::Contents};
+use crate::base::printable::to_json;
 
 pub static BACKEND: Backend = Backend {
     name: "metashape",
@@ -60,9 +60,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     });
     let mut files = options.file_set(&BACKEND, selection);
     files.add_text("clusters.json", to_json(&list));
-    files.add(
+    files.add_script(
         "depth_maps.py",
-        Contents::Script(include_bytes!("../../integrations/metashape/depth_maps.py").to_vec()),
+        include_str!("../../integrations/metashape/depth_maps.py"),
     );
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     record.made_for = "Metashape 1.6 to 2.x (from its reference; not run)".into();
@@ -75,6 +75,5 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     ]);
     record.note_scale(selection, |_| 1.0 / downscale);
     record.fusion = "buildPointCloud (buildDenseCloud before 2.0)".into();
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }

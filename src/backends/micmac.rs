@@ -16,11 +16,7 @@ use super::{
     strangers::list_links,
     sure::stem,
 };
-use crate::{
-    base::shell::quoted,
-    io::{depthmaps::MICMAC_MARK, output::Contents},
-    model::cluster::RankedCluster,
-};
+use crate::{base::shell::quoted, io::depthmaps::MICMAC_MARK, model::cluster::RankedCluster};
 
 pub static BACKEND: Backend = Backend {
     name: "micmac",
@@ -81,10 +77,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     ]);
     record.note_scale(selection, |_| 1.0);
     record.fusion = "MicMac's MergeCloud, by hand".into();
-    files.add("run.sh", runner(selection));
+    files.add_script("run.sh", runner(selection));
     list_links(&mut files);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Ends of the names of MicMac's own files, and of those that viewrank writes beside the images.
@@ -110,11 +105,7 @@ fn check_name(name: &str) -> Result<(), BackendError> {
     } else {
         return Ok(());
     };
-    Err(BackendError::Name {
-        backend: "micmac",
-        name: name.into(),
-        why: why.into(),
-    })
+    Err(BackendError::name("micmac", name, why))
 }
 
 /// Refuses key views that differ in the extension alone: their maps would be in one folder.
@@ -126,11 +117,7 @@ fn check_stems(selection: &Selection) -> Result<(), BackendError> {
             let why = format!(
                 "without the extension, by which MicMac names the folder of a map, it is the same as {other}"
             );
-            return Err(BackendError::Name {
-                backend: "micmac",
-                name: name.into(),
-                why,
-            });
+            return Err(BackendError::name("micmac", name, why));
         }
     }
     Ok(())
@@ -178,7 +165,7 @@ fn masters(selection: &Selection) -> String {
 
 /// Returns the script, described at its head. Malt uses the pattern of images as the name of the
 /// master, so the pattern is the name itself.
-fn runner(selection: &Selection) -> Contents {
+fn runner(selection: &Selection) -> String {
     let mut script = ClusterScript::new(&[], RUNNER_HEAD);
     for cluster in selection.clusters {
         let name = selection.scene.name(cluster.key);

@@ -189,14 +189,11 @@ impl Backend {
     /// Refuses names with a line break or another control character: in a list with a name per line
     /// they are several names, and no program shows or asks for such a file.
     fn check_line(&self, name: &str) -> Result<(), BackendError> {
-        if !name.contains(char::is_control) {
-            return Ok(());
+        if name.contains(char::is_control) {
+            let why = "it has a control character, such as a line break";
+            return Err(BackendError::name(self.name, name, why));
         }
-        Err(BackendError::Name {
-            backend: self.name,
-            name: name.into(),
-            why: "it has a control character, such as a line break".into(),
-        })
+        Ok(())
     }
 
     fn matcher(&self) -> Matcher {

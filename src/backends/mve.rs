@@ -7,22 +7,20 @@
 //! has one (`-m`). `depth-L` maps hold the length of the ray. `scene2pset -F` takes the maps of one
 //! level, so two sizes make two clouds, of which `fssrecon` makes one surface.
 
-use std::path::Path;
-
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
+    selection,
     strangers::list_links,
 };
 use crate::{
     base::shell::command_path,
-    io::output::Contents,
     method::confidence::Photometric,
     model::{
         camera::Camera,
         cluster::{MapScale, RankedCluster},
-        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+        scene::{Scene, ViewIndex, ViewPoints},
     },
 };
 
@@ -92,11 +90,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let selection = &near.selection();
     let images = selection.undistorted_images(BACKEND.name)?;
     let views = selection.keys_first();
-    let mut ids = vec![None; selection.scene.views.len()];
-    views
-        .iter()
-        .enumerate()
-        .for_each(|(i, v)| ids[v.index()] = Some(i));
+    let ids = selection.scene.places_of(views.iter().copied());
     let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
     let mut files = options.file_set(&BACKEND, selection);
     for (i, &view) in views.iter().enumerate() {
@@ -125,14 +119,13 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         .not_honoured
         .push("that every partner is used: dmrecon chooses among them".into());
     let script = runner(selection, &mut record);
-    files.add("run.sh", script);
+    files.add_script("run.sh", script);
     list_links(&mut files);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Returns `run.sh`, and adds to the record what it does.
-fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
+fn runner(selection: &Selection, record: &mut ExportRecord) -> String {
     let choices: Vec<String> = selection
         .clusters
         .iter()
@@ -235,23 +228,8 @@ fn folder(scene: &Scene, view: ViewIndex) -> String {
 
 /// MVE finds the decoder by the extension.
 fn extension(name: &str) -> Result<&'static str, BackendError> {
-    let given = Path::new(name)
-        .extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_ascii_lowercase();
-    match given.as_str() {
-        "jpg" | "jpeg" => Ok("jpg"),
-        "png" => Ok("png"),
-        _ => {
-            let why = "it reads undistorted images as jpg and png, by the extension".into();
-            Err(BackendError::Name {
-                backend: "mve",
-                name: name.into(),
-                why,
-            })
-        }
-    }
+    let why = "it reads undistorted images as jpg and png, by the extension";
+    selection::extension(name, &["jpg", "png"]).ok_or_else(|| BackendError::name("mve", name, why))
 }
 
 /// Returns `meta.ini`: focal length in units of the larger side, principal point in units of each
@@ -300,24 +278,14 @@ fn bundle(
     ids: &[Option<usize>],
     views: usize,
 ) -> String {
-    let members: Vec<ViewIndex> = std::iter::once(cluster.key)
-        .chain(cluster.partners.iter().copied())
-        .collect();
+    let members: Vec<ViewIndex> = cluster.views().collect();
     let mut cameras = vec!["0 0 0\n".repeat(5); views];
     for &view in &members {
         if let Some(id) = ids[view.index()] {
             cameras[id] = bundle_camera(scene, view);
         }
     }
-    let observers = |p: PointIndex| {
-        let mut track: Vec<_> = scene
-            .track_views(p)
-            .iter()
-            .filter(|v| members.contains(v))
-            .collect();
-        track.dedup();
-        track
-    };
+    let observers = |p| selection::observers(scene, p, |view| members.contains(&view));
     let shared: Vec<_> = points
         .observed_by(cluster.key)
         .iter()

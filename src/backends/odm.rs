@@ -135,10 +135,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         |path| sh_word(&path.display().to_string()),
     );
     record.commands = vec![format!("./run.sh {project}")];
-    files.add(
-        "run.sh",
-        Contents::Script(with_refusal(&script).into_bytes()),
-    );
+    files.add_script("run.sh", with_refusal(&script));
     list_links(&mut files);
     record.not_honoured.extend([
         "the rank order".into(),
@@ -154,8 +151,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.warnings.extend(of_other_coordinates(selection));
     record.pixel_shift = -0.5;
     record.fusion = "options of ODX and ODM: number-views-fuse 2".into();
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Warns of coordinates that are not the engine's, or that its files would round.

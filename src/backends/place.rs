@@ -113,11 +113,7 @@ pub fn check(folder: &Path, exports: &[Export], project: &Project) -> Result<(),
             std::io::ErrorKind::InvalidFilename,
             "a path that is not UTF-8",
         );
-        return Err(ProjectError::Io {
-            path: folder.into(),
-            source: why,
-        }
-        .into());
+        return Err(ProjectError::io(folder)(why).into());
     }
     for Export { files, record } in exports {
         match earlier_backend(folder).filter(|earlier| *earlier != record.backend) {

@@ -7,12 +7,10 @@
 //! options end the program, and `-1 a b` excludes b. Which pixel convention it assumes is not
 //! known; matrices are as in COLMAP's own export.
 
-use std::path::Path;
-
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, Trap,
-    strangers::{RUNNER, add_runner},
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, Trap, selection,
+    strangers::add_runner,
 };
 use crate::{
     io::output::Contents,
@@ -93,10 +91,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     ]);
     record.note_scale(selection, |_| selection.halved());
     record.fusion = format!("none; models/{OPTIONS}.ply");
-    record.runner = Some(RUNNER.into());
-    add_runner(&mut files, &record.commands);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    add_runner(&mut files, &mut record);
+    Ok(Export::new(files, record))
 }
 
 /// Returns P = K [R | t], row major, in COLMAP's pixel convention (as COLMAP's own export for
@@ -113,22 +109,9 @@ pub(super) fn projection(scene: &Scene, view: ViewIndex) -> String {
 
 /// PMVS2 chooses the decoder by the extension.
 fn extension(name: &str) -> Result<&'static str, BackendError> {
-    let given = Path::new(name)
-        .extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_ascii_lowercase();
-    match given.as_str() {
-        "jpg" | "jpeg" => Ok("jpg"),
-        "png" => Ok("png"),
-        "tif" | "tiff" => Ok("tiff"),
-        "ppm" => Ok("ppm"),
-        _ => Err(BackendError::Name {
-            backend: "pmvs",
-            name: name.into(),
-            why: "it reads jpg, png, tiff and ppm, by the extension".into(),
-        }),
-    }
+    let why = "it reads jpg, png, tiff and ppm, by the extension";
+    selection::extension(name, &["jpg", "png", "tiff", "ppm"])
+        .ok_or_else(|| BackendError::name("pmvs", name, why))
 }
 
 /// Returns `vis.dat`: rows are identified by position, one for each image, also for those without

@@ -10,7 +10,6 @@ use super::{
 };
 use crate::{
     base::input::{self, FileKind},
-    io::output::Contents,
     model::scene::ViewIndex,
 };
 
@@ -52,11 +51,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         let stem = stem(name);
         if let Some(other) = by_stem.insert(stem, name) {
             let why = format!("its side file would be that of {other} too");
-            return Err(BackendError::Name {
-                backend: BACKEND.name,
-                name: name.into(),
-                why,
-            });
+            return Err(BackendError::name(BACKEND.name, name, why));
         }
         files.add_text(
             format!("xmp/{stem}.xmp"),
@@ -72,9 +67,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
     record.way =
         "side files that switch meshing, to lie beside the images before these are added".into();
-    files.add(
+    files.add_script(
         "switch.py",
-        Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()),
+        include_str!("../../integrations/realityscan/switch.py"),
     );
     record.commands = vec![format!(
         "python3 -I switch.py {}",
@@ -92,8 +87,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     ]);
     record.other_maps = used.len() - selection.clusters.len();
     record.fusion = "internal".into();
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Warns of existing side files with poses next to the images.

@@ -23,6 +23,14 @@ pub struct Export {
     pub record: ExportRecord,
 }
 
+impl Export {
+    /// Completes the files with their record.
+    pub(super) fn new(mut files: FileSet, record: ExportRecord) -> Self {
+        files.add_text("export.json", record.to_json());
+        Self { files, record }
+    }
+}
+
 /// Commands, limits and clusters of an export; written next to the files and into the manifest.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExportRecord {
@@ -186,8 +194,7 @@ impl ExportRecord {
 /// Warns of view clusters that cannot be computed as planned because images are missing; `missing`
 /// is ascending.
 fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String> {
-    let is_missing = |view: &ViewIndex| missing.binary_search(view).is_ok();
-    let lacks = |c: &RankedCluster| std::iter::once(&c.key).chain(&c.partners).any(is_missing);
+    let lacks = |c: &RankedCluster| c.views().any(|view| missing.binary_search(&view).is_ok());
     let ranks = (1..)
         .zip(selection.clusters)
         .filter(|(_, c)| lacks(c))

@@ -13,7 +13,7 @@ use crate::{
     },
     model::{
         cluster::{MapScale, RankedCluster},
-        scene::{Scene, ViewIndex, ViewPoints},
+        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
     },
 };
 
@@ -77,7 +77,7 @@ impl Selection<'_> {
         let mut views: Vec<_> = self
             .clusters
             .iter()
-            .flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied()))
+            .flat_map(RankedCluster::views)
             .collect();
         views.sort_unstable();
         views.dedup();
@@ -151,7 +151,7 @@ impl Selection<'_> {
         let home = paths::real(&self.project.home);
         let seen_from = |images: &ImageFolder| match paths::real(images).strip_prefix(&home) {
             Ok(inside) => place::path_from(from, &home).join(inside),
-            Err(_) => std::path::absolute(images).unwrap_or_else(|_| images.to_path_buf()),
+            Err(_) => paths::absolute(images),
         };
         match &self.project.images {
             Some(images) => command_path(&seen_from(images)),
@@ -313,8 +313,7 @@ fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
 /// Returns the depths of the points that the view observes, in front of it, ascending, scene units.
 pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let pose = &scene.view(view).cam_from_world;
-    let depth =
-        |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
+    let depth = |&p: &PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
     let mut depths: Vec<f64> = points
         .observed_by(view)
         .iter()
@@ -327,7 +326,15 @@ pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
 
 /// Returns the 1 % and 99 % quantiles of the depths of the view's sparse points; if it observes
 /// none, of all points in front of it.
-pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Option<[f64; 2]> {
+///
+/// # Errors
+/// If no point is in front of it; `backend` needs a range.
+pub fn depth_range(
+    backend: &'static str,
+    scene: &Scene,
+    points: &ViewPoints,
+    view: ViewIndex,
+) -> Result<[f64; 2], BackendError> {
     let mut all = depths(scene, points, view);
     if all.is_empty() {
         let pose = &scene.view(view).cam_from_world;
@@ -339,11 +346,15 @@ pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Optio
             .collect();
         all.sort_unstable_by(f64::total_cmp);
     }
-    let at = |share: f64| {
-        all.get(((all.len().checked_sub(1)? as f64) * share).round() as usize)
-            .copied()
+    let Some(last) = all.len().checked_sub(1) else {
+        let name = scene.name(view);
+        return Err(BackendError::Needs {
+            backend,
+            what: format!("a depth range, and {name} observes no sparse point in front of it"),
+            hint: "leave the view out of the model".into(),
+        });
     };
-    Some([at(0.01)?, at(0.99)?])
+    Ok([0.01, 0.99].map(|share| all[(last as f64 * share).round() as usize]))
 }
 
 /// Returns the number of sparse points that each view of the scene shares with `view`; 0 for
@@ -358,6 +369,29 @@ pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec
     }
     shared[view.index()] = 0;
     shared
+}
+
+/// Returns the one of these extensions that a name has, in lower case and as it is usually spelt.
+pub fn extension(name: &str, known: &[&'static str]) -> Option<&'static str> {
+    let given = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
+    let usual = match &*given {
+        "jpeg" => "jpg",
+        "tif" => "tiff",
+        given => given,
+    };
+    known.iter().find(|known| **known == usual).copied()
+}
+
+/// Returns those of the views that observe a point that are wanted, each once.
+pub fn observers(
+    scene: &Scene,
+    point: PointIndex,
+    wanted: impl Fn(ViewIndex) -> bool,
+) -> Vec<ViewIndex> {
+    let mut views = scene.track_views(point).to_vec();
+    views.dedup();
+    views.retain(|view| wanted(*view));
+    views
 }
 
 /// Number of key views that a fusion compares with one: all that share points would take long.

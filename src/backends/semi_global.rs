@@ -91,9 +91,5 @@ pub(super) fn checked_name<'a>(
     } else {
         return Ok(name);
     };
-    Err(BackendError::Name {
-        backend,
-        name: name.into(),
-        why: why.into(),
-    })
+    Err(BackendError::name(backend, name, why))
 }

@@ -20,6 +20,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
+    selection,
     workspace::{Workspace, add_workspace},
 };
 use crate::{
@@ -104,8 +105,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.fusion = "none".into();
     record.warnings.extend(without_images);
     record.warnings.extend(warnings(selection, &views));
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Adds the model of all images and, if some are kept for tests, that of the others. Returns a
@@ -249,15 +249,8 @@ fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     let scene = selection.scene;
     let mut chosen = vec![false; scene.views.len()];
     views.iter().for_each(|v| chosen[v.index()] = true);
-    let seen = |p: &PointIndex| {
-        let mut track: Vec<_> = scene
-            .track_views(*p)
-            .iter()
-            .filter(|v| chosen[v.index()])
-            .collect();
-        track.dedup();
-        track.len() >= 2
-    };
+    let seen =
+        |p: &PointIndex| selection::observers(scene, *p, |view| chosen[view.index()]).len() >= 2;
     let points: Vec<PointIndex> = (0..scene.points.len() as u32)
         .map(PointIndex)
         .filter(seen)

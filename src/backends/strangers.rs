@@ -1,6 +1,7 @@
 //! Shell functions that all exported scripts share: a script restarts itself under a fixed name, and
 //! refuses links, pipes and the like that somebody else has put into its folder.
 
+use super::ExportRecord;
 use crate::io::output::{Contents, FileSet};
 
 /// The function of sh that refuses.
@@ -16,21 +17,12 @@ pub fn with_refusal(script: &str) -> String {
         .replacen("@REFUSE_STRANGERS@\n", REFUSE, 1)
 }
 
-/// The file that [`add_runner`] adds.
-pub const RUNNER: &str = "run.sh";
-
 /// Adds `run.sh`, which runs the commands of an export one after the other, and `links.txt`; the
 /// export's files are complete but for its record.
-pub fn add_runner(files: &mut FileSet, commands: &[String]) {
+pub fn add_runner(files: &mut FileSet, record: &mut ExportRecord) {
     let head = with_refusal(include_str!("../../integrations/run_commands.sh"));
-    let lines: String = commands
-        .iter()
-        .map(|command| format!("{command}\n"))
-        .collect();
-    files.add(
-        RUNNER,
-        Contents::Script(format!("{head}{lines}").into_bytes()),
-    );
+    record.runner = Some("run.sh".into());
+    files.add_script("run.sh", head + &record.commands.join("\n") + "\n");
     list_links(files);
 }
 

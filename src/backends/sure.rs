@@ -16,11 +16,7 @@ use super::{
 use std::collections::HashMap;
 
 use crate::{
-    io::{
-        formats::sure,
-        output::{Contents, FileSet},
-        project::ProjectKind,
-    },
+    io::{formats::sure, output::FileSet, project::ProjectKind},
     model::{
         cluster::{Gate, MapScale, RankedCluster},
         scene::ViewIndex,
@@ -105,23 +101,19 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         &selection.clusters.iter().map(|c| c.key).collect::<Vec<_>>(),
     );
     for cluster in selection.clusters {
-        let views: Vec<_> = std::iter::once(cluster.key)
-            .chain(cluster.partners.iter().copied())
-            .collect();
         add_lists(
             &mut files,
             &format!("clusters/{}/", project(selection, cluster)),
             &names,
-            &views,
+            &Vec::from_iter(cluster.views()),
             &[cluster.key],
         );
     }
     let record = record_of(selection, &names);
-    files.add("run.sh", shell_script(selection));
+    files.add_script("run.sh", shell_script(selection));
     list_links(&mut files);
     files.add_text("run.bat", batch_script(selection));
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
@@ -203,7 +195,7 @@ fn result_name(selection: &Selection, cluster: &RankedCluster) -> String {
 }
 
 /// Returns `run.sh`, with two calls per cluster.
-fn shell_script(selection: &Selection) -> Contents {
+fn shell_script(selection: &Selection) -> String {
     let names: Vec<String> = selection
         .clusters
         .iter()
@@ -256,11 +248,7 @@ fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
                 "without folder and extension it is the same as {}",
                 selection.scene.name(other)
             );
-            return Err(BackendError::Name {
-                backend: "sure",
-                name: name.into(),
-                why,
-            });
+            return Err(BackendError::name("sure", name, why));
         }
         names[view.index()] = flat;
     }

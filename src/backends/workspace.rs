@@ -50,12 +50,8 @@ pub fn add_workspace(
     for &view in workspace.views.iter().chain(workspace.tests) {
         let name = selection.scene.name(view);
         if name.split('/').any(|part| matches!(part, "" | "." | "..")) {
-            let why = "it leads out of the image folder".into();
-            return Err(BackendError::Name {
-                backend,
-                name: name.into(),
-                why,
-            });
+            let why = "it leads out of the image folder";
+            return Err(BackendError::name(backend, name, why));
         }
         if let Some((folder, images)) = workspace.images {
             files.add(format!("{folder}/{name}"), images.link(name));
@@ -88,12 +84,8 @@ fn reduced_model(
         let reduced = model.reduced(use_of, workspace.least_views)?;
         Ok(colmap_bin::write(&reduced.moved(origin)?))
     };
-    let fault = |fault| ProjectError::Fault {
-        path: selection.project.model.path.clone(),
-        fault,
-    };
     Ok(selection
         .project
         .with_colmap_model(selection.scene, write)?
-        .map_err(fault)?)
+        .map_err(ProjectError::fault(&selection.project.model.path))?)
 }

@@ -19,205 +19,83 @@ use crate::{
     io::{paths, project},
 };
 
-/// Other words for subcommands.
-const SUBCOMMANDS: [(&str, &[&str]); 13] = [
+/// Other words for subcommands, separated by blanks.
+const SUBCOMMANDS: [(&str, &str); 13] = [
     (
         "plan",
-        &[
-            "rank",
-            "order",
-            "prioritize",
-            "prioritise",
-            "select",
-            "choose",
-            "schedule",
-            "analyze",
-            "analyse",
-            "cluster",
-            "optimize",
-            "optimise",
-            "sort",
-        ],
+        "rank order prioritize prioritise select choose schedule analyze analyse cluster optimize optimise sort",
     ),
     (
         "run",
-        &[
-            "match",
-            "densify",
-            "dense",
-            "compute",
-            "start",
-            "reconstruct",
-            "mvs",
-            "stereo",
-            "patch_match_stereo",
-            "go",
-        ],
+        "match densify dense compute start reconstruct mvs stereo patch_match_stereo go",
     ),
-    (
-        "inspect",
-        &["info", "show", "stat", "stats", "print", "model", "list"],
-    ),
-    (
-        "doctor",
-        &["check", "validate", "verify", "diagnose", "lint"],
-    ),
-    (
-        "config",
-        &["settings", "setting", "configuration", "init", "set"],
-    ),
-    ("report", &["html", "page", "view", "open", "plot"]),
-    (
-        "evaluate",
-        &["measure", "eval", "score", "benchmark", "quality"],
-    ),
-    ("export", &["write", "convert", "save", "output"]),
-    ("backends", &["programs", "formats", "engines"]),
-    (
-        "undistort",
-        &["rectify", "image_undistorter", "undistorted"],
-    ),
-    (
-        "dispatch",
-        &["slurm", "submit", "queue", "sbatch", "parallel"],
-    ),
-    ("train", &["learn", "fit"]),
-    ("watch", &["daemon", "monitor", "follow", "serve"]),
+    ("inspect", "info show stat stats print model list"),
+    ("doctor", "check validate verify diagnose lint"),
+    ("config", "settings setting configuration init set"),
+    ("report", "html page view open plot"),
+    ("evaluate", "measure eval score benchmark quality"),
+    ("export", "write convert save output"),
+    ("backends", "programs formats engines"),
+    ("undistort", "rectify image_undistorter undistorted"),
+    ("dispatch", "slurm submit queue sbatch parallel"),
+    ("train", "learn fit"),
+    ("watch", "daemon monitor follow serve"),
 ];
 
-/// Other words for options.
-const OPTIONS: [(&str, &[&str]); 12] = [
+/// Other words for options, separated by blanks.
+const OPTIONS: [(&str, &str); 12] = [
     (
         "--images",
-        &[
-            "--image-path",
-            "--image_path",
-            "--image-dir",
-            "--image-folder",
-            "--imgs",
-            "--photos",
-            "--pictures",
-        ],
+        "--image-path --image_path --image-dir --image-folder --imgs --photos --pictures",
     ),
     (
         "--out",
-        &[
-            "--output",
-            "--output-path",
-            "--output_path",
-            "--output-dir",
-            "--dest",
-            "--destination",
-            "-o",
-        ],
+        "--output --output-path --output_path --output-dir --dest --destination -o",
     ),
     (
         "--target",
-        &[
-            "--quality",
-            "--share",
-            "--percent",
-            "--goal",
-            "--stop-at",
-            "-t",
-        ],
+        "--quality --share --percent --goal --stop-at -t",
     ),
     (
         "--budget",
-        &[
-            "--max-views",
-            "--views",
-            "--num-views",
-            "--max-maps",
-            "--limit",
-            "--number",
-            "--clusters",
-            "--num-clusters",
-            "-n",
-        ],
+        "--max-views --views --num-views --max-maps --limit --number --clusters --num-clusters -n",
     ),
     (
         "--gsd",
-        &[
-            "--resolution",
-            "--ground-sampling-distance",
-            "--pixel-size",
-            "--res",
-        ],
+        "--resolution --ground-sampling-distance --pixel-size --res",
     ),
     (
         "-k",
-        &[
-            "--k",
-            "--neighbors",
-            "--neighbours",
-            "--num-neighbors",
-            "--partner",
-            "--sources",
-            "--num-sources",
-        ],
+        "--k --neighbors --neighbours --num-neighbors --partner --sources --num-sources",
     ),
     (
         "--backend",
-        &[
-            "--engine",
-            "--mvs",
-            "--matcher",
-            "--format-for",
-            "--program-name",
-            "-b",
-        ],
+        "--engine --mvs --matcher --format-for --program-name -b",
     ),
-    (
-        "--region",
-        &["--roi", "--aoi", "--bbox", "--box", "--area", "--polygon"],
-    ),
-    ("--max-memory", &["--memory", "--mem", "--ram", "-m"]),
-    (
-        "--threads",
-        &["--jobs", "--num-threads", "--num_threads", "--cpus", "-j"],
-    ),
-    ("--format json", &["--json", "--as-json"]),
-    (
-        "--dry-run",
-        &["--dryrun", "--no-write", "--simulate", "--pretend"],
-    ),
+    ("--region", "--roi --aoi --bbox --box --area --polygon"),
+    ("--max-memory", "--memory --mem --ram -m"),
+    ("--threads", "--jobs --num-threads --num_threads --cpus -j"),
+    ("--format json", "--json --as-json"),
+    ("--dry-run", "--dryrun --no-write --simulate --pretend"),
 ];
 
 /// Words that people type where something else than another option is meant.
-const ADVICE: [(&str, &[&str]); 4] = [
+const ADVICE: [(&str, &str); 4] = [
     (
         "settings are in PROJECT/viewrank.toml; viewrank config PROJECT lists them",
-        &[
-            "--config",
-            "--settings",
-            "--set",
-            "--option",
-            "--config-file",
-            "-c",
-        ],
+        "--config --settings --set --option --config-file -c",
     ),
     (
         "write units = \"metric\" into PROJECT/viewrank.toml",
-        &["--units", "--unit", "--metric", "--metres", "--meters"],
+        "--units --unit --metric --metres --meters",
     ),
     (
         "name the project without an option, as in viewrank plan PROJECT",
-        &[
-            "--project",
-            "--input",
-            "--workspace",
-            "--workspace_path",
-            "--workspace-path",
-            "--path",
-            "--sparse",
-            "-i",
-            "-p",
-        ],
+        "--project --input --workspace --workspace_path --workspace-path --path --sparse -i -p",
     ),
     (
         "viewrank plan --verbose says most; --quiet says less",
-        &["--debug", "-v"],
+        "--debug -v",
     ),
 ];
 
@@ -240,9 +118,7 @@ pub fn region(typed: &str) -> String {
 
 /// Returns a path as a setting, which is relative to the project.
 pub fn absolute(path: &Path) -> String {
-    let absolute = std::path::absolute(path);
-    let absolute = absolute.unwrap_or_else(|_| path.to_path_buf());
-    absolute.to_string_lossy().into_owned()
+    paths::absolute(path).to_string_lossy().into_owned()
 }
 
 /// Returns the command line, to be shown: bytes that are not UTF-8 are replaced.
@@ -408,11 +284,9 @@ fn suggest(mut error: Error) -> Error {
     error
 }
 
-fn meant_by(typed: &str, table: &[(&'static str, &[&str])]) -> Option<&'static str> {
-    table
-        .iter()
-        .find(|(_, words)| words.contains(&typed))
-        .map(|(meant, _)| *meant)
+fn meant_by(typed: &str, table: &[(&'static str, &str)]) -> Option<&'static str> {
+    let means = |(_, words): &&(_, &str)| words.split(' ').any(|word| word == typed);
+    table.iter().find(means).map(|(meant, _)| *meant)
 }
 
 /// Returns the probable meaning of a word that is no option and that the subcommand has no place
@@ -504,7 +378,7 @@ mod tests {
         for (meant, words) in SUBCOMMANDS {
             assert!(known.find_subcommand(meant).is_some(), "{meant}");
             words
-                .iter()
+                .split(' ')
                 .for_each(|word| assert!(known.find_subcommand(word).is_none(), "{word}"));
         }
     }

@@ -13,7 +13,7 @@ use crate::{
     backends::{self, place},
     base::shell::sh_word,
     config::{Budget, CommandLineSettings, DispatchSettings, Share},
-    daemon::{follow, state::Outcome},
+    daemon::{follow, phase::Phase, state::Outcome},
     io::{
         output::{self, Contents, Disk, FileSet},
         project::Project,
@@ -304,7 +304,7 @@ impl Arguments {
         let outcome = follow::follow(root, &|path| done.contains(path), &progress);
         progress.finish();
         match outcome {
-            Outcome::Followed { reached, .. } => Ok(reached),
+            Outcome::Followed(phase) => Ok(matches!(phase, Phase::Reached { .. })),
             other => {
                 if let Outcome::Failed { reason, .. } = other {
                     warn(&format!("cannot measure the existing depth maps: {reason}"));

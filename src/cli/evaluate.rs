@@ -22,7 +22,7 @@ use crate::{
         output::{Contents, Disk, FileSet, refuse_to_leave},
         project::Project,
     },
-    model::{cluster::ViewCluster, scene::ViewIndex},
+    model::scene::ViewIndex,
     plan::Plan,
 };
 use clap::Args;
@@ -173,7 +173,7 @@ fn measure(
     refuse_to_leave(&project.home, &out)?;
     let clusters = match &arguments.clusters {
         Some(file) => clusters::read(file, &plan.stages.scene)?,
-        None => planned(plan),
+        None => orders::of_plan(plan).cloned().collect(),
     };
     let reference = arguments.reference.as_deref();
     let input = EvaluationInput::new(&plan.stages, &clusters, folder, reference);
@@ -223,18 +223,6 @@ fn compared_clouds(arguments: &Arguments, plan: &Plan) -> Result<Option<CloudCom
     let gsd = plan.stages.settings.target.gsd;
     let gsd = gsd.expect("a plan's settings are filled in");
     Ok(Some(CloudComparison::read(cloud, reference, gsd)?))
-}
-
-/// All clusters of the plan, those without predicted gain last.
-fn planned(plan: &Plan) -> Vec<ViewCluster> {
-    let order = orders::completed(
-        plan.decision.ranking.order.clone(),
-        plan.stages.clusters.len(),
-    );
-    order
-        .iter()
-        .map(|&c| plan.stages.clusters[c as usize].clone())
-        .collect()
 }
 
 fn output(

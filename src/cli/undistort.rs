@@ -1,6 +1,6 @@
 //! `viewrank undistort`: undistorted images and their model, as a COLMAP dense workspace.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::{
     apps::undistort::{self, UndistortOptions, UndistortReport},
@@ -60,6 +60,20 @@ pub struct Arguments {
 #[derive(Clone, Copy)]
 struct Roi([f64; 4]);
 
+/// Undistorts the images to `out`, shows the progress unless `quiet`, and warns.
+pub fn undistorted(
+    project: &Project,
+    options: &UndistortOptions,
+    out: &Path,
+    quiet: bool,
+) -> Result<UndistortReport, Failure> {
+    let progress = ProgressDisplay::new(quiet);
+    let done = undistort::undistort(project, options, out, &project.disk(), &progress)?;
+    progress.finish();
+    done.warning().iter().for_each(|warning| warn(warning));
+    Ok(done)
+}
+
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.min_scale > arguments.max_scale {
         let message = format!(
@@ -81,16 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .out
         .clone()
         .unwrap_or_else(|| project.home.join("dense"));
-    let progress = ProgressDisplay::new(arguments.quiet);
-    let done = undistort::undistort(
-        &project,
-        &arguments.options(),
-        &out,
-        &project.disk(),
-        &progress,
-    )?;
-    progress.finish();
-    done.warning().iter().for_each(|warning| warn(warning));
+    let done = undistorted(&project, &arguments.options(), &out, arguments.quiet)?;
     match arguments.format {
         Format::Json => print_json(&done),
         Format::Text if arguments.quiet => Ok(()),

@@ -13,7 +13,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::io::project::MASKS;
+use crate::{base::paths::sub_folders, io::project::MASKS};
 
 /// File names of a COLMAP model, without suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
@@ -343,17 +343,6 @@ fn folders_at(top: &Path) -> Vec<PathBuf> {
         .filter_map(Result::ok);
     walk.filter(|entry| entry.file_type().is_dir())
         .map(walkdir::DirEntry::into_path)
-        .collect()
-}
-
-fn sub_folders(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .filter_map(Result::ok);
-    entries
-        .map(|entry| entry.path())
-        .filter(|path| path.is_dir())
         .collect()
 }
 

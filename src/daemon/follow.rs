@@ -115,38 +115,37 @@ impl Progress {
 
     /// The phase of a project at this progress.
     pub fn phase(self) -> Phase {
-        Phase::followed(
-            self.done,
-            self.clusters,
-            self.share,
-            self.target_reached,
-            self.note,
-        )
-    }
-
-    /// Converts to the outcome of a job, with a further note.
-    pub(super) fn outcome(self, further: Option<String>) -> Outcome {
         let Self {
             done,
             clusters,
             share,
-            target_reached: reached,
             note,
-            outdated,
             ..
         } = self;
-        let notes: Vec<String> = [further, note, outdated_note(&outdated, PROGRESS)]
-            .into_iter()
-            .flatten()
-            .collect();
-        let note = (!notes.is_empty()).then(|| notes.join("; "));
-        Outcome::Followed {
-            done,
-            clusters,
-            share,
-            reached,
-            note,
+        match share.filter(|_| self.target_reached) {
+            Some(share) => Phase::Reached {
+                done,
+                clusters,
+                share,
+                note,
+            },
+            None => Phase::Partial {
+                done,
+                clusters,
+                share,
+                unmeasured: 0,
+                note,
+            },
         }
+    }
+
+    /// Converts to the outcome of a job, with a further note.
+    pub(super) fn outcome(mut self, further: Option<String>) -> Outcome {
+        let outdated = outdated_note(&self.outdated, PROGRESS);
+        let notes = [further, self.note.take(), outdated].into_iter().flatten();
+        let notes: Vec<String> = notes.collect();
+        self.note = (!notes.is_empty()).then(|| notes.join("; "));
+        Outcome::Followed(self.phase())
     }
 
     /// Writes the progress of a project.

@@ -92,6 +92,15 @@ pub struct PlanJob {
 /// Result of a step of a job, or the outcome that ends the job early.
 type StepResult<T> = Result<T, Outcome>;
 
+/// What a step that ended early is for its project: nothing, if it was to end.
+fn of_ended(ended: Outcome, job: &Job) -> Outcome {
+    if job.is_cancelled() {
+        Outcome::Abandoned
+    } else {
+        ended
+    }
+}
+
 impl Planner for PlanJob {
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
         // In the daemon's own process, which reads no model: no file depends on its unit.
@@ -116,13 +125,8 @@ impl Planner for PlanJob {
     }
 
     fn follow(&self, job: &Job) -> Outcome {
-        self.try_follow(job).unwrap_or_else(|ended| {
-            if job.is_cancelled() {
-                Outcome::Abandoned
-            } else {
-                ended
-            }
-        })
+        self.try_follow(job)
+            .unwrap_or_else(|ended| of_ended(ended, job))
     }
 
     fn forget(&self, project: &Path) {
@@ -148,13 +152,8 @@ impl PlanJob {
 
     /// As [`Planner::plan`], also at another time.
     pub(super) fn plan_if(&self, when: PlanWhen, job: &Job) -> Outcome {
-        self.try_plan(when, job).unwrap_or_else(|ended| {
-            if job.is_cancelled() {
-                Outcome::Abandoned
-            } else {
-                ended
-            }
-        })
+        self.try_plan(when, job)
+            .unwrap_or_else(|ended| of_ended(ended, job))
     }
 
     fn try_plan(&self, when: PlanWhen, job: &Job) -> StepResult<Outcome> {

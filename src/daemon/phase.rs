@@ -81,31 +81,6 @@ pub enum Phase {
 }
 
 impl Phase {
-    /// The phase of a project some of whose depth maps are finished.
-    pub fn followed(
-        done: usize,
-        clusters: usize,
-        share: Option<f64>,
-        reached: bool,
-        note: Option<String>,
-    ) -> Self {
-        match share.filter(|_| reached) {
-            Some(share) => Self::Reached {
-                done,
-                clusters,
-                share,
-                note,
-            },
-            None => Self::Partial {
-                done,
-                clusters,
-                share,
-                unmeasured: 0,
-                note,
-            },
-        }
-    }
-
     /// The same phase without the middle of long texts: the status has those of all projects, and is
     /// read up to a limit.
     pub fn shortened(mut self) -> Self {

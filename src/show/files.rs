@@ -11,6 +11,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         input::FileKind,
+        paths,
         printable::json_escaped,
         shell::{command_path, one_after_other},
     },
@@ -204,7 +205,7 @@ fn own_files(plan: &Plan, project: &Project, manifest: &Manifest) -> FileSet {
     let mut own = FileSet::new(&project.home, "plan");
     let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
     if project.is_elsewhere() {
-        let root = std::path::absolute(&project.root).unwrap_or_else(|_| project.root.clone());
+        let root = paths::absolute(&project.root);
         add(
             "project.json",
             json!({ "project": root }).to_string() + "\n",

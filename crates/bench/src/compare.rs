@@ -37,6 +37,15 @@ pub fn choices(plan: &Plan, k: u32) -> Result<Vec<RuleClusters>, TableError> {
         ..plan.stages.settings.partners.clone()
     };
     let mut choices = Vec::new();
+    let mut add = |rule: &str, clusters: &[ViewCluster], order: &[u32]| {
+        choices.push(RuleClusters {
+            rule: rule.into(),
+            clusters: order
+                .iter()
+                .map(|&c| clusters[c as usize].clone())
+                .collect(),
+        });
+    };
     for (rule, model) in [("ours", &model), ("ours-nocp", &certain)] {
         let (clusters, table) = partners::choose(
             model,
@@ -46,27 +55,13 @@ pub fn choices(plan: &Plan, k: u32) -> Result<Vec<RuleClusters>, TableError> {
             &NoWatcher,
         )?;
         let order = orders::greedy(&table, &plan.stages.objective, &NoWatcher)?;
-        let clusters = order
-            .iter()
-            .map(|&c| clusters[c as usize].clone())
-            .collect();
-        choices.push(RuleClusters {
-            rule: rule.into(),
-            clusters,
-        });
+        add(rule, &clusters, &order);
     }
     let keys: Vec<ViewIndex> = plan.stages.clusters.iter().map(|c| c.key).collect();
     for rule in RULES {
         let clusters = rule.clusters(&plan.stages.scene, &keys, k as usize);
         let order = orders::max_points(&plan.stages.scene, &clusters);
-        let clusters = order
-            .iter()
-            .map(|&c| clusters[c as usize].clone())
-            .collect();
-        choices.push(RuleClusters {
-            rule: rule.name.into(),
-            clusters,
-        });
+        add(rule.name, &clusters, &order);
     }
     Ok(choices)
 }

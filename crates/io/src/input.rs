@@ -172,24 +172,22 @@ pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
 
 /// Reads an open file whole, up to the limit of its kind.
 pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
-    let length = file.metadata()?.len();
-    check_length(length, kind)?;
-    let mut bytes = Vec::new();
-    bytes.try_reserve_exact(length as usize)?;
-    // It may grow meanwhile.
-    file.take(length).read_to_end(&mut bytes)?;
-    Ok(bytes)
+    read_first(file, kind, u64::MAX)
 }
 
 /// Reads the first `most` bytes of a regular file, or all of them if there are fewer, up to the
 /// limit of its kind.
 pub fn read_start(path: &Path, kind: FileKind, most: u64) -> io::Result<Vec<u8>> {
-    let file = open(path)?;
+    read_first(open(path)?, kind, most)
+}
+
+fn read_first(file: File, kind: FileKind, most: u64) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     check_length(length, kind)?;
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(length.min(most) as usize)?;
-    file.take(most).read_to_end(&mut bytes)?;
+    // It may grow meanwhile.
+    file.take(length.min(most)).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 

@@ -31,6 +31,11 @@ impl Packer {
         self.bytes.extend_from_slice(bytemuck::cast_slice(numbers));
     }
 
+    /// Appends a list of numbers that are made one by one.
+    pub fn each<T: Pod>(&mut self, numbers: impl Iterator<Item = T>) {
+        self.list(&Vec::from_iter(numbers));
+    }
+
     /// Appends a column as [`Self::list`] does, without a copy.
     pub fn column<T: Pod + Debug + Send + Sync>(&mut self, column: &Column<T>) {
         self.bytes

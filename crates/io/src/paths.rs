@@ -1,4 +1,4 @@
-//! Paths without links.
+//! Paths without links, absolute ones, and those in a folder.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -7,9 +7,24 @@ pub fn is_same(one: &Path, other: &Path) -> bool {
     real(one) == real(other)
 }
 
+/// The path from the root of the file system on, with its links; the path itself where the working
+/// folder is gone.
+pub fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
+}
+
+/// The folders in a folder, also by links, sorted; none where it cannot be read.
+pub fn sub_folders(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    let paths = entries.filter_map(Result::ok).map(|entry| entry.path());
+    let mut folders: Vec<_> = paths.filter(|path| path.is_dir()).collect();
+    folders.sort();
+    folders
+}
+
 /// The path without links and `..`, also of a file that doesn't exist yet.
 pub fn real(path: &Path) -> PathBuf {
-    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let absolute = absolute(path);
     let there = absolute
         .ancestors()
         .find_map(|above| Some((above, dunce::canonicalize(above).ok()?)));

@@ -85,6 +85,16 @@ struct Header {
     body: usize,
 }
 
+impl Header {
+    fn body_of<'a>(&self, bytes: &'a [u8]) -> Body<'a> {
+        Body {
+            bytes,
+            at: self.body,
+            encoding: self.encoding,
+        }
+    }
+}
+
 /// Reads a mesh; vertices and triangles keep the order of the file.
 pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
     read_at_most(bytes, usize::MAX).map(Option::unwrap_or_default)
@@ -94,11 +104,7 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
 /// make.
 pub fn read_at_most(bytes: &[u8], most: usize) -> Result<Option<Mesh>, PlyError> {
     let header = read_header(bytes)?;
-    let mut body = Body {
-        bytes,
-        at: header.body,
-        encoding: header.encoding,
-    };
+    let mut body = header.body_of(bytes);
     let mut mesh = Mesh::default();
     for element in &header.elements {
         body.check_room(element)?;
@@ -109,10 +115,7 @@ pub fn read_at_most(bytes: &[u8], most: usize) -> Result<Option<Mesh>, PlyError>
                     return Ok(None);
                 }
             }
-            // Without properties it has no bytes, and any count fits.
-            _ if element.properties.is_empty() => {}
-            _ => (0..element.count)
-                .try_for_each(|_| element.properties.iter().try_for_each(|p| body.skip(p)))?,
+            _ => body.skip_element(element)?,
         }
     }
     let count = mesh.vertices.len() as u64;
@@ -140,20 +143,13 @@ pub fn read_with_lists(
     mut take: impl FnMut(Point3<f64>, &[u32]),
 ) -> Result<(), PlyError> {
     let header = read_header(bytes)?;
-    let mut body = Body {
-        bytes,
-        at: header.body,
-        encoding: header.encoding,
-    };
+    let mut body = header.body_of(bytes);
     let Some(element) = header.elements.iter().find(|of| of.name == "vertex") else {
         return Ok(());
     };
     for before in header.elements.iter().take_while(|of| of.name != "vertex") {
         body.check_room(before)?;
-        if !before.properties.is_empty() {
-            (0..before.count)
-                .try_for_each(|_| before.properties.iter().try_for_each(|p| body.skip(p)))?;
-        }
+        body.skip_element(before)?;
     }
     body.check_room(element)?;
     let axes = ["x", "y", "z"];
@@ -376,6 +372,16 @@ impl Body<'_> {
                 "a list of {length} items does not fit into the file"
             )))
         }
+    }
+
+    fn skip_element(&mut self, element: &Element) -> Result<(), PlyError> {
+        // Without properties it has no bytes, and any count fits.
+        let count = if element.properties.is_empty() {
+            0
+        } else {
+            element.count
+        };
+        (0..count).try_for_each(|_| element.properties.iter().try_for_each(|p| self.skip(p)))
     }
 
     fn skip(&mut self, property: &Property) -> Result<(), PlyError> {

@@ -23,6 +23,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         input::FileKind,
+        paths::absolute,
         platform,
         printable::printable,
         shell::quoted_path,
@@ -115,10 +116,6 @@ impl Tools {
             python,
         }
     }
-}
-
-fn absolute(path: &Path) -> PathBuf {
-    std::path::absolute(path).unwrap_or(path.into())
 }
 
 impl Dispatch {
@@ -306,8 +303,7 @@ impl Dispatch {
                 .map(|task| own(&format!("done/{}", task.marker))),
         ) {
             match output::open_own(&self.project, &name) {
-                Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-                }
+                Err(error) if error.is_missing() => {}
                 found => drop(found?),
             }
         }

@@ -34,7 +34,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
         .map(|&view| overlaps(inputs, view))
         .collect();
     let mut findings: Vec<Finding> = parts(inputs).into_iter().collect();
-    let views_where = |wrong: &dyn Fn(&Overlap) -> bool| -> Vec<ViewFinding> {
+    let views_where = |wrong: fn(&Overlap) -> bool| -> Vec<ViewFinding> {
         let mostly = |(_, found): &&(ViewIndex, Vec<Overlap>)| {
             let bad = found.iter().filter(|overlap| wrong(overlap)).count();
             bad > 0 && 2 * bad > found.len()
@@ -49,27 +49,25 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
         };
         judged.iter().filter(mostly).map(words).collect()
     };
-    let few = views_where(&Overlap::far_too_few);
-    if !few.is_empty() {
-        let views = counted(few.len(), "view");
-        let what = format!(
-            "{views} with far fewer shared points than the overlap suggests; the poses may be wrong"
-        );
-        let cure = "inspect them in the model; match them again with their neighbours, or remove them (colmap image_deleter)";
-        findings.push(
-            Finding::new(Severity::Warning, "far-too-few-shared-points", what, cure).of_views(few),
-        );
-    }
-    let one_sided = views_where(&Overlap::one_sided);
-    if !one_sided.is_empty() {
-        let views = counted(one_sided.len(), "view");
-        let what = format!(
-            "{views} sharing points with most neighbours on one side of the overlap only; the model may be bent there"
-        );
-        let cure = "inspect the model there; straighten it by bundle adjustment with more matches or ground control";
-        findings.push(
-            Finding::new(Severity::Warning, "one-sided-links", what, cure).of_views(one_sided),
-        );
+    for (id, wrong, what, cure) in [
+        (
+            "far-too-few-shared-points",
+            Overlap::far_too_few as fn(&Overlap) -> bool,
+            "with far fewer shared points than the overlap suggests; the poses may be wrong",
+            "inspect them in the model; match them again with their neighbours, or remove them (colmap image_deleter)",
+        ),
+        (
+            "one-sided-links",
+            Overlap::one_sided,
+            "sharing points with most neighbours on one side of the overlap only; the model may be bent there",
+            "inspect the model there; straighten it by bundle adjustment with more matches or ground control",
+        ),
+    ] {
+        let views = views_where(wrong);
+        if !views.is_empty() {
+            let what = format!("{} {what}", counted(views.len(), "view"));
+            findings.push(Finding::new(Severity::Warning, id, what, cure).of_views(views));
+        }
     }
     findings
 }

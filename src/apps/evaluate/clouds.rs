@@ -1,6 +1,6 @@
 //! Compares the fused cloud of the chosen depth maps with that of a full run.
 
-use std::{collections::HashMap, path::Path};
+use std::{collections::HashSet, path::Path};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -8,7 +8,10 @@ use serde::Serialize;
 
 use super::EvaluateError;
 use crate::{
-    base::input::{self, FileKind},
+    base::{
+        input::{self, FileKind},
+        kd_tree::KdTree,
+    },
     io::ply,
 };
 
@@ -46,16 +49,7 @@ impl CloudComparison {
     }
 
     fn new(cloud: &[Point3<f64>], reference: &[Point3<f64>], gsd: f64) -> Self {
-        let [of_cloud, of_reference] =
-            [cloud, reference].map(|points| Cubes::new(points, 3.0 * gsd));
-        let distances: Vec<f64> = cloud
-            .par_iter()
-            .map(|point| of_reference.nearest(point))
-            .collect();
-        let back: Vec<f64> = reference
-            .par_iter()
-            .map(|point| of_cloud.nearest(point))
-            .collect();
+        let (distances, back) = (nearest(cloud, reference), nearest(reference, cloud));
         let share = |distances: &[f64], limit: f64| {
             let near = distances.iter().filter(|d| **d <= limit).count();
             if distances.is_empty() {
@@ -75,7 +69,11 @@ impl CloudComparison {
             .filter(|d| *d <= 3.0 * gsd)
             .collect();
         near.sort_by(f64::total_cmp);
-        let area = |points| Cubes::new(points, 2.0 * gsd).cubes.len() as f64 * (2.0 * gsd).powi(2);
+        let edge = 2.0 * gsd;
+        let area = |points: &[Point3<f64>]| {
+            let cubes: HashSet<[i64; 3]> = points.iter().map(|point| cube(point, edge)).collect();
+            cubes.len() as f64 * edge.powi(2)
+        };
         Self {
             points: cloud.len(),
             reference_points: reference.len(),
@@ -99,42 +97,15 @@ fn points(path: &Path) -> Result<Vec<Point3<f64>>, EvaluateError> {
     Ok(cloud.vertices)
 }
 
-/// Points grouped by the cube that holds them.
-struct Cubes<'a> {
-    points: &'a [Point3<f64>],
-    edge: f64,
-    cubes: HashMap<[i64; 3], Vec<u32>>,
-}
-
-impl<'a> Cubes<'a> {
-    fn new(points: &'a [Point3<f64>], edge: f64) -> Self {
-        let mut cubes: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
-        (0u32..)
-            .zip(points)
-            .for_each(|(i, point)| cubes.entry(cube(point, edge)).or_default().push(i));
-        Self {
-            points,
-            edge,
-            cubes,
-        }
-    }
-
-    /// Returns the distance to the nearest point, or infinity if it is farther than the edge of a
-    /// cube.
-    fn nearest(&self, point: &Point3<f64>) -> f64 {
-        let middle = cube(point, self.edge);
-        let around = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
-        let near = around.filter_map(|offset| {
-            self.cubes
-                .get(&[0, 1, 2].map(|axis| middle[axis] + offset[axis]))
-        });
-        let distances = near
-            .flatten()
-            .map(|&i| (self.points[i as usize] - point).norm());
-        distances
-            .filter(|d| *d <= self.edge)
-            .fold(f64::INFINITY, f64::min)
-    }
+/// Returns the distance of each point to the nearest of the others, or infinity without any.
+fn nearest(points: &[Point3<f64>], others: &[Point3<f64>]) -> Vec<f64> {
+    let tree = KdTree::new(others);
+    let distance = |point: &Point3<f64>| {
+        let [nearest] = tree.nearest(point);
+        let nearest = others.get(nearest as usize);
+        nearest.map_or(f64::INFINITY, |other| (other - point).norm())
+    };
+    points.par_iter().map(distance).collect()
 }
 
 fn cube(point: &Point3<f64>, edge: f64) -> [i64; 3] {

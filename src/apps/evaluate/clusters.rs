@@ -86,8 +86,8 @@ pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersErro
 /// Returns the text of a `clusters.txt`.
 pub fn write<'a>(clusters: impl IntoIterator<Item = &'a ViewCluster>, scene: &Scene) -> String {
     let line = |cluster: &ViewCluster| {
-        let views = std::iter::once(&cluster.key).chain(&cluster.partners);
-        views.map(|&v| scene.name(v)).collect::<Vec<_>>().join("\t") + "\n"
+        let names: Vec<&str> = cluster.views().map(|view| scene.name(view)).collect();
+        names.join("\t") + "\n"
     };
     clusters.into_iter().map(line).collect()
 }

@@ -22,11 +22,7 @@ impl Evaluation {
     ) -> Result<Self, EvaluateError> {
         let stages = &plan.stages;
         let model = stages.model();
-        let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
-        let clusters: Vec<_> = order
-            .iter()
-            .map(|&c| stages.clusters[c as usize].clone())
-            .collect();
+        let clusters: Vec<_> = orders::of_plan(plan).cloned().collect();
         let measured = MeasuredClusters::new(
             &EvaluationInput::new(stages, &clusters, depth_maps, reference),
             watcher,

@@ -12,6 +12,7 @@ use crate::{
         ranking::{Beliefs, Objective, Reached, rank},
     },
     model::{cluster::ViewCluster, scene::Scene},
+    plan::Plan,
 };
 
 /// Number of random orders.
@@ -38,6 +39,13 @@ pub fn completed(order: Vec<u32>, clusters: usize) -> Vec<u32> {
     order.iter().copied().chain(rest).collect()
 }
 
+/// Returns all clusters of a plan in rank order, those without predicted gain last.
+pub fn of_plan(plan: &Plan) -> impl Iterator<Item = &ViewCluster> {
+    let clusters = &plan.stages.clusters;
+    let order = completed(plan.decision.ranking.order.clone(), clusters.len());
+    order.into_iter().map(|c| &clusters[c as usize])
+}
+
 /// Returns the order `realupdate`: next comes the cluster with the largest predicted gain over what
 /// was really reached so far.
 pub fn real_update(
@@ -45,16 +53,28 @@ pub fn real_update(
     real: &FulfilmentTable,
     objective: &Objective,
 ) -> Vec<u32> {
-    let mut reached = Reached::new(objective);
-    let mut left: Vec<u32> = (0..predicted.clusters() as u32).collect();
-    let mut order = Vec::with_capacity(left.len());
+    best_first(
+        predicted.clusters(),
+        Reached::new(objective),
+        |reached, c| reached.gain(predicted.row(c)),
+        |reached, c| reached.take(real.row(c)),
+    )
+}
+
+/// Returns the order in which always the cluster with the largest `gain` is taken next, the first of
+/// equals. Both work on the state.
+fn best_first<S>(
+    clusters: usize,
+    mut state: S,
+    gain: impl Fn(&S, usize) -> f64,
+    take: impl Fn(&mut S, usize),
+) -> Vec<u32> {
+    let mut left: Vec<u32> = (0..clusters as u32).collect();
+    let mut order = Vec::with_capacity(clusters);
     while !left.is_empty() {
-        let best = first_largest(
-            left.iter()
-                .map(|&c| reached.gain(predicted.row(c as usize))),
-        );
-        let cluster = left.remove(best);
-        reached.take(real.row(cluster as usize));
+        let gains = left.iter().map(|&c| gain(&state, c as usize));
+        let cluster = left.remove(first_largest(gains));
+        take(&mut state, cluster as usize);
         order.push(cluster);
     }
     order
@@ -62,62 +82,52 @@ pub fn real_update(
 
 /// Returns the order `replan` (method 5.4): as `realupdate`, but failures also lower later
 /// predictions. `beliefs`: those of the run's clusters.
-pub fn replan(mut beliefs: Beliefs, run: &MeasuredClusters, objective: &Objective) -> Vec<u32> {
-    let mut reached = Reached::new(objective);
-    let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
-    let mut order = Vec::with_capacity(left.len());
-    while !left.is_empty() {
-        let gain = |&c: &u32| {
-            let (triangles, believed) = beliefs.row(c as usize);
+pub fn replan(beliefs: Beliefs, run: &MeasuredClusters, objective: &Objective) -> Vec<u32> {
+    best_first(
+        run.clusters.len(),
+        (beliefs, Reached::new(objective)),
+        |(beliefs, reached), c| {
+            let (triangles, believed) = beliefs.row(c);
             reached.gain((triangles, &believed))
-        };
-        let cluster = left.remove(first_largest(left.iter().map(gain)));
-        reached.take(run.real.row(cluster as usize));
-        beliefs.learn(
-            run.clusters[cluster as usize].key,
-            &run.attempts[cluster as usize],
-        );
-        order.push(cluster);
-    }
-    order
+        },
+        |(beliefs, reached), c| {
+            reached.take(run.real.row(c));
+            beliefs.learn(run.clusters[c].key, &run.attempts[c]);
+        },
+    )
 }
 
 /// Returns the order `maxpts`: next comes the key view that observes the most sparse points not yet
 /// observed by a chosen one; ties by index.
 pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let points = scene.view_points();
-    let mut cluster_of = vec![None; scene.views.len()];
-    clusters
-        .iter()
-        .enumerate()
-        .for_each(|(c, cluster)| cluster_of[cluster.key.index()] = Some(c));
-    let mut uncovered: Vec<usize> = clusters
+    let cluster_of = scene.places_of(clusters.iter().map(|cluster| cluster.key));
+    let uncovered: Vec<usize> = clusters
         .iter()
         .map(|c| points.observed_by(c.key).len())
         .collect();
-    let mut covered = vec![false; scene.points.len()];
-    let mut left: Vec<u32> = (0..clusters.len() as u32).collect();
-    let mut order = Vec::with_capacity(left.len());
-    while !left.is_empty() {
-        let best = first_largest(left.iter().map(|&c| uncovered[c as usize] as f64));
-        let cluster = left.remove(best);
-        order.push(cluster);
-        for &point in points.observed_by(clusters[cluster as usize].key) {
-            if std::mem::replace(&mut covered[point.index()], true) {
-                continue;
-            }
-            let mut last = None;
-            for &view in scene.track_views(point) {
-                // A view that observes the point twice counts once.
-                if last.replace(view) != Some(view)
-                    && let Some(c) = cluster_of[view.index()]
-                {
-                    uncovered[c] -= 1;
+    let covered = vec![false; scene.points.len()];
+    best_first(
+        clusters.len(),
+        (uncovered, covered),
+        |(uncovered, _), c| uncovered[c] as f64,
+        |(uncovered, covered), c| {
+            for &point in points.observed_by(clusters[c].key) {
+                if std::mem::replace(&mut covered[point.index()], true) {
+                    continue;
+                }
+                let mut last = None;
+                for &view in scene.track_views(point) {
+                    // A view that observes the point twice counts once.
+                    if last.replace(view) != Some(view)
+                        && let Some(c) = cluster_of[view.index()]
+                    {
+                        uncovered[c] -= 1;
+                    }
                 }
             }
-        }
-    }
-    order
+        },
+    )
 }
 
 /// Returns the choice `every n-th`: `count` of `clusters`, evenly spread by name. Choices of
@@ -180,7 +190,7 @@ pub fn shuffle<T>(values: &mut [T], seed: u64) {
 }
 
 /// Returns the position of the largest value, the first one in a tie.
-fn first_largest(values: impl Iterator<Item = f64>) -> usize {
+pub(super) fn first_largest(values: impl Iterator<Item = f64>) -> usize {
     values
         .enumerate()
         .fold(

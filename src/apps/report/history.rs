@@ -31,12 +31,11 @@ pub struct History {
 
 impl History {
     pub fn new(plan: &Plan, drawn: &DrawnSurface) -> Self {
+        // Of each triangle among those drawn.
         let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
-        drawn
-            .original
-            .iter()
-            .enumerate()
-            .for_each(|(i, &t)| place[t as usize] = i as u32);
+        (0..)
+            .zip(&drawn.original)
+            .for_each(|(i, &t)| place[t as usize] = i);
         let mut steps: Vec<Vec<(u32, f32)>> = vec![Vec::new(); drawn.original.len()];
         let mut first: Vec<Vec<u32>> = vec![Vec::with_capacity(COUNTED); drawn.original.len()];
         pictures::for_each_step(plan, |rank, triangle, fulfilment| {
@@ -52,7 +51,7 @@ impl History {
                 of.push((rank, fulfilment));
             }
         });
-        let (alone, kept) = confirmed(plan, drawn);
+        let (alone, kept) = confirmed(plan, &place, drawn.original.len());
         let mut history = Self {
             alone,
             kept,
@@ -84,25 +83,16 @@ impl History {
 }
 
 /// Returns the ranks from which one map, and as many maps as fusion needs, are more likely than not
-/// to show each drawn triangle.
-fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
+/// to show each of the `drawn` triangles. `place`: where each triangle of the plan is among them.
+fn confirmed(plan: &Plan, place: &[u32], drawn: usize) -> (Vec<u32>, Vec<u32>) {
     let mut reached = Reached::new(&plan.stages.objective);
-    let (mut alone, mut kept) = (
-        vec![NEVER; drawn.original.len()],
-        vec![NEVER; drawn.original.len()],
-    );
-    let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
-    drawn
-        .original
-        .iter()
-        .enumerate()
-        .for_each(|(i, &t)| place[t as usize] = i as u32);
+    let (mut alone, mut kept) = (vec![NEVER; drawn], vec![NEVER; drawn]);
     let maps = plan.stages.maps();
     for (rank, (cluster, scale)) in (1..NEVER).zip(plan.decision.ranking.maps()) {
         let row = maps.row_at(cluster, scale);
         reached.take(row);
         for &t in row.0 {
-            let Some(place) = Some(place[t as usize] as usize).filter(|&place| place < alone.len())
+            let Some(place) = Some(place[t as usize] as usize).filter(|&place| place < drawn)
             else {
                 continue;
             };

@@ -57,7 +57,7 @@ impl Real {
         if let Some(reference) = &asked.reference {
             depthmaps::find(reference, &plan.stages.scene).map_err(EvaluateError::from)?;
         }
-        let clusters = in_order(plan);
+        let clusters: Vec<_> = orders::of_plan(plan).cloned().collect();
         let (of_project, folders) = match &asked.depth_maps {
             Some(folder) => (false, vec![folder.clone()]),
             None => (true, folders_of_maps(plan, project)),
@@ -173,18 +173,6 @@ fn others_of(plan: &Plan, measured: &Path, folders: &[PathBuf]) -> Vec<String> {
         )
     };
     others.filter(has_maps).map(words).collect()
-}
-
-/// Returns all clusters in rank order, those without predicted gain last.
-fn in_order(plan: &Plan) -> Vec<ViewCluster> {
-    let order = orders::completed(
-        plan.decision.ranking.order.clone(),
-        plan.stages.clusters.len(),
-    );
-    order
-        .iter()
-        .map(|&c| plan.stages.clusters[c as usize].clone())
-        .collect()
 }
 
 fn task<'a>(

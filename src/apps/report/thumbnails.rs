@@ -38,19 +38,27 @@ pub fn thumbnails(
         in_order.take(MOST).collect()
     };
     let of_view = |&view: &ViewIndex| {
-        watcher.check()?;
         let scene = &plan.stages.scene;
-        let small = thumbnail(
-            &images.file(scene.name(view)),
-            scene.camera_of(view).most_picture_pixels(),
-        );
-        Ok(small.map(|jpeg| (view.0, BASE64_STANDARD.encode(jpeg))))
+        let bound = scene.camera_of(view).most_picture_pixels();
+        let small = thumbnail(&images.file(scene.name(view)), bound);
+        (view, small)
     };
-    let all: Vec<Option<(u32, String)>> = views
-        .par_iter()
-        .map(of_view)
-        .collect::<Result<_, Cancelled>>()?;
-    Ok(all.into_iter().flatten().collect())
+    by_view(&views, of_view, watcher)
+}
+
+/// Makes the JPEG files of these, each of a view; returns them in base64.
+fn by_view<T: Sync>(
+    all: &[T],
+    make: impl Fn(&T) -> (ViewIndex, Option<Vec<u8>>) + Sync,
+    watcher: &dyn Watcher,
+) -> Result<BTreeMap<u32, String>, Cancelled> {
+    let made = all.par_iter().map(|one| {
+        watcher.check()?;
+        let (view, jpeg) = make(one);
+        Ok(jpeg.map(|jpeg| (view.0, BASE64_STANDARD.encode(jpeg))))
+    });
+    let made: Vec<Option<_>> = made.collect::<Result<_, Cancelled>>()?;
+    Ok(made.into_iter().flatten().collect())
 }
 
 /// Largest number of key views with a picture of their expected success.
@@ -59,20 +67,14 @@ const MOST_EXPECTED: usize = 200;
 /// Returns the expected success of the first clusters, as JPEG files in base64 by key view.
 pub fn expected(plan: &Plan, watcher: &dyn Watcher) -> Result<BTreeMap<u32, String>, Cancelled> {
     let model = plan.stages.model();
-    let of_cluster = |cluster: &ViewCluster| {
-        watcher.check()?;
+    let of_cluster = |cluster: &&ViewCluster| {
         let camera = plan.stages.scene.camera_of(cluster.key);
         let [width, height] = within([camera.width, camera.height], SIDE);
         let colours = in_colour(&expected_success(&model, cluster, width, height));
-        Ok(encoded(&colours, width, height)
-            .map(|jpeg| (cluster.key.0, BASE64_STANDARD.encode(jpeg))))
+        (cluster.key, encoded(&colours, width, height))
     };
     let clusters: Vec<&ViewCluster> = plan.chosen().take(MOST_EXPECTED).collect();
-    let all: Vec<Option<_>> = clusters
-        .into_par_iter()
-        .map(of_cluster)
-        .collect::<Result<_, Cancelled>>()?;
-    Ok(all.into_iter().flatten().collect())
+    by_view(&clusters, of_cluster, watcher)
 }
 
 fn thumbnail(path: &Path, bound: PixelBound) -> Option<Vec<u8>> {

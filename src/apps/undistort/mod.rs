@@ -349,10 +349,6 @@ impl<'a> Undistortion<'a> {
     }
 
     fn model(&self) -> Result<Vec<(&'static str, Vec<u8>)>, UndistortError> {
-        let fault = |fault| ProjectError::Fault {
-            path: self.project.model.path.clone(),
-            fault,
-        };
         let write = |model: &ColmapModel| {
             Ok(colmap_bin::write(
                 &self.undistorted(model.reduced(|_| ImageUse::Counting, 1)?),
@@ -361,7 +357,7 @@ impl<'a> Undistortion<'a> {
         Ok(self
             .project
             .with_colmap_model(self.scene, write)?
-            .map_err(fault)?)
+            .map_err(ProjectError::fault(&self.project.model.path))?)
     }
 
     /// Returns the model with pinhole cameras. 2D points that these cameras cannot see are dropped,

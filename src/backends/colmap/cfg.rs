@@ -59,11 +59,7 @@ pub fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError>
     } else {
         return Ok(());
     };
-    Err(BackendError::Name {
-        backend,
-        name: name.into(),
-        why: why.into(),
-    })
+    Err(BackendError::name(backend, name, why))
 }
 
 /// COLMAP's `StringTrim` removes ASCII white space only.

@@ -338,11 +338,9 @@ impl Passes {
         for folder in map_folders(self.main_list()) {
             files.add(folder, Contents::Folder);
         }
-        files.add(
+        files.add_script(
             "stereo/viewrank/run.sh",
-            Contents::Script(
-                script::runner(record, self.geometric, self.half_size(selection)).into_bytes(),
-            ),
+            script::runner(record, self.geometric, self.half_size(selection)),
         );
     }
 

@@ -206,14 +206,13 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     files.add_text("run.json", to_json(&run));
     files.add_text("dense.cfg", dense_config(selection));
     list_links(&mut files);
-    files.add(
+    files.add_script(
         "run.py",
-        Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()),
+        include_str!("../../../integrations/openmvs/run.py"),
     );
     let mut record = record_of(selection);
     record.moved(near.origin);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// Refuses names that OpenMVS would resolve to another path; `backend` is the one that runs it.
@@ -225,16 +224,11 @@ pub fn check_names(backend: &'static str, selection: &Selection) -> Result<(), B
 }
 
 fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError> {
-    let why = || "OpenMVS takes a backslash for the end of a folder's name".into();
     if name.contains('\\') {
-        Err(BackendError::Name {
-            backend,
-            name: name.into(),
-            why: why(),
-        })
-    } else {
-        Ok(())
+        let why = "OpenMVS takes a backslash for the end of a folder's name";
+        return Err(BackendError::name(backend, name, why));
     }
+    Ok(())
 }
 
 fn record_of(selection: &Selection) -> ExportRecord {

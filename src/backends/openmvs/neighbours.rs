@@ -72,8 +72,8 @@ pub fn export(
     files.add_text("neighbours.txt", lists);
     files.add_text("dense.cfg", dense_config(selection));
     if options.scale {
-        let unscale = include_bytes!("../../../integrations/openmvs/unscale.py");
-        files.add("unscale.py", Contents::Script(unscale.to_vec()));
+        let unscale = include_str!("../../../integrations/openmvs/unscale.py");
+        files.add_script("unscale.py", unscale);
         record.way = "list of neighbours, with a scaled copy of the scene without points".into();
         record.commands = vec![
             densify.command(1),
@@ -90,8 +90,7 @@ pub fn export(
     }
     record.not_honoured.push("the rank order".into());
     record.note_scale(selection, capped_scale(size));
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }
 
 /// The run that matches the lists.
@@ -141,7 +140,8 @@ impl<'a> GivenScene<'a> {
         let mvs = read(path)?;
         let positions = positions(selection, &mvs, path)?;
         let views = selection.views();
-        let centre = |view: &ViewIndex| pose_of(&mvs, positions[view.index()]).1;
+        let image = |view: &ViewIndex| &mvs.images[positions[view.index()]];
+        let centre = |view| mvs.rotation_and_centre(image(view)).1;
         let centres: Vec<Vector3<f64>> = views.iter().map(centre).collect();
         let size = size_of_scene(selection, &centres, path)?;
         Ok(Self {
@@ -160,8 +160,7 @@ impl<'a> GivenScene<'a> {
 
     fn lists(&self) -> String {
         let line = |cluster: &RankedCluster| {
-            let views = std::iter::once(&cluster.key).chain(&cluster.partners);
-            let names: Vec<String> = views.map(|&view| self.name(view)).collect();
+            let names: Vec<String> = cluster.views().map(|view| self.name(view)).collect();
             names.join(" ") + "\n"
         };
         self.selection.clusters.iter().map(line).collect()
@@ -187,14 +186,8 @@ fn folder_of(scene: &Path) -> PathBuf {
 }
 
 fn read(path: &Path) -> Result<Mvs, BackendError> {
-    let bytes = input::read(path, FileKind::Sparse).map_err(|source| ProjectError::Io {
-        path: path.into(),
-        source,
-    })?;
-    Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault {
-        path: path.into(),
-        fault,
-    })?)
+    let bytes = input::read(path, FileKind::Sparse).map_err(ProjectError::io(path))?;
+    Ok(Mvs::read(&bytes).map_err(ProjectError::fault(path))?)
 }
 
 /// Returns, for each view of the selection, the index of its image in the scene: the one with the
@@ -233,19 +226,6 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
         positions[view.index()] = position;
     }
     Ok(positions)
-}
-
-/// Returns the camera centre of an image of the scene and its rotation from world to camera.
-fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
-    let image = &mvs.images[position];
-    let platform = &mvs.platforms[image.platform as usize];
-    let (camera, pose) = (
-        &platform.cameras[image.camera as usize],
-        &platform.poses[image.pose as usize],
-    );
-    let pose_r = Matrix3::from_row_slice(&pose.r);
-    let centre = pose_r.transpose() * Vector3::from(camera.c) + Vector3::from(pose.c);
-    (Matrix3::from_row_slice(&camera.r) * pose_r, centre)
 }
 
 /// Returns scene units per model unit, from the spread of the cameras in both. `of_scene`: centres
@@ -337,7 +317,7 @@ impl Depths {
     /// vertex.
     fn new(given: &GivenScene, view: ViewIndex) -> Self {
         let (scene, position) = (given.selection.scene, given.positions[view.index()]);
-        let (r, centre) = pose_of(&given.mvs, position);
+        let (r, centre) = given.mvs.rotation_and_centre(&given.mvs.images[position]);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
         let seen = given
             .mvs

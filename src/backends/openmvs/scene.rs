@@ -91,10 +91,7 @@ impl<'a> Builder<'a> {
     /// point becomes a vertex per partner that only the key view and that partner see, so that a
     /// partner has a single neighbour, one less than OpenMVS requires.
     pub fn cluster(&self, cluster: &RankedCluster) -> (Mvs, DepthRange) {
-        let views: Vec<_> = std::iter::once(cluster.key)
-            .chain(cluster.partners.iter().copied())
-            .collect();
-        let mut mvs = self.images(&views);
+        let mut mvs = self.images(&Vec::from_iter(cluster.views()));
         let mut range = DepthRange {
             least: f64::INFINITY,
             greatest: 0.0,

@@ -82,15 +82,13 @@ pub static MVSNET: Backend = Backend {
 const MVSNET_DIALECT: Dialect = Dialect {
     backend: &MVSNET,
     made_for: "MVSNet, CasMVSNet and readers of their four-number depth line",
-    depths: DepthLine::Interval,
-    all_are_problems: false,
     tuples: false,
     depth: Some(
         "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$here\" --view_num VIEWS \
             --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
             --ckpt_step \"${STEP:?its step}\")",
     ),
-    join: None,
+    ..PAIRS_DIALECT
 };
 
 pub static PATCHMATCHNET: Backend = Backend {
@@ -126,8 +124,6 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
     backend: &PATCHMATCHNET,
     made_for: "PatchmatchNet and readers of its two-number depth line",
     depths: DepthLine::Range,
-    all_are_problems: false,
-    tuples: false,
     depth: Some(
         "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$hereINPUT\" --output_folder \"$here/depths\" \
             --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERSSIZE --output_type depth)",
@@ -143,6 +139,7 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
             include_str!("../../../integrations/mvsnet/finished.py"),
         ),
     }),
+    ..MVSNET_DIALECT
 };
 
 pub static ACMM: Backend = Backend {
@@ -167,11 +164,9 @@ pub static ACMM: Backend = Backend {
 const ACMM_DIALECT: Dialect = Dialect {
     backend: &ACMM,
     made_for: "ACMH, ACMM, ACMP, ACMMP",
-    depths: DepthLine::Interval,
     all_are_problems: true,
-    tuples: false,
     depth: Some("\"${ACMM:-ACMM}\" ."),
-    join: None,
+    ..MVSNET_DIALECT
 };
 
 const CAPABILITIES: Capabilities = Capabilities {

@@ -11,12 +11,12 @@ use self::{
 };
 use super::{
     BackendError, Export, ExportOptions, ExportRecord, PATCH_MATCH, Selection, selection,
-    strangers::{RUNNER, add_runner},
+    strangers::add_runner,
 };
 use crate::{
-    io::output::{Contents, FileSet},
+    io::output::FileSet,
     model::{
-        cluster::MapScale,
+        cluster::{MapScale, RankedCluster},
         scene::{ViewIndex, ViewPoints},
     },
 };
@@ -69,17 +69,15 @@ impl Dialect {
                 "sizes.txt",
                 sizes(selection, &lists, self.fused_at(selection)),
             );
-            files.add(name, Contents::Script(script.as_bytes().to_vec()));
+            files.add_script(name, script);
             let keys: Vec<usize> = (0..selection.clusters.len()).collect();
             self.add_views(&mut files, "fuse/", selection, &lists, &keys)?;
         }
         record.moved(near.origin);
         if !record.commands.is_empty() {
-            record.runner = Some(RUNNER.into());
-            add_runner(&mut files, &record.commands);
+            add_runner(&mut files, &mut record);
         }
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
+        Ok(Export::new(files, record))
     }
 
     /// Numbers and names: of all views where the number is the id of the image, since maps of
@@ -112,9 +110,7 @@ impl Dialect {
         half: &[usize],
     ) -> Result<(), BackendError> {
         let clusters = half.iter().map(|&i| &selection.clusters[i]);
-        let members =
-            clusters.flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied()));
-        let members: BTreeSet<ViewIndex> = members.collect();
+        let members: BTreeSet<ViewIndex> = clusters.flat_map(RankedCluster::views).collect();
         let members: Vec<usize> = (0..lists.views.len())
             .filter(|&i| members.contains(&lists.views[i]))
             .collect();
@@ -180,17 +176,8 @@ impl Dialect {
             format!("{} {} {} {}\n", r[0], r[1], r[2], pose.translation[i])
         };
         let (f, c) = scene.camera_of(view).pinhole_part();
-        let depths =
-            self.depth_line(selection::depth_range(scene, points, view).ok_or_else(|| {
-                BackendError::Needs {
-                    backend: self.backend.name,
-                    what: format!(
-                        "a depth range, and {} observes no sparse point in front of it",
-                        scene.name(view)
-                    ),
-                    hint: "leave the view out of the model".into(),
-                }
-            })?);
+        let range = selection::depth_range(self.backend.name, scene, points, view)?;
+        let depths = self.depth_line(range);
         Ok(format!(
             "extrinsic\n{}{}{}0 0 0 1\n\nintrinsic\n{} 0 {}\n0 {} {}\n0 0 1\n\n{depths}\n",
             row(0),

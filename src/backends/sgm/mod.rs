@@ -144,6 +144,5 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     for (name, text) in semi_global::pair_files(BACKEND.name, selection)? {
         files.add_text(name, text);
     }
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    Ok(Export::new(files, record))
 }

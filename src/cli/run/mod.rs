@@ -10,11 +10,10 @@ use clap::Args;
 
 use self::work::Work;
 use super::{
-    Exit, Failure, Format, arguments, config, next, note, print, progress::ProgressDisplay, ready,
-    warn,
+    Exit, Failure, Format, arguments, config, next, note, print, ready, undistort::undistorted,
 };
 use crate::{
-    apps::{dispatch::Dispatch, planning, undistort},
+    apps::{dispatch::Dispatch, planning, undistort::UndistortOptions},
     backends::{self, Backend, Choice},
     base::{platform, shell::command_path},
     config::{CommandLineSettings, Settings},
@@ -120,7 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     Dispatch::refuse_if_at_work(&project)?;
     let root = match lacks(backend, &project, is_distorted) {
         None => project.root,
-        Some(what) => undistorted(arguments, project, backend, what)?,
+        Some(what) => undistorted_project(arguments, project, backend, what)?,
     };
     let is_own = root == own;
     let mut typed = arguments.typed(Some(backend.name), is_own);
@@ -207,7 +206,7 @@ fn lacks(backend: &Backend, project: &Project, is_distorted: bool) -> Option<&'s
 
 /// Finds the workspace of undistorted images of another program, else undistorts the images, which
 /// writes a COLMAP model; returns their project. `what`: what the backend needs it for.
-fn undistorted(
+fn undistorted_project(
     arguments: &Arguments,
     project: Project,
     backend: &Backend,
@@ -234,16 +233,8 @@ fn undistorted(
         backend.name,
         dense.display()
     ));
-    let progress = ProgressDisplay::new(arguments.is_silent());
-    let done = undistort::undistort(
-        &project,
-        &undistort::UndistortOptions::default(),
-        &dense,
-        &project.disk(),
-        &progress,
-    )?;
-    progress.finish();
-    done.warning().iter().for_each(|warning| warn(warning));
+    let options = UndistortOptions::default();
+    undistorted(&project, &options, &dense, arguments.is_silent())?;
     Ok(dense)
 }
 

@@ -17,7 +17,7 @@ use crate::{
         Exit, Failure, Format, config, note, print, print_json, progress::ProgressDisplay, report,
         summary::duration, terminal::complain, warn,
     },
-    daemon::{PlanWhen, follow, foreground::Foreground, state::Outcome},
+    daemon::{PlanWhen, follow, foreground::Foreground, phase::Phase, state::Outcome},
     io::paths::from_here,
     model::cluster::MapScale,
     show::manifest::{WrittenPlan, warnings_with},
@@ -293,10 +293,10 @@ impl<'a> Work<'a> {
         let outcome = self.foreground.measure(&|path| done.contains(path));
         self.measured.note(began);
         match outcome {
-            Outcome::Followed { reached, .. } => {
+            Outcome::Followed(phase) => {
                 self.share = follow::Progress::read(self.foreground.root())
                     .and_then(|progress| progress.share);
-                reached && self.target().is_some()
+                matches!(phase, Phase::Reached { .. }) && self.target().is_some()
             }
             Outcome::Failed { reason, .. } => {
                 warn(&format!("cannot measure the depth maps: {reason}"));

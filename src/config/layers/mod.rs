@@ -610,28 +610,20 @@ impl Hint for ConfigError {
     }
 
     fn path(&self) -> Option<&Path> {
-        match self {
-            Self::Read { path, .. } => Some(path),
-            Self::Syntax {
-                place: SettingLocation::File { path, .. },
-                ..
-            }
-            | Self::UnknownKey {
-                place: SettingLocation::File { path, .. },
-                ..
-            }
-            | Self::UserOnly {
-                place: SettingLocation::File { path, .. },
-                ..
-            }
-            | Self::Backend {
-                place: SettingLocation::File { path, .. },
-                ..
-            }
+        let place = match self {
+            Self::Read { path, .. } => return Some(path),
+            Self::Syntax { place, .. }
+            | Self::UnknownKey { place, .. }
+            | Self::UserOnly { place, .. }
+            | Self::Backend { place, .. }
             | Self::Value {
-                from: Source::Written(SettingLocation::File { path, .. }),
+                from: Source::Written(place),
                 ..
-            } => Some(path),
+            } => place,
+            Self::NotMetric { .. } | Self::Value { .. } => return None,
+        };
+        match place {
+            SettingLocation::File { path, .. } => Some(path),
             _ => None,
         }
     }

@@ -36,14 +36,8 @@ pub enum Outcome {
         /// The last measurement, where the plan is unchanged.
         known: Option<Box<Outcome>>,
     },
-    /// The finished depth maps were measured or counted.
-    Followed {
-        done: usize,
-        clusters: usize,
-        share: Option<f64>,
-        reached: bool,
-        note: Option<String>,
-    },
+    /// The finished depth maps were measured or counted, with this result.
+    Followed(Phase),
     /// The model doesn't parse, or its files contradict each other: it isn't complete yet.
     Incomplete { reason: String },
     /// Nothing was written, because the input changed or the job was cancelled.
@@ -341,13 +335,7 @@ impl TrackedProject {
                     },
                 }
             }
-            Outcome::Followed {
-                done,
-                clusters,
-                share,
-                reached,
-                note,
-            } => Phase::followed(done, clusters, share, reached, note),
+            Outcome::Followed(phase) => phase,
             Outcome::Incomplete { reason } => {
                 // New depth maps would belong to a plan whose model is gone.
                 self.planned = false;

@@ -252,13 +252,13 @@ fn maps_newer_than_the_last_measurement_are_counted() {
     let mut project = tracked(&stamp, now);
     run(&mut project, Work::Plan, planned("a"), now);
     project.observe_maps(map(1), now);
-    let followed = Outcome::Followed {
+    let followed = Outcome::Followed(Phase::Partial {
         done: 1,
         clusters: 3,
         share: Some(0.5),
-        reached: false,
+        unmeasured: 0,
         note: None,
-    };
+    });
     let unmeasured = |project: &TrackedProject| match project.phase() {
         Phase::Partial { unmeasured, .. } => unmeasured,
         phase => panic!("{phase}"),
@@ -381,13 +381,13 @@ fn what_a_job_says_at_length_is_shortened() {
             reason: long(),
             hint: Some(long()),
         },
-        Outcome::Followed {
+        Outcome::Followed(Phase::Partial {
             done: 1,
             clusters: 2,
             share: None,
-            reached: false,
+            unmeasured: 0,
             note: Some(long()),
-        },
+        }),
     ];
     for outcome in outcomes {
         let start = Instant::now();

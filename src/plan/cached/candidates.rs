@@ -14,24 +14,17 @@ use crate::{
 pub(super) fn pack(candidates: &Candidates) -> Packed {
     let mut packer = Packer::default();
     pack_rows(&mut packer, &candidates.offsets, candidates.views.iter());
-    packer.list(
-        &candidates
-            .beyond
-            .iter()
-            .map(|&beyond| beyond as u32)
-            .collect::<Vec<_>>(),
-    );
+    packer.each(candidates.beyond.iter().map(|&beyond| beyond as u32));
     pack_rows(
         &mut packer,
         &candidates.refusal_offsets,
         candidates.refusals.iter().map(|refusal| &refusal.partner),
     );
-    packer.list(
-        &candidates
+    packer.each(
+        candidates
             .refusals
             .iter()
-            .map(|refusal| Reason::number(Some(refusal.reason)))
-            .collect::<Vec<_>>(),
+            .map(|refusal| Reason::number(Some(refusal.reason))),
     );
     packer.finish()
 }
@@ -41,12 +34,8 @@ fn pack_rows<'a>(
     offsets: &Offsets,
     views: impl Iterator<Item = &'a ViewIndex>,
 ) {
-    packer.list(
-        &(0..offsets.rows())
-            .map(|row| offsets.row(row).len() as u32)
-            .collect::<Vec<_>>(),
-    );
-    packer.list(&views.map(|view| view.0).collect::<Vec<_>>());
+    packer.each((0..offsets.rows()).map(|row| offsets.row(row).len() as u32));
+    packer.each(views.map(|view| view.0));
 }
 
 /// Unpacks candidates. `count`: number of views of the scene.

@@ -40,19 +40,9 @@ pub(super) fn pack(tables: &Tables) -> Option<Packed> {
     }
     let partners = || clusters.iter().flat_map(|cluster| &cluster.partners);
     let mut packer = Packer::default();
-    packer.list(
-        &clusters
-            .iter()
-            .map(|cluster| cluster.key.0)
-            .collect::<Vec<_>>(),
-    );
-    packer.list(
-        &clusters
-            .iter()
-            .map(|cluster| cluster.partners.len() as u32)
-            .collect::<Vec<_>>(),
-    );
-    packer.list(&partners().map(|partner| partner.0).collect::<Vec<_>>());
+    packer.each(clusters.iter().map(|cluster| cluster.key.0));
+    packer.each(clusters.iter().map(|cluster| cluster.partners.len() as u32));
+    packer.each(partners().map(|partner| partner.0));
     for table in std::iter::once(fulfilment).chain(half) {
         pack_table(&mut packer, table, clusters, visibility)?;
     }

@@ -13,25 +13,21 @@ use crate::{
 
 pub(super) fn pack(places: &Places) -> Packed {
     let mut packer = Packer::default();
-    let views: Vec<u32> = places.views.iter().map(|view| view.0).collect();
-    let lengths: Vec<u32> = places.parts.iter().map(|part| part.len() as u32).collect();
-    let centres: Vec<f64> = places
-        .centres
-        .iter()
-        .flat_map(|centre| centre.coords.data.0[0])
-        .collect();
-    packer.list(&views);
-    packer.list(&lengths);
+    packer.each(places.views.iter().map(|view| view.0));
+    packer.each(places.parts.iter().map(|part| part.len() as u32));
     let parts = || places.parts.iter().flatten();
-    packer.list(&Vec::from_iter(parts().map(|part| part.place)));
-    packer.list(&Vec::from_iter(parts().map(|part| part.density)));
-    packer.list(&Vec::from_iter(parts().map(|part| part.kept)));
-    packer.list(&centres);
+    packer.each(parts().map(|part| part.place));
+    packer.each(parts().map(|part| part.density));
+    packer.each(parts().map(|part| part.kept));
+    packer.each(
+        places
+            .centres
+            .iter()
+            .flat_map(|centre| centre.coords.data.0[0]),
+    );
     packer.list(&places.sizes);
     packer.list(&places.measured_area);
-    packer.list(&Vec::from_iter(
-        places.agreement.iter().map(|&maps| maps as u8),
-    ));
+    packer.each(places.agreement.iter().map(|&maps| maps as u8));
     packer.finish()
 }
 

@@ -18,30 +18,23 @@ pub(super) fn pack(decision: &Decision) -> Packed {
     } = decision;
     let mut packer = Packer::default();
     packer.list(&ranking.order);
-    packer.list(
-        &ranking
+    packer.each(
+        ranking
             .scales
             .iter()
-            .map(|&scale| u8::from(scale == MapScale::Half))
-            .collect::<Vec<_>>(),
+            .map(|&scale| u8::from(scale == MapScale::Half)),
     );
     packer.list(&ranking.gains);
     packer.list(&ranking.fulfilment);
     packer.list(&ranking.kept);
     packer.list(&[ranking.reachable]);
     packer.list(area_shares);
-    packer.list(
-        &triangle_reasons
+    packer.each(
+        triangle_reasons
             .iter()
-            .map(|&reason| Reason::number(reason))
-            .collect::<Vec<_>>(),
+            .map(|&reason| Reason::number(reason)),
     );
-    packer.list(
-        &border
-            .iter()
-            .map(|&is_border| u8::from(is_border))
-            .collect::<Vec<_>>(),
-    );
+    packer.each(border.iter().map(|&is_border| u8::from(is_border)));
     packer.list(pixels);
     packer.finish()
 }

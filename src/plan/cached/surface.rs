@@ -39,11 +39,6 @@ pub(super) fn pack(
     if visibility.triangles.storage() == Storage::Disk {
         return None;
     }
-    let coordinates: Vec<f64> = surface
-        .vertices
-        .iter()
-        .flat_map(|vertex| vertex.coords.iter().copied())
-        .collect();
     let gaps = |view| {
         let mut bytes = Vec::new();
         push_gaps(visibility.triangles_seen_by(view), &mut bytes);
@@ -51,9 +46,14 @@ pub(super) fn pack(
     };
     let rows: Vec<Vec<u8>> = visibility.views().into_par_iter().map(gaps).collect();
     let mut packer = Packer::default();
-    packer.list(&coordinates);
+    packer.each(
+        surface
+            .vertices
+            .iter()
+            .flat_map(|vertex| vertex.coords.data.0[0]),
+    );
     packer.list(surface.triangles.as_flattened());
-    packer.list(&rows.iter().map(|row| row.len() as u32).collect::<Vec<_>>());
+    packer.each(rows.iter().map(|row| row.len() as u32));
     packer.list(&rows.concat());
     let contradictions = visibility.contradictions;
     let facts = Facts {

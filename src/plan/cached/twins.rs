@@ -8,8 +8,8 @@ use crate::{
 
 pub(super) fn pack(twins: &[Twin]) -> Packed {
     let mut packer = Packer::default();
-    packer.list(&twins.iter().map(|twin| twin.view.0).collect::<Vec<_>>());
-    packer.list(&twins.iter().map(|twin| twin.sharper.0).collect::<Vec<_>>());
+    packer.each(twins.iter().map(|twin| twin.view.0));
+    packer.each(twins.iter().map(|twin| twin.sharper.0));
     packer.finish()
 }
 

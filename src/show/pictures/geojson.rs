@@ -41,10 +41,8 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
         ],
         None => frame.direction(&point.coords).map(|x| to_decimals(x, 6)),
     };
-    let mut rank = vec![None; plan.stages.scene.views.len()];
-    plan.ranked()
-        .enumerate()
-        .for_each(|(i, cluster)| rank[cluster.key.index()] = Some(i));
+    let ranked = plan.ranked().map(|cluster| cluster.key);
+    let rank = plan.stages.scene.places_of(ranked);
     let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, &frame);
     let features = |view: ViewIndex| {
         let properties = |what: &str| properties(plan, view, rank[view.index()], what);

@@ -62,11 +62,8 @@ pub fn map_svg(plan: &Plan) -> String {
 
 /// Draws the chosen key views as discs, the others as rings.
 fn draw_views(svg: &mut String, sheet: &Sheet, plan: &Plan, places: &[Point3<f64>]) {
-    let mut rank = vec![None; places.len()];
-    plan.ranked()
-        .take(plan.decision.cut.clusters)
-        .enumerate()
-        .for_each(|(i, cluster)| rank[cluster.key.index()] = Some(i + 1));
+    let chosen = plan.chosen().map(|cluster| cluster.key);
+    let rank = plan.stages.scene.places_of(chosen);
     // Draws the best ones last, on top.
     let mut order: Vec<usize> = (0..places.len()).collect();
     order.sort_by_key(|&v| std::cmp::Reverse(rank[v].unwrap_or(usize::MAX)));
@@ -77,7 +74,7 @@ fn draw_views(svg: &mut String, sheet: &Sheet, plan: &Plan, places: &[Point3<f64
         let (style, label) = match rank[v] {
             Some(rank) => (
                 format!("r=\"5\" fill=\"{CHOSEN}\" stroke=\"#fff\""),
-                format!("{rank}: {name}"),
+                format!("{}: {name}", rank + 1),
             ),
             None => (
                 format!("r=\"3\" fill=\"#fff\" stroke=\"{OTHER}\""),

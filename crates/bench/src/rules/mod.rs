@@ -88,6 +88,13 @@ struct Neighbourhood<'a> {
     others: Vec<(ViewIndex, Vec<PointIndex>)>,
 }
 
+/// Returns the `k` views with the smallest scores, ties by name.
+fn smallest(k: usize, scored: impl Iterator<Item = (f64, ViewIndex)>) -> Vec<ViewIndex> {
+    let mut scored: Vec<_> = scored.collect();
+    scored.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    scored.into_iter().map(|(_, view)| view).take(k).collect()
+}
+
 impl<'a> Neighbourhood<'a> {
     fn new(scene: &'a Scene, points: &'a ViewPoints, key: ViewIndex) -> Self {
         let mut shared = vec![Vec::new(); scene.views.len()];

@@ -1,6 +1,6 @@
 //! The simplest rules: the closest camera centres, the most shared points, chance.
 
-use super::Neighbourhood;
+use super::{Neighbourhood, smallest};
 use viewrank::evaluate::orders::shuffle;
 use viewrank_core::model::scene::ViewIndex;
 
@@ -11,11 +11,10 @@ const RANDOM_AMONG: usize = 22;
 pub(super) fn closest(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     let own = hood.centre(hood.key);
     let others = hood.scene.view_indices().filter(|&v| v != hood.key);
-    let mut others: Vec<(f64, ViewIndex)> = others
-        .map(|v| ((hood.centre(v) - own).norm_squared(), v))
-        .collect();
-    others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    others.into_iter().map(|(_, view)| view).take(k).collect()
+    smallest(
+        k,
+        others.map(|v| ((hood.centre(v) - own).norm_squared(), v)),
+    )
 }
 
 /// `maxcon`: the k views with the most shared sparse points, ties by name.

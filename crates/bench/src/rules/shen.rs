@@ -5,7 +5,7 @@
 //! < 60 degrees and 0.05 d_m < d < 2 d_m, where d_m is the median of d over the views within the
 //! limits of theta; of these, the k with the smallest theta d are chosen.
 
-use super::Neighbourhood;
+use super::{Neighbourhood, smallest};
 use viewrank_core::model::scene::{PointIndex, ViewIndex};
 
 pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
@@ -26,14 +26,7 @@ pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
         .into_iter()
         .map(|(view, theta)| (view, theta, distance(view)));
     let eligible = eligible.filter(|(_, _, d)| *d > 0.05 * median && *d < 2.0 * median);
-    let mut by_product: Vec<(f64, ViewIndex)> =
-        eligible.map(|(view, theta, d)| (theta * d, view)).collect();
-    by_product.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    by_product
-        .into_iter()
-        .map(|(_, view)| view)
-        .take(k)
-        .collect()
+    smallest(k, eligible.map(|(view, theta, d)| (theta * d, view)))
 }
 
 /// Returns the mean angle at the shared points, degrees.

@@ -21,6 +21,23 @@ impl Offsets {
         offsets
     }
 
+    /// Sorts entries into rows: `all` gives the row and the value of each, the same twice. Within a
+    /// row, they keep their order.
+    pub fn sorted<T: Copy + Default, I: Iterator<Item = (usize, T)>>(
+        rows: usize,
+        all: impl Fn() -> I,
+    ) -> (Self, Vec<T>) {
+        let mut lengths = vec![0; rows];
+        all().for_each(|(row, _)| lengths[row] += 1);
+        let offsets = Self::from_lengths(lengths);
+        let (mut next, mut entries) = (offsets.0.clone(), vec![T::default(); offsets.entries()]);
+        for (row, value) in all() {
+            entries[next[row]] = value;
+            next[row] += 1;
+        }
+        (offsets, entries)
+    }
+
     /// Adds a row.
     pub fn push(&mut self, length: usize) {
         self.0.push(self.entries() + length);

@@ -1,6 +1,8 @@
 //! View clusters (a key view with the views that it is matched against) and the limits on pairs of
 //! views.
 
+use std::iter;
+
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +13,13 @@ use super::scene::ViewIndex;
 pub struct ViewCluster {
     pub key: ViewIndex,
     pub partners: Vec<ViewIndex>,
+}
+
+impl ViewCluster {
+    /// Returns the key view, then the partners.
+    pub fn views(&self) -> impl Iterator<Item = ViewIndex> {
+        iter::once(self.key).chain(self.partners.iter().copied())
+    }
 }
 
 /// Size at which a depth map is matched, over the size that the plan matches images at.
@@ -61,6 +70,13 @@ pub struct RankedCluster {
     /// Fulfilment of the ranking up to and including this cluster, as a share of the fulfilment of
     /// all clusters, 0 to 1.
     pub share: f64,
+}
+
+impl RankedCluster {
+    /// Returns the key view, then the partners.
+    pub fn views(&self) -> impl Iterator<Item = ViewIndex> {
+        iter::once(self.key).chain(self.partners.iter().copied())
+    }
 }
 
 /// What a program can match of a pair of views, by its own rule (method 7.1).

@@ -25,7 +25,9 @@ use crate::{
 pub struct ViewIndex(pub u32);
 
 /// Index of a sparse point in [`Scene::points`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
 #[serde(transparent)]
 pub struct PointIndex(pub u32);
 
@@ -200,6 +202,15 @@ impl Scene {
         &self.views[view.index()].name
     }
 
+    /// Returns, for each view, its place among these; `None` if it is none of them.
+    pub fn places_of(&self, views: impl IntoIterator<Item = ViewIndex>) -> Vec<Option<usize>> {
+        let mut places = vec![None; self.views.len()];
+        (0..)
+            .zip(views)
+            .for_each(|(i, view)| places[view.index()] = Some(i));
+        places
+    }
+
     pub fn view_indices(&self) -> impl ExactSizeIterator<Item = ViewIndex> + Clone {
         (0..self.views.len() as u32).map(ViewIndex)
     }
@@ -336,25 +347,14 @@ pub struct ViewPoints {
 
 impl ViewPoints {
     fn new(scene: &Scene) -> Self {
-        let distinct = |p: usize| {
-            let track = &scene.track_views[scene.track_offsets[p]..scene.track_offsets[p + 1]];
+        let distinct = |p: PointIndex| {
+            let track = scene.track_views(p);
             (0..track.len())
                 .filter(move |&i| i == 0 || track[i] != track[i - 1])
-                .map(move |i| track[i])
+                .map(move |i| (track[i].index(), p))
         };
-        let mut counts = vec![0usize; scene.views.len()];
-        (0..scene.points.len())
-            .flat_map(distinct)
-            .for_each(|v| counts[v.index()] += 1);
-        let offsets = Offsets::from_lengths(counts);
-        let mut next = offsets.as_slice().to_vec();
-        let mut points = vec![PointIndex(0); offsets.entries()];
-        for p in 0..scene.points.len() {
-            for v in distinct(p) {
-                points[next[v.index()]] = PointIndex(p as u32);
-                next[v.index()] += 1;
-            }
-        }
+        let all = || (0..scene.points.len() as u32).map(PointIndex);
+        let (offsets, points) = Offsets::sorted(scene.views.len(), || all().flat_map(distinct));
         Self { offsets, points }
     }
 

@@ -3,9 +3,9 @@
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMap, DepthMapFormat, Parsed, floats};
+use super::{Parsed, Plane, floats};
 
-pub(super) fn parse(bytes: &[u8], format: DepthMapFormat, bound: PixelBound) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
     let (width, at) = number(bytes, 0)?;
     let (height, at) = number(bytes, at)?;
     let (channels, at) = number(bytes, at)?;
@@ -15,13 +15,7 @@ pub(super) fn parse(bytes: &[u8], format: DepthMapFormat, bound: PixelBound) -> 
             format!("{channels} channels, expected 1 (is this a normal map?)"),
         ));
     }
-    Ok(DepthMap {
-        format,
-        width,
-        height,
-        depth: floats(bytes, at, (width, height), bound)?,
-        ids: Vec::new(),
-    })
+    floats(bytes, at, [width, height], bound)
 }
 
 /// Parses decimal digits up to `&`; returns the number and the offset after the `&`.

@@ -3,9 +3,9 @@
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
+use super::{Parsed, Plane, floats, u32_at};
 
-pub(super) fn parse(bytes: &[u8], format: DepthMapFormat, bound: PixelBound) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
     let (kind, height, width, channels) = (
         u32_at(bytes, 0)?,
         u32_at(bytes, 4)?,
@@ -18,11 +18,5 @@ pub(super) fn parse(bytes: &[u8], format: DepthMapFormat, bound: PixelBound) -> 
             format!("type {kind} with {channels} channels, expected type 1 with 1 channel"),
         ));
     }
-    Ok(DepthMap {
-        format,
-        width,
-        height,
-        depth: floats(bytes, 16, (width, height), bound)?,
-        ids: Vec::new(),
-    })
+    floats(bytes, 16, [width, height], bound)
 }

@@ -9,7 +9,7 @@ use viewrank_core::base::{
     pixels::{PixelBound, most_decoded_bytes},
 };
 
-use super::{DepthMap, DepthMapFormat, Parsed, pixels, u32_at};
+use super::{Parsed, Plane, pixels, u32_at};
 
 /// Magic number, version 2 without flags (scan lines, one part), which may allow names of 255
 /// characters.
@@ -28,7 +28,7 @@ struct Header {
     end: usize,
 }
 
-pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
     if u32_at(bytes, 0)? != MAGIC {
         return Err((0, "not an OpenEXR file".into()));
     }
@@ -58,13 +58,7 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
             .map_err(|e| (header.end, e.to_string()))?;
         image.read_chunk(bytes, at, &mut depth)?;
     }
-    Ok(DepthMap {
-        format: DepthMapFormat::AliceVision,
-        width,
-        height,
-        depth,
-        ids: Vec::new(),
-    })
+    Ok(([width, height], depth))
 }
 
 /// How the lines of the image are stored.

@@ -11,7 +11,10 @@ use viewrank_core::model::scene::{Scene, ViewIndex};
 use walkdir::WalkDir;
 
 use super::{DepthMapError, DepthMapFormat, micmac, openmvs};
-use crate::input::{self, FileKind};
+use crate::{
+    input::{self, FileKind},
+    paths,
+};
 
 /// Bytes read from a `.dmap` to get its header.
 const DMAP_HEADER: u64 = 1 << 17;
@@ -86,7 +89,7 @@ impl DepthMapSet {
 /// its dense workspaces (`dense`, `dense/N`), other programs' in a folder of their name.
 pub fn default_folders(project: &Path) -> Vec<PathBuf> {
     let mut workspaces = vec![project.to_path_buf(), project.join("dense")];
-    workspaces.extend(sub_folders(&project.join("dense")));
+    workspaces.extend(paths::sub_folders(&project.join("dense")));
     workspaces.push(project.join("viewrank/colmap"));
     let mut folders: Vec<PathBuf> = workspaces
         .iter()
@@ -115,19 +118,6 @@ fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
         project.join("viewrank").join(kind),
         project.join("export").join(kind),
     ]
-}
-
-fn sub_folders(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .filter_map(Result::ok);
-    let mut folders: Vec<_> = entries
-        .map(|entry| entry.path())
-        .filter(|path| path.is_dir())
-        .collect();
-    folders.sort();
-    folders
 }
 
 /// Depth map folder of a program in a project (`dense`: its dense workspace): the first that
@@ -177,10 +167,9 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
     for entry in WalkDir::new(folder).sort_by_file_name() {
         let entry = match entry {
             Err(error) if error.depth() > 0 && error.io_error().is_some_and(is_gone) => continue,
-            entry => entry.map_err(|e| DepthMapError::Io {
-                path: folder.into(),
-                source: input::cause(e),
-            })?,
+            entry => entry
+                .map_err(input::cause)
+                .map_err(DepthMapError::io(folder))?,
         };
         let path = entry.path();
         let inside = path.strip_prefix(folder).unwrap_or(path);
@@ -315,8 +304,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
 /// Returns whether `finished.py` of an export has made the map for the fusion, with those of half
 /// the size enlarged.
 fn is_copy(map: &Path) -> bool {
-    let folder = std::path::absolute(map).unwrap_or_else(|_| map.into());
-    folder
+    paths::absolute(map)
         .parent()
         .is_some_and(|folder| folder.ends_with("fuse/depth_est"))
 }
@@ -428,17 +416,9 @@ fn require_matched(path: &Path) -> Result<(), DepthMapError> {
 
 /// Returns the depth image and the mask that a description of MicMac names.
 fn micmac_images(path: &Path) -> Result<[PathBuf; 2], DepthMapError> {
-    let bytes = input::read(path, FileKind::Settings).map_err(|source| DepthMapError::Io {
-        path: path.into(),
-        source,
-    })?;
-    let fault = |(byte, what)| DepthMapError::Format {
-        path: path.into(),
-        byte,
-        what,
-    };
+    let bytes = input::read(path, FileKind::Settings).map_err(DepthMapError::io(path))?;
     Ok(micmac::files(&bytes)
-        .map_err(fault)?
+        .map_err(DepthMapError::format(path))?
         .map(|name| path.with_file_name(name)))
 }
 
@@ -459,7 +439,7 @@ fn mve_name(path: &Path) -> Result<Option<String>, DepthMapError> {
     let text = match input::read_text(&meta, FileKind::List) {
         Ok(text) => text,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(source) => return Err(DepthMapError::Io { path: meta, source }),
+        Err(error) => return Err(DepthMapError::io(&meta)(error)),
     };
     let values = text.lines().filter_map(|line| line.split_once('='));
     let name = values
@@ -500,22 +480,12 @@ fn dmap_image(path: &Path) -> Result<String, DepthMapError> {
 }
 
 fn dmap_header(path: &Path) -> Result<openmvs::Header, DepthMapError> {
-    let io = |source| DepthMapError::Io {
-        path: path.into(),
-        source,
-    };
     let mut bytes = Vec::new();
     input::open(path)
-        .map_err(io)?
-        .take(DMAP_HEADER)
-        .read_to_end(&mut bytes)
-        .map_err(io)?;
+        .and_then(|file| file.take(DMAP_HEADER).read_to_end(&mut bytes))
+        .map_err(DepthMapError::io(path))?;
     super::check_kind(path, DepthMapFormat::OpenMvs, &bytes)?;
-    openmvs::header(&bytes).map_err(|(byte, what)| DepthMapError::Format {
-        path: path.into(),
-        byte,
-        what,
-    })
+    openmvs::header(&bytes).map_err(DepthMapError::format(path))
 }
 
 /// The numbers of `view_names.txt`, read at the first numbered map.
@@ -561,10 +531,7 @@ fn read_view_names(
         path: folder.into(),
         what: "numbered depth maps need a view_names.txt, which is missing here and in the three folders above".into(),
     })?;
-    let text = input::read_text(&path, FileKind::List).map_err(|source| DepthMapError::Io {
-        path: path.clone(),
-        source,
-    })?;
+    let text = input::read_text(&path, FileKind::List).map_err(DepthMapError::io(&path))?;
     let mut views = BTreeMap::new();
     for (line, content) in text
         .lines()

@@ -22,7 +22,7 @@ use tiff::{
 };
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{Beside, DepthMap, DepthMapFormat, Parsed, pixels};
+use super::{Beside, Parsed, Plane, pixels};
 use crate::{
     formats::{
         Fault, Place, Problem,
@@ -46,7 +46,7 @@ struct Cloud {
     is_inverse: bool,
 }
 
-pub(super) fn parse(bytes: &[u8], bound: PixelBound, beside: Beside) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound, beside: Beside) -> Parsed<Plane> {
     let cloud = cloud(bytes)?;
     let [width, height] = cloud.size;
     let pixels = pixels(width, height, bound)?;
@@ -65,14 +65,7 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound, beside: Beside) -> Parsed<D
         let z = if cloud.is_inverse { 1.0 / r } else { r };
         if is_depth { z as f32 } else { 0.0 }
     };
-    let depth = values.into_iter().zip(mask).map(z).collect();
-    Ok(DepthMap {
-        format: DepthMapFormat::MicMac,
-        width,
-        height,
-        depth,
-        ids: Vec::new(),
-    })
+    Ok((cloud.size, values.into_iter().zip(mask).map(z).collect()))
 }
 
 /// Returns the names of the depth image and of its mask. MicMac writes the description before it
@@ -129,14 +122,7 @@ fn root(bytes: &[u8]) -> Result<Element, Fault> {
         Some(root) if root.name == "XML_ParamNuage3DMaille" => return xml.whole(root),
         found => found.map_or("nothing".into(), |root| format!("<{}>", root.name)),
     };
-    Err(Fault::new(
-        "",
-        Place::File,
-        Problem::Syntax {
-            expected: "<XML_ParamNuage3DMaille> of MicMac",
-            found,
-        },
-    ))
+    Err(Problem::syntax("<XML_ParamNuage3DMaille> of MicMac", found).at(Place::File))
 }
 
 fn fault(fault: Fault) -> (usize, String) {

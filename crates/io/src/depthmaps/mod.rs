@@ -191,11 +191,7 @@ impl DepthMap {
                 size(&confidence),
                 size(self)
             );
-            return Err(DepthMapError::Format {
-                path: path.into(),
-                byte: 0,
-                what,
-            });
+            return Err(DepthMapError::format(path)((0, what)));
         }
         for (z, &confidence) in self.depth.iter_mut().zip(&confidence.depth) {
             // Not a number is no confidence either.
@@ -265,6 +261,25 @@ pub enum DepthMapError {
     },
 }
 
+impl DepthMapError {
+    /// Makes the error of a file that cannot be read.
+    fn io(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        move |source| Self::Io {
+            path: path.into(),
+            source,
+        }
+    }
+
+    /// Makes the error of a file with a fault at a byte.
+    fn format(path: &Path) -> impl Fn((usize, String)) -> Self {
+        move |(byte, what)| Self::Format {
+            path: path.into(),
+            byte,
+            what,
+        }
+    }
+}
+
 impl Hint for DepthMapError {
     fn hint(&self) -> Option<Advice> {
         let hint = match self {
@@ -311,6 +326,9 @@ impl Hint for DepthMapError {
 /// A parse result; an error has the byte offset and the problem, the caller adds the path.
 type Parsed<T> = Result<T, (usize, String)>;
 
+/// Width and height of a map, and its values as the file has them, row-major.
+type Plane = ([u32; 2], Vec<f32>);
+
 /// Reads another file of a depth map's folder, by its name.
 pub type Beside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
@@ -326,10 +344,7 @@ pub fn read(
         DepthMapFormat::MicMac => input::read(path, FileKind::Settings),
         _ => input::read_start(path, FileKind::Picture, bound.file_bytes()),
     };
-    let bytes = read(path).map_err(|source| DepthMapError::Io {
-        path: path.into(),
-        source,
-    })?;
+    let bytes = read(path).map_err(DepthMapError::io(path))?;
     let beside = |name: &str| {
         input::read_start(
             &path.with_file_name(name),
@@ -338,11 +353,7 @@ pub fn read(
         )
     };
     check_kind(path, format, &bytes)?;
-    parse(&bytes, format, bound, &beside).map_err(|(byte, what)| DepthMapError::Format {
-        path: path.into(),
-        byte,
-        what,
-    })
+    parse(&bytes, format, bound, &beside).map_err(DepthMapError::format(path))
 }
 
 /// Refuses a map of a kind that came after this program: it is as good as any other.
@@ -448,24 +459,31 @@ pub fn parse(
     bound: PixelBound,
     beside: Beside,
 ) -> Parsed<DepthMap> {
-    let mut map = match format {
+    let mut ids = Vec::new();
+    let ([width, height], mut depth) = match format {
         DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => {
-            colmap::parse(bytes, format, bound)
+            colmap::parse(bytes, bound)
         }
-        DepthMapFormat::OpenMvs => openmvs::parse(bytes, bound),
+        DepthMapFormat::OpenMvs => openmvs::parse(bytes, bound, &mut ids),
         DepthMapFormat::Pfm => pfm::parse(bytes, bound),
-        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, format, bound),
+        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, bound),
         DepthMapFormat::Mve => mvei::parse(bytes, bound),
         DepthMapFormat::AliceVision => exr::parse(bytes, bound),
         DepthMapFormat::MicMac => micmac::parse(bytes, bound, beside),
         DepthMapFormat::Npy => npy::parse(bytes, bound),
     }?;
-    for z in &mut map.depth {
+    for z in &mut depth {
         if !(z.is_finite() && *z > 0.0) {
             *z = 0.0;
         }
     }
-    Ok(map)
+    Ok(DepthMap {
+        format,
+        width,
+        height,
+        depth,
+        ids,
+    })
 }
 
 /// Returns the number of pixels of a map, which every reader needs before it allocates: at least
@@ -481,7 +499,7 @@ fn pixels(width: u32, height: u32, bound: PixelBound) -> Parsed<usize> {
 fn plane<const N: usize>(
     bytes: &[u8],
     start: usize,
-    (width, height): (u32, u32),
+    [width, height]: [u32; 2],
     bound: PixelBound,
 ) -> Parsed<impl Iterator<Item = [u8; N]>> {
     let needed = pixels(width, height, bound)? * N;
@@ -498,11 +516,10 @@ fn plane<const N: usize>(
     }
 }
 
-/// Reads `width` x `height` little-endian f32 from `start`.
-fn floats(bytes: &[u8], start: usize, size: (u32, u32), bound: PixelBound) -> Parsed<Vec<f32>> {
-    Ok(plane(bytes, start, size, bound)?
-        .map(f32::from_le_bytes)
-        .collect())
+/// Reads a map of this size of little-endian f32 from `start`.
+fn floats(bytes: &[u8], start: usize, size: [u32; 2], bound: PixelBound) -> Parsed<Plane> {
+    let values = plane(bytes, start, size, bound)?.map(f32::from_le_bytes);
+    Ok((size, values.collect()))
 }
 
 /// Reads the little-endian u32 at a byte offset.

@@ -3,12 +3,12 @@
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
+use super::{Parsed, Plane, floats, u32_at};
 
 const SIGNATURE: &[u8] = b"\x89MVE_IMAGE\n";
 const FLOAT: u32 = 9;
 
-pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
     if !bytes.starts_with(SIGNATURE) {
         return Err((0, "not an image of MVE, expected `\\x89MVE_IMAGE`".into()));
     }
@@ -20,12 +20,5 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
         );
         return Err((SIGNATURE.len() + 8, what));
     }
-    let depth = floats(bytes, SIGNATURE.len() + 16, (width, height), bound)?;
-    Ok(DepthMap {
-        format: DepthMapFormat::Mve,
-        width,
-        height,
-        depth,
-        ids: Vec::new(),
-    })
+    floats(bytes, SIGNATURE.len() + 16, [width, height], bound)
 }

@@ -3,10 +3,10 @@
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMap, DepthMapFormat, Parsed, pixels};
+use super::{Parsed, Plane, pixels};
 use crate::npy;
 
-pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
     let array = npy::read(bytes)?;
     let &[rows, columns] = &array.shape[..] else {
         return Err((0, "expected two dimensions, rows and columns".into()));
@@ -27,11 +27,5 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
             return Err((0, what));
         }
     };
-    Ok(DepthMap {
-        format: DepthMapFormat::Npy,
-        width,
-        height,
-        depth,
-        ids: Vec::new(),
-    })
+    Ok(([width, height], depth))
 }

@@ -16,7 +16,7 @@ use nom::{
 };
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMap, DepthMapFormat, Parsed, floats, plane};
+use super::{Parsed, Plane, floats, plane};
 
 /// Letters, type, exponent, width and height of the image.
 const BEFORE_THE_SIZE: usize = 12;
@@ -68,25 +68,20 @@ pub(super) fn newer(bytes: &[u8]) -> Option<String> {
     }
 }
 
-pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
+/// `ids`: takes those of the key view and its partners.
+pub(super) fn parse(bytes: &[u8], bound: PixelBound, ids: &mut Vec<u32>) -> Parsed<Plane> {
     let header = header(bytes)?;
-    let size = (header.width, header.height);
-    let depth = match header.kind {
-        Kind::Floats => floats(bytes, header.length, size, bound)?,
+    let size = [header.width, header.height];
+    *ids = header.ids;
+    match header.kind {
+        Kind::Floats => floats(bytes, header.length, size, bound),
         Kind::Halves { exponent } => {
             let unit = 2f64.powi(exponent.into());
-            plane::<2>(bytes, header.length, size, bound)?
-                .map(|half| (f16::from_le_bytes(half).to_f64() * unit) as f32)
-                .collect()
+            let depths = plane::<2>(bytes, header.length, size, bound)?
+                .map(|half| (f16::from_le_bytes(half).to_f64() * unit) as f32);
+            Ok((size, depths.collect()))
         }
-    };
-    Ok(DepthMap {
-        format: DepthMapFormat::OpenMvs,
-        width: header.width,
-        height: header.height,
-        depth,
-        ids: header.ids,
-    })
+    }
 }
 
 /// Everything before the depth plane.

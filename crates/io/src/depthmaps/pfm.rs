@@ -3,9 +3,9 @@
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMap, DepthMapFormat, Parsed, floats};
+use super::{Parsed, Plane, floats};
 
-pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
     let (magic, at) = word(bytes, 0)?;
     if magic != "Pf" {
         return Err((0, "expected `Pf` (one channel)".into()));
@@ -13,25 +13,14 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<DepthMap> {
     let (width, at) = number::<u32>(bytes, at)?;
     let (height, at) = number::<u32>(bytes, at)?;
     let (scale, at) = number::<f32>(bytes, at)?;
-    let mut depth = floats(bytes, at, (width, height), bound)?;
+    let (size, mut depth) = floats(bytes, at, [width, height], bound)?;
     if scale > 0.0 {
         depth
             .iter_mut()
             .for_each(|z| *z = f32::from_bits(z.to_bits().swap_bytes()));
     }
-    let depth = depth
-        .chunks_exact(width as usize)
-        .rev()
-        .flatten()
-        .copied()
-        .collect();
-    Ok(DepthMap {
-        format: DepthMapFormat::Pfm,
-        width,
-        height,
-        depth,
-        ids: Vec::new(),
-    })
+    let rows = depth.chunks_exact(width as usize).rev();
+    Ok((size, rows.flatten().copied().collect()))
 }
 
 fn number<T: std::str::FromStr>(bytes: &[u8], start: usize) -> Parsed<(T, usize)> {

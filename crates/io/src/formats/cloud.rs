@@ -9,7 +9,7 @@ use viewrank_core::{
     base::median::upper_median,
     model::{
         camera::Camera,
-        scene::{ModelWarning, Pose, WarningKind},
+        scene::{Pose, WarningKind},
     },
 };
 
@@ -146,13 +146,11 @@ fn observe(model: &mut ColmapModel, why: &str, all: usize) {
         point.track = Cow::Owned(track.into_iter().map(element).collect());
     }
     let text = format!("{why}: every view into which a point projects counts as observing it");
-    model
-        .warnings
-        .push(ModelWarning::new(WarningKind::Projected, text));
+    model.warn(WarningKind::Projected, text);
     let used = model.points.len();
     if used < all {
         let text = format!("the cloud has {all} points, of which a random {used} are used");
-        warn(model, text);
+        model.warn(WarningKind::Format, text);
     }
 }
 
@@ -241,9 +239,7 @@ fn place_2d_points(model: &mut ColmapModel) {
     let text = format!(
         "{filled} of {all} images list no 2D points, but tracks name some: they are placed at the projections of the points"
     );
-    model
-        .warnings
-        .push(ModelWarning::new(WarningKind::Damaged, text));
+    model.warn(WarningKind::Damaged, text);
 }
 
 /// Makes the tracks of points without any from the images' lists of 2D points.
@@ -270,15 +266,7 @@ fn follow_lists(model: &mut ColmapModel) {
         point.track = Cow::Owned(track);
     }
     let text = "the points have no tracks: they are made of the images' lists of 2D points";
-    model
-        .warnings
-        .push(ModelWarning::new(WarningKind::Damaged, text));
-}
-
-fn warn(model: &mut ColmapModel, text: String) {
-    model
-        .warnings
-        .push(ModelWarning::new(WarningKind::Format, text));
+    model.warn(WarningKind::Damaged, text);
 }
 
 /// Chooses about `most` of a number of points by a hash of their index: with a fixed stride, only

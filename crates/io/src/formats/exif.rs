@@ -82,21 +82,20 @@ impl<'a> Tiff<'a> {
     }
 
     fn u16(&self, at: usize) -> Option<u16> {
-        let bytes = self.bytes.get(at..at.checked_add(2)?)?.try_into().ok()?;
-        Some(if self.is_big_endian {
-            u16::from_be_bytes(bytes)
-        } else {
-            u16::from_le_bytes(bytes)
-        })
+        self.big_endian(at).map(u16::from_be_bytes)
     }
 
     fn u32(&self, at: usize) -> Option<u32> {
-        let bytes = self.bytes.get(at..at.checked_add(4)?)?.try_into().ok()?;
-        Some(if self.is_big_endian {
-            u32::from_be_bytes(bytes)
-        } else {
-            u32::from_le_bytes(bytes)
-        })
+        self.big_endian(at).map(u32::from_be_bytes)
+    }
+
+    /// The bytes of a number, the largest first.
+    fn big_endian<const N: usize>(&self, at: usize) -> Option<[u8; N]> {
+        let mut bytes: [u8; N] = self.bytes.get(at..at.checked_add(N)?)?.try_into().ok()?;
+        if !self.is_big_endian {
+            bytes.reverse();
+        }
+        Some(bytes)
     }
 
     fn directory(&self, at: usize) -> Option<Vec<Entry>> {

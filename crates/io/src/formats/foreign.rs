@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use viewrank_core::model::{
     camera::{Camera, CameraError, CameraModel},
     georeference::Georeference,
-    scene::{ModelWarning, Scene, WarningKind},
+    scene::{Scene, WarningKind},
 };
 
 use super::{
@@ -44,7 +44,7 @@ pub struct ForeignModel {
 impl ForeignModel {
     pub fn scene(&self) -> Result<Scene, Fault> {
         for name in self.unregistered.iter().chain(&self.left_out) {
-            check_length(name).map_err(|problem| Fault::new("", Place::File, problem))?;
+            check_length(name).map_err(|problem| problem.at(Place::File))?;
         }
         let mut scene = self.model.scene()?;
         scene.georeference = self.georeference;
@@ -148,7 +148,7 @@ impl ForeignModel {
     }
 
     pub fn warn(&mut self, kind: WarningKind, text: impl AsRef<str>) {
-        self.model.warnings.push(ModelWarning::new(kind, text));
+        self.model.warn(kind, text);
     }
 
     /// Writes names with `/` and without `.` and `..`, and makes absolute ones, or those that lead
@@ -348,7 +348,7 @@ pub(super) fn guessed_size(farthest: [f64; 2], from_centre: bool) -> (u32, u32) 
 
 /// The fault of a record whose position in the file is unknown.
 pub(super) fn fault_in(problem: Problem, record: impl FnOnce() -> String) -> Fault {
-    Fault::new("", Place::File, problem).in_record(record)
+    problem.at(Place::File).in_record(record)
 }
 
 /// The problem of a line that isn't what was expected.
@@ -376,7 +376,7 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
         } else {
             Problem::Json(text)
         };
-        Fault::new("", place, problem)
+        problem.at(place)
     })
 }
 

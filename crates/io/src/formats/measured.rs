@@ -89,10 +89,7 @@ fn track(
         let _key: i64 = words.number("a key")?;
         let pixel = words.numbers("x and y")?;
         let Some(&is_registered) = is_registered.get(camera) else {
-            return Err(words.fault(Problem::Absent {
-                what: "camera",
-                id: camera as u64,
-            }));
+            return Err(words.fault(Problem::absent("camera", camera as u64)));
         };
         if is_registered {
             let points2d = &mut points2d[camera];

@@ -57,8 +57,7 @@ fn pose_of(outer: &Element) -> Result<StoredPose, Fault> {
     let row = |name| Ok(Vector3::from(matrix.required_child(name)?.numbers()?));
     // Rows from camera to world are columns from world to camera.
     let rotation = Matrix3::from_columns(&[row("L1")?, row("L2")?, row("L3")?]);
-    pose_with_centre(rotation, Vector3::from(centre))
-        .map_err(|problem| Fault::new("", outer.at(), problem))
+    pose_with_centre(rotation, Vector3::from(centre)).map_err(|problem| problem.at(outer.at()))
 }
 
 /// Reads a calibration; returns the camera and by how many pixels it is off, at most, since COLMAP
@@ -73,11 +72,7 @@ pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
             "no camera model of COLMAP has the distortion of this calibration: its centre is too far from the principal point"
                 .into();
         let hint = "calibrate with Tapas RadialBasic or FraserBasic, or undistort the images with mm3d Drunk";
-        return Err(Fault::new(
-            "",
-            root.at(),
-            Problem::Unsupported { what, hint },
-        ));
+        return Err(Problem::Unsupported { what, hint }.at(root.at()));
     }
     Ok((camera, off))
 }
@@ -105,20 +100,13 @@ fn named(bytes: &[u8], name: &'static str) -> Result<Element, Fault> {
             xml.skip()?;
         }
     }
-    Err(Fault::new(
-        "",
-        Place::File,
-        Problem::Syntax {
-            expected: name,
-            found: "no such element".into(),
-        },
-    ))
+    Err(Problem::syntax(name, "no such element").at(Place::File))
 }
 
 /// The fault of an element with a projection or distortion that is not read.
 fn unknown(element: &Element, what: &str) -> Fault {
     let problem = Problem::CameraModel(format!("{what} (MicMac)"));
-    Fault::new("", element.at(), problem)
+    problem.at(element.at())
 }
 
 /// A calibration, in COLMAP's pixels.

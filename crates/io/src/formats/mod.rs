@@ -141,6 +141,26 @@ pub enum Problem {
 }
 
 impl Problem {
+    pub fn syntax(expected: &'static str, found: impl Into<String>) -> Self {
+        let found = found.into();
+        Self::Syntax { expected, found }
+    }
+
+    pub fn duplicate(what: &'static str, id: impl ToString) -> Self {
+        let id = id.to_string();
+        Self::Duplicate { what, id }
+    }
+
+    pub fn absent(what: &'static str, id: impl Into<u64>) -> Self {
+        let id = id.into();
+        Self::Absent { what, id }
+    }
+
+    /// The fault at a place of a model of one file.
+    pub fn at(self, place: Place) -> Fault {
+        Fault::new("", place, self)
+    }
+
     /// Hint: what to do about the problem.
     pub fn hint(&self) -> &'static str {
         match self {
@@ -183,11 +203,7 @@ fn check_images(count: usize) -> Result<(), Fault> {
         return Ok(());
     }
     let what = format!("{count} images or cameras, at most {MOST_IMAGES} are read");
-    Err(Fault::new(
-        "",
-        Place::File,
-        Problem::Unsupported { what, hint: SPLIT },
-    ))
+    Err(Problem::Unsupported { what, hint: SPLIT }.at(Place::File))
 }
 
 /// What to do about too many images.
@@ -343,7 +359,7 @@ mod tests {
             name: long.clone(),
             why: "is an absolute path",
         };
-        let of_name = Fault::new("", Place::Line(3), name).in_record(|| long);
+        let of_name = name.at(Place::Line(3)).in_record(|| long);
         for (fault, why) in [(of_json, "expected u8"), (of_name, "is an absolute path")] {
             let text = fault.to_string();
             assert!(text.len() < 3000, "{}", text.len());

@@ -80,14 +80,11 @@ impl View {
                 "the image views/{} is missing, and its size with it",
                 self.image
             );
-            Fault::new(
-                "",
-                Place::File,
-                Problem::Unsupported {
-                    what,
-                    hint: "copy the whole folder of the MVE scene",
-                },
-            )
+            Problem::Unsupported {
+                what,
+                hint: "copy the whole folder of the MVE scene",
+            }
+            .at(Place::File)
         })?;
         let (w, h) = (f64::from(width), f64::from(height));
         let fx = if w * self.pixel_aspect < h {
@@ -201,7 +198,7 @@ impl Bundle<'_> {
         view: &View,
         size_of: SizeLookup,
     ) -> Result<(), Fault> {
-        let fault = |problem| Fault::new("", read.at, problem).in_record(|| format!("camera {n}"));
+        let fault = |problem: Problem| problem.at(read.at).in_record(|| format!("camera {n}"));
         let stored = pose(read.rotation, read.translation).map_err(fault)?;
         let pose = stored.pose().map_err(fault)?;
         let camera = view.camera(read.focal, size_of)?;
@@ -242,12 +239,7 @@ impl Bundle<'_> {
             let view: usize = words.number("a view")?;
             let _ = words.numbers::<2>("a feature and 0")?;
             let known = self.registered.get(view);
-            let known = known.ok_or_else(|| {
-                words.fault(Problem::Absent {
-                    what: "view",
-                    id: view as u64,
-                })
-            })?;
+            let known = known.ok_or_else(|| words.fault(Problem::absent("view", view as u64)))?;
             if let Some(registered) = known {
                 let in_camera = registered.pose.camera_from_world(point);
                 let pixel = registered.camera.project(&in_camera);

@@ -98,7 +98,7 @@ fn model(words: &mut Words) -> Result<NvmModel, Fault> {
 fn nvm_camera(words: &mut Words) -> Result<NvmCamera, Fault> {
     let at = words.place();
     let expected = "a name, focal length, quaternion, centre, distortion and 0";
-    let fault = |problem| Fault::new("", at, problem);
+    let fault = |problem: Problem| problem.at(at);
     let line = words
         .full_line()
         .ok_or_else(|| fault(Problem::Truncated("the cameras")))?;
@@ -154,7 +154,7 @@ fn assemble(nvm: NvmModel, size_of: SizeLookup) -> Result<ForeignModel, Fault> {
         let quaternion = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
         let rotation = quaternion.to_rotation_matrix().into_inner();
         let pose = pose_with_centre(rotation, Vector3::new(cx, cy, cz));
-        let pose = pose.map_err(|problem| Fault::new("", nvm.at, problem).in_record(what))?;
+        let pose = pose.map_err(|problem| problem.at(nvm.at).in_record(what))?;
         foreign.add_image(id, nvm.name.clone(), id, pose, nvm.at);
         let [x, y] = if from_centre { half } else { [0.0; 2] };
         foreign.model.images[n].points2d =

@@ -54,7 +54,7 @@ fn image_id<'a>(entries: &Entries<'a>) -> Result<&'a str, Fault> {
     let line = line.unwrap_or_default().trim_ascii();
     std::str::from_utf8(line).map_err(|_| {
         let problem = Problem::Json("the image id is not UTF-8".into());
-        Fault::new("", Place::File, problem)
+        problem.at(Place::File)
     })
 }
 
@@ -77,7 +77,7 @@ fn pose(entries: &Entries) -> Result<StoredPose, Fault> {
     let rotation = Matrix3::from_row_slice(&numbers::<9>(entries, "ExtOri_RotationMatrix")?);
     let centre = Vector3::from(numbers::<3>(entries, "ExtOri_TranslationVector")?);
     let at = entries["ExtOri_RotationMatrix"].at;
-    pose_with_centre(rotation, centre).map_err(|problem| Fault::new("", at, problem))
+    pose_with_centre(rotation, centre).map_err(|problem| problem.at(at))
 }
 
 /// The lines after a key.
@@ -135,7 +135,7 @@ fn entries(bytes: &[u8]) -> Result<Entries<'_>, Fault> {
             }
         } else if !line.is_empty() {
             let expected = "a key that begins with $";
-            return Err(Fault::new("", at, unexpected(line, expected)));
+            return Err(unexpected(line, expected).at(at));
         }
     }
     Ok(entries)
@@ -158,11 +158,8 @@ fn key_in(head: &[u8]) -> &[u8] {
 
 fn numbers<const N: usize>(entries: &Entries, key: &'static str) -> Result<[f64; N], Fault> {
     let fault = |at, found: String| {
-        let problem = Problem::Syntax {
-            expected: key,
-            found,
-        };
-        Fault::new("", at, problem)
+        let problem = Problem::syntax(key, found);
+        problem.at(at)
     };
     let entry = entries
         .get(key)
@@ -187,7 +184,7 @@ fn distortion(entries: &Entries, pinhole: [f64; 4]) -> Result<(CameraModel, Vec<
         (Some(b"Brown5"), &[k1, k2, k3, t1, t2]) => Ok(brown(pinhole, [k1, k2, k3], [t1, t2])),
         _ => {
             let problem = Problem::CameraModel(format!("{} (SURE)", entry.beginning()));
-            Err(Fault::new("", entry.at, problem))
+            Err(problem.at(entry.at))
         }
     }
 }

@@ -180,7 +180,7 @@ impl Lens {
     }
 
     fn camera(&self, id: u32) -> Result<Camera, Fault> {
-        let fault = |problem| Fault::new("", Place::File, problem);
+        let fault = |problem: Problem| problem.at(Place::File);
         let [w, h] = self.size().map_err(fault)?;
         let (model, params) = self.model([w, h]).map_err(fault)?;
         camera(Camera::new(id, model, w as u64, h as u64, params), || {

@@ -75,15 +75,14 @@ impl<'a> Words<'a> {
         // The last field of a file needs no separator after it.
         let room = (self.rest.len() + 1) / smallest;
         let fits = usize::try_from(count).ok().filter(|&n| n <= room);
-        fits.ok_or(Fault::new(
-            "",
-            at,
+        fits.ok_or(
             Problem::Count {
                 what,
                 count,
                 room: room as u64,
-            },
-        ))
+            }
+            .at(at),
+        )
     }
 
     /// Parses records; a fault names the number of its record.
@@ -116,7 +115,7 @@ impl<'a> Words<'a> {
     }
 
     pub fn fault(&self, problem: Problem) -> Fault {
-        Fault::new("", self.place(), problem)
+        problem.at(self.place())
     }
 
     pub fn unexpected(&self, expected: &'static str) -> Fault {

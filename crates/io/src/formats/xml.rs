@@ -66,15 +66,8 @@ impl Element {
         values
             .and_then(|values| values.try_into().ok())
             .ok_or_else(|| {
-                let found = self.text().chars().take(40).collect();
-                let fault = Fault::new(
-                    "",
-                    self.at,
-                    Problem::Syntax {
-                        expected: "numbers",
-                        found,
-                    },
-                );
+                let found: String = self.text().chars().take(40).collect();
+                let fault = Problem::syntax("numbers", found).at(self.at);
                 fault.in_record(|| format!("<{}>", self.name))
             })
     }
@@ -98,14 +91,7 @@ impl Element {
     /// The fault of an element that has no such child.
     pub fn lacks(&self, child: &'static str) -> Fault {
         let found = format!("<{}> without it", self.name);
-        Fault::new(
-            "",
-            self.at,
-            Problem::Syntax {
-                expected: child,
-                found,
-            },
-        )
+        Problem::syntax(child, found).at(self.at)
     }
 }
 
@@ -119,15 +105,8 @@ impl<'a> Xml<'a> {
     pub fn new(bytes: &'a [u8]) -> Result<Self, Fault> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let text = std::str::from_utf8(bytes).map_err(|error| {
-            let found = "other bytes".into();
-            Fault::new(
-                "",
-                Place::Byte(error.valid_up_to() as u64),
-                Problem::Syntax {
-                    expected: "text in UTF-8",
-                    found,
-                },
-            )
+            let at = Place::Byte(error.valid_up_to() as u64);
+            Problem::syntax("text in UTF-8", "other bytes").at(at)
         })?;
         let mut reader = Reader::from_str(text);
         reader.config_mut().expand_empty_elements = true;
@@ -141,11 +120,7 @@ impl<'a> Xml<'a> {
             Some(root) if root.name == name => Ok(xml),
             root => {
                 let found = root.map_or("nothing".into(), |root| format!("<{}>", root.name));
-                Err(Fault::new(
-                    "",
-                    Place::File,
-                    Problem::Syntax { expected, found },
-                ))
+                Err(Problem::Syntax { expected, found }.at(Place::File))
             }
         }
     }
@@ -178,7 +153,7 @@ impl<'a> Xml<'a> {
             match event.map_err(|error| broken(at, &error))? {
                 Event::Start(_) => self.open(at)?,
                 Event::End(_) => self.open -= 1,
-                Event::Eof => return Err(Fault::new("", at, Problem::Truncated("an element"))),
+                Event::Eof => return Err(Problem::Truncated("an element").at(at)),
                 _ => {}
             }
         }
@@ -193,7 +168,7 @@ impl<'a> Xml<'a> {
                         || format!("a record of more than {MOST_PARTS} elements and attributes");
                     *room = room
                         .checked_sub(1 + child.attributes.len())
-                        .ok_or_else(|| Fault::new("", child.at, Problem::Json(full())))?;
+                        .ok_or_else(|| Problem::Json(full()).at(child.at))?;
                     let child = self.fill(child, room)?;
                     element.children.push(child);
                 }
@@ -213,7 +188,7 @@ impl<'a> Xml<'a> {
             return Ok(match event {
                 Event::Start(start) => Step::Into(self.start(&start, at)?),
                 Event::Eof if self.open > 0 => {
-                    return Err(Fault::new("", at, Problem::Truncated("an element")));
+                    return Err(Problem::Truncated("an element").at(at));
                 }
                 Event::End(_) | Event::Eof => {
                     self.open = self.open.saturating_sub(1);
@@ -234,7 +209,7 @@ impl<'a> Xml<'a> {
             return Ok(());
         }
         let deeper = format!("elements are nested deeper than {DEEPEST}");
-        Err(Fault::new("", at, Problem::Json(deeper)))
+        Err(Problem::Json(deeper).at(at))
     }
 
     fn start(&mut self, start: &BytesStart, at: Place) -> Result<Element, Fault> {
@@ -245,11 +220,9 @@ impl<'a> Xml<'a> {
         all.with_checks(false);
         for attribute in all {
             if attributes.len() == MOST_ATTRIBUTES {
-                return Err(Fault::new(
-                    "",
-                    at,
-                    Problem::Json(format!("more than {MOST_ATTRIBUTES} attributes")),
-                ));
+                return Err(
+                    Problem::Json(format!("more than {MOST_ATTRIBUTES} attributes")).at(at),
+                );
             }
             let attribute = attribute.map_err(|error| broken(at, &error))?;
             let value = attribute
@@ -287,14 +260,10 @@ fn character_of(name: &BytesRef, at: Place) -> Result<String, Fault> {
     let text = by_number.or_else(|| resolve_predefined_entity(name).map(String::from));
     text.ok_or_else(|| {
         let unknown = format!("an entity that is no character: &{};", &**name);
-        Fault::new("", at, Problem::Json(unknown))
+        Problem::Json(unknown).at(at)
     })
 }
 
 fn broken(at: Place, error: &dyn std::error::Error) -> Fault {
-    Fault::new(
-        "",
-        at,
-        Problem::Json(format!("not well-formed XML: {error}")),
-    )
+    Problem::Json(format!("not well-formed XML: {error}")).at(at)
 }

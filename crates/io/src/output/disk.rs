@@ -134,7 +134,7 @@ impl<'a> Disk<'a> {
     ) -> Result<(), OutputError> {
         let name = name.as_ref();
         match folder.folder(name) {
-            Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
+            Err(error) if error.is_missing() => {}
             found => return found.map(drop),
         }
         self.change(Operation::MakeFolder, (folder, name), || {
@@ -230,12 +230,20 @@ impl<'a> Disk<'a> {
 
     /// Removes a file or a link; no error if it doesn't exist.
     pub(super) fn remove(&self, folder: &Folder, name: &str) -> Result<(), OutputError> {
-        if folder.find(name)?.is_none() {
-            return Ok(());
+        let remove = || folder.dir.remove_file(name);
+        self.remove_found(Operation::Remove, (folder, name), remove)
+    }
+
+    fn remove_found(
+        &self,
+        operation: Operation,
+        (folder, name): (&Folder, &str),
+        remove: impl FnOnce() -> io::Result<()>,
+    ) -> Result<(), OutputError> {
+        match folder.find(name)? {
+            Some(_) => self.change(operation, (folder, name.as_ref()), remove),
+            None => Ok(()),
         }
-        self.change(Operation::Remove, (folder, name.as_ref()), || {
-            folder.dir.remove_file(name)
-        })
     }
 
     /// Removes a folder if it exists and is empty.
@@ -257,12 +265,8 @@ impl<'a> Disk<'a> {
 
     /// Removes a folder with its contents; no error if it doesn't exist.
     pub(super) fn remove_folder(&self, folder: &Folder, name: &str) -> Result<(), OutputError> {
-        if folder.find(name)?.is_none() {
-            return Ok(());
-        }
-        self.change(Operation::RemoveFolder, (folder, name.as_ref()), || {
-            folder.dir.remove_dir_all(name)
-        })
+        let remove = || folder.dir.remove_dir_all(name);
+        self.remove_found(Operation::RemoveFolder, (folder, name), remove)
     }
 
     /// Syncs the directory entries of a folder.

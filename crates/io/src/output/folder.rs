@@ -28,7 +28,10 @@ use cap_std::{
 };
 
 use super::OutputError;
-use crate::input::{self, FileKind};
+use crate::{
+    input::{self, FileKind},
+    paths::absolute,
+};
 
 /// An open folder, whatever becomes of its path. Names are relative to it.
 #[derive(Debug)]
@@ -309,7 +312,6 @@ pub fn refuse_to_leave(root: &Path, folder: &Path) -> Result<(), OutputError> {
 /// The path relative to `root`, whatever links there are; `None` if it isn't below it, or has a
 /// `..`.
 pub fn below(root: &Path, path: &Path) -> Option<PathBuf> {
-    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let inner = absolute(path)
         .strip_prefix(absolute(root))
         .ok()?

@@ -1,9 +1,6 @@
 //! Checks the journal of an earlier process before it is carried out.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    io,
-};
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
     OutputError, check_name,
@@ -19,9 +16,7 @@ use crate::input::{self, FileKind};
 /// then set aside, so the next run isn't affected.
 pub(super) fn journal(root: &Root) -> Result<Option<Journal>, OutputError> {
     let file = match root.folder.file(JOURNAL) {
-        Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-            return Ok(None);
-        }
+        Err(error) if error.is_missing() => return Ok(None),
         file => file?,
     };
     let read = input::read_all(file, FileKind::State);

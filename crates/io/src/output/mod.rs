@@ -34,7 +34,7 @@ use viewrank_core::base::error::{Advice, Hint};
 pub use disk::{Disk, Operation};
 pub use folder::{Folder, below, open_own, read_own, refuse_to_leave};
 
-use crate::packed::Packed;
+use crate::{packed::Packed, paths};
 
 /// Contents of an entry of a [`FileSet`].
 #[derive(Clone, Debug)]
@@ -104,6 +104,10 @@ impl FileSet {
 
     pub fn add_text(&mut self, path: impl Into<String>, text: impl Into<String>) {
         self.add(path, Contents::Bytes(text.into().into_bytes()));
+    }
+
+    pub fn add_script(&mut self, path: impl Into<String>, text: impl Into<String>) {
+        self.add(path, Contents::Script(text.into().into_bytes()));
     }
 
     /// Writes the set, completely or not at all. Files that already have their contents are not
@@ -208,7 +212,7 @@ pub fn refuse_to_replace(path: &Path) -> Result<(), OutputError> {
 /// Checks that files can be created in `folder` or, if it doesn't exist, in its nearest existing
 /// ancestor. For early failure before long work; leaves no file behind.
 pub fn refuse_unwritable(folder: &Path) -> Result<(), OutputError> {
-    let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf());
+    let absolute = paths::absolute(folder);
     let there = absolute
         .ancestors()
         .find(|above| above.exists())
@@ -246,7 +250,7 @@ pub fn replace_in(
 /// Removes a file written by [`replace`]; no error if it doesn't exist.
 pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     match place(path, disk) {
-        Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(error) if error.is_missing() => Ok(()),
         found => found.and_then(|(folder, name)| disk.remove(&folder, &name)),
     }
 }
@@ -336,13 +340,16 @@ impl OutputError {
             _ => Self::Io { path, source },
         }
     }
-}
 
-impl OutputError {
+    /// Returns whether there is nothing at the path.
+    pub fn is_missing(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
+
     /// Returns whether the change may succeed without the set: nothing has changed, and the disk is
     /// full, or something is wrong in a folder with files of the set.
     fn spares(&self, set: &FileSet) -> bool {
-        let root = std::path::absolute(&set.root).unwrap_or_else(|_| set.root.clone());
+        let root = paths::absolute(&set.root);
         let folders = set.files.keys().filter_map(|path| Path::new(path).parent());
         let mut folders = folders.map(|folder| root.join(folder));
         match self {

@@ -16,7 +16,7 @@ use super::{
     journal::{Change, Root, STAGING, Step, staged},
     record::{self, Record, Records, hash},
 };
-use crate::{input, packed::Packed, platform, printable::to_json};
+use crate::{input, packed::Packed, paths, platform, printable::to_json};
 
 /// Stages the differences between the sets and the files on disk, as one change for all sets.
 pub(super) fn stage(
@@ -387,7 +387,7 @@ impl Staging<'_> {
     /// Target of a link: relative if both ends are below the root, so the project can be moved;
     /// otherwise absolute.
     fn link_target(&self, to: &Path, path: &str) -> PathBuf {
-        let absolute = std::path::absolute(to).unwrap_or_else(|_| to.to_path_buf());
+        let absolute = paths::absolute(to);
         let real = match (
             absolute
                 .parent()

@@ -8,7 +8,7 @@ use viewrank_core::model::scene::{ModelWarning, WarningKind};
 
 use super::{ModelFormat, ModelLocation, ProjectError, files, foreign::file_names};
 use crate::{
-    formats::{Fault, Place, Problem, cloud, colmap::ColmapModel},
+    formats::{Place, Problem, cloud, colmap::ColmapModel},
     ply,
 };
 
@@ -32,11 +32,11 @@ pub(super) fn completed<'a>(
     match path.filter(|_| !points.is_empty()) {
         None => model.warnings.push(no_points(location)),
         Some(path) if cloud::views_per_point(&model, &points) == 0.0 => {
-            return Err(other_coordinates(path, "no point projects into any image"));
+            return Err(other_coordinates(&path, "no point projects into any image"));
         }
         Some(path) if cloud::is_far_away(&model, &points) => {
             return Err(other_coordinates(
-                path,
+                &path,
                 "the points are far from the cameras",
             ));
         }
@@ -60,22 +60,18 @@ pub(super) fn cloud_beside(location: &ModelLocation) -> Option<PathBuf> {
 
 /// The vertices of a PLY file.
 pub(super) fn vertices(path: &Path) -> Result<Vec<Point3<f64>>, ProjectError> {
-    let cloud = ply::read(&files::read(path)?).map_err(|error| ProjectError::Fault {
-        fault: Fault::new("", Place::File, Problem::Json(error.to_string())),
-        path: path.into(),
-    })?;
+    let cloud = ply::read(&files::read(path)?)
+        .map_err(|error| Problem::Json(error.to_string()).at(Place::File))
+        .map_err(ProjectError::fault(path))?;
     Ok(cloud.vertices)
 }
 
 /// `how`: what shows it.
-fn other_coordinates(path: PathBuf, how: &str) -> ProjectError {
+fn other_coordinates(path: &Path, how: &str) -> ProjectError {
     let what = format!("{how}: points and cameras are in different coordinates");
     let hint = "export both in the same coordinate system: of Metashape, the points in Local Coordinates, or of a georeferenced chunk in EPSG:4978";
     let problem = Problem::Unsupported { what, hint };
-    ProjectError::Fault {
-        path,
-        fault: Fault::new("", Place::File, problem),
-    }
+    ProjectError::fault(path)(problem.at(Place::File))
 }
 
 /// Says how the program that wrote a model without points gives them.

@@ -14,6 +14,7 @@ use super::{ImageFolder, Project, ProjectError};
 use crate::{
     formats::{colmap::ColmapModel, colmap_bin},
     output::{Contents, Disk, FileSet, OutputError},
+    paths,
 };
 
 /// Folder of the model in a new project.
@@ -60,16 +61,13 @@ impl Project {
         scene: &Scene,
         images: Option<&Path>,
     ) -> Result<Self, CreateError> {
-        let images = images.map(|images| std::path::absolute(images).unwrap_or(images.into()));
+        let images = images.map(paths::absolute);
         let files = model_files(folder, scene, images.as_deref());
         if !are_there(&files) {
             if folder.join("sparse").exists() {
                 return Err(CreateError::OtherModel(folder.into()));
             }
-            fs::create_dir_all(folder).map_err(|source| ProjectError::Io {
-                path: folder.into(),
-                source,
-            })?;
+            fs::create_dir_all(folder).map_err(ProjectError::io(folder))?;
             files.write(&Disk::REAL)?;
         }
         let project = Self::open(folder, None)?;

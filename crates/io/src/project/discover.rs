@@ -16,7 +16,7 @@ use super::{
     image_files::slashes,
     images, stamps,
 };
-use crate::{formats::colmap_text, input};
+use crate::{formats::colmap_text, input, paths::sub_folders};
 
 pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, ProjectError> {
     let parent = path
@@ -226,19 +226,6 @@ fn with_sparse(folder: &Path) -> Vec<PathBuf> {
 
 fn with_sub_folders(folder: &Path) -> Vec<PathBuf> {
     [vec![folder.into()], sub_folders(folder)].concat()
-}
-
-fn sub_folders(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .filter_map(Result::ok);
-    let mut folders: Vec<_> = entries
-        .map(|entry| entry.path())
-        .filter(|path| path.is_dir())
-        .collect();
-    folders.sort();
-    folders
 }
 
 /// Finds the model of a folder; prefers binary to text, like COLMAP. The points may be in a PLY file

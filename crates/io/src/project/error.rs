@@ -63,6 +63,24 @@ impl ProjectError {
     }
 }
 
+impl ProjectError {
+    /// Makes the error of a file that cannot be read.
+    pub fn io(path: &Path) -> impl Fn(io::Error) -> Self {
+        move |source| Self::Io {
+            path: path.into(),
+            source,
+        }
+    }
+
+    /// Makes the error of a file with a fault.
+    pub fn fault(path: &Path) -> impl Fn(Fault) -> Self {
+        move |fault| Self::Fault {
+            path: path.into(),
+            fault,
+        }
+    }
+}
+
 impl Hint for ProjectError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {

@@ -21,12 +21,8 @@ pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 /// Reads a regular file. It is not memory-mapped: another process that truncated it would crash
 /// this one.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
-    let fail = |source| ProjectError::Io {
-        path: path.into(),
-        source,
-    };
-    let file = input::open(path).map_err(fail)?;
-    let bytes = input::read_large(&file, FileKind::Sparse).map_err(fail)?;
+    let file = input::open(path).map_err(ProjectError::io(path))?;
+    let bytes = input::read_large(&file, FileKind::Sparse).map_err(ProjectError::io(path))?;
     let is_binary = path
         .extension()
         .is_some_and(|extension| BINARY.iter().any(|binary| extension == *binary));
@@ -171,10 +167,7 @@ impl ColmapFiles {
     }
 
     pub(super) fn locate(&self, fault: Fault) -> ProjectError {
-        ProjectError::Fault {
-            path: colmap_file(&self.folder, fault.file, self.format),
-            fault,
-        }
+        ProjectError::fault(&colmap_file(&self.folder, fault.file, self.format))(fault)
     }
 }
 

@@ -11,7 +11,7 @@ pub(super) use self::read::read;
 use self::read::{bundler_list, sure_cloud};
 use super::{ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside};
 use crate::{
-    formats::{Fault, Place, Problem, cloud},
+    formats::{Place, Problem, cloud},
     input, mistaken,
 };
 
@@ -55,18 +55,12 @@ pub(super) fn in_binary(root: &Path) -> Option<ProjectError> {
     let names = file_names(root);
     BINARY.iter().find_map(|&(ending, what, hint)| {
         let name = names.iter().find(|name| name.ends_with(ending))?;
-        let fault = Fault::new(
-            "",
-            Place::File,
-            Problem::Unsupported {
-                what: what.into(),
-                hint,
-            },
-        );
-        Some(ProjectError::Fault {
-            path: root.join(name),
-            fault,
-        })
+        let fault = Problem::Unsupported {
+            what: what.into(),
+            hint,
+        }
+        .at(Place::File);
+        Some(ProjectError::fault(&root.join(name))(fault))
     })
 }
 

@@ -325,10 +325,8 @@ impl Project {
         }
         let (mut foreign, cloud) = foreign::read(&self.root, &self.model)?;
         foreign.model = complete::completed(foreign.model, &self.model, cloud)?;
-        foreign.scene().map_err(|fault| ProjectError::Fault {
-            path: self.model.path.clone(),
-            fault,
-        })
+        let scene = foreign.scene();
+        scene.map_err(ProjectError::fault(&self.model.path))
     }
 
     fn completed_colmap<'a>(

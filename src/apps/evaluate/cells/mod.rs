@@ -32,7 +32,7 @@ use super::{
     run::{EvaluateError, MeasuredClusters},
 };
 use crate::{
-    base::progress::Watcher,
+    base::{progress::Watcher, rows::Offsets},
     io::depthmaps,
     method::{confidence::Confidence, fulfilment},
     model::{cluster::ViewCluster, scene::ViewIndex},
@@ -52,8 +52,8 @@ type TakePart<'a> = dyn FnMut(&CloudPart) -> Result<(), EvaluateError> + 'a;
 #[derive(Clone, Debug, Default)]
 struct CloudPart {
     points: Vec<nalgebra::Point3<f64>>,
-    /// End of each point's entries in `maps`.
-    ends: Vec<usize>,
+    /// Each point's entries in `maps`.
+    offsets: Offsets,
     maps: Vec<u32>,
 }
 
@@ -61,21 +61,20 @@ impl CloudPart {
     fn push(&mut self, point: nalgebra::Point3<f64>, maps: impl IntoIterator<Item = u32>) {
         self.points.push(point);
         self.maps.extend(maps);
-        self.ends.push(self.maps.len());
+        self.offsets.push(self.maps.len() - self.offsets.entries());
     }
 
     /// Returns the points, each with its maps.
     fn iter(&self) -> impl Iterator<Item = (&nalgebra::Point3<f64>, &[u32])> {
-        let starts = std::iter::once(0).chain(self.ends.iter().copied());
-        let maps = starts
-            .zip(&self.ends)
-            .map(|(start, &end)| &self.maps[start..end]);
-        self.points.iter().zip(maps)
+        let maps = |point| &self.maps[self.offsets.row(point)];
+        (0..)
+            .zip(&self.points)
+            .map(move |(i, point)| (point, maps(i)))
     }
 
     fn clear(&mut self) {
         self.points.clear();
-        self.ends.clear();
+        self.offsets = Offsets::default();
         self.maps.clear();
     }
 }
@@ -143,9 +142,7 @@ pub fn judge_plan(
     let incidence = Incidence::read(table, stages.objective.support, stages.scene.views.len())?;
     let known: BTreeSet<&str> = incidence.names().iter().map(String::as_str).collect();
     let is_known = |cluster: &ViewCluster| known.contains(stages.scene.name(cluster.key));
-    let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
-    let ranked = order.iter().map(|&c| &stages.clusters[c as usize]);
-    let ours: Vec<&ViewCluster> = ranked.filter(|cluster| is_known(cluster)).collect();
+    let ours: Vec<&ViewCluster> = orders::of_plan(plan).filter(|c| is_known(c)).collect();
     if ours.is_empty() {
         return Err(IncidenceError::Foreign(table.into()).into());
     }

@@ -3,6 +3,7 @@
 use std::cmp::Reverse;
 
 use super::incidence::{CountedCells, Incidence};
+use crate::apps::evaluate::orders::first_largest;
 
 /// A cell that is covered, in the unit of the credits: sums of integers are exact, so that gains can
 /// be kept up to date.
@@ -121,16 +122,6 @@ fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> 
         place = (place + 1) % chosen.len();
     }
     table.covered(&chosen, counted)
-}
-
-fn first_largest(values: impl Iterator<Item = f64>) -> usize {
-    values
-        .enumerate()
-        .fold(
-            (0, f64::NEG_INFINITY),
-            |best, v| if v.1 > best.1 { v } else { best },
-        )
-        .0
 }
 
 #[cfg(test)]

@@ -237,9 +237,9 @@ fn greedy(
     };
     while reached.fulfilment() - start < ENOUGH * (possible - start) {
         let cost = |cluster: &ViewCluster| {
-            let members = std::iter::once(&cluster.key).chain(&cluster.partners);
-            members
-                .filter(|v| extended.is_candidate(**v) && !flown.used[v.index()])
+            cluster
+                .views()
+                .filter(|v| extended.is_candidate(*v) && !flown.used[v.index()])
                 .count()
         };
         let value = |(c, cluster): (usize, &ViewCluster)| {
@@ -259,9 +259,8 @@ fn greedy(
         }
         reached.take(table.row(cluster));
         flown.taken.push(cluster);
-        let chosen = &clusters[cluster];
-        for view in std::iter::once(&chosen.key).chain(&chosen.partners) {
-            if extended.is_candidate(*view) && !flown.used[view.index()] {
+        for view in clusters[cluster].views() {
+            if extended.is_candidate(view) && !flown.used[view.index()] {
                 flown.images.push(view.index() - extended.taken);
             }
             flown.used[view.index()] = true;

@@ -10,6 +10,7 @@
 use nalgebra::Vector3;
 
 use crate::{
+    base::rows::Offsets,
     method::{fulfilment::FulfilmentTable, surface::Surface},
     model::{
         cluster::ViewCluster,
@@ -60,7 +61,7 @@ pub struct Beliefs<'a> {
     keys: Vec<ViewIndex>,
     predicted: &'a FulfilmentTable,
     /// Entries of the table by triangle, with their cluster (CSR).
-    offsets: Vec<usize>,
+    offsets: Offsets,
     entries: Vec<(u32, usize)>,
     promised: Vec<f32>,
     kept: Vec<f32>,
@@ -74,7 +75,15 @@ impl<'a> Beliefs<'a> {
         clusters: &[ViewCluster],
         predicted: &'a FulfilmentTable,
     ) -> Self {
-        let (offsets, entries) = by_triangle(predicted, surface.triangles.len());
+        let of_cluster = |cluster: usize| {
+            let row = predicted.offsets[cluster]..predicted.offsets[cluster + 1];
+            row.map(move |entry| {
+                let triangle = predicted.triangles[entry] as usize;
+                (triangle, (cluster as u32, entry))
+            })
+        };
+        let all = || (0..predicted.clusters()).flat_map(of_cluster);
+        let (offsets, entries) = Offsets::sorted(surface.triangles.len(), all);
         let none = vec![0.0; predicted.triangles.len()];
         let keys = clusters.iter().map(|cluster| cluster.key).collect();
         Self {
@@ -94,7 +103,7 @@ impl<'a> Beliefs<'a> {
         for attempt in attempts.iter().filter(|attempt| attempt.promised > 0.0) {
             let look = ViewingGeometry::new(self.scene, self.surface, key, attempt.triangle);
             let t = attempt.triangle as usize;
-            for &(cluster, entry) in &self.entries[self.offsets[t]..self.offsets[t + 1]] {
+            for &(cluster, entry) in &self.entries[self.offsets.row(t)] {
                 let other = ViewingGeometry::new(
                     self.scene,
                     self.surface,
@@ -123,26 +132,6 @@ impl<'a> Beliefs<'a> {
     fn mean(&self, entry: usize) -> f32 {
         (TRUST + self.kept[entry]) / (TRUST + self.promised[entry])
     }
-}
-
-/// Returns the entries of each triangle with their clusters, ascending.
-fn by_triangle(table: &FulfilmentTable, triangles: usize) -> (Vec<usize>, Vec<(u32, usize)>) {
-    let mut offsets = vec![0; triangles + 1];
-    table
-        .triangles
-        .iter()
-        .for_each(|&t| offsets[t as usize + 1] += 1);
-    (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-    let mut next = offsets.clone();
-    let mut entries = vec![(0, 0); table.triangles.len()];
-    for cluster in 0..table.clusters() {
-        for entry in table.offsets[cluster]..table.offsets[cluster + 1] {
-            let place = &mut next[table.triangles[entry] as usize];
-            entries[*place] = (cluster as u32, entry);
-            *place += 1;
-        }
-    }
-    (offsets, entries)
 }
 
 /// Direction and scale at which a view sees a triangle.

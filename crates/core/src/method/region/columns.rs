@@ -71,25 +71,12 @@ impl Columns {
 
     fn fill(&mut self, rectangles: &[Rectangle]) {
         let side = self.side;
-        let columns = |r: &Rectangle| {
+        let columns = |(i, r): (u32, &Rectangle)| {
             let [x, y] = self.touched(r);
-            y.flat_map(move |row| x.clone().map(move |column| row * side + column))
+            y.flat_map(move |row| x.clone().map(move |column| (row * side + column, i)))
         };
-        let mut lengths = vec![0usize; side * side];
-        rectangles
-            .iter()
-            .flat_map(columns)
-            .for_each(|column| lengths[column] += 1);
-        let offsets = Offsets::from_lengths(lengths);
-        let mut next = offsets.as_slice().to_vec();
-        let mut entries = vec![0u32; offsets.entries()];
-        for (i, rectangle) in rectangles.iter().enumerate() {
-            for column in columns(rectangle) {
-                entries[next[column]] = i as u32;
-                next[column] += 1;
-            }
-        }
-        (self.offsets, self.entries) = (offsets, entries);
+        let all = || (0..).zip(rectangles).flat_map(columns);
+        (self.offsets, self.entries) = Offsets::sorted(side * side, all);
     }
 
     /// Returns the ranges of columns, along x and y, that a rectangle touches.

@@ -71,22 +71,12 @@ impl PreparedPolygon {
     }
 
     fn fill(&mut self) {
-        let bands = |[a, b]: &Edge| self.band(a[1].min(b[1]))..self.band(a[1].max(b[1])) + 1;
-        let mut lengths = vec![0usize; self.bands];
-        self.edges
-            .iter()
-            .flat_map(bands)
-            .for_each(|band| lengths[band] += 1);
-        let offsets = Offsets::from_lengths(lengths);
-        let mut next = offsets.as_slice().to_vec();
-        let mut entries = vec![0u32; offsets.entries()];
-        for (i, edge) in self.edges.iter().enumerate() {
-            for band in bands(edge) {
-                entries[next[band]] = i as u32;
-                next[band] += 1;
-            }
-        }
-        (self.offsets, self.entries) = (offsets, entries);
+        let bands = |(i, [a, b]): (u32, &Edge)| {
+            let bands = self.band(a[1].min(b[1]))..self.band(a[1].max(b[1])) + 1;
+            bands.map(move |band| (band, i))
+        };
+        let all = || (0..).zip(&self.edges).flat_map(bands);
+        (self.offsets, self.entries) = Offsets::sorted(self.bands, all);
     }
 
     fn band(&self, y: f64) -> usize {

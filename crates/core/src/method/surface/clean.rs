@@ -62,20 +62,15 @@ fn drop_repeated(triangles: &mut Vec<[u32; 3]>) {
 }
 
 fn longest_edge(surface: &Surface, triangle: u32) -> f64 {
-    let [a, b, c] = surface.corners(triangle);
-    (b - a).norm().max((c - b).norm()).max((a - c).norm())
+    surface.sides(triangle).into_iter().fold(0.0, f64::max)
 }
 
 /// Returns a percentile (0 to 1) of the edge lengths of the triangles for which `counts`; `None`
 /// without triangles.
 fn edge_percentile(surface: &Surface, counts: &[bool], share: f64) -> Option<f64> {
-    let sides = |t: usize| {
-        let [a, b, c] = surface.corners(t as u32);
-        [(b - a).norm(), (c - b).norm(), (a - c).norm()]
-    };
     let mut lengths: Vec<f64> = (0..counts.len())
         .filter(|&t| counts[t])
-        .flat_map(sides)
+        .flat_map(|t| surface.sides(t as u32))
         .collect();
     let rank = ((lengths.len() as f64 * share) as usize).min(lengths.len().checked_sub(1)?);
     Some(*lengths.select_nth_unstable_by(rank, f64::total_cmp).1)

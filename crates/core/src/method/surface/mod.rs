@@ -80,6 +80,12 @@ impl Surface {
         triangles.map(|t| self.centroid(t)).collect()
     }
 
+    /// Lengths of the sides of a triangle.
+    pub fn sides(&self, triangle: u32) -> [f64; 3] {
+        let [a, b, c] = self.corners(triangle);
+        [(b - a).norm(), (c - b).norm(), (a - c).norm()]
+    }
+
     /// Returns the normal, whose length is twice the triangle's area.
     pub fn area_normal(&self, triangle: u32) -> Vector3<f64> {
         let [a, b, c] = self.corners(triangle);

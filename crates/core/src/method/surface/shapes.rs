@@ -104,10 +104,7 @@ pub fn volume(surface: &Surface) -> f64 {
 
 /// Lengths of all sides of all triangles.
 pub fn sides(surface: &Surface) -> impl Iterator<Item = f64> + '_ {
-    (0..surface.triangles.len() as u32).flat_map(|t| {
-        let [a, b, c] = surface.corners(t);
-        [(b - a).norm(), (c - b).norm(), (a - c).norm()]
-    })
+    (0..surface.triangles.len() as u32).flat_map(|t| surface.sides(t))
 }
 
 /// Sum of the triangles' areas.

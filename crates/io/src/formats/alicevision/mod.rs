@@ -218,10 +218,7 @@ impl View {
         };
         let rig = rigs.get(&rig_id);
         let sub_pose = rig.and_then(|rig| rig.sub_poses.0.get(index));
-        let absent = Problem::Absent {
-            what: "rig",
-            id: rig_id.into(),
-        };
+        let absent = Problem::absent("rig", rig_id);
         Ok(Some(&sub_pose.ok_or(absent)?.pose))
     }
 }

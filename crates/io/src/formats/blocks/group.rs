@@ -73,13 +73,8 @@ impl Group {
     }
 
     fn part(&self, name: &'static str) -> Result<&Element, Fault> {
-        let missing = || Problem::Syntax {
-            expected: name,
-            found: "a photogroup without it".into(),
-        };
-        self.parts
-            .get(name)
-            .ok_or_else(|| Fault::new("", self.at, missing()))
+        let missing = || Problem::syntax(name, "a photogroup without it");
+        self.parts.get(name).ok_or_else(|| missing().at(self.at))
     }
 
     fn number(&self, name: &str) -> Result<Option<f64>, Fault> {
@@ -101,7 +96,7 @@ impl Group {
             "Perspective" => self.perspective([w, h])?,
             _ => {
                 let problem = Problem::CameraModel(format!("{kind} (BlocksExchange)"));
-                return Err(Fault::new("", self.at, problem));
+                return Err(problem.at(self.at));
             }
         };
         let found = Camera::new(self.id, model, w as u64, h as u64, params);
@@ -115,11 +110,8 @@ impl Group {
     fn orientation(&self) -> Result<Matrix3<f64>, Fault> {
         let name = "CameraOrientation";
         axes(self.text_or(name, "XRightYDown")).ok_or_else(|| {
-            let problem = Problem::Syntax {
-                expected: "a CameraOrientation such as XRightYDown",
-                found: self.text_or(name, "").chars().take(40).collect(),
-            };
-            Fault::new("", self.at, problem)
+            let found: String = self.text_or(name, "").chars().take(40).collect();
+            Problem::syntax("a CameraOrientation such as XRightYDown", found).at(self.at)
         })
     }
 
@@ -169,7 +161,7 @@ impl Group {
         }
         let what = format!("a camera with skew ({skew}), which COLMAP's models do not have");
         let hint = "export undistorted photos with their block";
-        Err(Fault::new("", self.at, Problem::Unsupported { what, hint }))
+        Err(Problem::Unsupported { what, hint }.at(self.at))
     }
 }
 
@@ -177,11 +169,7 @@ fn principal_point(point: &Element) -> Result<[f64; 2], Fault> {
     if point.child("xmm").is_some() {
         let what = "the principal point is in millimetres".into();
         let hint = "export the block with the principal point in pixels";
-        return Err(Fault::new(
-            "",
-            point.at(),
-            Problem::Unsupported { what, hint },
-        ));
+        return Err(Problem::Unsupported { what, hint }.at(point.at()));
     }
     Ok(shift(point.required(["x", "y"])?))
 }

@@ -91,7 +91,7 @@ impl System {
         };
         let what = format!("coordinates are longitude and latitude ({definition})");
         let hint = "export the block in a projected or local coordinate system";
-        Err(Fault::new("", id.at(), Problem::Unsupported { what, hint }))
+        Err(Problem::Unsupported { what, hint }.at(id.at()))
     }
 }
 
@@ -276,8 +276,7 @@ fn pose_of(rotation: &Element, centre: &Element, axes: Matrix3<f64>) -> Result<S
     ];
     let matrix = Matrix3::from_row_slice(&rotation.required(names)?);
     let centre = Vector3::from(centre.required(["x", "y", "z"])?);
-    pose_with_centre(axes * matrix, centre)
-        .map_err(|problem| Fault::new("", rotation.at(), problem))
+    pose_with_centre(axes * matrix, centre).map_err(|problem| problem.at(rotation.at()))
 }
 
 #[cfg(test)]

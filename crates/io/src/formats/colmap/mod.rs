@@ -15,7 +15,7 @@ use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use viewrank_core::model::{
     camera::Camera,
-    scene::{CameraIndex, ModelWarning, Pose, Scene, View},
+    scene::{CameraIndex, ModelWarning, Pose, Scene, View, WarningKind},
 };
 
 pub use self::reduce::ImageUse;
@@ -210,6 +210,10 @@ pub struct FrameData {
 }
 
 impl ColmapModel<'_> {
+    pub fn warn(&mut self, kind: WarningKind, text: impl AsRef<str>) {
+        self.warnings.push(ModelWarning::new(kind, text));
+    }
+
     /// Converts the model to a scene.
     ///
     /// # Errors
@@ -242,10 +246,7 @@ impl ColmapModel<'_> {
         let mut by_id = HashMap::with_capacity(self.cameras.len());
         for (index, camera) in self.cameras.iter().enumerate() {
             if by_id.insert(camera.id, CameraIndex(index as u32)).is_some() {
-                let problem = Problem::Duplicate {
-                    what: "camera",
-                    id: camera.id.to_string(),
-                };
+                let problem = Problem::duplicate("camera", camera.id);
                 return Err(Fault::new("cameras", Place::File, problem));
             }
         }
@@ -293,10 +294,7 @@ impl ColmapModel<'_> {
             .min();
         twice.map_or(Ok(()), |p| {
             let point = &self.points[p];
-            Err(point.fault(Problem::Duplicate {
-                what: "point",
-                id: point.id.to_string(),
-            }))
+            Err(point.fault(Problem::duplicate("point", point.id)))
         })
     }
 }
@@ -309,10 +307,7 @@ impl ColmapImage<'_> {
 
     fn view(&self, position: u32, cameras: &HashMap<u32, CameraIndex>) -> Result<View, Problem> {
         check_name(&self.name)?;
-        let absent = Problem::Absent {
-            what: "camera",
-            id: self.camera_id.into(),
-        };
+        let absent = Problem::absent("camera", self.camera_id);
         Ok(View {
             name: self.name.clone().into_owned(),
             image_id: self.id,

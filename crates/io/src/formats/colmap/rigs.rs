@@ -78,16 +78,10 @@ fn rigs_by_id<'a>(
         let is_absent =
             |sensor: &&Sensor| sensor.kind == Sensor::CAMERA && !cameras.contains_key(&sensor.id);
         if let Some(absent) = of_rig.find(is_absent) {
-            return Err(fault(Problem::Absent {
-                what: "camera",
-                id: absent.id.into(),
-            }));
+            return Err(fault(Problem::absent("camera", absent.id)));
         }
         if by_id.insert(rig.id, rig).is_some() {
-            return Err(fault(Problem::Duplicate {
-                what: "rig",
-                id: rig.id.to_string(),
-            }));
+            return Err(fault(Problem::duplicate("rig", rig.id)));
         }
     }
     Ok(by_id)
@@ -105,10 +99,10 @@ struct FrameCheck<'a> {
 
 impl<'a> FrameCheck<'a> {
     fn frame(&mut self, frame: &Frame) -> Result<(), Problem> {
-        let rig = *self.rigs.get(&frame.rig_id).ok_or(Problem::Absent {
-            what: "rig",
-            id: frame.rig_id.into(),
-        })?;
+        let rig = *self
+            .rigs
+            .get(&frame.rig_id)
+            .ok_or(Problem::absent("rig", frame.rig_id))?;
         let rig_from_world = frame.rig_from_world.pose()?;
         let of_cameras = |datum: &&FrameData| datum.sensor.kind == Sensor::CAMERA;
         for datum in frame.data.iter().filter(of_cameras) {
@@ -123,17 +117,11 @@ impl<'a> FrameCheck<'a> {
 
     /// The view of an image of a frame, which is marked as seen.
     fn view_of(&mut self, datum: &FrameData) -> Result<&'a View, Problem> {
-        let absent = Problem::Absent {
-            what: "image",
-            id: datum.id,
-        };
+        let absent = Problem::absent("image", datum.id);
         let image_id = u32::try_from(datum.id).map_err(|_| absent.clone())?;
         let view = self.view_of_image.get(image_id).ok_or(absent)?.view;
         if std::mem::replace(&mut self.seen[view.index()], true) {
-            return Err(Problem::Duplicate {
-                what: "image",
-                id: datum.id.to_string(),
-            });
+            return Err(Problem::duplicate("image", datum.id));
         }
         Ok(&self.views[view.index()])
     }
@@ -146,10 +134,8 @@ impl<'a> FrameCheck<'a> {
         view: &View,
     ) -> Result<Option<&'r StoredPose>, Problem> {
         let sensor = rig.sensors.iter().find(|(s, _)| *s == datum.sensor);
-        let (_, sensor_from_rig) = sensor.ok_or(Problem::Absent {
-            what: "camera of the rig",
-            id: datum.sensor.id.into(),
-        })?;
+        let (_, sensor_from_rig) =
+            sensor.ok_or(Problem::absent("camera of the rig", datum.sensor.id))?;
         if self.cameras[view.camera.index()].id != datum.sensor.id {
             return Err(Problem::Contradiction(format!(
                 "image {} has camera {} in the frames file, but another one in the images file",

@@ -351,10 +351,7 @@ impl ColmapPoint<'_> {
     }
 
     fn absent(&self, element: &TrackElement) -> Fault {
-        self.fault(Problem::Absent {
-            what: "image",
-            id: element.image().into(),
-        })
+        self.fault(Problem::absent("image", element.image()))
     }
 
     fn wrong_index(&self, element: &TrackElement, named: Option<&Point2d>) -> Fault {

@@ -26,6 +26,7 @@ use super::{
         ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose,
         TrackElement,
     },
+    words,
 };
 
 /// Reads a model; [`ColmapModel::scene`] checks its cross-references.
@@ -130,12 +131,7 @@ fn token(input: &[u8]) -> IResult<&[u8], &[u8]> {
 }
 
 fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
-    map_res(token, |token| {
-        std::str::from_utf8(token)
-            .map_err(drop)
-            .and_then(|text| text.parse().map_err(drop))
-    })
-    .parse(input)
+    map_res(token, words::parse).parse(input)
 }
 
 /// Lines parsed at once: a file may be nothing but short lines that are no records.

@@ -98,7 +98,7 @@ fn calibrated(
     let terms = Terms::read(calibration, sides)?;
     let projection = terms.in_colmap(kind, sides).ok_or_else(|| {
         let problem = Problem::CameraModel(format!("{kind} (Metashape)"));
-        Fault::new("", sensor.at(), problem)
+        problem.at(sensor.at())
     })?;
     refuse_much_left_out(projection.left_out_px, calibration)?;
     Ok(projection)
@@ -199,9 +199,5 @@ fn refuse_much_left_out(left_out_px: f64, calibration: &Element) -> Result<(), F
         "b2, k4, p3 or p4 of the calibration move pixels by {left_out_px:.0}, and COLMAP's models have no such term"
     );
     let hint = "undistort the photos in Metashape (Export > Undistort Photos), or fit the calibration without these terms";
-    Err(Fault::new(
-        "",
-        calibration.at(),
-        Problem::Unsupported { what, hint },
-    ))
+    Err(Problem::Unsupported { what, hint }.at(calibration.at()))
 }

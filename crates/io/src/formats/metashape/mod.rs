@@ -237,11 +237,8 @@ fn id_of<'a>(element: &'a Element, attribute: &str) -> Result<Option<&'a str>, F
     let Some(long) = id.filter(|id| id.len() > LONGEST_ID) else {
         return Ok(id);
     };
-    let problem = Problem::Syntax {
-        expected: "an id of at most 255 bytes",
-        found: long.to_owned(),
-    };
-    Err(Fault::new("", element.at(), problem))
+    let problem = Problem::syntax("an id of at most 255 bytes", long);
+    Err(problem.at(element.at()))
 }
 
 fn own_id(element: &Element) -> Result<String, Fault> {

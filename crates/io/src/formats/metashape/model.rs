@@ -83,7 +83,7 @@ impl Chunk {
                 expected: "the id of a sensor",
                 found: format!("sensor_id {id:?}"),
             };
-            Fault::new("", camera.at, problem)
+            problem.at(camera.at)
         })
     }
 
@@ -162,7 +162,7 @@ impl<'a> ChunkModel<'a> {
         self.add_lens(sensor)?;
         let pose = placement
             .pose(self.to_world(component))
-            .map_err(|problem| Fault::new("", camera.at, problem))?;
+            .map_err(|problem| problem.at(camera.at))?;
         self.foreign
             .add_image(n, name, sensor.number, pose, camera.at);
         self.components.push(component);

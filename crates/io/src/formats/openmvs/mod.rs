@@ -178,7 +178,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::formats::{Fault, Place, Problem};
+    use crate::formats::{Place, Problem};
 
     /// One camera, and three images that all observe four points.
     fn small(version: u32) -> Mvs {
@@ -312,10 +312,7 @@ mod tests {
             count: 1 << 60,
             room: 0,
         };
-        assert_eq!(
-            Mvs::read(&bytes),
-            Err(Fault::new("", Place::Byte(20), problem))
-        );
+        assert_eq!(Mvs::read(&bytes), Err(problem.at(Place::Byte(20))));
     }
 
     #[test]

@@ -25,7 +25,7 @@ impl Mvs {
             version: 0,
         };
         if bytes.get(..4) != Some(b"MVSI") {
-            return Err(Fault::new("", Place::Byte(0), foreign(bytes)));
+            return Err(foreign(bytes).at(Place::Byte(0)));
         }
         reader.header()?;
         let scene = reader.scene()?;
@@ -34,16 +34,15 @@ impl Mvs {
             left => {
                 let problem =
                     Problem::Contradiction(format!("{left} bytes follow the end of the scene"));
-                Err(Fault::new("", Place::Byte(reader.offset() as u64), problem))
+                Err(problem.at(Place::Byte(reader.offset() as u64)))
             }
         }
     }
 
     fn checked(self) -> Result<Self, Fault> {
         for (i, image) in self.images.iter().enumerate() {
-            self.check_image(image).map_err(|problem| {
-                Fault::new("", Place::File, problem).in_record(|| format!("image {i}"))
-            })?;
+            self.check_image(image)
+                .map_err(|problem| problem.at(Place::File).in_record(|| format!("image {i}")))?;
         }
         let views = self
             .vertices
@@ -54,7 +53,8 @@ impl Mvs {
             .into_iter()
             .find(|&(_, image)| image as usize >= self.images.len())
         {
-            Some((i, image)) => Err(Fault::new("", Place::File, absent("image", image))
+            Some((i, image)) => Err(Problem::absent("image", image)
+                .at(Place::File)
                 .in_record(|| format!("vertex {i}"))),
             None => Ok(self),
         }
@@ -64,19 +64,19 @@ impl Mvs {
         let platform = self
             .platforms
             .get(image.platform as usize)
-            .ok_or_else(|| absent("platform", image.platform))?;
+            .ok_or_else(|| Problem::absent("platform", image.platform))?;
         if image.camera as usize >= platform.cameras.len() {
-            return Err(absent("camera", image.camera));
+            return Err(Problem::absent("camera", image.camera));
         }
         if image.pose != NO_POSE && image.pose as usize >= platform.poses.len() {
-            return Err(absent("pose", image.pose));
+            return Err(Problem::absent("pose", image.pose));
         }
         match image
             .view_scores
             .iter()
             .find(|s| s.index as usize >= self.images.len())
         {
-            Some(score) => Err(absent("image", score.index)),
+            Some(score) => Err(Problem::absent("image", score.index)),
             None => Ok(()),
         }
     }
@@ -90,13 +90,6 @@ fn foreign(bytes: &[u8]) -> Problem {
             "not an OpenMVS scene in interface form: it begins with {start:?} instead of \"MVSI\""
         ),
         hint: "import the model into OpenMVS again; its own archives (--archive-type 1 and 2) aren't supported",
-    }
-}
-
-fn absent(what: &'static str, index: u32) -> Problem {
-    Problem::Absent {
-        what,
-        id: index.into(),
     }
 }
 
@@ -157,7 +150,7 @@ impl<'a> Reader<'a> {
     }
 
     fn fault(&self, problem: Problem) -> Fault {
-        Fault::new("", Place::Byte(self.offset() as u64), problem)
+        problem.at(Place::Byte(self.offset() as u64))
     }
 
     /// Reads the signature, the version, which must be known, and a reserved number.
@@ -171,11 +164,7 @@ impl<'a> Reader<'a> {
                 self.version
             );
             let hint = "write the scene with OpenMVS v1.0 to v2.3";
-            return Err(Fault::new(
-                "",
-                Place::Byte(at as u64),
-                Problem::Unsupported { what, hint },
-            ));
+            return Err(Problem::Unsupported { what, hint }.at(Place::Byte(at as u64)));
         }
         self.u32("the header").map(drop)
     }
@@ -226,14 +215,19 @@ impl<'a> Reader<'a> {
         })
     }
 
+    /// A text that files after this version have.
+    fn text_after(&mut self, version: u32, what: &'static str) -> Result<Vec<u8>, Fault> {
+        if self.version > version {
+            self.text(what)
+        } else {
+            Ok(Vec::new())
+        }
+    }
+
     fn camera(&mut self) -> Result<Camera, Fault> {
         Ok(Camera {
             name: self.text("a camera's name")?,
-            band: if self.version > 3 {
-                self.text("a camera's band")?
-            } else {
-                Vec::new()
-            },
+            band: self.text_after(3, "a camera's band")?,
             width: self.u32("a camera's width")?,
             height: self.u32("a camera's height")?,
             k: self.f64s("K")?,
@@ -245,11 +239,7 @@ impl<'a> Reader<'a> {
     fn image(&mut self) -> Result<Image, Fault> {
         let mut image = Image {
             name: self.text("an image's name")?,
-            mask: if self.version > 4 {
-                self.text("a mask's name")?
-            } else {
-                Vec::new()
-            },
+            mask: self.text_after(4, "a mask's name")?,
             platform: self.u32("an image")?,
             camera: self.u32("an image")?,
             pose: self.u32("an image")?,

@@ -74,7 +74,7 @@ impl Mvs {
     }
 
     /// World-to-camera pose: that of the platform, followed by that of the camera on the platform.
-    fn rotation_and_centre(&self, image: &Image) -> (Matrix3<f64>, Vector3<f64>) {
+    pub fn rotation_and_centre(&self, image: &Image) -> (Matrix3<f64>, Vector3<f64>) {
         let platform = &self.platforms[image.platform as usize];
         let (camera, pose) = (
             &platform.cameras[image.camera as usize],
@@ -153,7 +153,7 @@ impl<'a> Projection<'a> {
         let of_image = |image: &ColmapImage| {
             let pose = image.cam_from_world.pose();
             Ok(Self {
-                pose: pose.map_err(|problem| Fault::new("", Place::File, problem))?,
+                pose: pose.map_err(|problem| problem.at(Place::File))?,
                 camera: by_id[&image.camera_id],
             })
         };

@@ -68,7 +68,7 @@ fn parse(
         ModelFormat::AliceVision => alicevision::read(bytes),
         _ => Mvs::read(bytes).and_then(|mvs| mvs.model(&size_of)),
     };
-    read.map_err(|fault| at(path, fault))
+    read.map_err(ProjectError::fault(path))
 }
 
 /// Reads a `transforms.json`, which may name the PLY file of its points.
@@ -81,17 +81,10 @@ fn read_transforms(
     let size_of = |name: &str| search.size_of(name);
     let spelled = |name: &str| search.spelled(name);
     let (foreign, named) =
-        transforms::read(bytes, &size_of, &spelled).map_err(|fault| at(path, fault))?;
+        transforms::read(bytes, &size_of, &spelled).map_err(ProjectError::fault(path))?;
     let named = named.map(|cloud| path.with_file_name(cloud.replace('\\', "/")));
     let named = named.filter(|cloud| cloud.is_file());
     Ok((foreign, named.or_else(|| cloud_beside(model))))
-}
-
-fn at(path: &Path, fault: Fault) -> ProjectError {
-    ProjectError::Fault {
-        path: path.into(),
-        fault,
-    }
 }
 
 fn read_mve(bundle: &Path, bytes: &[u8]) -> Result<ForeignModel, Fault> {
@@ -107,8 +100,8 @@ fn read_bundler(
     let list = bundler_list(path).ok_or_else(|| ProjectError::NoImageList(path.into()))?;
     let names = files::read(&list)?;
     bundler::read(bytes, &names, size_of).map_err(|fault| match fault.file {
-        "list" => at(&list, fault),
-        _ => at(path, fault),
+        "list" => ProjectError::fault(&list)(fault),
+        _ => ProjectError::fault(path)(fault),
     })
 }
 
@@ -116,8 +109,8 @@ fn read_opensfm(path: &Path, bytes: &[u8]) -> Result<ForeignModel, ProjectError>
     let tracks = path.with_file_name("tracks.csv");
     let rows = tracks.is_file().then(|| files::read(&tracks)).transpose()?;
     opensfm::read(bytes, rows.as_deref()).map_err(|fault| match fault.file {
-        "tracks" => at(&tracks, fault),
-        _ => at(path, fault),
+        "tracks" => ProjectError::fault(&tracks)(fault),
+        _ => ProjectError::fault(path)(fault),
     })
 }
 
@@ -129,7 +122,7 @@ fn read_metashape(
 ) -> Result<ForeignModel, ProjectError> {
     let frames = [Frame::World, Frame::Chunk];
     let [world, chunk] =
-        metashape::read(bytes, frames, spelled).map_err(|fault| at(&model.path, fault))?;
+        metashape::read(bytes, frames, spelled).map_err(ProjectError::fault(&model.path))?;
     let points = cloud_beside(model)
         .map(|cloud| vertices(&cloud))
         .transpose()?
@@ -148,7 +141,7 @@ fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
     let mut calibrations: Vec<String> = Vec::new();
     for (n, (image, path)) in (1..).zip(oriented_by_micmac(folder)) {
         let oriented = micmac::read_orientation(&files::read(&path)?);
-        let oriented = oriented.map_err(|fault| at(&path, fault))?;
+        let oriented = oriented.map_err(ProjectError::fault(&path))?;
         let known = calibrations
             .iter()
             .position(|known| *known == oriented.calibration);
@@ -166,7 +159,7 @@ fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
 /// Adds the camera of one of MicMac's calibrations.
 fn add_calibration(foreign: &mut ForeignModel, path: &Path, id: u32) -> Result<(), ProjectError> {
     let read = micmac::read_calibration(&files::read(path)?, id);
-    let (camera, off) = read.map_err(|fault| at(path, fault))?;
+    let (camera, off) = read.map_err(ProjectError::fault(path))?;
     if off > 0.5 {
         let name = path.file_name().unwrap_or_default().display();
         let text = format!("{name}: COLMAP's nearest camera is off by up to {off:.1} pixels");
@@ -246,7 +239,7 @@ fn oriented(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
     let mut oriented: Vec<Orientation> = Vec::new();
     for (id, path) in (1..).zip(orientations(folder)) {
         let read = sure::read(&files::read(&path)?, id);
-        oriented.push(read.map_err(|fault| at(&path, fault))?);
+        oriented.push(read.map_err(ProjectError::fault(&path))?);
     }
     let search = ImageSearch::new(folder::candidates(root, folder));
     Ok(sure::model(oriented, |name| search.spelled(name)))
@@ -264,6 +257,6 @@ fn read_sure(root: &Path, folder: &Path) -> Result<(ForeignModel, Option<PathBuf
     let warnings = tracks.model.warnings.iter().cloned();
     foreign.model.warnings.extend(warnings);
     sure::add_tracks(&mut foreign, &tracks)
-        .map_err(|problem| at(&path, Fault::new("", Place::File, problem)))?;
+        .map_err(|problem| ProjectError::fault(&path)(problem.at(Place::File)))?;
     Ok((foreign, None))
 }
