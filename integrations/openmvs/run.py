@@ -657,6 +657,8 @@ def fuse_maps(run, there, agree, program):
     # A list must not be empty: a map that none overlaps is compared with any image of the scene.
     partners = {i: [o for o in run["overlaps"][i] if o in there][: run["fused_with"]] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
     write_new(HERE / "fuse.txt", "".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))
+    for left in UNFINISHED.glob("fusion-*"):  # by a run that was killed
+        shutil.rmtree(left, ignore_errors=True)
     with workplace("fusion") as folder:
         (folder / "fusing.mvs").write_bytes(fusion_scene(run["clusters"], there))
         for row in (run["clusters"][i] for i in there):

@@ -29,7 +29,7 @@ impl Choice {
     pub fn describe(&self) -> String {
         match self {
             Self::Named => "as named".into(),
-            Self::Planned => "as the plan before; --backend names another".into(),
+            Self::Planned => "as planned before; --backend names another".into(),
             Self::Project => "as the project is set up".into(),
             Self::Installed(program) => format!("{} is installed", program.display()),
             Self::NothingElse => "no DensifyPointCloud and no colmap with CUDA on the PATH".into(),

@@ -17,6 +17,7 @@ use crate::{
         report::{folders_of_maps, own_folder_of_maps},
     },
     base::{printable::to_json, shell::shown_path},
+    daemon::{follow::follow, state::Outcome},
     io::{
         depthmaps,
         output::{Contents, Disk, FileSet, refuse_to_leave},
@@ -38,7 +39,8 @@ use super::{
 /// OpenMVS, MVSNet, ACMM, Gipuma, MVE, AliceVision, MicMac or integrations/sgm. Writes
 /// PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply, and cells.tsv,
 /// which says which maps take part in which cells of their fused cloud. Where no depth maps are
-/// found, or with --cells, the plan's order is judged by that table.
+/// found, or with --cells, the plan's order is judged by that table. Of the maps of the plan's
+/// program, viewrank/progress.json has the share reached, for viewrank status.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -112,10 +114,31 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
                         folder.display()
                     ));
                 }
+                record(arguments, &plan, &project, &folder, &progress);
                 measure(arguments, &project, &plan, &folder, &progress)
             }
             None => judge(arguments, &project, &plan, &progress),
         },
+    }
+}
+
+/// Records how far the maps of the plan's program have come, as `run` and `watch` do, so that
+/// `status` and queues know.
+fn record(
+    arguments: &Arguments,
+    plan: &Plan,
+    project: &Project,
+    folder: &Path,
+    progress: &ProgressDisplay,
+) {
+    let is_of_plan = folder == own_folder_of_maps(plan, project);
+    let is_other = arguments.reference.is_some() || arguments.clusters.is_some();
+    if is_other || !is_of_plan || arguments.out.is_some() {
+        return;
+    }
+    let counts = |path: &Path| path.starts_with(folder);
+    if let Outcome::Failed { reason, .. } = follow(&project.home, &counts, progress) {
+        warn(&format!("status is not told what was measured: {reason}"));
     }
 }
 

@@ -207,8 +207,10 @@ fn warn_of_other_end(plan: &WrittenPlan, length: usize) {
             Ok(backend) if !backend.makes_maps() => "images",
             _ => "view clusters",
         };
+        let tests = plan.settings.test_every;
+        let tests = tests.map_or_else(String::new, |every| format!(" --test-every {every}"));
         warn(&format!(
-            "the plan stops at {} {what}, and `viewrank status` counts those; to plan {length}: viewrank plan {} --budget {length}",
+            "the plan stops at {} {what}, and `viewrank status` counts those; to plan {length}: viewrank plan {} --budget {length}{tests}",
             plan.cut,
             plan.project.as_argument()
         ));

@@ -256,8 +256,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Returns the backends of the plan that this one replaces, if none are named and the default is
-/// another: its depth maps would be lost.
+/// Returns the backends of the plan that this one replaces, if none are named and the default is not
+/// the same: its depth maps would be lost, and its exports outdated.
 fn kept_backends(
     arguments: &Arguments,
     project: &Project,
@@ -271,9 +271,7 @@ fn kept_backends(
     let Ok(known) = backends::by_names(&planned) else {
         return Ok(None);
     };
-    let is_other = known
-        .first()
-        .is_some_and(|first| first.name != backend.name);
+    let is_other = !known.is_empty() && known.iter().any(|of| of.name != backend.name);
     Ok((is_other && choice != Choice::Named).then_some(planned))
 }
 

@@ -8,7 +8,6 @@ use std::{
 };
 
 use crate::{
-    apps::evaluate::{EVALUATION_FILE, WrittenEvaluation},
     backends,
     base::{
         error::{Advice, Hint, shortened},
@@ -23,7 +22,6 @@ use crate::{
     },
     io::{
         depthmaps::{self, DepthMapFile},
-        paths::from_here,
         project::Project,
     },
     show::manifest::{self, PlannedMaps, planned_maps, planned_workspace},
@@ -82,26 +80,32 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Prints the state of a project by its own files.
 fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
-    let Some(plan) = planned_maps(&project) else {
-        return match Progress::read(&project) {
-            Some(progress) if is_json => print_json(&alone(&project, progress.phase(), None)),
-            Some(progress) => print(in_words(&progress)),
-            None => Err(NoStatus::NoPlan(project).into()),
-        };
+    let workspace = || {
+        let project = Project::open(&project, None).ok()?;
+        Progress::read(planned_workspace(&project)?)
     };
-    let Some(last) = LastMeasurement::of(&project, &plan) else {
-        let maps = MapsThere::of_plan(&project, &plan.backend).number();
-        return if is_json {
-            print_json(&alone(&project, unmeasured(&plan, maps), None))
-        } else {
-            print([planned_in_words(&plan, maps)])
-        };
-    };
-    if is_json {
-        let at = last.at;
-        print_json(&alone(&project, last.phase(), Some(at)))
-    } else {
-        print(last.in_words())
+    let progress = Progress::read(&project).or_else(workspace);
+    let progress = progress.filter(|_| !is_of_earlier_plan(&project));
+    match (progress, planned_maps(&project)) {
+        (Some(progress), plan) => {
+            let backend = plan.map(|plan| plan.backend);
+            let maps = backend.map(|backend| maps_of(&project, &backend));
+            let later = number_later(&maps.unwrap_or_default(), &progress);
+            if is_json {
+                print_json(&alone(&project, later_than(progress.phase(), later)))
+            } else {
+                print(unwatched(&progress, later))
+            }
+        }
+        (None, Some(plan)) => {
+            let maps = maps_of(&project, &plan.backend).len();
+            if is_json {
+                print_json(&alone(&project, unmeasured(&plan, maps)))
+            } else {
+                print([planned_in_words(&plan, maps)])
+            }
+        }
+        (None, None) => Err(NoStatus::NoPlan(project).into()),
     }
 }
 
@@ -151,141 +155,50 @@ impl Hint for NoStatus {
     }
 }
 
+/// Returns whether the project was planned again after its depth maps were last measured.
+fn is_of_earlier_plan(project: &Path) -> bool {
+    let written =
+        [progress_file(project), project.join(manifest::FILE)].map(|file| modified(&file));
+    matches!(written, [Some(measured), Some(planned)] if measured < planned)
+}
+
 fn modified(file: &Path) -> Option<SystemTime> {
     file.metadata().ok()?.modified().ok()
 }
 
-/// The last measurement of the depth maps of a plan, and what was finished after it.
-struct LastMeasurement {
-    progress: Progress,
-    at: SystemTime,
-    /// The command that measured, in words.
-    by: String,
-    /// Depth maps that are new or changed since.
-    unmeasured: usize,
+/// Returns the views of the project of which the plan's program has made depth maps.
+fn maps_of(project: &Path, backend: &str) -> Vec<String> {
+    let read = || {
+        let project = Project::open(project, None).ok()?;
+        let workspace = planned_workspace(&project);
+        let workspace = workspace.and_then(|folder| Project::open(folder, None).ok());
+        let project = workspace.as_ref().unwrap_or(&project);
+        let dense = project.dense_workspace.as_deref();
+        let folder = depthmaps::folder_of(&project.home, dense, backend);
+        let scene = project.read_scene().ok()?;
+        let maps = depthmaps::list(&folder, &scene).ok()?.maps;
+        let name = |map: &DepthMapFile| scene.name(map.view).to_owned();
+        Some(maps.iter().map(name).collect())
+    };
+    read().unwrap_or_default()
 }
 
-impl LastMeasurement {
-    /// Returns the newer of what `run` or `watch` and `evaluate` measured; `None` if neither did
-    /// since the project was planned.
-    fn of(project: &Path, plan: &PlannedMaps) -> Option<Self> {
-        let opened = Project::open(project, None).ok();
-        let home = opened.as_ref().and_then(planned_workspace);
-        let home = home.unwrap_or(project);
-        let planned = modified(&home.join(manifest::FILE));
-        let time = |file: PathBuf| modified(&file).filter(|&at| Some(at) >= planned);
-        // The progress of a project that is matched in a workspace may be beside either.
-        let followed = [project, home].into_iter().find_map(|root| {
-            let at = time(progress_file(root))?;
-            Some((at, Progress::read(root)?))
-        });
-        let evaluated = time(home.join(EVALUATION_FILE))
-            .and_then(|at| Some((at, WrittenEvaluation::read(home)?)));
-        let (at, progress, folder, by) = match (followed, evaluated) {
-            (Some((at, progress)), evaluated) if evaluated.as_ref().is_none_or(|of| of.0 < at) => {
-                let by = "As measured at the last depth map that `viewrank run` or `watch` saw.";
-                (at, progress, None, by.into())
-            }
-            (_, Some((at, evaluation))) => {
-                let folder = shown_path(&from_here(&evaluation.depth_maps));
-                let by = format!("As `viewrank evaluate` measured those in {folder}.");
-                let progress = evaluated_progress(&evaluation, plan);
-                (at, progress, Some(evaluation.depth_maps), by)
-            }
-            _ => return None,
-        };
-        let there = match folder {
-            Some(folder) => MapsThere::read(project, |_| folder),
-            None => MapsThere::of_plan(project, &plan.backend),
-        };
-        Some(Self {
-            unmeasured: there.unmeasured(&progress, at),
-            at,
-            progress,
-            by,
-        })
+/// Number of depth maps that the last measurement did not see. Of those that it saw but could not
+/// measure, its note speaks.
+fn number_later(maps: &[String], progress: &Progress) -> usize {
+    if progress.note.is_some() {
+        return 0;
     }
-
-    fn phase(self) -> Phase {
-        let mut phase = self.progress.phase();
-        if let Phase::Partial { unmeasured, .. } = &mut phase {
-            *unmeasured = self.unmeasured;
-        }
-        phase
-    }
-
-    fn in_words(&self) -> Vec<String> {
-        let mut lines = in_words(&self.progress);
-        lines.push(self.by.clone());
-        lines.extend(match self.unmeasured {
-            0 => None,
-            1 => Some("1 depth map is new or changed since (viewrank evaluate).".into()),
-            n => Some(format!(
-                "{n} depth maps are new or changed since (viewrank evaluate)."
-            )),
-        });
-        lines
-    }
+    let outdated = progress.outdated.iter().map(|map| &map.key);
+    let seen: BTreeSet<&String> = progress.finished.iter().chain(outdated).collect();
+    maps.iter().filter(|view| !seen.contains(view)).count()
 }
 
-/// Converts what `viewrank evaluate` measured to the progress of the plan, as a daemon would see it.
-fn evaluated_progress(evaluation: &WrittenEvaluation, plan: &PlannedMaps) -> Progress {
-    let finished: Vec<String> = evaluation.key_views().map(String::from).collect();
-    let listed: BTreeSet<&String> = plan.keys.iter().collect();
-    let beyond = finished.iter().filter(|key| !listed.contains(key)).count();
-    let (done, clusters) = (finished.len(), plan.clusters + beyond);
-    let share = evaluation.share().unwrap_or_default();
-    Progress {
-        target_reached: match plan.target {
-            Some(target) => share >= target,
-            None => done >= clusters,
-        },
-        done,
-        clusters,
-        share: Some(share),
-        target: plan.target.unwrap_or(plan.share),
-        finished,
-        ..Progress::default()
+fn later_than(mut phase: Phase, later: usize) -> Phase {
+    if let Phase::Partial { unmeasured, .. } = &mut phase {
+        *unmeasured = later;
     }
-}
-
-/// The depth maps in a folder: names of their views, and when they were made.
-#[derive(Default)]
-struct MapsThere(Vec<(String, Option<SystemTime>)>);
-
-impl MapsThere {
-    /// Those that the plan's program has made of the project's views.
-    fn of_plan(project: &Path, backend: &str) -> Self {
-        Self::read(project, |project| {
-            depthmaps::folder_of(&project.home, project.dense_workspace.as_deref(), backend)
-        })
-    }
-
-    fn read(project: &Path, folder: impl FnOnce(&Project) -> PathBuf) -> Self {
-        let read = || {
-            let project = Project::open(project, None).ok()?;
-            let scene = project.read_scene().ok()?;
-            let found = depthmaps::list(&folder(&project), &scene).ok()?.maps;
-            let map = |map: &DepthMapFile| (scene.name(map.view).to_owned(), modified(&map.path));
-            Some(Self(found.iter().map(map).collect()))
-        };
-        read().unwrap_or_default()
-    }
-
-    fn number(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Number of maps that the measurement did not see, or saw before they changed.
-    fn unmeasured(&self, measured: &Progress, at: SystemTime) -> usize {
-        let finished: BTreeSet<&String> = measured.finished.iter().collect();
-        let outdated: BTreeSet<&String> = measured.outdated.iter().map(|map| &map.key).collect();
-        let is_new = |(view, made): &&(String, Option<SystemTime>)| {
-            let is_known = finished.contains(view) || outdated.contains(view);
-            !is_known || made.is_some_and(|made| made > at)
-        };
-        self.0.iter().filter(is_new).count()
-    }
+    phase
 }
 
 /// The phase of a project whose depth maps, if any, were not measured.
@@ -324,7 +237,7 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
 }
 
 /// What is finished of a project that no daemon watches.
-fn in_words(progress: &Progress) -> Vec<String> {
+fn unwatched(progress: &Progress, later: usize) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
@@ -345,13 +258,21 @@ fn in_words(progress: &Progress) -> Vec<String> {
         (true, false) => lines.push("The list is done.".into()),
         (false, _) => {}
     }
+    lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());
+    lines.extend(match later {
+        0 => None,
+        1 => Some("1 depth map was finished after that (viewrank evaluate).".into()),
+        n => Some(format!(
+            "{n} depth maps were finished after that (viewrank evaluate)."
+        )),
+    });
     lines
 }
 
 /// The status of a project that no daemon watches, as [`as_json`] gives that of a watched folder.
-/// `measured`: when its depth maps were.
-fn alone(project: &Path, phase: Phase, measured: Option<SystemTime>) -> serde_json::Value {
-    let since = measured.or_else(|| modified(&project.join(manifest::FILE)));
+fn alone(project: &Path, phase: Phase) -> serde_json::Value {
+    let written = [progress_file(project), project.join(manifest::FILE)];
+    let since = written.iter().find_map(|file| modified(file));
     let since = since.and_then(|time| Some(time.duration_since(UNIX_EPOCH).ok()?.as_secs()));
     let mut own = serde_json::to_value(phase).expect("a phase is JSON");
     own["project"] = ".".into();

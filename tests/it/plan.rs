@@ -764,7 +764,7 @@ fn a_plan_without_a_backend_is_for_those_of_the_plan_before() {
     planned(&["--backend", "pairs,mve"]);
     let (said, backend) = planned(&["--budget", "3"]);
     assert_eq!(backend, "pairs");
-    assert!(said.contains("as the plan before; --backend"), "{said}");
+    assert!(said.contains("as planned before; --backend"), "{said}");
     assert!(folder.path().join("viewrank/mve").is_dir());
     // A name on the command line or in the settings counts for more.
     assert_eq!(planned(&["--backend", "sgm"]).1, "sgm");
@@ -775,5 +775,5 @@ fn a_plan_without_a_backend_is_for_those_of_the_plan_before() {
     .unwrap();
     let (said, backend) = planned(&[]);
     assert_eq!(backend, "mve");
-    assert!(!said.contains("as the plan before"), "{said}");
+    assert!(!said.contains("as planned before"), "{said}");
 }

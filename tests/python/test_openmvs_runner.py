@@ -270,7 +270,9 @@ def test_a_fusion_that_fails_leaves_the_one_of_before(folder):
     run(folder)
     before = (folder / "fused.ply").read_bytes()
     (folder / "no-points").touch()
+    (folder / "unfinished/fusion-killed").mkdir(parents=True)
     done, _, _ = run(folder)
+    assert nothing_left(folder)
     assert done.returncode == 1 and "DensifyPointCloud ended with 0 | error: out of luck" in done.stdout and "nothing is fused" in done.stdout
     assert (folder / "fused.ply").read_bytes() == before and not list(folder.glob("fusing*"))
 

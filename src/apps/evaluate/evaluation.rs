@@ -1,6 +1,6 @@
 //! The results of an evaluation, as written to `evaluation.json` and shown on the page.
 
-use std::{collections::BTreeMap, path::PathBuf};
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 
@@ -33,8 +33,6 @@ use crate::{
 pub struct Evaluation {
     /// Version of this format.
     pub version: u32,
-    /// Absolute path of the folder of the depth maps.
-    pub depth_maps: PathBuf,
     /// True if the depths were compared with a reference; otherwise every depth on the surface
     /// counts as right.
     pub reference: bool,
@@ -271,7 +269,6 @@ impl Evaluation {
         let weighs = |t: usize| objective.weights[t] > 0.0;
         Ok(Self {
             version: 1,
-            depth_maps: dunce::canonicalize(&run.folder).unwrap_or_else(|_| run.folder.clone()),
             reference: run.has_reference,
             support: objective.support,
             inside: objective.inside,

@@ -22,7 +22,6 @@ mod run;
 mod size;
 mod so_far;
 pub mod tables;
-mod written;
 
 #[cfg(test)]
 mod tests;
@@ -38,4 +37,3 @@ pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};
 pub use size::MapSize;
 pub use so_far::MeasuredProgress;
-pub use written::{EVALUATION_FILE, WrittenEvaluation};

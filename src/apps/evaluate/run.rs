@@ -39,8 +39,6 @@ use crate::{
 /// Finished view clusters with their measured results. All tables have one row per cluster.
 #[derive(Clone, Debug)]
 pub struct MeasuredClusters {
-    /// Folder of the depth maps.
-    pub folder: PathBuf,
     /// The clusters with a depth map, sorted by key view.
     pub clusters: Vec<ViewCluster>,
     /// Size of each depth map.
@@ -328,7 +326,6 @@ impl EvaluationInput<'_> {
         let predicted = table(&self.model, &clusters)?;
         let nocp = table(&certain, &clusters)?;
         Ok(MeasuredClusters {
-            folder: self.depth_maps.into(),
             has_reference: self.reference.is_some(),
             other_partners: with_other_partners(&clusters, report),
             quality: measured.iter().map(|m| m.quality).collect(),

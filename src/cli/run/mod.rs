@@ -36,7 +36,7 @@ pub struct Arguments {
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
-    /// Backend to match with [default: as the project is set up, else what is installed]
+    /// Backend to match with [default: as planned, else as the project is set up, else what is installed]
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
     /// Stop at P % of what all view clusters together reach [default: 90%, or the settings']

@@ -176,13 +176,14 @@ impl RunSummary {
             }
             _ => format!("their share of the area that all {all} would cover is not known"),
         };
-        let seconds =
-            self.seconds
-                .filter(|_| !self.is_whole)
-                .map_or_else(String::new, |[here, whole]| {
-                    let [here, whole] = [here, whole].map(duration);
-                    format!(", in {here} of matching, where all would take about {whole}")
-                });
+        let seconds = self
+            .seconds
+            // Exports that were written anew have forgotten the times.
+            .filter(|[here, _]| !self.is_whole && *here >= 0.5)
+            .map_or_else(String::new, |[here, whole]| {
+                let [here, whole] = [here, whole].map(duration);
+                format!(", in {here} of matching, where all would take about {whole}")
+            });
         format!("{done} of {all} depth maps: {share}{seconds}")
     }
 }

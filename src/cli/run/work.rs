@@ -86,11 +86,12 @@ fn note_maps_of_other_plans(dispatch: &Dispatch) {
         .iter()
         .filter(|task| !dispatch.is_done(task) && task.map.is_file())
         .count();
-    if others > 0 {
-        note(&format!(
-            "{others} depth maps that are there do not count for this plan: made again"
-        ));
-    }
+    let counted = match others {
+        0 => return,
+        1 => "1 depth map that is there does not count".to_owned(),
+        _ => format!("{others} depth maps that are there do not count"),
+    };
+    note(&format!("{counted} for this plan: made again"));
 }
 
 impl<'a> Work<'a> {

@@ -124,7 +124,7 @@ impl GroundSummary {
             at_all => format!("none shows {} at all", percent(at_all)),
         };
         (self.too_coarse > 0.0).then(|| {
-            format!(" sharply enough ({coarsest} {unit} per pixel, {COARSEST} times the wanted, or finer; {others})")
+            format!(" finely enough ({coarsest} {unit} per pixel, {COARSEST} times the wanted, or finer; {others})")
         })
     }
 
@@ -223,7 +223,7 @@ mod tests {
         };
         assert_eq!(
             oblique.missed(Some(0.5)),
-            "No photograph shows 81.2 % of the region (78.0 m²) sharply enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
+            "No photograph shows 81.2 % of the region (78.0 m²) finely enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
         );
         let unbuilt = GroundSummary {
             surface: None,

@@ -173,25 +173,17 @@ pub struct PlannedMaps {
     /// Their predicted share of the fulfilment of all view clusters, 0 to 1.
     pub share: f64,
     pub backend: String,
-    /// Target share, if one was set.
-    pub target: Option<f64>,
-    /// Names of the key views.
-    pub keys: Vec<String>,
 }
 
 /// Returns what the project's plan chooses; `None` without a plan.
 pub fn planned_maps(root: &Path) -> Option<PlannedMaps> {
     let (_, recorded) = RecordedPlan::open(root).ok()?;
-    let length = recorded.cut.clusters;
-    let last = length.checked_sub(1);
+    let last = recorded.cut.clusters.checked_sub(1);
     let share = last.and_then(|last| Some(recorded.clusters.get(last)?.share));
-    let chosen = recorded.clusters.into_iter().take(length);
     Some(PlannedMaps {
-        clusters: length,
+        clusters: recorded.cut.clusters,
         share: share.unwrap_or_default(),
         backend: recorded.backend,
-        target: recorded.settings.cut.target.map(|target| target.0),
-        keys: chosen.map(|cluster| cluster.key).collect(),
     })
 }
 

@@ -235,11 +235,17 @@ impl CountedPlaces {
     }
 
     /// Returns the weights of what finished maps have shown, which is no longer a matter of
-    /// chance ([`chance`](Self::chance)).
+    /// chance ([`chance`](Self::chance)), with the same sum.
     pub fn measured(&self) -> Objective {
         let mut objective = self.kept.objective.clone();
+        let sum: f64 = objective.weights.iter().sum();
         let weights = objective.weights.iter_mut().zip(0..);
         weights.for_each(|(weight, item)| *weight /= self.chance(item));
+        let measured: f64 = objective.weights.iter().sum();
+        if measured > sum {
+            let factor = sum / measured;
+            objective.weights.iter_mut().for_each(|w| *w *= factor);
+        }
         objective
     }
 

@@ -319,16 +319,10 @@ fn mve_scale(name: &str) -> Option<u8> {
 }
 
 /// Returns whether `integrations/openmvs/run.py` is still writing the map
-/// (`unfinished/0012-NAME/depth0012.dmap`).
+/// (`unfinished/0012-NAME/depth0012.dmap`), or fuses it (`unfinished/fusion-NAME/depth0012.dmap`).
 fn is_unfinished(path: &Path) -> bool {
-    let mut above = path
-        .ancestors()
-        .skip(1)
-        .filter_map(|folder| folder.file_name()?.to_str());
-    above
-        .next()
-        .is_some_and(|name| name.starts_with(|c: char| c.is_ascii_digit()))
-        && above.next() == Some("unfinished")
+    let above = path.ancestors().nth(2).and_then(Path::file_name);
+    above.is_some_and(|name| name == "unfinished")
 }
 
 /// Accepts `depth0012.dmap`, but not OpenMVS's intermediate `depth0012.geo.dmap` and

@@ -125,7 +125,7 @@ function drawLegends() {
     make('span', {}, make('i', { class: status === 'unused' ? 'ring' : '', style: `background: var(--${status}); color: var(--${status}); border-radius: 50%` }), text));
   if (ranking.ofFull) cameras.splice(1, 0, make('span', {}, make('i', { class: 'diamond', style: 'background: var(--key)' }), 'key view at half size'));
   if (flight.count) cameras.push(make('span', {}, make('i', { class: 'ring', style: `color: ${FLIGHT}` }), 'image to take'));
-  const missed = { unbuilt: 'ground without sparse points', seen_once: 'ground that only one shows', unseen: `ground that no photograph shows${data.region?.too_coarse ? ' sharply enough' : ''}` };
+  const missed = { unbuilt: 'ground without sparse points', seen_once: 'ground that only one shows', unseen: `ground that no photograph shows${data.region?.too_coarse ? ' finely enough' : ''}` };
   for (const [rings, text] of Object.entries(missed)) {
     const stripes = `repeating-linear-gradient(135deg, ${MISSED[rings]} 0 2.5px, transparent 2.5px 5.7px)`;
     if (data.region?.[rings].length) cameras.unshift(make('span', {}, make('i', { style: `background: ${stripes}` }), text));

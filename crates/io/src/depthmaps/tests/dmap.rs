@@ -147,6 +147,18 @@ fn maps_of_both_kinds_are_found_by_the_image_in_them() {
 }
 
 #[test]
+fn maps_that_a_killed_run_was_making_or_fusing_are_not_found() {
+    let folder = tempfile::tempdir().unwrap();
+    for place in ["", "unfinished/0040-a1", "unfinished/fusion-b2"] {
+        let place = folder.path().join(place);
+        std::fs::create_dir_all(&place).unwrap();
+        std::fs::write(place.join("depth0040.dmap"), D2::small().bytes()).unwrap();
+    }
+    let set = list(folder.path(), &scene(&["IMG_9395.jpg"])).unwrap();
+    assert_eq!(found(&set), [(0, DepthMapFormat::OpenMvs)]);
+}
+
+#[test]
 fn hostile_maps_of_the_new_kind_are_refused() {
     let with = |change: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = D2::small().bytes();
