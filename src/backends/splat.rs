@@ -294,7 +294,7 @@ fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
             command_path(&selection.project.root)
         ));
     }
-    if let Some(&first) = views.iter().min() {
+    if let Some(&first) = views.iter().min().filter(|_| views.len() > 1) {
         warnings.push(format!(
             "gsplat always holds the first image by name ({}) out: of these {} it trains on the others; the other trainers take all",
             selection.scene.name(first),

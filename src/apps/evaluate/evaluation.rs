@@ -200,20 +200,20 @@ impl Evaluation {
         };
         let enough = [0.95, 0.9].map(enough);
         let give = if enough[1] == Some(1) {
-            "covers"
+            "gives"
         } else {
-            "cover"
+            "give"
         };
         match enough {
             [Some(most), Some(nearly)] if most < maps => format!(
-                "You could have stopped after {most} of these {maps} depth maps, which cover 95 % of the area that all of them cover; {nearly} {give} 90 %."
+                "Of the area that these {maps} depth maps cover, the first {most} give 95 %, {nearly} {give} 90 %."
             ),
             [Some(_), Some(nearly)] if nearly < maps => {
                 format!(
-                    "All {maps} depth maps were needed for 95 % of the area that they cover; {nearly} {give} 90 %."
+                    "All {maps} depth maps are needed for 95 % of the area that they cover; {nearly} {give} 90 %."
                 )
             }
-            [Some(_), _] => format!("All {maps} depth maps were needed."),
+            [Some(_), _] => format!("All {maps} depth maps are needed for what they cover."),
             _ => "These depth maps give no point that fusion keeps.".into(),
         }
     }

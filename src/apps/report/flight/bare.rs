@@ -194,7 +194,7 @@ impl<'a> Overhead<'a> {
                 hole: GROUND,
                 height: distance,
                 distance,
-                overlap: overlap(self.camera, distance, self.step),
+                overlap: self.overlap(*square, chosen, distance),
             }
         };
         row_by_row(chosen)
@@ -202,6 +202,20 @@ impl<'a> Overhead<'a> {
             .enumerate()
             .map(waypoint)
             .collect()
+    }
+
+    /// Returns the largest share of what the image over a square shows, from a distance, that one
+    /// other of these shows, too.
+    fn overlap(&self, square: Square, chosen: &BTreeSet<Square>, distance: f64) -> f64 {
+        let side = shown(self.camera, distance);
+        let with = |other: &Square| -> f64 {
+            let apart = |axis: usize| self.step * (other[axis] - square[axis]).abs() as f64;
+            (0..2)
+                .map(|axis| (1.0 - apart(axis) / side).max(0.0))
+                .product()
+        };
+        let others = chosen.iter().filter(|other| **other != square);
+        others.map(with).fold(0.0, f64::max)
     }
 
     /// Chooses images until each place is shown by as many as it lacks, those first that show most such
@@ -354,11 +368,6 @@ fn shown(camera: &Camera, distance: f64) -> f64 {
         .min(distance / focal.y * f64::from(camera.height))
 }
 
-/// Share of what an image shows that another one at this distance beside it shows, too.
-fn overlap(camera: &Camera, distance: f64, beside: f64) -> f64 {
-    (1.0 - beside / shown(camera, distance)).max(0.0)
-}
-
 /// The place nearest to the mean of some, which is one of them.
 fn typical(places: &[Lack]) -> [f64; 2] {
     let count = places.len() as f64;
@@ -433,6 +442,15 @@ mod tests {
         }
         assert_eq!(images.shown_often_enough(&places, &chosen), places.len());
         assert!(chosen.len() <= 5, "{chosen:?}");
+    }
+
+    #[test]
+    fn the_overlap_is_that_with_the_image_that_shows_most_of_the_same() {
+        let camera = camera();
+        let images = overhead(&camera, 2.0);
+        let chosen: BTreeSet<Square> = [[0, 0], [2, 0], [2, 1], [40, 40]].into();
+        let overlaps = chosen.iter().map(|of| images.overlap(*of, &chosen, 10.0));
+        assert!(overlaps.eq([0.6, 0.8, 0.8, 0.0]));
     }
 
     #[test]
