@@ -113,14 +113,14 @@ fn ground_that_is_seen_too_coarsely_is_told_from_ground_that_is_not_seen() {
     let doctor = |region: &str| said(&viewrank(&["doctor", &root, "--region", region]));
     let (code, within, _) = doctor(&site(&folder, [-10.0, -10.0, 10.0, 10.0]));
     assert!(
-        code == 4 && within.contains("sharply") && within.contains("target.gsd"),
+        code == 4 && within.contains("finely") && within.contains("target.gsd"),
         "{within}"
     );
     let (code, partly, _) = doctor(&site(&folder, [-10.0, -10.0, 200.0, 10.0]));
     assert!(code == 4 && partly.contains("none shows"), "{partly}");
     // What is only far outside has another reason.
     let (code, outside, _) = doctor(&site(&folder, [1000.0, 1000.0, 1100.0, 1100.0]));
-    assert!(code == 4 && !outside.contains("sharply"), "{outside}");
+    assert!(code == 4 && !outside.contains("finely"), "{outside}");
 }
 
 #[test]
@@ -171,7 +171,7 @@ fn images_beyond_the_most_that_are_planned_are_counted() {
     let region = site(&folder, [-10.0, -10.0, 1500.0, 1500.0]);
     let (code, _, stderr) = folder.plan(&["--region", &region, "--backend", "sgm", "--report"]);
     assert_eq!(code, 0, "{stderr}");
-    assert!(stderr.contains("more: want a coarser --gsd"), "{stderr}");
+    assert!(stderr.contains("more: use a coarser --gsd"), "{stderr}");
     let flown = fs::read_to_string(folder.at("viewrank/flight/waypoints.geojson")).unwrap();
     let flown: Value = serde_json::from_str(&flown).unwrap();
     let note = flown["note"].as_str().unwrap();
