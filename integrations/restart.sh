@@ -1,3 +1,4 @@
+@ABSOLUTE_PATH@
 # sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own.
 case $0 in
 .//run.sh) ;;

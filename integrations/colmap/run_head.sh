@@ -17,6 +17,7 @@ case $#${1:-} in
     exit 2
     ;;
 esac
+@ABSOLUTE_PATH@
 # sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own.
 case $0 in
 .//stereo/viewrank/run.sh) ;;

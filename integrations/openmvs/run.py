@@ -729,5 +729,5 @@ if __name__ == "__main__":
     except OSError as error:
         where = f"{ascii(os.fsdecode(error.filename))}: " if isinstance(error.filename, (str, bytes, os.PathLike)) else ""
         sys.exit(f"error: {where}{error.strerror or error}\nhint: finished maps stay, run again to go on")
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error) as error:
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError, struct.error) as error:
         sys.exit(f"error: a file here is not what viewrank or run.py wrote ({type(error).__name__}: {error})\nhint: export again")

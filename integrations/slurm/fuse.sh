@@ -1,5 +1,6 @@
 #!/bin/sh
 # Joins the depth maps of viewrank's plan that are there, unless the same ones were joined before.
+@ABSOLUTE_PATH@
 # sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own. A copy of a queue's has one.
 case $0 in
 .//fuse.sh) ;;

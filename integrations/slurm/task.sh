@@ -1,6 +1,7 @@
 #!/bin/sh
 # Computes the depth map of one view cluster of viewrank's plan: task.sh RANK, or in a job array: task.sh array OFFSET.
 # Leaves at once when the map is there or the target is reached, so that it may be started any number of times.
+@ABSOLUTE_PATH@
 # sh names the script in its own messages, and the folders above it may have a stranger's names: it is started again as a name of our own. A copy of a queue's has one.
 case $0 in
 .//task.sh) ;;

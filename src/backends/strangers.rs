@@ -10,10 +10,15 @@ const REFUSE: &str = include_str!("../../integrations/refuse_strangers.sh");
 /// The lines of sh with which a `run.sh` starts itself again.
 const RESTART: &str = include_str!("../../integrations/restart.sh");
 
-/// Returns a script with the function, and the restart if it has one, in the places of their lines.
+/// The lines of sh that leave only absolute folders in the PATH.
+const ABSOLUTE_PATH: &str = include_str!("../../integrations/absolute_path.sh");
+
+/// Returns a script with the function, and the restart and the clean PATH if it has them, in the
+/// places of their lines.
 pub fn with_refusal(script: &str) -> String {
     script
         .replacen("@RESTART@\n", RESTART, 1)
+        .replacen("@ABSOLUTE_PATH@\n", ABSOLUTE_PATH, 1)
         .replacen("@REFUSE_STRANGERS@\n", REFUSE, 1)
 }
 

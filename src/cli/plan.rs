@@ -271,8 +271,14 @@ fn kept_backends(
     let Ok(known) = backends::by_names(&planned) else {
         return Ok(None);
     };
-    let is_other = !known.is_empty() && known.iter().any(|of| of.name != backend.name);
-    Ok((is_other && choice != Choice::Named).then_some(planned))
+    let mut kept: Vec<String> = Vec::new();
+    for of in known {
+        if !kept.iter().any(|name| name == of.name) {
+            kept.push(of.name.into());
+        }
+    }
+    let is_other = kept.iter().any(|name| name != backend.name);
+    Ok((is_other && choice != Choice::Named).then_some(kept))
 }
 
 /// Returns the project that the backend can match, with the settings for it: the workspace of

@@ -242,8 +242,8 @@ fn unwatched(progress: &Progress, later: usize) -> Vec<String> {
     let share = match progress.share {
         Some(share) => format!(
             ": about {:.0} % of the area that all maps would cover (planned: {:.0} %)",
-            100.0 * share,
-            100.0 * progress.target
+            100.0 * share.clamp(0.0, 1.0),
+            100.0 * progress.target.clamp(0.0, 1.0)
         ),
         None => String::new(),
     };

@@ -79,8 +79,8 @@ class Place:
             made = {row["scene"]: [dict(ids=[row["id"], *row["partner_ids"]], range=row["depths"], depth=row["depths"][0])] for row in rows}
             (self.work.bin / "made.json").write_text(json.dumps(made))
 
-    def run(self):
-        environment = {"PATH": f"{self.work.bin}:/usr/bin:/bin", "PATCHMATCHNET": str(self.work.bin), "HOME": str(self.outside)}
+    def run(self, first=""):
+        environment = {"PATH": f"{first}{self.work.bin}:/usr/bin:/bin", "PATCHMATCHNET": str(self.work.bin), "HOME": str(self.outside)}
         command = [sys.executable] if self.script.endswith(".py") else []
         command += [self.folder / self.script, *self.words]
         return subprocess.run(command, env=environment, capture_output=True, text=True, cwd=self.folder, timeout=20, stdin=subprocess.DEVNULL)
@@ -157,6 +157,23 @@ for folder in Path().glob("projects/*" if "sure" in sys.argv[0] else "MM-Malt-Im
         mark.unlink(missing_ok=True)
         mark.symlink_to(os.environ["LETTER"])
 """
+
+
+@pytest.mark.parametrize("first", [":", ".:"], ids=["empty", "dot"])
+@pytest.mark.parametrize("case", CASES)
+def test_no_program_of_the_folder_is_started(viewrank, plans, tmp_path, case, first):  # noqa: F811
+    """An entry of the PATH that is empty or relative means the folder in which the script works."""
+    place = Place(case, viewrank, plans, tmp_path)
+    before = place.secrets()
+    for name in [*CASES[case][0], "sh", "find", "awk", "rm", "mkdir", "python3"]:
+        planted = place.folder / name
+        if planted.is_dir():  # ACMM's, of its results
+            continue
+        planted.write_text(f"#!/bin/sh\n: > '{place.outside}/taken'\n")
+        planted.chmod(0o755)
+    place.export(3)
+    place.run(first)
+    assert place.secrets() == before
 
 
 @pytest.mark.parametrize("backend, program", [("sure", "sure"), ("micmac", "mm3d")])
