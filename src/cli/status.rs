@@ -24,7 +24,7 @@ use crate::{
         depthmaps::{self, DepthMapFile},
         project::Project,
     },
-    show::manifest::{self, PlannedMaps, planned_maps, planned_workspace},
+    show::manifest::{self, PlannedMaps, open_planned_workspace, planned_maps, planned_workspace},
 };
 use clap::Args;
 use serde_json::json;
@@ -170,8 +170,7 @@ fn modified(file: &Path) -> Option<SystemTime> {
 fn maps_of(project: &Path, backend: &str) -> Vec<String> {
     let read = || {
         let project = Project::open(project, None).ok()?;
-        let workspace = planned_workspace(&project);
-        let workspace = workspace.and_then(|folder| Project::open(folder, None).ok());
+        let workspace = open_planned_workspace(&project);
         let project = workspace.as_ref().unwrap_or(&project);
         let dense = project.dense_workspace.as_deref();
         let folder = depthmaps::folder_of(&project.home, dense, backend);

@@ -87,13 +87,13 @@ pub struct Summary<'a> {
     missed: Option<f64>,
 }
 
-/// What the user asked for, or left open.
+/// Arguments of `viewrank plan` on which the wording of the summary depends.
 pub struct Asked {
-    /// A region or a resolution.
+    /// A region or a resolution is given.
     pub is_survey: bool,
-    /// No backend, so that that of the plan before is kept.
+    /// No backend is given, and that of the previous plan is kept.
     pub keeps_backend: bool,
-    /// The report, which is written.
+    /// Path of the report, if one is written.
     pub page: Option<PathBuf>,
 }
 

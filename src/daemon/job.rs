@@ -92,7 +92,7 @@ pub struct PlanJob {
 /// Result of a step of a job, or the outcome that ends the job early.
 type StepResult<T> = Result<T, Outcome>;
 
-/// What a step that ended early is for its project: nothing, if it was to end.
+/// Returns the outcome of a job whose step ended early: abandoned if the job was cancelled.
 fn of_ended(ended: Outcome, job: &Job) -> Outcome {
     if job.is_cancelled() {
         Outcome::Abandoned
@@ -150,7 +150,7 @@ impl PlanJob {
         }
     }
 
-    /// As [`Planner::plan`], also at another time.
+    /// Plans the project at this time ([`Planner::plan`]: where the plan is outdated).
     pub(super) fn plan_if(&self, when: PlanWhen, job: &Job) -> Outcome {
         self.try_plan(when, job)
             .unwrap_or_else(|ended| of_ended(ended, job))

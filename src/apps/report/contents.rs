@@ -95,7 +95,7 @@ pub struct Contents {
     /// The same as files below the plan's folder.
     #[serde(skip)]
     pub flight_files: Vec<(&'static str, String)>,
-    /// How many images are missing where not all that are needed are planned.
+    /// Warning that more images are needed than are planned.
     #[serde(skip)]
     pub unplanned: Option<String>,
     /// Area of all holes, square scene units.
@@ -529,7 +529,7 @@ struct FlightData {
     for_holes: usize,
     /// Part of the weight of each hole.
     of_holes: Vec<f64>,
-    /// What to know before flying.
+    /// Notes on the planned images: their margin, and how many more are needed.
     remarks: String,
 }
 

@@ -16,8 +16,9 @@ pub use fingerprint::{FingerprintError, fingerprint};
 pub use region::RegionSummary;
 pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{
-    PlannedMaps, WrittenPlan, WrittenPlanError, planned_backend, planned_backends, planned_ground,
-    planned_maps, planned_model, planned_region, planned_workspace, validate,
+    PlannedMaps, WrittenPlan, WrittenPlanError, open_planned_workspace, planned_backend,
+    planned_backends, planned_ground, planned_maps, planned_model, planned_region,
+    planned_workspace, validate,
 };
 
 use crate::{

@@ -150,8 +150,7 @@ pub fn planned_backend(project: &Project) -> Option<String> {
 /// Returns the names of the backends that the project's plan was written for, the one that it is for
 /// first; none without a plan.
 pub fn planned_backends(project: &Project) -> Vec<String> {
-    let workspace = planned_workspace(project);
-    let workspace = workspace.and_then(|folder| Project::open(folder, None).ok());
+    let workspace = open_planned_workspace(project);
     let Ok(recorded) = RecordedPlan::read(workspace.as_ref().unwrap_or(project)) else {
         return Vec::new();
     };
@@ -208,6 +207,11 @@ pub fn planned_workspace(project: &Project) -> Option<&Path> {
     let dense = project.dense_workspace.as_deref();
     let dense = dense.filter(|dense| *dense != project.root && dense.join(FILE).is_file());
     dense.filter(|_| !project.home.join(FILE).exists())
+}
+
+/// Opens the [`planned_workspace`] of the project, if any.
+pub fn open_planned_workspace(project: &Project) -> Option<Project> {
+    Project::open(planned_workspace(project)?, None).ok()
 }
 
 impl WrittenPlan {

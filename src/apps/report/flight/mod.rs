@@ -85,7 +85,7 @@ impl Flight {
         self
     }
 
-    /// Says how many images are missing where not all that are needed are planned.
+    /// Returns a warning if more images are needed than are planned.
     pub fn unplanned(&self) -> Option<String> {
         (self.more > 0).then(|| {
             format!(
@@ -95,7 +95,7 @@ impl Flight {
         })
     }
 
-    /// What to know before flying.
+    /// Returns notes on the planned images: their margin, and how many more are needed.
     pub fn remarks(&self) -> String {
         let margin = format!(
             "Each image is planned at {} of the distance that gives the wanted resolution: what is lower or slanted comes out coarser.",
