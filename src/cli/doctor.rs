@@ -7,6 +7,7 @@ use crate::{
     backends::Backend,
     config::CommandLineSettings,
     io::project::Project,
+    show::manifest::planned_region,
 };
 use clap::Args;
 
@@ -44,6 +45,10 @@ pub struct Arguments {
         allow_hyphen_values = true
     )]
     region: Option<String>,
+    /// Wanted ground sampling distance, as plan takes it: ground that photographs show in larger
+    /// pixels than four times it counts as missed [default: that of the settings or of the plan]
+    #[arg(long, value_name = "L")]
+    gsd: Option<String>,
     /// List every view, not only the first few
     #[arg(long)]
     all: bool,
@@ -57,7 +62,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut typed = CommandLineSettings::default();
     let region = arguments.region.as_deref();
     typed.set("--region", "region", region.map(super::arguments::region));
-    let settings = config::load(Some(&project), typed)?.settings;
+    typed.set("--gsd", "target.gsd", arguments.gsd.clone());
+    let mut settings = config::load(Some(&project), typed)?.settings;
+    if arguments.gsd.is_some() && settings.region.is_none() {
+        settings.region = planned_region(&project.home).and_then(|region| region.parse().ok());
+    }
     let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() {
         &settings.backends

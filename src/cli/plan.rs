@@ -12,7 +12,7 @@ use crate::{
         replan::{EarlierPlan, MapFolder, replan},
         report::DepthMapFolders,
     },
-    backends::{self, Choice},
+    backends::{self, Backend, Choice},
     base::{
         error::{Advice, Hint},
         progress::{Stage, Watcher},
@@ -28,7 +28,9 @@ use crate::{
     plan::{Plan, PlanError},
     show::{
         files::PlanFiles,
-        manifest::{WrittenPlanError, planned_backends, planned_model, warnings_with},
+        manifest::{
+            WrittenPlanError, planned_backends, planned_model, planned_region, warnings_with,
+        },
         tables,
     },
 };
@@ -202,9 +204,17 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project), arguments.typed())?.settings;
     let project = project.with_images(settings.images.as_deref());
-    let kept = kept_backends(arguments, &project, &settings)?;
+    let at_home = match &arguments.out {
+        Some(out) => &project.clone().with_home(out),
+        None => &project,
+    };
+    let kept = kept_backends(at_home, &settings)?;
+    let dropped_region = planned_region(&at_home.home).filter(|_| settings.region.is_none());
     let settings = Settings {
-        backends: kept.clone().unwrap_or(settings.backends),
+        backends: match &kept {
+            Some(kept) => kept.iter().map(|backend| backend.name.into()).collect(),
+            None => settings.backends,
+        },
         ..settings
     };
     let (project, settings) = matchable(arguments, project, settings)?;
@@ -245,6 +255,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let asked = Asked {
         is_survey,
         keeps_backend: kept.is_some(),
+        dropped_region,
         page,
     };
     report(arguments, &project, &plan, &files, asked)?;
@@ -256,28 +267,23 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Returns the backends of the plan that this one replaces, if none are named and the default is not
-/// the same: its depth maps would be lost, and its exports outdated.
-fn kept_backends(
-    arguments: &Arguments,
+/// Returns the backends of the plan in the project, the one that it is for first, if none are named
+/// and the default is not the same: its depth maps would be lost, and its exports outdated.
+pub fn kept_backends(
     project: &Project,
     settings: &Settings,
-) -> Result<Option<Vec<String>>, Failure> {
+) -> Result<Option<Vec<&'static Backend>>, Failure> {
     let (backend, choice) = backends::chosen(project, settings)?;
-    let planned = match &arguments.out {
-        Some(out) => planned_backends(&project.clone().with_home(out)),
-        None => planned_backends(project),
-    };
-    let Ok(known) = backends::by_names(&planned) else {
+    let Ok(planned) = backends::by_names(&planned_backends(project)) else {
         return Ok(None);
     };
-    let mut kept: Vec<String> = Vec::new();
-    for of in known {
-        if !kept.iter().any(|name| name == of.name) {
-            kept.push(of.name.into());
+    let mut kept: Vec<&'static Backend> = Vec::new();
+    for planned in planned {
+        if !kept.iter().any(|known| known.name == planned.name) {
+            kept.push(planned);
         }
     }
-    let is_other = kept.iter().any(|name| name != backend.name);
+    let is_other = kept.iter().any(|planned| planned.name != backend.name);
     Ok((is_other && choice != Choice::Named).then_some(kept))
 }
 

@@ -6,10 +6,11 @@ use crate::{
     backends::{self, Choice},
     base::{
         decimals::significant,
-        shell::{command_path, shown_path},
+        shell::{command_path, command_word, shown_path},
     },
     config::{ConfidenceSource, TriangleWeight},
     io::project::Project,
+    method::target::GSD_MARGIN,
     model::{georeference::Georeference, scene::Units},
     plan::{Cut, CutLimit, Forecast, GivenUp, Memory, Plan, Timings, positions_in_images},
     show::{
@@ -40,6 +41,9 @@ pub struct Summary<'a> {
     finished: usize,
     /// g_d, scene units per pixel.
     gsd: f64,
+    /// Median of the images, scene units per matched pixel, where another g_d was asked for.
+    #[serde(skip)]
+    of_images: Option<f64>,
     /// Region of interest; null: the whole surface.
     region: Option<&'a RegionSummary>,
     cut: Cut,
@@ -93,6 +97,8 @@ pub struct Asked {
     pub is_survey: bool,
     /// No backend is given, and that of the previous plan is kept.
     pub keeps_backend: bool,
+    /// Region of the plan that this one replaces, which is for the whole surface.
+    pub dropped_region: Option<String>,
     /// Path of the report, if one is written.
     pub page: Option<PathBuf>,
 }
@@ -118,6 +124,7 @@ impl<'a> Summary<'a> {
             triangles: plan.stages.surface.triangles.len(),
             finished: plan.decision.finished,
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
+            of_images: gsd_of_images(plan).filter(|_| asked.is_survey),
             region: manifest.region.as_ref(),
             cut: plan.decision.cut,
             limits: plan.stages.settings.cut.limits(),
@@ -138,7 +145,12 @@ impl<'a> Summary<'a> {
                 .images
                 .as_ref()
                 .map(|images| images.display().to_string()),
-            notes: notes(project, plan, &files.place),
+            notes: asked
+                .dropped_region
+                .map(|region| dropped(&region))
+                .into_iter()
+                .chain(notes(project, plan, &files.place))
+                .collect(),
             look: match &asked.page {
                 Some(page) => shown_path(page),
                 None => format!("viewrank report {} --open", command_path(&project.home)),
@@ -193,7 +205,10 @@ impl<'a> Summary<'a> {
         lines.extend(self.memory.on_disk().map(on_disk));
         if self.use_of_views.is_none() {
             let gsd = significant(self.gsd * metres);
-            lines.push(format!("Wanted: {gsd} {unit} per pixel."));
+            let of_images = self.of_images.map(|own| significant(own * metres));
+            let of_images = of_images.map(|own| format!("; the images have {own} in the median"));
+            let of_images = of_images.unwrap_or_default();
+            lines.push(format!("Wanted: {gsd} {unit} per pixel{of_images}."));
         }
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
@@ -545,6 +560,15 @@ impl<'a> Summary<'a> {
     }
 }
 
+/// Returns the median of the images, scene units per matched pixel, unless the wanted one follows
+/// from it.
+fn gsd_of_images(plan: &Plan) -> Option<f64> {
+    let settings = &plan.stages.settings;
+    let own = plan.stages.scene.median_gsd()? / settings.image_scale();
+    let follows = settings.target.gsd? / (GSD_MARGIN * own);
+    (!(0.99..1.01).contains(&follows)).then_some(own)
+}
+
 /// Formats a share without decimals, but not as all while something is missing.
 fn whole_percent(share: f64) -> String {
     let percent = 100.0 * share;
@@ -552,6 +576,14 @@ fn whole_percent(share: f64) -> String {
         percent if (99.5..99.95).contains(&percent) => format!("{percent:.1} %"),
         _ => format!("{percent:.0} %"),
     }
+}
+
+/// Says that the plan before was for a region, and how to have it again.
+fn dropped(region: &str) -> String {
+    let region = command_word(region);
+    format!(
+        "The plan before was for a region; this one is for all (--region {region} has it again)."
+    )
 }
 
 /// Notes on images that may be unexpected: other names, other folders.

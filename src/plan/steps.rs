@@ -171,13 +171,16 @@ pub(super) fn region(
         let missing = inputs.without_image.iter().copied();
         let mut left_out: Vec<ViewIndex> = missing.chain(twins).collect();
         left_out.sort_unstable();
-        let triangles = seen.surface.triangles.len();
-        let views = seen.visibility.views_of_triangles(triangles, &left_out);
-        let photographed = Photographed {
+        let bare = Photographed {
             scene: &inputs.scene,
             left_out: &left_out,
             gsd: seen.gsd * inputs.settings.image_scale(),
-            surface: Some((&seen.surface, &views)),
+            surface: None,
+        };
+        let photographs = bare.of_triangles(&seen.surface, &seen.visibility);
+        let photographed = Photographed {
+            surface: Some((&seen.surface, &photographs)),
+            ..bare
         };
         let footprint = region.footprint(&frame);
         // First, since it refuses outlines that take long.

@@ -76,8 +76,13 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     } else {
         format!(" --out {}", command_path(&folder))
     };
+    let run = if is_default && backend == plan.stages.backend {
+        "viewrank run, or "
+    } else {
+        ""
+    };
     Some(format!(
-        "{} contains an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",
+        "{} contains an export of an earlier plan for {backend}; to export this plan: {run}viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
         command_path(&project.home)
     ))

@@ -136,6 +136,50 @@ fn a_resolution_that_the_photographs_lack_is_said() {
         stdout.contains("No view cluster reconstructs") && stdout.contains("Then: "),
         "{stdout}"
     );
+    assert!(
+        stdout.contains("; the images have ") && !as_it_is.contains("the images have"),
+        "{stdout}"
+    );
+}
+
+#[test]
+fn a_surface_that_is_seen_too_coarsely_is_missed_and_gets_images() {
+    let folder = georeferenced();
+    let region = site(&folder, [-10.0, -10.0, 10.0, 10.0]);
+    let (code, stdout, stderr) = folder.plan(&["--region", &region, "--backend", "sgm"]);
+    assert_eq!(code, 0, "{stderr}");
+    let root = folder.path().to_str().unwrap();
+    let (code, covered, _) = said(&viewrank(&["doctor", root]));
+    assert!(code != 4 && !covered.contains("finely"), "{covered}");
+    let finer = format!("{}", scene().median_gsd().unwrap() / 10.0);
+    // The region is that of the plan.
+    let (_, coarse, _) = said(&viewrank(&["doctor", root, "--gsd", &finer]));
+    assert!(coarse.contains("finely enough"), "{coarse}\n{stdout}");
+    let wanted = ["--region", &region, "--gsd", &finer, "--backend", "sgm"];
+    let (code, stdout, stderr) = folder.plan(&[&wanted[..], &["--report"]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    let ground = &manifest(&folder)["region"]["ground"];
+    assert_eq!(ground["unseen"], 1.0, "{stdout}");
+    assert_eq!(ground["too_coarse"], 1.0);
+    assert!(ground["surface"].as_f64().unwrap() > 0.5);
+    let flown = fs::read_to_string(folder.at("viewrank/flight/waypoints.csv")).unwrap();
+    assert!(flown.contains("bare ground"), "{flown}");
+}
+
+#[test]
+fn a_plan_without_the_region_of_the_plan_before_says_so() {
+    let folder = georeferenced();
+    let region = site(&folder, [-10.0, -10.0, 10.0, 10.0]);
+    let (_, first, _) = folder.plan(&["--region", &region, "--backend", "sgm"]);
+    assert!(!first.contains("The plan before"), "{first}");
+    let (_, second, _) = folder.plan(&["--backend", "sgm"]);
+    let again = format!("--region {region} has it again");
+    assert!(
+        second.contains("The plan before was for a region") && second.contains(&again),
+        "{second}"
+    );
+    let (_, third, _) = folder.plan(&["--backend", "sgm"]);
+    assert!(!third.contains("The plan before"), "{third}");
 }
 
 #[test]
@@ -244,7 +288,7 @@ fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
     assert!((high - data["subject"]["low"][0].as_f64().unwrap()) > 95.0);
     let bare = data["holes"].as_array().unwrap().last().unwrap();
     assert!(
-        bare["missing"].as_str().unwrap().contains("no surface"),
+        bare["missing"].as_str().unwrap().contains("bare ground"),
         "{bare}"
     );
 }

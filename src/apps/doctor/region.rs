@@ -72,11 +72,13 @@ fn of_ground(
             .then(|| Finding::new(Severity::Note, "region", what, "nothing: it is covered"));
     }
     let project = command_path(&inputs.project.home);
+    let gsd = settings.target.gsd;
+    let gsd = gsd.map_or_else(String::new, |gsd| format!(" --gsd {gsd}"));
     let plans = match (is_planned, &settings.region) {
         (true, _) => format!("viewrank report {project}"),
         (false, Some(region)) => {
             let region = command_word(&String::from(region.clone()));
-            format!("viewrank plan {project} --region {region} --report")
+            format!("viewrank plan {project} --region {region}{gsd} --report")
         }
         (false, None) => format!("viewrank plan {project} --report"),
     };

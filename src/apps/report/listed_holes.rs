@@ -18,7 +18,7 @@ use crate::{
 
 /// Parts of the scene that no cluster can reconstruct, and the images to take of them.
 pub(super) struct ListedHoles {
-    /// Ground of the region without surface, then the largest holes of the surface.
+    /// Bare ground of the region, then the largest holes of the surface.
     pub holes: Vec<HoleData>,
     pub flight: Flight,
     /// Waypoints for the holes of the surface, which come first.
@@ -109,7 +109,9 @@ impl HoleData {
             area: bare.area,
             triangles: 0,
             reason: Reason::number(Some(Reason::TooFewCameras)).into(),
-            missing: format!("no surface: fewer photographs show it than the {needed} needed"),
+            missing: format!(
+                "bare ground: fewer photographs show it finely enough than the {needed} needed"
+            ),
             advice: "images of it, with more overlap",
             centre: frame.local(&bare.centre),
             place: at.map(|at| [at.latitude, at.longitude]),

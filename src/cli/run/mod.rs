@@ -10,7 +10,8 @@ use clap::Args;
 
 use self::work::Work;
 use super::{
-    Exit, Failure, Format, arguments, config, next, note, print, ready, undistort::undistorted,
+    Exit, Failure, Format, arguments, config, next, note, plan::kept_backends, print, ready,
+    undistort::undistorted,
 };
 use crate::{
     apps::{dispatch::Dispatch, planning, undistort::UndistortOptions},
@@ -151,12 +152,11 @@ fn planned_or_chosen(
     project: &Project,
     settings: &Settings,
 ) -> Result<(&'static Backend, Choice), Failure> {
-    let (backend, choice) = backends::chosen(project, settings)?;
-    let planned = planned_maps(&project.home)
-        .filter(|_| choice != Choice::Named)
-        .and_then(|plan| backends::by_name(&plan.backend).ok())
-        .filter(|planned| planned.makes_maps() && planned.name != backend.name);
-    Ok(planned.map_or((backend, choice), |planned| (planned, Choice::Planned)))
+    let kept = kept_backends(project, settings)?;
+    match kept.as_deref() {
+        Some([planned, ..]) if planned.makes_maps() => Ok((planned, Choice::Planned)),
+        _ => Ok(backends::chosen(project, settings)?),
+    }
 }
 
 /// Fails for a program that uses the images themselves, and where the project's plan is for one,

@@ -193,10 +193,12 @@ pub fn planned_region(root: &Path) -> Option<String> {
 }
 
 /// Returns what the photographs show of the region of the project's plan; `None` without a plan or
-/// where the settings name another region.
+/// where the settings name another region or resolution.
 pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSummary> {
     let recorded = RecordedPlan::read(project).ok()?;
-    let is_same = settings.region.is_none() || settings.region == recorded.settings.region;
+    let (asked, planned) = (settings, &recorded.settings);
+    let is_same = (asked.region.is_none() || asked.region == planned.region)
+        && (asked.target.gsd.is_none() || asked.target.gsd == planned.target.gsd);
     // An older program counted less.
     let ground = recorded.region.filter(|_| is_same)?.ground;
     ground.filter(|ground| ground.needed > 0)

@@ -68,7 +68,7 @@ pub trait Amount: FromStr<Err = AmountError> + fmt::Display {
 
 impl Amount for Budget {
     const WANTED: &'static str =
-        "a whole number such as 40, or a share of the views such as 5% or 0.05";
+        "a whole number from 1 such as 40, or a share of the views such as 5% or 0.05";
     const PATTERN: &'static str = r"^[0-9]*[1-9][0-9]*$|^[0-9.]+ ?%$";
 }
 

@@ -1,5 +1,6 @@
-//! Images of the ground of a region that has no surface, because too few photographs show it: a
-//! grid of views straight down, from the height that gives the wanted resolution.
+//! Images of bare ground of a region, which has no surface because too few photographs show it, or
+//! one that all of them show too coarsely: a grid of views straight down, from the height that
+//! gives the wanted resolution.
 
 use std::{
     cmp::Reverse,
@@ -21,14 +22,14 @@ use crate::{
 pub const MOST: usize = 2000;
 /// Most places that images are planned over before the nearest are taken.
 const MOST_PLACES: usize = 100_000;
-/// Share of the region from which on ground without surface is worth a flight.
+/// Share of the region from which on bare ground is worth a flight.
 const WORTH_IT: f64 = 0.01;
 /// The ground's place among the listed holes.
 const GROUND: usize = 0;
 /// Distance, over that which gives the wanted resolution, up to which a planned image shows a place.
 const FARTHER: f64 = 1.5;
 
-/// The ground of a region that has no surface and that too few photographs show.
+/// The ground of a region that too few photographs show finely enough for a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BareGround {
     /// Square scene units.
@@ -133,10 +134,12 @@ impl<'a> Overhead<'a> {
         (0..2).all(|axis| (middle[axis] - place[axis]).abs() <= reach)
     }
 
-    /// Returns the cells without surface that fewer cameras show than needed.
+    /// Returns the cells that fewer cameras show than needed, and whose surface, if any, all of them
+    /// show too coarsely: what else the surface lacks is one of its holes.
     fn lacking(&self, ground: &Ground, needed: u32, planned: &[Waypoint]) -> Vec<Lack> {
         let lacking = |cell: &GroundCell| {
-            if cell.has_surface || cell.views >= needed {
+            let is_for_holes = cell.has_surface && !cell.too_coarse;
+            if is_for_holes || cell.views >= needed {
                 return None;
             }
             let place = ground.plane.at(cell.place);

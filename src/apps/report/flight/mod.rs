@@ -89,7 +89,7 @@ impl Flight {
     pub fn unplanned(&self) -> Option<String> {
         (self.more > 0).then(|| {
             format!(
-                "only the {MOST} images nearest to the photographs are planned for ground without surface; all of it would take about {} more: use a coarser --gsd, or plan the region in parts",
+                "only the {MOST} images nearest to the photographs are planned for bare ground; all of it would take about {} more: use a coarser --gsd, or plan the region in parts",
                 two_digits(self.more)
             )
         })

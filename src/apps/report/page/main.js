@@ -200,7 +200,7 @@ function flightText() {
   const areas = data.holes.map((hole, i) => hole.triangles ? [hole.area, hole.area * (data.flight.of_holes[i] || 0)] : [0, 0]);
   const [all, filled] = [0, 1].map(which => areas.reduce((sum, of) => sum + of[which], 0));
   const ofHoles = `${grouped.format(forHoles)} for the listed holes in the surface, which would fill ${percent(all > 0 ? filled / all : 0, 0)} of their area`;
-  const ofGround = `${grouped.format(forGround)} straight down over ground without surface`;
+  const ofGround = `${grouped.format(forGround)} straight down over bare ground`;
   const what = [...(forHoles ? [ofHoles] : []), ...(forGround ? [ofGround] : [])].join('; ');
   return [make('p', {}, make('b', {}, `${counted(flight.count, 'image')} to take`), ` (green rings on the map): ${what}. Forecast from geometry alone: what cannot be matched stays a hole. ${data.flight.remarks}`
     + ` ${files} has the waypoints, with direction, height and overlap${data.holes.some(hole => !hole.triangles) ? ', and the outlines of what was missed' : ''}.`)];

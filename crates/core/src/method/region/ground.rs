@@ -20,7 +20,10 @@ use crate::{
         median::upper_median,
         progress::{Cancelled, Watcher},
     },
-    method::surface::Surface,
+    method::{
+        surface::Surface,
+        visibility::{Visibility, gsd_at},
+    },
     model::{
         georeference::MapFrame,
         scene::{Scene, ViewIndex},
@@ -214,7 +217,7 @@ impl Footprint<'_> {
 pub struct GroundCell {
     /// Its centre on the map.
     pub place: [f64; 2],
-    /// Photographs that show it; beside the surface, no coarser than [`COARSEST`].
+    /// Photographs that show it, no coarser than [`COARSEST`].
     pub views: u32,
     /// Some photographs show it, but all of them more coarsely.
     pub too_coarse: bool,
@@ -233,6 +236,13 @@ pub struct Ground {
     pub rings: Vec<Vec<[f64; 2]>>,
 }
 
+/// The number of photographs that show a place, down to [`COARSEST`] and more coarsely.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Photographs {
+    pub fine: u32,
+    pub coarse: u32,
+}
+
 /// What the photographs show of a scene.
 #[derive(Clone, Copy)]
 pub struct Photographed<'a> {
@@ -241,8 +251,8 @@ pub struct Photographed<'a> {
     pub left_out: &'a [ViewIndex],
     /// Wanted ground sampling distance, scene units per pixel of the model's images.
     pub gsd: f64,
-    /// The surface, and by triangle the number of views that see it and count, where that is known.
-    pub surface: Option<(&'a Surface, &'a [u32])>,
+    /// The surface, and by triangle the views that see it and count, where that is known.
+    pub surface: Option<(&'a Surface, &'a [Photographs])>,
 }
 
 impl Ground {
@@ -334,42 +344,67 @@ impl Photographed<'_> {
         watcher: &dyn Watcher,
     ) -> Result<Vec<GroundCell>, Cancelled> {
         let on_surface = self.surface.map_or_else(Vec::new, |(surface, views)| {
-            grid.views_of(surface, views, &plane.frame)
+            grid.photographs(surface, views, &plane.frame)
         });
         let cell = |&place: &[f64; 2]| {
             watcher.check()?;
-            let seen = on_surface.get(grid.cell(place)).copied().unwrap_or(0);
-            let (views, too_coarse) = match seen {
-                0 => self.views_of(&plane.at(place)),
-                seen => (seen, false),
-            };
+            let seen = on_surface.get(grid.cell(place));
+            let seen = seen.filter(|seen| **seen != Photographs::default());
+            let has_surface = seen.is_some();
+            let Photographs { fine, coarse } =
+                seen.copied().unwrap_or_else(|| self.of(&plane.at(place)));
             Ok(GroundCell {
                 place,
-                views,
-                too_coarse,
-                has_surface: seen > 0,
+                views: fine,
+                too_coarse: fine == 0 && coarse > 0,
+                has_surface,
             })
         };
         places.par_iter().map(cell).collect()
     }
 
-    /// Returns the number of photographs into which a place projects finely enough, and whether it
-    /// projects into others only.
-    fn views_of(&self, place: &Point3<f64>) -> (u32, bool) {
-        let (mut fine, mut coarse) = (0, 0);
-        let counts = |view: &ViewIndex| self.left_out.binary_search(view).is_err();
-        for view in self.scene.view_indices().filter(counts) {
+    /// Counts by triangle the views that see it.
+    pub fn of_triangles(&self, surface: &Surface, visibility: &Visibility) -> Vec<Photographs> {
+        let mut photographs = vec![Photographs::default(); surface.triangles.len()];
+        let views = visibility.views().into_iter();
+        for view in views.filter(|&view| self.counts(view)) {
+            for &triangle in visibility.triangles_seen_by(view) {
+                let gsd = gsd_at(self.scene, surface, view, triangle);
+                photographs[triangle as usize].add(gsd, self.gsd);
+            }
+        }
+        photographs
+    }
+
+    fn counts(&self, view: ViewIndex) -> bool {
+        self.left_out.binary_search(&view).is_err()
+    }
+
+    /// Counts the photographs into which a place projects.
+    fn of(&self, place: &Point3<f64>) -> Photographs {
+        let mut photographs = Photographs::default();
+        for view in self.scene.view_indices().filter(|&view| self.counts(view)) {
             let camera = self.scene.camera_of(view);
             let pose = &self.scene.view(view).cam_from_world;
             let x = pose.camera_from_world(place);
             let pixel = camera.project(&x);
             if pixel.is_some_and(|pixel| camera.contains(&pixel)) {
                 let gsd = camera.depth(&x) / camera.mean_focal_length();
-                let is_fine = gsd <= COARSEST * self.gsd;
-                *(if is_fine { &mut fine } else { &mut coarse }) += 1;
+                photographs.add(gsd, self.gsd);
             }
         }
-        (fine, fine == 0 && coarse > 0)
+        photographs
+    }
+}
+
+impl Photographs {
+    /// Adds one with a ground sampling distance, where another is wanted.
+    fn add(&mut self, gsd: f64, wanted: f64) {
+        *(if gsd <= COARSEST * wanted {
+            &mut self.fine
+        } else {
+            &mut self.coarse
+        }) += 1;
     }
 }
 
@@ -424,23 +459,28 @@ impl Grid {
         row * self.columns + column
     }
 
-    /// By cell: the views that see the surface at its centre, the most of several layers. `of`: by
-    /// triangle.
-    fn views_of(&self, surface: &Surface, of: &[u32], frame: &MapFrame) -> Vec<u32> {
+    /// By cell: the photographs that show the surface at its centre, the most of several layers.
+    /// `of`: by triangle.
+    fn photographs(
+        &self,
+        surface: &Surface,
+        of: &[Photographs],
+        frame: &MapFrame,
+    ) -> Vec<Photographs> {
         let flat: Vec<[f64; 2]> = surface
             .vertices
             .par_iter()
             .map(|vertex| frame.local(vertex))
             .map(|[x, y, _]| [x, y])
             .collect();
-        let mut views = vec![0; self.columns * self.rows];
+        let mut most = vec![Photographs::default(); self.columns * self.rows];
         for (corners, &seen) in surface.triangles.iter().zip(of) {
             let corners = corners.map(|corner| flat[corner as usize]);
-            if seen > 0 {
-                self.for_each_inside(corners, |cell| views[cell] = views[cell].max(seen));
+            if seen != Photographs::default() {
+                self.for_each_inside(corners, |cell| most[cell] = most[cell].max(seen));
             }
         }
-        views
+        most
     }
 
     /// Calls `each` with the cells whose centres are in a triangle.

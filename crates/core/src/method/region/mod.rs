@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use areas::{Area, Areas, Coordinates, Polygon};
 pub use error::{RegionError, ShapeError};
-pub use ground::{COARSEST, Footprint, Ground, GroundCell, GroundPlane, Photographed};
+pub use ground::{COARSEST, Footprint, Ground, GroundCell, GroundPlane, Photographed, Photographs};
 pub use solid::OpenMesh;
 
 use self::{areas::MapAreas, solid::Solid};

@@ -2,7 +2,7 @@ use nalgebra::{Matrix3, Rotation3};
 
 use super::*;
 use crate::{
-    base::progress::NoWatcher,
+    base::{progress::NoWatcher, rows::Offsets},
     method::surface::SurfaceKind,
     model::{
         camera::{Camera, CameraModel},
@@ -122,7 +122,10 @@ fn the_surface_counts_where_a_view_shows_it() {
         triangles: vec![[0, 1, 2], [0, 2, 3]],
     };
     let photographed = Photographed {
-        surface: Some((&surface, &[7, 0])),
+        surface: Some((
+            &surface,
+            &[Photographs { fine: 7, coarse: 1 }, Photographs::default()],
+        )),
         ..photographed(&scene, &[])
     };
     let region = rectangle([-5.0, -5.0], [5.0, 5.0]);
@@ -141,6 +144,47 @@ fn the_surface_counts_where_a_view_shows_it() {
             .filter(below)
             .all(|cell| cell.views == 7)
     );
+}
+
+#[test]
+fn views_too_far_from_the_surface_show_it_too_coarsely() {
+    let scene = flight();
+    let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
+    let corners = [[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]];
+    let surface = Surface {
+        kind: SurfaceKind::Terrain,
+        vertices: corners.map(|[x, y]| Point3::new(x, y, 0.0)).into(),
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+    };
+    let visibility = Visibility {
+        offsets: Offsets::from_lengths([2, 1]),
+        triangles: vec![0, 1, 1].into(),
+        contradictions: 0,
+    };
+    // Both cameras are 10 above the ground, where a pixel of theirs is 0.1.
+    let of = |gsd, left_out| {
+        let bare = Photographed {
+            gsd,
+            ..photographed(&scene, left_out)
+        };
+        bare.of_triangles(&surface, &visibility)
+            .into_iter()
+            .map(|Photographs { fine, coarse }| [fine, coarse])
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(of(0.1 / COARSEST * 1.01, &[]), [[1, 0], [2, 0]]);
+    assert_eq!(of(0.1 / COARSEST * 0.99, &[]), [[0, 1], [0, 2]]);
+    assert_eq!(of(0.1, &[ViewIndex(0)]), [[0, 0], [1, 0]]);
+    let photographed = Photographed {
+        surface: Some((&surface, &[Photographs { fine: 0, coarse: 2 }; 2])),
+        ..photographed(&scene, &[])
+    };
+    let region = rectangle([-5.0, -5.0], [5.0, 5.0]);
+    let ground = Ground::new(&region, &photographed, &frame, &NoWatcher)
+        .unwrap()
+        .unwrap();
+    let is_so = |cell: &GroundCell| cell.views == 0 && cell.too_coarse && cell.has_surface;
+    assert_eq!(ground.share(is_so), 1.0);
 }
 
 #[test]
