@@ -342,7 +342,9 @@ impl RecordedPlan {
 
     /// Reads `viewrank/manifest.json` of the project without checking its input.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
-        Self::parse(&read_own(project, FILE)?, project.home.join(FILE))
+        let mut recorded = Self::parse(&read_own(project, FILE)?, project.home.join(FILE))?;
+        recorded.settings.hide_outside(&project.home);
+        Ok(recorded)
     }
 
     fn parse(bytes: &[u8], path: PathBuf) -> Result<Self, WrittenPlanError> {

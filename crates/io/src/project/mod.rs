@@ -289,7 +289,8 @@ impl Project {
 
     /// Reads the model, and adds the images of the image folder that it lacks to `unregistered`.
     pub fn read_scene(&self) -> Result<Scene, ProjectError> {
-        let mut scene = self.scene_of_files().map_err(ProjectError::explained)?;
+        let scene = self.scene_of_files();
+        let mut scene = scene.map_err(|error| error.explained(&self.home))?;
         let others = self.sub_model_warning(scene.views.len());
         scene
             .warnings
