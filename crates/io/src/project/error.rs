@@ -52,13 +52,13 @@ pub enum ProjectError {
 }
 
 impl ProjectError {
-    /// The same error, or that the file at fault is of another kind. Quotes nothing from outside of
-    /// the project's folder.
-    pub(super) fn explained(self, home: &Path) -> Self {
+    /// The same error, or that the file at fault is of another kind. Quotes no file outside of
+    /// `named`, the folder that the user named.
+    pub(super) fn explained(self, named: &Path) -> Self {
         match self {
             Self::Fault { path, fault } => match mistaken::of_file(&path) {
                 Some(mistaken) => Self::Mistaken { path, mistaken },
-                None if is_outside(&path, home) => Self::Fault {
+                None if is_outside(&path, named) => Self::Fault {
                     path,
                     fault: Fault::new(fault.file, fault.place, Problem::Hidden),
                 },
