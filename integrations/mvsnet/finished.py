@@ -4,6 +4,7 @@ the maps of every view in it), and the maps with their confidences, beside cams/
 
 The fusion takes one size for all: maps of the plan's other size (sizes.txt) are resized. Those of any other, of an earlier plan, are left out, and so are
 those whose camera has changed since this script first saw them (fuse/seen.json). Run it again whenever more maps are finished."""
+import errno
 import os
 import sys
 
@@ -15,14 +16,32 @@ class Printable:
         self.stream = stream
 
     def write(self, text):
-        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+        shown = "".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text)
+        encoding = getattr(self.stream, "encoding", None) or "utf-8"
+        self.attempt(lambda: self.stream.write(shown.encode(encoding, "replace").decode(encoding)))
 
     def flush(self):
-        self.stream.flush()
+        self.attempt(lambda: self.stream.flush())
+
+    def attempt(self, action):
+        """What nobody reads any more, or never did, is dropped."""
+        try:
+            if self.stream:
+                action()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+
+
+def explain(kind, error, _):
+    """One line in place of a trace: files and paths may be a stranger's."""
+    what = getattr(error, "strerror", None) or " ".join(f"{kind.__name__}: {error}".split())
+    cure = "move the project to a shorter path" if getattr(error, "errno", None) == errno.ENAMETOOLONG else "check the files that it reads, or export again"
+    print("interrupted" if kind is KeyboardInterrupt else f"error: {getattr(error, 'filename', None) or __file__}: {what}; {cure}", file=sys.stderr)
 
 
 if __name__ == "__main__":
     sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    sys.excepthook = explain
     # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
     sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
 
@@ -35,13 +54,6 @@ from pathlib import Path
 
 folder = Path(__file__).resolve().parent
 
-
-def explain(kind, error, _):
-    """An error in place of a trace: the files here may be a stranger's, or half of viewrank's."""
-    print("stopped" if kind is KeyboardInterrupt else f"error: {folder}: {kind.__name__}: {error}; if its lists are not what viewrank wrote, export again", file=sys.stderr)
-
-
-sys.excepthook = explain
 
 # Maps that the fusion compares with one: the best of those that are finished.
 FUSED_WITH = 24

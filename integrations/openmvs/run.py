@@ -18,6 +18,7 @@ run that fails or is killed loses none. report.json says for each key view what 
 ranges are read from the .dmap files. fused.ply and fused.mvs are replaced when the fusion has succeeded. Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
 """
 
+import errno
 import os
 import sys
 
@@ -29,14 +30,32 @@ class Printable:
         self.stream = stream
 
     def write(self, text):
-        self.stream.write("".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text))
+        shown = "".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text)
+        encoding = getattr(self.stream, "encoding", None) or "utf-8"
+        self.attempt(lambda: self.stream.write(shown.encode(encoding, "replace").decode(encoding)))
 
     def flush(self):
-        self.stream.flush()
+        self.attempt(lambda: self.stream.flush())
+
+    def attempt(self, action):
+        """What nobody reads any more, or never did, is dropped."""
+        try:
+            if self.stream:
+                action()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+
+
+def explain(kind, error, _):
+    """One line in place of a trace: files and paths may be a stranger's."""
+    what = getattr(error, "strerror", None) or " ".join(f"{kind.__name__}: {error}".split())
+    cure = "move the project to a shorter path" if getattr(error, "errno", None) == errno.ENAMETOOLONG else "check the files that it reads, or export again"
+    print("interrupted" if kind is KeyboardInterrupt else f"error: {getattr(error, 'filename', None) or __file__}: {what}; {cure}", file=sys.stderr)
 
 
 if __name__ == "__main__":
     sys.stdout, sys.stderr = Printable(sys.stdout), Printable(sys.stderr)
+    sys.excepthook = explain
     # This folder and the current one may be a stranger's: a json.py that he put there is not imported.
     sys.path[:] = [path for path in sys.path if os.path.realpath(path) not in (os.path.dirname(os.path.realpath(__file__)), os.path.realpath(os.curdir))]
     # Nor is a program started from there: relative entries of PATH are dropped, and Windows does not look there first.

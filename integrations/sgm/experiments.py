@@ -16,10 +16,20 @@ PROJECT (sparse/, images/) stays as it is; DIR becomes a project with links to i
 View clusters and depth maps that are there already are kept, single pairs come from the cache, so a second run costs little. Planning is timed once.
 """
 
+import errno
 import os
 import sys
 
+
+def explain(kind, error, _):
+    """One line in place of a trace: files and paths may be a stranger's."""
+    what = getattr(error, "strerror", None) or " ".join(f"{kind.__name__}: {error}".split())
+    cure = "move the project to a shorter path" if getattr(error, "errno", None) == errno.ENAMETOOLONG else "check the files that it reads, or export again"
+    print("interrupted" if kind is KeyboardInterrupt else f"error: {getattr(error, 'filename', None) or __file__}: {what}; {cure}", file=sys.stderr)
+
+
 if __name__ == "__main__":
+    sys.excepthook = explain
     # The current folder may be a stranger's: a json.py that he put there is not imported.
     sys.path[1:] = [path for path in sys.path[1:] if os.path.realpath(path) != os.path.realpath(os.curdir)]
 

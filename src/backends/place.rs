@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{BackendError, Export};
+use super::{BackendError, Export, by_name};
 use crate::{
     base::{
         input::{self, FileKind},
@@ -139,10 +139,17 @@ fn earlier_backend(folder: &Path) -> Option<String> {
         backend: String,
     }
     let read = |name: &&str| {
-        serde_json::from_slice::<Record>(&input::read(&folder.join(name), FileKind::State).ok()?)
+        serde_json::from_slice::<Record>(&input::read(&folder.join(name), FileKind::Plan).ok()?)
             .ok()
     };
-    RECORDS.iter().find_map(read).map(|record| record.backend)
+    let backend = RECORDS.iter().find_map(read)?.backend;
+    // The record may be a link to anything, of which no word is said.
+    let is_known = by_name(&backend).is_ok();
+    Some(if is_known {
+        backend
+    } else {
+        "another program".into()
+    })
 }
 
 /// Refuses to write a COLMAP model next to rigs and frames of another one: ours has none, and

@@ -11,6 +11,7 @@ use crate::{
     backends,
     base::{
         error::{Advice, Hint, shortened},
+        paths::is_outside,
         printable::printable,
         shell::{command_path, shown_path},
     },
@@ -174,6 +175,9 @@ fn maps_of(project: &Path, backend: &str) -> Vec<String> {
         let project = workspace.as_ref().unwrap_or(&project);
         let dense = project.dense_workspace.as_deref();
         let folder = depthmaps::folder_of(&project.home, dense, backend);
+        if is_outside(&folder, &project.home) {
+            return None;
+        }
         let scene = project.read_scene().ok()?;
         let maps = depthmaps::list(&folder, &scene).ok()?.maps;
         let name = |map: &DepthMapFile| scene.name(map.view).to_owned();

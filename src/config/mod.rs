@@ -12,11 +12,12 @@ mod dispatch;
 mod layers;
 mod region;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::base::paths::is_outside;
 pub use crate::{
     base::amounts::{Amount, AmountError, Budget, Bytes, Count, Share, TimeSpan},
     decision::{CutSettings, ForecastSettings},
@@ -87,9 +88,20 @@ pub struct Settings {
     pub forecast: ForecastSettings,
     pub dispatch: DispatchSettings,
     pub frame: FrameSettings,
+    /// Files outside of the project that its settings or its plan name, not the user: errors must
+    /// not quote them.
+    #[serde(skip)]
+    pub hidden: Vec<PathBuf>,
 }
 
 impl Settings {
+    /// Hides the files of the plan that are outside of this folder, the project's.
+    pub fn hide_outside(&mut self, folder: &Path) {
+        let mut files = self.files_of_plan();
+        files.retain(|file| is_outside(file, folder));
+        self.hidden = files;
+    }
+
     /// Returns the files besides the model that a plan reads: the mesh and the region.
     pub fn files_of_plan(&self) -> Vec<PathBuf> {
         self.surface

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    maps::{MapFiles, map_files},
+    maps::{MapFiles, map_files_inside},
     phase::Phase,
     state::Outcome,
 };
@@ -193,7 +193,7 @@ fn follow_now(
     let within = [root.to_path_buf()];
     let disk = Disk::REAL.within(&within);
     output::recover(root, &disk).map_err(failed)?;
-    let mut files = map_files(root, true).map_err(failed)?;
+    let mut files = map_files_inside(root).map_err(failed)?;
     files.retain(|path, _| counts(path));
     let Some(folder) = fullest_folder(root, &files) else {
         return Ok(Outcome::Abandoned);
@@ -226,7 +226,7 @@ pub(super) fn failed(error: impl Hint) -> Outcome {
 /// Returns the folder with most of these depth maps, the first of equals.
 pub(super) fn fullest_folder(root: &Path, files: &MapFiles) -> Option<PathBuf> {
     let count = |folder: &PathBuf| files.keys().filter(|file| file.starts_with(folder)).count();
-    let counted = depthmaps::folders(root)
+    let counted = depthmaps::default_folders(root)
         .into_iter()
         .map(|folder| (count(&folder), folder))
         .filter(|(n, _)| *n > 0);

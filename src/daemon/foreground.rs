@@ -9,7 +9,7 @@ use std::{
 use super::{
     Job, PlanJob, PlanOptions, PlanWhen, Planner,
     follow::failed,
-    maps::map_files,
+    maps::map_files_inside,
     settle::Stamp,
     state::{OnBusy, Outcome},
 };
@@ -68,7 +68,7 @@ impl<'a> Foreground<'a> {
     ) -> Outcome {
         let named = self.planner.named_files(&self.root);
         let stamp = Stamp::read(&self.root, true).with(&named);
-        let mut maps = match map_files(&self.root, true) {
+        let mut maps = match map_files_inside(&self.root) {
             Ok(maps) => maps,
             Err(error) => return failed(error),
         };

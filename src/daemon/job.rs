@@ -19,7 +19,7 @@ use super::{
     discover::may_enter,
     follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::PlanCache,
-    maps::map_files,
+    maps::{MapFiles, map_files, map_files_inside},
     planned_from::{PlannedFrom, RECORD},
     platform, queue,
     settle::{Fingerprint, HashCache, lock},
@@ -164,11 +164,7 @@ impl PlanJob {
         let progress = progress_file(job.project);
         let had_maps = progress.is_file()
             || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
-        if !had_maps
-            || !map_files(job.project, job.follow_links)
-                .map_err(failed)?
-                .is_empty()
-        {
+        if !had_maps || !self.map_files(job)?.is_empty() {
             return self.plan_input(when, job, is_by_hand, &disk);
         }
         // The depth maps are gone: nothing is finished or reached any more. The progress is removed
@@ -253,15 +249,21 @@ impl PlanJob {
             .map_err(unreadable)
     }
 
+    fn map_files(&self, job: &Job) -> StepResult<MapFiles> {
+        let found = match self.options.is_run {
+            true => map_files_inside(job.project),
+            false => map_files(job.project, job.follow_links),
+        };
+        found.map_err(failed)
+    }
+
     fn try_follow(&self, job: &Job) -> StepResult<Outcome> {
         let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);
         output::recover(job.project, &disk).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else {
             // Present maps may not have settled yet.
-            let none = map_files(job.project, job.follow_links)
-                .map_err(failed)?
-                .is_empty();
+            let none = self.map_files(job)?.is_empty();
             let gone = none && progress_file(job.project).is_file();
             return if gone {
                 self.try_plan(PlanWhen::Outdated, job)

@@ -11,7 +11,10 @@ use walkdir::WalkDir;
 
 use super::{discover, settle::Entry};
 use crate::{
-    base::error::{Advice, Hint},
+    base::{
+        error::{Advice, Hint},
+        paths::is_outside,
+    },
     io::depthmaps,
 };
 
@@ -43,11 +46,25 @@ pub fn map_files(project: &Path, follow_links: bool) -> Result<MapFiles, Unreada
     scan(project, follow_links).1
 }
 
+/// Lists the depth map files of the project, without those behind links that lead out of it.
+pub fn map_files_inside(project: &Path) -> Result<MapFiles, UnreadableMaps> {
+    scan_where(project, &|folder| !is_outside(folder, project)).1
+}
+
 /// Returns the folders to watch for depth maps (those that hold some, and those in which such a
 /// folder may appear, except the output folder itself), and the depth map files.
 pub fn scan(
     project: &Path,
     follow_links: bool,
+) -> (Vec<PathBuf>, Result<MapFiles, UnreadableMaps>) {
+    scan_where(project, &|folder| {
+        discover::may_enter(project, folder, follow_links)
+    })
+}
+
+fn scan_where(
+    project: &Path,
+    may_enter: &dyn Fn(&Path) -> bool,
 ) -> (Vec<PathBuf>, Result<MapFiles, UnreadableMaps>) {
     let mut found = Found::default();
     for place in depthmaps::default_folders(project) {
@@ -62,7 +79,7 @@ pub fn scan(
         let is_folder = found
             .metadata(&place, fs::metadata(&place))
             .is_some_and(|metadata| metadata.is_dir());
-        if is_folder && discover::may_enter(project, &place, follow_links) {
+        if is_folder && may_enter(&place) {
             found.add_maps_in(&place);
         }
     }
@@ -71,7 +88,7 @@ pub fn scan(
         files,
         unreadable,
     } = found;
-    folders.retain(|folder| discover::may_enter(project, folder, follow_links));
+    folders.retain(|folder| may_enter(folder));
     folders.sort();
     folders.dedup();
     (folders, unreadable.map_or(Ok(files), Err))

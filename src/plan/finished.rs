@@ -6,10 +6,16 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::model::{
-    camera::{Camera, CameraModel},
-    scene::{Pose, Scene, ViewIndex},
+use crate::{
+    base::bounded,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{Pose, Scene, ViewIndex},
+    },
 };
+
+/// Most views and view clusters of a plan that is read back, as of a model in a foreign format.
+pub const MOST_VIEWS: usize = 1 << 18;
 
 /// What is known of the finished depth maps of a plan.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -43,10 +49,13 @@ pub struct OutdatedMap {
 pub struct PlannedViews {
     pub version: u32,
     /// By name.
+    #[serde(deserialize_with = "bounded::map::<_, _, MOST_VIEWS>")]
     pub views: BTreeMap<String, PlannedView>,
     /// [`FinishedMaps::made_with`].
+    #[serde(deserialize_with = "bounded::map::<_, _, MOST_VIEWS>")]
     pub made_with: BTreeMap<String, BTreeMap<String, PlannedView>>,
     /// [`FinishedMaps::outdated_files`].
+    #[serde(deserialize_with = "bounded::map::<_, _, MOST_VIEWS>")]
     pub outdated_files: BTreeMap<String, String>,
 }
 
@@ -66,6 +75,7 @@ struct PlannedCamera {
     model: String,
     width: u32,
     height: u32,
+    #[serde(deserialize_with = "bounded::list::<_, _, 100>")]
     params: Vec<f64>,
 }
 

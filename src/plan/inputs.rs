@@ -282,6 +282,7 @@ fn shape(
     };
     Ok(Some(region::read(
         choice,
+        &settings.hidden,
         place,
         &MapFrame::new(scene, settings.surface.up),
     )?))

@@ -32,14 +32,19 @@ impl Hint for MeshError {
     }
 }
 
-pub(super) fn read(path: &Path) -> Result<Mesh, MeshError> {
+/// `hidden`: files that errors must not quote.
+pub(super) fn read(path: &Path, hidden: &[PathBuf]) -> Result<Mesh, MeshError> {
     let bytes = input::read(path, FileKind::Mesh).map_err(|source| MeshError::File {
         path: path.into(),
         source,
     })?;
     ply::read(&bytes).map_err(|source| MeshError::Ply {
         path: path.into(),
-        source,
+        source: if hidden.iter().any(|file| file == path) {
+            source.hidden()
+        } else {
+            source
+        },
     })
 }
 
@@ -52,7 +57,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("sphere.ply");
         std::fs::write(&path, "solid sphere").unwrap();
-        let error = read(&path).unwrap_err().to_string();
+        let error = read(&path, &[]).unwrap_err().to_string();
         assert!(error.contains("sphere.ply: line 1"), "{error}");
     }
 }

@@ -26,7 +26,7 @@ mod warnings;
 pub use decision::{decide, decide_as};
 pub use empty::EmptyPlan;
 pub use error::PlanError;
-pub use finished::{FinishedMaps, OutdatedMap, PlannedView, PlannedViews};
+pub use finished::{FinishedMaps, MOST_VIEWS, OutdatedMap, PlannedView, PlannedViews};
 pub use georeference::{georeference, metres_per_unit, positions_in_images};
 pub use inputs::metres;
 pub use memory::Memory;

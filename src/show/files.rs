@@ -230,14 +230,14 @@ fn own_files(plan: &Plan, project: &Project, manifest: &Manifest) -> FileSet {
 /// Returns the report of an earlier plan with a note that a newer plan exists, so that a page open
 /// in a browser survives a reload.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
-    let earlier = output::read_own(&project.home, manifest::FILE, FileKind::State);
+    let earlier = output::read_own(&project.home, manifest::FILE, FileKind::Plan);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
     if !shows_another || !project.home.join(REPORT_FILE).exists() {
         return None;
     }
     let mut set = FileSet::new(&project.home, REPORT_SET);
     // A page that cannot be read is removed, because it shows another plan.
-    let page = output::read_own(&project.home, REPORT_FILE, FileKind::State)
+    let page = output::read_own(&project.home, REPORT_FILE, FileKind::Plan)
         .ok()
         .and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {

@@ -514,6 +514,72 @@ fn no_folder_of_results_is_followed_out_of_the_project() {
 }
 
 #[test]
+fn no_word_of_a_file_outside_of_the_project_is_said_unless_the_user_names_it() {
+    let place = Place::new();
+    let secret = place.folder.path().join("secret");
+    let settings = place.project().join("viewrank.toml");
+    let said_of = |contents: &str| {
+        fs::write(&secret, contents).unwrap();
+        let project = place.project();
+        let mut all = String::new();
+        for command in ["plan", "doctor", "inspect", "config"] {
+            let Output { stdout, stderr, .. } = viewrank(&[command, path(&project)]);
+            all += &String::from_utf8_lossy(&[stdout, stderr].concat());
+        }
+        let Output { stdout, stderr, .. } = place.watch();
+        all += &String::from_utf8_lossy(&[stdout, stderr].concat());
+        all + &fs::read_to_string(place.root().join("viewrank/status.json")).unwrap()
+    };
+    let regions = [
+        r#"{"type":"hunter2"}"#,
+        r#"{"type":"Polygon","coordinates":[["hunter2"]]}"#,
+        r#"{"type":"Feature","properties":{"weight":"hunter2"}}"#,
+        "ply\nhunter2 1.0\n",
+    ];
+    symlink(&secret, place.project().join("area")).unwrap();
+    for (key, name) in [
+        ("region", "../../secret"),
+        ("region", "area"),
+        ("surface.mesh", path(&secret)),
+    ] {
+        fs::write(&settings, format!("{key} = \"{name}\"\n")).unwrap();
+        for contents in regions {
+            let said = said_of(contents);
+            assert!(!said.contains("hunter2"), "{key} {name}: {said}");
+        }
+        assert!(
+            said_of(regions[3]).contains("outside of the project"),
+            "{key}"
+        );
+    }
+    fs::remove_file(&settings).unwrap();
+    fs::write(&secret, regions[0]).unwrap();
+    let error = fails(viewrank(&[
+        "plan",
+        path(&place.project()),
+        "--region",
+        path(&secret),
+    ]));
+    assert!(error.contains("hunter2"), "{error}");
+    symlink(&secret, &settings).unwrap();
+    for contents in ["hunter2 = 1\n", "target.gsd = \"hunter2\"\n", "\nhunter2"] {
+        let said = said_of(contents);
+        assert!(!said.contains("hunter2"), "{said}");
+        assert!(said.contains("leads out of the project"), "{said}");
+    }
+    fs::remove_file(&settings).unwrap();
+    let model = place.project().join("sparse/0");
+    fs::remove_dir_all(&model).unwrap();
+    fs::create_dir(&model).unwrap();
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        symlink(&secret, model.join(name)).unwrap();
+    }
+    let said = said_of("hunter2 hunter2\n");
+    assert!(!said.contains("hunter2"), "{said}");
+    assert!(said.contains("outside of the project"), "{said}");
+}
+
+#[test]
 fn links_in_circles_end() {
     let place = Place::new();
     symlink(place.root(), place.project().join("images/again")).unwrap();

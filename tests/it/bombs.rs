@@ -405,6 +405,55 @@ fn a_status_of_millions_of_notices_counts_as_none() {
 }
 
 #[test]
+fn a_plan_of_any_contents_is_read_in_little_memory_or_refused() {
+    let root = Root::new(&["p"]);
+    let project = root.project("p");
+    succeeds(viewrank(&["plan", text(&project)]));
+    let manifest = project.join("viewrank/manifest.json");
+    let written: Value = serde_json::from_slice(&fs::read(&manifest).unwrap()).unwrap();
+    let export = || {
+        let arguments = ["export", text(&project), "--backend", "gipuma"];
+        viewrank_within(1 << 20, &arguments).output().unwrap()
+    };
+    let bytes = 56 << 20;
+    let names = |bytes| format!("[{}\"a\"]", "\"a\",".repeat(bytes / 4));
+    let outdated = r#"{"key":"a","view":"b"},"#;
+    let outdated = format!("[{}{}]", outdated.repeat(bytes / 23), &outdated[..22]);
+    let record = serde_json::json!({ "backend": "gipuma", "not_honoured": [], "warnings": "@" });
+    let partners = "/clusters/0/partners";
+    for (place, value, planted, why) in [
+        (partners, "@".into(), names(bytes), "cut.pairs"),
+        (partners, "@".into(), names(129 << 20), "limit for a plan"),
+        ("/outdated", "@".into(), outdated, "more than 262144"),
+        (
+            "/exports",
+            Value::from([record]),
+            names(bytes),
+            "more than 10000",
+        ),
+        (
+            "/backend",
+            "@".into(),
+            format!("\"{}\"", "A".repeat(bytes)),
+            "A ... A",
+        ),
+    ] {
+        let mut manifest_now = written.clone();
+        *manifest_now.pointer_mut(place).unwrap() = value;
+        fs::write(
+            &manifest,
+            manifest_now.to_string().replace("\"@\"", &planted),
+        )
+        .unwrap();
+        let output = export();
+        assert_eq!(output.status.code(), Some(1), "{place}: {}", output.status);
+        let error = said(&output);
+        assert!(error.contains(why), "{place}: {error}");
+        assert!(error.len() < 2000, "{place}");
+    }
+}
+
+#[test]
 fn settings_are_refused_by_line_whatever_is_in_them() {
     let root = Root::new(&["p"]);
     let file = root.project("p").join("viewrank.toml");

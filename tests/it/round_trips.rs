@@ -170,6 +170,7 @@ fn project() -> Project {
     Project {
         root: "/nowhere".into(),
         home: "/nowhere".into(),
+        named: "/nowhere".into(),
         kind: ProjectKind::BareModel,
         model: ModelLocation::new(ModelFormat::OpenMvs, "/nowhere/scene.mvs"),
         model_is_named: false,

@@ -6,6 +6,7 @@ import shutil
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -489,6 +490,60 @@ def test_no_message_of_a_script_has_escape_sequences(tmp_path, script):
     words = {"openmvs/unscale.py": [folder / "no.ply", "x.ply", "2"], "realityscan/switch.py": [folder], "sure/ground.py": [folder, "0"]}
     done = subprocess.run([sys.executable, folder / "script.py", *words.get(script, [])], capture_output=True, text=True)
     assert done.returncode != 0 and "owned" in done.stderr and "\x1b" not in done.stdout + done.stderr and "\x07" not in done.stderr, done.stderr
+
+
+WORDS = {"openmvs/unscale.py": ["a.ply", "b.ply", "2"], "realityscan/switch.py": ["."], "metashape/depth_maps.py": ["a.psx"], "sure/ground.py": [".", "0"], "sgm/sgm.py": ["match", ".", "--out", "maps"]}
+
+
+def ended_in_a_line(script, folder, words, **options):
+    done = subprocess.run([sys.executable, "-I", folder / "script.py", *words], stderr=subprocess.PIPE, text=True, **{"cwd": folder, "stdout": subprocess.DEVNULL, **options})
+    assert "Traceback" not in done.stderr and "Exception" not in done.stderr, done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
+                                    "sure/ground.py", "sgm/sgm.py"])
+def test_no_script_ends_with_a_trace(tmp_path, script):
+    """Whatever is in its files, however long its path is, and whoever reads what it says."""
+    for module in (ROOT / "integrations" / script).parent.glob("*.py"):
+        shutil.copy(module, tmp_path)
+    shutil.copy(ROOT / "integrations" / script, tmp_path / "script.py")
+    for folder in ("xmp", "ori", "images", "sparse", "depths"):
+        (tmp_path / folder).mkdir()
+    for content in ("[" * 100_000, "[]", '{"views": 3, "clusters": 3, "enabled": 3}', "\udcff\0", "a" * 300 + "\n", "1 2\n" * 9, "$IntOri_CameraMatrix\n1e999\n"):
+        for name in ("xmp.txt", "run.json", "keys.sfm", "sizes.txt", "pair.txt", "clusters.json", "report.json", "ori/a.ori", "a.ply", "sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt"):
+            (tmp_path / name).write_text(content, encoding="utf-8", errors="surrogateescape")
+        ended_in_a_line(script, tmp_path, WORDS.get(script, []))
+    for words in ([], ["--help"], WORDS.get(script, [])):
+        reader, writer = os.pipe()
+        os.close(reader)
+        ended_in_a_line(script, tmp_path, words, stdout=writer)
+        os.close(writer)
+        ended_in_a_line(script, tmp_path, words, preexec_fn=lambda: os.close(1))
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    ended_in_a_line(script, tmp_path, [tmp_path / "a.ply", *WORDS.get(script, [])[1:]], preexec_fn=lambda: (os.chdir(gone), os.rmdir(gone)))
+
+
+@pytest.mark.parametrize("script", ["openmvs/run.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "sgm/sgm.py"])
+def test_the_longest_path_is_no_trace(tmp_path, script):
+    here = os.open(".", os.O_RDONLY)
+    try:
+        os.chdir(tmp_path)
+        while len(os.getcwd()) < 4060:
+            os.mkdir("a" * 30)
+            os.chdir("a" * 30)
+        for module in (ROOT / "integrations" / script).parent.glob("*.py"):
+            shutil.copy(module, ".")
+        for name in ("images", "sparse", "xmp"):
+            os.mkdir(name)
+        for name in ("xmp.txt", "run.json", "keys.sfm", "sizes.txt"):
+            Path(name).write_text("a" * 40 + "\n")
+        os.rename(Path(script).name, "script.py")
+        for words in ([], ["."], ["match", ".", "--out", "o" * 30]):
+            ended_in_a_line(script, Path(), words, cwd=None)
+    finally:
+        os.fchdir(here)
+        os.close(here)
 
 
 @pytest.mark.parametrize("backend", ["mve", "gipuma", "alicevision", "sure", "micmac", "odm", "patchmatchnet", "colmap"])

@@ -34,6 +34,8 @@ pub enum FileKind {
     Record,
     /// A file of a sparse model.
     Sparse,
+    /// A plan, with its exports and pages.
+    Plan,
     /// A file of viewrank's own.
     State,
 }
@@ -45,6 +47,7 @@ impl FileKind {
             Self::Settings => 1 << 20,
             Self::Record => 32 << 20,
             Self::Region => 64 << 20,
+            Self::Plan => 128 << 20,
             Self::List => 256 << 20,
             Self::State => 1 << 30,
             Self::Picture => 2 << 30,
@@ -62,6 +65,7 @@ impl FileKind {
             Self::Region => "a region",
             Self::Record => "the record of a plan",
             Self::Sparse => "a file of a sparse model",
+            Self::Plan => "a plan",
             Self::State => "a file of viewrank's own",
         }
     }

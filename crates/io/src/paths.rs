@@ -44,6 +44,12 @@ pub fn real(path: &Path) -> PathBuf {
     real
 }
 
+/// Returns whether links, or the path itself, lead to a file outside of the folder. Errors must not
+/// quote such a file of a project, which may be a stranger's.
+pub fn is_outside(file: &Path, folder: &Path) -> bool {
+    !real(file).starts_with(real(folder))
+}
+
 /// The path as it is typed most briefly in the working folder: one that is absolute, or leads up and
 /// down, becomes relative where that is shorter, unless it would look like an option.
 pub fn from_here(path: &Path) -> PathBuf {

@@ -8,7 +8,7 @@
 use nalgebra::Point3;
 use viewrank_core::model::mesh::Mesh;
 
-use crate::mistaken;
+use crate::{formats::HIDDEN, mistaken};
 
 /// Error in a PLY file, with its position.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -17,6 +17,15 @@ pub enum PlyError {
     Header { line: usize, what: String },
     #[error("byte {byte}: {what}")]
     Body { byte: usize, what: String },
+}
+
+impl PlyError {
+    /// The error without anything from the file.
+    pub fn hidden(mut self) -> Self {
+        let (Self::Header { what, .. } | Self::Body { what, .. }) = &mut self;
+        *what = HIDDEN.into();
+        self
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -90,7 +90,7 @@ pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, MatcherReport
 }
 
 fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, MatcherReportError> {
-    let bytes = match input::read(&path, FileKind::State) {
+    let bytes = match input::read(&path, FileKind::Plan) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
         Err(error) => {

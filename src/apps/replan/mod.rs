@@ -18,6 +18,7 @@ pub use self::repeat::{RepeatError, as_written, repeat};
 use crate::{
     apps::evaluate::{EvaluateError, EvaluationInput, MapSize, MeasuredClusters, MeasuredProgress},
     base::{
+        bounded::Names,
         error::{Advice, Hint},
         input,
         progress::{Cancelled, Watcher},
@@ -43,7 +44,7 @@ use crate::{
 #[derive(Debug)]
 pub struct EarlierPlan {
     /// Key view, partners and size, by name, best first.
-    clusters: Vec<(String, Vec<String>, MapScale)>,
+    clusters: Vec<(String, Names, MapScale)>,
     cut: usize,
     outdated: Vec<OutdatedMap>,
     views: PlannedViews,
@@ -332,8 +333,8 @@ fn look(
         .iter()
         .map(|file| (plan.stages.scene.name(file.view), file))
         .collect();
-    let view = |(key, ..): &(String, Vec<String>, MapScale)| plan.stages.scene.find(key);
-    let check = |(key, partners, _): &(String, Vec<String>, MapScale)| {
+    let view = |(key, ..): &(String, Names, MapScale)| plan.stages.scene.find(key);
+    let check = |(key, partners, _): &(String, Names, MapScale)| {
         watcher.check()?;
         let file = file_of
             .get(key.as_str())
@@ -398,7 +399,7 @@ struct MapCheck<'a> {
     plan: &'a Plan,
     earlier: &'a EarlierPlan,
     key: &'a String,
-    partners: &'a [String],
+    partners: &'a Names,
     file: &'a DepthMapFile,
 }
 
@@ -454,8 +455,8 @@ impl MapCheck<'_> {
         self.file.path.display().to_string()
     }
 
-    fn views(&self) -> impl Iterator<Item = &String> {
-        std::iter::once(self.key).chain(self.partners)
+    fn views(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(self.key.as_str()).chain(self.partners.iter())
     }
 
     fn outdated(&self, view: &str, moved_px: Option<f64>) -> OutdatedMap {
@@ -472,8 +473,8 @@ impl MapCheck<'_> {
         let place = |name| self.place(name).ok_or(name);
         let key = place(self.key.as_str())?;
         let mut farthest = (0.0, self.key.as_str());
-        for name in self.partners {
-            let moved = movement(map, &key, &place(name.as_str())?);
+        for name in self.partners.iter() {
+            let moved = movement(map, &key, &place(name)?);
             if moved > farthest.0 {
                 farthest = (moved, name);
             }
@@ -491,7 +492,7 @@ impl MapCheck<'_> {
 
     fn fits(&self) -> MapVerdict {
         let scene = &self.plan.stages.scene;
-        let then = |name: &String| Some((name.clone(), self.earlier.then(self.key, name)?.clone()));
+        let then = |name: &str| Some((name.to_owned(), self.earlier.then(self.key, name)?.clone()));
         let made_with: BTreeMap<String, PlannedView> = self.views().filter_map(then).collect();
         let now = |name: &str| scene.find(name).map(|view| PlannedView::new(scene, view));
         let stayed = made_with

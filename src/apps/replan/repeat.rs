@@ -26,7 +26,7 @@ pub fn repeat(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), Rep
 /// Repeats the plan with the ranking, the cut and the warnings of `viewrank/manifest.json`. If that
 /// plan was ranked around finished depth maps, gains, shares and reasons of views come from the
 /// manifest, measured where finished; fulfilment by triangle is predicted. The third is the plan's
-/// exports, as the manifest records them.
+/// exports, as the manifest records them, without commands and clusters.
 pub fn as_written(
     root: &Path,
     watcher: &dyn Watcher,

@@ -287,7 +287,7 @@ impl<'a> Undistortion<'a> {
     }
 
     fn is_there(&self, batch: usize, views: &[ViewIndex], note: &str) -> bool {
-        input::read_text(&self.out.join(note_path(batch)), FileKind::State)
+        input::read_text(&self.out.join(note_path(batch)), FileKind::Record)
             .is_ok_and(|there| there == note)
             && views
                 .iter()

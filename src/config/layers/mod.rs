@@ -16,6 +16,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         input::{self, FileKind},
+        paths::is_outside,
     },
     model::{cluster::MapScale, georeference::Zone},
 };
@@ -160,6 +161,22 @@ impl Configuration {
         backend: BackendLookup,
         metres: &dyn Fn(&Settings) -> Option<f64>,
     ) -> Result<Self, ConfigError> {
+        let of_project = || [&files.root, &files.project].into_iter().flatten();
+        let linked: Vec<&PathBuf> = of_project().filter(|file| leads_away(file)).collect();
+        Self::merged(files, typed, backend, metres).map_err(|error| match error.place() {
+            Some(place @ SettingLocation::File { path, .. }) if linked.contains(&path) => {
+                ConfigError::Hidden(place.clone())
+            }
+            _ => error,
+        })
+    }
+
+    fn merged(
+        files: &Files,
+        typed: CommandLineSettings,
+        backend: BackendLookup,
+        metres: &dyn Fn(&Settings) -> Option<f64>,
+    ) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         for file in [&files.root, &files.project].into_iter().flatten() {
             let project = read(file)?;
@@ -191,9 +208,30 @@ impl Configuration {
         let mut settings = Settings::deserialize(table).expect("each entry was checked by itself");
         settings.backends =
             proper_names(&settings.backends, backend).expect("each entry was checked by itself");
-        let configuration = Self { settings, places };
+        let mut configuration = Self { settings, places };
+        configuration.hide_outside();
         configuration.check_together()?;
         Ok(configuration)
+    }
+
+    /// Hides the files outside of the folder of the settings file that names them.
+    fn hide_outside(&mut self) {
+        let settings = &mut self.settings;
+        let region = settings.region.as_ref().and_then(RegionChoice::file);
+        let named = [
+            ("region", region),
+            ("surface.mesh", settings.surface.mesh.clone()),
+        ];
+        for (key, file) in named {
+            if let (Some(SettingLocation::File { path, .. }), Some(file)) =
+                (self.places.get(key), file)
+                && path
+                    .parent()
+                    .is_some_and(|folder| is_outside(&file, folder))
+            {
+                settings.hidden.push(file);
+            }
+        }
     }
 
     pub fn source(&self, key: &str) -> Source {
@@ -330,6 +368,11 @@ fn convert_lengths(entries: &mut [Entry], of_model: Option<f64>) -> Result<(), C
         entry.value = (length / per_unit).into();
     }
     Ok(())
+}
+
+/// Returns whether the file is a link that leads out of its folder.
+fn leads_away(file: &Path) -> bool {
+    file.is_symlink() && file.parent().is_some_and(|folder| is_outside(file, folder))
 }
 
 /// Reads the entries of a file; empty if it does not exist.
@@ -549,6 +592,8 @@ pub enum ConfigError {
     Syntax { place: SettingLocation, why: String },
     #[error("{place}: unknown setting {key}")]
     UnknownKey { place: SettingLocation, key: String },
+    #[error("{0}: no setting with its value; not shown, for a link leads out of the project")]
+    Hidden(SettingLocation),
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: SettingLocation, key: String },
     #[error("{place}: {error}")]
@@ -585,6 +630,7 @@ impl Hint for ConfigError {
         Some(match self {
             Self::Read { .. } => "make the file readable, or move it away".into(),
             Self::Syntax { .. } => "see https://toml.io for the grammar; put text in quotes".into(),
+            Self::Hidden(_) => "copy the file into the project to see the fault".into(),
             Self::UnknownKey { key, .. } => match nearest(key) {
                 Some(known) => format!("did you mean {known}?").into(),
                 None => "run viewrank config to list all settings".into(),
@@ -610,21 +656,29 @@ impl Hint for ConfigError {
     }
 
     fn path(&self) -> Option<&Path> {
-        let place = match self {
-            Self::Read { path, .. } => return Some(path),
+        match (self, self.place()) {
+            (Self::Read { path, .. }, _) | (_, Some(SettingLocation::File { path, .. })) => {
+                Some(path)
+            }
+            _ => None,
+        }
+    }
+}
+
+impl ConfigError {
+    fn place(&self) -> Option<&SettingLocation> {
+        match self {
             Self::Syntax { place, .. }
             | Self::UnknownKey { place, .. }
+            | Self::Hidden(place)
             | Self::UserOnly { place, .. }
             | Self::Backend { place, .. }
+            | Self::NotMetric { place, .. }
             | Self::Value {
                 from: Source::Written(place),
                 ..
-            } => place,
-            Self::NotMetric { .. } | Self::Value { .. } => return None,
-        };
-        match place {
-            SettingLocation::File { path, .. } => Some(path),
-            _ => None,
+            } => Some(place),
+            Self::Read { .. } | Self::Value { .. } => None,
         }
     }
 }

@@ -48,6 +48,7 @@ impl Hint for RegionFileError {
         };
         let hint = match fault {
             RegionFault::Mistaken(mistaken) => mistaken.cure,
+            RegionFault::Hidden => "name the file with --region yourself to see it",
             RegionFault::Read(_) => "check that the file exists and is readable",
             RegionFault::Crossing(_) => {
                 "put the corners of that ring in order, or split it into polygons"
@@ -64,9 +65,10 @@ impl Hint for RegionFileError {
     }
 }
 
-/// Reads the region. `frame`: the map on which polygons without a georeference are drawn.
+/// Reads the region. `hidden`: files that errors must not quote. `frame`: the map on which polygons without a georeference are drawn.
 pub(super) fn read(
     choice: &RegionChoice,
+    hidden: &[PathBuf],
     place: &Georeference,
     frame: &MapFrame,
 ) -> Result<RegionShape, RegionFileError> {
@@ -77,7 +79,11 @@ pub(super) fn read(
     };
     let file = region_file::read(path).map_err(|fault| RegionFileError::Read {
         path: path.clone(),
-        fault,
+        fault: if hidden.contains(path) {
+            fault.hidden()
+        } else {
+            fault
+        },
     })?;
     let shape = match file {
         RegionFile::Box(corners) => Ok(RegionShape::of_box(corners)),

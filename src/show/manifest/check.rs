@@ -127,11 +127,11 @@ fn check_views(cluster: &ClusterEntry, names: &BTreeSet<&str>) -> Result<(), Str
     if !names.contains(cluster.key.as_str()) {
         return Err(format!("key: no view is {}", cluster.key));
     }
-    for partner in &cluster.partners {
-        if !names.contains(partner.as_str()) {
+    for partner in cluster.partners.iter() {
+        if !names.contains(partner) {
             return Err(format!("partners: no view is {partner}"));
         }
-        if *partner == cluster.key {
+        if partner == cluster.key {
             return Err(format!(
                 "partners: the key view {partner} is its own partner"
             ));

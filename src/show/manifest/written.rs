@@ -6,14 +6,14 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 
 use super::{FingerprintError, RegionSummary, VERSION, ViewEntry, check::check, fingerprint};
 use crate::{
     backends::{ExportRecord, Selection, by_name},
     base::{
-        bounded,
-        error::{Advice, Hint},
+        bounded::{self, Names},
+        error::{Advice, Hint, shortened},
         input::FileKind,
         shell::command_path,
     },
@@ -26,7 +26,7 @@ use crate::{
         cluster::{MapScale, RankedCluster},
         scene::{Scene, ViewIndex},
     },
-    plan::{Cut, GroundSummary, OutdatedMap, Plan},
+    plan::{Cut, GroundSummary, MOST_VIEWS, OutdatedMap, Plan},
 };
 
 /// A written ranking with its project and scene.
@@ -58,6 +58,9 @@ pub struct WrittenPlan {
 
 /// Most bytes of a manifest's settings, as of a file of settings.
 const SETTINGS_BYTES: usize = 1 << 20;
+const MOST_EXPORTS: usize = 100;
+/// Most warnings, and most that an export does not honour.
+const MOST_WARNINGS: usize = 10_000;
 
 /// The part of a manifest that viewrank reads back; views are names.
 #[derive(Debug, Deserialize)]
@@ -69,14 +72,19 @@ pub(crate) struct RecordedPlan {
     #[serde(default)]
     pub own_size: bool,
     /// The whole ranking, best first, but after the finished clusters.
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_VIEWS>")]
     pub clusters: Vec<ClusterEntry>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_VIEWS>")]
     pub views: Vec<ViewEntry>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_VIEWS>")]
     pub outdated: Vec<OutdatedMap>,
     pub cut: Cut,
     #[serde(default)]
     forecast: Option<RecordedForecast>,
+    /// Without commands and clusters.
+    #[serde(deserialize_with = "exports")]
     pub exports: Vec<ExportRecord>,
-    #[serde(deserialize_with = "bounded::list::<_, _, 10_000>")]
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_WARNINGS>")]
     pub warnings: Vec<String>,
     #[serde(default)]
     region: Option<RegionSummary>,
@@ -106,7 +114,7 @@ struct Input {
 pub(crate) struct ClusterEntry {
     pub rank: i64,
     pub key: String,
-    pub partners: Vec<String>,
+    pub partners: Names,
     #[serde(default)]
     pub scale: MapScale,
     #[serde(default)]
@@ -117,12 +125,32 @@ pub(crate) struct ClusterEntry {
     pub finished: bool,
 }
 
+#[derive(Deserialize)]
+struct RecordedExport {
+    backend: String,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_WARNINGS>")]
+    not_honoured: Vec<String>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_WARNINGS>")]
+    warnings: Vec<String>,
+}
+
+fn exports<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<ExportRecord>, D::Error> {
+    let record = |export: RecordedExport| ExportRecord {
+        backend: export.backend,
+        not_honoured: export.not_honoured,
+        warnings: export.warnings,
+        ..ExportRecord::default()
+    };
+    let exports = bounded::list::<_, _, MOST_EXPORTS>(deserializer)?;
+    Ok(exports.into_iter().map(record).collect())
+}
+
 /// Path of the manifest, relative to the project.
 pub(crate) const FILE: &str = "viewrank/manifest.json";
 
 /// Reads a file of the plan that viewrank wrote.
 pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, WrittenPlanError> {
-    output::read_own(&project.home, name, FileKind::State).map_err(|error| match error {
+    output::read_own(&project.home, name, FileKind::Plan).map_err(|error| match error {
         OutputError::Io { path, source } | OutputError::Denied { path, source } => {
             WrittenPlanError::Io { path, source }
         }
@@ -316,13 +344,15 @@ impl RecordedPlan {
 
     /// Reads `viewrank/manifest.json` of the project without checking its input.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
-        Self::parse(&read_own(project, FILE)?, project.home.join(FILE))
+        let mut recorded = Self::parse(&read_own(project, FILE)?, project.home.join(FILE))?;
+        recorded.settings.hide_outside(&project.home);
+        Ok(recorded)
     }
 
     fn parse(bytes: &[u8], path: PathBuf) -> Result<Self, WrittenPlanError> {
         let refused = |what: String| WrittenPlanError::Manifest {
             path: path.clone(),
-            what,
+            what: shortened(&what).into_owned(),
         };
         // First, since fields of another version need not be those of this one.
         let Versioned { version } =
@@ -350,7 +380,7 @@ impl RecordedPlan {
 impl RecordedPlan {
     /// Returns the whole ranking, best first, with indices of views.
     pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
-        let view = |name: &String| {
+        let view = |name: &str| {
             scene
                 .find(name)
                 .ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()))
@@ -456,6 +486,9 @@ impl Hint for WrittenPlanError {
                 io::ErrorKind::PermissionDenied => {
                     Advice::text("make it readable for yourself, or plan elsewhere: ")
                         .set_to("out", "DIR")
+                }
+                io::ErrorKind::FileTooLarge => {
+                    format!("plan for fewer programs at a time: {}", plan_command(path)).into()
                 }
                 _ => match folder_of_plan(path) {
                     Some(above) => format!("name the folder of the plan: {}", command_path(above)),

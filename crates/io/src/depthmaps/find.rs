@@ -104,12 +104,16 @@ pub fn default_folders(project: &Path) -> Vec<PathBuf> {
     folders
 }
 
-/// The existing ones of the [`default_folders`] of a project.
+/// The existing ones of the [`default_folders`] of a project, without those that a link leads out
+/// of it: the project may be a stranger's, and such a folder anything. Users name theirs.
 pub fn folders(project: &Path) -> Vec<PathBuf> {
-    default_folders(project)
-        .into_iter()
-        .filter(|folder| folder.is_dir())
-        .collect()
+    let mut folders = default_folders(project);
+    folders.retain(|folder| is_inside(folder, project));
+    folders
+}
+
+fn is_inside(folder: &Path, project: &Path) -> bool {
+    folder.is_dir() && !paths::is_outside(folder, project)
 }
 
 fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
@@ -120,19 +124,20 @@ fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
     ]
 }
 
-/// Depth map folder of a program in a project (`dense`: its dense workspace): the first that
-/// exists, or the first candidate. Any other `kind` is a folder in the project.
+/// Depth map folder of a program in a project (`dense`: its dense workspace): the first of the
+/// [`folders`], or the first candidate. Any other `kind` is a folder in the project.
 pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
     let candidates: Vec<PathBuf> = match kind {
-        "colmap" => dense.map(|dense| dense.join(COLMAP)).into_iter().collect(),
+        "colmap" => {
+            let own = project.join("viewrank/colmap");
+            let workspaces = dense.into_iter().chain([&*own]);
+            workspaces.map(|folder| folder.join(COLMAP)).collect()
+        }
         kind if BY_NAME.contains(&kind) => folders_by_name(project, kind).into(),
-        other => vec![project.join(other)],
+        other => return project.join(other),
     };
-    let there = candidates.iter().find(|folder| folder.is_dir());
-    there
-        .or(candidates.first())
-        .cloned()
-        .unwrap_or_else(|| project.into())
+    let there = candidates.iter().find(|folder| is_inside(folder, project));
+    there.unwrap_or(&candidates[0]).clone()
 }
 
 /// Finds the depth maps under `folder` as [`list`] does.

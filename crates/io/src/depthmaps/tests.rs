@@ -744,3 +744,33 @@ fn a_folder_without_maps_is_an_error() {
     ));
     assert_eq!(ViewIndex(0), scene(&["a.jpg"]).find("a.jpg").unwrap());
 }
+
+#[test]
+fn colmaps_maps_are_found_in_its_export_where_there_is_no_dense_workspace() {
+    let folder = tempfile::tempdir().unwrap();
+    let (project, dense) = (folder.path(), folder.path().join("dense"));
+    let [own, of_dense] =
+        ["viewrank/colmap", "dense"].map(|above| project.join(above).join("stereo/depth_maps"));
+    assert_eq!(folder_of(project, None, "colmap"), own);
+    assert_eq!(folder_of(project, Some(&dense), "colmap"), of_dense);
+    std::fs::create_dir_all(&own).unwrap();
+    assert_eq!(folder_of(project, Some(&dense), "colmap"), own);
+    std::fs::create_dir_all(&of_dense).unwrap();
+    assert_eq!(folder_of(project, Some(&dense), "colmap"), of_dense);
+}
+
+#[cfg(unix)]
+#[test]
+fn default_folders_behind_links_out_of_the_project_are_left_out() {
+    use std::os::unix::fs::symlink;
+    let folder = tempfile::tempdir().unwrap();
+    let (project, outside) = (folder.path().join("p"), folder.path().join("outside"));
+    let here = project.join("stereo/depth_maps");
+    for folder in [&here, &outside.join("stereo/depth_maps")] {
+        std::fs::create_dir_all(folder).unwrap();
+    }
+    symlink(&outside, project.join("dense")).unwrap();
+    symlink(&outside, project.join("sgm")).unwrap();
+    symlink("stereo", project.join("depth_maps")).unwrap();
+    assert_eq!(folders(&project), [here, project.join("depth_maps")]);
+}

@@ -138,7 +138,13 @@ pub enum Problem {
     Contradiction(String),
     #[error("{what}")]
     Unsupported { what: String, hint: &'static str },
+    #[error("{HIDDEN}")]
+    Hidden,
 }
+
+/// The fault of a file outside of the project, which may be a stranger's.
+pub(crate) const HIDDEN: &str =
+    "it has a fault that is not shown, for it is outside of the project";
 
 impl Problem {
     pub fn syntax(expected: &'static str, found: impl Into<String>) -> Self {
@@ -189,6 +195,7 @@ impl Problem {
                 "export all files of the model together; delete rigs and frames files of other models"
             }
             Self::Unsupported { hint, .. } => hint,
+            Self::Hidden => "copy the file into the project to see the fault",
         }
     }
 }

@@ -19,7 +19,7 @@ pub(super) fn journal(root: &Root) -> Result<Option<Journal>, OutputError> {
         Err(error) if error.is_missing() => return Ok(None),
         file => file?,
     };
-    let read = input::read_all(file, FileKind::State);
+    let read = input::read_all(file, FileKind::List);
     let bytes = read.map_err(|error| root.folder.failed(JOURNAL.as_ref(), error))?;
     check(root, &bytes)
         .map(Some)

@@ -10,6 +10,10 @@ use std::fs::File;
 use serde::{Deserialize, Serialize};
 
 use super::{Disk, folder::Folder};
+use crate::bounded;
+
+/// Most files or folders of a change.
+const MOST: usize = 1 << 20;
 
 pub(super) const FOLDER: &str = "viewrank";
 pub(super) const STAGING: &str = "viewrank/.staging";
@@ -26,9 +30,12 @@ pub(super) enum Direction {
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Change {
     /// Folders to create, outer before inner.
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST>")]
     pub new_folders: Vec<String>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST>")]
     pub steps: Vec<Step>,
     /// Folders to remove if they are empty by then, inner before outer.
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST>")]
     pub old_folders: Vec<String>,
 }
 

@@ -32,6 +32,7 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     Ok(Project {
         root: root.into(),
         home: root.into(),
+        named: root.into(),
         kind: kind_of(root, &model, dense_workspace.as_deref()),
         images: image_folder(root, &model),
         model_is_named: wanted.is_some(),

@@ -9,8 +9,9 @@ use viewrank_core::base::error::{Advice, Hint};
 
 use super::ImageFolder;
 use crate::{
-    formats::Fault,
+    formats::{Fault, Problem},
     mistaken::{self, Mistaken},
+    paths::is_outside,
     shell::command_path,
 };
 
@@ -51,11 +52,16 @@ pub enum ProjectError {
 }
 
 impl ProjectError {
-    /// The same error, or that the file at fault is of another kind.
-    pub(super) fn explained(self) -> Self {
+    /// The same error, or that the file at fault is of another kind. Quotes no file outside of
+    /// `named`, the folder that the user named.
+    pub(super) fn explained(self, named: &Path) -> Self {
         match self {
             Self::Fault { path, fault } => match mistaken::of_file(&path) {
                 Some(mistaken) => Self::Mistaken { path, mistaken },
+                None if is_outside(&path, named) => Self::Fault {
+                    path,
+                    fault: Fault::new(fault.file, fault.place, Problem::Hidden),
+                },
                 None => Self::Fault { path, fault },
             },
             error => error,

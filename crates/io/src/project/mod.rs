@@ -167,6 +167,8 @@ pub struct Project {
     /// Folder with viewrank's output folder: `root`, or another one for a project that must not be
     /// written to.
     pub home: PathBuf,
+    /// The folder that the user named, the root or the home: errors quote no files outside of it.
+    pub named: PathBuf,
     pub kind: ProjectKind,
     /// The model to plan for.
     pub model: ModelLocation,
@@ -208,7 +210,11 @@ impl Project {
         match Self::open(path, model) {
             Err(ProjectError::NoModel { .. }) if elsewhere::project_of(path).is_some() => {
                 let project = elsewhere::project_of(path).unwrap_or_default();
-                Ok(Self::open(&paths::from_here(&project), model)?.with_home(path))
+                let project = Self::open(&paths::from_here(&project), model)?;
+                Ok(Self {
+                    named: path.into(),
+                    ..project.with_home(path)
+                })
             }
             opened => opened,
         }
@@ -289,7 +295,8 @@ impl Project {
 
     /// Reads the model, and adds the images of the image folder that it lacks to `unregistered`.
     pub fn read_scene(&self) -> Result<Scene, ProjectError> {
-        let mut scene = self.scene_of_files().map_err(ProjectError::explained)?;
+        let scene = self.scene_of_files();
+        let mut scene = scene.map_err(|error| error.explained(&self.named))?;
         let others = self.sub_model_warning(scene.views.len());
         scene
             .warnings

@@ -8,6 +8,7 @@ use std::{io, path::Path};
 use viewrank_core::{method::region::Areas, model::mesh::Mesh};
 
 use crate::{
+    formats::HIDDEN,
     input::{self, FileKind},
     mistaken::{self, Mistaken},
     ply::{self, PlyError},
@@ -48,6 +49,18 @@ pub enum RegionFault {
     Triangles,
     #[error(transparent)]
     Ply(#[from] PlyError),
+    #[error("{HIDDEN}")]
+    Hidden,
+}
+
+impl RegionFault {
+    /// The fault without anything from the file.
+    pub fn hidden(self) -> Self {
+        match self {
+            Self::Read(_) | Self::Unknown | Self::Mistaken(_) | Self::Triangles => self,
+            _ => Self::Hidden,
+        }
+    }
 }
 
 /// Reads a file of a region.

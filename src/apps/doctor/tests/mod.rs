@@ -134,6 +134,7 @@ fn project(format: ModelFormat) -> (TempDir, Project) {
     fs::create_dir_all(&model.path).unwrap();
     let project = Project {
         home: folder.path().into(),
+        named: folder.path().into(),
         root: folder.path().into(),
         kind: ProjectKind::Colmap,
         model,

@@ -114,7 +114,7 @@ pub enum CameraError {
     NotFinite { index: usize, value: f64 },
     #[error("focal length {0} is not positive")]
     FocalLength(f64),
-    #[error("image size {width} x {height} is outside 1 to 4294967295 pixels")]
+    #[error("image size {width} x {height} is not 1 to {MOST_PIXELS} pixels")]
     ImageSize { width: u64, height: u64 },
 }
 
@@ -135,6 +135,10 @@ pub struct Camera {
 /// Largest difference of aspect ratios that is taken for rounding; almost any image of a few pixels
 /// could be explained by it otherwise.
 const LARGEST_ROUNDING: f64 = 0.02;
+
+/// Most pixels of a camera: more than a scan of aerial film (23 cm at 8 µm). The triangles of the
+/// surface, and the time for them, are in proportion.
+const MOST_PIXELS: u64 = 1 << 30;
 
 /// Pixels up to which an image may have more than its camera: models are made from scaled copies,
 /// too.
@@ -182,7 +186,8 @@ impl Camera {
     ) -> Result<Self, CameraError> {
         check_params(model, &params)?;
         let size = |n: u64| u32::try_from(n).ok().filter(|&n| n > 0);
-        let (Some(w), Some(h)) = (size(width), size(height)) else {
+        let fits = width.saturating_mul(height) <= MOST_PIXELS;
+        let (Some(w), Some(h), true) = (size(width), size(height), fits) else {
             return Err(CameraError::ImageSize { width, height });
         };
         let lens = Lens::new(model, &params);
