@@ -250,9 +250,10 @@ impl PlanJob {
     }
 
     fn map_files(&self, job: &Job) -> StepResult<MapFiles> {
-        let found = match self.options.is_run {
-            true => map_files_inside(job.project),
-            false => map_files(job.project, job.follow_links),
+        let found = if self.options.is_run {
+            map_files_inside(job.project)
+        } else {
+            map_files(job.project, job.follow_links)
         };
         found.map_err(failed)
     }
