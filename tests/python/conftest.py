@@ -63,12 +63,23 @@ def data():
     return folder
 
 
+@pytest.fixture(scope="module")
+def without_pilot(tmp_path_factory):
+    """The user's own settings: plans match no thumbnails, which takes most of their time, unless a test asks for it."""
+    folder = tmp_path_factory.mktemp("config")
+    (folder / "viewrank").mkdir()
+    (folder / "viewrank/viewrank.toml").write_text('confidence.source = "geometric"\n')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(folder))
+        yield
+
+
 @pytest.fixture(scope="session")
 def planned(viewrank, fixtures, tmp_path_factory):
     """The fixture's project with a plan, and the plan's clusters by name."""
     project = tmp_path_factory.mktemp("exports") / "project"
     shutil.copytree(fixtures / "valley", project)
-    viewrank("plan", project, "-k", "4", "--budget", "8", "--quiet")
+    viewrank("plan", project, "-k", "4", "--budget", "8", "--confidence", "geometric", "--quiet")
     manifest = json.loads((project / "viewrank/manifest.json").read_text())
     clusters = [(cluster["key"], cluster["partners"]) for cluster in manifest["clusters"][:8]]
     assert len(clusters) == 8

@@ -19,6 +19,8 @@ sys.path[:0] = [str(ROOT / "benches")]
 
 import colmap_cuda  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 SCALE = 0.5
 SENSOR = 1000.0  # millimetres per unit of the model
 

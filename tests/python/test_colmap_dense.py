@@ -14,6 +14,8 @@ import numpy as np
 import pycolmap
 import pytest
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 ROOT = Path(__file__).resolve().parents[2]
 SCALE = "0.25"
 FIRST = 6  # key views of the prefix that is matched

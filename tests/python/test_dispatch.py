@@ -18,6 +18,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 ROOT = Path(__file__).resolve().parents[2]
 SGM = ROOT / "integrations/sgm/sgm.py"
 DAEMONS = [f"{folder}/{name}" for name in ("slurmctld", "slurmd") for folder in ("/usr/sbin", "/usr/local/sbin") if Path(folder, name).exists()]

@@ -12,6 +12,8 @@ import pytest
 
 from conftest import ROOT, names_of
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 # OpenMVS: an independent reader of the interface format.
 
 

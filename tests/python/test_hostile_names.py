@@ -10,6 +10,8 @@ import pycolmap
 import pytest
 from conftest import spread
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
 NAMES = ["$(touch pwned).jpg", "`touch pwned`.jpg", "a;touch pwned;.jpg", "a&touch pwned&.jpg", "a|touch pwned.jpg", "it's;touch pwned;'.jpg",
          "\"touch pwned\".jpg", "-rf.jpg", "--help.jpg", "a b.jpg", "*.jpg", "?.jpg", "~root.jpg", "#a.jpg", "%s.jpg", "a\\b.jpg", "$HOME.jpg", "!x.jpg",

@@ -15,6 +15,8 @@ from test_export_formats import SIDE_FILE
 from test_openmvs_runner import folder, make, maps, run  # noqa: F401 (a fixture)
 from test_run_scripts import COLMAP, DMRECON, RUN, SCENE2PSET, Work, plans, work  # noqa: F401 (fixtures)
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 MADE = b"2&2&1&" + bytes(16)
 ESCAPE = "\x1b]0;owned\x07"
 

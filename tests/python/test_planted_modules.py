@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
 INTEGRATIONS = Path(__file__).parents[2] / "integrations"
 SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py", "sure/ground.py"]

@@ -13,6 +13,8 @@ import pytest
 
 from conftest import ROOT
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 # Of the stand-ins, without the modules that site adds: it starts in a third of the time.
 INTERPRETER = f"{sys.executable} -IS"
 

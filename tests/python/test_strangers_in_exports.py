@@ -13,6 +13,8 @@ from conftest import LONG
 from test_openmvs_runner import STAND_IN
 from test_run_scripts import ALICEVISION, COLMAP, DMRECON, FAILING, GIPUMA, INTERPRETER, SCENE2PSET, Work, plans  # noqa: F401 (a fixture)
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 # PatchmatchNet's eval.py, in the place of the Python that runs it.
 EVAL = """#!PYTHON
 import sys

@@ -5,6 +5,8 @@ import shutil
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
 pycolmap = pytest.importorskip("pycolmap")
 
 
