@@ -418,7 +418,10 @@ fn table_of_orders(e: &Evaluation) -> Vec<String> {
 }
 
 fn missing(e: &Evaluation) -> Vec<String> {
-    let mut lines = vec![format!("missing, of {} triangles", e.triangles)];
+    let mut lines = vec![format!(
+        "missing where less than half is fulfilled, of {} triangles",
+        e.triangles
+    )];
     for (missing, count) in &e.missing {
         lines.push(format!(
             "  {:6.1} % {}",

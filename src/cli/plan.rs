@@ -10,7 +10,7 @@ use crate::{
     apps::{
         dispatch::Dispatch,
         replan::{EarlierPlan, MapFolder, replan},
-        report::DepthMapFolders,
+        report::{DepthMapFolders, own_folder_of_maps},
     },
     backends::{self, Backend, Choice},
     base::{
@@ -20,6 +20,7 @@ use crate::{
     },
     config::{CommandLineSettings, Settings},
     io::{
+        depthmaps,
         output::{self, Disk, FileSet, OutputError},
         ply,
         project::Project,
@@ -29,7 +30,8 @@ use crate::{
     show::{
         files::PlanFiles,
         manifest::{
-            WrittenPlanError, planned_backends, planned_model, planned_region, warnings_with,
+            WrittenPlanError, planned_backend, planned_backends, planned_model, planned_region,
+            warnings_with,
         },
         tables,
     },
@@ -145,7 +147,8 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", help_heading = "Method")]
     pilot: Option<PathBuf>,
     /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and
-    /// re-rank the rest by their measured quality
+    /// re-rank the rest by their measured quality [default: where the backend writes them, if the
+    /// plan before was for it]
     #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), help_heading = "Method")]
     finished: Option<PathBuf>,
     /// Seed of all random choices [default: 0]
@@ -235,11 +238,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let is_survey = settings.region.is_some() || settings.target.gsd.is_some();
     let mut plan = planning::plan(&project, &settings, &progress)
         .map_err(|error| far_off(error, &project, &settings))?;
-    if let Some(folder) = &arguments.finished {
+    let own = || own_maps(&plan, &project);
+    if let Some(folder) = arguments.finished.clone().or_else(own) {
         if !arguments.dry_run {
             output::recover(&project.home, &project.disk())?;
         }
-        plan = around_finished(plan, folder, &project, &progress)?;
+        plan = around_finished(plan, &folder, &project, &progress)?;
     }
     let files = files_of_same_model(&plan, &project)
         .inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
@@ -325,6 +329,15 @@ fn refuse_unwritable(arguments: &Arguments, project: &Project) -> Result<(), Fai
         .flatten()
         .try_for_each(output::refuse_unwritable)?;
     Ok(())
+}
+
+/// Returns the folder of the depth maps that were made for the plan that this one replaces: without
+/// their record, nobody would know their partners, or that their views have moved.
+fn own_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
+    let is_same = planned_backend(project).is_some_and(|name| name == plan.stages.backend);
+    let folder = own_folder_of_maps(plan, project);
+    let has_maps = || depthmaps::find(&folder, &plan.stages.scene).is_ok();
+    (plan.stages.makes_maps && is_same && has_maps()).then_some(folder)
 }
 
 fn around_finished(

@@ -91,11 +91,12 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
         (Some(progress), plan) => {
             let backend = plan.map(|plan| plan.backend);
             let maps = backend.map(|backend| maps_of(&project, &backend));
-            let later = number_later(&maps.unwrap_or_default(), &progress);
+            let maps = maps.unwrap_or_default();
+            let later = number_later(&maps, &progress);
             if is_json {
                 print_json(&alone(&project, later_than(progress.phase(), later)))
             } else {
-                print(unwatched(&progress, later))
+                print(unwatched(&progress, later, number_gone(&maps, &progress)))
             }
         }
         (None, Some(plan)) => {
@@ -197,6 +198,13 @@ fn number_later(maps: &[String], progress: &Progress) -> usize {
     maps.iter().filter(|view| !seen.contains(view)).count()
 }
 
+/// Number of depth maps that were measured and are no longer there.
+fn number_gone(maps: &[String], progress: &Progress) -> usize {
+    let there: BTreeSet<&String> = maps.iter().collect();
+    let measured = progress.finished.iter();
+    measured.filter(|view| !there.contains(view)).count()
+}
+
 fn later_than(mut phase: Phase, later: usize) -> Phase {
     if let Phase::Partial { unmeasured, .. } = &mut phase {
         *unmeasured = later;
@@ -240,7 +248,7 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
 }
 
 /// What is finished of a project that no daemon watches.
-fn unwatched(progress: &Progress, later: usize) -> Vec<String> {
+fn unwatched(progress: &Progress, later: usize, gone: usize) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
@@ -256,12 +264,19 @@ fn unwatched(progress: &Progress, later: usize) -> Vec<String> {
     lines.extend(progress.note.clone());
     // Without a target of the user's the list ends the work, whatever it reached.
     let is_reached = progress.share.is_some_and(|share| share >= progress.target);
-    match (progress.target_reached, is_reached) {
+    match (progress.target_reached && gone == 0, is_reached) {
         (true, true) => lines.push("The planned share is reached.".into()),
         (true, false) => lines.push("The list is done.".into()),
         (false, _) => {}
     }
     lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());
+    lines.extend(match gone {
+        0 => None,
+        1 => Some("1 of them is no longer there: viewrank run or evaluate sees to it.".into()),
+        n => Some(format!(
+            "{n} of them are no longer there: viewrank run or evaluate sees to it."
+        )),
+    });
     lines.extend(match later {
         0 => None,
         1 => Some("1 depth map was finished after that (viewrank evaluate).".into()),

@@ -276,8 +276,8 @@ fn is_unsure(stages: &Stages, all: f64, reachable: &Band) -> bool {
 
 fn unsure(reachable: &Band) -> String {
     format!(
-        "the pictures leave open how much will match: all images together may give {reachable} of what is wanted; plan again with the \
-         first depth maps (viewrank plan --finished)"
+        "the pictures leave open how much will match: all images together may give {reachable} of what is wanted; plan again once the \
+         first depth maps are there"
     )
 }
 

@@ -346,6 +346,34 @@ fn finished_clusters_stay_at_the_head_of_the_files_and_of_the_cut() {
 }
 
 #[test]
+fn a_plan_keeps_the_maps_of_the_plan_before_with_the_partners_they_were_made_with() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..2, |_, _| true);
+    let root = planned.folder.path().to_str().unwrap();
+    let clusters = || {
+        let manifest = fs::read(planned.folder.path().join("viewrank/manifest.json")).unwrap();
+        let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+        let part = |c: &Value| [&c["key"], &c["partners"], &c["finished"]].map(Value::clone);
+        let clusters = manifest["clusters"].as_array().unwrap();
+        clusters.iter().map(part).collect::<Vec<_>>()
+    };
+    let before = clusters();
+    assert!(before[0][1].as_array().unwrap().len() > 1, "{before:?}");
+    printed(&["plan", root, "-k", "1", "--quiet"]);
+    let after = clusters();
+    for (before, after) in before[..2].iter().zip(&after) {
+        assert_eq!((&before[..2], &after[2]), (&after[..2], &json!(true)));
+    }
+    let mut rest = after[2..].iter();
+    assert!(rest.all(|c| c[1].as_array().unwrap().len() <= 1));
+    // A new plan for another program knows nothing of these maps.
+    let settings = planned.folder.path().join("viewrank.toml");
+    fs::write(settings, "backends = [\"gipuma\"]\n").unwrap();
+    printed(&["plan", root, "--quiet"]);
+    assert!(clusters().iter().all(|c| c[2] == json!(false)));
+}
+
+#[test]
 fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     let planned = Planned::new(&town());
     let all = planned.plan.decision.ranking.order.len();
@@ -803,6 +831,10 @@ fn status_shows_what_evaluate_measured_and_counts_the_maps_that_came_after() {
         (&status["done"], &status["unmeasured"]),
         (&json!(1), &json!(1))
     );
+    let first = planned.keys(0..1)[0];
+    fs::remove_file(planned.maps().join(format!("{first}.npy"))).unwrap();
+    let text = printed(&["status", root]);
+    assert!(text.contains("1 of them is no longer there"), "{text}");
     // Of a later plan the measurement says nothing.
     let manifest = planned.folder.path().join("viewrank/manifest.json");
     fs::write(&manifest, fs::read(&manifest).unwrap()).unwrap();

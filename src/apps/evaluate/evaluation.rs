@@ -232,7 +232,7 @@ impl Evaluation {
             .reached
             .share
             .map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
-        format!("{share} of the area that all depth maps of the plan would cover, estimated")
+        format!("{share} of the area that all depth maps, planned or not, would cover, estimated")
     }
 
     pub fn new(
