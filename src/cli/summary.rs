@@ -688,11 +688,15 @@ fn notes_on_folder(project: &Project) -> Vec<String> {
 /// Notes on views that are neither key views nor partners.
 fn notes_on_left_out(plan: &Plan) -> Vec<String> {
     let mut notes = Vec::new();
+    let by_model = match plan.stages.settings.test_every {
+        Some(_) => "",
+        None => ", as the model says (--test-every chooses others)",
+    };
     match plan.stages.kept_for_tests.len() {
         0 => {}
-        1 => notes.push("1 image is kept apart for tests.".into()),
+        1 => notes.push(format!("1 image is kept apart for tests{by_model}.")),
         tests => notes.push(format!(
-            "{} images are kept apart for tests.",
+            "{} images are kept apart for tests{by_model}.",
             grouped(tests)
         )),
     }
