@@ -4,7 +4,7 @@ use std::{borrow::Cow, path::Path};
 
 use nalgebra::Vector3;
 
-use super::{BackendError, place};
+use super::{Backend, BackendError, by_name, place};
 use crate::{
     base::shell::command_path,
     io::{
@@ -32,7 +32,7 @@ pub struct Selection<'a> {
     pub planned_for: &'a str,
     /// Faults of the scene's image files.
     pub image_faults: &'a ImageFaults,
-    /// Every n-th view by name is kept apart for tests.
+    /// Every n-th view by name is kept apart for tests; `None`: those that the model names.
     pub test_every: Option<u32>,
 }
 
@@ -84,8 +84,13 @@ impl Selection<'_> {
         views
     }
 
-    /// Returns the views that are kept apart for tests and have an image, ascending by name.
+    /// Returns the views that are kept apart for tests and have an image, ascending by name; none
+    /// of depth maps, which use all.
     pub fn kept_for_tests(&self) -> Vec<ViewIndex> {
+        let planned_for = by_name(self.planned_for);
+        if planned_for.is_ok_and(Backend::makes_maps) {
+            return Vec::new();
+        }
         let without_image = self.image_faults.without_image(self.scene.views.len());
         self.scene.kept_for_tests(self.test_every, &without_image)
     }

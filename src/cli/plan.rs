@@ -26,7 +26,7 @@ use crate::{
         project::Project,
     },
     method::surface::SurfaceError,
-    plan::{Plan, PlanError},
+    plan::{self, Plan, PlanError},
     show::{
         files::PlanFiles,
         manifest::{
@@ -413,17 +413,18 @@ fn far_off(error: PlanError, project: &Project, settings: &Settings) -> Failure 
         );
         return Failure::new(Exit::Failed, error.to_string(), hint);
     }
-    let own = match (&error, settings.target.gsd) {
-        (PlanError::Surface(_), Some(_)) => project
-            .read_scene()
-            .ok()
-            .and_then(|scene| scene.median_gsd()),
-        _ => None,
+    let (PlanError::Surface(_), Some(gsd), Ok(scene)) =
+        (&error, settings.target.gsd, project.read_scene())
+    else {
+        return error.into();
     };
-    match (own, settings.target.gsd) {
-        (Some(own), Some(gsd)) if !(own / FAR_OFF..own * FAR_OFF).contains(&gsd) => {
+    match scene.median_gsd() {
+        Some(own) if !(own / FAR_OFF..own * FAR_OFF).contains(&gsd) => {
+            let place = plan::georeference(project, &scene, &settings.frame);
+            let metres = plan::metres(settings.units, &place);
+            let [wanted, own] = [gsd, own].map(|gsd| plan::in_words(gsd, metres));
             let hint = format!(
-                "--gsd {gsd:.3e} is far from the images' own {own:.3e} model units per pixel: give it in units of the model, or leave it out"
+                "--gsd asks for {wanted} per pixel, far from the images' own {own}: give one nearer to that, or leave it out"
             );
             Failure::new(Exit::Failed, error.to_string(), hint)
         }

@@ -341,7 +341,7 @@ fn as_text(root: &Path, line: &Line) -> Vec<String> {
             ""
         };
         lines.push(format!(
-            "  {name:width$}  {}{measuring} ({})",
+            "  {name:width$}  {}{measuring} ({} ago)",
             project.phase,
             age(project)
         ));

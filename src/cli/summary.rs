@@ -44,6 +44,9 @@ pub struct Summary<'a> {
     /// Median of the images, scene units per matched pixel, where another g_d was asked for.
     #[serde(skip)]
     of_images: Option<f64>,
+    /// Finest and coarsest that areas of the region want in its place.
+    #[serde(skip)]
+    of_areas: Option<[f64; 2]>,
     /// Region of interest; null: the whole surface.
     region: Option<&'a RegionSummary>,
     cut: Cut,
@@ -125,6 +128,7 @@ impl<'a> Summary<'a> {
             finished: plan.decision.finished,
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
             of_images: gsd_of_images(plan).filter(|_| asked.is_survey),
+            of_areas: gsd_of_areas(plan),
             region: manifest.region.as_ref(),
             cut: plan.decision.cut,
             limits: plan.stages.settings.cut.limits(),
@@ -208,7 +212,21 @@ impl<'a> Summary<'a> {
             let of_images = self.of_images.map(|own| significant(own * metres));
             let of_images = of_images.map(|own| format!("; the images have {own} in the median"));
             let of_images = of_images.unwrap_or_default();
-            lines.push(format!("Wanted: {gsd} {unit} per pixel{of_images}."));
+            let of_areas = self
+                .of_areas
+                .map(|gsds| gsds.map(|gsd| significant(gsd * metres)));
+            let of_areas = match of_areas {
+                None => String::new(),
+                Some([finest, coarsest]) if finest == coarsest => {
+                    format!(", {finest} where the region says so")
+                }
+                Some([finest, coarsest]) => {
+                    format!(", {finest} to {coarsest} where the region says so")
+                }
+            };
+            lines.push(format!(
+                "Wanted: {gsd} {unit} per pixel{of_areas}{of_images}."
+            ));
         }
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
@@ -569,6 +587,18 @@ fn gsd_of_images(plan: &Plan) -> Option<f64> {
     (!(0.99..1.01).contains(&follows)).then_some(own)
 }
 
+/// Returns the finest and the coarsest that areas of the region want, scene units per pixel.
+fn gsd_of_areas(plan: &Plan) -> Option<[f64; 2]> {
+    let region = plan.stages.region.as_ref()?;
+    let wishes = region.gsd.iter().copied().filter(|gsd| gsd.is_finite());
+    let [finest, coarsest] = wishes.fold([f32::INFINITY, 0.0], |[low, high], gsd| {
+        [low.min(gsd), high.max(gsd)]
+    });
+    finest
+        .is_finite()
+        .then(|| [finest, coarsest].map(f64::from))
+}
+
 /// Formats a share without decimals, but not as all while something is missing.
 fn whole_percent(share: f64) -> String {
     let percent = 100.0 * share;
@@ -658,11 +688,15 @@ fn notes_on_folder(project: &Project) -> Vec<String> {
 /// Notes on views that are neither key views nor partners.
 fn notes_on_left_out(plan: &Plan) -> Vec<String> {
     let mut notes = Vec::new();
+    let by_model = match plan.stages.settings.test_every {
+        Some(_) => "",
+        None => ", as the model says (--test-every chooses others)",
+    };
     match plan.stages.kept_for_tests.len() {
         0 => {}
-        1 => notes.push("1 image is kept apart for tests.".into()),
+        1 => notes.push(format!("1 image is kept apart for tests{by_model}.")),
         tests => notes.push(format!(
-            "{} images are kept apart for tests.",
+            "{} images are kept apart for tests{by_model}.",
             grouped(tests)
         )),
     }

@@ -62,7 +62,7 @@ impl<'a> Inputs<'a> {
     /// Checks the images, and fills in the settings.
     pub fn new(
         project: &'a Project,
-        scene: Scene,
+        mut scene: Scene,
         settings: &Settings,
         matcher: &'a Matcher,
         timings: &mut Timings,
@@ -104,6 +104,9 @@ impl<'a> Inputs<'a> {
         let confidence = Confidence::new(source, own, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let without_image = image_faults.without_image(scene.views.len());
+        if matcher.makes_maps {
+            scene.tests.clear();
+        }
         let kept_for_tests = scene.kept_for_tests(settings.test_every, &without_image);
         Ok(Self {
             matcher,

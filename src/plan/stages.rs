@@ -168,8 +168,7 @@ impl Stages {
     pub fn ground_summary(&self) -> Option<GroundSummary> {
         let ground = self.ground.as_ref()?;
         let needed = self.settings.coverage.min_cameras;
-        let gsd = self.settings.target.gsd?;
-        Some(GroundSummary::new(ground, true, needed, gsd))
+        Some(GroundSummary::new(ground, true, needed))
     }
 
     /// Returns the stages with other clusters, their fulfilment, and that at half the size.

@@ -174,19 +174,20 @@ pub(super) fn region(
         let bare = Photographed {
             scene: &inputs.scene,
             left_out: &left_out,
-            gsd: seen.gsd * inputs.settings.image_scale(),
+            gsd: seen.gsd,
+            image_scale: inputs.settings.image_scale(),
             surface: None,
-        };
-        let photographs = bare.of_triangles(&seen.surface, &seen.visibility);
-        let photographed = Photographed {
-            surface: Some((&seen.surface, &photographs)),
-            ..bare
         };
         let footprint = region.footprint(&frame);
         // First, since it refuses outlines that take long.
         let laid_over = region
             .clone()
             .lay_over(&seen.surface, &shown.pixels, watcher)?;
+        let photographs = bare.of_triangles(&seen.surface, &seen.visibility, &laid_over.gsd);
+        let photographed = Photographed {
+            surface: Some((&seen.surface, &photographs)),
+            ..bare
+        };
         let ground = match &footprint {
             Some(area) => Ground::new(area, &photographed, &frame, watcher)?,
             None => None,

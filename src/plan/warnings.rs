@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use super::{Band, Cut, Decision, FinishedMaps, GroundSummary, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
-    base::error::shortened,
+    base::{decimals::significant, error::shortened},
     config::{Budget, Settings, Share, SurfaceChoice},
     decision::DEFAULT_TARGET,
     method::{
@@ -38,7 +38,8 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(stages.picture_warnings.iter().cloned());
     warnings.extend(blurred(stages));
     warnings.extend(missed(stages));
-    warnings.extend(unlikely_gsd(stages.image_gsd, &stages.settings));
+    let metres = stages.metres;
+    warnings.extend(unlikely_gsd(stages.image_gsd, &stages.settings, metres));
     warnings.extend(no_utm_coordinates(stages));
     warnings.extend(no_3d_surface(stages));
     warnings.extend(without_effect(stages));
@@ -73,8 +74,12 @@ fn missed(stages: &Stages) -> Option<String> {
 }
 
 /// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely
-/// given in another unit.
-pub fn unlikely_gsd(image_gsd: Option<f64>, settings: &Settings) -> Option<String> {
+/// given in another unit. `metres`: in a scene unit, if known.
+pub fn unlikely_gsd(
+    image_gsd: Option<f64>,
+    settings: &Settings,
+    metres: Option<f64>,
+) -> Option<String> {
     let (gsd, target) = (image_gsd?, settings.target.gsd?);
     let ratio = target / (gsd / settings.image_scale());
     let than = match ratio {
@@ -82,10 +87,22 @@ pub fn unlikely_gsd(image_gsd: Option<f64>, settings: &Settings) -> Option<Strin
         ratio if ratio > WANTED_RATIO => format!("{ratio:.0} times coarser"),
         _ => return None,
     };
+    let [target, gsd] = [target, gsd].map(|gsd| in_words(gsd, metres));
+    let cure = match metres {
+        Some(_) => "give it with its unit, as 2cm",
+        None => "give it in units of the model",
+    };
     Some(format!(
-        "the wanted ground sampling distance ({target}) is {than} than the images' own ({gsd:.3e} model units per pixel); give it in units of \
-         the model"
+        "the wanted ground sampling distance ({target}) is {than} than the images' own ({gsd} per pixel); {cure}"
     ))
+}
+
+/// Formats a length of scene units. `metres`: in a scene unit, if known.
+pub fn in_words(length: f64, metres: Option<f64>) -> String {
+    match metres {
+        Some(metres) => format!("{} m", significant(length * metres)),
+        None => format!("{length:.3e} model units"),
+    }
 }
 
 /// Warns of a model set to UTM whose eastings no zone has.

@@ -150,11 +150,11 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     );
     let mut manifest = manifest?;
     let of_images = &plan.stages.image_faults;
-    let of_images = of_images.warnings(project, &plan.stages.scene);
-    manifest
-        .warnings
-        .extend(of_images.into_iter().chain(missing));
-    let next = exports.first().map(next_step);
+    let faults = of_images.warnings(project, &plan.stages.scene);
+    manifest.warnings.extend(faults.into_iter().chain(missing));
+    let has_images = of_images.is_any_usable(plan.stages.scene.views.len());
+    let first = exports.first();
+    let next = first.and_then(|export| next_step(export, project.images.is_some() && has_images));
     let stale = stale_page(project, &manifest);
     let mut own = own_files(plan, project, &manifest);
     for (name, text) in pair_files {
@@ -258,14 +258,15 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
 }
 
 /// Returns the shell command that enters the folder of the export and starts its runner, or else
-/// its first command; without one, what to do with the folder.
-fn next_step(export: &Export) -> String {
+/// its first command; without one, what to do with the folder. `None` if that needs the images
+/// first.
+fn next_step(export: &Export, has_images: bool) -> Option<String> {
     let folder = command_path(&export.files.root);
     let record = &export.record;
     let runner = record.runner.as_ref().map(|runner| format!("./{runner}"));
     match runner.as_ref().or(record.commands.first()) {
-        Some(command) => one_after_other(&format!("cd {folder}"), command),
-        None => format!("give {folder} to your program"),
+        Some(command) => Some(one_after_other(&format!("cd {folder}"), command)),
+        None => has_images.then(|| format!("give {folder} to your program")),
     }
 }
 

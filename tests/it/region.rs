@@ -7,6 +7,7 @@ use std::{
 
 use serde_json::{Value, json};
 use tempfile::TempDir;
+use viewrank_core::method::region::COARSEST;
 use viewrank_io::npy;
 
 use super::valley::{copy, fixture, viewrank};
@@ -127,6 +128,10 @@ fn a_surveyors_polygons_weigh_what_is_inside() {
     let gsd = fs::read(tables.join("triangle_gsd.npy")).unwrap();
     let gsd: Vec<f32> = npy::read(&gsd).unwrap().values().unwrap();
     assert!(gsd.contains(&0.011) && !gsd.iter().all(|&gsd| gsd == 0.011));
+    // Also where no surface is.
+    let [finest, coarsest] = ["coarsest_of_finest", "coarsest"]
+        .map(|field| region["ground"][field].as_f64().unwrap() / COARSEST);
+    assert!((finest - 0.011).abs() < 1e-9 && coarsest > finest);
     let surface = fs::read(root.join("viewrank/surface.ply")).unwrap();
     assert!(surface.windows(21).any(|w| w == b"property float region"));
     let map: Value =

@@ -434,6 +434,17 @@ pub enum DispatchError {
     Target { wanted: Share, planned: Share },
 }
 
+/// Offers the matcher that comes with viewrank, where it would run. Its own program is never missing
+/// unless somebody named another.
+fn or_sgm() -> &'static str {
+    let runs_here = backends::by_name("sgm").is_ok_and(backends::can_match_here);
+    if runs_here {
+        ", or match with --backend sgm, whose program is here"
+    } else {
+        ""
+    }
+}
+
 impl Hint for DispatchError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {
@@ -445,8 +456,9 @@ impl Hint for DispatchError {
                 "it is a folder: name the program in it".into()
             }
             Self::Program { variable, .. } => {
+                let or_sgm = or_sgm();
                 format!(
-                    "name it with --program or {variable}; where only the nodes of a queue have it, see viewrank dispatch --setup"
+                    "name it with --program or {variable}{or_sgm}; where only the nodes of a queue have it, see viewrank dispatch --setup"
                 )
                 .into()
             }

@@ -3,14 +3,13 @@
 use std::ops::RangeInclusive;
 
 use super::{Finding, Inputs, MOST, Severity, counted};
-use crate::plan;
 use crate::{
     base::median::upper_median,
     model::{
         georeference::{Georeference, MapFrame, UPRIGHT},
         scene::{PointIndex, Units, ViewIndex, WarningKind},
     },
-    plan::unlikely_gsd,
+    plan,
 };
 
 /// Usual ground sampling distances, metres: from a turntable to a high flight.
@@ -133,7 +132,10 @@ fn frame(inputs: &Inputs) -> Option<Finding> {
 
 /// Compares the wanted ground sampling distance with that of the images.
 fn wanted(inputs: &Inputs) -> Option<Finding> {
-    let what = unlikely_gsd(inputs.scene.median_gsd(), inputs.settings)?;
+    let frame = &inputs.settings.frame;
+    let place = plan::georeference(inputs.project, inputs.scene, frame);
+    let metres = plan::metres(inputs.settings.units, &place);
+    let what = plan::unlikely_gsd(inputs.scene.median_gsd(), inputs.settings, metres)?;
     let cure =
         "give --gsd and target.accuracy in units of the model (viewrank inspect shows the median)";
     Some(Finding::new(

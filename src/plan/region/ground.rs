@@ -30,9 +30,13 @@ pub struct GroundSummary {
     /// Part of it that some photograph shows more coarsely, as a share of the whole, 0 to 1.
     #[serde(default)]
     pub too_coarse: f64,
-    /// Scene units per pixel at the size of the plan's images.
+    /// Scene units per pixel at the size of the plan's images; of areas that want different ones,
+    /// the largest.
     #[serde(default)]
     pub coarsest: f64,
+    /// The same for the area that wants the finest; 0: unknown.
+    #[serde(default)]
+    pub coarsest_of_finest: f64,
     /// Share that a single photograph shows, 0 to 1.
     pub seen_once: f64,
     /// Photographs that must show a place for a depth there (`coverage.min_cameras`).
@@ -45,14 +49,16 @@ pub struct GroundSummary {
 
 impl GroundSummary {
     /// `has_surface`: a surface was laid over the region. `needed`: photographs that must show a
-    /// place. `gsd`: the wanted one.
-    pub fn new(ground: &Ground, has_surface: bool, needed: u32, gsd: f64) -> Self {
+    /// place.
+    pub fn new(ground: &Ground, has_surface: bool, needed: u32) -> Self {
+        let wanted = || ground.cells.iter().map(|cell| cell.gsd);
         Self {
             area: ground.area(),
             surface: has_surface.then(|| ground.share(|cell| cell.has_surface)),
             unseen: ground.share(|cell| cell.views == 0),
             too_coarse: ground.share(|cell| cell.too_coarse),
-            coarsest: COARSEST * gsd,
+            coarsest: COARSEST * wanted().fold(0.0, f64::max),
+            coarsest_of_finest: COARSEST * wanted().fold(f64::INFINITY, f64::min),
             seen_once: ground.share(|cell| cell.views == 1),
             needed,
             enough: ground.share(|cell| cell.views >= needed),
@@ -118,7 +124,14 @@ impl GroundSummary {
     /// Says what counts as shown, where photographs show more than that.
     pub fn finely_enough(&self, metres: Option<f64>) -> Option<String> {
         let unit = if metres.is_some() { "m" } else { "units" };
-        let coarsest = significant(self.coarsest * metres.unwrap_or(1.0));
+        let in_metres = |gsd: f64| significant(gsd * metres.unwrap_or(1.0));
+        let coarsest = in_metres(self.coarsest);
+        let coarsest = match in_metres(self.coarsest_of_finest) {
+            finest if self.coarsest_of_finest > 0.0 && finest != coarsest => {
+                format!("{finest} to {coarsest}")
+            }
+            _ => coarsest,
+        };
         let others = match self.unseen - self.too_coarse {
             at_all if at_all < 1.0 - ALL => "others show it".into(),
             at_all => format!("none shows {} at all", percent(at_all)),
@@ -174,7 +187,8 @@ pub fn photographed_ground(
     let photographed = Photographed {
         scene,
         left_out: without_image,
-        gsd: gsd * scale,
+        gsd,
+        image_scale: scale,
         surface: None,
     };
     let ground = region.footprint(&frame).and_then(|area| {
@@ -183,7 +197,7 @@ pub fn photographed_ground(
             .flatten()
     });
     let needed = settings.coverage.min_cameras;
-    Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed, gsd)))
+    Ok(ground.map(|ground| GroundSummary::new(&ground, false, needed)))
 }
 
 #[cfg(test)]
@@ -198,6 +212,7 @@ mod tests {
             unseen: 0.812,
             too_coarse: 0.0,
             coarsest: 0.2,
+            coarsest_of_finest: 0.2,
             seen_once: 0.004,
             needed: 3,
             enough: 0.18,
@@ -225,6 +240,12 @@ mod tests {
             oblique.missed(Some(0.5)),
             "No photograph shows 81.2 % of the region (78.0 m²) finely enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
         );
+        let of_areas = GroundSummary {
+            coarsest_of_finest: 0.04,
+            ..oblique
+        };
+        let missed = of_areas.missed(Some(0.5));
+        assert!(missed.contains("(0.0200 to 0.100 m per pixel"), "{missed}");
         let unbuilt = GroundSummary {
             surface: None,
             ..ground

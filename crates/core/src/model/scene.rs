@@ -127,6 +127,8 @@ pub struct Scene {
     pub unregistered: Vec<String>,
     /// Images that the user took out of the model, sorted by name.
     pub left_out: Vec<String>,
+    /// Views that the file of the model keeps apart for tests, ascending.
+    pub tests: Vec<ViewIndex>,
     /// Place on earth, where the file of the model names it.
     pub georeference: Option<Georeference>,
     /// Problems that did not prevent reading.
@@ -222,21 +224,19 @@ impl Scene {
     }
 
     /// Returns the views that are kept apart for tests, ascending: every n-th by name, from the
-    /// first, as trainers count them, without those whose image is missing (`without_image`,
-    /// ascending).
+    /// first, as trainers count them, else those that the model names; without those whose image is
+    /// missing (`without_image`, ascending).
     pub fn kept_for_tests(
         &self,
         every: Option<u32>,
         without_image: &[ViewIndex],
     ) -> Vec<ViewIndex> {
-        let step = every.map_or(usize::MAX, |n| n.max(1) as usize);
-        let every_nth = self
-            .view_indices()
-            .step_by(step)
-            .filter(|_| every.is_some());
-        every_nth
-            .filter(|view| without_image.binary_search(view).is_err())
-            .collect()
+        let mut tests = match every {
+            Some(n) => self.view_indices().step_by(n.max(1) as usize).collect(),
+            None => self.tests.clone(),
+        };
+        tests.retain(|view| without_image.binary_search(view).is_err());
+        tests
     }
 
     /// Returns whether both scenes have the same view names and poses, to the precision of text

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use viewrank_core::model::{
     camera::{Camera, CameraError, CameraModel},
     georeference::Georeference,
-    scene::{Scene, WarningKind},
+    scene::{Scene, ViewIndex, WarningKind},
 };
 
 use super::{
@@ -35,6 +35,8 @@ pub struct ForeignModel {
     pub unregistered: Vec<String>,
     /// Names of images that the user took out of the model.
     pub left_out: Vec<String>,
+    /// Ids of images that are kept apart for tests.
+    pub tests: HashSet<u32>,
     /// The folder to which image names are relative, for formats that store it.
     pub image_folder: Option<String>,
     /// Place on earth, for formats that store it.
@@ -52,6 +54,9 @@ impl ForeignModel {
         scene.unregistered.sort_unstable();
         scene.left_out = self.left_out.clone();
         scene.left_out.sort_unstable();
+        let views = scene.view_indices();
+        let is_test = |view: &ViewIndex| self.tests.contains(&scene.view(*view).image_id);
+        scene.tests = views.filter(is_test).collect();
         Ok(scene)
     }
 

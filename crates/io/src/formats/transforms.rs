@@ -5,11 +5,12 @@
 //! camera_model fl_x fl_y cx cy w h k1..k4 p1 p2   for all frames, or in a frame for that one; camera_angle_x in place of fl_x
 //! frames: [{ file_path, transform_matrix }]       camera to world, x right, y up, z backward
 //! ply_file_path                                   in the same coordinates
+//! train_filenames val_filenames test_filenames    paths of frames; those of the last two alone are kept apart for tests
 //! ```
 //!
 //! Pixels are as in COLMAP, distortion as in OpenCV.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
@@ -30,6 +31,31 @@ struct Transforms<'a> {
     #[serde(borrow, deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
     frames: Vec<&'a RawValue>,
     ply_file_path: Option<String>,
+}
+
+/// Paths of frames, as those name them.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Splits {
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
+    train_filenames: Vec<String>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
+    val_filenames: Vec<String>,
+    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
+    test_filenames: Vec<String>,
+}
+
+impl Splits {
+    /// Returns the paths that are for tests only. Writers without a split of their own repeat
+    /// training images there.
+    fn tests(&self) -> HashSet<&str> {
+        let judged = self.val_filenames.iter().chain(&self.test_filenames);
+        let mut tests: HashSet<&str> = judged.map(String::as_str).collect();
+        for trained in &self.train_filenames {
+            tests.remove(trained.as_str());
+        }
+        tests
+    }
 }
 
 /// A frame without its lens.
@@ -67,6 +93,9 @@ pub fn read(
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<(ForeignModel, Option<String>), Fault> {
     let (data, of_all): (Transforms, Lens) = (json(bytes)?, json(bytes)?);
+    // A list that is none must not keep a model from being read.
+    let splits: Splits = json(bytes).unwrap_or_default();
+    let tests = splits.tests();
     let mut cameras = Cameras::default();
     let mut foreign = ForeignModel::default();
     for (n, frame) in (1..).zip(&data.frames) {
@@ -77,6 +106,9 @@ pub fn read(
         let camera_id = cameras.add(&lens);
         let camera_id = camera_id.map_err(|fault| fault.in_record(what))?;
         let pose = frame.pose().map_err(|problem| fault_in(problem, what))?;
+        if tests.contains(frame.file_path.as_str()) {
+            foreign.tests.insert(n);
+        }
         foreign.add_image(n, name, camera_id, pose, Place::File);
     }
     foreign.model.cameras = cameras.different;
@@ -297,6 +329,20 @@ mod tests {
         };
         assert!((focal(0) - 100.0 / 0.5f64.tan()).abs() < 1e-9);
         assert_eq!(focal(1), 50.0);
+    }
+
+    #[test]
+    fn frames_of_the_other_splits_alone_are_for_tests() {
+        let tests = |splits: &str| {
+            let scene = read(&file(splits, "")).unwrap().0.scene().unwrap();
+            let names = scene.tests.iter().map(|&view| scene.name(view).to_owned());
+            names.collect::<Vec<_>>()
+        };
+        assert!(tests("").is_empty());
+        let judged = r#""val_filenames":["./images/a"],"test_filenames":["images\\b.png"],"#;
+        assert_eq!(tests(judged), ["images/a.png", "images/b.png"]);
+        let trained = format!(r#""train_filenames":["./images/a"],{judged}"#);
+        assert_eq!(tests(&trained), ["images/b.png"]);
     }
 
     #[test]

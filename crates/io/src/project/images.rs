@@ -358,6 +358,16 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
     })
 }
 
+/// Tells images of the survey, if the project folder itself is the image folder: those in a folder
+/// in it that holds views. What is in the project folder need not belong to the survey.
+pub(super) fn is_beside_views(scene: &Scene) -> impl Fn(&String) -> bool {
+    let folder = |name: &str| normal(Path::new(name)).parent().map(Path::to_path_buf);
+    let of_views = scene.views.iter().filter_map(|view| folder(&view.name));
+    let mut of_views: HashSet<PathBuf> = of_views.collect();
+    of_views.remove(Path::new(""));
+    move |name| folder(name).is_some_and(|folder| of_views.contains(&folder))
+}
+
 /// Removes `.` components.
 fn normal(name: &Path) -> PathBuf {
     name.components()
@@ -371,6 +381,21 @@ mod tests {
 
     use super::*;
     use viewrank_core::{method::synthetic::Town, model::scene::ViewIndex};
+
+    #[test]
+    fn in_the_project_folder_images_beside_views_belong_to_the_survey() {
+        let mut scene = Town::default().scene();
+        scene.views.truncate(2);
+        for (view, name) in scene.views.iter_mut().zip(["./images/a.jpg", "b.jpg"]) {
+            view.name = name.into();
+        }
+        let belongs = is_beside_views(&scene);
+        let names = ["images/c.jpg", "images/other/d.jpg", "curve.png"];
+        assert_eq!(
+            names.map(|name| belongs(&name.to_owned())),
+            [true, false, false]
+        );
+    }
 
     #[test]
     fn images_that_are_missing_broken_or_larger_are_told_apart() {

@@ -308,16 +308,12 @@ impl Project {
         if let Some(images) = &self.images {
             images.resolve(&scene);
         }
-        // If the project folder itself is the image folder, an image in it need not belong to the
-        // survey.
-        if let Some(images) = self
-            .images
-            .as_ref()
-            .filter(|images| ***images != *self.root)
-        {
-            scene
-                .unregistered
-                .extend(images::unregistered(images, &scene));
+        if let Some(images) = &self.images {
+            let mut others = images::unregistered(images, &scene);
+            if **images == *self.root {
+                others.retain(images::is_beside_views(&scene));
+            }
+            scene.unregistered.extend(others);
             scene.unregistered.sort_unstable();
             scene.unregistered.dedup();
         }

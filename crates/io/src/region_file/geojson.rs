@@ -251,7 +251,7 @@ fn area(node: Node) -> Result<Option<Area>, String> {
         format!("weight is {text}, not a number from 0 (leaves it out) to 1e6; 1 is usual")
     })?;
     let gsd = number(gsd.as_deref(), GSDS).map_err(|text| {
-        format!("gsd is {text}, not a number of model units per pixel (metres where they are known), above 0")
+        format!("gsd is {text}, not a number of model units per pixel, above 0 (where metres are known: 0.02 for 2 cm)")
     })?;
     Ok(Some(Area {
         polygons: polygons(geometry)?,

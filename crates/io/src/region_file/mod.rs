@@ -240,6 +240,7 @@ mod tests {
             (json!({ "weight": "high" }), "weight is \"high\""),
             (json!({ "weight": -1 }), "weight is -1"),
             (json!({ "gsd": "2cm" }), "gsd is \"2cm\""),
+            (json!({ "gsd": "2cm" }), "0.02 for 2 cm"),
         ] {
             let fault = with(properties);
             assert!(

@@ -14,7 +14,7 @@ use super::{Waypoint, candidates};
 use crate::{
     base::kd_tree::KdTree,
     method::region::{Ground, GroundCell},
-    model::{camera::Camera, georeference::MapFrame},
+    model::{camera::Camera, georeference::MapFrame, scene::CameraIndex},
     plan::Plan,
 };
 
@@ -75,49 +75,108 @@ pub fn bare_ground(
     planned: &[Waypoint],
 ) -> Option<BareGround> {
     let ground = plan.stages.ground.as_ref()?;
-    let images = Overhead::new(plan)?;
-    let all = images.lacking(ground, needed, &[]);
-    if (all.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
+    let camera = candidates::usual_camera(plan)?;
+    let is_bare = |cell: &&GroundCell| is_bare(cell, needed);
+    let bare: Vec<GroundCell> = ground.cells.iter().filter(is_bare).copied().collect();
+    if (bare.len() as f64) < WORTH_IT * ground.cells.len() as f64 {
         return None;
     }
-    // What the images for the other holes leave.
-    let left = images.lacking(ground, needed, planned);
     let flown = Flown::new(plan, frame);
-    let (places, each) = divided(&left, ground.side, images.step, &flown);
-    // One more on each side: at the rim, too, a place is seen from several.
-    let squares = places
-        .iter()
-        .flat_map(|lack| around(images.square(lack.place)));
-    let squares: BTreeSet<Square> = squares.collect();
-    let are_too_many = squares.len() > MOST;
-    let chosen = if are_too_many {
-        images.nearest_to(&flown, squares)
-    } else {
-        images.enough(&places, &squares)
-    };
-    let covered = images.shown_often_enough(&places, &chosen) as f64 / each as f64;
-    let uncovered = left.len() as f64 - covered;
-    // In proportion to the area.
-    let more = (chosen.len() as f64 * uncovered / covered.max(1.0)).ceil() as usize;
+    // The finest first: its images show some of what the others want.
+    let mut all = planned.to_vec();
+    let (mut uncovered, mut more) = (0.0, 0);
+    for cells in by_resolution(&bare) {
+        let images = Overhead::new(plan, camera, cells[0].gsd);
+        // What the images until now leave.
+        let left = images.lacking(ground, cells, needed, &all);
+        let first = all.len() - planned.len();
+        let part = images.part(&left, ground.side, &flown, MOST - first);
+        let waypoints = images.waypoints(plan, ground, frame, &part.chosen);
+        all.extend(waypoints.into_iter().map(|waypoint| Waypoint {
+            rank: first + waypoint.rank,
+            ..waypoint
+        }));
+        uncovered += part.uncovered;
+        more += part.more;
+    }
     Some(BareGround {
-        area: all.len() as f64 * ground.side * ground.side,
-        centre: ground.plane.at(typical(&all)),
-        waypoints: images.waypoints(plan, ground, frame, &chosen),
-        covered: 1.0 - uncovered / all.len() as f64,
-        more: if are_too_many { more } else { 0 },
+        area: bare.len() as f64 * ground.side * ground.side,
+        centre: ground.plane.at(typical(&bare)),
+        waypoints: all.split_off(planned.len()),
+        covered: 1.0 - uncovered / bare.len() as f64,
+        more,
     })
 }
 
+/// Returns whether fewer cameras show a cell than needed, and its surface, if any, is shown too
+/// coarsely by all of them: what else the surface lacks is one of its holes.
+fn is_bare(cell: &GroundCell, needed: u32) -> bool {
+    (!cell.has_surface || cell.too_coarse) && cell.views < needed
+}
+
+/// Groups cells whose images are taken from one height, the finest first, which sets it.
+fn by_resolution(cells: &[GroundCell]) -> Vec<Vec<GroundCell>> {
+    let mut sorted = cells.to_vec();
+    // A stable sort: ties stay row by row.
+    sorted.sort_by(|a, b| a.gsd.total_cmp(&b.gsd));
+    let mut groups: Vec<Vec<GroundCell>> = Vec::new();
+    for cell in sorted {
+        match groups.last_mut() {
+            Some(group) if cell.gsd <= FARTHER * group[0].gsd => group.push(cell),
+            _ => groups.push(vec![cell]),
+        }
+    }
+    groups
+}
+
+/// Images over the cells that want about the same resolution.
+struct Part {
+    chosen: BTreeSet<Square>,
+    /// Cells that still lack some.
+    uncovered: f64,
+    /// As [`BareGround::more`].
+    more: usize,
+}
+
 impl<'a> Overhead<'a> {
-    fn new(plan: &'a Plan) -> Option<Self> {
-        let camera = candidates::usual_camera(plan)?;
+    fn new(plan: &'a Plan, camera: CameraIndex, gsd: f64) -> Self {
         let camera = &plan.stages.scene.cameras[camera.index()];
-        let distance = candidates::distance(plan, plan.stages.settings.target.gsd?, camera);
-        Some(Self {
+        let distance = candidates::distance(plan, gsd, camera);
+        Self {
             camera,
             distance,
             step: candidates::step(distance),
-        })
+        }
+    }
+
+    /// Chooses images for cells of a side; `most`: that may be taken.
+    fn part(&self, left: &[Lack], side: f64, flown: &Flown, most: usize) -> Part {
+        let (places, each) = divided(left, side, self.step, flown);
+        // One more on each side: at the rim, too, a place is seen from several.
+        let squares = places
+            .iter()
+            .flat_map(|lack| around(self.square(lack.place)));
+        let squares: BTreeSet<Square> = squares.collect();
+        let number = squares.len();
+        let are_too_many = number > most;
+        let chosen = if are_too_many {
+            self.nearest_to(flown, squares, most)
+        } else {
+            self.enough(&places, &squares)
+        };
+        let covered = self.shown_often_enough(&places, &chosen) as f64 / each as f64;
+        let uncovered = left.len() as f64 - covered;
+        let more = match chosen.len() {
+            _ if !are_too_many => 0,
+            0 => number,
+            // In proportion to the area.
+            n => (n as f64 * uncovered / covered.max(1.0)).ceil() as usize,
+        };
+        Part {
+            chosen,
+            uncovered,
+            more,
+        }
     }
 
     fn square(&self, place: [f64; 2]) -> Square {
@@ -134,14 +193,15 @@ impl<'a> Overhead<'a> {
         (0..2).all(|axis| (middle[axis] - place[axis]).abs() <= reach)
     }
 
-    /// Returns the cells that fewer cameras show than needed, and whose surface, if any, all of them
-    /// show too coarsely: what else the surface lacks is one of its holes.
-    fn lacking(&self, ground: &Ground, needed: u32, planned: &[Waypoint]) -> Vec<Lack> {
-        let lacking = |cell: &GroundCell| {
-            let is_for_holes = cell.has_surface && !cell.too_coarse;
-            if is_for_holes || cell.views >= needed {
-                return None;
-            }
+    /// Returns the bare cells that still lack images, with those planned.
+    fn lacking(
+        &self,
+        ground: &Ground,
+        cells: Vec<GroundCell>,
+        needed: u32,
+        planned: &[Waypoint],
+    ) -> Vec<Lack> {
+        let lacking = |cell: GroundCell| {
             let place = ground.plane.at(cell.place);
             let shows = |waypoint: &&Waypoint| self.is_shown_by(waypoint, &place);
             let images = cell.views + planned.iter().filter(shows).count() as u32;
@@ -150,7 +210,7 @@ impl<'a> Overhead<'a> {
                 images: needed - images,
             })
         };
-        ground.cells.iter().filter_map(lacking).collect()
+        cells.into_iter().filter_map(lacking).collect()
     }
 
     /// Returns whether an image planned for a hole shows a place about as finely; of its frame, the
@@ -257,14 +317,19 @@ impl<'a> Overhead<'a> {
         chosen
     }
 
-    /// The squares whose middles are nearest to the photographs, [`MOST`] at most.
-    fn nearest_to(&self, flown: &Flown, squares: BTreeSet<Square>) -> BTreeSet<Square> {
+    /// The squares whose middles are nearest to the photographs, `most` of them.
+    fn nearest_to(
+        &self,
+        flown: &Flown,
+        squares: BTreeSet<Square>,
+        most: usize,
+    ) -> BTreeSet<Square> {
         let mut by_distance: Vec<(f64, Square)> = squares
             .iter()
             .map(|square| (flown.distance(self.middle(*square)), *square))
             .collect();
         by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let nearest = by_distance.into_iter().take(MOST);
+        let nearest = by_distance.into_iter().take(most);
         nearest.map(|(_, square)| square).collect()
     }
 
@@ -372,12 +437,12 @@ fn shown(camera: &Camera, distance: f64) -> f64 {
 }
 
 /// The place nearest to the mean of some, which is one of them.
-fn typical(places: &[Lack]) -> [f64; 2] {
-    let count = places.len() as f64;
-    let sum = |axis: usize| places.iter().map(|lack| lack.place[axis]).sum::<f64>();
+fn typical(cells: &[GroundCell]) -> [f64; 2] {
+    let count = cells.len() as f64;
+    let sum = |axis: usize| cells.iter().map(|cell| cell.place[axis]).sum::<f64>();
     let mean = [0, 1].map(|axis| sum(axis) / count);
     let off = |place: &[f64; 2]| (place[0] - mean[0]).hypot(place[1] - mean[1]);
-    let places = places.iter().map(|lack| lack.place);
+    let places = cells.iter().map(|cell| cell.place);
     let nearest = places.min_by(|a, b| off(a).total_cmp(&off(b)));
     nearest.unwrap_or(mean)
 }
@@ -404,6 +469,25 @@ mod tests {
     fn lack(x: f64, images: u32) -> Lack {
         let place = [x, 0.0];
         Lack { place, images }
+    }
+
+    #[test]
+    fn each_area_is_flown_at_about_the_resolution_that_it_wants() {
+        let cell = |n: u32, gsd: f64| GroundCell {
+            place: [f64::from(n), 0.0],
+            gsd,
+            views: 0,
+            too_coarse: false,
+            has_surface: false,
+        };
+        let cells = [7.0, 2.0, 2.9, 7.0, 2.0].into_iter().zip(0..);
+        let cells: Vec<GroundCell> = cells.map(|(gsd, n)| cell(n, gsd)).collect();
+        let groups = by_resolution(&cells);
+        let groups: Vec<Vec<f64>> = groups
+            .iter()
+            .map(|group| group.iter().map(|cell| cell.place[0]).collect())
+            .collect();
+        assert_eq!(groups, [vec![1.0, 4.0, 2.0], vec![0.0, 3.0]]);
     }
 
     #[test]
@@ -461,12 +545,12 @@ mod tests {
         let squares: BTreeSet<Square> = (0..MOST as i64 + 10).map(|column| [column, 0]).collect();
         let camera = camera();
         let images = overhead(&camera, 1.0);
-        let kept = images.nearest_to(&Flown::at([[5.0, 0.0]].into_iter()), squares.clone());
+        let kept = images.nearest_to(&Flown::at([[5.0, 0.0]].into_iter()), squares.clone(), MOST);
         assert_eq!(kept.len(), MOST);
         assert_eq!(kept.last(), Some(&[MOST as i64 - 1, 0]));
         let few: BTreeSet<Square> = squares.into_iter().take(3).collect();
         assert_eq!(
-            images.nearest_to(&Flown::at([].into_iter()), few.clone()),
+            images.nearest_to(&Flown::at([].into_iter()), few.clone(), MOST),
             few
         );
     }

@@ -204,11 +204,11 @@ impl MapAreas {
         })
     }
 
-    /// Returns whether a place counts: it is in an area of positive weight.
-    pub fn counts(&self, place: &Point3<f64>, looked_at: &mut u64) -> bool {
+    /// Returns the properties at a place that counts: it is in an area of positive weight.
+    pub fn counted(&self, place: &Point3<f64>, looked_at: &mut u64) -> Option<RegionProperties> {
         let at = self.projection.wrapped(self.projection.project(place));
-        self.at(at, looked_at)
-            .is_some_and(|properties| properties.weight > 0.0)
+        let found = self.at(at, looked_at);
+        found.filter(|properties| properties.weight > 0.0)
     }
 
     /// Edges of all areas.

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{
-    LOOKED_AT,
+    LOOKED_AT, RegionProperties,
     areas::MapAreas,
     columns::Rectangle,
     polygon::{crosses, ring_edges},
@@ -187,19 +187,21 @@ impl Footprint<'_> {
         }
     }
 
-    /// Adds the edges that it looks at to `looked_at`.
-    fn contains(
+    /// Returns the properties of the region at a place inside. Adds the edges that it looks at to
+    /// `looked_at`.
+    fn inside(
         &self,
         rings: &[Vec<[f64; 2]>],
         place: [f64; 2],
         plane: &GroundPlane,
         looked_at: &mut u64,
-    ) -> bool {
+    ) -> Option<RegionProperties> {
         match self {
-            Self::Areas(areas) => areas.counts(&plane.at(place), looked_at),
+            Self::Areas(areas) => areas.counted(&plane.at(place), looked_at),
             Self::Hull(_) => {
                 let edges = ring_edges(&rings[0]);
-                edges.filter(|edge| crosses(*edge, place)).count() % 2 == 1
+                let crossed = edges.filter(|edge| crosses(*edge, place)).count();
+                (crossed % 2 == 1).then_some(RegionProperties::INSIDE)
             }
         }
     }
@@ -217,6 +219,8 @@ impl Footprint<'_> {
 pub struct GroundCell {
     /// Its centre on the map.
     pub place: [f64; 2],
+    /// Wanted ground sampling distance, scene units per pixel of the matched images.
+    pub gsd: f64,
     /// Photographs that show it, no coarser than [`COARSEST`].
     pub views: u32,
     /// Some photographs show it, but all of them more coarsely.
@@ -249,8 +253,11 @@ pub struct Photographed<'a> {
     pub scene: &'a Scene,
     /// Views that don't count, ascending: those without an image, and twins of others.
     pub left_out: &'a [ViewIndex],
-    /// Wanted ground sampling distance, scene units per pixel of the model's images.
+    /// Wanted ground sampling distance where the region has none of its own, scene units per pixel
+    /// of the matched images.
     pub gsd: f64,
+    /// Size of the matched images over that of the model's.
+    pub image_scale: f64,
     /// The surface, and by triangle the views that see it and count, where that is known.
     pub surface: Option<(&'a Surface, &'a [Photographs])>,
 }
@@ -298,8 +305,11 @@ impl Ground {
     }
 }
 
+/// A place inside a region, on the map, and what the region says there.
+type Place = ([f64; 2], RegionProperties);
+
 /// A grid around a region, and the centres of its cells inside.
-type Inside = (Grid, Vec<[f64; 2]>);
+type Inside = (Grid, Vec<Place>);
 
 /// Divides the region into cells, of which some thousands are inside; `None` if too many edges would
 /// be looked at: a comb of a million teeth would take minutes.
@@ -314,21 +324,21 @@ fn places_inside(
         return Ok(None);
     };
     let in_all = AtomicU64::new(0);
-    let contains = |place: [f64; 2]| {
+    let inside = |place: [f64; 2]| {
         // The sum doesn't depend on the order, so neither does whether it becomes too large.
         if in_all.load(Ordering::Relaxed) > LOOKED_AT[0] {
-            return false;
+            return None;
         }
         let mut looked_at = 0;
-        let is_inside = footprint.contains(rings, place, plane, &mut looked_at);
+        let properties = footprint.inside(rings, place, plane, &mut looked_at);
         in_all.fetch_add(looked_at, Ordering::Relaxed);
-        is_inside
+        Some((place, properties?))
     };
-    let mut places = grid.centres(contains, watcher)?;
+    let mut places = grid.centres(inside, watcher)?;
     let finer = (LEAST_INSIDE / places.len().max(1) as f64).min(FINEST * FINEST);
     if let Some(fine) = Grid::new(&bounds, CELLS * finer).filter(|_| finer > 1.0) {
         grid = fine;
-        places = grid.centres(contains, watcher)?;
+        places = grid.centres(inside, watcher)?;
     }
     let is_bounded = in_all.into_inner() <= LOOKED_AT[0];
     Ok(is_bounded.then_some((grid, places)))
@@ -339,22 +349,25 @@ impl Photographed<'_> {
     fn cells(
         &self,
         grid: &Grid,
-        places: &[[f64; 2]],
+        places: &[Place],
         plane: &GroundPlane,
         watcher: &dyn Watcher,
     ) -> Result<Vec<GroundCell>, Cancelled> {
         let on_surface = self.surface.map_or_else(Vec::new, |(surface, views)| {
             grid.photographs(surface, views, &plane.frame)
         });
-        let cell = |&place: &[f64; 2]| {
+        let cell = |&(place, properties): &Place| {
             watcher.check()?;
+            let gsd = properties.gsd.unwrap_or(self.gsd);
             let seen = on_surface.get(grid.cell(place));
             let seen = seen.filter(|seen| **seen != Photographs::default());
             let has_surface = seen.is_some();
-            let Photographs { fine, coarse } =
-                seen.copied().unwrap_or_else(|| self.of(&plane.at(place)));
+            let Photographs { fine, coarse } = seen
+                .copied()
+                .unwrap_or_else(|| self.of(&plane.at(place), gsd));
             Ok(GroundCell {
                 place,
+                gsd,
                 views: fine,
                 too_coarse: fine == 0 && coarse > 0,
                 has_surface,
@@ -363,14 +376,22 @@ impl Photographed<'_> {
         places.par_iter().map(cell).collect()
     }
 
-    /// Counts by triangle the views that see it.
-    pub fn of_triangles(&self, surface: &Surface, visibility: &Visibility) -> Vec<Photographs> {
+    /// Counts by triangle the views that see it. `wishes`: what the region wants of each, as
+    /// [`Region::gsd`](super::Region::gsd).
+    pub fn of_triangles(
+        &self,
+        surface: &Surface,
+        visibility: &Visibility,
+        wishes: &[f32],
+    ) -> Vec<Photographs> {
         let mut photographs = vec![Photographs::default(); surface.triangles.len()];
         let views = visibility.views().into_iter();
         for view in views.filter(|&view| self.counts(view)) {
             for &triangle in visibility.triangles_seen_by(view) {
                 let gsd = gsd_at(self.scene, surface, view, triangle);
-                photographs[triangle as usize].add(gsd, self.gsd);
+                let wish = wishes.get(triangle as usize).map(|&wish| f64::from(wish));
+                let wanted = wish.filter(|wish| wish.is_finite()).unwrap_or(self.gsd);
+                photographs[triangle as usize].add(gsd, wanted * self.image_scale);
             }
         }
         photographs
@@ -380,8 +401,8 @@ impl Photographed<'_> {
         self.left_out.binary_search(&view).is_err()
     }
 
-    /// Counts the photographs into which a place projects.
-    fn of(&self, place: &Point3<f64>) -> Photographs {
+    /// Counts the photographs into which a place projects. `wanted`: as [`GroundCell::gsd`].
+    fn of(&self, place: &Point3<f64>, wanted: f64) -> Photographs {
         let mut photographs = Photographs::default();
         for view in self.scene.view_indices().filter(|&view| self.counts(view)) {
             let camera = self.scene.camera_of(view);
@@ -390,7 +411,7 @@ impl Photographed<'_> {
             let pixel = camera.project(&x);
             if pixel.is_some_and(|pixel| camera.contains(&pixel)) {
                 let gsd = camera.depth(&x) / camera.mean_focal_length();
-                photographs.add(gsd, self.gsd);
+                photographs.add(gsd, wanted * self.image_scale);
             }
         }
         photographs
@@ -432,18 +453,18 @@ impl Grid {
         })
     }
 
-    /// Returns the centres of the cells that count, row by row.
+    /// Returns the centres of the cells that `counted` keeps, row by row.
     fn centres(
         &self,
-        counts: impl Fn([f64; 2]) -> bool + Sync,
+        counted: impl Fn([f64; 2]) -> Option<Place> + Sync,
         watcher: &dyn Watcher,
-    ) -> Result<Vec<[f64; 2]>, Cancelled> {
+    ) -> Result<Vec<Place>, Cancelled> {
         let cells = (0..self.columns * self.rows).into_par_iter();
         let centres = cells.map(|cell| {
             watcher.check()?;
-            Ok(Some(self.centre(cell)).filter(|&place| counts(place)))
+            Ok(counted(self.centre(cell)))
         });
-        let centres = centres.collect::<Result<Vec<Option<[f64; 2]>>, Cancelled>>()?;
+        let centres = centres.collect::<Result<Vec<Option<Place>>, Cancelled>>()?;
         Ok(centres.into_iter().flatten().collect())
     }
 

@@ -3,9 +3,13 @@ use nalgebra::{Matrix3, Rotation3};
 use super::*;
 use crate::{
     base::{progress::NoWatcher, rows::Offsets},
-    method::surface::SurfaceKind,
+    method::{
+        region::{Area, Areas, Coordinates},
+        surface::SurfaceKind,
+    },
     model::{
         camera::{Camera, CameraModel},
+        georeference::Georeference,
         scene::{CameraIndex, Pose, View},
     },
 };
@@ -50,6 +54,7 @@ fn photographed<'a>(scene: &'a Scene, left_out: &'a [ViewIndex]) -> Photographed
         scene,
         left_out,
         gsd: 0.1,
+        image_scale: 1.0,
         surface: None,
     }
 }
@@ -112,6 +117,39 @@ fn a_place_seen_too_coarsely_is_not_photographed_but_told_from_one_that_is_not_s
 }
 
 #[test]
+fn an_area_of_the_region_may_want_more_than_the_rest() {
+    let scene = flight();
+    let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
+    let square = |x: f64, gsd: Option<f64>| Area {
+        polygons: vec![vec![vec![
+            [x, -5.0],
+            [x + 5.0, -5.0],
+            [x + 5.0, 5.0],
+            [x, 5.0],
+        ]]],
+        weight: 1.0,
+        gsd,
+    };
+    let finer = 0.1 / COARSEST * 0.99;
+    let areas = Areas {
+        coordinates: Coordinates::Model {
+            axes: Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+        },
+        areas: vec![square(-5.0, None), square(0.0, Some(finer))],
+    };
+    let areas = MapAreas::new(areas, &Georeference::Local, &frame).unwrap();
+    let region = Footprint::Areas(&areas);
+    let ground = Ground::new(&region, &photographed(&scene, &[]), &frame, &NoWatcher)
+        .unwrap()
+        .unwrap();
+    for cell in &ground.cells {
+        let x = ground.plane.at(cell.place).x;
+        let wanted = if x < 0.0 { 0.1 } else { finer };
+        assert_eq!((cell.gsd, cell.too_coarse), (wanted, x > 0.0), "{x}");
+    }
+}
+
+#[test]
 fn the_surface_counts_where_a_view_shows_it() {
     let scene = flight();
     let frame = MapFrame::new(&scene, Some([0.0, 0.0, 1.0]));
@@ -162,19 +200,23 @@ fn views_too_far_from_the_surface_show_it_too_coarsely() {
         contradictions: 0,
     };
     // Both cameras are 10 above the ground, where a pixel of theirs is 0.1.
-    let of = |gsd, left_out| {
+    let of = |gsd, left_out, wishes: &[f32]| {
         let bare = Photographed {
             gsd,
             ..photographed(&scene, left_out)
         };
-        bare.of_triangles(&surface, &visibility)
+        bare.of_triangles(&surface, &visibility, wishes)
             .into_iter()
             .map(|Photographs { fine, coarse }| [fine, coarse])
             .collect::<Vec<_>>()
     };
-    assert_eq!(of(0.1 / COARSEST * 1.01, &[]), [[1, 0], [2, 0]]);
-    assert_eq!(of(0.1 / COARSEST * 0.99, &[]), [[0, 1], [0, 2]]);
-    assert_eq!(of(0.1, &[ViewIndex(0)]), [[0, 0], [1, 0]]);
+    let [enough, too_fine] = [1.01, 0.99].map(|share| share * 0.1 / COARSEST);
+    assert_eq!(of(enough, &[], &[]), [[1, 0], [2, 0]]);
+    assert_eq!(of(too_fine, &[], &[]), [[0, 1], [0, 2]]);
+    assert_eq!(of(0.1, &[ViewIndex(0)], &[]), [[0, 0], [1, 0]]);
+    // The second is in an area that wants more of it.
+    let wishes = [f32::INFINITY, too_fine as f32];
+    assert_eq!(of(enough, &[], &wishes), [[1, 0], [0, 2]]);
     let photographed = Photographed {
         surface: Some((&surface, &[Photographs { fine: 0, coarse: 2 }; 2])),
         ..photographed(&scene, &[])
