@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::backends;
 use crate::{
-    base::printable::printable,
+    base::{paths::is_outside, printable::printable},
     config::{CommandLineSettings, Configuration, Files, Key, Settings, Source, keys, user_file},
     io::project::{Project, ProjectError},
     model::scene::Units,
@@ -77,12 +77,13 @@ fn load_in(
         project: folder.map(|folder| folder.join("viewrank.toml")),
     };
     let metres = |settings: &Settings| metres_per_unit(project?, settings);
-    Ok(Configuration::load_for(
-        &files,
-        typed,
-        backends::canonical_name,
-        &metres,
-    )?)
+    let loaded = Configuration::load_for(&files, typed, backends::canonical_name, &metres);
+    // A stranger's project may say that it is a plan of another folder.
+    let is_hidden = |path: &PathBuf| {
+        let is_projects = files.project.as_ref() == Some(path);
+        is_projects && project.is_some_and(|project| is_outside(path, &project.named))
+    };
+    Ok(loaded.map_err(|error| error.without_words_of(is_hidden))?)
 }
 
 fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {

@@ -565,9 +565,27 @@ fn no_word_of_a_file_outside_of_the_project_is_said_unless_the_user_names_it() {
     for contents in ["hunter2 = 1\n", "target.gsd = \"hunter2\"\n", "\nhunter2"] {
         let said = said_of(contents);
         assert!(!said.contains("hunter2"), "{said}");
-        assert!(said.contains("leads out of the project"), "{said}");
+        assert!(said.contains("is outside of the project"), "{said}");
     }
     fs::remove_file(&settings).unwrap();
+    // A folder that says that it is the plan of another one.
+    let (other, plan) = (place.folder.path().join("other"), place.root().join("plan"));
+    fs::create_dir_all(plan.join("viewrank")).unwrap();
+    fs::create_dir(&other).unwrap();
+    symlink(place.project().join("sparse"), other.join("sparse")).unwrap();
+    fs::write(other.join("viewrank.toml"), "hunter2 = 1\n").unwrap();
+    let pointer = serde_json::json!({ "project": path(&other) }).to_string();
+    fs::write(plan.join("viewrank/project.json"), pointer).unwrap();
+    for command in ["plan", "doctor"] {
+        let Output { stdout, stderr, .. } = viewrank(&[command, path(&plan)]);
+        let said = String::from_utf8_lossy(&[stdout, stderr].concat()).into_owned();
+        assert!(!said.contains("hunter2"), "{command}: {said}");
+        assert!(
+            said.contains("is outside of the project"),
+            "{command}: {said}"
+        );
+    }
+    fs::remove_dir_all(&plan).unwrap();
     let model = place.project().join("sparse/0");
     fs::remove_dir_all(&model).unwrap();
     fs::create_dir(&model).unwrap();

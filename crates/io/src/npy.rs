@@ -100,7 +100,12 @@ pub fn read(file: &[u8]) -> Result<Array<'_>, Fault> {
         return Err(fault(at.start, what));
     }
     let dtype = header.descr.strip_prefix(['<', '>', '|']);
-    let unknown = || fault(at.start, &format!("unknown type `{}`", header.descr));
+    let dtype = dtype.filter(|dtype| is_type(dtype));
+    // Other words may be those of a file that a stranger's link leads to.
+    let unknown = || match header.descr {
+        descr if is_type(descr) => fault(at.start, &format!("unknown type `{descr}`")),
+        _ => fault(at.start, "its type is none of NumPy's plain ones"),
+    };
     Ok(Array {
         shape: header.shape,
         dtype: dtype.ok_or_else(unknown)?,
@@ -135,6 +140,15 @@ impl Array<'_> {
         let values = data.chunks_exact(size);
         Ok(values.map(|v| T::read(v, self.big_endian)).collect())
     }
+}
+
+/// Returns whether the text is a type without its byte order, such as `f4`.
+fn is_type(text: &str) -> bool {
+    let mut letters = text.chars();
+    letters
+        .next()
+        .is_some_and(|kind| kind.is_ascii_alphabetic())
+        && letters.all(|digit| digit.is_ascii_digit())
 }
 
 /// Where the header is in the file.
@@ -399,6 +413,11 @@ mod tests {
                 "{'descr': 'f4', 'fortran_order': False, 'shape': (2,)}",
                 10,
                 "unknown type `f4`",
+            ),
+            (
+                "{'descr': '<secret2', 'fortran_order': False, 'shape': (2,)}",
+                10,
+                "its type is none",
             ),
             (
                 "{'descr': '<i4', 'fortran_order': False, 'shape': (2,)}",

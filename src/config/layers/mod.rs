@@ -163,12 +163,8 @@ impl Configuration {
     ) -> Result<Self, ConfigError> {
         let of_project = || [&files.root, &files.project].into_iter().flatten();
         let linked: Vec<&PathBuf> = of_project().filter(|file| leads_away(file)).collect();
-        Self::merged(files, typed, backend, metres).map_err(|error| match error.place() {
-            Some(place @ SettingLocation::File { path, .. }) if linked.contains(&path) => {
-                ConfigError::Hidden(place.clone())
-            }
-            _ => error,
-        })
+        Self::merged(files, typed, backend, metres)
+            .map_err(|error| error.without_words_of(|path| linked.contains(&path)))
     }
 
     fn merged(
@@ -592,7 +588,7 @@ pub enum ConfigError {
     Syntax { place: SettingLocation, why: String },
     #[error("{place}: unknown setting {key}")]
     UnknownKey { place: SettingLocation, key: String },
-    #[error("{0}: no setting with its value; not shown, for a link leads out of the project")]
+    #[error("{0}: no setting with its value; not shown, for the file is outside of the project")]
     Hidden(SettingLocation),
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: SettingLocation, key: String },
@@ -666,6 +662,16 @@ impl Hint for ConfigError {
 }
 
 impl ConfigError {
+    /// The error without any word of the file, if that is `hidden`.
+    pub fn without_words_of(self, hidden: impl Fn(&PathBuf) -> bool) -> Self {
+        match self.place() {
+            Some(place @ SettingLocation::File { path, .. }) if hidden(path) => {
+                Self::Hidden(place.clone())
+            }
+            _ => self,
+        }
+    }
+
     fn place(&self) -> Option<&SettingLocation> {
         match self {
             Self::Syntax { place, .. }
