@@ -64,8 +64,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     typed.set("--region", "region", region.map(super::arguments::region));
     typed.set("--gsd", "target.gsd", arguments.gsd.clone());
     let mut settings = config::load(Some(&project), typed)?.settings;
-    if arguments.gsd.is_some() && settings.region.is_none() {
+    if settings.target.gsd.is_some() && settings.region.is_none() {
         settings.region = planned_region(&project.home).and_then(|region| region.parse().ok());
+        settings.hide_outside(&project.root);
     }
     let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() {

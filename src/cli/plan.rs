@@ -15,12 +15,13 @@ use crate::{
     backends::{self, Backend, Choice},
     base::{
         error::{Advice, Hint},
+        paths::is_outside,
         progress::{Stage, Watcher},
         shell::command_path,
     },
     config::{CommandLineSettings, Settings},
     io::{
-        depthmaps,
+        depthmaps::{self, DepthMapError},
         output::{self, Disk, FileSet, OutputError},
         ply,
         project::Project,
@@ -332,12 +333,28 @@ fn refuse_unwritable(arguments: &Arguments, project: &Project) -> Result<(), Fai
 }
 
 /// Returns the folder of the depth maps that were made for the plan that this one replaces: without
-/// their record, nobody would know their partners, or that their views have moved.
+/// their record, nobody would know their partners, or that their views have moved. Warns of maps
+/// whose record is lost.
 fn own_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
     let is_same = planned_backend(project).is_some_and(|name| name == plan.stages.backend);
     let folder = own_folder_of_maps(plan, project);
-    let has_maps = || depthmaps::find(&folder, &plan.stages.scene).is_ok();
-    (plan.stages.makes_maps && is_same && has_maps()).then_some(folder)
+    let is_there = folder.is_dir() && !is_outside(&folder, &project.home);
+    if !(plan.stages.makes_maps && is_same && is_there) {
+        return None;
+    }
+    let lost = match depthmaps::find(&folder, &plan.stages.scene) {
+        Ok(_) => match earlier(project) {
+            Ok(_) => return Some(folder),
+            Err(error) => error.to_string(),
+        },
+        Err(DepthMapError::None(_)) => return None,
+        Err(error) => error.to_string(),
+    };
+    let folder = folder.display();
+    warn(&format!(
+        "planned without the depth maps in {folder}: {lost}"
+    ));
+    None
 }
 
 fn around_finished(

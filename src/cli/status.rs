@@ -22,7 +22,7 @@ use crate::{
         read_status, status_file,
     },
     io::{
-        depthmaps::{self, DepthMapFile},
+        depthmaps::{self, DepthMapError, DepthMapFile},
         project::Project,
     },
     show::manifest::{self, PlannedMaps, open_planned_workspace, planned_maps, planned_workspace},
@@ -90,17 +90,17 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
     match (progress, planned_maps(&project)) {
         (Some(progress), plan) => {
             let backend = plan.map(|plan| plan.backend);
-            let maps = backend.map(|backend| maps_of(&project, &backend));
-            let maps = maps.unwrap_or_default();
-            let later = number_later(&maps, &progress);
+            let maps = backend.and_then(|backend| maps_of(&project, &backend));
+            let gone = maps.as_ref().map_or(0, |maps| number_gone(maps, &progress));
+            let later = number_later(&maps.unwrap_or_default(), &progress);
             if is_json {
                 print_json(&alone(&project, later_than(progress.phase(), later)))
             } else {
-                print(unwatched(&progress, later, number_gone(&maps, &progress)))
+                print(unwatched(&progress, later, gone))
             }
         }
         (None, Some(plan)) => {
-            let maps = maps_of(&project, &plan.backend).len();
+            let maps = maps_of(&project, &plan.backend).map_or(0, |maps| maps.len());
             if is_json {
                 print_json(&alone(&project, unmeasured(&plan, maps)))
             } else {
@@ -168,23 +168,25 @@ fn modified(file: &Path) -> Option<SystemTime> {
     file.metadata().ok()?.modified().ok()
 }
 
-/// Returns the views of the project of which the plan's program has made depth maps.
-fn maps_of(project: &Path, backend: &str) -> Vec<String> {
-    let read = || {
-        let project = Project::open(project, None).ok()?;
-        let workspace = open_planned_workspace(&project);
-        let project = workspace.as_ref().unwrap_or(&project);
-        let dense = project.dense_workspace.as_deref();
-        let folder = depthmaps::folder_of(&project.home, dense, backend);
-        if is_outside(&folder, &project.home) {
-            return None;
-        }
-        let scene = project.read_scene().ok()?;
-        let maps = depthmaps::list(&folder, &scene).ok()?.maps;
-        let name = |map: &DepthMapFile| scene.name(map.view).to_owned();
-        Some(maps.iter().map(name).collect())
+/// Returns the views of the project of which the plan's program has made depth maps; `None` where
+/// its folder cannot be listed.
+fn maps_of(project: &Path, backend: &str) -> Option<Vec<String>> {
+    let project = Project::open(project, None).ok()?;
+    let workspace = open_planned_workspace(&project);
+    let project = workspace.as_ref().unwrap_or(&project);
+    let dense = project.dense_workspace.as_deref();
+    let folder = depthmaps::folder_of(&project.home, dense, backend);
+    if is_outside(&folder, &project.home) {
+        return None;
+    }
+    let scene = project.read_scene().ok()?;
+    let maps = match depthmaps::list(&folder, &scene) {
+        Ok(listed) => listed.maps,
+        Err(DepthMapError::None(_)) => Vec::new(),
+        Err(_) => return None,
     };
-    read().unwrap_or_default()
+    let name = |map: &DepthMapFile| scene.name(map.view).to_owned();
+    Some(maps.iter().map(name).collect())
 }
 
 /// Number of depth maps that the last measurement did not see. Of those that it saw but could not
@@ -272,9 +274,9 @@ fn unwatched(progress: &Progress, later: usize, gone: usize) -> Vec<String> {
     lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());
     lines.extend(match gone {
         0 => None,
-        1 => Some("1 of them is no longer there: viewrank run or evaluate sees to it.".into()),
+        1 => Some("1 measured depth map is gone: viewrank run makes it again.".into()),
         n => Some(format!(
-            "{n} of them are no longer there: viewrank run or evaluate sees to it."
+            "{n} measured depth maps are gone: viewrank run makes them again."
         )),
     });
     lines.extend(match later {

@@ -612,7 +612,7 @@ fn whole_percent(share: f64) -> String {
 fn dropped(region: &str) -> String {
     let region = command_word(region);
     format!(
-        "The plan before was for a region; this one is for all (--region {region} has it again)."
+        "The plan before was for a region; this one is for all (--region {region} brings it back)."
     )
 }
 

@@ -183,7 +183,8 @@ pub(super) fn region(
         let laid_over = region
             .clone()
             .lay_over(&seen.surface, &shown.pixels, watcher)?;
-        let photographs = bare.of_triangles(&seen.surface, &seen.visibility, &laid_over.gsd);
+        let photographs =
+            bare.of_triangles(&seen.surface, &seen.visibility, &laid_over.gsd, watcher)?;
         let photographed = Photographed {
             surface: Some((&seen.surface, &photographs)),
             ..bare

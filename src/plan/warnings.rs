@@ -59,7 +59,12 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(unused_pilot(stages));
     warnings.extend(contradictions(stages));
     warnings.extend(outdated(stages, finished));
-    warnings.extend(finished.unreadable.iter().cloned());
+    let unreadable = &finished.unreadable;
+    warnings.extend(unreadable.iter().take(NAMED).cloned());
+    warnings.extend((unreadable.len() > NAMED).then(|| {
+        let more = unreadable.len() - NAMED;
+        format!("{more} more depth maps cannot be read or do not count")
+    }));
     warnings.extend(tiled(stages));
     let short = warnings.iter().map(|warning| shortened(warning));
     short.map(Cow::into_owned).collect()
@@ -74,7 +79,7 @@ fn missed(stages: &Stages) -> Option<String> {
 }
 
 /// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely
-/// given in another unit. `metres`: in a scene unit, if known.
+/// given in another unit, and says how to give it. `metres`: in a scene unit, if known.
 pub fn unlikely_gsd(
     image_gsd: Option<f64>,
     settings: &Settings,

@@ -565,7 +565,10 @@ fn no_word_of_a_file_outside_of_the_project_is_said_unless_the_user_names_it() {
     for contents in ["hunter2 = 1\n", "target.gsd = \"hunter2\"\n", "\nhunter2"] {
         let said = said_of(contents);
         assert!(!said.contains("hunter2"), "{said}");
-        assert!(said.contains("is outside of the project"), "{said}");
+        assert!(
+            said.contains("the file is outside of the project"),
+            "{said}"
+        );
     }
     fs::remove_file(&settings).unwrap();
     // A folder that says that it is the plan of another one.
@@ -581,7 +584,7 @@ fn no_word_of_a_file_outside_of_the_project_is_said_unless_the_user_names_it() {
         let said = String::from_utf8_lossy(&[stdout, stderr].concat()).into_owned();
         assert!(!said.contains("hunter2"), "{command}: {said}");
         assert!(
-            said.contains("is outside of the project"),
+            said.contains("the file is outside of the project"),
             "{command}: {said}"
         );
     }

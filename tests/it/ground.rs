@@ -173,7 +173,7 @@ fn a_plan_without_the_region_of_the_plan_before_says_so() {
     let (_, first, _) = folder.plan(&["--region", &region, "--backend", "sgm"]);
     assert!(!first.contains("The plan before"), "{first}");
     let (_, second, _) = folder.plan(&["--backend", "sgm"]);
-    let again = format!("--region {region} has it again");
+    let again = format!("--region {region} brings it back");
     assert!(
         second.contains("The plan before was for a region") && second.contains(&again),
         "{second}"

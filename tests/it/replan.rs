@@ -374,6 +374,19 @@ fn a_plan_keeps_the_maps_of_the_plan_before_with_the_partners_they_were_made_wit
 }
 
 #[test]
+fn maps_without_a_record_keep_no_plan_from_being_made() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..2, |_, _| true);
+    let at = |name: &str| planned.folder.path().join("viewrank").join(name);
+    fs::remove_file(at("planned_views.json")).unwrap();
+    let root = planned.folder.path().to_str().unwrap();
+    printed(&["plan", root, "--quiet"]);
+    let manifest: Value = serde_json::from_slice(&fs::read(at("manifest.json")).unwrap()).unwrap();
+    assert_eq!(manifest["clusters"][0]["finished"], false);
+    assert!(at("planned_views.json").is_file());
+}
+
+#[test]
 fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     let planned = Planned::new(&town());
     let all = planned.plan.decision.ranking.order.len();
@@ -834,7 +847,7 @@ fn status_shows_what_evaluate_measured_and_counts_the_maps_that_came_after() {
     let first = planned.keys(0..1)[0];
     fs::remove_file(planned.maps().join(format!("{first}.npy"))).unwrap();
     let text = printed(&["status", root]);
-    assert!(text.contains("1 of them is no longer there"), "{text}");
+    assert!(text.contains("1 measured depth map is gone"), "{text}");
     // Of a later plan the measurement says nothing.
     let manifest = planned.folder.path().join("viewrank/manifest.json");
     fs::write(&manifest, fs::read(&manifest).unwrap()).unwrap();

@@ -259,6 +259,55 @@ fn test_images_are_neither_chosen_nor_drawn_and_every_export_knows_them() {
 }
 
 #[test]
+fn test_images_of_the_model_are_kept_apart_unless_others_are_asked_for() {
+    let folder = project();
+    let options = ["--backend", "splat", "--target", "100%"];
+    plan(
+        folder.path(),
+        &[&options[..], &["--test-every", "5"]].concat(),
+    );
+    let (_, tests) = names_and_tests(folder.path(), 5);
+    let model = folder.path().join("viewrank/splat");
+    fs::remove_dir_all(model.join("train")).unwrap();
+    let moved = tempfile::tempdir().unwrap();
+    for part in ["images", "transforms.json"] {
+        fs::rename(model.join(part), moved.path().join(part)).unwrap();
+    }
+    fs::create_dir_all(moved.path().join("sparse/0")).unwrap();
+    let seeds = "sparse/0/points3D.ply";
+    fs::rename(model.join(seeds), moved.path().join(seeds)).unwrap();
+    let transforms = moved.path().join("transforms.json");
+    let transforms = transforms.to_str().unwrap();
+    let said = plan(Path::new(transforms), &options);
+    assert!(said.contains("6 images are kept apart for tests, as the model says"));
+    let list = |name: &str| lines(&moved.path().join("viewrank/splat").join(name));
+    let below = |name: &String| format!("images/{name}");
+    let kept: BTreeSet<String> = tests.iter().map(below).collect();
+    assert!(list("test_list.txt").iter().all(|name| kept.contains(name)));
+    assert!(
+        !list("train_list.txt")
+            .iter()
+            .any(|name| kept.contains(name))
+    );
+    let said = plan(
+        Path::new(transforms),
+        &[&options[..], &["--test-every", "9"]].concat(),
+    );
+    assert!(
+        said.contains("4 images are kept apart for tests."),
+        "{said}"
+    );
+}
+
+#[test]
+fn without_images_the_next_step_is_to_put_them_there() {
+    let folder = project();
+    fs::remove_dir_all(folder.path().join("images")).unwrap();
+    let said = plan(folder.path(), &["--backend", "splat"]);
+    assert!(said.contains("Next: put the images into"), "{said}");
+}
+
+#[test]
 fn a_setting_keeps_test_images_too() {
     let folder = project();
     let folder = folder.path();

@@ -137,7 +137,7 @@ fn wanted(inputs: &Inputs) -> Option<Finding> {
     let metres = plan::metres(inputs.settings.units, &place);
     let what = plan::unlikely_gsd(inputs.scene.median_gsd(), inputs.settings, metres)?;
     let cure =
-        "give --gsd and target.accuracy in units of the model (viewrank inspect shows the median)";
+        "look at the median that viewrank inspect shows, and correct --gsd and target.accuracy";
     Some(Finding::new(
         Severity::Warning,
         "impossible-target",

@@ -588,7 +588,7 @@ pub enum ConfigError {
     Syntax { place: SettingLocation, why: String },
     #[error("{place}: unknown setting {key}")]
     UnknownKey { place: SettingLocation, key: String },
-    #[error("{0}: no setting with its value; not shown, for the file is outside of the project")]
+    #[error("{0}: a fault that is not shown, because the file is outside of the project")]
     Hidden(SettingLocation),
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: SettingLocation, key: String },

@@ -26,6 +26,8 @@ const MOST_PLACES: usize = 100_000;
 const WORTH_IT: f64 = 0.01;
 /// The ground's place among the listed holes.
 const GROUND: usize = 0;
+/// Number of the outermost squares.
+const FARTHEST: f64 = 1e15;
 /// Distance, over that which gives the wanted resolution, up to which a planned image shows a place.
 const FARTHER: f64 = 1.5;
 
@@ -180,7 +182,8 @@ impl<'a> Overhead<'a> {
     }
 
     fn square(&self, place: [f64; 2]) -> Square {
-        place.map(|at| (at / self.step).floor() as i64)
+        // A stranger's area may want a resolution that no number of images gives.
+        place.map(|at| (at / self.step).floor().clamp(-FARTHEST, FARTHEST) as i64)
     }
 
     fn middle(&self, square: Square) -> [f64; 2] {

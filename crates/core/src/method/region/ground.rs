@@ -3,7 +3,7 @@
 
 use std::{
     ops::Range,
-    sync::atomic::{AtomicU64, Ordering},
+    sync::atomic::{AtomicU32, AtomicU64, Ordering},
 };
 
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -383,18 +383,32 @@ impl Photographed<'_> {
         surface: &Surface,
         visibility: &Visibility,
         wishes: &[f32],
-    ) -> Vec<Photographs> {
-        let mut photographs = vec![Photographs::default(); surface.triangles.len()];
-        let views = visibility.views().into_iter();
-        for view in views.filter(|&view| self.counts(view)) {
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<Photographs>, Cancelled> {
+        let counts: Vec<[AtomicU32; 2]> = surface
+            .triangles
+            .iter()
+            .map(|_| Default::default())
+            .collect();
+        let count = |view: ViewIndex| {
+            watcher.check()?;
             for &triangle in visibility.triangles_seen_by(view) {
                 let gsd = gsd_at(self.scene, surface, view, triangle);
                 let wish = wishes.get(triangle as usize).map(|&wish| f64::from(wish));
                 let wanted = wish.filter(|wish| wish.is_finite()).unwrap_or(self.gsd);
-                photographs[triangle as usize].add(gsd, wanted * self.image_scale);
+                let is_coarse = Photographs::is_coarse(gsd, wanted * self.image_scale);
+                counts[triangle as usize][usize::from(is_coarse)].fetch_add(1, Ordering::Relaxed);
             }
-        }
-        photographs
+            Ok(())
+        };
+        let views = visibility.views().into_par_iter();
+        views
+            .filter(|&view| self.counts(view))
+            .try_for_each(count)?;
+        let counts = counts.into_iter().map(|of| of.map(AtomicU32::into_inner));
+        Ok(counts
+            .map(|[fine, coarse]| Photographs { fine, coarse })
+            .collect())
     }
 
     fn counts(&self, view: ViewIndex) -> bool {
@@ -419,12 +433,17 @@ impl Photographed<'_> {
 }
 
 impl Photographs {
+    /// Returns whether one with a ground sampling distance is too coarse, where another is wanted.
+    fn is_coarse(gsd: f64, wanted: f64) -> bool {
+        gsd.is_nan() || gsd > COARSEST * wanted
+    }
+
     /// Adds one with a ground sampling distance, where another is wanted.
     fn add(&mut self, gsd: f64, wanted: f64) {
-        *(if gsd <= COARSEST * wanted {
-            &mut self.fine
-        } else {
+        *(if Self::is_coarse(gsd, wanted) {
             &mut self.coarse
+        } else {
+            &mut self.fine
         }) += 1;
     }
 }

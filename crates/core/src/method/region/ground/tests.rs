@@ -205,7 +205,8 @@ fn views_too_far_from_the_surface_show_it_too_coarsely() {
             gsd,
             ..photographed(&scene, left_out)
         };
-        bare.of_triangles(&surface, &visibility, wishes)
+        bare.of_triangles(&surface, &visibility, wishes, &NoWatcher)
+            .unwrap()
             .into_iter()
             .map(|Photographs { fine, coarse }| [fine, coarse])
             .collect::<Vec<_>>()
