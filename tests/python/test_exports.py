@@ -244,7 +244,7 @@ def test_nothing_is_written_where_one_backend_cannot(viewrank, own, tmp_path):
 
 def test_a_new_plan_names_the_exports_of_the_old_one(viewrank, own):
     viewrank("export", own, "--backend", "openmvs", "--out", own / "scenes")
-    assert "earlier plan" not in viewrank("plan", own, "-k", "4", "--budget", "8", "--quiet").stderr
+    assert "earlier plan" not in viewrank("plan", own, "-k", "4", "--budget", "8", "--confidence", "geometric", "--quiet").stderr
     said = viewrank("plan", own, "-k", "2", "--quiet").stderr
     line = next(line for line in said.splitlines() if "scenes contains an export of an earlier plan for openmvs" in line)
     assert line.endswith(f"viewrank export '{own}' --backend openmvs --out '{own}/scenes'"), line
