@@ -439,7 +439,7 @@ fn far_off(error: PlanError, project: &Project, settings: &Settings) -> Failure 
         Some(own) if !(own / FAR_OFF..own * FAR_OFF).contains(&gsd) => {
             let place = plan::georeference(project, &scene, &settings.frame);
             let metres = plan::metres(settings.units, &place);
-            let [wanted, own] = [gsd, own].map(|gsd| plan::in_words(gsd, metres));
+            let [wanted, own] = [gsd, own].map(|gsd| plan::length_in_words(gsd, metres));
             let hint = format!(
                 "--gsd asks for {wanted} per pixel, far from the images' own {own}: give one nearer to that, or leave it out"
             );

@@ -38,7 +38,7 @@ pub use viewrank_core::decision::{
     Band, CurvePoint, Cut, CutLimit, Decision, Forecast, GivenUp, Matcher, PlanningNumbers,
     ReachOfPair, Substitute, UncutRanking, ViewStatus, WorkPerMap,
 };
-pub use warnings::{in_words, unlikely_gsd, warnings};
+pub use warnings::{length_in_words, unlikely_gsd, warnings};
 
 use crate::{
     base::{

@@ -92,7 +92,7 @@ pub fn unlikely_gsd(
         ratio if ratio > WANTED_RATIO => format!("{ratio:.0} times coarser"),
         _ => return None,
     };
-    let [target, gsd] = [target, gsd].map(|gsd| in_words(gsd, metres));
+    let [target, gsd] = [target, gsd].map(|gsd| length_in_words(gsd, metres));
     let cure = match metres {
         Some(_) => "give it with its unit, as 2cm",
         None => "give it in units of the model",
@@ -103,7 +103,7 @@ pub fn unlikely_gsd(
 }
 
 /// Formats a length of scene units. `metres`: in a scene unit, if known.
-pub fn in_words(length: f64, metres: Option<f64>) -> String {
+pub fn length_in_words(length: f64, metres: Option<f64>) -> String {
     match metres {
         Some(metres) => format!("{} m", significant(length * metres)),
         None => format!("{length:.3e} model units"),

@@ -76,16 +76,16 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     } else {
         format!(" --out {}", command_path(&folder))
     };
-    let project_word = command_path(&project.home);
+    let root = command_path(&project.home);
     let run = if is_default && backend == plan.stages.backend {
-        format!("viewrank run {project_word} (which also matches), or ")
+        format!("viewrank run {root} (which also matches), or ")
     } else {
         String::new()
     };
     Some(format!(
         "{} contains an export of an earlier plan for {backend}; to export this plan: {run}viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
-        project_word
+        root
     ))
 }
 

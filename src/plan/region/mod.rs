@@ -65,7 +65,8 @@ impl Hint for RegionFileError {
     }
 }
 
-/// Reads the region. `hidden`: files that errors must not quote. `frame`: the map on which polygons without a georeference are drawn.
+/// Reads the region. `hidden`: files that errors must not quote. `frame`: the map on which polygons
+/// without a georeference are drawn.
 pub(super) fn read(
     choice: &RegionChoice,
     hidden: &[PathBuf],

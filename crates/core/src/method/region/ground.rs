@@ -425,7 +425,9 @@ impl Photographed<'_> {
             let pixel = camera.project(&x);
             if pixel.is_some_and(|pixel| camera.contains(&pixel)) {
                 let gsd = camera.depth(&x) / camera.mean_focal_length();
-                photographs.add(gsd, wanted * self.image_scale);
+                let is_coarse = Photographs::is_coarse(gsd, wanted * self.image_scale);
+                photographs.coarse += u32::from(is_coarse);
+                photographs.fine += u32::from(!is_coarse);
             }
         }
         photographs
@@ -436,15 +438,6 @@ impl Photographs {
     /// Returns whether one with a ground sampling distance is too coarse, where another is wanted.
     fn is_coarse(gsd: f64, wanted: f64) -> bool {
         gsd.is_nan() || gsd > COARSEST * wanted
-    }
-
-    /// Adds one with a ground sampling distance, where another is wanted.
-    fn add(&mut self, gsd: f64, wanted: f64) {
-        *(if Self::is_coarse(gsd, wanted) {
-            &mut self.coarse
-        } else {
-            &mut self.fine
-        }) += 1;
     }
 }
 
