@@ -5,8 +5,6 @@
 //! a [`Selection`] into the files that make the program compute the chosen view clusters. It
 //! returns the files; [`crate::io::output`] writes them.
 
-use std::path::PathBuf;
-
 use serde::Serialize;
 
 use crate::{
@@ -36,6 +34,7 @@ pub mod place;
 mod pmvs;
 mod realityscan;
 mod record;
+mod runner;
 mod selection;
 mod semi_global;
 mod sgm;
@@ -54,6 +53,7 @@ pub use machine::{
 };
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
+pub use runner::{Call, Product, TaskRunner};
 pub use selection::Selection;
 pub use semi_global::pair_files;
 pub use strangers::with_refusal;
@@ -335,26 +335,6 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     source: "not measured: gate and geometric confidence of OpenMVS, agreement of COLMAP, other PatchMatches (method 7.1, 7.2, 7.4); support 2: depth \
              maps are joined where they agree",
 };
-
-/// Commands by which tasks of a queue compute the clusters of an export (`viewrank dispatch`).
-///
-/// `compute` and `fuse` are lines of sh that run in the folder of the export with `$project`,
-/// `$rank` (from 1), `$threads`, `$program` and `$python` set.
-#[derive(Clone, Debug)]
-pub struct TaskRunner {
-    /// Name of the program on the PATH.
-    pub program: &'static str,
-    /// Environment variable that overrides the path.
-    pub variable: &'static str,
-    /// Computes one cluster, and fails unless its depth map is complete. Tasks run it in parallel.
-    pub compute: String,
-    /// Fuses the existing depth maps.
-    pub fuse: String,
-    /// Cloud that `fuse` writes.
-    pub cloud: PathBuf,
-    /// Depth map of each cluster, in rank order; `None` if it cannot be computed.
-    pub maps: Vec<Option<PathBuf>>,
-}
 
 #[cfg(test)]
 mod tests {

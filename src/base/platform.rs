@@ -38,13 +38,13 @@ fn absolute_folders(path: &OsStr) -> impl Iterator<Item = PathBuf> {
     std::env::split_paths(path).filter(|folder| folder.is_absolute())
 }
 
-/// A call of a program of the system by its name. Neither it nor what it calls in turn is looked
+/// A call of a program, by its path or by its name on the PATH. Neither it nor what it calls in turn is looked
 /// for in the current folder, whatever the PATH.
 ///
 /// # Errors
 /// If it is not on the PATH.
-pub fn command(program: &str) -> io::Result<Command> {
-    let found = located(Path::new(program)).ok_or(io::ErrorKind::NotFound)?;
+pub fn command(program: impl AsRef<Path>) -> io::Result<Command> {
+    let found = located(program.as_ref()).ok_or(io::ErrorKind::NotFound)?;
     let mut command = Command::new(found);
     // On Windows, programs are looked for there before the PATH unless this is set.
     command.env("NoDefaultCurrentDirectoryInExePath", "1");
@@ -125,6 +125,22 @@ pub fn end_group(child: &mut Child) {
         .and_then(rustix::process::Pid::from_raw)
     {
         _ = rustix::process::kill_process_group(group, rustix::process::Signal::TERM);
+    }
+    #[cfg(not(unix))]
+    {
+        _ = child.kill();
+    }
+    _ = child.wait();
+}
+
+/// Asks a child to end, and waits for it; elsewhere than on Unix it is ended at once.
+pub fn end(child: &mut Child) {
+    #[cfg(unix)]
+    if let Some(process) = i32::try_from(child.id())
+        .ok()
+        .and_then(rustix::process::Pid::from_raw)
+    {
+        _ = rustix::process::kill_process(process, rustix::process::Signal::TERM);
     }
     #[cfg(not(unix))]
     {

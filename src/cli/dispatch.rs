@@ -7,15 +7,15 @@ use std::{
 
 use crate::{
     apps::dispatch::{
-        Dispatch, DispatchError, Task, Tools,
-        slurm::{self, SlurmQueue, Submission},
+        Dispatch, DispatchError, Tools,
+        slurm::{self, Request, SlurmQueue, Submission},
     },
     backends::{self, place},
     base::shell::sh_word,
     config::{Budget, CommandLineSettings, DispatchSettings, Share},
     daemon::{follow, phase::Phase, state::Outcome},
     io::{
-        output::{self, Contents, Disk, FileSet},
+        output::{Disk, FileSet},
         project::Project,
     },
     show::manifest::WrittenPlan,
@@ -37,7 +37,7 @@ pub struct Arguments {
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
-    /// slurm: job arrays. shell: only the scripts, for GNU parallel or a plain loop
+    /// slurm: job arrays. shell: only the export, and the commands for GNU parallel or a plain loop
     #[arg(long, value_enum)]
     scheduler: Scheduler,
     /// Backend that computes the depth maps [default: the plan's]
@@ -92,7 +92,7 @@ pub struct Arguments {
     #[arg(long, value_name = "LINES", help_heading = "Task")]
     setup: Option<String>,
 
-    /// Print the scripts and the commands; write and submit nothing
+    /// Print the commands; write and submit nothing
     #[arg(long, help_heading = "Output")]
     dry_run: bool,
     /// Format of the results on stdout
@@ -114,8 +114,6 @@ struct Report<'a> {
     tasks: usize,
     done: usize,
     target_reached: bool,
-    #[serde(skip)]
-    at_once: Option<u32>,
     #[serde(flatten)]
     submission: Submission,
 }
@@ -137,11 +135,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .settings
         .dispatch;
     let cut = plan.cut_at(arguments.budget, arguments.target);
-    let image_faults = plan.project.image_faults(&plan.scene);
-    let selection = plan.selection(&plan.clusters[..cut], &image_faults);
-    let exported = backend.export(&selection, &Default::default())?;
-    output::refuse_to_leave(&plan.project.home, &exported.files.root)?;
-    let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
+    let (dispatch, exported) = Dispatch::of_plan(&plan, backend, cut)?;
     let _held = if arguments.dry_run {
         None
     } else {
@@ -157,14 +151,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let submission = job.submit(exported.files)?;
     let report = job.report(submission);
-    let text = || report.text(arguments, &job.dispatch);
     match arguments.format {
         Format::Json => print_json(&report),
-        Format::Text if arguments.dry_run => {
-            let files = job.files(&Default::default());
-            print(scripts(&files).into_iter().chain(text()))
-        }
-        Format::Text => print(text()),
+        Format::Text => print(report.text(&job)),
     }
 }
 
@@ -180,46 +169,33 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Writes the files, and submits the tasks to the queue, if there is one; neither in a dry run.
+    /// Writes the export, and submits the tasks to the queue, if there is one; neither in a dry run.
     fn submit(&self, exported: FileSet) -> Result<Submission, Failure> {
-        let Self {
-            dispatch,
-            settings,
-            reached,
-            ..
-        } = self;
-        let mut exported = Some(exported);
-        let mut write = |queue: &SlurmQueue| self.write(exported.take(), queue);
+        let request = Request {
+            dispatch: &self.dispatch,
+            tools: &self.tools,
+            settings: &self.settings,
+            reached: self.reached,
+        };
+        let write = || self.write(exported);
         Ok(match (self.arguments.scheduler, self.arguments.dry_run) {
-            (Scheduler::Slurm, true) => {
-                let tasks = dispatch.tasks.iter();
-                let missing: Vec<&Task> = tasks.filter(|task| !dispatch.is_done(task)).collect();
-                queue_or_empty(dispatch).rehearse(dispatch, &missing, settings, *reached)
-            }
-            (Scheduler::Slurm, false) => slurm::submit(dispatch, settings, *reached, write)?,
+            (Scheduler::Slurm, true) => queue_or_empty(&self.dispatch).rehearse(request),
+            (Scheduler::Slurm, false) => slurm::submit(request, write)?,
             (Scheduler::Shell, true) => Submission::default(),
             (Scheduler::Shell, false) => {
-                // Queued tasks may still read older lists.
-                let queue = SlurmQueue::read(dispatch);
-                write(&queue.unwrap_or_else(|_| SlurmQueue::empty(dispatch)))?;
+                write()?;
                 Submission::default()
             }
         })
     }
 
-    /// Writes the export, unless it is written already, and the scripts with the lists of the queue.
-    fn write(&self, exported: Option<FileSet>, queue: &SlurmQueue) -> Result<(), Failure> {
+    /// Writes the export.
+    fn write(&self, exported: FileSet) -> Result<(), Failure> {
         let disk = self.project.disk();
-        if let Some(files) = exported {
-            let folder = files.root.clone();
-            place::set_of_folder(&folder, [files], self.project).write(&disk)?;
-        }
-        self.files(&queue.lists()).write(&disk)?;
+        let folder = exported.root.clone();
+        place::set_of_folder(&folder, [exported], self.project).write(&disk)?;
+        self.dispatch.files().write(&disk)?;
         Ok(())
-    }
-
-    fn files(&self, lists: &BTreeSet<String>) -> FileSet {
-        self.dispatch.files(&self.tools, &self.settings, lists)
     }
 
     fn report(&self, submission: Submission) -> Report<'_> {
@@ -236,7 +212,6 @@ impl Job<'_> {
             tasks: tasks.len(),
             done: done.count(),
             target_reached: self.reached,
-            at_once: self.settings.at_once,
             submission,
         }
     }
@@ -317,21 +292,9 @@ impl Arguments {
     }
 }
 
-/// Returns the scripts as they would be written.
-fn scripts(files: &FileSet) -> Vec<String> {
-    let mut lines = Vec::new();
-    for (path, contents) in &files.files {
-        if let Contents::Script(bytes) = contents {
-            lines.push(format!("--- {path}"));
-            lines.extend(String::from_utf8_lossy(bytes).lines().map(String::from));
-            lines.push(String::new());
-        }
-    }
-    lines
-}
-
 impl Report<'_> {
-    fn text(&self, arguments: &Arguments, dispatch: &Dispatch) -> Vec<String> {
+    fn text(&self, job: &Job) -> Vec<String> {
+        let arguments = job.arguments;
         let (folder, all) = (self.folder.display(), self.tasks);
         let mut lines = vec![format!(
             "{}: {all} view clusters, {} finished; {folder}",
@@ -344,7 +307,7 @@ impl Report<'_> {
         }
         match arguments.scheduler {
             Scheduler::Shell if self.target_reached => {}
-            Scheduler::Shell => lines.extend(by_hand(dispatch, self.at_once)),
+            Scheduler::Shell => lines.extend(by_hand(job)),
             Scheduler::Slurm => {
                 let Submission {
                     commands,
@@ -382,18 +345,20 @@ impl Report<'_> {
     }
 }
 
-/// Returns the commands that start the scripts without a queue. They name the folder once: GNU parallel
-/// would take braces in the path of a script for its own.
-fn by_hand(dispatch: &Dispatch, at_once: Option<u32>) -> [String; 2] {
-    let folder = sh_word(&dispatch.folder.display().to_string());
+/// Returns the commands that do the tasks without a queue. The project is the current folder: GNU
+/// parallel would take braces in its path for its own.
+fn by_hand(job: &Job) -> [String; 2] {
+    let dispatch = &job.dispatch;
+    let folder = sh_word(&dispatch.project.display().to_string());
     let last = dispatch.tasks.last().map_or(0, |task| task.rank);
-    let jobs = at_once.unwrap_or(2);
+    let jobs = job.settings.at_once.unwrap_or(2);
+    let viewrank = dispatch.command(Path::new("."), &job.tools, job.settings.cpus);
     [
         format!(
-            "  one by one       cd {folder} && {{ for rank in $(seq {last}); do ./task.sh $rank; done; ./fuse.sh; }}"
+            "  one by one       cd {folder} && {{ for rank in $(seq {last}); do {viewrank} --rank $rank; done; {viewrank} --fuse; }}"
         ),
         format!(
-            "  with parallel    cd {folder} && {{ seq {last} | parallel -j {jobs} ./task.sh; ./fuse.sh; }}"
+            "  with parallel    cd {folder} && {{ seq {last} | parallel -j {jobs} {viewrank} --rank; {viewrank} --fuse; }}"
         ),
     ]
 }

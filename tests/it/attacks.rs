@@ -705,7 +705,7 @@ fn files_that_are_mostly_holes_are_read_by_no_command() {
 }
 
 #[test]
-fn scripts_of_dispatch_wait_for_no_pipe_and_write_through_no_link() {
+fn tasks_of_a_queue_wait_for_no_pipe_and_write_through_no_link() {
     let place = Place::new();
     let (project, outside) = (place.project(), place.folder.path().join("outside"));
     fs::create_dir(&outside).unwrap();
@@ -757,11 +757,15 @@ fn scripts_of_dispatch_wait_for_no_pipe_and_write_through_no_link() {
     assert!(fs::read_dir(outside).unwrap().next().is_none());
     succeeds(dispatch());
     symlink(place.precious(), place.own("progress.json")).unwrap();
-    let task = Command::new(place.own("dispatch/sgm/task.sh"))
-        .arg("1")
-        .output()
-        .unwrap();
-    assert!(fails(task).contains("progress.json: not made by viewrank"));
+    let task = viewrank(&[
+        "run",
+        path(&project),
+        "--rank",
+        "1",
+        "--program",
+        "/bin/true",
+    ]);
+    assert!(fails(task).contains("a symbolic link in place of a file of viewrank's"));
 }
 
 #[test]

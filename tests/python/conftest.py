@@ -29,6 +29,7 @@ def viewrank():
         assert done.returncode == expect, f"{arguments}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
         return done
 
+    run.program = Path(program).resolve()
     return run
 
 

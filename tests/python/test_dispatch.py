@@ -13,6 +13,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -25,6 +26,8 @@ SGM = ROOT / "integrations/sgm/sgm.py"
 DAEMONS = [f"{folder}/{name}" for name in ("slurmctld", "slurmd") for folder in ("/usr/sbin", "/usr/local/sbin") if Path(folder, name).exists()]
 RANKS = 4
 MAX_INDEX = 2  # of an array, so that the ranks need two
+
+REACHED = '{"backend": "sgm", "target_reached": true}'
 
 # Stands before sgm.py: notes each start, and waits while a file says so.
 FRONT = """
@@ -60,8 +63,14 @@ class Work:
         done = self.viewrank("dispatch", self.project, "--scheduler", scheduler, "--backend", "sgm", "--program", self.front, "--budget", RANKS, "--format", "json", *options)
         return json.loads(done.stdout)
 
-    def script(self, name):
-        return self.project / "viewrank/dispatch/sgm" / name
+    def task(self, *which, program=None, backend="sgm", **options):
+        """What a process of a queue does: the depth map of a rank, or the cloud."""
+        command = [self.viewrank.program, "run", self.project, "--backend", backend, "--budget", RANKS, "--program", program or self.front, *which]
+        return subprocess.run([str(word) for word in command], check=options.pop("check", True), capture_output=True, text=True, **options)
+
+    def compute(self, *ranks):
+        for rank in ranks:
+            self.task("--rank", rank, cwd="/")
 
     def calls(self):
         """Returns (rank, process) of each computation, in the order of their starts."""
@@ -109,17 +118,13 @@ def work(tmp_path, viewrank, fixtures, monkeypatch):
 def test_a_plain_loop_computes_each_rank_once(work):
     report = work.dispatch("shell")
     assert report["tasks"] == RANKS and report["done"] == 0 and work.ranks() == []
-    task = work.script("task.sh")
-    for rank in range(1, RANKS + 1):
-        subprocess.run([task, str(rank)], check=True, cwd="/")
+    work.compute(*range(1, RANKS + 1))
     assert work.ranks() == list(range(1, RANKS + 1))
-    subprocess.run([work.script("fuse.sh")], check=True, cwd="/")
+    work.task("--fuse", cwd="/")
     assert work.maps() == work.keys(RANKS) == work.reported()
-    again = subprocess.run([task, "3"], check=True, capture_output=True, text=True)
-    assert "is there" in again.stdout and "nothing new" in subprocess.run([work.script("fuse.sh")], capture_output=True, text=True).stdout
+    assert all("nothing to do" in work.task(*which).stderr for which in (["--rank", 3], ["--fuse"]))
     (work.project / "sgm/depth_maps" / work.keys(RANKS)[0]).unlink()
-    for rank in range(1, RANKS + 2):
-        subprocess.run([task, str(rank)], check=True)
+    work.compute(*range(1, RANKS + 2))
     assert len(work.ranks()) == RANKS + 1, "only the lost map is made again, and a rank too many does no harm"
     assert work.dispatch("shell")["done"] == RANKS
 
@@ -127,56 +132,67 @@ def test_a_plain_loop_computes_each_rank_once(work):
 def test_a_killed_task_is_done_again_and_a_reached_target_ends(work):
     work.dispatch("shell")
     work.hold(1)
-    running = subprocess.Popen([work.script("task.sh"), "1"], start_new_session=True)
-    work.process(1)
-    os.killpg(running.pid, signal.SIGKILL)
-    running.wait()
+    running = threading.Thread(target=work.task, args=("--rank", 1), kwargs={"check": False, "start_new_session": True})
+    running.start()
+    os.killpg(os.getsid(work.process(1)), signal.SIGKILL)
+    running.join()
     work.release(1)
-    (work.project / "viewrank/progress.json").write_text('{\n  "target_reached": true\n}')
-    subprocess.run([work.script("task.sh"), "1"], check=True)
+    (work.project / "viewrank/progress.json").write_text(REACHED)
+    work.compute(1)
     assert work.ranks() == [1]
     (work.project / "viewrank/progress.json").unlink()
-    subprocess.run([work.script("task.sh"), "1"], check=True)
+    work.compute(1)
     assert work.ranks() == [1, 1] and work.maps() == work.keys(1)
+
+
+def test_two_processes_compute_a_key_view_once(work):
+    work.dispatch("shell")
+    work.hold(1)
+    both = [threading.Thread(target=work.compute, args=(1,)) for _ in range(2)]
+    for one in both:
+        one.start()
+    work.process(1)
+    time.sleep(0.5)
+    work.release(1)
+    for one in both:
+        one.join()
+    assert work.ranks() == [1] and work.maps() == work.keys(1)
+    assert [path.suffix for path in (work.project / "viewrank/dispatch/sgm/done").iterdir()] == [""]
 
 
 def test_another_plan_makes_only_what_is_new(work):
     work.dispatch("shell")
-    for rank in range(1, 4):
-        subprocess.run([work.script("task.sh"), str(rank)], check=True)
+    work.compute(1, 2, 3)
     # A share that the maps of the first plan do not reach, which it keeps.
     work.viewrank("plan", work.project, "--backend", "sgm", "-k", "3", "--target", "100%", "--quiet")
     assert work.dispatch("shell")["done"] == 3 < RANKS
-    for rank in range(1, RANKS + 1):
-        subprocess.run([work.script("task.sh"), str(rank)], check=True)
+    work.compute(*range(1, RANKS + 1))
     assert work.ranks() == list(range(1, RANKS + 1)) and work.dispatch("shell")["done"] == RANKS
 
 
 def test_maps_of_a_model_that_moved_are_made_anew(work):
     pycolmap = pytest.importorskip("pycolmap")
     work.dispatch("shell")
-    for rank in (1, 2):
-        subprocess.run([work.script("task.sh"), str(rank)], check=True)
+    work.compute(1, 2)
     assert work.dispatch("shell")["done"] == 2
     model = pycolmap.Reconstruction(work.project / "sparse/0")
     model.transform(pycolmap.Sim3d(2.0, pycolmap.Rotation3d(), [0, 0, 0]))
     model.write(work.project / "sparse/0")
     work.viewrank("plan", work.project, "--backend", "sgm", "--target", "99%", "--quiet")
     assert work.dispatch("shell")["done"] == 0
-    subprocess.run([work.script("task.sh"), "1"], check=True)
+    work.compute(1)
     assert work.ranks() == [1, 2, 1] and work.dispatch("shell")["done"] == 1
 
 
 def test_the_project_by_any_path(work, tmp_path):
-    """A relative path or a link gives the same scripts, which run in any folder."""
-    work.dispatch("shell")
-    scripts = [work.script(name).read_text() for name in ("task.sh", "fuse.sh")]
-    real = work.project
-    (tmp_path / "link").symlink_to(real)
-    for work.project in (Path(os.path.relpath(real)), tmp_path / "link"):
-        work.dispatch("shell")
-        assert [work.script(name).read_text() for name in ("task.sh", "fuse.sh")] == scripts
-    subprocess.run([real / "viewrank/dispatch/sgm/task.sh", "1"], check=True, cwd="/")
+    """A relative path or a link means the same project, and the same commands."""
+    (tmp_path / "link").symlink_to(work.project)
+    said = lambda: work.viewrank("dispatch", work.project, "--scheduler", "shell", "--program", work.front, "--budget", RANKS).stdout
+    first = said()
+    for work.project in (Path(os.path.relpath(work.project)), tmp_path / "link"):
+        assert said() == first
+    work.compute(1)
+    assert work.maps() == work.keys(1)
 
 
 def test_a_target_beyond_the_plan_is_refused(work):
@@ -231,14 +247,14 @@ def test_colmap_maps_must_be_whole(work):
     program.chmod(0o755)
     options = ("--scheduler", "shell", "--backend", "colmap", "--program", program, "--format", "json", "--budget", RANKS)
     tasks = json.loads(work.viewrank("dispatch", work.project, *options).stdout)["tasks"]
-    task = work.project / "viewrank/dispatch/colmap/task.sh"
+    task = lambda *which, **options: work.task(*which, program=program, backend="colmap", **options)
     (work.folder / "bytes").write_text("30")
-    assert subprocess.run([task, "2"], capture_output=True).returncode == 1, "cut off"
+    assert task("--rank", 2, check=False).returncode == 1, "cut off"
     (work.folder / "bytes").write_text("1000")
     for _ in range(2):
         for rank in range(1, tasks + 1):
-            subprocess.run([task, str(rank)], check=True)
-    subprocess.run([task.with_name("fuse.sh")], check=True)
+            task("--rank", rank)
+    task("--fuse")
     calls = (work.folder / "colmap").read_text().splitlines()
     assert len(calls) == tasks + 2 and "stereo_fusion" in calls[-1]
     assert json.loads(work.viewrank("dispatch", work.project, *options).stdout)["done"] == tasks
@@ -248,11 +264,8 @@ def test_dry_run_writes_nothing(work):
     before = sorted(work.project.rglob("*"))
     done = work.viewrank("dispatch", work.project, "--scheduler", "slurm", "--backend", "openmvs", "--dry-run", "--time", "90min", "--memory", "2G", "--gpus", "1", "--at-once", "3", "--partition", "night", "--option=--exclusive")
     assert sorted(work.project.rglob("*")) == before
-    for word in ("--time=90", "--mem=2048M", "--gres=gpu:1", "%3", "--partition=night", "--exclusive", "--dependency=afterany:JOB1", "run.py --densify"):
+    for word in ("--time=90", "--mem=2048M", "--gres=gpu:1", "%3", "--partition=night", "--exclusive", "--dependency=afterany:JOB1", "--rank $((0 + SLURM_ARRAY_TASK_ID))", "--fuse"):
         assert word in done.stdout, word
-    scripts = done.stdout.split("--- viewrank/dispatch/openmvs/")[1:]
-    assert [script.split("\n")[0] for script in scripts] == ["fuse.sh", "task.sh"]
-    assert all("night" not in script.split("would run")[0] for script in scripts), "no cluster's names in the scripts"
 
 
 def test_a_percent_sign_in_a_folder_stays_one_in_names_of_logs(viewrank, fixtures, tmp_path):
@@ -439,7 +452,7 @@ def test_slurm_tasks_see_the_target_themselves(work, slurm):
     work.hold(2)
     work.dispatch("slurm", "--at-once", "1")
     work.process(2)
-    (work.project / "viewrank/progress.json").write_text('{\n  "target_reached": true\n}')
+    (work.project / "viewrank/progress.json").write_text(REACHED)
     work.release(2)
     slurm.drained()
     assert work.ranks() == [1, 2] and work.maps() == work.keys(2) == work.reported()

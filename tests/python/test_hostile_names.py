@@ -133,10 +133,8 @@ def test_names_stay_names(fixtures, few_points, machine, tmp_path, backend):
     for command in [*map(shlex.quote, scripts), *json.loads(record.read_text())["commands"]]:
         run(command, root, machine, calls)
     if backend in ("colmap", "openmvs", "sgm"):
-        subprocess.run([PROGRAM, "dispatch", project, "--scheduler", "shell", "--program", machine / "colmap"], capture_output=True, check=True)
-        for script in (project / "viewrank/dispatch").rglob("task.sh"):
-            for rank in spread(range(1, len(NAMES) + 1), 7):
-                run(f"sh {shlex.quote(str(script))} {rank}", root, machine, calls)
+        for rank in spread(range(1, len(NAMES) + 1), 7):
+            run(shlex.join(map(str, [PROGRAM, "run", project, "--program", machine / "colmap", "--rank", rank])), root, machine, calls)
     assert not list(tmp_path.rglob("pwned*")), "a name was run"
     assert calls.stat().st_size or backend not in CALLED
     words = [word for call in calls.read_text().split("\x1d") for word in call.split("\x1e")[1:]]

@@ -241,20 +241,11 @@ def test_tasks_of_a_queue_name_views_without_escape_sequences(viewrank, plans, t
     program.write_text("#!/bin/sh\nexit 1\n")
     program.chmod(0o755)
     viewrank("plan", project, "--backend", "colmap", "--budget", "2", "--quiet")
-    viewrank("dispatch", project, "--backend", "colmap", "--scheduler", "shell", "--program", program)
-    queue = project / "viewrank/dispatch/colmap"
-    (tasks,) = queue.glob("*.tsv")
-    before = tasks.read_text()
-    tasks.write_text("\n".join(f"{line}{ESCAPE}\\033[2J" for line in tasks.read_text().splitlines()) + "\n")
-    done = subprocess.run(["sh", queue / "task.sh", "1"], capture_output=True, text=True)
-    assert done.returncode == 1 and "rank 1" in done.stdout and "\\033[2J failed" in done.stderr
-    assert "\x1b" not in done.stdout + done.stderr
-    tasks.write_text(before)
-    program.unlink()
-    for script, words in (("task.sh", ["1"]), ("fuse.sh", []), ("task.sh", ["array"])):
-        done = subprocess.run(["sh", queue / script, *words], capture_output=True, text=True)
-        assert "\x1b" not in done.stdout + done.stderr, done.stderr
-    assert "task.sh: " in done.stderr, "sh names the script"
+    for which in (["--rank", "1"], ["--rank", "99"], ["--fuse"]):
+        done = subprocess.run([viewrank.program, "run", project, "--program", program, *which], capture_output=True, text=True)
+        assert "\x1b" not in done.stdout + done.stderr and "\x07" not in done.stderr, done.stderr
+        assert done.returncode == int(which[1:] == ["1"]), done.stderr
+    assert len(list((project / "viewrank/dispatch/colmap/done").iterdir())) == 1, "the lock of the task that failed"
 
 
 def test_realityscan_names_a_side_file_without_escape_sequences(tmp_path):

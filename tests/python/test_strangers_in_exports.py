@@ -227,74 +227,47 @@ def test_nothing_outside_the_export_changes(case, viewrank, plans, tmp_path):  #
         assert done.returncode != 0 and "error:" in done.stderr and "\x1b" not in done.stdout + done.stderr, done.stderr
 
 
-def queue(viewrank, plans, tmp_path):  # noqa: F811
-    """A project with the scripts of a queue, their folder, and one outside."""
-    project = tmp_path / "project"
+@pytest.mark.parametrize("which", [["--rank", "1"], ["--fuse"]])
+def test_tasks_of_a_queue(which, viewrank, plans, tmp_path):  # noqa: F811
+    """The same for what `viewrank dispatch` and `viewrank run` start."""
+    project, outside = tmp_path / "project", tmp_path / "outside"
     shutil.copytree(plans[4], project, symlinks=True)
     program = tmp_path / "colmap"
     program.write_text(COLMAP.replace("PYTHON", INTERPRETER))
     program.chmod(0o755)
     viewrank("plan", project, "--backend", "colmap", "--budget", "3", "--quiet")
-    viewrank("dispatch", project, "--backend", "colmap", "--scheduler", "shell", "--program", program)
-    folder, outside = project / "viewrank/dispatch/colmap", tmp_path / "outside"
     (outside / "docs").mkdir(parents=True)
     (outside / "profile").write_text("export PATH")
-    return project, folder, outside
 
+    def run(which, **options):
+        return subprocess.run([viewrank.program, "run", project, "--program", program, *which], capture_output=True, text=True, timeout=60, **options)
 
-@pytest.mark.parametrize("script", ["task.sh", "fuse.sh"])
-def test_a_list_that_viewrank_has_not_written_is_refused(script, viewrank, plans, tmp_path):  # noqa: F811
-    project, folder, outside = queue(viewrank, plans, tmp_path)
-    (path,) = folder.glob("list-*.tsv")
-    lines = path.read_text().splitlines()
-    rank, marker, id, map, key = lines[0].split("\t")
-    up = "../" * 5
-    forged = [(rank, f"{up}outside/profile", id, map, key), (rank, "0" * 15 + "/", id, map, key), (rank, marker, "touch profile", map, key), (rank, marker, id, "/etc/hostname", key),
-              (rank, marker, id, f"{project}/{up}etc/hostname", key), (rank, marker, id, f"{project}x/map", key), ("-1", marker, id, map, key), (rank, marker, id, map), (rank,)]
-    (folder / "done").mkdir()
-
-    def run():
-        done = subprocess.run(["sh", folder / script, "1"], capture_output=True, text=True, cwd=outside, timeout=20, stdin=subprocess.DEVNULL)
-        assert sorted(path.name for path in outside.rglob("*")) == ["docs", "profile"] and (outside / "profile").read_text() == "export PATH"
-        return done
-
-    for fields in forged:
-        for text in ("\t".join(fields), "\n".join([*lines, "\t".join(fields)])):
-            path.write_text(text + "\n")
-            done = run()
-            assert done.returncode == 1 and "not made by viewrank" in done.stderr, f"{fields}: {done.stdout}{done.stderr}"
-    with path.open("wb") as file:
-        file.truncate(1 << 32)
-    done = run()
-    assert done.returncode == 1 and "64 MiB" in done.stderr
-    path.write_text("\n".join(lines) + "\n")
-    # What is not the id of a cluster is no marker, however long.
-    with (folder / "done" / marker).open("wb") as file:
-        file.truncate(1 << 32)
-    assert run().returncode == 0
-
-
-@pytest.mark.parametrize("script", ["task.sh", "fuse.sh"])
-def test_scripts_of_a_queue(script, viewrank, plans, tmp_path):  # noqa: F811
-    """The same for what `viewrank dispatch` and `viewrank run` start."""
-    project, folder, outside = queue(viewrank, plans, tmp_path)
-    words = ["1"] if script == "task.sh" else []
-
-    def run():
-        return subprocess.run(["sh", folder / script, *words], capture_output=True, text=True, cwd="/", timeout=20, stdin=subprocess.DEVNULL)
-
-    subprocess.run(["sh", folder / "task.sh", "1"], check=True, capture_output=True)
-    subprocess.run(["sh", folder / "fuse.sh"], check=True, capture_output=True)
+    run(["--rank", "1"], check=True)
+    run(["--fuse"], check=True)
+    folder = project / "viewrank/dispatch/colmap"
     (marker,) = (folder / "done").iterdir()
-    for name in ("done", f"done/{marker.name}", "fused", "logs", "logs/x", "../../progress.json"):
+    names = ["done", f"done/{marker.name}", f"done/{marker.name}.lock", "fused", "../../progress.json", "../../colmap/stereo/viewrank/run.sh"]
+    for name in names:
         for put in REFUSED[:4]:
             kept = tmp_path / "kept"
             shutil.copytree(project, kept, symlinks=True)
             remove(folder / name)
             put(folder / name, outside)
-            done = run()
-            if not name.startswith(".."):
+            done = run(which)
+            if not name.endswith((".json", ".lock")):
                 assert done.returncode != 0 and "error:" in done.stderr, f"{put.__name__} at {name}: {done.stdout}{done.stderr}"
             assert sorted(path.name for path in outside.rglob("*")) == ["docs", "profile"] and (outside / "profile").read_text() == "export PATH"
             remove(project)
             kept.rename(project)
+
+
+def test_tasks_of_a_queue_run_no_other_script(viewrank, plans, tmp_path):  # noqa: F811
+    project = tmp_path / "project"
+    shutil.copytree(plans[4], project, symlinks=True)
+    viewrank("plan", project, "--backend", "openmvs", "--budget", "3", "--quiet")
+    (script,) = project.rglob("run.py")
+    script.write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
+    for which in (["--rank", "1"], ["--fuse"]):
+        done = viewrank("run", project, "--program", "/bin/true", *which, expect=1)
+        assert "run.py: missing, or not what this viewrank writes" in done.stderr and "viewrank plan" in done.stderr
+    assert not (tmp_path / "pwned").exists()

@@ -1,13 +1,12 @@
-//! The view clusters of a plan as tasks of a queue, one task per rank, for `viewrank dispatch`.
+//! The view clusters of a plan as tasks, one per rank, for `viewrank run` and for queues.
 //!
-//! `PROJECT/viewrank/dispatch/NAME` holds `list-HASH.tsv` (one line per task: rank, marker, id,
-//! depth map, key view), `task.sh` and `fuse.sh` (the scripts of `integrations/slurm`, with their
-//! variables filled in), `logs/`, and the records of the scripts: `done/MARKER` with the id of the
-//! cluster that the depth map was made for, and `fused`, the ids joined last. An id covers a key
-//! view with its partners, their cameras and poses, so a changed plan recomputes only changed
-//! clusters. Missing work is derived from these files alone; [`slurm`] knows which of it is queued.
+//! `PROJECT/viewrank/dispatch/NAME` holds the records: `done/MARKER` with the id of the cluster that
+//! the depth map was made for, `fused` with the ids joined last, and the `logs/` of a queue. An id
+//! covers a key view with its partners, their cameras and poses, so a changed plan recomputes only
+//! changed clusters. Missing work is derived from these files alone; [`runner`] does it, here or on
+//! a node, and [`slurm`] knows which of it is queued.
 
-pub mod local;
+pub mod runner;
 pub mod slurm;
 
 use std::{
@@ -19,21 +18,21 @@ use std::{
 };
 
 use crate::{
-    backends::{self, BACKENDS, Backend, Export, Selection, TaskRunner, recipe},
+    backends::{self, BACKENDS, Backend, BackendError, Export, Selection, TaskRunner, recipe},
     base::{
         error::{Advice, Hint},
         input::FileKind,
         paths::absolute,
         platform,
-        printable::printable,
-        shell::quoted_path,
+        shell::sh_word,
     },
-    config::{DispatchSettings, Share},
+    config::Share,
     io::{
         output::{self, Contents, Disk, FileSet, Folder, OutputError},
         project::Project,
     },
     model::cluster::RankedCluster,
+    show::manifest::WrittenPlan,
 };
 
 /// The depth map of one view cluster.
@@ -55,21 +54,24 @@ pub struct Task {
 pub struct Dispatch {
     pub project: PathBuf,
     pub backend: &'static str,
-    /// Folder of the task files.
+    /// Folder of the records.
     pub folder: PathBuf,
     /// In rank order; clusters that cannot have a depth map are left out.
     pub tasks: Vec<Task>,
+    /// Options of `viewrank run` by which these tasks differ from the plan's own.
+    choice: String,
     /// Depth maps of ranks up to this one are kept, whoever made them: the plan was ranked around
     /// them.
     finished: usize,
-    /// Folder in which the backend runs.
+    /// Folder of the export.
     workplace: PathBuf,
+    image_scale: f64,
     /// The backend's program, if the export includes it.
     exported_program: Option<PathBuf>,
     runner: TaskRunner,
 }
 
-/// Programs that the scripts need besides the backend's own runner.
+/// Programs that the backend's commands need.
 #[derive(Clone, Debug)]
 pub struct Tools {
     pub program: PathBuf,
@@ -105,7 +107,7 @@ impl Tools {
     /// Programs that exist only on the nodes.
     pub fn unseen(runner: &TaskRunner) -> Self {
         let python = backends::python();
-        // Scripts run it from another folder.
+        // It is run from another folder.
         let python = if python.components().count() > 1 {
             absolute(&python)
         } else {
@@ -119,6 +121,26 @@ impl Tools {
 }
 
 impl Dispatch {
+    /// Returns the tasks of a plan's first `cut` clusters, and the export that they need.
+    pub fn of_plan(
+        plan: &WrittenPlan,
+        backend: &'static Backend,
+        cut: usize,
+    ) -> Result<(Self, Export), DispatchError> {
+        let image_faults = plan.project.image_faults(&plan.scene);
+        let selection = plan.selection(&plan.clusters[..cut], &image_faults);
+        let export = backend.export(&selection, &Default::default())?;
+        output::refuse_to_leave(&plan.project.home, &export.files.root)?;
+        let mut dispatch = Self::new(backend, &selection, &export, plan.finished)?;
+        if backend.name != plan.backend {
+            dispatch.choice += &format!(" --backend {}", backend.name);
+        }
+        if cut != plan.cut {
+            dispatch.choice += &format!(" --budget {cut}");
+        }
+        Ok((dispatch, export))
+    }
+
     /// Returns the tasks of an export with the default options; the plan was ranked around the
     /// first `finished` depth maps.
     pub fn new(
@@ -149,12 +171,6 @@ impl Dispatch {
             .enumerate()
             .filter_map(task)
             .collect();
-        if let Some(task) = tasks
-            .iter()
-            .find(|t| t.map.to_string_lossy().contains(['\t', '\n']))
-        {
-            return Err(DispatchError::Path(task.map.clone()));
-        }
         let folder = project.join("viewrank/dispatch").join(backend.name);
         let workplace = absolute(&export.files.root);
         let brings_program = export.files.files.contains_key(runner.program);
@@ -164,8 +180,10 @@ impl Dispatch {
             backend: backend.name,
             folder,
             tasks,
+            choice: String::new(),
             finished,
             workplace,
+            image_scale: export.record.image_scale,
             exported_program,
             runner,
         })
@@ -175,105 +193,54 @@ impl Dispatch {
         &self.runner
     }
 
-    /// Returns the lines of the list. The line of a rank changes only if its cluster does.
-    fn list(&self) -> String {
-        let line = |t: &Task| {
-            let key = printable(&t.key);
-            format!(
-                "{}\t{}\t{}\t{}\t{key}\n",
-                t.rank,
-                t.marker,
-                t.id,
-                t.map.display()
-            )
-        };
-        self.tasks.iter().map(line).collect()
+    /// Returns a name of the tasks, which changes with each of them.
+    pub fn plan_name(&self) -> String {
+        let ranks: Vec<String> = self
+            .tasks
+            .iter()
+            .map(|task| task.rank.to_string())
+            .collect();
+        let words = self.tasks.iter().zip(&ranks);
+        hash(words.flat_map(|(task, rank)| [&**rank, &task.id]))[..8].into()
     }
 
-    /// Returns the name of the list, which depends on its contents.
-    pub fn list_name(&self) -> String {
-        hash([self.list().as_str()])[..8].into()
-    }
-
-    fn list_path(&self, name: &str) -> PathBuf {
-        self.folder.join(format!("list-{name}.tsv"))
-    }
-
-    /// Returns the markers and ranks of an older list, if it still exists.
-    fn old_markers(&self, name: &str) -> Vec<(usize, String)> {
-        let text = self.own_text(&format!("list-{name}.tsv"));
-        let entry = |line: &str| {
-            let mut fields = line.split('\t');
-            Some((fields.next()?.parse().ok()?, fields.next()?.to_owned()))
-        };
-        text.lines().filter_map(entry).collect()
-    }
-
-    /// Returns the list and the scripts; older lists that queued tasks still read are kept.
-    pub fn files(
-        &self,
-        tools: &Tools,
-        settings: &DispatchSettings,
-        old_lists: &BTreeSet<String>,
-    ) -> FileSet {
-        let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
-        let mut add = |name: &str, contents| {
-            files.add(
-                format!("viewrank/dispatch/{}/{name}", self.backend),
-                contents,
-            )
-        };
-        let head = self.head(tools, settings);
-        let script = |template: &str| {
-            let list = include_str!("../../../integrations/slurm/list.sh");
-            let script = backends::with_refusal(&template.replacen("@LIST@\n", list, 1));
-            // The last: a path in it may hold anything.
-            Contents::Script(script.replacen("@HEAD@\n", &head, 1).into_bytes())
-        };
-        add(
-            "task.sh",
-            script(include_str!("../../../integrations/slurm/task.sh")),
-        );
-        add(
-            "fuse.sh",
-            script(include_str!("../../../integrations/slurm/fuse.sh")),
-        );
-        add("logs", Contents::Folder);
-        for old in old_lists {
-            let name = format!("list-{old}.tsv");
-            if let Ok(bytes) = self.own(&name) {
-                add(&name, Contents::Bytes(bytes));
-            }
+    /// Returns the start of the line of sh that does one of the tasks, which `--rank N` or `--fuse`
+    /// completes: the same viewrank, on the project at this path, with these programs.
+    pub fn command(&self, project: &Path, tools: &Tools, threads: u32) -> String {
+        let path = |path: &Path| sh_word(&path.display().to_string());
+        let mut words = vec![
+            path(&env::current_exe().unwrap_or_else(|_| "viewrank".into())),
+            format!("run {}{}", path(project), self.choice),
+            format!("--threads {threads}"),
+        ];
+        // One that only the nodes have is looked for there.
+        if tools.program.is_absolute() && Some(&tools.program) != self.exported_program.as_ref() {
+            words.push(format!("--program {}", path(&tools.program)));
         }
-        add(
-            &format!("list-{}.tsv", self.list_name()),
-            Contents::Bytes(self.list().into_bytes()),
-        );
+        words.join(" ")
+    }
+
+    /// Returns the folder of a queue's logs.
+    pub fn files(&self) -> FileSet {
+        let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
+        let logs = format!("viewrank/dispatch/{}/logs", self.backend);
+        files.add(logs, Contents::Folder);
         files
     }
 
-    /// Returns the variables of the scripts. SLURM copies a script when it is submitted, so all
-    /// paths are absolute.
-    fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
-        let TaskRunner { compute, fuse, .. } = &self.runner;
-        let body = |name: &str, command: &str| {
-            format!("{name}() {{\n    cd \"$workplace\" && {command}\n}}\n")
-        };
-        let setup = settings.setup.trim_end();
-        format!(
-            "project={}\nworkplace={}\nfolder={}\nlist={}\nfinished={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
-            quoted_path(&self.project),
-            quoted_path(&self.workplace),
-            quoted_path(&self.folder),
-            quoted_path(&self.list_path(&self.list_name())),
-            self.finished,
-            quoted_path(&tools.program),
-            quoted_path(&tools.python),
-            settings.cpus,
-            body("compute", compute),
-            body("fuse", fuse),
-            if setup.is_empty() { "" } else { "\n" },
-        )
+    /// Fails unless the programs of the export are there as they are written: they are about to be
+    /// run, and the folder may be a stranger's.
+    pub fn refuse_other_programs(&self, export: &Export) -> Result<(), DispatchError> {
+        for (name, contents) in &export.files.files {
+            let Contents::Script(bytes) = contents else {
+                continue;
+            };
+            let there = output::read_own(&self.workplace, name, FileKind::Record);
+            if there.ok().as_ref() != Some(bytes) {
+                return Err(DispatchError::Export(self.workplace.join(name)));
+            }
+        }
+        Ok(())
     }
 
     /// Returns whether the task's depth map exists and either was made from this key view and these
@@ -292,9 +259,9 @@ impl Dispatch {
             .map(|task| &*task.map)
     }
 
-    /// Refuses a project in which the scripts would read something other than files, for which they
-    /// would wait, or write through links.
-    fn refuse_strangers(&self) -> Result<(), OutputError> {
+    /// Refuses a project in which something other than files would be read, or written through
+    /// links.
+    pub fn refuse_strangers(&self) -> Result<(), OutputError> {
         let own = |name: &str| format!("viewrank/dispatch/{}/{name}", self.backend);
         let read = ["viewrank/progress.json".into(), own("fused")].into_iter();
         for name in read.chain(
@@ -367,17 +334,17 @@ impl Dispatch {
 
     /// Returns whether exactly the finished depth maps have been joined already.
     pub fn is_fused(&self) -> bool {
-        let done: String = self
-            .tasks
-            .iter()
-            .filter(|t| self.is_done(t))
-            .map(|t| format!("{}\n", t.id))
-            .collect();
+        let done = self.done_ids();
         done.is_empty() || self.own_text("fused") == done
     }
 
-    /// Reads a file in [`Self::folder`], written by viewrank or its scripts; links are not
-    /// followed.
+    /// Returns a line with the id of each finished task.
+    fn done_ids(&self) -> String {
+        let done = self.tasks.iter().filter(|task| self.is_done(task));
+        done.map(|task| format!("{}\n", task.id)).collect()
+    }
+
+    /// Reads a file in [`Self::folder`], links are not followed.
     fn own(&self, name: &str) -> Result<Vec<u8>, OutputError> {
         output::read_own(
             &self.project,
@@ -416,8 +383,8 @@ pub enum DispatchError {
         program: PathBuf,
         variable: &'static str,
     },
-    #[error("{}: tabs and line breaks separate the entries of the list", .0.display())]
-    Path(PathBuf),
+    #[error("{}: missing, or not what this viewrank writes, and so not run", .0.display())]
+    Export(PathBuf),
     #[error("{program}: {source}")]
     Start { program: String, source: io::Error },
     #[error("{command} failed: {message}")]
@@ -429,7 +396,9 @@ pub enum DispatchError {
     #[error("a viewrank run or dispatch is at work in {}", .0.display())]
     Busy(PathBuf),
     #[error(transparent)]
-    Lock(#[from] OutputError),
+    Output(#[from] OutputError),
+    #[error(transparent)]
+    Backend(#[from] BackendError),
     #[error("--target {wanted} is more than the plan's {planned}, at which tasks stop")]
     Target { wanted: Share, planned: Share },
 }
@@ -462,21 +431,30 @@ impl Hint for DispatchError {
                 )
                 .into()
             }
-            Self::Path(_) => "rename the folder or the image".into(),
             Self::Start { program, .. } if program == "sh" => {
-                "the scripts need sh; on Windows, put that of Git for Windows on the PATH, or use WSL".into()
+                "COLMAP's script needs sh; on Windows, put that of Git for Windows on the PATH, or use WSL".into()
             }
-            Self::Start { .. } => "run this where SLURM's commands are, or take --scheduler shell".into(),
+            Self::Start { program, .. } if slurm::COMMANDS.contains(&&**program) => {
+                "run this where SLURM's commands are, or take --scheduler shell".into()
+            }
+            Self::Start { .. } => "put it on the PATH; PYTHON names another Python".into(),
+            Self::Export(_) => "write the export again: viewrank plan, or viewrank dispatch".into(),
             Self::Refused { .. } => "see the queue's message; --dry-run shows all commands".into(),
             Self::Answer { .. } => "look whether that command works by itself".into(),
             Self::Stuck => "look with squeue, then try again".into(),
             Self::Busy(_) => "wait for it to end, or stop it with Ctrl-C; the same command, typed again, goes on from there".into(),
-            Self::Lock(error) => return error.hint(),
+            Self::Output(error) => return error.hint(),
+            Self::Backend(error) => return error.hint(),
             Self::Target { wanted, .. } => Advice::text("plan again with ").set_to("cut.target", wanted.to_string()),
         })
     }
 
     fn is_usage(&self) -> bool {
-        matches!(self, Self::Target { .. })
+        match self {
+            Self::Target { .. } => true,
+            Self::Output(error) => error.is_usage(),
+            Self::Backend(error) => error.is_usage(),
+            _ => false,
+        }
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! One job array whose indices are ranks; indices start in ascending order whatever the queue's
 //! priorities are. Beyond the largest index that the queue accepts, further arrays follow, each
-//! after the previous one. Jobs are identified by their names, which hold the project, the list of
-//! the tasks and the array's first rank: no state is kept between calls.
+//! after the previous one. Jobs are identified by their names, which hold the project, the plan and
+//! the array's first rank: no state is kept between calls. Each task is `viewrank run --rank N`.
 //!
 //! Run with SLURM 22.05 (Debian 12), hence: a single job with `--nice` needs backfill, which
 //! `sched/builtin` lacks. The fusion depends on `afterany`, since with `afterok` it never runs once
@@ -13,29 +13,38 @@
 //! `--requeue` is for lost nodes, with `--open-mode=append`, since a restart truncates the log. A
 //! script is copied to a spool folder, so paths are absolute.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    thread,
-    time::Duration,
-};
+use std::{collections::BTreeSet, thread, time::Duration};
 
-use super::{Dispatch, DispatchError, Task, hash};
+use super::{Dispatch, DispatchError, Task, Tools, hash};
 use crate::{base::platform, config::DispatchSettings};
 
 /// SLURM's default `MaxArraySize`, used if the queue cannot be asked.
 const MAX_ARRAY_SIZE: usize = 1001;
 /// SLURM's default `MaxJobCount`, used if the queue cannot be asked.
 const MAX_JOB_COUNT: usize = 10_000;
+/// SLURM's programs.
+pub const COMMANDS: [&str; 4] = ["squeue", "scontrol", "sbatch", "scancel"];
 /// Wait for cancelled tasks to leave the queue: number of polls, and the time between them.
 const LOOKS: usize = 100;
 const BETWEEN_LOOKS: Duration = Duration::from_millis(100);
+
+/// Tasks, and how the queue is to run them.
+#[derive(Clone, Copy)]
+pub struct Request<'a> {
+    pub dispatch: &'a Dispatch,
+    pub tools: &'a Tools,
+    pub settings: &'a DispatchSettings,
+    /// The existing depth maps reach the target.
+    pub reached: bool,
+}
 
 /// A task that is in the queue.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct QueuedTask {
     /// Job id of the array.
     job: String,
-    list: String,
+    /// Name of the plan that it is of.
+    plan: String,
     rank: usize,
     pending: bool,
 }
@@ -133,17 +142,17 @@ impl SlurmQueue {
                 .map(|rest| rest.split_once('-'))
             {
                 Some(None) => self.fusions.push((id.into(), state == "PENDING")),
-                Some(Some((list, offset))) => {
+                Some(Some((plan, offset))) => {
                     let index = id
                         .split_once('_')
                         .and_then(|(job, index)| Some((job, index.parse::<usize>().ok()?)));
                     let (Some((job, index)), Ok(offset)) = (index, offset.parse::<usize>()) else {
                         continue;
                     };
-                    let (job, list, pending) = (job.into(), list.into(), state == "PENDING");
+                    let (job, plan, pending) = (job.into(), plan.into(), state == "PENDING");
                     self.tasks.push(QueuedTask {
                         job,
-                        list,
+                        plan,
                         rank: offset + index,
                         pending,
                     });
@@ -151,11 +160,6 @@ impl SlurmQueue {
                 None => {}
             }
         }
-    }
-
-    /// Returns the lists that queued tasks read.
-    pub fn lists(&self) -> BTreeSet<String> {
-        self.tasks.iter().map(|task| task.list.clone()).collect()
     }
 
     /// Returns jobs with tasks that have not started, without duplicates.
@@ -187,35 +191,14 @@ impl SlurmQueue {
             .collect()
     }
 
-    /// Returns the queued ranks of the current list.
+    /// Returns the queued ranks of this plan.
     fn queued(&self, dispatch: &Dispatch) -> BTreeSet<usize> {
-        let list = dispatch.list_name();
+        let plan = dispatch.plan_name();
         self.tasks
             .iter()
-            .filter(|task| task.list == list)
+            .filter(|task| task.plan == plan)
             .map(|task| task.rank)
             .collect()
-    }
-
-    /// Returns the markers of key views of other lists that are being computed.
-    fn busy(&self, dispatch: &Dispatch) -> BTreeSet<String> {
-        let current = dispatch.list_name();
-        let mut lists: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
-        for task in self
-            .tasks
-            .iter()
-            .filter(|task| !task.pending && task.list != current)
-        {
-            lists.entry(&task.list).or_default().insert(task.rank);
-        }
-        let markers = |(list, ranks): (&str, BTreeSet<usize>)| {
-            dispatch
-                .old_markers(list)
-                .into_iter()
-                .filter(move |(rank, _)| ranks.contains(rank))
-                .map(|(_, marker)| marker)
-        };
-        lists.into_iter().flat_map(markers).collect()
     }
 
     /// Returns how many more tasks the queue accepts; one is reserved for the fusion.
@@ -227,18 +210,13 @@ impl SlurmQueue {
     /// Returns the next commands. A cancellation comes alone: the queue must be read again after
     /// it.
     fn steps(&self, dispatch: &Dispatch, missing: &[&Task], reached: bool) -> Vec<Step> {
-        let (queued, busy) = (self.queued(dispatch), self.busy(dispatch));
-        let is_absent =
-            |task: &&&Task| !queued.contains(&task.rank) && !busy.contains(&task.marker);
-        let absent: Vec<usize> = missing
-            .iter()
-            .filter(is_absent)
-            .map(|task| task.rank)
-            .collect();
+        let queued = self.queued(dispatch);
+        let ranks = missing.iter().map(|task| task.rank);
+        let absent: Vec<usize> = ranks.filter(|rank| !queued.contains(rank)).collect();
         let outdated = self
             .tasks
             .iter()
-            .any(|task| task.pending && task.list != dispatch.list_name());
+            .any(|task| task.pending && task.plan != dispatch.plan_name());
         let waiting = self.tasks.iter().any(|task| task.pending);
         let cancels = if reached {
             waiting
@@ -266,19 +244,17 @@ impl SlurmQueue {
     }
 
     /// Returns the commands that [`submit`] would run now.
-    pub fn rehearse(
-        mut self,
-        dispatch: &Dispatch,
-        missing: &[&Task],
-        settings: &DispatchSettings,
-        reached: bool,
-    ) -> Submission {
+    pub fn rehearse(mut self, request: Request) -> Submission {
+        let Request {
+            dispatch, reached, ..
+        } = request;
+        let missing = &request.missing();
         let mut submission = Submission::default();
         let mut steps = self.steps(dispatch, missing, reached);
         if let [cancel @ Step::Cancel(_)] = &steps[..] {
             submission
                 .commands
-                .push(self.command(dispatch, cancel, settings, &[]));
+                .push(self.command(&request, cancel, &[]));
             self.tasks.retain(|task| !task.pending);
             self.fusions.retain(|&(_, pending)| !pending);
             steps = self.steps(dispatch, missing, reached);
@@ -287,7 +263,7 @@ impl SlurmQueue {
         for step in &steps {
             submission
                 .commands
-                .push(self.command(dispatch, step, settings, &submission.jobs));
+                .push(self.command(&request, step, &submission.jobs));
             submission.ranks.extend(step.ranks());
             submission
                 .jobs
@@ -297,13 +273,10 @@ impl SlurmQueue {
         submission
     }
 
-    fn command(
-        &self,
-        dispatch: &Dispatch,
-        step: &Step,
-        settings: &DispatchSettings,
-        before: &[String],
-    ) -> Vec<String> {
+    fn command(&self, request: &Request, step: &Step, before: &[String]) -> Vec<String> {
+        let Request {
+            dispatch, settings, ..
+        } = *request;
         let folder = dispatch.folder.display();
         // In the name of a log `%%` is a %.
         let logs = format!("{folder}/logs").replace('%', "%%");
@@ -322,7 +295,7 @@ impl SlurmQueue {
                 command.push(format!(
                     "--job-name={}{}-{}",
                     self.prefix,
-                    dispatch.list_name(),
+                    dispatch.plan_name(),
                     array.offset
                 ));
                 command.push(format!("--array={}", array.specification(settings.at_once)));
@@ -346,17 +319,36 @@ impl SlurmQueue {
         command.extend(resources(settings));
         command.push(format!("--chdir={}", dispatch.project.display()));
         command.extend(settings.options.iter().cloned());
-        match step {
-            Step::Array(array) => {
-                command.extend([
-                    format!("{folder}/task.sh"),
-                    "array".into(),
-                    array.offset.to_string(),
-                ]);
-            }
-            _ => command.push(format!("{folder}/fuse.sh")),
-        }
+        command.push(format!("--wrap={}", request.script(step)));
         command
+    }
+}
+
+impl<'a> Request<'a> {
+    /// Returns the tasks without a depth map, in rank order.
+    fn missing(&self) -> Vec<&'a Task> {
+        let tasks = self.dispatch.tasks.iter();
+        tasks.filter(|task| !self.dispatch.is_done(task)).collect()
+    }
+
+    /// Returns the lines of sh that a job runs.
+    fn script(&self, step: &Step) -> String {
+        let Self {
+            dispatch,
+            tools,
+            settings,
+            ..
+        } = *self;
+        let setup = match settings.setup.trim_end() {
+            "" => String::new(),
+            lines => format!("{lines}\n"),
+        };
+        let command = dispatch.command(&dispatch.project, tools, settings.cpus);
+        let task = match step {
+            Step::Array(array) => format!("--rank $(({} + SLURM_ARRAY_TASK_ID))", array.offset),
+            _ => "--fuse".into(),
+        };
+        format!("{setup}exec {command} {task}")
     }
 }
 
@@ -388,35 +380,31 @@ impl Step {
 /// Submits the missing tasks that are not queued, in rank order, and the fusion after them. If the
 /// target is reached, waiting tasks are cancelled.
 ///
-/// `before_submission` is called once obsolete tasks are cancelled: it writes the files that the
-/// tasks read.
+/// `before_submission` is called once obsolete tasks are cancelled: it writes the export.
 pub fn submit<E: From<DispatchError>>(
-    dispatch: &Dispatch,
-    settings: &DispatchSettings,
-    reached: bool,
-    before_submission: impl FnOnce(&SlurmQueue) -> Result<(), E>,
+    request: Request,
+    before_submission: impl FnOnce() -> Result<(), E>,
 ) -> Result<Submission, E> {
+    let Request {
+        dispatch, reached, ..
+    } = request;
     let mut submission = Submission::default();
     for _ in 0..LOOKS {
         let queue = SlurmQueue::read(dispatch)?;
         // Checked after the queue: a task that ends in between then counts as done, not as missing.
-        let missing: Vec<&Task> = dispatch
-            .tasks
-            .iter()
-            .filter(|task| !dispatch.is_done(task))
-            .collect();
+        let missing = request.missing();
         let steps = queue.steps(dispatch, &missing, reached);
         if let [cancel @ Step::Cancel(_)] = &steps[..] {
-            let command = queue.command(dispatch, cancel, settings, &[]);
+            let command = queue.command(&request, cancel, &[]);
             run(&command)?;
             submission.commands.push(command);
             thread::sleep(BETWEEN_LOOKS);
             continue;
         }
-        before_submission(&queue)?;
+        before_submission()?;
         submission.queued = queue.queued(dispatch).into_iter().collect();
         for step in &steps {
-            let command = queue.command(dispatch, step, settings, &submission.jobs);
+            let command = queue.command(&request, step, &submission.jobs);
             let answer = run(&command)?;
             let job = answer
                 .trim()
@@ -460,6 +448,14 @@ fn resources(settings: &DispatchSettings) -> impl Iterator<Item = String> {
         .flatten()
         .chain(memory)
         .chain([format!("--cpus-per-task={cpus}")])
+}
+
+/// Cancels the waiting tasks of the array that this process is a task of, if it is one.
+pub fn cancel_rest_of_array() -> Result<(), DispatchError> {
+    match std::env::var("SLURM_ARRAY_JOB_ID") {
+        Ok(job) => run(&["scancel".into(), "--state=PENDING".into(), job]).map(drop),
+        Err(_) => Ok(()),
+    }
 }
 
 /// Splits ascending ranks into arrays with indices that the queue accepts.
@@ -564,7 +560,7 @@ mod tests {
         );
         let found = QueuedTask {
             job: "17".into(),
-            list: "abcd".into(),
+            plan: "abcd".into(),
             rank: 1003,
             pending: false,
         };

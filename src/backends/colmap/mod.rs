@@ -15,7 +15,7 @@
 //! With geometric consistency the ranked list is cut into batches, so that an interrupted run
 //! leaves complete results of the best clusters.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, ffi::OsString};
 
 use nalgebra::Vector3;
 
@@ -24,9 +24,11 @@ use self::{
     finished::{MapRecipe, MapRecords, map_name},
 };
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
+    Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
+    ExportRecord, Honours, LastRun, PATCH_MATCH, PlanningNumbers, Product, References, Selection,
+    TaskRunner, Trap,
     record::{at_full_size, capped_scale},
+    runner::words,
     selection,
     workspace::{Workspace, add_workspace},
 };
@@ -101,11 +103,18 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     Some(TaskRunner {
         program: "colmap",
         variable: "COLMAP",
-        compute: "COLMAP=$program stereo/viewrank/run.sh --rank \"$rank\"".into(),
-        fuse: "COLMAP=$program stereo/viewrank/run.sh --fuse".into(),
+        commands,
         cloud: export.files.root.join(FUSED),
         maps: selection.clusters.iter().map(map).collect(),
     })
+}
+
+fn commands(call: &Call) -> Vec<Vec<OsString>> {
+    let script = call.workplace.join("stereo/viewrank/run.sh");
+    vec![match call.product {
+        Product::Map(rank) => words([&"sh", &script, &"--rank", &rank.to_string()]),
+        Product::Cloud => words([&"sh", &script, &"--fuse"]),
+    }]
 }
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

@@ -7,15 +7,15 @@
 //! key views. `run.py` does all that and checks each map, since DensifyPointCloud exits with 0 even
 //! on failure.
 
-use std::{collections::BTreeMap, fs};
+use std::{collections::BTreeMap, ffi::OsString, fs};
 
 use serde::Serialize;
 
 use self::scene::{Builder, DepthRange};
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale,
-    selection, strangers::list_links,
+    Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
+    ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap,
+    record::capped_scale, runner::words, selection, strangers::list_links,
 };
 use crate::{
     base::{printable::to_json, shell::command_path},
@@ -119,15 +119,30 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
             selection.scene.view(c.key).image_id
         )))
     };
-    let command = "\"$python\" -I run.py --densify \"$program\" --threads \"$threads\"";
     Some(TaskRunner {
         program: "DensifyPointCloud",
         variable: "DENSIFY",
-        compute: format!("{command} --rank \"$rank\""),
-        fuse: format!("{command} --stop-at 0"),
+        commands,
         cloud: export.files.root.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })
+}
+
+fn commands(call: &Call) -> Vec<Vec<OsString>> {
+    let script = call.workplace.join("run.py");
+    let (option, number) = match call.product {
+        Product::Map(rank) => ("--rank", rank),
+        Product::Cloud => ("--stop-at", 0),
+    };
+    vec![words([
+        &call.python,
+        &"-I",
+        &script,
+        &"--threads",
+        &call.threads.to_string(),
+        &option,
+        &number.to_string(),
+    ])]
 }
 
 /// Finds coordinates too large for the f32 points and cameras of a scene.mvs.

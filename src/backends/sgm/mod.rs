@@ -3,13 +3,16 @@
 
 mod search;
 
+use std::ffi::{OsStr, OsString};
+
 use super::{
-    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, place,
+    Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
+    ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap, place,
+    runner::words,
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
 };
 use crate::{
-    base::shell::{command_path, quoted_path},
+    base::shell::command_path,
     model::cluster::{Gate, RankedCluster},
     plan::WorkPerMap,
 };
@@ -96,30 +99,48 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     bad.into_iter().collect()
 }
 
-fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
+fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
     let out = selection.project.home.join("sgm");
-    let folder = quoted_path(&out);
-    let command = |what: &str| {
-        format!(
-            "cd / && \"$python\" \"$program\" {what} \"$project\" --clusters {} --out {folder} --image-scale {}",
-            quoted_path(&export.files.root.join("clusters.txt")),
-            export.record.image_scale
-        )
-    };
     let map = |c: &RankedCluster| {
         Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))))
     };
     Some(TaskRunner {
         program: "sgm.py",
         variable: "SGM",
-        compute: format!(
-            "{} --cache {folder}/pairs --rank \"$rank\"",
-            command("match")
-        ),
-        fuse: format!("{} --stop-at 0 && {}", command("match"), command("fuse")),
+        commands,
         cloud: out.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })
+}
+
+fn commands(call: &Call) -> Vec<Vec<OsString>> {
+    let out = call.project.join("sgm");
+    let command = |what: &str, options: &[&dyn AsRef<OsStr>]| {
+        let mut command = words([
+            &call.python,
+            &call.program,
+            &what,
+            &call.project,
+            &"--clusters",
+            &call.workplace.join("clusters.txt"),
+            &"--out",
+            &out,
+            &"--image-scale",
+            &call.image_scale.to_string(),
+        ]);
+        command.extend(options.iter().map(|option| option.as_ref().to_owned()));
+        command
+    };
+    match call.product {
+        Product::Map(rank) => {
+            let (cache, rank) = (out.join("pairs"), rank.to_string());
+            vec![command("match", &[&"--cache", &cache, &"--rank", &rank])]
+        }
+        Product::Cloud => vec![
+            command("match", &[&"--stop-at", &"0"]),
+            command("fuse", &[]),
+        ],
+    }
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

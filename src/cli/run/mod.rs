@@ -2,9 +2,10 @@
 //! is reached.
 
 mod result;
+mod task;
 mod work;
 
-use std::{path::PathBuf, sync::atomic::Ordering};
+use std::{path::PathBuf, sync::atomic::Ordering, thread};
 
 use clap::Args;
 
@@ -15,13 +16,24 @@ use super::{
 };
 use crate::{
     apps::{dispatch::Dispatch, planning, undistort::UndistortOptions},
-    backends::{self, Backend, Choice},
+    backends::{self, Backend, Choice, Product},
     base::{platform, shell::command_path},
-    config::{CommandLineSettings, Settings},
+    config::{Budget, CommandLineSettings, Settings},
     daemon::{PlanWhen, foreground::Foreground},
     io::project::Project,
     show::manifest::{PlannedMaps, planned_maps, planned_region},
 };
+
+/// Options of a whole run, which plans.
+const WHOLE_RUN: [&str; 7] = [
+    "target",
+    "k",
+    "scales",
+    "region",
+    "gsd",
+    "images",
+    "no_report",
+];
 
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
 ///
@@ -46,7 +58,7 @@ pub struct Arguments {
     /// Compute at most N depth maps, or those of P % of the registered views (with --scales, of the
     /// work of all)
     #[arg(long, value_name = "N|P%")]
-    budget: Option<String>,
+    budget: Option<Budget>,
     /// Matching partners per key view [default: 5]
     #[arg(short, value_name = "N")]
     k: Option<String>,
@@ -72,6 +84,12 @@ pub struct Arguments {
     /// Threads of the backend [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// Compute the depth map of the N-th view cluster of the plan alone, and end; for queues
+    #[arg(long, value_name = "N", group = "task", conflicts_with_all = WHOLE_RUN)]
+    rank: Option<usize>,
+    /// Fuse the depth maps of the plan that are there, and end; for queues
+    #[arg(long, group = "task", conflicts_with_all = WHOLE_RUN)]
+    fuse: bool,
     /// No report page
     #[arg(long)]
     no_report: bool,
@@ -86,6 +104,9 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let stop = platform::stop_flag()
         .map_err(|error| Failure::new(Exit::Failed, error.to_string(), None))?;
+    if let Some(product) = arguments.product() {
+        return task::run(arguments, product, &stop);
+    }
     let project = Project::open(&arguments.project, None)?;
     let settings = config::load(Some(&project), arguments.typed(None, true))?.settings;
     let project = project.with_images(settings.images.as_deref());
@@ -239,13 +260,25 @@ fn undistorted_project(
 }
 
 impl Arguments {
+    /// What is wanted of one task.
+    fn product(&self) -> Option<Product> {
+        let map = self.rank.map(Product::Map);
+        map.or(self.fuse.then_some(Product::Cloud))
+    }
+
+    /// Returns the number of threads for the backend.
+    fn threads(&self) -> usize {
+        let cores = || thread::available_parallelism().map_or(1, usize::from);
+        self.threads.map_or_else(cores, usize::from)
+    }
+
     /// Returns the command that continues with the same choices, up to that target.
     fn again(&self, target: Option<&str>) -> String {
         let path = |path: &PathBuf| path.display().to_string();
         let options = [
             ("--backend", self.backend.clone()),
             ("--target", target.map(str::to_owned)),
-            ("--budget", self.budget.clone()),
+            ("--budget", self.budget.map(|budget| budget.to_string())),
             ("-k", self.k.clone()),
             ("--scales", next::scales(self.scales.as_deref())),
             ("--region", self.region.clone()),
@@ -276,7 +309,8 @@ impl Arguments {
         let backend = backend.map(str::to_owned).or(self.backend.clone());
         typed.set("--backend", "backends", backend.map(|name| vec![name]));
         typed.set("--target", "cut.target", self.target.clone());
-        typed.set("--budget", "cut.budget", self.budget.clone());
+        let budget = self.budget.map(|budget| budget.to_string());
+        typed.set("--budget", "cut.budget", budget);
         let k = self.k.as_deref();
         typed.set("-k", "partners.k", k.map(arguments::number));
         typed.set("--scales", "ranking.scales", self.scales.clone());

@@ -4,17 +4,19 @@ use std::{
     collections::BTreeSet,
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
-    thread,
     time::{Duration, Instant},
 };
 
 use super::{Arguments, result::Ended};
 use crate::{
-    apps::dispatch::{Dispatch, Task, Tools, local::ScriptResult},
+    apps::dispatch::{
+        Dispatch, Task, Tools,
+        runner::{Owner, Runner, TaskResult},
+    },
     backends::{Backend, place},
     base::shell::shown_path,
     cli::{
-        Exit, Failure, Format, config, note, print, print_json, progress::ProgressDisplay, report,
+        Exit, Failure, Format, note, print, print_json, progress::ProgressDisplay, report,
         summary::duration, terminal::complain, warn,
     },
     daemon::{PlanWhen, follow, foreground::Foreground, phase::Phase, state::Outcome},
@@ -45,7 +47,7 @@ pub struct Work<'a> {
     pub(super) backend: &'static Backend,
     pub(super) dispatch: Dispatch,
     _held: std::fs::File,
-    threads: usize,
+    tools: Tools,
     pub(super) failed: Vec<String>,
     measured: Throttle,
     /// Estimated share of the finished maps; `None` before the first measurement.
@@ -109,30 +111,16 @@ impl<'a> Work<'a> {
         }
         let root = foreground.root();
         let plan = WrittenPlan::read(root)?;
-        let settings = config::load(
-            Some(&plan.project),
-            arguments.typed(Some(backend.name), false),
-        )?
-        .settings
-        .dispatch;
-        let image_faults = plan.project.image_faults(&plan.scene);
-        let selection = plan.selection(&plan.clusters[..plan.cut], &image_faults);
-        let export = backend.export(&selection, &Default::default())?;
+        let (dispatch, export) = Dispatch::of_plan(&plan, backend, plan.cut)?;
         warnings_with(&plan.warnings, std::slice::from_ref(&export.record), &[])
             .iter()
             .for_each(|warning| warn(warning));
-        let dispatch = Dispatch::new(backend, &selection, &export, plan.finished)?;
         let held = dispatch.hold()?;
         let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
         let folder = export.files.root.clone();
         place::check(&folder, std::slice::from_ref(&export), &plan.project)?;
         place::set_of_folder(&folder, [export.files], &plan.project).write(&plan.project.disk())?;
-        dispatch
-            .files(&tools, &settings, &BTreeSet::new())
-            .write(&plan.project.disk())?;
         note_maps_of_other_plans(&dispatch);
-        let cores = || thread::available_parallelism().map_or(1, usize::from);
-        let threads = arguments.threads.map_or_else(cores, usize::from);
         Ok(Self {
             arguments,
             foreground,
@@ -140,7 +128,7 @@ impl<'a> Work<'a> {
             backend,
             dispatch,
             _held: held,
-            threads,
+            tools,
             failed: Vec::new(),
             measured: Throttle::default(),
             share: None,
@@ -225,6 +213,15 @@ impl<'a> Work<'a> {
         ended == Ended::ListDone && self.failed.is_empty() && self.target().is_some_and(below)
     }
 
+    fn runner(&self) -> Runner<'_> {
+        Runner {
+            tools: &self.tools,
+            threads: self.arguments.threads(),
+            stop: self.stop,
+            owner: Owner::Viewrank,
+        }
+    }
+
     /// Computes the depth maps in rank order.
     pub fn compute(&mut self) -> Result<Ended, Failure> {
         let tasks = self.dispatch.tasks.clone();
@@ -239,12 +236,12 @@ impl<'a> Work<'a> {
                 return Ok(Ended::TargetReached);
             }
             let since = Instant::now();
-            let ended = self.dispatch.compute_here(task, self.threads, self.stop)?;
-            if ended == ScriptResult::Stopped || self.stop.load(Ordering::Relaxed) {
+            let ended = self.dispatch.compute(task, &self.runner())?;
+            if ended == TaskResult::Stopped || self.stop.load(Ordering::Relaxed) {
                 return Ok(Ended::Stopped);
             }
             in_a_row = match ended {
-                ScriptResult::Failed(output) => {
+                TaskResult::Failed(output) => {
                     if in_a_row + 1 == FAILURES || missing.len() == 1 {
                         return Err(self.broken(task, in_a_row, &output));
                     }
@@ -320,14 +317,14 @@ impl<'a> Work<'a> {
             return;
         }
         let began = Instant::now();
-        let ended = self.dispatch.fuse_here(self.threads, self.stop);
+        let ended = self.dispatch.fuse(&self.runner());
         self.so_far.fused.note(began);
         self.so_far.computed = computed;
         let failure = match ended {
-            Ok(ScriptResult::Failed(output)) => last_line(&output).to_owned(),
+            Ok(TaskResult::Failed(output)) => last_line(&output).to_owned(),
             Err(error) => error.to_string(),
-            Ok(ScriptResult::Done) => return self.announce_cloud(),
-            Ok(ScriptResult::Stopped) => return,
+            Ok(TaskResult::Done | TaskResult::Idle) => return self.announce_cloud(),
+            Ok(TaskResult::Stopped) => return,
         };
         warn(&format!("cannot fuse the cloud so far: {failure}"));
     }
@@ -385,10 +382,10 @@ impl<'a> Work<'a> {
             self.stop.store(false, Ordering::Relaxed);
             self.measure(true);
         }
-        match self.dispatch.fuse_here(self.threads, self.stop)? {
-            ScriptResult::Done => {}
-            ScriptResult::Stopped => return Err(self.stopped()),
-            ScriptResult::Failed(output) => {
+        match self.dispatch.fuse(&self.runner())? {
+            TaskResult::Done | TaskResult::Idle => {}
+            TaskResult::Stopped => return Err(self.stopped()),
+            TaskResult::Failed(output) => {
                 let message = "cannot fuse the depth maps, which are complete:";
                 let hint = format!("to try again: {}", self.again());
                 return Err(Failure::new(Exit::Failed, message, hint).with_output(&output));

@@ -1,0 +1,200 @@
+//! Runs one task of a plan: the only way in which depth maps are computed, for `viewrank run` and
+//! for each process of a queue.
+
+use std::{
+    fs::{File, TryLockError},
+    io::{self, Read, Seek, SeekFrom},
+    path::Path,
+    process::{Child, Command, Stdio},
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
+
+use super::{Dispatch, DispatchError, Task, Tools};
+use crate::{
+    backends::{Call, Product},
+    base::platform,
+    io::output::{self, Disk, Folder},
+};
+
+/// Time between two polls of a process, of a lock and of the stop flag.
+const PAUSE: Duration = Duration::from_millis(50);
+/// Bytes of a failed command's output that are kept.
+const TAIL: u64 = 2000;
+
+/// How a task ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TaskResult {
+    Done,
+    /// Its result was there already.
+    Idle,
+    /// A command failed, or left no depth map; holds the end of its output, if that is kept.
+    Failed(String),
+    Stopped,
+}
+
+/// How the commands of a task are run.
+pub struct Runner<'a> {
+    pub tools: &'a Tools,
+    /// Number of threads that the backend may use.
+    pub threads: usize,
+    pub stop: &'a AtomicBool,
+    /// Whose process the commands are part of.
+    pub owner: Owner,
+}
+
+/// Who starts the commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Owner {
+    /// viewrank, for many tasks: it keeps the end of their output, and ends them with all that they
+    /// have started.
+    Viewrank,
+    /// A queue or a shell, for this task: it gets the output, and its signals reach all processes.
+    Queue,
+}
+
+impl Dispatch {
+    /// Computes the depth map of a task, unless it is there. Where another process computes one of
+    /// the same key view, it is waited for first.
+    pub fn compute(&self, task: &Task, runner: &Runner) -> Result<TaskResult, DispatchError> {
+        let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
+        output::make_folder(&self.folder.join("done"), &disk)?;
+        let records = Folder::open(&self.project)?;
+        let marker = format!("viewrank/dispatch/{}/done/{}", self.backend, task.marker);
+        let lock = records.lock_file(&format!("{marker}.lock"))?;
+        // On a file system without locks, the work goes ahead unlocked.
+        while matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
+            if runner.stop.load(Ordering::Relaxed) {
+                return Ok(TaskResult::Stopped);
+            }
+            thread::sleep(PAUSE);
+        }
+        let ended = self.compute_alone(task, runner, &disk)?;
+        if matches!(ended, TaskResult::Done | TaskResult::Idle) {
+            // Whoever waits for it finds the map.
+            _ = output::remove(&self.project.join(format!("{marker}.lock")), &disk);
+        }
+        Ok(ended)
+    }
+
+    fn compute_alone(
+        &self,
+        task: &Task,
+        runner: &Runner,
+        disk: &Disk,
+    ) -> Result<TaskResult, DispatchError> {
+        if self.is_done(task) {
+            return Ok(TaskResult::Idle);
+        }
+        let marker = self.folder.join("done").join(&task.marker);
+        output::remove(&marker, disk)?;
+        let ended = self.run(Product::Map(task.rank), runner)?;
+        if ended != TaskResult::Done {
+            return Ok(ended);
+        }
+        if !task.map.metadata().is_ok_and(|map| map.len() > 0) {
+            let message = format!("{} was not written", task.map.display());
+            return Ok(TaskResult::Failed(message));
+        }
+        output::replace(&marker, format!("{}\n", task.id).as_bytes(), disk)?;
+        Ok(TaskResult::Done)
+    }
+
+    /// Fuses the depth maps that are there, unless the same ones were fused before.
+    pub fn fuse(&self, runner: &Runner) -> Result<TaskResult, DispatchError> {
+        if self.is_fused() {
+            return Ok(TaskResult::Idle);
+        }
+        let fused = self.done_ids();
+        let ended = self.run(Product::Cloud, runner)?;
+        if ended == TaskResult::Done {
+            let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
+            output::replace(&self.folder.join("fused"), fused.as_bytes(), &disk)?;
+        }
+        Ok(ended)
+    }
+
+    /// Runs the commands of a task, each if the one before succeeds.
+    fn run(&self, product: Product, runner: &Runner) -> Result<TaskResult, DispatchError> {
+        let call = Call {
+            product,
+            workplace: &self.workplace,
+            project: &self.project,
+            program: &runner.tools.program,
+            python: &runner.tools.python,
+            threads: runner.threads,
+            image_scale: self.image_scale,
+        };
+        for words in (self.runner.commands)(&call) {
+            let program = words[0].to_string_lossy().into_owned();
+            let failed = |source| DispatchError::Start {
+                program: program.clone(),
+                source,
+            };
+            let mut command = platform::command(Path::new(&words[0])).map_err(failed)?;
+            command
+                .args(&words[1..])
+                .env(self.runner.variable, &runner.tools.program)
+                .stdin(Stdio::null())
+                // The current folder may be a stranger's.
+                .current_dir("/");
+            match runner.ended(&mut command).map_err(failed)? {
+                TaskResult::Done => {}
+                other => return Ok(other),
+            }
+        }
+        Ok(TaskResult::Done)
+    }
+}
+
+impl Runner<'_> {
+    /// Starts a command and waits for its end.
+    fn ended(&self, command: &mut Command) -> io::Result<TaskResult> {
+        let mut output = None;
+        if self.owner == Owner::Viewrank {
+            let file = tempfile::tempfile()?;
+            command.stdout(file.try_clone()?).stderr(file.try_clone()?);
+            platform::in_own_group(command);
+            output = Some(file);
+        }
+        let mut child = command.spawn()?;
+        loop {
+            if let Some(status) = child.try_wait()? {
+                let said = || output.and_then(|mut file| tail(&mut file).ok());
+                return Ok(if status.success() {
+                    TaskResult::Done
+                } else {
+                    TaskResult::Failed(said().unwrap_or_default())
+                });
+            }
+            if self.stop.load(Ordering::Relaxed) {
+                self.end(&mut child);
+                return Ok(TaskResult::Stopped);
+            }
+            thread::sleep(PAUSE);
+        }
+    }
+
+    fn end(&self, child: &mut Child) {
+        match self.owner {
+            Owner::Viewrank => platform::end_group(child),
+            Owner::Queue => platform::end(child),
+        }
+    }
+}
+
+/// Returns the last lines.
+fn tail(output: &mut File) -> io::Result<String> {
+    let start = output.seek(SeekFrom::End(0))?.saturating_sub(TAIL);
+    output.seek(SeekFrom::Start(start))?;
+    let mut bytes = Vec::new();
+    output.read_to_end(&mut bytes)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let whole = if start > 0 {
+        text.split_once('\n').map_or(&*text, |(_, whole)| whole)
+    } else {
+        &text
+    };
+    Ok(whole.trim().into())
+}

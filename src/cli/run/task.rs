@@ -1,0 +1,95 @@
+//! `viewrank run --rank` and `--fuse`: one task of a plan, as a process of a queue.
+
+use std::sync::atomic::AtomicBool;
+
+use super::Arguments;
+use crate::{
+    apps::dispatch::{
+        Dispatch, Tools,
+        runner::{Owner, Runner, TaskResult},
+        slurm,
+    },
+    backends::{self, Product},
+    cli::{Exit, Failure, note, warn},
+    daemon::follow,
+    show::manifest::WrittenPlan,
+};
+
+/// Does a task of the project's plan; ends at once where its result is there, or the depth maps reach
+/// the target. So a queue may start it any number of times.
+pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result<(), Failure> {
+    // As dispatch names the project.
+    let root =
+        dunce::canonicalize(&arguments.project).unwrap_or_else(|_| arguments.project.clone());
+    if matches!(product, Product::Map(_)) && ends_at_target(&root) {
+        return Ok(());
+    }
+    let plan = WrittenPlan::read(&root)?;
+    let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend))?;
+    let cut = plan.cut_at(arguments.budget, None);
+    let (dispatch, export) = Dispatch::of_plan(&plan, backend, cut)?;
+    dispatch.refuse_strangers()?;
+    dispatch.refuse_other_programs(&export)?;
+    let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
+    let runner = Runner {
+        tools: &tools,
+        threads: arguments.threads(),
+        stop,
+        owner: Owner::Queue,
+    };
+    let say = |text: String| {
+        if !arguments.is_silent() {
+            note(&text);
+        }
+    };
+    match product {
+        Product::Map(rank) => {
+            let Some(task) = dispatch.tasks.iter().find(|task| task.rank == rank) else {
+                say(format!("rank {rank}: the plan has no depth map of it"));
+                return Ok(());
+            };
+            say(format!("rank {rank}: {}", task.key));
+            let ended = dispatch.compute(task, &runner)?;
+            report(ended, &format!("rank {rank}: {}", task.key), say)?;
+            ends_at_target(&root);
+        }
+        Product::Cloud => {
+            let done = dispatch.finished_maps().count();
+            say(format!(
+                "{done} of {} depth maps are there",
+                dispatch.tasks.len()
+            ));
+            report(dispatch.fuse(&runner)?, "the fusion", say)?;
+        }
+    }
+    Ok(())
+}
+
+/// Says how a task ended.
+fn report(ended: TaskResult, what: &str, say: impl Fn(String)) -> Result<(), Failure> {
+    match ended {
+        TaskResult::Done => say(format!("{what}: done")),
+        TaskResult::Idle => say(format!("{what}: nothing to do")),
+        TaskResult::Stopped => {
+            return Err(Failure::new(Exit::Failed, format!("{what}: stopped"), None));
+        }
+        TaskResult::Failed(output) => {
+            let failed = Failure::new(Exit::Failed, format!("{what} failed"), None);
+            return Err(failed.with_output(&output));
+        }
+    }
+    Ok(())
+}
+
+/// Returns whether the finished depth maps reach the target; the tasks that wait behind this one are
+/// not needed then.
+fn ends_at_target(root: &std::path::Path) -> bool {
+    let reached = follow::target_reached(root);
+    if reached {
+        note("the target is reached");
+        if let Err(error) = slurm::cancel_rest_of_array() {
+            warn(&error.to_string());
+        }
+    }
+    reached
+}
