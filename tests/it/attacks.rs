@@ -424,26 +424,44 @@ fn links_and_pipes_in_place_of_a_dispatchs_state_are_refused() {
         ])
     };
     succeeds(dispatch());
+    let task = || {
+        let project = place.project();
+        viewrank(&[
+            "run",
+            path(&project),
+            "--rank",
+            "1",
+            "--program",
+            "/bin/false",
+        ])
+    };
+    fails(task());
     let folder = place.own("dispatch/sgm");
-    let list = fs::read_dir(&folder)
+    let lock = fs::read_dir(folder.join("done"))
         .unwrap()
-        .map(|entry| entry.unwrap().path());
-    let list = list
-        .into_iter()
-        .find(|file| file.extension().is_some_and(|ending| ending == "tsv"))
-        .unwrap();
-    let text = fs::read_to_string(&list).unwrap();
-    let marker = text.split('\t').nth(1).unwrap();
-    fs::create_dir_all(folder.join("done")).unwrap();
+        .next()
+        .unwrap()
+        .unwrap()
+        .path();
+    let marker = lock.file_stem().unwrap().to_str().unwrap();
     for plant in [
         &(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path),
         &make_pipe,
     ] {
-        for name in [&format!("done/{marker}"), "fused", "lock"] {
+        for name in [
+            &format!("done/{marker}"),
+            &format!("done/{marker}.lock"),
+            "fused",
+            "lock",
+        ] {
             let file = folder.join(name);
             _ = fs::remove_file(&file);
             plant(&file);
-            let error = fails(dispatch());
+            let error = fails(if name.ends_with(".lock") {
+                task()
+            } else {
+                dispatch()
+            });
             assert!(
                 error.contains("in place of a file of viewrank's") && place.is_untouched(),
                 "{name}: {error}"
@@ -452,7 +470,6 @@ fn links_and_pipes_in_place_of_a_dispatchs_state_are_refused() {
         }
     }
     succeeds(dispatch());
-    assert_eq!(fs::read_to_string(&list).unwrap(), text);
 }
 
 /// Each folder of results is checked, not only `viewrank` itself.
