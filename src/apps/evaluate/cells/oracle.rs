@@ -3,7 +3,6 @@
 use std::cmp::Reverse;
 
 use super::incidence::{CountedCells, Incidence};
-use crate::apps::evaluate::orders::first_largest;
 
 /// A cell that is covered, in the unit of the credits: sums of integers are exact, so that gains can
 /// be kept up to date.
@@ -11,7 +10,7 @@ const WHOLE: u64 = 15;
 /// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
 const CREDITS: [u64; 2] = [WHOLE / 5, WHOLE / 3];
 
-/// Entries of the table that exchanges of single maps look at: a second or two.
+/// Bound on the exchanges of single maps: their number times the entries of the table.
 const MOST_STEPS: usize = 1_000_000_000;
 
 /// Returns greedy orders by the real cells, one for each credit.
@@ -70,58 +69,103 @@ pub fn best_of(
     covered.fold(0.0, f64::max)
 }
 
-fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> f64 {
-    let weight = |row: u32| counted.of(&table.rows()[row as usize]);
-    let mut taken = vec![0u32; table.rows().len()];
-    for &map in &chosen {
-        table
-            .rows_of(map)
-            .iter()
-            .for_each(|&row| taken[row as usize] += 1);
-    }
+fn exchanged(table: &Incidence, counted: CountedCells, chosen: Vec<u32>) -> f64 {
     let usable = table.usable();
     let entries: usize = usable.iter().map(|&map| table.rows_of(map).len()).sum();
-    let mut is_chosen = vec![false; table.names().len()];
-    chosen
-        .iter()
-        .for_each(|&map| is_chosen[map as usize] = true);
+    let mut choice = Choice::new(table, counted, chosen);
     let (mut place, mut unchanged) = (0, 0);
     let mut left = MOST_STEPS / entries.max(1);
-    while unchanged < chosen.len() && left > 0 {
+    while unchanged < choice.maps.len() && left > 0 {
         left -= 1;
-        let out = chosen[place];
-        let rows = table.rows_of(out);
-        rows.iter().for_each(|&row| taken[row as usize] -= 1);
-        // What each map adds to the choice without this one.
-        let gain = |map: u32| -> f64 {
-            let rows = table.rows_of(map).iter();
-            rows.filter(|&&row| taken[row as usize] + 1 == table.support())
-                .map(|&row| weight(row))
-                .sum()
-        };
-        let own = gain(out);
-        let others: Vec<u32> = usable
-            .iter()
-            .copied()
-            .filter(|&map| map == out || !is_chosen[map as usize])
-            .collect();
-        let best = others[first_largest(others.iter().map(|&map| gain(map)))];
-        let (enters, is_better) = if gain(best) > own {
-            (best, true)
-        } else {
-            (out, false)
-        };
-        chosen[place] = enters;
-        is_chosen[out as usize] = false;
-        is_chosen[enters as usize] = true;
-        table
-            .rows_of(enters)
-            .iter()
-            .for_each(|&row| taken[row as usize] += 1);
+        let out = choice.maps[place];
+        choice.take_away(out);
+        let own = choice.gains[out as usize];
+        let others = usable.iter().copied();
+        let others = others.filter(|&map| map == out || !choice.has[map as usize]);
+        let gain = |map: &u32| (choice.gains[*map as usize], Reverse(*map));
+        let best = others.max_by_key(gain).unwrap_or(out);
+        let is_better = choice.gains[best as usize] > own;
+        let enters = if is_better { best } else { out };
+        choice.maps[place] = enters;
+        choice.add(enters);
         unchanged = if is_better { 0 } else { unchanged + 1 };
-        place = (place + 1) % chosen.len();
+        place = (place + 1) % choice.maps.len();
     }
-    table.covered(&chosen, counted)
+    table.covered(&choice.maps, counted)
+}
+
+/// Chosen maps, with the cells that each map would add to them. Few rows change with a map, so that
+/// what they add is kept up to date and not counted anew.
+struct Choice<'a> {
+    table: &'a Incidence,
+    counted: CountedCells,
+    maps: Vec<u32>,
+    /// Which maps are chosen.
+    has: Vec<bool>,
+    /// For each row, the number of chosen maps.
+    taken: Vec<u32>,
+    /// For each map, the cells that have all but one of the maps that they need, and it.
+    gains: Vec<u64>,
+}
+
+impl<'a> Choice<'a> {
+    fn new(table: &'a Incidence, counted: CountedCells, maps: Vec<u32>) -> Self {
+        let mut choice = Self {
+            table,
+            counted,
+            maps: Vec::new(),
+            has: vec![false; table.names().len()],
+            taken: vec![0; table.rows().len()],
+            gains: vec![0; table.names().len()],
+        };
+        if table.support() == 1 {
+            (0..table.rows().len() as u32).for_each(|row| choice.give(row));
+        }
+        maps.iter().for_each(|&map| choice.add(map));
+        choice.maps = maps;
+        choice
+    }
+
+    fn add(&mut self, map: u32) {
+        self.has[map as usize] = true;
+        for &row in self.table.rows_of(map) {
+            self.lacks_one(row, Self::withdraw);
+            self.taken[row as usize] += 1;
+            self.lacks_one(row, Self::give);
+        }
+    }
+
+    fn take_away(&mut self, map: u32) {
+        self.has[map as usize] = false;
+        for &row in self.table.rows_of(map) {
+            self.lacks_one(row, Self::withdraw);
+            self.taken[row as usize] -= 1;
+            self.lacks_one(row, Self::give);
+        }
+    }
+
+    fn lacks_one(&mut self, row: u32, change: fn(&mut Self, u32)) {
+        if self.taken[row as usize] + 1 == self.table.support() {
+            change(self, row);
+        }
+    }
+
+    /// Counts the row's cells as a gain of its maps.
+    fn give(&mut self, row: u32) {
+        let row = &self.table.rows()[row as usize];
+        let cells = self.counted.of(row) as u64;
+        row.maps
+            .iter()
+            .for_each(|&map| self.gains[map as usize] += cells);
+    }
+
+    fn withdraw(&mut self, row: u32) {
+        let row = &self.table.rows()[row as usize];
+        let cells = self.counted.of(row) as u64;
+        row.maps
+            .iter()
+            .for_each(|&map| self.gains[map as usize] -= cells);
+    }
 }
 
 #[cfg(test)]
