@@ -131,7 +131,7 @@ def calls(subcommand, project, maps, matcher, forged):
     every = {
         "plan": [["--budget", "3"], ["--backend", "openmvs", "--report"], ["--dry-run", "--format", "json"], ["--finished", maps, "--backend", "sgm"]],
         "pilot": [[], ["--backend", "openmvs"], out],
-        "run": [["--backend", "openmvs", "--program", matcher], ["--backend", "colmap", "--program", matcher, "--format", "json"], ["--backend", "mve"]],
+        "run": [["--backend", "openmvs", "--program", matcher], ["--backend", "openmvs", "--program", matcher, "--rank", "1"], ["--program", matcher, "--fuse"], ["--backend", "colmap", "--program", matcher, "--format", "json"], ["--backend", "mve"]],
         "evaluate": [["--depth-maps", maps], ["--depth-maps", maps, "--format", "json"], ["--depth-maps", maps, "--baselines"]],
         "train": [["--depth-maps", maps], ["--depth-maps", maps, "--format", "json"]],
         "predict": [out, [*out, "--format", "json"]],
@@ -253,7 +253,7 @@ def test_earlier_files(fixtures, tmp_path, forged):
     for path in files:
         whole = path.read_bytes()
         value = json.loads(whole)
-        for name in spread([*sorted(keys_of(value)), None], 5):
+        for name in spread([*sorted(keys_of(value)), None], 3):
             path.write_text(json.dumps(replaced(value, name, forged)))
             for command in (["status", tmp_path], ["status", project, "--json"], ["doctor", project], ["export", project, "--dry-run"],
                             ["dispatch", project, "--dry-run", "--backend", "openmvs"]):
