@@ -82,6 +82,17 @@ pub enum PlanError {
     Cancelled(#[from] Cancelled),
 }
 
+impl PlanError {
+    /// The error without anything from a file that it may not quote.
+    pub(super) fn quoting(self, may_quote: impl Fn(&Path) -> bool) -> Self {
+        match self {
+            Self::Mesh(error) => error.quoting(may_quote).into(),
+            Self::RegionFile(error) => error.quoting(may_quote).into(),
+            error => error,
+        }
+    }
+}
+
 impl From<RegionError> for PlanError {
     fn from(error: RegionError) -> Self {
         match error {

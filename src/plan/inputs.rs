@@ -285,7 +285,6 @@ fn shape(
     };
     Ok(Some(region::read(
         choice,
-        &settings.hidden,
         place,
         &MapFrame::new(scene, settings.surface.up),
     )?))
