@@ -15,7 +15,6 @@ use crate::{
     backends::{self, Backend, Choice},
     base::{
         error::{Advice, Hint},
-        paths::is_outside,
         progress::{Stage, Watcher},
         shell::command_path,
     },
@@ -337,9 +336,8 @@ fn refuse_unwritable(arguments: &Arguments, project: &Project) -> Result<(), Fai
 /// whose record is lost.
 fn own_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
     let is_same = planned_backend(project).is_some_and(|name| name == plan.stages.backend);
-    let folder = own_folder_of_maps(plan, project);
-    let is_there = folder.is_dir() && !is_outside(&folder, &project.home);
-    if !(plan.stages.makes_maps && is_same && is_there) {
+    let folder = own_folder_of_maps(plan, project).filter(|folder| folder.is_dir())?;
+    if !(plan.stages.makes_maps && is_same) {
         return None;
     }
     let lost = match depthmaps::find(&folder, &plan.stages.scene) {
