@@ -88,7 +88,8 @@ pub struct Settings {
     pub forecast: ForecastSettings,
     pub dispatch: DispatchSettings,
     pub frame: FrameSettings,
-    /// Mesh and region as the user has named them, not a project's file or its plan.
+    /// Mesh and region as the user, or the file of the watched folder, has named them, not a project's
+    /// file or its plan.
     #[serde(skip)]
     pub named: Vec<PathBuf>,
 }

@@ -138,8 +138,9 @@ fn a_second_plan_compares_no_pictures() {
     let settings: Settings = toml::from_str(settings).unwrap();
     let opened = Project::open(project.path(), None).unwrap();
     let second = viewrank::plan(&opened, &settings, &NoWatcher).unwrap();
-    assert!(second.unwritten().is_empty(), "no stage has anything new");
-    changed_images_are_read(project.path(), &photometric);
+    let new: Vec<String> = second.unwritten().into_iter().map(|set| set.name).collect();
+    assert_eq!(new, [""; 0], "no stage has anything new");
+    changed_images_are_read(project.path(), &photometric[..2]);
 }
 
 fn changed_images_are_read(project: &Path, options: &[&str]) {

@@ -81,7 +81,7 @@ impl CacheFile {
     /// Returns the hasher of the file, which has seen all but its contents.
     fn hasher(&self, inputs: &str, facts: &impl Serialize) -> blake3::Hasher {
         let json = serde_json::to_vec(&(self.path, inputs, facts));
-        let mut hasher = blake3::Hasher::new_keyed(&self.key);
+        let mut hasher = blake3::Hasher::new_keyed(&self.key.0);
         hasher.update(&json.expect("numbers and texts are JSON"));
         hasher
     }
@@ -200,7 +200,7 @@ mod tests {
     }
 
     fn of(home: &Path, input: &[u8]) -> CacheFile {
-        signed(home, input, Some([1; 32]))
+        signed(home, input, Some(Key([1; 32])))
     }
 
     fn signed(home: &Path, input: &[u8], key: Option<Key>) -> CacheFile {
@@ -230,7 +230,7 @@ mod tests {
     fn nothing_is_kept_for_unknown_inputs() {
         let home = tempfile::tempdir().unwrap();
         write(of(home.path(), b"a").file(&7, packed(&[1])));
-        let file = CacheFile::signed(home.path(), PATH, None, Some([1; 32]));
+        let file = CacheFile::signed(home.path(), PATH, None, Some(Key([1; 32])));
         assert!(file.read::<u32>().is_none());
         write(file.file(&7, packed(&[1])));
         assert!(!home.path().join(PATH).exists());
@@ -239,8 +239,8 @@ mod tests {
     #[test]
     fn nobody_believes_the_file_of_another_user() {
         let home = tempfile::tempdir().unwrap();
-        let [one, other, none] =
-            [Some([1; 32]), Some([2; 32]), None].map(|key| signed(home.path(), b"a", key));
+        let [one, other, none] = [Some(Key([1; 32])), Some(Key([2; 32])), None]
+            .map(|key| signed(home.path(), b"a", key));
         write(one.file(&7, packed(&[1])));
         assert!(other.read::<u32>().is_none() && none.read::<u32>().is_none());
         assert!(one.read::<u32>().is_some());

@@ -205,7 +205,7 @@ impl Configuration {
         convert_lengths(&mut entries, of_model)?;
         let mut configuration = Self::over_defaults(entries, backend)?;
         let is_named = |place: &SettingLocation| match place {
-            SettingLocation::File { path, .. } => Some(path) == files.user.as_ref(),
+            SettingLocation::File { path, .. } => Some(path) != files.project.as_ref(),
             SettingLocation::Option(_) => true,
             SettingLocation::LastPlan => false,
         };

@@ -2,7 +2,12 @@
 //! caches that say anything for the right inputs. It is made at first use, in the user's folder for
 //! caches.
 
-use std::{fs, io, io::Write, path::Path, path::PathBuf, sync::OnceLock};
+use std::{
+    fmt, fs,
+    io::{self, Write},
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
 
 use etcetera::BaseStrategy;
 
@@ -11,7 +16,15 @@ use crate::{
     paths::is_outside,
 };
 
-pub(super) type Key = [u8; 32];
+#[derive(Clone, Copy, Default, PartialEq)]
+pub(super) struct Key(pub [u8; 32]);
+
+/// A secret: what prints a plan must not print it.
+impl fmt::Debug for Key {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("Key")
+    }
+}
 
 /// Returns the key; `None` where it cannot be kept, or is in the project, which may have brought it.
 pub(super) fn of_user(project: &Path) -> Option<Key> {
@@ -31,18 +44,19 @@ fn read_or_make(folder: &Path) -> io::Result<Key> {
     let path = folder.join("cache.key");
     let read = || {
         let bytes = input::read(&path, FileKind::State)?;
-        Key::try_from(bytes).map_err(|_| io::Error::from(io::ErrorKind::InvalidData))
+        let key = bytes.try_into().map(Key);
+        key.map_err(|_| io::Error::from(io::ErrorKind::InvalidData))
     };
     match read() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         found => return found,
     }
     let mut key = Key::default();
-    getrandom::fill(&mut key)?;
+    getrandom::fill(&mut key.0)?;
     fs::create_dir_all(folder)?;
     // Readable for the user alone.
     let mut file = tempfile::NamedTempFile::new_in(folder)?;
-    file.write_all(&key)?;
+    file.write_all(&key.0)?;
     match file.persist_noclobber(&path) {
         // Another process was first.
         Err(error) if error.error.kind() == io::ErrorKind::AlreadyExists => read(),
