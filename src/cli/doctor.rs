@@ -66,7 +66,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut settings = config::load(Some(&project), typed)?.settings;
     if settings.target.gsd.is_some() && settings.region.is_none() {
         settings.region = planned_region(&project.home).and_then(|region| region.parse().ok());
-        settings.hide_outside(&project.root);
     }
     let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() {

@@ -107,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         None => match found_maps(arguments, &project, &plan) {
             // Else what was measured of other maps would be said of these.
             Some(folder) => {
-                if folder != own_folder_of_maps(&plan, &project) {
+                if Some(&folder) != own_folder_of_maps(&plan, &project).as_ref() {
                     warn(&format!(
                         "{} has made no depth maps for this plan: those of another program are measured, in {}",
                         plan.stages.backend,
@@ -131,7 +131,7 @@ fn record(
     folder: &Path,
     progress: &ProgressDisplay,
 ) {
-    let is_of_plan = folder == own_folder_of_maps(plan, project);
+    let is_of_plan = Some(folder) == own_folder_of_maps(plan, project).as_deref();
     let is_other = arguments.reference.is_some() || arguments.clusters.is_some();
     if is_other || !is_of_plan || arguments.out.is_some() {
         return;

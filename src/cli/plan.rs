@@ -15,7 +15,6 @@ use crate::{
     backends::{self, Backend, Choice},
     base::{
         error::{Advice, Hint},
-        paths::is_outside,
         progress::{Stage, Watcher},
         shell::command_path,
     },
@@ -239,12 +238,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let is_survey = settings.region.is_some() || settings.target.gsd.is_some();
     let mut plan = planning::plan(&project, &settings, &progress)
         .map_err(|error| far_off(error, &project, &settings))?;
-    let own = || own_maps(&plan, &project);
-    if let Some(folder) = arguments.finished.clone().or_else(own) {
-        if !arguments.dry_run {
-            output::recover(&project.home, &project.disk())?;
-        }
-        plan = around_finished(plan, &folder, &project, &progress)?;
+    if !arguments.dry_run {
+        output::recover(&project.home, &project.disk())?;
+    }
+    let finished = match &arguments.finished {
+        Some(folder) => Some((folder.clone(), earlier(&project)?)),
+        None => own_maps(&plan, &project),
+    };
+    if let Some((folder, earlier)) = finished {
+        plan = around_finished(plan, &folder, &earlier, &progress)?;
     }
     let files = files_of_same_model(&plan, &project)
         .inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
@@ -332,19 +334,18 @@ fn refuse_unwritable(arguments: &Arguments, project: &Project) -> Result<(), Fai
     Ok(())
 }
 
-/// Returns the folder of the depth maps that were made for the plan that this one replaces: without
-/// their record, nobody would know their partners, or that their views have moved. Warns of maps
-/// whose record is lost.
-fn own_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
+/// Returns the folder of the depth maps that were made for the plan that this one replaces, with that
+/// plan: without it, nobody would know their partners, or that their views have moved. Warns of maps
+/// whose plan is lost.
+fn own_maps(plan: &Plan, project: &Project) -> Option<(PathBuf, EarlierPlan)> {
     let is_same = planned_backend(project).is_some_and(|name| name == plan.stages.backend);
-    let folder = own_folder_of_maps(plan, project);
-    let is_there = folder.is_dir() && !is_outside(&folder, &project.home);
-    if !(plan.stages.makes_maps && is_same && is_there) {
+    let folder = own_folder_of_maps(plan, project).filter(|folder| folder.is_dir())?;
+    if !(plan.stages.makes_maps && is_same) {
         return None;
     }
     let lost = match depthmaps::find(&folder, &plan.stages.scene) {
         Ok(_) => match earlier(project) {
-            Ok(_) => return Some(folder),
+            Ok(earlier) => return Some((folder, earlier)),
             Err(error) => error.to_string(),
         },
         Err(DepthMapError::None(_)) => return None,
@@ -360,14 +361,14 @@ fn own_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
 fn around_finished(
     plan: Plan,
     folder: &Path,
-    project: &Project,
+    earlier: &EarlierPlan,
     progress: &ProgressDisplay,
 ) -> Result<Plan, Failure> {
     let maps = MapFolder {
         folder,
         ready: &|_| true,
     };
-    let (plan, ..) = replan(plan, &earlier(project)?, &maps, progress)?;
+    let (plan, ..) = replan(plan, earlier, &maps, progress)?;
     if plan.decision.finished == 0 {
         warn(&format!(
             "no depth map in {} fits the plan; planning without finished ones",

@@ -11,7 +11,6 @@ use crate::{
     backends,
     base::{
         error::{Advice, Hint, shortened},
-        paths::is_outside,
         printable::printable,
         shell::{command_path, shown_path},
     },
@@ -93,10 +92,11 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
             let maps = backend.and_then(|backend| maps_of(&project, &backend));
             let gone = maps.as_ref().map_or(0, |maps| number_gone(maps, &progress));
             let later = number_later(&maps.unwrap_or_default(), &progress);
+            let progress = without_gone(progress, gone);
             if is_json {
                 print_json(&alone(&project, later_than(progress.phase(), later)))
             } else {
-                print(unwatched(&progress, later, gone))
+                print(unwatched(&progress, later))
             }
         }
         (None, Some(plan)) => {
@@ -175,10 +175,7 @@ fn maps_of(project: &Path, backend: &str) -> Option<Vec<String>> {
     let workspace = open_planned_workspace(&project);
     let project = workspace.as_ref().unwrap_or(&project);
     let dense = project.dense_workspace.as_deref();
-    let folder = depthmaps::folder_of(&project.home, dense, backend);
-    if is_outside(&folder, &project.home) {
-        return None;
-    }
+    let folder = depthmaps::folder_of(&project.home, dense, backend)?;
     let scene = project.read_scene().ok()?;
     let maps = match depthmaps::list(&folder, &scene) {
         Ok(listed) => listed.maps,
@@ -205,6 +202,20 @@ fn number_gone(maps: &[String], progress: &Progress) -> usize {
     let there: BTreeSet<&String> = maps.iter().collect();
     let measured = progress.finished.iter();
     measured.filter(|view| !there.contains(view)).count()
+}
+
+/// What was measured, where so many of the measured maps are no longer there.
+fn without_gone(mut progress: Progress, gone: usize) -> Progress {
+    if gone > 0 {
+        let said = match gone {
+            1 => "1 measured depth map is gone: viewrank run makes it again.".into(),
+            n => format!("{n} measured depth maps are gone: viewrank run makes them again."),
+        };
+        let notes: Vec<String> = progress.note.into_iter().chain([said]).collect();
+        progress.note = Some(notes.join("; "));
+        progress.target_reached = false;
+    }
+    progress
 }
 
 fn later_than(mut phase: Phase, later: usize) -> Phase {
@@ -250,7 +261,7 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
 }
 
 /// What is finished of a project that no daemon watches.
-fn unwatched(progress: &Progress, later: usize, gone: usize) -> Vec<String> {
+fn unwatched(progress: &Progress, later: usize) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
     let share = match progress.share {
         Some(share) => format!(
@@ -266,19 +277,12 @@ fn unwatched(progress: &Progress, later: usize, gone: usize) -> Vec<String> {
     lines.extend(progress.note.clone());
     // Without a target of the user's the list ends the work, whatever it reached.
     let is_reached = progress.share.is_some_and(|share| share >= progress.target);
-    match (progress.target_reached && gone == 0, is_reached) {
+    match (progress.target_reached, is_reached) {
         (true, true) => lines.push("The planned share is reached.".into()),
         (true, false) => lines.push("The list is done.".into()),
         (false, _) => {}
     }
     lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());
-    lines.extend(match gone {
-        0 => None,
-        1 => Some("1 measured depth map is gone: viewrank run makes it again.".into()),
-        n => Some(format!(
-            "{n} measured depth maps are gone: viewrank run makes them again."
-        )),
-    });
     lines.extend(match later {
         0 => None,
         1 => Some("1 depth map was finished after that (viewrank evaluate).".into()),

@@ -135,7 +135,8 @@ fn prepare(
         &project.root,
         project.dense_workspace.as_deref(),
         &arguments.depth_maps,
-    );
+    )
+    .unwrap_or_else(|| project.root.join(&arguments.depth_maps));
     let found = depthmaps::find(&folder, &scene)?.into_complete()?;
     let backend = backend(arguments, &found.maps[0].format);
     settings.confidence.source = ConfidenceSource::Photometric;

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::base::paths::is_outside;
+use crate::base::paths::{absolute, is_outside};
 pub use crate::{
     base::amounts::{Amount, AmountError, Budget, Bytes, Count, Share, TimeSpan},
     decision::{CutSettings, ForecastSettings},
@@ -88,28 +88,45 @@ pub struct Settings {
     pub forecast: ForecastSettings,
     pub dispatch: DispatchSettings,
     pub frame: FrameSettings,
-    /// Files outside of the project that its settings or its plan name, not the user: errors must
-    /// not quote them.
+    /// Mesh and region as the user, or the file of the watched folder, has named them, not a project's
+    /// file or its plan.
     #[serde(skip)]
-    pub hidden: Vec<PathBuf>,
+    pub named: Vec<PathBuf>,
 }
 
 impl Settings {
-    /// Hides the files of the plan that are outside of this folder, the project's.
-    pub fn hide_outside(&mut self, folder: &Path) {
-        let mut files = self.files_of_plan();
-        files.retain(|file| is_outside(file, folder));
-        self.hidden = files;
+    /// Returns whether errors may quote the mesh or the region: it is in the project, which may be a
+    /// stranger's, or the user has named it, by no link of the project.
+    pub fn may_quote(&self, file: &Path, project: &Path) -> bool {
+        let is_through_project = || {
+            absolute(file)
+                .ancestors()
+                .any(|above| !is_outside(above, project))
+        };
+        let is_named = self.named.iter().any(|named| named == file);
+        !is_outside(file, project) || is_named && !is_through_project()
+    }
+
+    /// Returns whether the pilot's maps are outside. Of a record in the project, which may be a
+    /// stranger's, such a folder is not walked.
+    pub fn has_pilot_outside(&self, project: &Path) -> bool {
+        let maps = self.pilot.maps.as_ref();
+        maps.is_some_and(|folder| is_outside(folder, project))
+    }
+
+    /// Returns the file that the setting names.
+    fn file(&self, key: &str) -> Option<PathBuf> {
+        match key {
+            "region" => self.region.as_ref()?.file(),
+            "surface.mesh" => self.surface.mesh.clone(),
+            _ => None,
+        }
     }
 
     /// Returns the files besides the model that a plan reads: the mesh and the region.
     pub fn files_of_plan(&self) -> Vec<PathBuf> {
-        self.surface
-            .mesh
-            .iter()
-            .cloned()
-            .chain(self.region.as_ref().and_then(RegionChoice::file))
-            .collect()
+        let files = ["surface.mesh", "region"].map(|key| self.file(key));
+        files.into_iter().flatten().collect()
     }
 
     /// Returns the settings that affect a plan; the others have their defaults.

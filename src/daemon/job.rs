@@ -465,7 +465,11 @@ impl PlanJob {
 
     fn last_settings(&self, project: &Path) -> Option<Settings> {
         let known = lock(&self.valid_settings).get(project).cloned();
-        known.or_else(|| PlannedFrom::read(project).map(|record| record.settings))
+        let of_plan = || {
+            let settings = PlannedFrom::read(project)?.settings;
+            (!settings.has_pilot_outside(project)).then_some(settings)
+        };
+        known.or_else(of_plan)
     }
 }
 

@@ -6,6 +6,7 @@ use super::{MeshError, RegionFileError, memory};
 use crate::{
     base::{
         column::{DiskError, TableError},
+        decimals::significant,
         error::{Advice, Hint},
         progress::Cancelled,
     },
@@ -27,6 +28,8 @@ pub enum PlanError {
         folder: std::path::PathBuf,
         name: String,
     },
+    #[error("the images are at most {} times as wide as their cameras, and matched at {} times", significant(*images), significant(*image_scale))]
+    SmallImages { images: f64, image_scale: f64 },
     #[error("{}: {what}", model.display())]
     NoObservations {
         model: std::path::PathBuf,
@@ -82,6 +85,17 @@ pub enum PlanError {
     Cancelled(#[from] Cancelled),
 }
 
+impl PlanError {
+    /// The error without anything from a file that it may not quote.
+    pub(super) fn quoting(self, may_quote: impl Fn(&Path) -> bool) -> Self {
+        match self {
+            Self::Mesh(error) => error.quoting(may_quote).into(),
+            Self::RegionFile(error) => error.quoting(may_quote).into(),
+            error => error,
+        }
+    }
+}
+
 impl From<RegionError> for PlanError {
     fn from(error: RegionError) -> Self {
         match error {
@@ -131,6 +145,11 @@ impl Hint for PlanError {
                     .set("images")
                     .and(" or in viewrank.toml")
             }
+            Self::SmallImages { images, .. } => format!(
+                "name the folder of the images that the model was made from, or set image_scale = {} in viewrank.toml",
+                significant(*images)
+            )
+            .into(),
             Self::NoObservations { cure, .. } => match cure {
                 Some(cure) => cure.clone().into(),
                 None => "export the model again, with its sparse points and their tracks".into(),

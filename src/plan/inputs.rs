@@ -95,6 +95,9 @@ impl<'a> Inputs<'a> {
             })?;
         refuse_other_images(project, &scene, &settings)?;
         let image_faults = project.image_faults(&scene);
+        if project.images.is_some() {
+            refuse_small_images(&image_faults, &scene, settings.image_scale())?;
+        }
         let most_pixels = match project.images {
             Some(_) => image_faults.most_pixels(&scene),
             None => 0,
@@ -201,6 +204,24 @@ fn refuse_other_images(
     }
 }
 
+/// Most that images are enlarged for matching. A surface has the detail at which they are matched,
+/// so that cameras which claim any size would cost any time.
+const MOST_ENLARGED: f64 = 8.0;
+
+fn refuse_small_images(
+    faults: &ImageFaults,
+    scene: &Scene,
+    image_scale: f64,
+) -> Result<(), PlanError> {
+    match faults.largest_scale(scene) {
+        Some(images) if image_scale > MOST_ENLARGED * images => Err(PlanError::SmallImages {
+            images,
+            image_scale,
+        }),
+        _ => Ok(()),
+    }
+}
+
 /// Fills in the settings that depend on the data and the backend.
 fn in_force(
     project: &Project,
@@ -285,7 +306,6 @@ fn shape(
     };
     Ok(Some(region::read(
         choice,
-        &settings.hidden,
         place,
         &MapFrame::new(scene, settings.surface.up),
     )?))

@@ -23,6 +23,19 @@ pub enum MeshError {
     Ply { path: PathBuf, source: PlyError },
 }
 
+impl MeshError {
+    /// The error without anything from a file that it may not quote.
+    pub(super) fn quoting(self, may_quote: impl Fn(&Path) -> bool) -> Self {
+        match self {
+            Self::Ply { path, source } if !may_quote(&path) => Self::Ply {
+                path,
+                source: source.hidden(),
+            },
+            error => error,
+        }
+    }
+}
+
 impl Hint for MeshError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {
@@ -32,19 +45,14 @@ impl Hint for MeshError {
     }
 }
 
-/// `hidden`: files that errors must not quote.
-pub(super) fn read(path: &Path, hidden: &[PathBuf]) -> Result<Mesh, MeshError> {
+pub(super) fn read(path: &Path) -> Result<Mesh, MeshError> {
     let bytes = input::read(path, FileKind::Mesh).map_err(|source| MeshError::File {
         path: path.into(),
         source,
     })?;
     ply::read(&bytes).map_err(|source| MeshError::Ply {
         path: path.into(),
-        source: if hidden.iter().any(|file| file == path) {
-            source.hidden()
-        } else {
-            source
-        },
+        source,
     })
 }
 
@@ -57,7 +65,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("sphere.ply");
         std::fs::write(&path, "solid sphere").unwrap();
-        let error = read(&path, &[]).unwrap_err().to_string();
+        let error = read(&path).unwrap_err().to_string();
         assert!(error.contains("sphere.ply: line 1"), "{error}");
     }
 }

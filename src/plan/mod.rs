@@ -40,6 +40,8 @@ pub use viewrank_core::decision::{
 };
 pub use warnings::{length_in_words, unlikely_gsd, warnings};
 
+use std::path::Path;
+
 use crate::{
     base::{
         column::DiskError,
@@ -95,7 +97,9 @@ impl Plan {
         mut timings: Timings,
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
-        let stages = Stages::run(project, scene, settings, matcher, &mut timings, watcher)?;
+        let stages = Stages::run(project, scene, settings, matcher, &mut timings, watcher);
+        let may_quote = |file: &Path| settings.may_quote(file, &project.named);
+        let stages = stages.map_err(|error| error.quoting(may_quote))?;
         let decision = decide(&stages, &FinishedClusters::default(), &mut timings, watcher)?;
         timings.end();
         Ok(Self::of(stages, decision, FinishedMaps::default(), timings))

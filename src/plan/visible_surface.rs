@@ -88,7 +88,7 @@ impl VisibleSurface {
                 .surface
                 .mesh
                 .as_deref()
-                .map(|path| mesh::read(path, &settings.hidden))
+                .map(mesh::read)
                 .transpose()?;
             surface::build(scene, &wanted, &settings.surface, mesh, most, watcher)
                 .map_err(|error| memory.too_fine(error))

@@ -564,10 +564,8 @@ fn no_word_of_a_file_outside_of_the_project_is_said_unless_the_user_names_it() {
             let said = said_of(contents);
             assert!(!said.contains("hunter2"), "{key} {name}: {said}");
         }
-        assert!(
-            said_of(regions[3]).contains("outside of the project"),
-            "{key}"
-        );
+        let said = said_of(regions[3]);
+        assert!(said.contains("leads out of the folder"), "{key}: {said}");
     }
     fs::remove_file(&settings).unwrap();
     fs::write(&secret, regions[0]).unwrap();
@@ -578,6 +576,9 @@ fn no_word_of_a_file_outside_of_the_project_is_said_unless_the_user_names_it() {
         path(&secret),
     ]));
     assert!(error.contains("hunter2"), "{error}");
+    let (project, link) = (place.project(), place.project().join("area"));
+    let error = fails(viewrank(&["plan", path(&project), "--region", path(&link)]));
+    assert!(!error.contains("hunter2"), "{error}");
     symlink(&secret, &settings).unwrap();
     for contents in ["hunter2 = 1\n", "target.gsd = \"hunter2\"\n", "\nhunter2"] {
         let said = said_of(contents);
@@ -615,6 +616,28 @@ fn no_word_of_a_file_outside_of_the_project_is_said_unless_the_user_names_it() {
     let said = said_of("hunter2 hunter2\n");
     assert!(!said.contains("hunter2"), "{said}");
     assert!(said.contains("outside of the project"), "{said}");
+}
+
+#[test]
+fn no_folder_outside_of_the_project_is_walked_for_maps_of_the_pilot() {
+    let place = Place::new();
+    let (project, maps) = (place.project(), place.folder.path().join("hunter2"));
+    fs::create_dir(&maps).unwrap();
+    fs::write(maps.join("hunter2.pfm"), "hunter2").unwrap();
+    let pilot = format!("pilot.maps = '{}'", path(&maps));
+    fs::write(project.join("viewrank.toml"), pilot).unwrap();
+    let error = fails(viewrank(&["plan", path(&project)]));
+    assert!(error.contains("leads out of the folder"), "{error}");
+    fs::remove_file(project.join("viewrank.toml")).unwrap();
+    succeeds(place.plan());
+    let mut manifest = place.manifest();
+    manifest["settings"]["pilot"]["maps"] = path(&maps).into();
+    fs::write(place.own("manifest.json"), manifest.to_string()).unwrap();
+    for command in ["evaluate", "report", "export"] {
+        let error = fails(viewrank(&[command, path(&project)]));
+        assert!(error.contains("leads out"), "{command}: {error}");
+        assert!(!error.contains("hunter2.pfm"), "{command}: {error}");
+    }
 }
 
 #[test]

@@ -7,9 +7,11 @@ use std::{
 };
 
 use serde_json::Value;
-use viewrank_io::npy;
+use viewrank::Settings;
+use viewrank_core::base::progress::NoWatcher;
+use viewrank_io::{npy, project::Project};
 
-use super::valley::{printed, project, viewrank};
+use super::valley::{printed, project, viewrank as program};
 
 /// Plans with pictures and returns the manifest.
 fn plan(project: &Path, options: &[&str]) -> Value {
@@ -78,7 +80,7 @@ fn auto_compares_the_pictures_where_there_are_any() {
     assert_eq!(source(&auto("sgm")), "photometric");
     assert_eq!(source(&auto("sure")), "photometric");
     fs::remove_dir_all(project.path().join("images")).unwrap();
-    let without = viewrank(&[
+    let without = program(&[
         "plan",
         project.path().to_str().unwrap(),
         "--confidence",
@@ -130,42 +132,15 @@ fn views_without_a_picture_are_judged_by_their_geometry() {
 #[test]
 fn a_second_plan_compares_no_pictures() {
     let project = project();
-    let photometric = ["--confidence", "photometric"];
-    let first = plan(project.path(), &photometric);
-    // The cache says that no pictures agree: the second plan takes its word for it.
-    let cache = project.path().join("viewrank/cache/agreement.table");
-    let table = fs::read(&cache).unwrap();
-    let head = 1
-        + (0..table.len())
-            .filter(|&i| table[i] == b'\n')
-            .nth(1)
-            .unwrap();
-    let values = vec![1; table.len() - head];
-    let text = String::from_utf8(table[..head].to_vec()).unwrap();
-    let facts: Value = serde_json::from_str(text.lines().nth(1).unwrap()).unwrap();
-    let facts = facts["facts"].to_string();
-    let hash = |values: &[u8]| blake3::hash(&[facts.as_bytes(), values].concat()).to_string();
-    let table = [
-        text.replace(&hash(&table[head..]), &hash(&values))
-            .as_bytes(),
-        &values,
-    ]
-    .concat();
-    fs::write(&cache, &table).unwrap();
-    // These are kept as results of the same pictures.
-    for result in ["clusters.table", "ranking.table"] {
-        fs::remove_file(cache.with_file_name(result)).unwrap();
-    }
-    let second = plan(project.path(), &photometric);
-    let reachable = |plan: &Value| plan["cut"]["reachable"].as_f64().unwrap();
-    assert!(
-        reachable(&second) < 0.5 * reachable(&first),
-        "{} {}",
-        reachable(&second),
-        reachable(&first)
-    );
-    assert_eq!(fs::read(&cache).unwrap(), table);
-    changed_images_are_read(project.path(), &photometric);
+    let photometric = ["--confidence", "photometric", "--backend", "sgm"];
+    plan(project.path(), &photometric);
+    let settings = "backends = ['sgm']\nconfidence.source = 'photometric'";
+    let settings: Settings = toml::from_str(settings).unwrap();
+    let opened = Project::open(project.path(), None).unwrap();
+    let second = viewrank::plan(&opened, &settings, &NoWatcher).unwrap();
+    let new: Vec<String> = second.unwritten().into_iter().map(|set| set.name).collect();
+    assert_eq!(new, [""; 0], "no stage has anything new");
+    changed_images_are_read(project.path(), &photometric[..2]);
 }
 
 fn changed_images_are_read(project: &Path, options: &[&str]) {
@@ -242,7 +217,7 @@ fn other_candidates_are_compared_anew() {
 #[test]
 fn a_dry_run_keeps_no_cache() {
     let project = project();
-    let output = viewrank(&[
+    let output = program(&[
         "plan",
         project.path().to_str().unwrap(),
         "--confidence",
@@ -316,20 +291,14 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
         |path: &Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
     make_pipe(&pipe);
     let root = folder.path().to_str().unwrap();
-    for file in ["/dev/zero", "pipe"] {
-        fs::write(
-            folder.path().join("viewrank.toml"),
-            format!("surface.mesh = \"{file}\"\n"),
-        )
-        .unwrap();
-        let output = viewrank(&["plan", root, "--quiet"]);
+    for file in ["/dev/zero", pipe.to_str().unwrap()] {
+        let output = program(&["plan", root, "--quiet", "--mesh", file]);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
             !output.status.success() && message.contains("not a regular file"),
             "{file}: {message}"
         );
     }
-    fs::remove_file(folder.path().join("viewrank.toml")).unwrap();
     let [first, second, ..] = &images(folder.path())[..] else {
         panic!("no images")
     };
@@ -354,7 +323,7 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
         let aside = folder.path().join("aside");
         let was_there = fs::rename(&own, &aside).is_ok();
         make_pipe(&own);
-        let output = viewrank(&["plan", root, "--quiet"]);
+        let output = program(&["plan", root, "--quiet"]);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
             !output.status.success() && message.contains(name),
@@ -365,7 +334,7 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
             fs::rename(&aside, &own).unwrap();
         }
     }
-    assert!(viewrank(&["plan", root, "--quiet"]).status.success());
+    assert!(program(&["plan", root, "--quiet"]).status.success());
 }
 
 #[test]
@@ -373,7 +342,7 @@ fn predict_draws_the_key_views_of_a_plan() {
     let project = project();
     let manifest = plan(project.path(), &["--confidence", "photometric"]);
     let out = tempfile::tempdir().unwrap();
-    let output = viewrank(&[
+    let output = program(&[
         "predict",
         project.path().to_str().unwrap(),
         "--out",

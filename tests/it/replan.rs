@@ -847,7 +847,11 @@ fn status_shows_what_evaluate_measured_and_counts_the_maps_that_came_after() {
     let first = planned.keys(0..1)[0];
     fs::remove_file(planned.maps().join(format!("{first}.npy"))).unwrap();
     let text = printed(&["status", root]);
-    assert!(text.contains("1 measured depth map is gone"), "{text}");
+    let is_said = |text: &str| text.contains("1 measured depth map is gone");
+    let status = &of("status")["projects"][0];
+    assert!(is_said(&text), "{text}");
+    assert!(is_said(status["note"].as_str().unwrap()), "{status}");
+    assert_eq!(status["state"], "partial");
     // Of a later plan the measurement says nothing.
     let manifest = planned.folder.path().join("viewrank/manifest.json");
     fs::write(&manifest, fs::read(&manifest).unwrap()).unwrap();

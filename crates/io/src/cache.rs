@@ -1,10 +1,12 @@
 //! Results that a project keeps for its next plan: files in `viewrank/cache`, each believed only
-//! for the inputs that it was made from.
+//! for the inputs that it was made from, and only by the user who made it: they are signed.
 //!
 //! One file: a line of magic, a line of JSON with facts and the fingerprints of the inputs and of
-//! the rest, and the contents. A file that is damaged, or was made from other inputs or by another
-//! version of the format, counts as absent. They are written together with the plan
-//! ([`super::output`]).
+//! the rest, and the contents. A file that is damaged, or was made from other inputs, by another
+//! user or by another version of the format, counts as absent. They are written together with the
+//! plan ([`super::output`]).
+
+mod key;
 
 use std::{
     io::{BufRead, BufReader, Read, Seek, SeekFrom},
@@ -13,13 +15,14 @@ use std::{
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use self::key::Key;
 use super::output::{self, Contents, FileSet};
 use crate::{
     input::{self, FileKind},
     packed::Packed,
 };
 
-const MAGIC: &str = "viewrank cache 1\n";
+const MAGIC: &str = "viewrank cache 2\n";
 /// Limit for the line of JSON, bytes: a few per view, and warnings.
 const LONGEST_HEAD: u64 = 64 << 20;
 /// Bytes read or hashed at once.
@@ -30,15 +33,16 @@ const BLOCK: usize = 1 << 20;
 pub struct CacheFile {
     home: PathBuf,
     path: &'static str,
-    /// BLAKE3 of what the contents depend on, hexadecimal; `None` if that is not known: such
-    /// contents are neither written nor read.
+    /// BLAKE3 of what the contents depend on, hexadecimal; `None` if that is not known, or the user
+    /// has no key: such contents are neither written nor read.
     inputs: Option<String>,
+    key: Key,
 }
 
 #[derive(Serialize, Deserialize)]
 struct Head<F> {
     inputs: String,
-    /// BLAKE3 of the facts and the contents, hexadecimal.
+    /// Keyed BLAKE3 of all the rest, hexadecimal.
     hash: String,
     facts: F,
 }
@@ -52,22 +56,34 @@ pub struct OpenCache<F> {
     hasher: blake3::Hasher,
 }
 
-fn hasher_of(facts: &impl Serialize) -> blake3::Hasher {
-    let json = serde_json::to_vec(facts).expect("numbers and texts are JSON");
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(&json);
-    hasher
-}
-
 impl CacheFile {
     /// `home`: of the project. `inputs`: has seen everything that the contents depend on, the
     /// program included; `None` if that is not known.
     pub fn new(home: &Path, path: &'static str, inputs: Option<blake3::Hasher>) -> Self {
+        Self::signed(home, path, inputs, key::of_user(home))
+    }
+
+    fn signed(
+        home: &Path,
+        path: &'static str,
+        inputs: Option<blake3::Hasher>,
+        key: Option<Key>,
+    ) -> Self {
+        let inputs = inputs.filter(|_| key.is_some());
         Self {
             home: home.into(),
             path,
             inputs: inputs.map(|inputs| inputs.finalize().to_string()),
+            key: key.unwrap_or_default(),
         }
+    }
+
+    /// Returns the hasher of the file, which has seen all but its contents.
+    fn hasher(&self, inputs: &str, facts: &impl Serialize) -> blake3::Hasher {
+        let json = serde_json::to_vec(&(self.path, inputs, facts));
+        let mut hasher = blake3::Hasher::new_keyed(&self.key.0);
+        hasher.update(&json.expect("numbers and texts are JSON"));
+        hasher
     }
 
     /// Fingerprint of what the contents depend on, so that other results can depend on them.
@@ -89,7 +105,7 @@ impl CacheFile {
             return None;
         }
         let head: Head<F> = serde_json::from_str(&line(LONGEST_HEAD)?).ok()?;
-        let hasher = hasher_of(&head.facts);
+        let hasher = self.hasher(inputs, &head.facts);
         (head.inputs == *inputs).then_some(OpenCache {
             facts: head.facts,
             file,
@@ -115,7 +131,7 @@ impl CacheFile {
         let Some(inputs) = self.inputs.clone() else {
             return self.no_file();
         };
-        let mut hasher = hasher_of(facts);
+        let mut hasher = self.hasher(&inputs, facts);
         for part in &contents {
             for block in part.as_bytes().chunks(BLOCK) {
                 hasher.update(block);
@@ -184,9 +200,13 @@ mod tests {
     }
 
     fn of(home: &Path, input: &[u8]) -> CacheFile {
+        signed(home, input, Some(Key([1; 32])))
+    }
+
+    fn signed(home: &Path, input: &[u8], key: Option<Key>) -> CacheFile {
         let mut inputs = blake3::Hasher::new();
         inputs.update(input);
-        CacheFile::new(home, PATH, Some(inputs))
+        CacheFile::signed(home, PATH, Some(inputs), key)
     }
 
     fn write(set: FileSet) {
@@ -210,10 +230,22 @@ mod tests {
     fn nothing_is_kept_for_unknown_inputs() {
         let home = tempfile::tempdir().unwrap();
         write(of(home.path(), b"a").file(&7, packed(&[1])));
-        let file = CacheFile::new(home.path(), PATH, None);
+        let file = CacheFile::signed(home.path(), PATH, None, Some(Key([1; 32])));
         assert!(file.read::<u32>().is_none());
         write(file.file(&7, packed(&[1])));
         assert!(!home.path().join(PATH).exists());
+    }
+
+    #[test]
+    fn nobody_believes_the_file_of_another_user() {
+        let home = tempfile::tempdir().unwrap();
+        let [one, other, none] = [Some(Key([1; 32])), Some(Key([2; 32])), None]
+            .map(|key| signed(home.path(), b"a", key));
+        write(one.file(&7, packed(&[1])));
+        assert!(other.read::<u32>().is_none() && none.read::<u32>().is_none());
+        assert!(one.read::<u32>().is_some());
+        write(none.file(&7, packed(&[1])));
+        assert!(one.read::<u32>().is_none(), "nothing is kept without a key");
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! A region, and what the photographs miss of it.
 
+use std::path::Path;
+
 use super::{Finding, Inputs, Severity};
 use crate::{
     apps::report::MOST_PLANNED,
@@ -41,8 +43,9 @@ fn ground(
         return Ok((Some(planned), true));
     }
     let without_image = inputs.images.without_image(scene.views.len());
-    let now = photographed_ground(scene, place, settings, &without_image)?;
-    Ok((now, false))
+    let now = photographed_ground(scene, place, settings, &without_image);
+    let may_quote = |file: &Path| settings.may_quote(file, &inputs.project.named);
+    Ok((now.map_err(|error| error.quoting(may_quote))?, false))
 }
 
 fn of_ground(

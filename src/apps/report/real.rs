@@ -148,12 +148,13 @@ fn counted(plan: &Plan, run: &MeasuredClusters) -> ReachCurve {
 pub fn folders_of_maps(plan: &Plan, project: &Project) -> Vec<PathBuf> {
     let own = own_folder_of_maps(plan, project);
     let mut folders = depthmaps::folders(&project.home);
-    folders.sort_by_key(|folder| *folder != own);
+    folders.sort_by_key(|folder| Some(folder) != own.as_ref());
     folders
 }
 
-/// Folder in which the plan's program writes its depth maps.
-pub fn own_folder_of_maps(plan: &Plan, project: &Project) -> PathBuf {
+/// Folder in which the plan's program writes its depth maps; `None` where links lead out of the
+/// project.
+pub fn own_folder_of_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
     depthmaps::folder_of(
         &project.home,
         project.dense_workspace.as_deref(),

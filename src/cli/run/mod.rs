@@ -148,7 +148,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // Somebody may have typed it for that plan.
     if let Some(region) = planned_region(&root).filter(|_| settings.region.is_none()) {
         note(&format!("the region is that of the last plan: {region}"));
-        typed.set("--region", "region", Some(region));
+        typed.keep_planned("region", region);
     }
     let foreground = Foreground::new(&root, typed, &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop, PlanWhen::Outdated)?;

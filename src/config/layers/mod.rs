@@ -16,7 +16,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         input::{self, FileKind},
-        paths::is_outside,
+        paths::{absolute, is_outside},
     },
     model::{cluster::MapScale, georeference::Zone},
 };
@@ -82,6 +82,15 @@ impl CommandLineSettings {
         }
     }
 
+    /// Records a value that the project's last plan has, which may be a stranger's.
+    pub fn keep_planned(&mut self, key: &str, value: impl Into<Value>) {
+        self.0.push(Entry {
+            key: key.into(),
+            value: value.into(),
+            place: SettingLocation::LastPlan,
+        });
+    }
+
     /// Returns whether all typed options are among these.
     pub fn are_among(&self, options: &[&str]) -> bool {
         self.0.iter().all(|entry| matches!(entry.place, SettingLocation::Option(option) if options.contains(&option)))
@@ -93,6 +102,7 @@ impl CommandLineSettings {
 pub enum SettingLocation {
     File { path: PathBuf, line: usize },
     Option(&'static str),
+    LastPlan,
 }
 
 /// Origin of a value in force.
@@ -107,6 +117,7 @@ impl fmt::Display for SettingLocation {
         match self {
             Self::File { path, line } => write!(f, "{}:{line}", path.display()),
             Self::Option(option) => write!(f, "{option}"),
+            Self::LastPlan => write!(f, "the last plan"),
         }
     }
 }
@@ -176,7 +187,10 @@ impl Configuration {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         for file in [&files.root, &files.project].into_iter().flatten() {
             let project = read(file)?;
-            project.iter().try_for_each(refuse_commands)?;
+            for entry in &project {
+                refuse_commands(entry)?;
+                refuse_outside(entry, file)?;
+            }
             entries.extend(project);
         }
         entries.extend(typed.0);
@@ -189,7 +203,18 @@ impl Configuration {
             None
         };
         convert_lengths(&mut entries, of_model)?;
-        Self::over_defaults(entries, backend)
+        let mut configuration = Self::over_defaults(entries, backend)?;
+        let is_named = |place: &SettingLocation| match place {
+            SettingLocation::File { path, .. } => Some(path) != files.project.as_ref(),
+            SettingLocation::Option(_) => true,
+            SettingLocation::LastPlan => false,
+        };
+        configuration.settings.named = ["region", "surface.mesh"]
+            .into_iter()
+            .filter(|key| configuration.places.get(*key).is_some_and(is_named))
+            .filter_map(|key| configuration.settings.file(key))
+            .collect();
+        Ok(configuration)
     }
 
     /// Merges entries over the defaults; later ones win.
@@ -204,30 +229,9 @@ impl Configuration {
         let mut settings = Settings::deserialize(table).expect("each entry was checked by itself");
         settings.backends =
             proper_names(&settings.backends, backend).expect("each entry was checked by itself");
-        let mut configuration = Self { settings, places };
-        configuration.hide_outside();
+        let configuration = Self { settings, places };
         configuration.check_together()?;
         Ok(configuration)
-    }
-
-    /// Hides the files outside of the folder of the settings file that names them.
-    fn hide_outside(&mut self) {
-        let settings = &mut self.settings;
-        let region = settings.region.as_ref().and_then(RegionChoice::file);
-        let named = [
-            ("region", region),
-            ("surface.mesh", settings.surface.mesh.clone()),
-        ];
-        for (key, file) in named {
-            if let (Some(SettingLocation::File { path, .. }), Some(file)) =
-                (self.places.get(key), file)
-                && path
-                    .parent()
-                    .is_some_and(|folder| is_outside(&file, folder))
-            {
-                settings.hidden.push(file);
-            }
-        }
     }
 
     pub fn source(&self, key: &str) -> Source {
@@ -428,19 +432,57 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     entries.into_iter().collect()
 }
 
+/// The settings that name a file or a folder, and whether a project's file, which may come from
+/// anybody, may name one outside of its folder.
+const PATHS: [(&str, bool); 4] = [
+    // Photographs are often kept apart. A link `images` leads there without a setting; what is
+    // looked through is limited, and only pictures of the model's names are read.
+    ("images", true),
+    // All that is below is listed.
+    ("pilot.maps", false),
+    ("region", false),
+    ("surface.mesh", false),
+];
+
+/// A value that is a path.
+struct PathValue {
+    key: &'static str,
+    path: PathBuf,
+    may_leave: bool,
+}
+
+impl PathValue {
+    fn new(key: &str, value: &Value) -> Option<Self> {
+        let &(key, may_leave) = PATHS.iter().find(|(known, _)| *known == key)?;
+        let text = value.as_str()?;
+        let is_path = key != "region" || RegionChoice::is_file(text);
+        is_path.then(|| Self {
+            key,
+            path: text.into(),
+            may_leave,
+        })
+    }
+}
+
 /// Converts a value of `file`; relative paths are resolved against its folder.
 fn from_file(key: &str, value: &Value, file: &Path) -> Value {
-    let names_file = |text: &&str| match key {
-        "surface.mesh" | "images" | "pilot.maps" => true,
-        "region" => RegionChoice::is_file(text),
-        _ => false,
-    };
-    match (
-        value.as_str().filter(names_file),
-        file.parent().map(std::path::absolute),
-    ) {
-        (Some(name), Some(Ok(folder))) => folder.join(name).to_string_lossy().into_owned().into(),
+    match (PathValue::new(key, value), absolute(file).parent()) {
+        (Some(PathValue { path, .. }), Some(folder)) => {
+            folder.join(path).to_string_lossy().into_owned().into()
+        }
         _ => value.clone(),
+    }
+}
+
+/// Refuses a path in a project's `file` that leads out of its folder.
+fn refuse_outside(entry: &Entry, file: &Path) -> Result<(), ConfigError> {
+    let named = PathValue::new(&entry.key, &entry.value).filter(|named| !named.may_leave);
+    match (named, absolute(file).parent()) {
+        (Some(PathValue { key, path, .. }), Some(folder)) if is_outside(&path, folder) => {
+            let place = entry.place.clone();
+            Err(ConfigError::Outside { place, key, path })
+        }
+        _ => Ok(()),
     }
 }
 
@@ -592,6 +634,12 @@ pub enum ConfigError {
     Hidden(SettingLocation),
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: SettingLocation, key: String },
+    #[error("{place}: {key} = {} leads out of the folder of this file, so a project's file may not set it", path.display())]
+    Outside {
+        place: SettingLocation,
+        key: &'static str,
+        path: PathBuf,
+    },
     #[error("{place}: {error}")]
     Backend {
         place: SettingLocation,
@@ -635,6 +683,9 @@ impl Hint for ConfigError {
                 Some(path) => format!("set it in {}, or on the command line", path.display()).into(),
                 None => "set it on the command line".into(),
             },
+            Self::Outside { key, .. } => {
+                Advice::text("copy it there, or name it yourself: ").set(key)
+            }
             Self::NotMetric { .. } => "write units = \"metric\" into viewrank.toml if a unit of the model is a metre (or georeference it), else \
                                        give the number in units of the model"
                 .into(),
@@ -678,6 +729,7 @@ impl ConfigError {
             | Self::UnknownKey { place, .. }
             | Self::Hidden(place)
             | Self::UserOnly { place, .. }
+            | Self::Outside { place, .. }
             | Self::Backend { place, .. }
             | Self::NotMetric { place, .. }
             | Self::Value {

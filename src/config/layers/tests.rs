@@ -327,3 +327,82 @@ fn amounts_may_be_numbers() {
         Some(crate::config::Budget::Clusters(40))
     );
 }
+
+#[test]
+fn a_project_s_path_may_not_lead_out_of_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let (project, outside) = (folder.path().join("project"), folder.path().join("maps"));
+    fs::create_dir_all(project.join("maps")).unwrap();
+    fs::create_dir(&outside).unwrap();
+    let file = |folder: &Path, text: &str| {
+        let path = folder.join("viewrank.toml");
+        fs::write(&path, text).unwrap();
+        Some(path)
+    };
+    let load =
+        |files: Files| Configuration::load(&files, CommandLineSettings::default(), canonical_name);
+    let of_project = |text: &str| Files {
+        project: file(&project, text),
+        ..Files::default()
+    };
+    let is_refused = |result| matches!(result, Err(ConfigError::Outside { .. }));
+    for key in ["pilot.maps", "region", "surface.mesh"] {
+        for path in ["../maps", "maps/../../maps", outside.to_str().unwrap()] {
+            let text = format!("{key} = '{path}'");
+            assert!(is_refused(load(of_project(&text))), "{text}");
+            let root = Files {
+                root: file(&project, &text),
+                ..Files::default()
+            };
+            assert!(is_refused(load(root)), "{text} of a watched folder");
+            let user = Files {
+                user: file(folder.path(), &text),
+                ..Files::default()
+            };
+            assert!(load(user).is_ok(), "{text} of the user");
+        }
+        for path in ["maps", "../project/maps", "not/there/yet"] {
+            let text = format!("{key} = '{path}'");
+            assert!(load(of_project(&text)).is_ok(), "{text}");
+        }
+    }
+    assert!(load(of_project("images = '../maps'\nregion = '0,0,0,1,1,1'")).is_ok());
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink(&outside, project.join("link")).unwrap();
+        assert!(is_refused(load(of_project("pilot.maps = 'link'"))));
+        assert!(is_refused(load(of_project("region = 'link/area.json'"))));
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn errors_quote_a_file_outside_only_if_the_user_names_it_by_no_link_of_the_project() {
+    let folder = tempfile::tempdir().unwrap();
+    let (project, outside) = (folder.path().join("project"), folder.path().join("sites"));
+    fs::create_dir(&project).unwrap();
+    fs::create_dir(&outside).unwrap();
+    fs::write(outside.join("area"), "").unwrap();
+    std::os::unix::fs::symlink(outside.join("area"), project.join("link")).unwrap();
+    std::os::unix::fs::symlink(&outside, project.join("links")).unwrap();
+    let text = |file: &Path| file.to_str().unwrap().to_owned();
+    let quotes = |file: &Path, set: &dyn Fn(&mut CommandLineSettings)| {
+        let mut typed = CommandLineSettings::default();
+        set(&mut typed);
+        let loaded = Configuration::load(&Files::default(), typed, canonical_name).unwrap();
+        loaded.settings.may_quote(file, &project)
+    };
+    for (file, is_quoted) in [
+        (outside.join("area"), true),
+        (project.join("own"), true),
+        (project.join("link"), false),
+        (project.join("links/area"), false),
+    ] {
+        let by_user = quotes(&file, &|typed| {
+            typed.set("--region", "region", Some(text(&file)))
+        });
+        assert_eq!(by_user, is_quoted, "{file:?}");
+        let by_plan = quotes(&file, &|typed| typed.keep_planned("region", text(&file)));
+        assert_eq!(by_plan, file == project.join("own"), "{file:?}");
+    }
+}

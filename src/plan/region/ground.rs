@@ -183,7 +183,7 @@ pub fn photographed_ground(
         return Ok(None);
     };
     let frame = MapFrame::new(scene, settings.surface.up);
-    let region = super::read(choice, &settings.hidden, place, &frame)?;
+    let region = super::read(choice, place, &frame)?;
     let photographed = Photographed {
         scene,
         left_out: without_image,

@@ -2,7 +2,7 @@
 
 mod ground;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use ground::{GroundSummary, photographed_ground};
 
@@ -40,6 +40,19 @@ fn after(fault: &ShapeError) -> &'static str {
     }
 }
 
+impl RegionFileError {
+    /// The error without anything from a file that it may not quote.
+    pub fn quoting(self, may_quote: impl Fn(&Path) -> bool) -> Self {
+        match self {
+            Self::Read { path, fault } if !may_quote(&path) => Self::Read {
+                path,
+                fault: fault.hidden(),
+            },
+            error => error,
+        }
+    }
+}
+
 impl Hint for RegionFileError {
     fn hint(&self) -> Option<Advice> {
         let fault = match self {
@@ -65,11 +78,9 @@ impl Hint for RegionFileError {
     }
 }
 
-/// Reads the region. `hidden`: files that errors must not quote. `frame`: the map on which polygons
-/// without a georeference are drawn.
+/// Reads the region. `frame`: the map on which polygons without a georeference are drawn.
 pub(super) fn read(
     choice: &RegionChoice,
-    hidden: &[PathBuf],
     place: &Georeference,
     frame: &MapFrame,
 ) -> Result<RegionShape, RegionFileError> {
@@ -80,11 +91,7 @@ pub(super) fn read(
     };
     let file = region_file::read(path).map_err(|fault| RegionFileError::Read {
         path: path.clone(),
-        fault: if hidden.contains(path) {
-            fault.hidden()
-        } else {
-            fault
-        },
+        fault,
     })?;
     let shape = match file {
         RegionFile::Box(corners) => Ok(RegionShape::of_box(corners)),

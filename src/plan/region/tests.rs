@@ -62,7 +62,7 @@ impl Site {
     }
 
     fn on(&self, choice: &RegionChoice, place: &Georeference) -> Result<Region, PlanError> {
-        let shape = read(choice, &[], place, &MapFrame::new(&self.scene, None))?;
+        let shape = read(choice, place, &MapFrame::new(&self.scene, None))?;
         Ok(shape.lay_over(
             &self.surface,
             &vec![1.0; self.surface.triangles.len()],

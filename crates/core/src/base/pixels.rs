@@ -26,6 +26,17 @@ pub const fn most_decoded_bytes(file_bytes: u64) -> u64 {
     if most > DECODED { most } else { DECODED }
 }
 
+/// Pixels of a picture of any bytes.
+const OF_ANY_FILE: u64 = 1 << 24;
+/// Most pixels of each byte of a larger picture. A baseline JPEG without any detail has fewer
+/// (6 bits for 64 pixels of grey), a deflated plane a thousand.
+const OF_BYTE: u64 = 256;
+
+/// Returns the most pixels of a photograph whose file has so many bytes.
+pub fn most_photographed_pixels(file_bytes: u64) -> u64 {
+    OF_ANY_FILE.max(file_bytes.saturating_mul(OF_BYTE))
+}
+
 /// Largest number of pixels to read from one file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PixelBound(u64);
@@ -47,6 +58,11 @@ impl PixelBound {
     /// Bounds by a number of pixels and by [`Self::LARGEST`].
     pub const fn new(pixels: u64) -> Self {
         Self(if pixels < MOST { pixels } else { MOST })
+    }
+
+    /// The bound of a photograph whose file has so many bytes.
+    pub fn of_photograph(self, bytes: u64) -> Self {
+        Self(self.0.min(most_photographed_pixels(bytes)))
     }
 
     /// The bound, pixels.
@@ -87,6 +103,15 @@ mod tests {
         assert!(most_decoded_bytes(60 << 20) >= 3 * phase_one);
         assert!(most_decoded_bytes(6 * phase_one / 2) >= 6 * phase_one);
         assert!(most_decoded_bytes(64 << 20) < 1_000_000_000);
+    }
+
+    #[test]
+    fn a_photograph_has_its_bytes_and_a_plane_of_kilobytes_is_none() {
+        let of = |bytes: u64| PixelBound::LARGEST.of_photograph(bytes);
+        assert!(of(1 << 20).admit(14_204, 10_652).is_ok());
+        assert!(of(32_288).admit(18_800, 14_100).is_err());
+        assert!(of(500).admit(4096, 4096).is_ok());
+        assert_eq!(PixelBound::new(9).of_photograph(1 << 20).pixels(), 9);
     }
 
     #[test]

@@ -108,12 +108,8 @@ pub fn default_folders(project: &Path) -> Vec<PathBuf> {
 /// of it: the project may be a stranger's, and such a folder anything. Users name theirs.
 pub fn folders(project: &Path) -> Vec<PathBuf> {
     let mut folders = default_folders(project);
-    folders.retain(|folder| is_inside(folder, project));
+    folders.retain(|folder| folder.is_dir() && !paths::is_outside(folder, project));
     folders
-}
-
-fn is_inside(folder: &Path, project: &Path) -> bool {
-    folder.is_dir() && !paths::is_outside(folder, project)
 }
 
 fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
@@ -125,19 +121,21 @@ fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
 }
 
 /// Depth map folder of a program in a project (`dense`: its dense workspace): the first of the
-/// [`folders`], or the first candidate. Any other `kind` is a folder in the project.
-pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
-    let candidates: Vec<PathBuf> = match kind {
+/// [`folders`], or the first candidate in the project; `None` where links lead all out of it. Any
+/// other `kind` is a folder in the project.
+pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> Option<PathBuf> {
+    let mut candidates: Vec<PathBuf> = match kind {
         "colmap" => {
             let own = project.join("viewrank/colmap");
             let workspaces = dense.into_iter().chain([&*own]);
             workspaces.map(|folder| folder.join(COLMAP)).collect()
         }
         kind if BY_NAME.contains(&kind) => folders_by_name(project, kind).into(),
-        other => return project.join(other),
+        other => vec![project.join(other)],
     };
-    let there = candidates.iter().find(|folder| is_inside(folder, project));
-    there.unwrap_or(&candidates[0]).clone()
+    candidates.retain(|folder| !paths::is_outside(folder, project));
+    let there = candidates.iter().find(|folder| folder.is_dir());
+    there.or(candidates.first()).cloned()
 }
 
 /// Finds the depth maps under `folder` as [`list`] does.

@@ -751,12 +751,21 @@ fn colmaps_maps_are_found_in_its_export_where_there_is_no_dense_workspace() {
     let (project, dense) = (folder.path(), folder.path().join("dense"));
     let [own, of_dense] =
         ["viewrank/colmap", "dense"].map(|above| project.join(above).join("stereo/depth_maps"));
-    assert_eq!(folder_of(project, None, "colmap"), own);
-    assert_eq!(folder_of(project, Some(&dense), "colmap"), of_dense);
+    assert_eq!(folder_of(project, None, "colmap").as_ref(), Some(&own));
+    assert_eq!(
+        folder_of(project, Some(&dense), "colmap").as_ref(),
+        Some(&of_dense)
+    );
     std::fs::create_dir_all(&own).unwrap();
-    assert_eq!(folder_of(project, Some(&dense), "colmap"), own);
+    assert_eq!(
+        folder_of(project, Some(&dense), "colmap").as_ref(),
+        Some(&own)
+    );
     std::fs::create_dir_all(&of_dense).unwrap();
-    assert_eq!(folder_of(project, Some(&dense), "colmap"), of_dense);
+    assert_eq!(
+        folder_of(project, Some(&dense), "colmap").as_ref(),
+        Some(&of_dense)
+    );
 }
 
 #[cfg(unix)]
@@ -773,4 +782,8 @@ fn default_folders_behind_links_out_of_the_project_are_left_out() {
     symlink(&outside, project.join("sgm")).unwrap();
     symlink("stereo", project.join("depth_maps")).unwrap();
     assert_eq!(folders(&project), [here, project.join("depth_maps")]);
+    let own = project.join("viewrank/sgm");
+    assert_eq!(folder_of(&project, None, "sgm").as_ref(), Some(&own));
+    symlink(&outside, project.join("other")).unwrap();
+    assert_eq!(folder_of(&project, None, "other"), None);
 }

@@ -112,6 +112,7 @@ impl Image {
         bound: PixelBound,
         wanted: impl Fn([u32; 2]) -> [u32; 2],
     ) -> Result<Self, ImageError> {
+        let bound = bound.of_photograph(bytes.len() as u64);
         let image = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
             ImageFormat::Jpeg => jpeg(bytes, bound, &wanted)?,
             _ => whole(bytes, bound)?,
@@ -127,6 +128,7 @@ impl Image {
         bound: PixelBound,
         wanted: impl Fn([u32; 2]) -> [u32; 2],
     ) -> Result<(GreyImage, [u32; 2]), ImageError> {
+        let bound = bound.of_photograph(bytes.len() as u64);
         let (pixels, full) = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
             ImageFormat::Jpeg => jpeg_grey(bytes, bound)?,
             _ => {

@@ -214,6 +214,19 @@ impl ImageFaults {
             .unwrap_or_default()
     }
 
+    /// Returns the largest width of a readable image over that of its camera; `None` without one.
+    pub fn largest_scale(&self, scene: &Scene) -> Option<f64> {
+        let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
+        let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
+        let of_view = |view: ViewIndex| {
+            let other = others.get(&view);
+            let width = f64::from(scene.camera_of(view).width);
+            other.map_or(1.0, |[of_image, _]| f64::from(*of_image) / width)
+        };
+        let readable = scene.view_indices().filter(|view| !without.contains(view));
+        readable.map(of_view).max_by(f64::total_cmp)
+    }
+
     fn missing_or_unreadable(&self) -> impl Iterator<Item = ViewIndex> {
         self.missing
             .iter()

@@ -7,6 +7,7 @@ use std::{
 };
 
 use image::ImageFormat;
+use viewrank_core::base::pixels::most_photographed_pixels;
 
 use crate::{input, mistaken, picture};
 
@@ -36,6 +37,11 @@ pub fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
         },
         Some(_) if is_truncated(&mut file, length).unwrap_or(false) => {
             Err(Unread::Broken("truncated"))
+        }
+        Some([width, height])
+            if u64::from(width) * u64::from(height) > most_photographed_pixels(length) =>
+        {
+            Err(Unread::Broken("of more pixels than its bytes can show"))
         }
         found => Ok(found),
     }

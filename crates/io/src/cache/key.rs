@@ -1,0 +1,97 @@
+//! The key of the user, with which caches are signed: a project may come from a stranger, with
+//! caches that say anything for the right inputs. It is made at first use, in the user's folder for
+//! caches.
+
+use std::{
+    fmt, fs,
+    io::{self, Write},
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
+
+use etcetera::BaseStrategy;
+
+use crate::{
+    input::{self, FileKind},
+    paths::is_outside,
+};
+
+#[derive(Clone, Copy, Default, PartialEq)]
+pub(super) struct Key(pub [u8; 32]);
+
+/// A secret: what prints a plan must not print it.
+impl fmt::Debug for Key {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("Key")
+    }
+}
+
+/// Returns the key; `None` where it cannot be kept, or is in the project, which may have brought it.
+pub(super) fn of_user(project: &Path) -> Option<Key> {
+    static KEY: OnceLock<Option<(PathBuf, Key)>> = OnceLock::new();
+    let found = || {
+        let caches = etcetera::choose_base_strategy().ok()?.cache_dir();
+        // A relative home is anybody's.
+        let folder = Some(caches.join("viewrank")).filter(|folder| folder.is_absolute())?;
+        let key = read_or_make(&folder).ok()?;
+        Some((folder, key))
+    };
+    let (folder, key) = KEY.get_or_init(found).as_ref()?;
+    is_outside(folder, project).then_some(*key)
+}
+
+fn read_or_make(folder: &Path) -> io::Result<Key> {
+    let path = folder.join("cache.key");
+    let read = || {
+        let bytes = input::read(&path, FileKind::State)?;
+        let key = bytes.try_into().map(Key);
+        key.map_err(|_| io::Error::from(io::ErrorKind::InvalidData))
+    };
+    match read() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        found => return found,
+    }
+    let mut key = Key::default();
+    getrandom::fill(&mut key.0)?;
+    fs::create_dir_all(folder)?;
+    // Readable for the user alone.
+    let mut file = tempfile::NamedTempFile::new_in(folder)?;
+    file.write_all(&key.0)?;
+    match file.persist_noclobber(&path) {
+        // Another process was first.
+        Err(error) if error.error.kind() == io::ErrorKind::AlreadyExists => read(),
+        Err(error) => Err(error.error),
+        Ok(_) => Ok(key),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_made_once_for_its_user_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("new/viewrank");
+        let key = read_or_make(&place).unwrap();
+        assert_eq!(read_or_make(&place).unwrap(), key);
+        let other = read_or_make(folder.path()).unwrap();
+        assert!(other != key && key != Key::default());
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let mode = fs::metadata(place.join("cache.key")).unwrap().permissions();
+            assert_eq!(mode.mode() & 0o777, 0o600);
+        }
+    }
+
+    #[test]
+    fn a_damaged_key_is_none_and_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("cache.key"), "short").unwrap();
+        assert!(read_or_make(folder.path()).is_err());
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        assert!(read_or_make(&file.join("below")).is_err());
+    }
+}
