@@ -690,7 +690,7 @@ fn notes_on_left_out(plan: &Plan) -> Vec<String> {
     let mut notes = Vec::new();
     let by_model = match plan.stages.settings.test_every {
         Some(_) => "",
-        None => ", as the model says (--test-every chooses others)",
+        None => ", as the model says (--test-every 0 plans with all)",
     };
     match plan.stages.kept_for_tests.len() {
         0 => {}

@@ -71,9 +71,10 @@ pub struct Settings {
     /// found.
     pub images: Option<PathBuf>,
     /// Keeps every n-th view by name, from the first, apart for tests: of programs that use the
-    /// images themselves, such as "splat" (method 5.10). Unset: those that the model names, if any.
+    /// images themselves, such as "splat" (method 5.10). 0: none. Unset: those that the model names,
+    /// if any.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 2), extend("unit" = "views"))]
+    #[schemars(extend("unit" = "views"))]
     pub test_every: Option<u32>,
     pub target: TargetSettings,
     pub coverage: CoverageSettings,

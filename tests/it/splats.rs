@@ -297,6 +297,16 @@ fn test_images_of_the_model_are_kept_apart_unless_others_are_asked_for() {
         said.contains("4 images are kept apart for tests."),
         "{said}"
     );
+    let said = plan(
+        Path::new(transforms),
+        &[&options[..], &["--test-every", "0"]].concat(),
+    );
+    assert!(!said.contains("kept apart"), "{said}");
+    assert!(
+        list("train_list.txt")
+            .iter()
+            .any(|name| kept.contains(name))
+    );
 }
 
 #[test]
