@@ -297,15 +297,9 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
             "{what} made with other partners than planned, the first of {view}"
         ));
     }
-    if let Some(view) = evaluation.other_sizes.first() {
-        let what = counted(evaluation.other_sizes.len(), "depth map");
-        warn(&format!(
-            "{what} of neither the planned size nor half of it, the first of {view}: the nearer one counts"
-        ));
-    }
-    run.unreadable
-        .iter()
-        .for_each(|why| warn(&format!("left out: {why}")));
+    let other_sizes = run.other_sizes_in_words(&plan.stages);
+    let left_out = other_sizes.iter().chain(&run.unreadable);
+    left_out.for_each(|why| warn(&format!("left out: {why}")));
     if let Some(file) = run.strangers.first() {
         let what = counted(run.strangers.len(), "depth map");
         warn(&format!(

@@ -16,10 +16,16 @@ pub struct MapSize {
     pub scale: MapScale,
     /// False for a map that has neither: made with another `image_scale`, it cannot be fused with
     /// those of the plan.
-    pub is_planned: bool,
+    is_planned: bool,
 }
 
 impl MapSize {
+    /// Returns whether the map counts. `mixes_sizes`: the backend fuses the two planned sizes, and
+    /// no others.
+    pub fn counts(&self, mixes_sizes: bool) -> bool {
+        !mixes_sizes || self.is_planned
+    }
+
     pub fn new(model: &Model, key: ViewIndex, map: &DepthMap) -> Self {
         let side = |camera: &Camera| f64::from(camera.width.max(camera.height));
         let longest = model.scene.cameras.iter().map(side).fold(0.0, f64::max);

@@ -438,9 +438,8 @@ impl MapCheck<'_> {
     /// others, and makes it again.
     fn other_size(&self, map: &DepthMap) -> Option<String> {
         let stages = &self.plan.stages;
-        let is_planned =
-            !stages.mixes_sizes || MapSize::new(&stages.model(), self.file.view, map).is_planned;
-        (!is_planned).then(|| {
+        let size = MapSize::new(&stages.model(), self.file.view, map);
+        (!size.counts(stages.mixes_sizes)).then(|| {
             format!(
                 "{}: {} x {} pixels are neither the size that image_scale = {} gives nor half of it, so the map does not count",
                 self.path(),

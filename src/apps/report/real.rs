@@ -66,9 +66,11 @@ impl Real {
         for folder in &folders {
             match MeasuredClusters::new(&task(plan, &clusters, folder, asked), watcher) {
                 Ok(run) => {
+                    let other_sizes = run.other_sizes_in_words(&plan.stages);
                     left_out.extend(
-                        run.unreadable
+                        other_sizes
                             .iter()
+                            .chain(&run.unreadable)
                             .map(|why| format!("left out of the measured fulfilment: {why}")),
                     );
                     left_out.extend(run.other_partners.first().map(|&first| {
