@@ -44,9 +44,9 @@ pub struct Summary<'a> {
     /// Median of the images, scene units per matched pixel, where another g_d was asked for.
     #[serde(skip)]
     of_images: Option<f64>,
-    /// Finest and coarsest that areas of the region want in its place.
+    /// g_d in words, with that of areas of the region.
     #[serde(skip)]
-    of_areas: Option<[f64; 2]>,
+    wanted: String,
     /// Region of interest; null: the whole surface.
     region: Option<&'a RegionSummary>,
     cut: Cut,
@@ -117,6 +117,13 @@ impl<'a> Summary<'a> {
         asked: Asked,
     ) -> Self {
         let manifest = &files.manifest;
+        // A page of this plan has its own.
+        let flight = files
+            .outdated_flight
+            .iter()
+            .filter(|_| asked.page.is_none());
+        let outdated = files.outdated_exports.iter().chain(flight).cloned();
+        let outdated: Vec<String> = outdated.collect();
         Self {
             project: project.home.display().to_string(),
             backend: plan.stages.backend,
@@ -128,17 +135,13 @@ impl<'a> Summary<'a> {
             finished: plan.decision.finished,
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
             of_images: gsd_of_images(plan).filter(|_| asked.is_survey),
-            of_areas: gsd_of_areas(plan),
+            wanted: plan.stages.wanted(),
             region: manifest.region.as_ref(),
             cut: plan.decision.cut,
             limits: plan.stages.settings.cut.limits(),
             forecast: plan.decision.forecast,
             speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
-            warnings: warnings_with(
-                &files.manifest.warnings,
-                &files.manifest.exports,
-                &files.outdated_exports,
-            ),
+            warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &outdated),
             written: !dry_run,
             files: files
                 .sets
@@ -195,10 +198,7 @@ impl<'a> Summary<'a> {
     }
 
     fn found(&self) -> Vec<String> {
-        let (unit, metres) = match self.metres_per_unit {
-            Some(metres) => ("m", metres),
-            None => ("units", 1.0),
-        };
+        let metres = self.metres_per_unit.unwrap_or(1.0);
         let [views, points, triangles] = [self.views, self.points, self.triangles].map(grouped);
         let on_disk = |size| {
             format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).")
@@ -208,25 +208,10 @@ impl<'a> Summary<'a> {
         )];
         lines.extend(self.memory.on_disk().map(on_disk));
         if self.use_of_views.is_none() {
-            let gsd = significant(self.gsd * metres);
             let of_images = self.of_images.map(|own| significant(own * metres));
             let of_images = of_images.map(|own| format!("; the images have {own} in the median"));
             let of_images = of_images.unwrap_or_default();
-            let of_areas = self
-                .of_areas
-                .map(|gsds| gsds.map(|gsd| significant(gsd * metres)));
-            let of_areas = match of_areas {
-                None => String::new(),
-                Some([finest, coarsest]) if finest == coarsest => {
-                    format!(", {finest} where the region says so")
-                }
-                Some([finest, coarsest]) => {
-                    format!(", {finest} to {coarsest} where the region says so")
-                }
-            };
-            lines.push(format!(
-                "Wanted: {gsd} {unit} per pixel{of_areas}{of_images}."
-            ));
+            lines.push(format!("Wanted: {}{of_images}.", self.wanted));
         }
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
@@ -585,18 +570,6 @@ fn gsd_of_images(plan: &Plan) -> Option<f64> {
     let own = plan.stages.scene.median_gsd()? / settings.image_scale();
     let follows = settings.target.gsd? / (GSD_MARGIN * own);
     (!(0.99..1.01).contains(&follows)).then_some(own)
-}
-
-/// Returns the finest and the coarsest that areas of the region want, scene units per pixel.
-fn gsd_of_areas(plan: &Plan) -> Option<[f64; 2]> {
-    let region = plan.stages.region.as_ref()?;
-    let wishes = region.gsd.iter().copied().filter(|gsd| gsd.is_finite());
-    let [finest, coarsest] = wishes.fold([f32::INFINITY, 0.0], |[low, high], gsd| {
-        [low.min(gsd), high.max(gsd)]
-    });
-    finest
-        .is_finite()
-        .then(|| [finest, coarsest].map(f64::from))
 }
 
 /// Formats a share without decimals, but not as all while something is missing.

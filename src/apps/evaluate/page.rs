@@ -9,18 +9,9 @@ use super::{
     half_size::HalfSize,
 };
 use crate::{
-    base::{decimals::to_decimals, printable::printable},
+    base::{decimals::to_decimals, printable::in_markup as escape},
     show::pictures::plot::{self, COLOURS, Line, Plot},
 };
-
-/// Escapes text for HTML.
-fn escape(text: &str) -> String {
-    printable(text)
-        .replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-}
 
 /// Returns the page. `title`: name of the project.
 pub fn page(evaluation: &Evaluation, title: &str) -> String {

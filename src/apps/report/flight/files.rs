@@ -7,25 +7,28 @@ use serde_json::{Value, json};
 
 use super::{Flight, Waypoint};
 use crate::{
-    base::{decimals::to_decimals, printable::json_escaped},
+    base::{
+        decimals::to_decimals,
+        printable::{in_markup, json_escaped, printable},
+    },
     model::georeference::{Georeference, MapFrame},
     show::pictures::views_file,
 };
 
 /// File names below the plan's folder, with their text; none without waypoints. `missing`: what
-/// each hole lacks; `metres`: in a scene unit, if known.
+/// each hole lacks; `metres`: in a scene unit, if known; `remarks`: see [`Flight::remarks`].
 pub fn files(
     flight: &Flight,
     missing: &[String],
     frame: &MapFrame,
     place: &Georeference,
     metres: Option<f64>,
+    remarks: &str,
 ) -> Vec<(&'static str, String)> {
     if flight.waypoints.is_empty() {
         return Vec::new();
     }
     let is_local = views_file(place) != "views.geojson";
-    let remarks = flight.remarks();
     let all: Vec<Described> = flight
         .waypoints
         .iter()
@@ -33,13 +36,13 @@ pub fn files(
         .collect();
     if is_local {
         vec![
-            ("flight/waypoints_local.json", geojson(&all, &remarks, true)),
-            ("flight/waypoints.ply", ply(flight, &remarks)),
+            ("flight/waypoints_local.json", geojson(&all, remarks, true)),
+            ("flight/waypoints.ply", ply(flight, remarks)),
         ]
     } else {
         vec![
-            ("flight/waypoints.geojson", geojson(&all, &remarks, false)),
-            ("flight/waypoints.kml", kml(&all, &remarks)),
+            ("flight/waypoints.geojson", geojson(&all, remarks, false)),
+            ("flight/waypoints.kml", kml(&all, remarks)),
             ("flight/waypoints.csv", csv(&all)),
         ]
     }
@@ -130,19 +133,17 @@ fn geojson(all: &[Described], remarks: &str, local: bool) -> String {
     let feature = |(i, w): (usize, &Described)| json!({ "type": "Feature", "geometry": { "type": "Point", "coordinates": coordinates(w, local) }, "properties": w.properties(i + 1) });
     collection(
         all.iter().enumerate().map(feature).collect(),
-        Some(remarks),
+        remarks,
         local,
     )
 }
 
 /// Text of a GeoJSON file; `local`: in the coordinates of `views_local.json`.
-pub(super) fn collection(features: Vec<Value>, remarks: Option<&str>, local: bool) -> String {
-    let mut collection = json!({ "type": "FeatureCollection", "features": features });
+pub(super) fn collection(features: Vec<Value>, remarks: &str, local: bool) -> String {
     let frame = local.then_some("Local coordinates as in views_local.json, not WGS 84.");
-    let notes: Vec<&str> = frame.into_iter().chain(remarks).collect();
-    if !notes.is_empty() {
-        collection["note"] = json!(notes.join(" "));
-    }
+    let notes: Vec<&str> = frame.into_iter().chain([remarks]).collect();
+    let mut collection =
+        json!({ "type": "FeatureCollection", "note": notes.join(" "), "features": features });
     if local {
         collection["crs"] = Value::Null;
     }
@@ -156,7 +157,8 @@ fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {
 
 fn kml(all: &[Described], remarks: &str) -> String {
     let mut text = format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name><description>{remarks}</description>\n",
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name><description>{}</description>\n",
+        in_markup(remarks)
     );
     let position = |w: &Described| {
         let [longitude, latitude, height] = coordinates(w, false);
@@ -215,7 +217,8 @@ fn csv(all: &[Described]) -> String {
 /// Camera centres in the coordinates of the model, their viewing directions as normals.
 fn ply(flight: &Flight, remarks: &str) -> String {
     let mut text = format!(
-        "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\ncomment {remarks}\nelement vertex {}\n",
+        "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\ncomment {}\nelement vertex {}\n",
+        printable(remarks),
         flight.waypoints.len()
     );
     for name in ["x", "y", "z", "nx", "ny", "nz"] {
