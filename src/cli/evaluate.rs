@@ -211,6 +211,7 @@ fn measure(
     let cells = evaluate::cells::incidence(&plan.stages, &run, folder, cloud, progress)?;
     let cell_table = cells.0.text();
     let how = EvaluationOptions {
+        all_maps: plan.decision.forecast.all_maps,
         objective: &plan.stages.objective,
         pilot: plan.stages.pilot.as_ref(),
         cells,

@@ -16,6 +16,7 @@ use crate::{
     show::{
         files::PlanFiles,
         manifest::{Manifest, RegionSummary, warnings_with},
+        share::{area_of_all, grouped},
     },
 };
 use serde::Serialize;
@@ -301,14 +302,14 @@ impl<'a> Summary<'a> {
 
     /// The denominator of the share.
     fn whole(&self) -> String {
-        let all = grouped(self.forecast.all_maps);
-        let inside = self.inside();
+        let all = self.forecast.all_maps;
         match self.use_of_views {
-            Some(_) => format!("what all {all} draw{inside}"),
-            None if self.forecast.maps_at_half > 0 => {
-                format!("the area that all {all} cover at full size{inside}")
+            Some(_) => format!("what all {} draw{}", grouped(all), self.inside()),
+            None => {
+                let area = area_of_all(Some(all), self.region.is_some());
+                let at_half = self.forecast.maps_at_half > 0;
+                area + if at_half { ", at full size" } else { "" }
             }
-            None => format!("the area that all {all} cover{inside}"),
         }
     }
 
@@ -703,19 +704,6 @@ fn notes_on_left_out(plan: &Plan) -> Vec<String> {
         notes.push(format!("{} {image} and {is} set aside.", grouped(twins)));
     }
     notes
-}
-
-/// Formats an integer as "12,345".
-fn grouped(number: usize) -> String {
-    let digits = number.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
 }
 
 /// Formats seconds as "3 h 20 min", "4 min" or "12 s".
