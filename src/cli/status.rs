@@ -249,7 +249,7 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
             share_of_all(plan.share, plan)
         ),
         _ => format!(
-            "0 of {planned} planned depth maps are finished; all of them are to cover {}.",
+            "0 of {planned} planned depth maps are finished; together they are to cover {}.",
             share_of_all(plan.share, plan)
         ),
     }

@@ -272,7 +272,7 @@ fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
     assert!(note.contains("m apart on a line"), "{note}");
     let total = missed["note"].as_str().unwrap();
     assert!(
-        total.contains("No photograph shows ") && total.contains(" m²"),
+        total.contains("no photograph shows finely enough: ") && total.contains(" m²"),
         "{total}"
     );
     let unseen = &missed["features"][0];

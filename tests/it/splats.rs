@@ -179,7 +179,7 @@ fn limits_of_depth_maps_mean_nothing_for_images_nor_tests_for_depth_maps() {
         let without: Value = serde_json::from_str(&without).unwrap();
         assert_eq!(with["cut"], without["cut"]);
     }
-    for (every, word) in [("1", "at least 2"), ("few", "whole number")] {
+    for (every, word) in [("1", "must not be 1"), ("few", "whole number")] {
         let (code, said) = failure(&["plan", folder, "--backend", "splat", "--test-every", every]);
         assert!(
             code == 2 && said.contains(word) && said.contains("hint: "),

@@ -67,7 +67,7 @@ fn of_ground(
     let of_plane = if is_planned {
         ""
     } else {
-        " Until there is a plan, this takes the ground for a plane."
+        " Until there is a plan, this takes the ground for a plane, which hides nothing."
     };
     let what = format!("{covered} {}{of_plane}", ground.missed(metres));
     if !ground.is_incomplete() {

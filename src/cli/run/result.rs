@@ -173,7 +173,7 @@ impl RunSummary {
         let area = area_of_all(Some(all), self.has_region);
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let share = match (self.share, self.predicted) {
-            _ if self.is_whole => format!("all of {area}"),
+            _ if self.is_whole => "the whole area".to_owned(),
             (Some(share), predicted) => {
                 let said = predicted.map_or_else(String::new, |predicted| {
                     format!("; the plan said {}", percent(predicted))

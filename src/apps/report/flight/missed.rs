@@ -124,13 +124,10 @@ fn in_all(areas: &[MissedArea], cell: f64, metres: Option<f64>) -> String {
     let [unseen, once] = [0, 1].map(|shown| total(&|area| area.photographs == shown));
     let slivers = match total(&|area| area.cells < LEAST_CELLS) {
         0.0 => String::new(),
-        area => format!(
-            "; {} {unit} of it, in slivers, are not drawn",
-            significant(area)
-        ),
+        area => format!("; slivers that are not drawn: {} {unit}", significant(area)),
     };
     format!(
-        "No photograph shows {} {unit} finely enough, and a single one {} {unit}{slivers}.",
+        "Ground that no photograph shows finely enough: {} {unit}; that a single one shows: {} {unit}{slivers}.",
         significant(unseen),
         significant(once)
     )

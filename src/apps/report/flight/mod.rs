@@ -136,12 +136,12 @@ impl Flight {
 
     /// Begins a sentence about some of the images; `None` for none of them.
     fn part(&self, number: usize) -> Option<String> {
-        let are = if number == 1 { "is" } else { "are" };
-        (number > 0).then(|| {
-            format!(
-                "{number} of the {} planned images {are}",
-                self.waypoints.len()
-            )
+        let all = self.waypoints.len();
+        Some(match number {
+            0 => return None,
+            1 => format!("1 of the {all} planned images is"),
+            _ if number == all => format!("all {all} planned images are"),
+            _ => format!("{number} of the {all} planned images are"),
         })
     }
 
