@@ -12,6 +12,7 @@ use crate::{
         evaluate::{
             self, CloudComparison, Evaluation, EvaluationInput, EvaluationOptions,
             MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
+            other_sizes_in_words,
         },
         replan,
         report::{folders_of_maps, own_folder_of_maps},
@@ -298,9 +299,12 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
             "{what} made with other partners than planned, the first of {view}"
         ));
     }
-    let other_sizes = run.other_sizes_in_words(&plan.stages);
-    let left_out = other_sizes.iter().chain(&run.unreadable);
-    left_out.for_each(|why| warn(&format!("left out: {why}")));
+    other_sizes_in_words(&plan.stages, &run.other_sizes)
+        .iter()
+        .for_each(|left_out| warn(left_out));
+    run.unreadable
+        .iter()
+        .for_each(|why| warn(&format!("left out: {why}")));
     if let Some(file) = run.strangers.first() {
         let what = counted(run.strangers.len(), "depth map");
         warn(&format!(

@@ -158,16 +158,6 @@ impl MeasuredClusters {
         })
     }
 
-    /// Says how many maps are left out for their size.
-    pub fn other_sizes_in_words(&self, stages: &Stages) -> Option<String> {
-        let first = stages.scene.name(*self.other_sizes.first()?);
-        let (number, image_scale) = (self.other_sizes.len(), stages.settings.image_scale());
-        Some(format!(
-            "{number} depth map{} of neither the size that image_scale = {image_scale} gives nor half of it, the first of {first}",
-            if number == 1 { "" } else { "s" },
-        ))
-    }
-
     /// Returns the quality of all clusters together.
     pub fn pooled(&self) -> Quality {
         let mut all = Quality::default();

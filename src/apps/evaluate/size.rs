@@ -4,6 +4,7 @@ use crate::{
     io::depthmaps::{DepthMap, DepthMapFormat},
     method::fulfilment::Model,
     model::{camera::Camera, cluster::MapScale, scene::ViewIndex},
+    plan::Stages,
 };
 
 /// Pixels by which widths of one size differ: programs round in their own ways.
@@ -17,6 +18,16 @@ pub struct MapSize {
     /// False for a map that has neither: made with another `image_scale`, it cannot be fused with
     /// those of the plan.
     is_planned: bool,
+}
+
+/// Says that the maps of some views are left out for their size; `None` without any.
+pub fn other_sizes_in_words(stages: &Stages, views: &[ViewIndex]) -> Option<String> {
+    let first = stages.scene.name(*views.first()?);
+    let (number, image_scale) = (views.len(), stages.settings.image_scale());
+    let maps = if number == 1 { "map" } else { "maps" };
+    Some(format!(
+        "left out: {number} depth {maps} of neither the size that image_scale = {image_scale} gives nor half of it, the first of {first}"
+    ))
 }
 
 impl MapSize {

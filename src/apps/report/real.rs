@@ -8,7 +8,7 @@ use super::{ReportError, bytes, history::in_255ths, shown::DrawnSurface};
 use crate::{
     apps::evaluate::{
         EvaluateError, EvaluationInput, MeasuredClusters, MeasuredProgress, MeasuredSurface,
-        curve::ReachCurve, orders,
+        curve::ReachCurve, orders, other_sizes_in_words,
     },
     base::progress::Watcher,
     io::{
@@ -66,11 +66,10 @@ impl Real {
         for folder in &folders {
             match MeasuredClusters::new(&task(plan, &clusters, folder, asked), watcher) {
                 Ok(run) => {
-                    let other_sizes = run.other_sizes_in_words(&plan.stages);
+                    left_out.extend(other_sizes_in_words(&plan.stages, &run.other_sizes));
                     left_out.extend(
-                        other_sizes
+                        run.unreadable
                             .iter()
-                            .chain(&run.unreadable)
                             .map(|why| format!("left out of the measured fulfilment: {why}")),
                     );
                     left_out.extend(run.other_partners.first().map(|&first| {

@@ -119,7 +119,7 @@ impl Flight {
         let heights = self.waypoints.iter().map(|image| metres * image.height);
         let high: Vec<f64> = heights.filter(|height| *height > LEGAL_HEIGHT).collect();
         let highest = high.iter().copied().fold(0.0, f64::max);
-        let which = self.part(high.len())?;
+        let which = self.part(high.len(), ["is", "are"])?;
         Some(format!(
             "{which} higher than {LEGAL_HEIGHT} m above the ground (up to {highest:.0} m), where the EU and the US ask for a permit: a finer --gsd plans lower ones"
         ))
@@ -127,21 +127,23 @@ impl Flight {
 
     fn little_overlap(&self) -> Option<String> {
         let overlaps = self.waypoints.iter().map(|image| image.overlap);
-        let which = self.part(overlaps.filter(|overlap| *overlap < LITTLE_OVERLAP).count())?;
+        let little = overlaps.filter(|overlap| *overlap < LITTLE_OVERLAP).count();
+        let which = self.part(little, ["shares", "share"])?;
         Some(format!(
-            "{which} sharing less than {:.0} % of what they show with any one other: fly some between them, or they may not match",
+            "{which} less than {:.0} % of the view with any one other: fly some between them, or they may not match",
             100.0 * LITTLE_OVERLAP
         ))
     }
 
-    /// Begins a sentence about some of the images; `None` for none of them.
-    fn part(&self, number: usize) -> Option<String> {
+    /// Begins a sentence about some of the images, with the verb for one or more; `None` for none of
+    /// them.
+    fn part(&self, number: usize, [one, more]: [&str; 2]) -> Option<String> {
         let all = self.waypoints.len();
         Some(match number {
             0 => return None,
-            1 => format!("1 of the {all} planned images is"),
-            _ if number == all => format!("all {all} planned images are"),
-            _ => format!("{number} of the {all} planned images are"),
+            1 => format!("1 of the {all} planned images {one}"),
+            _ if number == all => format!("all {all} planned images {more}"),
+            _ => format!("{number} of the {all} planned images {more}"),
         })
     }
 
