@@ -353,7 +353,7 @@ fn a_model_behind_a_link_is_planned_only_with_follow_links() {
 fn a_plan_by_hand_that_is_replaced_is_named_with_its_region() {
     let real = Real::new(&town());
     let project = real.project.to_str().expect("a path");
-    let options = ["--region", "auto", "--quiet"];
+    let options = ["--region", "auto", "--budget", "1", "--quiet"];
     let by_hand = viewrank(&[&["plan", project][..], &options].concat());
     assert!(by_hand.status.success(), "{by_hand:?}");
     let phase = real.once(false).to_string();
