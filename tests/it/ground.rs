@@ -94,6 +94,9 @@ fn doctor_judges_a_region_before_anything_is_planned() {
         missed.contains("--region") && missed.contains("--report"),
         "{missed}"
     );
+    // What a surface hides only a plan knows.
+    let words: Vec<&str> = missed.split_whitespace().collect();
+    assert!(words.join(" ").contains("takes the ground for a plane"));
     let (code, whole, _) = doctor(&site(&folder, [-10.0, -10.0, 10.0, 10.0]));
     assert!(
         code == 0 && whole.contains("nothing: it is covered"),
