@@ -9,7 +9,7 @@ use super::{Flight, Waypoint};
 use crate::{
     base::{
         decimals::to_decimals,
-        printable::{in_markup, json_escaped, printable},
+        printable::{in_markup, json_escaped},
     },
     model::georeference::{Georeference, MapFrame},
     show::pictures::views_file,
@@ -214,11 +214,17 @@ fn csv(all: &[Described]) -> String {
     text
 }
 
+/// A text in the letters that headers of PLY may have; the region's name may be in any.
+fn ascii(text: &str) -> String {
+    let letter = |c: char| if matches!(c, ' '..='~') { c } else { '?' };
+    text.chars().map(letter).collect()
+}
+
 /// Camera centres in the coordinates of the model, their viewing directions as normals.
 fn ply(flight: &Flight, remarks: &str) -> String {
     let mut text = format!(
         "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\ncomment {}\nelement vertex {}\n",
-        printable(remarks),
+        ascii(remarks),
         flight.waypoints.len()
     );
     for name in ["x", "y", "z", "nx", "ny", "nz"] {
@@ -241,4 +247,17 @@ fn ply(flight: &Flight, remarks: &str) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_name_of_a_region_may_be_any() {
+        let remarks = "region: <é>\n&.geojson";
+        assert!(kml(&[], remarks).contains("region: &lt;é&gt;\\n&amp;.geojson"));
+        let head = ply(&Flight::default(), remarks);
+        assert!(head.is_ascii() && head.contains("comment region: <?>?&.geojson\nelement"));
+    }
 }
