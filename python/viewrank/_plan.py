@@ -371,7 +371,7 @@ def plan(
     budget : int, float or str, optional
         Stop after this number of clusters, or this share (0 to 1, or ``"5%"``) of the views.
     test_every : int, optional
-        Keep every n-th view by name, from the first, apart for tests: of ``"splat"`` and ``"images"``, which use the images themselves.
+        Keep every n-th view by name, from the first, apart for tests: of ``"splat"`` and ``"images"``, which use the images themselves; 0: none, whatever the model says.
     time : float or str, optional
         Stop before the forecast time of matching exceeds this, seconds or ``"2h"``.
     points : float or str, optional

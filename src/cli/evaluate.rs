@@ -12,6 +12,7 @@ use crate::{
         evaluate::{
             self, CloudComparison, Evaluation, EvaluationInput, EvaluationOptions,
             MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
+            other_sizes_in_words,
         },
         replan,
         report::{folders_of_maps, own_folder_of_maps},
@@ -211,6 +212,7 @@ fn measure(
     let cells = evaluate::cells::incidence(&plan.stages, &run, folder, cloud, progress)?;
     let cell_table = cells.0.text();
     let how = EvaluationOptions {
+        all_maps: plan.decision.forecast.all_maps,
         objective: &plan.stages.objective,
         pilot: plan.stages.pilot.as_ref(),
         cells,
@@ -297,12 +299,9 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
             "{what} made with other partners than planned, the first of {view}"
         ));
     }
-    if let Some(view) = evaluation.other_sizes.first() {
-        let what = counted(evaluation.other_sizes.len(), "depth map");
-        warn(&format!(
-            "{what} of neither the planned size nor half of it, the first of {view}: the nearer one counts"
-        ));
-    }
+    other_sizes_in_words(&plan.stages, &run.other_sizes)
+        .iter()
+        .for_each(|left_out| warn(left_out));
     run.unreadable
         .iter()
         .for_each(|why| warn(&format!("left out: {why}")));

@@ -71,8 +71,8 @@ pub struct Arguments {
     /// set]
     #[arg(long, value_name = "P%", help_heading = "Selection")]
     target: Option<String>,
-    /// Keep every N-th image by name, from the first, apart for tests: neither chosen nor drawn
-    /// (splat, images)
+    /// Keep every N-th image by name, from the first, apart for tests: neither chosen nor drawn; 0:
+    /// none, whatever the model says (splat, images)
     #[arg(long, value_name = "N", help_heading = "Selection")]
     test_every: Option<String>,
     /// Stop before the forecast time of matching exceeds T, such as 2h or 90min

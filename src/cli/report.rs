@@ -93,13 +93,13 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// A report page on the disk.
 pub struct WrittenPage {
     path: PathBuf,
-    warning: Option<String>,
+    warnings: Vec<String>,
 }
 
 impl WrittenPage {
-    /// Prints the warning, if any, and returns the path.
+    /// Prints the warnings, and returns the path.
     pub fn after_warning(self) -> PathBuf {
-        self.warning.iter().for_each(|warning| warn(warning));
+        self.warnings.iter().for_each(|warning| warn(warning));
         self.path
     }
 }
@@ -175,8 +175,8 @@ pub fn write_page(
     } else {
         report_path(root)
     };
-    let warning = contents.unplanned;
-    Ok(WrittenPage { path, warning })
+    let warnings = contents.cautions;
+    Ok(WrittenPage { path, warnings })
 }
 
 /// Opens the page in the desktop's default program.

@@ -24,12 +24,15 @@ use crate::{
         depthmaps::{self, DepthMapError, DepthMapFile},
         project::Project,
     },
-    show::manifest::{self, PlannedMaps, open_planned_workspace, planned_maps, planned_workspace},
+    show::{
+        manifest::{self, PlannedMaps, open_planned_workspace, planned_maps, planned_workspace},
+        share::area_of_all,
+    },
 };
 use clap::Args;
 use serde_json::json;
 
-use super::{Failure, Format, print, print_json, terminal::print_json_line};
+use super::{Failure, Format, print, print_json, run::target_reached, terminal::print_json_line};
 
 /// Show what is planned and finished of a project, or of all under a watched folder.
 #[derive(Args)]
@@ -87,16 +90,15 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
     let progress = Progress::read(&project).or_else(workspace);
     let progress = progress.filter(|_| !is_of_earlier_plan(&project));
     match (progress, planned_maps(&project)) {
-        (Some(progress), plan) => {
-            let backend = plan.map(|plan| plan.backend);
-            let maps = backend.and_then(|backend| maps_of(&project, &backend));
+        (Some(progress), Some(plan)) => {
+            let maps = maps_of(&project, &plan.backend);
             let gone = maps.as_ref().map_or(0, |maps| number_gone(maps, &progress));
             let later = number_later(&maps.unwrap_or_default(), &progress);
             let progress = without_gone(progress, gone);
             if is_json {
                 print_json(&alone(&project, later_than(progress.phase(), later)))
             } else {
-                print(unwatched(&progress, later))
+                print(unwatched(&progress, &plan, later))
             }
         }
         (None, Some(plan)) => {
@@ -107,7 +109,7 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
                 print([planned_in_words(&plan, maps)])
             }
         }
-        (None, None) => Err(NoStatus::NoPlan(project).into()),
+        (_, None) => Err(NoStatus::NoPlan(project).into()),
     }
 }
 
@@ -254,34 +256,42 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
     match backends::by_name(backend).map(|backend| backend.use_of_views) {
         Ok(Some(_)) => format!("{planned} images are planned; {backend} makes no depth maps."),
         _ if maps > 0 => format!(
-            "{planned} depth maps are planned; {maps} are there, not measured yet (viewrank evaluate)."
+            "{planned} depth maps are planned, for {}; {maps} are there, not measured yet (viewrank evaluate).",
+            share_of_all(plan.share, plan)
         ),
-        _ => format!("0 of {planned} planned depth maps are finished."),
+        _ => format!(
+            "0 of {planned} planned depth maps are finished; together they are to cover {}.",
+            share_of_all(plan.share, plan)
+        ),
     }
 }
 
+fn share_of_all(share: f64, plan: &PlannedMaps) -> String {
+    let area = area_of_all(Some(plan.all), plan.has_region);
+    format!("about {:.0} % of {area}", 100.0 * share.clamp(0.0, 1.0))
+}
+
 /// What is finished of a project that no daemon watches.
-fn unwatched(progress: &Progress, later: usize) -> Vec<String> {
+fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
-    let share = match progress.share {
-        Some(share) => format!(
-            ": about {:.0} % of the area that all maps would cover (planned: {:.0} %)",
-            100.0 * share.clamp(0.0, 1.0),
-            100.0 * progress.target.clamp(0.0, 1.0)
-        ),
-        None => String::new(),
+    let wanted = format!("{:.0} %", 100.0 * progress.target.clamp(0.0, 1.0));
+    let wanted = match plan.target {
+        Some(_) => format!("target: {wanted}"),
+        None => format!("the plan said {wanted} for all {clusters}"),
     };
+    let share = progress.share.map_or_else(String::new, |share| {
+        format!(": {} ({wanted})", share_of_all(share, plan))
+    });
     let mut lines = vec![format!(
         "{done} of {clusters} planned depth maps are finished{share}."
     )];
     lines.extend(progress.note.clone());
     // Without a target of the user's the list ends the work, whatever it reached.
-    let is_reached = progress.share.is_some_and(|share| share >= progress.target);
-    match (progress.target_reached, is_reached) {
-        (true, true) => lines.push("The planned share is reached.".into()),
-        (true, false) => lines.push("The list is done.".into()),
-        (false, _) => {}
-    }
+    lines.extend(match plan.target {
+        _ if !progress.target_reached => None,
+        Some(target) => Some(format!("T{}.", &target_reached(target)[1..])),
+        None => Some("The list is done.".into()),
+    });
     lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());
     lines.extend(match later {
         0 => None,

@@ -16,6 +16,7 @@ use crate::{
     show::{
         files::PlanFiles,
         manifest::{Manifest, RegionSummary, warnings_with},
+        share::{area_of_all, grouped},
     },
 };
 use serde::Serialize;
@@ -44,9 +45,9 @@ pub struct Summary<'a> {
     /// Median of the images, scene units per matched pixel, where another g_d was asked for.
     #[serde(skip)]
     of_images: Option<f64>,
-    /// Finest and coarsest that areas of the region want in its place.
+    /// g_d in words, with that of areas of the region.
     #[serde(skip)]
-    of_areas: Option<[f64; 2]>,
+    wanted: String,
     /// Region of interest; null: the whole surface.
     region: Option<&'a RegionSummary>,
     cut: Cut,
@@ -117,6 +118,13 @@ impl<'a> Summary<'a> {
         asked: Asked,
     ) -> Self {
         let manifest = &files.manifest;
+        // A page of this plan has its own.
+        let flight = files
+            .outdated_flight
+            .iter()
+            .filter(|_| asked.page.is_none());
+        let outdated = files.outdated_exports.iter().chain(flight).cloned();
+        let outdated: Vec<String> = outdated.collect();
         Self {
             project: project.home.display().to_string(),
             backend: plan.stages.backend,
@@ -128,17 +136,13 @@ impl<'a> Summary<'a> {
             finished: plan.decision.finished,
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
             of_images: gsd_of_images(plan).filter(|_| asked.is_survey),
-            of_areas: gsd_of_areas(plan),
+            wanted: plan.stages.wanted(),
             region: manifest.region.as_ref(),
             cut: plan.decision.cut,
             limits: plan.stages.settings.cut.limits(),
             forecast: plan.decision.forecast,
             speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
-            warnings: warnings_with(
-                &files.manifest.warnings,
-                &files.manifest.exports,
-                &files.outdated_exports,
-            ),
+            warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &outdated),
             written: !dry_run,
             files: files
                 .sets
@@ -195,10 +199,7 @@ impl<'a> Summary<'a> {
     }
 
     fn found(&self) -> Vec<String> {
-        let (unit, metres) = match self.metres_per_unit {
-            Some(metres) => ("m", metres),
-            None => ("units", 1.0),
-        };
+        let metres = self.metres_per_unit.unwrap_or(1.0);
         let [views, points, triangles] = [self.views, self.points, self.triangles].map(grouped);
         let on_disk = |size| {
             format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).")
@@ -208,25 +209,10 @@ impl<'a> Summary<'a> {
         )];
         lines.extend(self.memory.on_disk().map(on_disk));
         if self.use_of_views.is_none() {
-            let gsd = significant(self.gsd * metres);
             let of_images = self.of_images.map(|own| significant(own * metres));
             let of_images = of_images.map(|own| format!("; the images have {own} in the median"));
             let of_images = of_images.unwrap_or_default();
-            let of_areas = self
-                .of_areas
-                .map(|gsds| gsds.map(|gsd| significant(gsd * metres)));
-            let of_areas = match of_areas {
-                None => String::new(),
-                Some([finest, coarsest]) if finest == coarsest => {
-                    format!(", {finest} where the region says so")
-                }
-                Some([finest, coarsest]) => {
-                    format!(", {finest} to {coarsest} where the region says so")
-                }
-            };
-            lines.push(format!(
-                "Wanted: {gsd} {unit} per pixel{of_areas}{of_images}."
-            ));
+            lines.push(format!("Wanted: {}{of_images}.", self.wanted));
         }
         lines.push(format!("Backend: {}{}.", self.backend, self.chosen_for));
         lines.extend(self.notes.iter().cloned());
@@ -316,14 +302,14 @@ impl<'a> Summary<'a> {
 
     /// The denominator of the share.
     fn whole(&self) -> String {
-        let all = grouped(self.forecast.all_maps);
-        let inside = self.inside();
+        let all = self.forecast.all_maps;
         match self.use_of_views {
-            Some(_) => format!("what all {all} draw{inside}"),
-            None if self.forecast.maps_at_half > 0 => {
-                format!("the area that all {all} cover at full size{inside}")
+            Some(_) => format!("what all {} draw{}", grouped(all), self.inside()),
+            None => {
+                let area = area_of_all(Some(all), self.region.is_some());
+                let at_half = self.forecast.maps_at_half > 0;
+                area + if at_half { ", at full size" } else { "" }
             }
-            None => format!("the area that all {all} cover{inside}"),
         }
     }
 
@@ -587,18 +573,6 @@ fn gsd_of_images(plan: &Plan) -> Option<f64> {
     (!(0.99..1.01).contains(&follows)).then_some(own)
 }
 
-/// Returns the finest and the coarsest that areas of the region want, scene units per pixel.
-fn gsd_of_areas(plan: &Plan) -> Option<[f64; 2]> {
-    let region = plan.stages.region.as_ref()?;
-    let wishes = region.gsd.iter().copied().filter(|gsd| gsd.is_finite());
-    let [finest, coarsest] = wishes.fold([f32::INFINITY, 0.0], |[low, high], gsd| {
-        [low.min(gsd), high.max(gsd)]
-    });
-    finest
-        .is_finite()
-        .then(|| [finest, coarsest].map(f64::from))
-}
-
 /// Formats a share without decimals, but not as all while something is missing.
 fn whole_percent(share: f64) -> String {
     let percent = 100.0 * share;
@@ -690,7 +664,7 @@ fn notes_on_left_out(plan: &Plan) -> Vec<String> {
     let mut notes = Vec::new();
     let by_model = match plan.stages.settings.test_every {
         Some(_) => "",
-        None => ", as the model says (--test-every chooses others)",
+        None => ", as the model says (--test-every 0 plans with all)",
     };
     match plan.stages.kept_for_tests.len() {
         0 => {}
@@ -730,19 +704,6 @@ fn notes_on_left_out(plan: &Plan) -> Vec<String> {
         notes.push(format!("{} {image} and {is} set aside.", grouped(twins)));
     }
     notes
-}
-
-/// Formats an integer as "12,345".
-fn grouped(number: usize) -> String {
-    let digits = number.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
 }
 
 /// Formats seconds as "3 h 20 min", "4 min" or "12 s".

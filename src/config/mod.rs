@@ -15,7 +15,7 @@ mod region;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de::Error};
 
 use crate::base::paths::{absolute, is_outside};
 pub use crate::{
@@ -71,9 +71,11 @@ pub struct Settings {
     /// found.
     pub images: Option<PathBuf>,
     /// Keeps every n-th view by name, from the first, apart for tests: of programs that use the
-    /// images themselves, such as "splat" (method 5.10). Unset: those that the model names, if any.
+    /// images themselves, such as "splat" (method 5.10). 0: none. Unset: those that the model names,
+    /// if any.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 2), extend("unit" = "views"))]
+    #[serde(deserialize_with = "some_views")]
+    #[schemars(extend("unit" = "views"))]
     pub test_every: Option<u32>,
     pub target: TargetSettings,
     pub coverage: CoverageSettings,
@@ -92,6 +94,14 @@ pub struct Settings {
     /// file or its plan.
     #[serde(skip)]
     pub named: Vec<PathBuf>,
+}
+
+/// Reads the n of every n-th view, of which 1 would leave none.
+fn some_views<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u32>, D::Error> {
+    match Option::deserialize(deserializer)? {
+        Some(1) => Err(D::Error::custom("must not be 1: that is every view")),
+        n => Ok(n),
+    }
 }
 
 impl Settings {

@@ -579,6 +579,7 @@ fn write(
         manifest,
         mut sets,
         outdated_exports,
+        outdated_flight,
         ..
     } = files::files(plan, project).map_err(failed)?;
     record.list_files(&sets, job.project);
@@ -591,10 +592,14 @@ fn write(
     }
     // The record is in the first set, whose root comes last: without it the plan is made again.
     output::write_all(&sets, disk).map_err(failed)?;
+    let outdated: Vec<String> = outdated_exports
+        .into_iter()
+        .chain(outdated_flight)
+        .collect();
     Ok(warnings_with(
         &manifest.warnings,
         &manifest.exports,
-        &outdated_exports,
+        &outdated,
     ))
 }
 
@@ -612,10 +617,13 @@ fn another_than(plan: &Plan, project: &Project) -> Option<String> {
         .take(earlier.cut.clusters)
         .map(|c| (c.key.clone(), c.scale));
     let is_same = earlier.backend == plan.stages.backend && before.eq(list);
+    let (backend, maps) = (&earlier.backend, earlier.cut.clusters);
+    let dropped = earlier.settings.region.as_ref();
+    let dropped = dropped.filter(|_| plan.stages.settings.region.is_none());
+    let region = dropped.map_or_else(String::new, |region| format!(", region {region}"));
     (!is_same).then(|| {
         format!(
-            "takes the place of a plan made by hand for {} ({} depth maps): lasting options belong in viewrank.toml",
-            earlier.backend, earlier.cut.clusters
+            "takes the place of a plan made by hand for {backend} ({maps} depth maps{region}): lasting options belong in viewrank.toml"
         )
     })
 }

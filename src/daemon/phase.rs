@@ -5,7 +5,10 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::base::{bounded, error::shortened};
+use crate::{
+    base::{bounded, error::shortened},
+    show::share::area_of_all,
+};
 
 /// State of a project as it is shown.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -56,7 +59,8 @@ pub enum Phase {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
     },
-    /// The target is reached, as far as finished maps tell.
+    /// The target is reached, as far as finished maps tell; or the list is done, where only other
+    /// limits are set.
     Reached {
         /// Number of key views with a depth map.
         done: usize,
@@ -118,9 +122,10 @@ impl fmt::Display for Phase {
                 share,
                 note,
             } => {
+                let area = area_of_all(None, false);
                 write!(
                     f,
-                    "planned: {clusters} key views for {:.0} %",
+                    "planned: {clusters} key views for {:.0} % of {area}",
                     share * 100.0
                 )?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
@@ -135,7 +140,8 @@ impl fmt::Display for Phase {
                 write!(f, "partial: {done} of {clusters} depth maps")?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
                 share.iter().try_for_each(|share| {
-                    write!(f, ", about {:.0} % reached", (share * 100.0).floor())
+                    let area = area_of_all(None, false);
+                    write!(f, ", about {:.0} % of {area}", (share * 100.0).floor())
                 })?;
                 match *unmeasured {
                     0 => {}
@@ -147,9 +153,10 @@ impl fmt::Display for Phase {
             Self::Reached {
                 done, share, note, ..
             } => {
+                let area = area_of_all(None, false);
                 write!(
                     f,
-                    "reached: about {:.0} % with {done} depth maps",
+                    "done: {done} depth maps, about {:.0} % of {area}",
                     share * 100.0
                 )?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))

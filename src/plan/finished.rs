@@ -22,7 +22,7 @@ pub const MOST_VIEWS: usize = 1 << 18;
 pub struct FinishedMaps {
     /// Depth maps that no longer fit the model, by key view.
     pub outdated: Vec<OutdatedMap>,
-    /// A sentence for each depth map that cannot be read.
+    /// A sentence for each depth map that cannot be read, and for all of another size.
     pub unreadable: Vec<String>,
     /// For depth maps made with an earlier model, the views of their clusters in that model, by key
     /// view, then by name.

@@ -11,7 +11,7 @@ use super::{
     visible_surface::VisibleSurface,
 };
 use crate::{
-    base::{large_pages, progress::Watcher},
+    base::{decimals::significant, large_pages, progress::Watcher},
     config::Settings,
     decision::{CountedPlaces, FinishedPart, PlacesRule, Tables},
     io::project::{ImageFaults, Project},
@@ -162,6 +162,27 @@ impl Stages {
         let stages = found.into_stages(inputs, run.memory);
         watcher.check()?;
         Ok(stages)
+    }
+
+    /// Formats the wanted ground sampling distance, with that of areas of the region.
+    pub fn wanted(&self) -> String {
+        let (unit, metres) = match self.metres {
+            Some(metres) => ("m", metres),
+            None => ("units", 1.0),
+        };
+        let said = |gsd: f64| significant(gsd * metres);
+        let of_areas = self.region.iter().flat_map(|region| &region.gsd);
+        let of_areas = of_areas.copied().filter(|gsd| gsd.is_finite());
+        let [finest, coarsest] = of_areas.fold([f32::INFINITY, 0.0], |[low, high], gsd| {
+            [low.min(gsd), high.max(gsd)]
+        });
+        let of_areas = match [finest, coarsest].map(|gsd| said(gsd.into())) {
+            _ if finest.is_infinite() => String::new(),
+            [low, high] if low == high => format!(", {low} where the region says so"),
+            [low, high] => format!(", {low} to {high} where the region says so"),
+        };
+        let gsd = self.settings.target.gsd.unwrap_or(f64::NAN);
+        format!("{} {unit} per pixel{of_areas}", said(gsd))
     }
 
     /// The area of the region in numbers.

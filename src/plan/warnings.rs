@@ -63,7 +63,8 @@ pub fn warnings(stages: &Stages, decision: &Decision, finished: &FinishedMaps) -
     warnings.extend(unreadable.iter().take(NAMED).cloned());
     warnings.extend((unreadable.len() > NAMED).then(|| {
         let more = unreadable.len() - NAMED;
-        format!("{more} more depth maps cannot be read or do not count")
+        let maps = if more == 1 { "map" } else { "maps" };
+        format!("{more} more depth {maps} cannot be read")
     }));
     warnings.extend(tiled(stages));
     let short = warnings.iter().map(|warning| shortened(warning));

@@ -35,6 +35,11 @@ pub const REPORT_FILE: &str = "viewrank/report.html";
 pub const REPORT_SET: &str = "report";
 /// Path prefix of the report's flight plan.
 const FLIGHT: &str = "viewrank/flight/";
+/// Begin of a page, and what it becomes when another plan is made.
+const FRESH: &str = "<html lang=\"en\">";
+const STALE: &str = "<html lang=\"en\" data-stale>";
+/// Bytes of a page that hold either.
+const BEGIN: usize = 200;
 
 /// Returns the path of the report of a plan in this folder, to be shown.
 pub fn report_path(home: &Path) -> PathBuf {
@@ -51,6 +56,8 @@ pub struct PlanFiles {
     pub sets: Vec<FileSet>,
     /// Exports of earlier plans that stay in the project, one line each; not part of the plan.
     pub outdated_exports: Vec<String>,
+    /// Warns that the images to take are those of an earlier plan.
+    pub outdated_flight: Option<String>,
     pub place: Georeference,
     /// Backends without files, one line each with the reason.
     pub not_exported: Vec<String>,
@@ -156,6 +163,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let first = exports.first();
     let next = first.and_then(|export| next_step(export, project.images.is_some() && has_images));
     let stale = stale_page(project, &manifest);
+    let is_stale = stale.is_some();
     let mut own = own_files(plan, project, &manifest);
     for (name, text) in pair_files {
         own.add_text(format!("viewrank/{name}"), text);
@@ -172,14 +180,34 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         .chain(stale)
         .collect();
     let outdated_exports = outdated::exports(plan, project, &sets);
+    let outdated_flight = is_flight_outdated(project, is_stale).then(|| {
+        let again = command_path(&project.home);
+        format!("viewrank/flight is of an earlier plan; for this one: viewrank report {again}")
+    });
     Ok(PlanFiles {
         manifest,
         sets,
         outdated_exports,
+        outdated_flight,
         place,
         not_exported,
         next,
     })
+}
+
+/// Returns whether there are images to take, of another plan. `is_stale`: the page becomes so now.
+fn is_flight_outdated(project: &Project, is_stale: bool) -> bool {
+    let is_marked = || {
+        let page = output::read_own(&project.home, REPORT_FILE, FileKind::Plan);
+        let is_of_another = |page: Vec<u8>| {
+            let begin = &page[..page.len().min(BEGIN)];
+            String::from_utf8_lossy(begin).contains(STALE)
+        };
+        page.is_ok_and(is_of_another)
+    };
+    let listed = output::recorded(&project.home, REPORT_SET).into_iter();
+    let mut flight = listed.filter(|path| path.starts_with(FLIGHT));
+    flight.any(|path| output::open_own(&project.home, &path).is_ok()) && (is_stale || is_marked())
 }
 
 fn selection<'a>(
@@ -241,10 +269,7 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
         .ok()
         .and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {
-        set.add_text(
-            REPORT_FILE,
-            page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1),
-        );
+        set.add_text(REPORT_FILE, page.replacen(FRESH, STALE, 1));
         // Keeps the flight plan that the page shows. Records may be forged, so other paths are
         // ignored.
         let listed = output::recorded(&project.home, REPORT_SET).into_iter();

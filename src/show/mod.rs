@@ -5,4 +5,5 @@ pub mod files;
 pub mod manifest;
 mod outdated;
 pub mod pictures;
+pub mod share;
 pub mod tables;

@@ -94,6 +94,9 @@ fn doctor_judges_a_region_before_anything_is_planned() {
         missed.contains("--region") && missed.contains("--report"),
         "{missed}"
     );
+    // What a surface hides only a plan knows.
+    let words: Vec<&str> = missed.split_whitespace().collect();
+    assert!(words.join(" ").contains("takes the ground for a plane"));
     let (code, whole, _) = doctor(&site(&folder, [-10.0, -10.0, 10.0, 10.0]));
     assert!(
         code == 0 && whole.contains("nothing: it is covered"),
@@ -260,6 +263,21 @@ fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
     // A map layer of what was missed.
     let missed = fs::read_to_string(folder.at("viewrank/flight/missed.geojson")).unwrap();
     let missed: Value = serde_json::from_str(&missed).unwrap();
+    // The files say what they are for, to tell them from those of another plan.
+    for file in [&flown, &missed] {
+        let note = file["note"].as_str().unwrap();
+        assert!(
+            note.contains("m per pixel; region: site.geojson."),
+            "{note}"
+        );
+    }
+    let note = flown["note"].as_str().unwrap();
+    assert!(note.contains("m apart on a line"), "{note}");
+    let total = missed["note"].as_str().unwrap();
+    assert!(
+        total.contains("no photograph shows finely enough: ") && total.contains(" m²"),
+        "{total}"
+    );
     let unseen = &missed["features"][0];
     assert_eq!(unseen["properties"]["photographs"], 0);
     let outline = unseen["geometry"]["coordinates"][0].as_array().unwrap();
@@ -290,6 +308,45 @@ fn ground_without_photographs_gets_images_and_the_page_has_the_whole_region() {
     assert!(
         bare["missing"].as_str().unwrap().contains("bare ground"),
         "{bare}"
+    );
+}
+
+#[test]
+fn images_to_take_of_an_earlier_plan_are_told() {
+    let folder = georeferenced();
+    let said = |region: [f64; 4], options: &[&str]| {
+        let region = site(&folder, region);
+        let all = [&["--region", &region, "--backend", "sgm"], options].concat();
+        let (code, _, stderr) = folder.plan(&all);
+        assert_eq!(code, 0, "{stderr}");
+        stderr.contains("viewrank/flight is of an earlier plan")
+    };
+    let (first, second) = ([-10.0, -10.0, 90.0, 10.0], [-10.0, -10.0, 60.0, 10.0]);
+    assert!(!said(first, &["--report"]) && !said(first, &[]));
+    // The first time, and after that.
+    assert!(said(second, &[]) && said(second, &[]));
+    assert!(!said(second, &["--report"]));
+}
+
+#[test]
+fn slivers_of_missed_ground_are_summed_not_drawn() {
+    let folder = georeferenced();
+    let region = site(&folder, [-40.0, -40.0, 40.0, 40.0]);
+    let (code, _, stderr) = folder.plan(&["--region", &region, "--backend", "sgm", "--report"]);
+    assert_eq!(code, 0, "{stderr}");
+    let missed = fs::read_to_string(folder.at("viewrank/flight/missed.geojson")).unwrap();
+    let missed: Value = serde_json::from_str(&missed).unwrap();
+    let areas = missed["features"].as_array().unwrap().iter();
+    let areas: Vec<f64> = areas
+        .map(|of| of["properties"]["area_m2"].as_f64().unwrap())
+        .collect();
+    let cell = manifest(&folder)["region"]["ground"]["area"]
+        .as_f64()
+        .unwrap()
+        / 16_384.0;
+    assert!(
+        areas.iter().all(|area| *area > 3.5 * cell),
+        "{areas:?} {cell}"
     );
 }
 

@@ -838,6 +838,13 @@ fn status_shows_what_evaluate_measured_and_counts_the_maps_that_came_after() {
         (&status["done"], &status["unmeasured"]),
         (&json!(1), &Value::Null)
     );
+    // In the same words, too.
+    let all = planned.plan.decision.forecast.all_maps;
+    let area = format!("% of the area that all {all} cover");
+    for command in ["status", "evaluate"] {
+        let text = printed(&[command, root]);
+        assert!(text.contains(&area), "{area}: {text}");
+    }
     planned.write_maps(1..2, |_, _| true);
     let status = &of("status")["projects"][0];
     assert_eq!(

@@ -179,7 +179,7 @@ fn limits_of_depth_maps_mean_nothing_for_images_nor_tests_for_depth_maps() {
         let without: Value = serde_json::from_str(&without).unwrap();
         assert_eq!(with["cut"], without["cut"]);
     }
-    for (every, word) in [("1", "at least 2"), ("few", "whole number")] {
+    for (every, word) in [("1", "must not be 1"), ("few", "whole number")] {
         let (code, said) = failure(&["plan", folder, "--backend", "splat", "--test-every", every]);
         assert!(
             code == 2 && said.contains(word) && said.contains("hint: "),
@@ -296,6 +296,16 @@ fn test_images_of_the_model_are_kept_apart_unless_others_are_asked_for() {
     assert!(
         said.contains("4 images are kept apart for tests."),
         "{said}"
+    );
+    let said = plan(
+        Path::new(transforms),
+        &[&options[..], &["--test-every", "0"]].concat(),
+    );
+    assert!(!said.contains("kept apart"), "{said}");
+    assert!(
+        list("train_list.txt")
+            .iter()
+            .any(|name| kept.contains(name))
     );
 }
 

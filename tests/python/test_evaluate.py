@@ -135,7 +135,7 @@ def test_depth_maps_at_half_the_size_are_a_baseline(matched, viewrank):
 
 
 def test_maps_of_two_sizes_are_told_apart(matched, viewrank):
-    """Of a backend that mixes them; a size that is neither is named."""
+    """Of a backend that mixes them; a size that is neither does not count, as for run, and is named."""
     mixed = made(matched / "sizes/depth_maps/x").parent
     paths = sorted((matched / "maps/depth_maps").glob("*.npy"))
     for step, path in zip([2, 4] + [1] * len(paths), paths):
@@ -144,9 +144,13 @@ def test_maps_of_two_sizes_are_told_apart(matched, viewrank):
     done = viewrank("evaluate", matched / "valley", "--depth-maps", mixed.parent, "--out", out)
     found = json.loads((out / "evaluation.json").read_text())
     name = {view["name"].rsplit("/")[-1]: view["scale"] for view in found["key_views"]}
-    assert sorted(name.values()) == [0.5, 0.5] + [1] * (len(paths) - 2)
-    assert f"{len(paths)} depth maps, 2 of them at half the size" in done.stdout and "2 at half the size" in (out / "evaluation.html").read_text()
-    assert len(found["other_sizes"]) == 1 and f"the first of {found['other_sizes'][0]}" in done.stderr
+    assert sorted(name.values()) == [0.5] + [1] * (len(paths) - 2)
+    assert f"{len(paths) - 1} depth maps, 1 of them at half the size" in done.stdout and "1 at half the size" in (out / "evaluation.html").read_text()
+    assert len(found["other_sizes"]) == 1 and f"left out: 1 depth map of neither the size that image_scale = 0.5 gives nor half of it, the first of {found['other_sizes'][0]}" in done.stderr
+    only = made(matched / "other-size/depth_maps/x").parent
+    shutil.copy(mixed / paths[1].name, only)
+    refused = viewrank("evaluate", matched / "valley", "--depth-maps", only.parent, expect=1)
+    assert "has the size that image_scale = 0.5 gives" in refused.stderr and "viewrank.toml" in refused.stderr
 
 
 def write_npy(folder, number, name, ids, depth):

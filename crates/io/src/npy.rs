@@ -135,7 +135,7 @@ impl Array<'_> {
         let data = data.ok_or_else(|| {
             let left = self.data.len();
             let what = format!("shape {:?} does not fit in {left} bytes", self.shape);
-            (self.start, what)
+            (self.start + left, what)
         })?;
         let values = data.chunks_exact(size);
         Ok(values.map(|v| T::read(v, self.big_endian)).collect())

@@ -10,6 +10,15 @@ pub fn printable(text: &str) -> String {
     escaped(text, |c| c.escape_default().to_string())
 }
 
+/// Escapes a text for XML and HTML, on one line.
+pub fn in_markup(text: &str) -> String {
+    printable(text)
+        .replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
 /// Escapes in JSON what is not printable; JSON itself escapes C0 controls only.
 pub fn json_escaped(text: &str) -> String {
     let escape = |c: char| {

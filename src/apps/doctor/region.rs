@@ -67,7 +67,12 @@ fn of_ground(
         return Some(Finding::new(Severity::Error, "region", what, cure));
     }
     let covered = ground.covered("the region", metres);
-    let what = format!("{covered} {}", ground.missed(metres));
+    let of_plane = if is_planned {
+        ""
+    } else {
+        " Until there is a plan, this takes the ground for a plane, which hides nothing."
+    };
+    let what = format!("{covered} {}{of_plane}", ground.missed(metres));
     if !ground.is_incomplete() {
         // Whoever asked wants to hear it.
         let is_asked = settings.region.is_some();

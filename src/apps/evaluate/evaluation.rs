@@ -26,6 +26,7 @@ use crate::{
         cluster::ViewCluster,
         scene::{Scene, ViewIndex},
     },
+    show::share::area_of_all,
 };
 
 /// Everything that finished depth maps say about the view clusters that they were made for.
@@ -51,6 +52,8 @@ pub struct Evaluation {
     /// Share that these maps reach of the result expected from all clusters of the plan, as in
     /// `status` and `report`.
     pub reached: MeasuredProgress,
+    /// Depth maps that the project can have.
+    pub all_maps: usize,
     /// Weight that fusion keeps of all clusters with a map, 0 to 1, by the fulfilment of each
     /// triangle (method 5.2).
     pub kept: KeptWeight,
@@ -66,8 +69,8 @@ pub struct Evaluation {
     pub key_views: Vec<KeyView>,
     /// Key views without a depth map; they are excluded from everything above.
     pub without_map: Vec<String>,
-    /// Key views whose depth map has neither the planned size nor half of it; each counts as the
-    /// nearer one.
+    /// Key views whose depth map has neither the planned size nor half of it; they are excluded from
+    /// everything above.
     pub other_sizes: Vec<String>,
     /// Key views whose depth map was made with other partners than planned.
     pub other_partners: Vec<String>,
@@ -168,6 +171,8 @@ pub struct EvaluationOptions<'a> {
     /// Which maps take part in which cells of their cloud.
     pub cells: (Incidence, CellSource),
     pub so_far: MeasuredProgress,
+    /// Depth maps that the project can have.
+    pub all_maps: usize,
     pub clouds: Option<CloudComparison>,
     /// Depth maps of the same clusters at half the size.
     pub half: Option<&'a MeasuredClusters>,
@@ -228,11 +233,15 @@ impl Evaluation {
 
     /// Returns the share reached, in words that say what it refers to and how it is known.
     pub fn reached_in_words(&self) -> String {
-        let share = self
-            .reached
-            .share
-            .map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
-        format!("{share} of the area that all depth maps, planned or not, would cover, estimated")
+        let share = self.reached.share;
+        let share = share.map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
+        format!("{share} {}", self.of_all())
+    }
+
+    /// The denominator of the share reached.
+    pub fn of_all(&self) -> String {
+        let area = area_of_all(Some(self.all_maps), self.inside < 1.0);
+        format!("of {area}, estimated")
     }
 
     pub fn new(
@@ -246,6 +255,7 @@ impl Evaluation {
             objective,
             baselines,
             so_far,
+            all_maps,
             half,
             ..
         } = *measure;
@@ -275,6 +285,7 @@ impl Evaluation {
             triangles: (0..objective.weights.len()).filter(|&t| weighs(t)).count(),
             quality: QualityRow::new(&run.pooled(), run.has_reference),
             reached: so_far,
+            all_maps,
             predicted: by_triangle.total(),
             real: real.total(),
             kept: KeptWeight {

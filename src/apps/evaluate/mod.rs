@@ -35,5 +35,5 @@ pub(super) use measure::measure;
 pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};
-pub use size::MapSize;
+pub use size::{MapSize, other_sizes_in_words};
 pub use so_far::MeasuredProgress;

@@ -31,6 +31,7 @@ impl Evaluation {
         let so_far = MeasuredProgress::new(stages, &measured);
         let cells = cells::incidence(stages, &measured, depth_maps, None, watcher)?;
         let options = EvaluationOptions {
+            all_maps: plan.decision.forecast.all_maps,
             objective: &stages.objective,
             pilot: stages.pilot.as_ref(),
             cells,

@@ -9,18 +9,9 @@ use super::{
     half_size::HalfSize,
 };
 use crate::{
-    base::{decimals::to_decimals, printable::printable},
+    base::{decimals::to_decimals, printable::in_markup as escape},
     show::pictures::plot::{self, COLOURS, Line, Plot},
 };
-
-/// Escapes text for HTML.
-fn escape(text: &str) -> String {
-    printable(text)
-        .replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-}
 
 /// Returns the page. `title`: name of the project.
 pub fn page(evaluation: &Evaluation, title: &str) -> String {
@@ -107,12 +98,11 @@ fn numbers(e: &Evaluation) -> [(&'static str, String, String); 7] {
     };
     let maps = e.key_views.len().to_string();
     let reached = e.reached.share.map_or("–".into(), percent);
-    let of_all = "of the area that all depth maps, planned or not, would cover, estimated";
     let complete = percent(e.quality.completeness);
     let [real, predicted] = [e.real, e.predicted].map(|fulfilment| format!("{fulfilment:.3}"));
     [
         ("Depth maps", maps, measured),
-        ("Reached", reached, of_all.into()),
+        ("Reached", reached, e.of_all()),
         ("Completeness", complete, completeness.into()),
         ("Outliers", outliers, of_outliers.into()),
         ("RMSE", rmse, of_rmse.into()),

@@ -43,8 +43,8 @@ pub struct MeasuredClusters {
     pub clusters: Vec<ViewCluster>,
     /// Size of each depth map.
     pub scales: Vec<MapScale>,
-    /// Key views whose map has neither the planned size nor half of it; `scales` says which is
-    /// nearer. Only where the size matters.
+    /// Key views whose map is left out, because it has neither the planned size nor half of it.
+    /// Only where the size matters.
     pub other_sizes: Vec<ViewIndex>,
     /// The order in which they were to be computed, indices into `clusters`.
     pub order: Vec<u32>,
@@ -119,10 +119,12 @@ impl MeasuredClusters {
         }
         found.sort_by_key(|map| map.cluster.key);
         let tried = task.measure_all(&found, references.as_ref(), watcher)?;
-        let (mut clusters, mut ranks, mut measured, mut broken) =
-            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut clusters, mut ranks, mut measured) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut broken, mut other_sizes) = (Vec::new(), Vec::new());
+        let mixes_sizes = task.half_worth.is_some();
         for (FoundMap { cluster, rank, .. }, tried) in found.into_iter().zip(tried) {
             match tried {
+                Ok(of_map) if !of_map.size.counts(mixes_sizes) => other_sizes.push(cluster.key),
                 Ok(of_map) => {
                     clusters.push(cluster.clone());
                     ranks.push(rank);
@@ -132,7 +134,13 @@ impl MeasuredClusters {
             }
         }
         if clusters.is_empty() {
-            return Err(broken.swap_remove(0).into());
+            return Err(match broken.into_iter().next() {
+                Some(error) => error.into(),
+                None => EvaluateError::OtherSizes {
+                    path: task.depth_maps.into(),
+                    image_scale: task.model.rule.image_scale,
+                },
+            });
         }
         let mut order: Vec<u32> = (0..clusters.len() as u32).collect();
         order.sort_by_key(|&c| ranks[c as usize]);
@@ -145,6 +153,7 @@ impl MeasuredClusters {
             without_map,
             strangers: maps.unassigned,
             unreadable,
+            other_sizes,
             ..run
         })
     }
@@ -302,17 +311,11 @@ impl EvaluationInput<'_> {
             .collect();
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
-        let has_sizes = self.half_worth.is_some();
-        let scales = if has_sizes {
+        let scales = if self.half_worth.is_some() {
             measured.iter().map(|m| m.size.scale).collect()
         } else {
             vec![MapScale::Full; measured.len()]
         };
-        let other_sizes = clusters
-            .iter()
-            .zip(measured)
-            .filter(|(_, m)| has_sizes && !m.size.is_planned);
-        let other_sizes = other_sizes.map(|(c, _)| c.key).collect();
         let table = |model: &Model, clusters: &[ViewCluster]| {
             table_at(
                 model,
@@ -340,9 +343,9 @@ impl EvaluationInput<'_> {
             matched,
             clusters,
             scales,
-            other_sizes,
             order,
             without_map: Vec::new(),
+            other_sizes: Vec::new(),
             strangers: Vec::new(),
             unreadable: Vec::new(),
         })
@@ -468,6 +471,8 @@ pub enum EvaluateError {
         of: usize,
         maps: usize,
     },
+    #[error("none of the depth maps in {} has the size that image_scale = {image_scale} gives, or half of it", path.display())]
+    OtherSizes { path: PathBuf, image_scale: f64 },
     #[error("none of the view clusters has a depth map in {}", .0.display())]
     NoClusters(PathBuf),
     #[error(transparent)]
@@ -488,6 +493,7 @@ impl Hint for EvaluateError {
             Self::NoClusters(_) => {
                 "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
             }
+            Self::OtherSizes { .. } => "plan again with the image_scale that they were made with: it is a line of viewrank.toml in the project".into(),
             Self::NotHalf { .. } => "match the same clusters again at half the image size, into another folder".into(),
             Self::CloudFile { .. } | Self::Cloud { .. } => "give the fused cloud as a PLY file".into(),
             Self::Fused(error) => return error.hint(),
@@ -502,6 +508,7 @@ impl Hint for EvaluateError {
             Self::DepthMap(error) => error.path(),
             Self::Report(error) => error.path(),
             Self::NoClusters(path)
+            | Self::OtherSizes { path, .. }
             | Self::NotHalf { path, .. }
             | Self::CloudFile { path, .. }
             | Self::Cloud { path, .. } => Some(path),

@@ -4,6 +4,7 @@ use crate::{
     io::depthmaps::{DepthMap, DepthMapFormat},
     method::fulfilment::Model,
     model::{camera::Camera, cluster::MapScale, scene::ViewIndex},
+    plan::Stages,
 };
 
 /// Pixels by which widths of one size differ: programs round in their own ways.
@@ -16,10 +17,26 @@ pub struct MapSize {
     pub scale: MapScale,
     /// False for a map that has neither: made with another `image_scale`, it cannot be fused with
     /// those of the plan.
-    pub is_planned: bool,
+    is_planned: bool,
+}
+
+/// Says that the maps of some views are left out for their size; `None` without any.
+pub fn other_sizes_in_words(stages: &Stages, views: &[ViewIndex]) -> Option<String> {
+    let first = stages.scene.name(*views.first()?);
+    let (number, image_scale) = (views.len(), stages.settings.image_scale());
+    let maps = if number == 1 { "map" } else { "maps" };
+    Some(format!(
+        "left out: {number} depth {maps} of neither the size that image_scale = {image_scale} gives nor half of it, the first of {first}"
+    ))
 }
 
 impl MapSize {
+    /// Returns whether the map counts. `mixes_sizes`: the backend fuses the two planned sizes, and
+    /// no others.
+    pub fn counts(&self, mixes_sizes: bool) -> bool {
+        !mixes_sizes || self.is_planned
+    }
+
     pub fn new(model: &Model, key: ViewIndex, map: &DepthMap) -> Self {
         let side = |camera: &Camera| f64::from(camera.width.max(camera.height));
         let longest = model.scene.cameras.iter().map(side).fold(0.0, f64::max);

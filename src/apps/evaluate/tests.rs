@@ -384,6 +384,7 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
         cells::CellSource::Maps,
     );
     let how = EvaluationOptions {
+        all_maps: 2,
         objective: &objective,
         pilot: None,
         cells,

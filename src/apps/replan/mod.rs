@@ -16,7 +16,10 @@ use std::{
 use self::movement::{MovedView, movement};
 pub use self::repeat::{RepeatError, as_written, repeat};
 use crate::{
-    apps::evaluate::{EvaluateError, EvaluationInput, MapSize, MeasuredClusters, MeasuredProgress},
+    apps::evaluate::{
+        EvaluateError, EvaluationInput, MapSize, MeasuredClusters, MeasuredProgress,
+        other_sizes_in_words,
+    },
     base::{
         bounded::Names,
         error::{Advice, Hint},
@@ -135,6 +138,7 @@ pub fn replan(
         return Err(ReplanError::NoMaps(plan.stages.backend));
     }
     let (mut clusters, mut finished) = (Vec::new(), FinishedMaps::default());
+    let mut other_sizes = Vec::new();
     for found in look(&plan, earlier, maps, watcher)? {
         match found {
             MapVerdict::Fits { cluster, made_with } => {
@@ -149,9 +153,12 @@ pub fn replan(
                 finished.outdated_files.insert(outdated.key.clone(), hash);
                 finished.outdated.push(outdated);
             }
+            MapVerdict::OtherSize(view) => other_sizes.push(view),
             MapVerdict::Unreadable(why) => finished.unreadable.push(why),
         }
     }
+    let other_sizes = other_sizes_in_words(&plan.stages, &other_sizes);
+    finished.unreadable.splice(0..0, other_sizes);
     finished.outdated.sort_by(|a, b| a.key.cmp(&b.key));
     let run = match clusters.as_slice() {
         [] => None,
@@ -310,6 +317,7 @@ enum MapVerdict {
         outdated: OutdatedMap,
         hash: String,
     },
+    OtherSize(ViewIndex),
     Unreadable(String),
 }
 
@@ -409,8 +417,8 @@ impl MapCheck<'_> {
             Ok(map) => map,
             Err(error) => return MapVerdict::Unreadable(error.to_string()),
         };
-        if let Some(why) = self.other_size(&map) {
-            return MapVerdict::Unreadable(why);
+        if !self.counts(&map) {
+            return MapVerdict::OtherSize(self.file.view);
         }
         let hash = match hash(self.file) {
             Ok(hash) => hash,
@@ -434,21 +442,11 @@ impl MapCheck<'_> {
         }
     }
 
-    /// Says so where the map has neither of the planned sizes: the backend cannot fuse it with the
-    /// others, and makes it again.
-    fn other_size(&self, map: &DepthMap) -> Option<String> {
+    /// Returns whether the map has a planned size: the backend cannot fuse another with the others,
+    /// and makes it again.
+    fn counts(&self, map: &DepthMap) -> bool {
         let stages = &self.plan.stages;
-        let is_planned =
-            !stages.mixes_sizes || MapSize::new(&stages.model(), self.file.view, map).is_planned;
-        (!is_planned).then(|| {
-            format!(
-                "{}: {} x {} pixels are neither the size that image_scale = {} gives nor half of it, so the map does not count",
-                self.path(),
-                map.width,
-                map.height,
-                stages.settings.image_scale()
-            )
-        })
+        MapSize::new(&stages.model(), self.file.view, map).counts(stages.mixes_sizes)
     }
 
     fn path(&self) -> String {

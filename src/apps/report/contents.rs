@@ -95,9 +95,9 @@ pub struct Contents {
     /// The same as files below the plan's folder.
     #[serde(skip)]
     pub flight_files: Vec<(&'static str, String)>,
-    /// Warning that more images are needed than are planned.
+    /// Warnings about the planned images.
     #[serde(skip)]
-    pub unplanned: Option<String>,
+    pub cautions: Vec<String>,
     /// Area of all holes, square scene units.
     holes_area: f64,
     /// Area of the holes farther than `far` usual distances from every camera, square scene units.
@@ -318,9 +318,9 @@ impl Contents {
             region,
             surface: SurfaceData::new(plan, &surface, &frame),
             subject: Corners::shown_first(plan, &missing.flight, &frame),
-            flight: FlightData::new(&missing.flight, missing.for_holes, &frame),
             flight_files: missing.files(plan, &frame),
-            unplanned: missing.flight.unplanned(),
+            flight: FlightData::new(&missing.flight, missing.for_holes, missing.remarks, &frame),
+            cautions: missing.cautions,
             holes: missing.holes,
             holes_area: holes.area,
             far_area: holes.far_area,
@@ -529,12 +529,12 @@ struct FlightData {
     for_holes: usize,
     /// Part of the weight of each hole.
     of_holes: Vec<f64>,
-    /// Notes on the planned images: their margin, and how many more are needed.
+    /// As [`Flight::remarks`].
     remarks: String,
 }
 
 impl FlightData {
-    fn new(flight: &Flight, for_holes: usize, frame: &MapFrame) -> Self {
+    fn new(flight: &Flight, for_holes: usize, remarks: String, frame: &MapFrame) -> Self {
         let all = || flight.waypoints.iter();
         let directions: Vec<f32> = all()
             .flat_map(|w| frame.direction(&w.direction))
@@ -548,7 +548,7 @@ impl FlightData {
             overlaps: all().map(|w| w.overlap).collect(),
             for_holes,
             of_holes: flight.of_holes.clone(),
-            remarks: flight.remarks(),
+            remarks,
         }
     }
 }

@@ -23,6 +23,9 @@ pub(super) struct ListedHoles {
     pub flight: Flight,
     /// Waypoints for the holes of the surface, which come first.
     pub for_holes: usize,
+    /// As [`Flight::cautions`], and [`Flight::remarks`].
+    pub cautions: Vec<String>,
+    pub remarks: String,
 }
 
 impl ListedHoles {
@@ -52,8 +55,10 @@ impl ListedHoles {
         }
         Ok(Self {
             holes: listed,
-            flight,
             for_holes,
+            cautions: flight.cautions(plan.stages.metres),
+            remarks: flight.remarks(&plan.stages),
+            flight,
         })
     }
 
@@ -61,12 +66,12 @@ impl ListedHoles {
     pub fn files(&self, plan: &Plan, frame: &MapFrame) -> Vec<(&'static str, String)> {
         let (place, metres) = (&plan.stages.place, plan.stages.metres);
         let ground = plan.stages.ground.as_ref();
-        let missed = ground.and_then(|ground| flight::missed(ground, frame, place, metres));
+        let missed = ground.and_then(|ground| {
+            flight::missed(ground, frame, place, metres, &flight::purpose(&plan.stages))
+        });
         let missing: Vec<String> = self.holes.iter().map(|hole| hole.missing.clone()).collect();
-        flight::files(&self.flight, &missing, frame, place, metres)
-            .into_iter()
-            .chain(missed)
-            .collect()
+        let files = flight::files(&self.flight, &missing, frame, place, metres, &self.remarks);
+        files.into_iter().chain(missed).collect()
     }
 }
 

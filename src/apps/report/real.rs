@@ -8,7 +8,7 @@ use super::{ReportError, bytes, history::in_255ths, shown::DrawnSurface};
 use crate::{
     apps::evaluate::{
         EvaluateError, EvaluationInput, MeasuredClusters, MeasuredProgress, MeasuredSurface,
-        curve::ReachCurve, orders,
+        curve::ReachCurve, orders, other_sizes_in_words,
     },
     base::progress::Watcher,
     io::{
@@ -66,6 +66,7 @@ impl Real {
         for folder in &folders {
             match MeasuredClusters::new(&task(plan, &clusters, folder, asked), watcher) {
                 Ok(run) => {
+                    left_out.extend(other_sizes_in_words(&plan.stages, &run.other_sizes));
                     left_out.extend(
                         run.unreadable
                             .iter()

@@ -9,6 +9,7 @@ use std::{path::PathBuf, sync::atomic::Ordering, thread};
 
 use clap::Args;
 
+pub use self::result::target_reached;
 use self::work::Work;
 use super::{
     Exit, Failure, Format, arguments, config, next, note, plan::kept_backends, print, ready,

@@ -10,7 +10,7 @@ use crate::{
     cli::{summary::duration, wrapped},
     daemon::follow,
     io::paths::from_here,
-    show::files::report_path,
+    show::{files::report_path, share::area_of_all},
 };
 
 /// Said at the end of a run that leaves nothing of the plan.
@@ -37,6 +37,8 @@ pub struct RunSummary {
     /// Seconds that this run matched for, and that all depth maps would take at that speed; null
     /// if it computed none.
     seconds: Option<[f64; 2]>,
+    #[serde(skip)]
+    has_region: bool,
     /// Target of the share; null if only other limits were set.
     target: Option<f64>,
     target_reached: bool,
@@ -67,10 +69,7 @@ fn higher(target: f64, share: Option<f64>) -> Option<String> {
 impl Work<'_> {
     pub fn result(&self, ended: Ended) -> RunSummary {
         let report = report_path(self.foreground.root());
-        let (done, all) = (
-            self.dispatch.finished_maps().count(),
-            self.plan.scene.views.len(),
-        );
+        let (done, all) = (self.dispatch.finished_maps().count(), self.plan.all_maps);
         let progress = follow::Progress::read(self.foreground.root());
         RunSummary {
             project: self.foreground.root().into(),
@@ -89,6 +88,7 @@ impl Work<'_> {
                 done,
                 progress.and_then(|progress| progress.seconds_per_pair),
             ),
+            has_region: self.plan.settings.region.is_some(),
             target: self.target(),
             target_reached: ended == Ended::TargetReached,
             stopped: ended == Ended::Stopped,
@@ -132,8 +132,8 @@ impl Work<'_> {
 
     /// Why the run ended, and the command to type next, if there is more to be had.
     fn verdict(&self, result: &RunSummary) -> (String, Option<String>) {
-        if result.target_reached {
-            return ("the target is reached".into(), None);
+        if let Some(target) = result.target.filter(|_| result.target_reached) {
+            return (target_reached(target), None);
         }
         if result.stopped {
             return ("stopped".into(), Some(self.arguments.go_on()));
@@ -158,10 +158,19 @@ impl Work<'_> {
     }
 }
 
+/// Says that a target is reached.
+pub fn target_reached(target: f64) -> String {
+    format!(
+        "the target of {} % is reached",
+        (1000.0 * target).round() / 10.0
+    )
+}
+
 impl RunSummary {
     /// Says what was computed, what that gives of what, how that is known, and what it saved.
     fn in_words(&self) -> String {
         let Self { done, all, .. } = *self;
+        let area = area_of_all(Some(all), self.has_region);
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let share = match (self.share, self.predicted) {
             _ if self.is_whole => "the whole area".to_owned(),
@@ -170,11 +179,9 @@ impl RunSummary {
                     format!("; the plan said {}", percent(predicted))
                 });
                 let about = percent(share);
-                format!(
-                    "about {about} of the area that all {all} would cover (estimated from these maps{said})"
-                )
+                format!("about {about} of {area} (estimated from these maps{said})")
             }
-            _ => format!("their share of the area that all {all} would cover is not known"),
+            _ => format!("their share of {area} is not known"),
         };
         let seconds = self
             .seconds

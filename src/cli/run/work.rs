@@ -22,7 +22,10 @@ use crate::{
     daemon::{PlanWhen, follow, foreground::Foreground, phase::Phase, state::Outcome},
     io::paths::from_here,
     model::cluster::MapScale,
-    show::manifest::{WrittenPlan, warnings_with},
+    show::{
+        manifest::{WrittenPlan, warnings_with},
+        share::area_of_all,
+    },
 };
 
 /// A measurement pauses the matching; the next one comes after this multiple of its duration.
@@ -162,7 +165,8 @@ impl<'a> Work<'a> {
     }
 
     pub fn plan_in_words(&self) -> String {
-        let (all, tasks) = (self.plan.scene.views.len(), self.dispatch.tasks.len());
+        let (all, tasks) = (self.plan.all_maps, self.dispatch.tasks.len());
+        let area = area_of_all(None, self.plan.settings.region.is_some());
         let done = self.dispatch.finished_maps().count();
         let half = self
             .plan
@@ -185,7 +189,7 @@ impl<'a> Work<'a> {
             (Some(target), _) => {
                 let target = (1000.0 * target).round() / 10.0;
                 format!(
-                    "Computing up to {tasks} of {all} depth maps{done}, until they cover {target} % of the area that all would."
+                    "Computing up to {tasks} of {all} depth maps{done}, until they cover about {target} % of {area}."
                 )
             }
             (None, Some(budget)) => {

@@ -277,7 +277,7 @@ fn maps_newer_than_the_last_measurement_are_counted() {
         project
             .phase()
             .to_string()
-            .ends_with("about 50 % reached, 1 new file to measure")
+            .ends_with("about 50 % of the area that all cover, 1 new file to measure")
     );
     project.start(1, Work::Follow, SETTLE, now + SETTLE * 2);
     assert!(project.is_measuring() && unmeasured(&project) == 1);

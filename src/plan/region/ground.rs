@@ -94,13 +94,30 @@ impl GroundSummary {
         if enough >= ALL {
             return format!("{needed} photographs or more show all of the region.");
         }
+        let [unseen, once] = [unseen, seen_once].map(|share| (is_some(share), share));
+        let missed = match (unseen, once) {
+            ((false, _), (false, _)) => {
+                return format!(
+                    "{needed} photographs or more show {} of the region.",
+                    percent(enough)
+                );
+            }
+            ((false, _), (_, once)) => format!(
+                "Only one photograph shows {} of the region{}",
+                percent(once),
+                in_metres(once)
+            ),
+            ((_, unseen), (_, once)) => format!(
+                "No photograph shows {} of the region{}{}, only one shows {}{}",
+                percent(unseen),
+                in_metres(unseen),
+                self.finely_enough(metres).unwrap_or_default(),
+                percent(once),
+                in_metres(once)
+            ),
+        };
         format!(
-            "No photograph shows {} of the region{}{}, only one shows {}{}{}, and the {needed} that a depth needs, or more, show {}.",
-            percent(unseen),
-            in_metres(unseen),
-            self.finely_enough(metres).unwrap_or_default(),
-            percent(seen_once),
-            in_metres(seen_once),
+            "{missed}{}, and the {needed} that a depth needs, or more, show {}.",
             self.seen_by_few(in_metres),
             percent(enough)
         )
@@ -115,10 +132,10 @@ impl GroundSummary {
             3 => "2".into(),
             needed => format!("2 to {}", needed - 1),
         };
-        match 1.0 - share {
-            ALL.. => String::new(),
-            _ => format!(", {few} show {}{}", percent(share), in_metres(share)),
+        if !is_some(share) {
+            return String::new();
         }
+        format!(", {few} show {}{}", percent(share), in_metres(share))
     }
 
     /// Says what counts as shown, where photographs show more than that.
@@ -149,6 +166,11 @@ impl GroundSummary {
 
 /// Share that reads as 100.0 %.
 const ALL: f64 = 0.9995;
+
+/// Returns whether a share does not read as 0.0 %.
+fn is_some(share: f64) -> bool {
+    share > 1.0 - ALL
+}
 
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
@@ -246,6 +268,23 @@ mod tests {
         };
         let missed = of_areas.missed(Some(0.5));
         assert!(missed.contains("(0.0200 to 0.100 m per pixel"), "{missed}");
+        let rim = GroundSummary {
+            unseen: 0.0,
+            enough: 0.992,
+            ..ground
+        };
+        assert_eq!(
+            rim.missed(None),
+            "Only one photograph shows 0.4 % of the region, 2 show 0.4 %, and the 3 that a depth needs, or more, show 99.2 %."
+        );
+        let rim = GroundSummary {
+            seen_once: 0.0002,
+            ..rim
+        };
+        assert_eq!(
+            rim.missed(None),
+            "3 photographs or more show 99.2 % of the region."
+        );
         let unbuilt = GroundSummary {
             surface: None,
             ..ground

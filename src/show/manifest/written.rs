@@ -45,6 +45,8 @@ pub struct WrittenPlan {
     pub work: Vec<f64>,
     /// Clusters up to the plan's own cut.
     pub cut: usize,
+    /// Depth maps, or images, that the project can have.
+    pub all_maps: usize,
     /// Images that could be chosen; `None` for a program that makes depth maps.
     pub images: Option<usize>,
     /// Number of clusters at the start that had a finished depth map when the plan was made, even
@@ -197,8 +199,13 @@ pub fn planned_model(project: &Project) -> Option<String> {
 /// The depth maps (or images) that a plan chooses.
 pub struct PlannedMaps {
     pub clusters: usize,
-    /// Their predicted share of the fulfilment of all view clusters, 0 to 1.
+    /// Those that the project can have.
+    pub all: usize,
+    /// Predicted share of the chosen ones in what all give, 0 to 1.
     pub share: f64,
+    /// Share that the user wants; `None` if only other limits were set.
+    pub target: Option<f64>,
+    pub has_region: bool,
     pub backend: String,
 }
 
@@ -209,7 +216,10 @@ pub fn planned_maps(root: &Path) -> Option<PlannedMaps> {
     let share = last.and_then(|last| Some(recorded.clusters.get(last)?.share));
     Some(PlannedMaps {
         clusters: recorded.cut.clusters,
+        all: recorded.all_maps(),
         share: share.unwrap_or_default(),
+        target: recorded.settings.cut.target.map(|target| target.0),
+        has_region: recorded.settings.region.is_some(),
         backend: recorded.backend,
     })
 }
@@ -260,6 +270,7 @@ impl WrittenPlan {
             .iter()
             .map(|cluster| cluster.work)
             .collect();
+        let all_maps = recorded.all_maps();
         let (finished, settings, own_size) =
             (recorded.finished(), recorded.settings, recorded.own_size);
         let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
@@ -272,10 +283,8 @@ impl WrittenPlan {
             clusters,
             work,
             cut,
-            images: recorded
-                .forecast
-                .filter(|_| uses_images)
-                .map(|forecast| forecast.all_maps),
+            all_maps,
+            images: uses_images.then_some(all_maps),
             finished,
             target,
             scene,
@@ -394,6 +403,12 @@ impl RecordedPlan {
             })
         };
         self.clusters.iter().map(cluster).collect()
+    }
+
+    /// Returns the number of depth maps, or images, that the project can have.
+    fn all_maps(&self) -> usize {
+        let forecast = self.forecast.as_ref();
+        forecast.map_or(self.clusters.len(), |forecast| forecast.all_maps)
     }
 
     /// Returns the number of finished clusters; they are first in the ranking.

@@ -460,7 +460,8 @@ fn once_ends_when_nothing_is_left_and_a_failure_affects_no_other_project() {
             "failed: broken (retry 10 s after the failure)".into()
         )
     );
-    assert_eq!(phases[1], ("good", "planned: 1 key views for 100 %".into()));
+    let planned = "planned: 1 key views for 100 % of the area that all cover";
+    assert_eq!(phases[1], ("good", planned.into()));
 }
 
 #[test]

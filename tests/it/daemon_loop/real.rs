@@ -18,6 +18,7 @@ use viewrank_io::{
 };
 
 use super::{eventually, make_pipe, options, root, with_daemon};
+use crate::one_door::viewrank;
 
 fn town() -> Scene {
     let camera = Camera::new(
@@ -346,4 +347,18 @@ fn a_model_behind_a_link_is_planned_only_with_follow_links() {
     let summary =
         watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
     assert_eq!(summary.planned, 1);
+}
+
+#[test]
+fn a_plan_by_hand_that_is_replaced_is_named_with_its_region() {
+    let real = Real::new(&town());
+    let project = real.project.to_str().expect("a path");
+    let options = ["--region", "auto", "--budget", "1", "--quiet"];
+    let by_hand = viewrank(&[&["plan", project][..], &options].concat());
+    assert!(by_hand.status.success(), "{by_hand:?}");
+    let phase = real.once(false).to_string();
+    assert!(
+        phase.contains("a plan made by hand") && phase.contains("region auto"),
+        "{phase}"
+    );
 }

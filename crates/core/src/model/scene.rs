@@ -224,15 +224,16 @@ impl Scene {
     }
 
     /// Returns the views that are kept apart for tests, ascending: every n-th by name, from the
-    /// first, as trainers count them, else those that the model names; without those whose image is
-    /// missing (`without_image`, ascending).
+    /// first, as trainers count them (0: none), else those that the model names; without those whose
+    /// image is missing (`without_image`, ascending).
     pub fn kept_for_tests(
         &self,
         every: Option<u32>,
         without_image: &[ViewIndex],
     ) -> Vec<ViewIndex> {
         let mut tests = match every {
-            Some(n) => self.view_indices().step_by(n.max(1) as usize).collect(),
+            Some(0) => Vec::new(),
+            Some(n) => self.view_indices().step_by(n as usize).collect(),
             None => self.tests.clone(),
         };
         tests.retain(|view| without_image.binary_search(view).is_err());

@@ -20,13 +20,12 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
 
 /// Parses decimal digits up to `&`; returns the number and the offset after the `&`.
 fn number(bytes: &[u8], start: usize) -> Parsed<(u32, usize)> {
-    let bad = || (start, "expected `WIDTH&HEIGHT&CHANNELS&`".to_string());
-    let rest = bytes.get(start..).ok_or_else(bad)?;
-    let length = rest
-        .iter()
-        .take(11)
-        .position(|&b| b == b'&')
-        .ok_or_else(bad)?;
+    let at = |at: usize| (at, "expected `WIDTH&HEIGHT&CHANNELS&`".to_string());
+    let bad = || at(start);
+    let rest = bytes.get(start..).unwrap_or_default();
+    let length = rest.iter().take(11).position(|&b| b == b'&');
+    let is_cut = rest.len() < 11 && rest.iter().all(u8::is_ascii_digit);
+    let length = length.ok_or_else(|| at(if is_cut { bytes.len() } else { start }))?;
     let digits = std::str::from_utf8(&rest[..length]).map_err(|_| bad())?;
     Ok((digits.parse().map_err(|_| bad())?, start + length + 1))
 }

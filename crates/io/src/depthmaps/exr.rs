@@ -107,7 +107,7 @@ impl ScanLines {
         let stored = u32_at(bytes, at.saturating_add(4))? as usize;
         let stored = bytes
             .get(start..start.saturating_add(stored))
-            .ok_or_else(|| (at, "unexpected end of file".to_string()))?;
+            .ok_or_else(|| (bytes.len(), "unexpected end of file".to_string()))?;
         let values = unpacked(stored, length).map_err(|what| (at, what))?;
         let values = values.chunks_exact(sample);
         for (z, value) in depth[row as usize * width..].iter_mut().zip(values) {
@@ -146,8 +146,12 @@ fn header(bytes: &[u8]) -> Parsed<Header> {
         word(bytes, &mut at)?;
         let length = u32_at(bytes, at)? as usize;
         let value = bytes.get(at + 4..(at + 4).saturating_add(length));
-        let value =
-            value.ok_or_else(|| (at, "unexpected end of file in the header".to_string()))?;
+        let value = value.ok_or_else(|| {
+            (
+                bytes.len(),
+                "unexpected end of file in the header".to_string(),
+            )
+        })?;
         match name {
             b"channels" => found.sample = Some(sample(value).map_err(|(_, what)| (at, what))?),
             b"compression" => found.compression = value.first().copied(),

@@ -482,7 +482,7 @@ fn dmap_header(path: &Path) -> Result<openmvs::Header, DepthMapError> {
         .and_then(|file| file.take(DMAP_HEADER).read_to_end(&mut bytes))
         .map_err(DepthMapError::io(path))?;
     super::check_kind(path, DepthMapFormat::OpenMvs, &bytes)?;
-    openmvs::header(&bytes).map_err(DepthMapError::format(path))
+    openmvs::header(&bytes).map_err(DepthMapError::of_bytes(path, &bytes))
 }
 
 /// The numbers of `view_names.txt`, read at the first numbered map.

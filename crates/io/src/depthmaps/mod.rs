@@ -13,7 +13,10 @@ mod pfm;
 #[cfg(test)]
 mod tests;
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use nalgebra::Point2;
 use rayon::prelude::*;
@@ -238,6 +241,8 @@ pub enum DepthMapError {
     },
     #[error("{path}: {kind}, which is newer than this viewrank")]
     Newer { path: PathBuf, kind: String },
+    #[error("{path}: still being written, so it counts as unfinished")]
+    Unfinished { path: PathBuf },
     #[error("{path}: still being matched, or failed: there is no {}", file.display())]
     Unmatched { path: PathBuf, file: PathBuf },
     #[error("no depth maps of the plan's views in {0}")]
@@ -270,6 +275,18 @@ impl DepthMapError {
         }
     }
 
+    /// Makes the error of a file with a fault at a byte, of those that were read. Where the bytes
+    /// end too early (see [`Parsed`]) and the file has just changed, a program is writing it.
+    fn of_bytes(path: &Path, bytes: &[u8]) -> impl Fn((usize, String)) -> Self {
+        let length = bytes.len();
+        move |(byte, what)| {
+            if byte >= length && has_just_changed(path) {
+                return Self::Unfinished { path: path.into() };
+            }
+            Self::format(path)((byte, what))
+        }
+    }
+
     /// Makes the error of a file with a fault at a byte.
     fn format(path: &Path) -> impl Fn((usize, String)) -> Self {
         move |(byte, what)| Self::Format {
@@ -280,13 +297,21 @@ impl DepthMapError {
     }
 }
 
+/// Time after a change in which a file that ends too early is taken for one that is being written.
+const BEING_WRITTEN: Duration = Duration::from_secs(180);
+
+fn has_just_changed(path: &Path) -> bool {
+    let changed = path.metadata().and_then(|found| found.modified());
+    // A time in the future, by the clock of another machine, is as good as now.
+    changed.is_ok_and(|time| time.elapsed().unwrap_or_default() < BEING_WRITTEN)
+}
+
 impl Hint for DepthMapError {
     fn hint(&self) -> Option<Advice> {
         let hint = match self {
             Self::Io { .. } => "check that the file exists and is readable",
-            Self::Format { .. } => {
-                "compute this depth map again, or remove it: it is damaged or still being written"
-            }
+            Self::Format { .. } => "compute this depth map again, or remove it: it is damaged",
+            Self::Unfinished { .. } => "try again when it is finished",
             Self::Newer { .. } => {
                 "use a newer viewrank, or compute the depth maps with a version of the program that this viewrank knows (docs/programs.md)"
             }
@@ -313,6 +338,7 @@ impl Hint for DepthMapError {
             Self::Io { path, .. }
             | Self::Format { path, .. }
             | Self::Newer { path, .. }
+            | Self::Unfinished { path }
             | Self::Unmatched { path, .. }
             | Self::None(path)
             | Self::Names { path, .. }
@@ -323,7 +349,8 @@ impl Hint for DepthMapError {
     }
 }
 
-/// A parse result; an error has the byte offset and the problem, the caller adds the path.
+/// A parse result; an error has the byte offset and the problem, the caller adds the path. Bytes
+/// that end too early have their fault at the end.
 type Parsed<T> = Result<T, (usize, String)>;
 
 /// Width and height of a map, and its values as the file has them, row-major.
@@ -353,7 +380,7 @@ pub fn read(
         )
     };
     check_kind(path, format, &bytes)?;
-    parse(&bytes, format, bound, &beside).map_err(DepthMapError::format(path))
+    parse(&bytes, format, bound, &beside).map_err(DepthMapError::of_bytes(path, &bytes))
 }
 
 /// Refuses a map of a kind that came after this program: it is as good as any other.
@@ -507,7 +534,7 @@ fn plane<const N: usize>(
     match values.get(..needed) {
         Some(values) => Ok(values.as_chunks().0.iter().copied()),
         None => Err((
-            start,
+            bytes.len(),
             format!(
                 "{width} x {height} pixels need {needed} bytes, {} are left",
                 values.len()
@@ -525,6 +552,10 @@ fn floats(bytes: &[u8], start: usize, size: [u32; 2], bound: PixelBound) -> Pars
 /// Reads the little-endian u32 at a byte offset.
 fn u32_at(bytes: &[u8], at: usize) -> Parsed<u32> {
     let four = at.checked_add(4).and_then(|end| bytes.get(at..end));
-    let four = four.ok_or_else(|| (at, "unexpected end of file, expected 4 bytes".to_string()))?;
+    let early = || {
+        let what = format!("unexpected end of file, expected 4 bytes at byte {at}");
+        (bytes.len(), what)
+    };
+    let four = four.ok_or_else(early)?;
     Ok(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
 }

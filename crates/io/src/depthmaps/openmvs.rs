@@ -11,6 +11,7 @@ use nom::{
     IResult, Parser,
     bytes::complete::take,
     combinator::verify,
+    error::ErrorKind,
     multi::{length_data, many},
     number::complete::{le_u16, le_u32},
 };
@@ -102,9 +103,10 @@ pub(super) fn header(bytes: &[u8]) -> Parsed<Header> {
         return Err((2, "the file has no depth plane".into()));
     }
     let (rest, (width, height, image, ids)) = fields(kind, bytes).map_err(|error| {
+        // All but an implausible number of views is an early end.
         let left = match error {
-            nom::Err::Error(error) | nom::Err::Failure(error) => error.input.len(),
-            nom::Err::Incomplete(_) => 0,
+            nom::Err::Error(error) if error.code == ErrorKind::Verify => error.input.len(),
+            _ => 0,
         };
         let what = format!("the header ends too early, or names more than {MOST_IDS} views");
         (bytes.len() - left, what)

@@ -35,7 +35,8 @@ fn number<T: std::str::FromStr>(bytes: &[u8], start: usize) -> Parsed<(T, usize)
 fn word(bytes: &[u8], start: usize) -> Parsed<(&str, usize)> {
     let rest = &bytes[start.min(bytes.len())..];
     let end = rest.iter().take(40).position(u8::is_ascii_whitespace);
-    let end = end.ok_or_else(|| (start, "expected the header of a PFM file".to_string()))?;
+    let early = if rest.len() < 40 { bytes.len() } else { start };
+    let end = end.ok_or_else(|| (early, "expected the header of a PFM file".to_string()))?;
     let text = std::str::from_utf8(&rest[..end])
         .map_err(|_| (start, "the header isn't text".to_string()))?;
     Ok((text, start + end + 1))

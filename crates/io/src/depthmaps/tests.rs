@@ -419,8 +419,28 @@ fn errors_identify_normal_maps_and_truncated_files() {
     let (byte, what) = parse(&truncated, DepthMapFormat::ColmapGeometric).unwrap_err();
     assert_eq!(
         (byte, what.as_str()),
-        (6, "2 x 2 pixels need 16 bytes, 12 are left")
+        (18, "2 x 2 pixels need 16 bytes, 12 are left")
     );
+}
+
+#[test]
+fn a_map_that_ends_too_early_is_unfinished_until_it_stays_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg.geometric.bin");
+    let error = |bytes: &[u8], age: u64| {
+        std::fs::write(&path, bytes).unwrap();
+        let file = std::fs::File::options().write(true).open(&path).unwrap();
+        let changed = std::time::SystemTime::now() - std::time::Duration::from_secs(age);
+        file.set_modified(changed).unwrap();
+        read(&path, DepthMapFormat::ColmapGeometric, PixelBound::LARGEST).unwrap_err()
+    };
+    let cut = [&b"2&2&1&"[..], &floats_le(&[1.0; 3])].concat();
+    for cut in [&cut[..], b"2&2", b""] {
+        assert!(matches!(error(cut, 0), DepthMapError::Unfinished { .. }));
+        assert!(matches!(error(cut, 3600), DepthMapError::Format { .. }));
+    }
+    let normals = [&b"2&1&3&"[..], &floats_le(&[0.0; 6])].concat();
+    assert!(matches!(error(&normals, 0), DepthMapError::Format { .. }));
 }
 
 #[test]
@@ -727,7 +747,7 @@ fn an_unreadable_map_is_listed_without_hiding_the_others() {
     assert!(list(folder.path(), &scene).unwrap().maps.is_empty());
     assert!(matches!(
         find(folder.path(), &scene),
-        Err(DepthMapError::Format { .. })
+        Err(DepthMapError::Unfinished { .. })
     ));
 }
 

@@ -33,26 +33,35 @@ struct Transforms<'a> {
     ply_file_path: Option<String>,
 }
 
-/// Paths of frames, as those name them.
+/// Lists of paths of frames, as those name them.
 #[derive(Default, Deserialize)]
 #[serde(default)]
-struct Splits {
-    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
-    train_filenames: Vec<String>,
-    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
-    val_filenames: Vec<String>,
-    #[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")]
-    test_filenames: Vec<String>,
+struct Splits<'a> {
+    #[serde(borrow)]
+    train_filenames: Option<&'a RawValue>,
+    #[serde(borrow)]
+    val_filenames: Option<&'a RawValue>,
+    #[serde(borrow)]
+    test_filenames: Option<&'a RawValue>,
 }
 
-impl Splits {
+#[derive(Default, Deserialize)]
+struct Paths(#[serde(deserialize_with = "bounded::list::<_, _, MOST_IMAGES>")] Vec<String>);
+
+impl Splits<'_> {
     /// Returns the paths that are for tests only. Writers without a split of their own repeat
-    /// training images there.
-    fn tests(&self) -> HashSet<&str> {
-        let judged = self.val_filenames.iter().chain(&self.test_filenames);
-        let mut tests: HashSet<&str> = judged.map(String::as_str).collect();
-        for trained in &self.train_filenames {
-            tests.remove(trained.as_str());
+    /// training images there. A list that is none keeps neither the model nor the others from being
+    /// read.
+    fn tests(&self) -> HashSet<String> {
+        let paths = |list: Option<&RawValue>| {
+            let list = list.and_then(|list| serde_json::from_str(list.get()).ok());
+            let Paths(paths) = list.unwrap_or_default();
+            paths
+        };
+        let judged = [self.val_filenames, self.test_filenames].map(paths);
+        let mut tests: HashSet<String> = judged.into_iter().flatten().collect();
+        for trained in paths(self.train_filenames) {
+            tests.remove(&trained);
         }
         tests
     }
@@ -93,7 +102,6 @@ pub fn read(
     spelled: &dyn Fn(&str) -> String,
 ) -> Result<(ForeignModel, Option<String>), Fault> {
     let (data, of_all): (Transforms, Lens) = (json(bytes)?, json(bytes)?);
-    // A list that is none must not keep a model from being read.
     let splits: Splits = json(bytes).unwrap_or_default();
     let tests = splits.tests();
     let mut cameras = Cameras::default();
@@ -343,6 +351,10 @@ mod tests {
         assert_eq!(tests(judged), ["images/a.png", "images/b.png"]);
         let trained = format!(r#""train_filenames":["./images/a"],{judged}"#);
         assert_eq!(tests(&trained), ["images/b.png"]);
+        for none in ["null", "7", "[1]"] {
+            let damaged = format!(r#""train_filenames":{none},{judged}"#);
+            assert_eq!(tests(&damaged), ["images/a.png", "images/b.png"]);
+        }
     }
 
     #[test]

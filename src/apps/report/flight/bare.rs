@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::{Waypoint, candidates};
 use crate::{
-    base::kd_tree::KdTree,
+    base::{kd_tree::KdTree, median::upper_median},
     method::region::{Ground, GroundCell},
     model::{camera::Camera, georeference::MapFrame, scene::CameraIndex},
     plan::Plan,
@@ -45,6 +45,9 @@ pub struct BareGround {
     pub covered: f64,
     /// About how many more would be needed for all of it, beyond the most that are planned.
     pub more: usize,
+    /// Usual distance between neighbours on a line, and between lines, scene units; of images from
+    /// several heights those that are lowest. `None` for a single line.
+    pub spacing: Option<[f64; 2]>,
 }
 
 /// A square of the grid of images: column and row.
@@ -86,7 +89,7 @@ pub fn bare_ground(
     let flown = Flown::new(plan, frame);
     // The finest first: its images show some of what the others want.
     let mut all = planned.to_vec();
-    let (mut uncovered, mut more) = (0.0, 0);
+    let (mut uncovered, mut more, mut spacing) = (0.0, 0, None);
     for cells in by_resolution(&bare) {
         let images = Overhead::new(plan, camera, cells[0].gsd);
         // What the images until now leave.
@@ -94,6 +97,7 @@ pub fn bare_ground(
         let first = all.len() - planned.len();
         let part = images.part(&left, ground.side, &flown, MOST - first);
         let waypoints = images.waypoints(plan, ground, frame, &part.chosen);
+        spacing = spacing.or_else(|| images.spacing(&part.chosen));
         all.extend(waypoints.into_iter().map(|waypoint| Waypoint {
             rank: first + waypoint.rank,
             ..waypoint
@@ -107,6 +111,7 @@ pub fn bare_ground(
         waypoints: all.split_off(planned.len()),
         covered: 1.0 - uncovered / bare.len() as f64,
         more,
+        spacing,
     })
 }
 
@@ -236,8 +241,20 @@ impl<'a> Overhead<'a> {
         places.iter().filter(is_shown).count()
     }
 
+    /// Returns the usual distance between neighbours in a row, and between rows.
+    fn spacing(&self, chosen: &BTreeSet<Square>) -> Option<[f64; 2]> {
+        let mut rows: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
+        for &[column, row] in chosen {
+            rows.entry(row).or_default().push(column);
+        }
+        let along = rows.values().flat_map(|columns| gaps(columns));
+        let numbers: Vec<i64> = rows.keys().copied().collect();
+        let [along, between] = [upper_median(along)?, upper_median(gaps(&numbers))?];
+        Some([along * self.step, between * self.step])
+    }
+
     /// Returns the images over these squares, row by row, at their distance from the highest
-    /// surface nearby.
+    /// surface nearby, or from the plane where there is none.
     fn waypoints(
         &self,
         plan: &Plan,
@@ -248,11 +265,11 @@ impl<'a> Overhead<'a> {
         let heights = self.heights(plan, frame, chosen);
         let up = ground.plane.up();
         let waypoint = |(n, square): (usize, &Square)| {
-            let below = ground.plane.at(self.middle(*square));
-            let rise = heights
-                .get(square)
-                .map_or(0.0, |height| (height - frame.local(&below)[2]).max(0.0));
-            let distance = self.distance + rise;
+            let on_plane = ground.plane.at(self.middle(*square));
+            let rise = heights.get(square);
+            let rise = rise.map_or(0.0, |height| height - frame.local(&on_plane)[2]);
+            let [lower, distance] = self.over(rise);
+            let below = on_plane - up * lower;
             Waypoint {
                 rank: n + 1,
                 centre: below + up * distance,
@@ -268,6 +285,12 @@ impl<'a> Overhead<'a> {
             .enumerate()
             .map(waypoint)
             .collect()
+    }
+
+    /// Returns how far the ground is below the plane, and the distance of an image from it. `rise`:
+    /// that of the highest surface nearby above the plane: where it is below, so is the ground.
+    fn over(&self, rise: f64) -> [f64; 2] {
+        [(-rise).max(0.0), self.distance + rise.max(0.0)]
     }
 
     /// Returns the largest share of what the image over a square shows, from a distance, that one
@@ -417,6 +440,11 @@ impl Flown {
     }
 }
 
+/// The differences of ascending numbers.
+fn gaps(numbers: &[i64]) -> impl Iterator<Item = f64> + '_ {
+    numbers.windows(2).map(|pair| (pair[1] - pair[0]) as f64)
+}
+
 /// A square and the eight beside it.
 fn around([column, row]: Square) -> impl Iterator<Item = Square> {
     (-1..=1).flat_map(move |x| (-1..=1).map(move |y| [column + x, row + y]))
@@ -541,6 +569,27 @@ mod tests {
         let chosen: BTreeSet<Square> = [[0, 0], [2, 0], [2, 1], [40, 40]].into();
         let overlaps = chosen.iter().map(|of| images.overlap(*of, &chosen, 10.0));
         assert!(overlaps.eq([0.6, 0.8, 0.8, 0.0]));
+    }
+
+    #[test]
+    fn the_highest_surface_is_seen_at_the_wanted_resolution_also_below_the_plane() {
+        let camera = camera();
+        let images = overhead(&camera, 2.0);
+        for rise in [-30.0, -2.0, 0.0, 3.0] {
+            let [lower, distance] = images.over(rise);
+            assert_eq!(distance - lower - rise, images.distance);
+            assert!(lower >= 0.0 && distance >= images.distance);
+        }
+    }
+
+    #[test]
+    fn the_spacing_is_that_of_most_images() {
+        let camera = camera();
+        let images = overhead(&camera, 2.0);
+        let row = |y: i64| [[0, y], [2, y], [4, y], [9, y]];
+        let chosen: BTreeSet<Square> = [row(0), row(3), row(6)].into_iter().flatten().collect();
+        assert_eq!(images.spacing(&chosen), Some([4.0, 6.0]));
+        assert_eq!(images.spacing(&row(0).into()), None);
     }
 
     #[test]

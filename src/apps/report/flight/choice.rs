@@ -165,6 +165,7 @@ pub fn choose(
         of_holes: holes.iter().map(of_hole).collect(),
         waypoints: flown.images.par_iter().enumerate().map(waypoint).collect(),
         more: 0,
+        spacing: None,
     })
 }
 

@@ -7,25 +7,28 @@ use serde_json::{Value, json};
 
 use super::{Flight, Waypoint};
 use crate::{
-    base::{decimals::to_decimals, printable::json_escaped},
+    base::{
+        decimals::to_decimals,
+        printable::{in_markup, json_escaped},
+    },
     model::georeference::{Georeference, MapFrame},
     show::pictures::views_file,
 };
 
 /// File names below the plan's folder, with their text; none without waypoints. `missing`: what
-/// each hole lacks; `metres`: in a scene unit, if known.
+/// each hole lacks; `metres`: in a scene unit, if known; `remarks`: see [`Flight::remarks`].
 pub fn files(
     flight: &Flight,
     missing: &[String],
     frame: &MapFrame,
     place: &Georeference,
     metres: Option<f64>,
+    remarks: &str,
 ) -> Vec<(&'static str, String)> {
     if flight.waypoints.is_empty() {
         return Vec::new();
     }
     let is_local = views_file(place) != "views.geojson";
-    let remarks = flight.remarks();
     let all: Vec<Described> = flight
         .waypoints
         .iter()
@@ -33,13 +36,13 @@ pub fn files(
         .collect();
     if is_local {
         vec![
-            ("flight/waypoints_local.json", geojson(&all, &remarks, true)),
-            ("flight/waypoints.ply", ply(flight, &remarks)),
+            ("flight/waypoints_local.json", geojson(&all, remarks, true)),
+            ("flight/waypoints.ply", ply(flight, remarks)),
         ]
     } else {
         vec![
-            ("flight/waypoints.geojson", geojson(&all, &remarks, false)),
-            ("flight/waypoints.kml", kml(&all, &remarks)),
+            ("flight/waypoints.geojson", geojson(&all, remarks, false)),
+            ("flight/waypoints.kml", kml(&all, remarks)),
             ("flight/waypoints.csv", csv(&all)),
         ]
     }
@@ -130,19 +133,17 @@ fn geojson(all: &[Described], remarks: &str, local: bool) -> String {
     let feature = |(i, w): (usize, &Described)| json!({ "type": "Feature", "geometry": { "type": "Point", "coordinates": coordinates(w, local) }, "properties": w.properties(i + 1) });
     collection(
         all.iter().enumerate().map(feature).collect(),
-        Some(remarks),
+        remarks,
         local,
     )
 }
 
 /// Text of a GeoJSON file; `local`: in the coordinates of `views_local.json`.
-pub(super) fn collection(features: Vec<Value>, remarks: Option<&str>, local: bool) -> String {
-    let mut collection = json!({ "type": "FeatureCollection", "features": features });
+pub(super) fn collection(features: Vec<Value>, remarks: &str, local: bool) -> String {
     let frame = local.then_some("Local coordinates as in views_local.json, not WGS 84.");
-    let notes: Vec<&str> = frame.into_iter().chain(remarks).collect();
-    if !notes.is_empty() {
-        collection["note"] = json!(notes.join(" "));
-    }
+    let notes: Vec<&str> = frame.into_iter().chain([remarks]).collect();
+    let mut collection =
+        json!({ "type": "FeatureCollection", "note": notes.join(" "), "features": features });
     if local {
         collection["crs"] = Value::Null;
     }
@@ -156,7 +157,8 @@ fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {
 
 fn kml(all: &[Described], remarks: &str) -> String {
     let mut text = format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name><description>{remarks}</description>\n",
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name><description>{}</description>\n",
+        in_markup(remarks)
     );
     let position = |w: &Described| {
         let [longitude, latitude, height] = coordinates(w, false);
@@ -212,10 +214,17 @@ fn csv(all: &[Described]) -> String {
     text
 }
 
+/// A text in the letters that headers of PLY may have; the region's name may be in any.
+fn ascii(text: &str) -> String {
+    let letter = |c: char| if matches!(c, ' '..='~') { c } else { '?' };
+    text.chars().map(letter).collect()
+}
+
 /// Camera centres in the coordinates of the model, their viewing directions as normals.
 fn ply(flight: &Flight, remarks: &str) -> String {
     let mut text = format!(
-        "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\ncomment {remarks}\nelement vertex {}\n",
+        "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\ncomment {}\nelement vertex {}\n",
+        ascii(remarks),
         flight.waypoints.len()
     );
     for name in ["x", "y", "z", "nx", "ny", "nz"] {
@@ -238,4 +247,17 @@ fn ply(flight: &Flight, remarks: &str) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_name_of_a_region_may_be_any() {
+        let remarks = "region: <é>\n&.geojson";
+        assert!(kml(&[], remarks).contains("region: &lt;é&gt;\\n&amp;.geojson"));
+        let head = ply(&Flight::default(), remarks);
+        assert!(head.is_ascii() && head.contains("comment region: <?>?&.geojson\nelement"));
+    }
 }

@@ -7,11 +7,14 @@ use super::{
     outlines::{Place, areas},
 };
 use crate::{
-    base::decimals::to_decimals,
+    base::decimals::{significant, to_decimals},
     method::region::{Ground, GroundCell},
     model::georeference::{Geodetic, Georeference, MapFrame},
     show::pictures::views_file,
 };
+
+/// Fewest cells of an area that is drawn in the file.
+const LEAST_CELLS: usize = 4;
 
 /// Cells of the ground that are joined, each shown by the same number of photographs.
 pub struct MissedArea {
@@ -66,39 +69,68 @@ fn joined(
     areas.map(|area| (area.cells, rings(area.rings))).collect()
 }
 
-/// Name and text of the file, GeoJSON below the plan's folder: a feature for each area. `None`
-/// where nothing was missed. `metres`: in a scene unit, if known.
+/// Name and text of the file, GeoJSON below the plan's folder: a feature for each area that is no
+/// sliver, and what all measure together. `None` without any. `metres`: in a scene unit, if known;
+/// `purpose`: what the plan is for.
 pub fn missed(
     ground: &Ground,
     frame: &MapFrame,
     place: &Georeference,
     metres: Option<f64>,
+    purpose: &str,
 ) -> Option<(&'static str, String)> {
     let is_local = views_file(place) != "views.geojson";
     let (unit, scale) = match metres {
         Some(metres) => ("area_m2", metres),
         None => ("area_units2", 1.0),
     };
+    let cell = (ground.side * scale).powi(2);
     let feature = |missed: MissedArea| {
         let ring = |ring: &Vec<[f64; 2]>| -> Vec<[f64; 2]> {
             let positions = ring.iter().map(|at| position(ground, *at, frame, place));
             positions.collect()
         };
         let rings: Vec<Vec<[f64; 2]>> = missed.rings.iter().map(ring).collect();
-        let area = missed.cells as f64 * (ground.side * scale).powi(2);
+        let area = missed.cells as f64 * cell;
         json!({
             "type": "Feature",
             "geometry": { "type": "Polygon", "coordinates": rings },
             "properties": { "photographs": missed.photographs, unit: to_decimals(area, 3) },
         })
     };
-    let features: Vec<Value> = missed_areas(ground).into_iter().map(feature).collect();
+    let mut areas = missed_areas(ground);
+    let note = format!("{purpose} {}", in_all(&areas, cell, metres));
+    areas.retain(|area| area.cells >= LEAST_CELLS);
+    let features: Vec<Value> = areas.into_iter().map(feature).collect();
     let name = if is_local {
         "flight/missed_local.json"
     } else {
         "flight/missed.geojson"
     };
-    (!features.is_empty()).then(|| (name, collection(features, None, is_local)))
+    (!features.is_empty()).then(|| (name, collection(features, &note, is_local)))
+}
+
+/// Says how much ground is missed, and how much of it the file leaves out. `cell`: area of one.
+fn in_all(areas: &[MissedArea], cell: f64, metres: Option<f64>) -> String {
+    let unit = if metres.is_some() {
+        "m²"
+    } else {
+        "square units"
+    };
+    let total = |counts: &dyn Fn(&&MissedArea) -> bool| -> f64 {
+        let cells: usize = areas.iter().filter(counts).map(|area| area.cells).sum();
+        cells as f64 * cell
+    };
+    let [unseen, once] = [0, 1].map(|shown| total(&|area| area.photographs == shown));
+    let slivers = match total(&|area| area.cells < LEAST_CELLS) {
+        0.0 => String::new(),
+        area => format!("; slivers that are not drawn: {} {unit}", significant(area)),
+    };
+    format!(
+        "Ground that no photograph shows finely enough: {} {unit}; that a single one shows: {} {unit}{slivers}.",
+        significant(unseen),
+        significant(once)
+    )
 }
 
 /// Longitude and latitude of a place on the ground, or x and y on the map.

@@ -17,12 +17,18 @@ use crate::{
     base::progress::Watcher,
     method::{target::GSD_MARGIN, visibility::VisibilityError},
     model::georeference::MapFrame,
-    plan::Plan,
+    plan::{Plan, Stages, length_in_words},
 };
 
 pub use bare::{BareGround, MOST, bare_ground};
 pub use files::files;
 pub use missed::{missed, missed_areas, unbuilt_ground};
+
+/// Height above the ground up to which drones are flown without a permit in the EU; in the US it is
+/// 400 ft. Metres.
+const LEGAL_HEIGHT: f64 = 120.0;
+/// Overlap below which neighbouring images are not sure to match.
+const LITTLE_OVERLAP: f64 = 0.6;
 
 /// An image to take.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +58,8 @@ pub struct Flight {
     pub of_holes: Vec<f64>,
     /// About how many more would be needed beyond the most that are planned.
     pub more: usize,
+    /// Of the images of bare ground, as [`BareGround::spacing`].
+    pub spacing: Option<[f64; 2]>,
 }
 
 /// Plans the images for the holes.
@@ -82,6 +90,7 @@ impl Flight {
             }));
         self.of_holes.insert(0, bare.covered);
         self.more = bare.more;
+        self.spacing = bare.spacing;
         self
     }
 
@@ -95,17 +104,91 @@ impl Flight {
         })
     }
 
-    /// Returns notes on the planned images: their margin, and how many more are needed.
-    pub fn remarks(&self) -> String {
-        let margin = format!(
-            "Each image is planned at {} of the distance that gives the wanted resolution: what is lower or slanted comes out coarser.",
-            1.0 / GSD_MARGIN
-        );
-        match self.unplanned() {
-            Some(unplanned) => format!("{margin} Also, {unplanned}."),
-            None => margin,
-        }
+    /// Returns what to know before the images are flown. `metres`: in a scene unit, if known.
+    pub fn cautions(&self, metres: Option<f64>) -> Vec<String> {
+        let cautions = [
+            self.unplanned(),
+            self.too_high(metres),
+            self.little_overlap(),
+        ];
+        cautions.into_iter().flatten().collect()
     }
+
+    fn too_high(&self, metres: Option<f64>) -> Option<String> {
+        let metres = metres?;
+        let heights = self.waypoints.iter().map(|image| metres * image.height);
+        let high: Vec<f64> = heights.filter(|height| *height > LEGAL_HEIGHT).collect();
+        let highest = high.iter().copied().fold(0.0, f64::max);
+        let which = self.part(high.len(), ["is", "are"])?;
+        Some(format!(
+            "{which} higher than {LEGAL_HEIGHT} m above the ground (up to {highest:.0} m), where the EU and the US ask for a permit: a finer --gsd plans lower ones"
+        ))
+    }
+
+    fn little_overlap(&self) -> Option<String> {
+        let overlaps = self.waypoints.iter().map(|image| image.overlap);
+        let little = overlaps.filter(|overlap| *overlap < LITTLE_OVERLAP).count();
+        let which = self.part(little, ["shares", "share"])?;
+        Some(format!(
+            "{which} less than {:.0} % of the view with any one other: fly some between them, or they may not match",
+            100.0 * LITTLE_OVERLAP
+        ))
+    }
+
+    /// Begins a sentence about some of the images, with the verb for one or more; `None` for none of
+    /// them.
+    fn part(&self, number: usize, [one, more]: [&str; 2]) -> Option<String> {
+        let all = self.waypoints.len();
+        Some(match number {
+            0 => return None,
+            1 => format!("1 of the {all} planned images {one}"),
+            _ if number == all => format!("all {all} planned images {more}"),
+            _ => format!("{number} of the {all} planned images {more}"),
+        })
+    }
+
+    /// Returns notes on the planned images: what they are for, their margin and distances, and the
+    /// cautions.
+    pub fn remarks(&self, stages: &Stages) -> String {
+        let spacing = self.spacing.map(|spacing| {
+            let [along, between] = spacing.map(|apart| length_in_words(apart, stages.metres));
+            format!("Over bare ground they are {along} apart on a line, and the lines {between}.")
+        });
+        let cautions = self.cautions(stages.metres).into_iter();
+        let cautions = cautions.map(|caution| format!("Note: {caution}."));
+        [purpose(stages), margin()]
+            .into_iter()
+            .chain(spacing)
+            .chain(cautions)
+            .collect::<Vec<_>>()
+            .join(" ")
+    }
+}
+
+/// Says for which resolution and region the files of a flight are, to tell them from those of
+/// another plan.
+pub fn purpose(stages: &Stages) -> String {
+    let region = stages
+        .settings
+        .region
+        .as_ref()
+        .map(|region| match region.file() {
+            Some(file) => file
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned(),
+            None => region.to_string(),
+        });
+    let region = region.map_or_else(String::new, |region| format!("; region: {region}"));
+    format!("Planned for {}{region}.", stages.wanted())
+}
+
+fn margin() -> String {
+    format!(
+        "Each image is at {} of the distance that gives this: what is lower or slanted comes out coarser.",
+        1.0 / GSD_MARGIN
+    )
 }
 
 /// Rounds up to two significant digits.
@@ -127,4 +210,36 @@ fn in_flying_order(mut left: Vec<Waypoint>) -> Vec<Waypoint> {
         ordered.push(left.remove(next));
     }
     ordered
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heights_beyond_the_law_and_little_overlap_are_said() {
+        let image = |height: f64, overlap: f64| Waypoint {
+            rank: 1,
+            centre: Point3::origin(),
+            direction: -Vector3::z(),
+            hole: 0,
+            height,
+            distance: height,
+            overlap,
+        };
+        let said = |images: Vec<Waypoint>, metres| {
+            let waypoints = images;
+            let flight = Flight {
+                waypoints,
+                ..Flight::default()
+            };
+            flight.cautions(metres)
+        };
+        assert!(said(vec![image(119.0, 0.7)], Some(1.0)).is_empty());
+        // Of units that nobody knows, none is too high.
+        assert!(said(vec![image(1e6, 0.7)], None).is_empty());
+        let both = said(vec![image(70.0, 0.5), image(50.0, 0.9)], Some(2.0));
+        assert!(both[0].starts_with("1 of the 2 planned images is higher than 120 m"));
+        assert!(both[0].contains("up to 140 m") && both[1].contains("less than 60 %"));
+    }
 }
