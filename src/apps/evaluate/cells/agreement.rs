@@ -7,7 +7,10 @@
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 
-use super::{CloudPart, FusedPoints, TakePart};
+use super::{
+    CloudPart, FusedPoints, TakePart,
+    frustum::{Ball, Frustum},
+};
 use crate::{
     apps::evaluate::EvaluateError,
     base::progress::{Stage, Watcher},
@@ -29,6 +32,9 @@ const DEPTHS_OF_ANY: u64 = 1 << 20;
 /// Places of a map at which it is looked whether another shows the same, along each axis.
 const PROBES: u32 = 12;
 
+/// Side of the blocks of pixels for which the maps that may show them are listed.
+const BLOCK: u32 = 16;
+
 /// Depth maps, thinned to a bound of memory.
 pub struct ThinnedMaps<'a> {
     maps: Vec<Thinned<'a>>,
@@ -48,6 +54,7 @@ struct AgreedPoint {
 struct Thinned<'a> {
     camera: &'a Camera,
     pose: &'a Pose,
+    frustum: Frustum,
     map: DepthMap,
 }
 
@@ -66,9 +73,12 @@ impl<'a> ThinnedMaps<'a> {
         let read = |file: &&DepthMapFile| {
             watcher.check()?;
             let map = depthmaps::read_of_view(file, scene)?;
+            let camera = scene.camera_of(file.view);
+            let pose = &scene.view(file.view).cam_from_world;
             Ok(Thinned {
-                camera: scene.camera_of(file.view),
-                pose: &scene.view(file.view).cam_from_world,
+                camera,
+                pose,
+                frustum: Frustum::new(camera, pose),
                 map: thinned(map, most_depths(files.len(), file.data_bytes())),
             })
         };
@@ -91,8 +101,43 @@ impl<'a> ThinnedMaps<'a> {
         })
     }
 
-    /// Returns the point of a pixel; `None` if it is used, or too few maps agree.
-    fn point(&self, own: usize, pixel: usize, used: &[Vec<bool>]) -> Option<AgreedPoint> {
+    /// Returns the points of a row of blocks of pixels, in the order of the pixels.
+    fn points(&self, own: usize, row: u32, used: &[Vec<bool>]) -> Vec<AgreedPoint> {
+        let map = &self.maps[own];
+        let (width, height) = (map.map.width, map.map.height);
+        let rows = row * BLOCK..height.min((row + 1) * BLOCK);
+        let others: Vec<Vec<u32>> = (0..width.div_ceil(BLOCK))
+            .map(|block| {
+                let columns = block * BLOCK..width.min((block + 1) * BLOCK);
+                let pixels = rows
+                    .clone()
+                    .flat_map(|row| columns.clone().map(move |column| row * width + column));
+                let ball = Ball::around(pixels.filter_map(|pixel| map.place(pixel as usize)));
+                let may_show = |other: &u32| {
+                    let frustum = &self.maps[*other as usize].frustum;
+                    ball.as_ref().is_some_and(|ball| frustum.may_see(ball))
+                };
+                let others = self.others[own].iter().copied();
+                others.filter(may_show).collect()
+            })
+            .collect();
+        let pixels = rows.start as usize * width as usize..rows.end as usize * width as usize;
+        let point = |pixel: usize| {
+            let block = pixel % width as usize / BLOCK as usize;
+            self.point(own, pixel, &others[block], used)
+        };
+        pixels.filter_map(point).collect()
+    }
+
+    /// Returns the point of a pixel; `None` if it is used, or too few maps agree. `others`: the maps
+    /// that may show its place.
+    fn point(
+        &self,
+        own: usize,
+        pixel: usize,
+        others: &[u32],
+        used: &[Vec<bool>],
+    ) -> Option<AgreedPoint> {
         let map = &self.maps[own];
         if used[own][pixel] {
             return None;
@@ -100,7 +145,7 @@ impl<'a> ThinnedMaps<'a> {
         let first = map.place(pixel)?;
         let mut sum = first.coords;
         let mut joined = vec![(own as u32, pixel)];
-        for &other in &self.others[own] {
+        for &other in others {
             if let Some((pixel, place)) = self.maps[other as usize].agrees(&first)
                 && !used[other as usize][pixel]
             {
@@ -204,12 +249,11 @@ impl FusedPoints for ThinnedMaps<'_> {
             .collect();
         let may_agree = |own: &usize| 1 + self.others[*own].len() >= self.support;
         for own in (0..self.maps.len()).filter(may_agree) {
-            let pixels = (0..self.maps[own].map.depth.len()).into_par_iter();
-            let points: Vec<AgreedPoint> = pixels
-                .filter_map(|pixel| self.point(own, pixel, &used))
-                .collect();
+            let rows = (0..self.maps[own].map.height.div_ceil(BLOCK)).into_par_iter();
+            let points = rows.map(|row| self.points(own, row, &used));
+            let points: Vec<Vec<AgreedPoint>> = points.collect();
             let mut part = CloudPart::default();
-            for AgreedPoint { mean, mut joined } in points {
+            for AgreedPoint { mean, mut joined } in points.into_iter().flatten() {
                 // Several pixels of this map may fall into one of a coarser map: the first has it.
                 joined.retain(|&(map, pixel)| !used[map as usize][pixel]);
                 if joined.len() < self.support {

@@ -7,6 +7,7 @@
 
 mod agreement;
 mod cloud_cells;
+mod frustum;
 mod fused;
 mod gsd;
 mod incidence;
