@@ -36,6 +36,8 @@ pub struct TaskRunner {
     /// Commands of a task, each run if the one before succeeds; they depend on no current folder.
     /// Those of a depth map fail unless it is complete, and may run side by side with others.
     pub commands: fn(&Call) -> Vec<Vec<OsString>>,
+    /// Files of the export that change with the maps that are there.
+    pub state: &'static [&'static str],
     /// Cloud that the fusion writes.
     pub cloud: PathBuf,
     /// Depth map of each cluster, in rank order; `None` if it cannot be computed.

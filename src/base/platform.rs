@@ -9,6 +9,8 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
+use super::paths::absolute;
+
 /// Finds a program by its path, or on the PATH by its name.
 pub fn located(program: &Path) -> Option<PathBuf> {
     match program.components().count() {
@@ -53,6 +55,22 @@ pub fn command(program: impl AsRef<Path>) -> io::Result<Command> {
         command.env("PATH", folders.map_err(io::Error::other)?);
     }
     Ok(command)
+}
+
+/// Returns the words that start this program: its path, or that of an interpreter with the script
+/// or the options before the subcommand by which it runs this program.
+pub fn this_program_as_typed(subcommand: &str) -> Vec<PathBuf> {
+    let program = std::env::current_exe().unwrap_or_else(|_| "viewrank".into());
+    let before = std::env::args_os().skip(1).map(PathBuf::from);
+    let before = before.take_while(|word| word != Path::new(subcommand));
+    let resolved = before.map(|word| {
+        if word.is_file() {
+            absolute(&word)
+        } else {
+            word
+        }
+    });
+    [program].into_iter().chain(resolved).collect()
 }
 
 /// Sets the flag at Ctrl-C and, where the system has them, at other requests to end. A second

@@ -16,7 +16,7 @@ use crate::{
     },
     daemon::{
         Line,
-        follow::{Progress, progress_file},
+        follow::{self, Progress, modified, progress_file},
         phase::{Phase, ProjectStatus, STATUS_VERSION},
         read_status, status_file,
     },
@@ -88,7 +88,7 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
         Progress::read(planned_workspace(&project)?)
     };
     let progress = Progress::read(&project).or_else(workspace);
-    let progress = progress.filter(|_| !is_of_earlier_plan(&project));
+    let progress = progress.filter(|_| !follow::is_of_earlier_plan(&project));
     match (progress, planned_maps(&project)) {
         (Some(progress), Some(plan)) => {
             let maps = maps_of(&project, &plan.backend);
@@ -159,17 +159,6 @@ impl Hint for NoStatus {
     }
 }
 
-/// Returns whether the project was planned again after its depth maps were last measured.
-fn is_of_earlier_plan(project: &Path) -> bool {
-    let written =
-        [progress_file(project), project.join(manifest::FILE)].map(|file| modified(&file));
-    matches!(written, [Some(measured), Some(planned)] if measured < planned)
-}
-
-fn modified(file: &Path) -> Option<SystemTime> {
-    file.metadata().ok()?.modified().ok()
-}
-
 /// Returns the views of the project of which the plan's program has made depth maps; `None` where
 /// its folder cannot be listed.
 fn maps_of(project: &Path, backend: &str) -> Option<Vec<String>> {
@@ -206,7 +195,7 @@ fn number_gone(maps: &[String], progress: &Progress) -> usize {
     measured.filter(|view| !there.contains(view)).count()
 }
 
-/// What was measured, where so many of the measured maps are no longer there.
+/// Returns the progress without the measured maps that are no longer there.
 fn without_gone(mut progress: Progress, gone: usize) -> Progress {
     if gone > 0 {
         let said = match gone {
@@ -274,7 +263,8 @@ fn share_of_all(share: f64, plan: &PlannedMaps) -> String {
 /// What is finished of a project that no daemon watches.
 fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
-    let wanted = format!("{:.0} %", 100.0 * progress.target.clamp(0.0, 1.0));
+    let wanted = (1000.0 * progress.target.clamp(0.0, 1.0)).round() / 10.0;
+    let wanted = format!("{wanted} %");
     let wanted = match plan.target {
         Some(_) => format!("target: {wanted}"),
         None => format!("the plan said {wanted} for all {clusters}"),

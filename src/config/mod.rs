@@ -117,8 +117,8 @@ impl Settings {
         !is_outside(file, project) || is_named && !is_through_project()
     }
 
-    /// Returns whether the pilot's maps are outside. Of a record in the project, which may be a
-    /// stranger's, such a folder is not walked.
+    /// Returns whether the pilot's maps are outside. `watch` takes no such settings from a record in
+    /// the project, which may be a stranger's.
     pub fn has_pilot_outside(&self, project: &Path) -> bool {
         let maps = self.pilot.maps.as_ref();
         maps.is_some_and(|folder| is_outside(folder, project))

@@ -30,6 +30,7 @@ use crate::{
     method::ranking,
     model::{cluster::MapScale, scene::ViewIndex},
     plan::{Decision, OutdatedMap, Plan},
+    show::manifest,
 };
 
 const PROGRESS: &str = "progress.json";
@@ -176,7 +177,19 @@ pub fn progress_file(root: &Path) -> PathBuf {
 
 /// True if the target was reached at the last measurement.
 pub fn target_reached(root: &Path) -> bool {
-    Progress::read(root).is_some_and(|progress| progress.target_reached)
+    let progress = || Progress::read(root).is_some_and(|progress| progress.target_reached);
+    !is_of_earlier_plan(root) && progress()
+}
+
+/// Returns whether the project was planned again after its depth maps were last measured.
+pub fn is_of_earlier_plan(project: &Path) -> bool {
+    let written =
+        [progress_file(project), project.join(manifest::FILE)].map(|file| modified(&file));
+    matches!(written, [Some(measured), Some(planned)] if measured < planned)
+}
+
+pub fn modified(file: &Path) -> Option<SystemTime> {
+    file.metadata().ok()?.modified().ok()
 }
 
 /// Measures those of the present depth maps that count, and writes `progress.json`;

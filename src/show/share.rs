@@ -1,4 +1,4 @@
-//! What a share is of, in the same words wherever one is said.
+//! Words for the area that a share is of.
 
 /// The area that shares of depth maps are of. `all`: those that the project can have, where that is
 /// known; `has_region`: only what is inside a region counts.

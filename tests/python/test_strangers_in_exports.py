@@ -245,7 +245,7 @@ def test_tasks_of_a_queue(which, viewrank, plans, tmp_path):  # noqa: F811
     run(["--rank", "1"], check=True)
     run(["--fuse"], check=True)
     folder = project / "viewrank/dispatch/colmap"
-    (marker,) = (folder / "done").iterdir()
+    (marker,) = [path for path in (folder / "done").iterdir() if not path.suffix]
     names = ["done", f"done/{marker.name}", f"done/{marker.name}.lock", "fused", "../../progress.json", "../../colmap/stereo/viewrank/run.sh"]
     for name in names:
         for put in REFUSED[:4]:
@@ -261,13 +261,15 @@ def test_tasks_of_a_queue(which, viewrank, plans, tmp_path):  # noqa: F811
             kept.rename(project)
 
 
-def test_tasks_of_a_queue_run_no_other_script(viewrank, plans, tmp_path):  # noqa: F811
+@pytest.mark.parametrize("backend, name", [("openmvs", "run.py"), ("openmvs", "run.json"), ("openmvs", "clusters/*.mvs"), ("colmap", "run.sh"), ("colmap", "patch-match.cfg"),
+                                           ("sgm", "matching.py"), ("sgm", "clusters.txt")])
+def test_tasks_of_a_queue_use_no_other_export(backend, name, viewrank, plans, tmp_path):  # noqa: F811
     project = tmp_path / "project"
     shutil.copytree(plans[4], project, symlinks=True)
-    viewrank("plan", project, "--backend", "openmvs", "--budget", "3", "--quiet")
-    (script,) = project.rglob("run.py")
-    script.write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
+    viewrank("plan", project, "--backend", backend, "--budget", "3", "--quiet")
+    path = next(path for path in (project / "viewrank" / backend).rglob(name) if not path.is_symlink())
+    path.write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
     for which in (["--rank", "1"], ["--fuse"]):
         done = viewrank("run", project, "--program", "/bin/true", *which, expect=1)
-        assert "run.py: missing, or not what this viewrank writes" in done.stderr and "viewrank plan" in done.stderr
+        assert f"{path.name}: missing, or not what this viewrank writes" in done.stderr and "viewrank plan" in done.stderr
     assert not (tmp_path / "pwned").exists()

@@ -155,8 +155,12 @@ impl CacheFile {
         set
     }
 
-    /// Returns the set whose writing removes the file, which is of other inputs.
+    /// Returns the set whose writing removes the file, which is of other inputs; of a user without a
+    /// key, one that leaves the files of others alone.
     pub fn no_file(&self) -> FileSet {
+        if self.key == Key::default() {
+            return FileSet::new(&self.home, "none");
+        }
         let name = self
             .path
             .rsplit('/')

@@ -58,7 +58,7 @@ pub struct Dispatch {
     pub folder: PathBuf,
     /// In rank order; clusters that cannot have a depth map are left out.
     pub tasks: Vec<Task>,
-    /// Options of `viewrank run` by which these tasks differ from the plan's own.
+    /// Options of `viewrank run` that the tasks need.
     choice: String,
     /// Depth maps of ranks up to this one are kept, whoever made them: the plan was ranked around
     /// them.
@@ -132,9 +132,6 @@ impl Dispatch {
         let export = backend.export(&selection, &Default::default())?;
         output::refuse_to_leave(&plan.project.home, &export.files.root)?;
         let mut dispatch = Self::new(backend, &selection, &export, plan.finished)?;
-        if backend.name != plan.backend {
-            dispatch.choice += &format!(" --backend {}", backend.name);
-        }
         if cut != plan.cut {
             dispatch.choice += &format!(" --budget {cut}");
         }
@@ -180,7 +177,8 @@ impl Dispatch {
             backend: backend.name,
             folder,
             tasks,
-            choice: String::new(),
+            // Another plan may be for another program.
+            choice: format!(" --backend {}", backend.name),
             finished,
             workplace,
             image_scale: export.record.image_scale,
@@ -208,8 +206,12 @@ impl Dispatch {
     /// completes: the same viewrank, on the project at this path, with these programs.
     pub fn command(&self, project: &Path, tools: &Tools, threads: u32) -> String {
         let path = |path: &Path| sh_word(&path.display().to_string());
+        let viewrank: Vec<String> = platform::this_program_as_typed("dispatch")
+            .iter()
+            .map(|word| path(word))
+            .collect();
         let mut words = vec![
-            path(&env::current_exe().unwrap_or_else(|_| "viewrank".into())),
+            viewrank.join(" "),
             format!("run {}{}", path(project), self.choice),
             format!("--threads {threads}"),
         ];
@@ -220,6 +222,19 @@ impl Dispatch {
         words.join(" ")
     }
 
+    /// Returns the line of sh that sets what the programs need of this environment; empty if
+    /// nothing.
+    pub fn environment(tools: &Tools) -> String {
+        if tools.python.is_absolute() {
+            format!(
+                "export PYTHON={}",
+                sh_word(&tools.python.display().to_string())
+            )
+        } else {
+            String::new()
+        }
+    }
+
     /// Returns the folder of a queue's logs.
     pub fn files(&self) -> FileSet {
         let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
@@ -228,13 +243,16 @@ impl Dispatch {
         files
     }
 
-    /// Fails unless the programs of the export are there as they are written: they are about to be
-    /// run, and the folder may be a stranger's.
-    pub fn refuse_other_programs(&self, export: &Export) -> Result<(), DispatchError> {
+    /// Fails unless the export is there as it is written: its scripts are about to be run on its
+    /// lists, and the folder may be a stranger's, or of another plan.
+    pub fn refuse_other_export(&self, export: &Export) -> Result<(), DispatchError> {
         for (name, contents) in &export.files.files {
-            let Contents::Script(bytes) = contents else {
+            let (Contents::Script(bytes) | Contents::Bytes(bytes)) = contents else {
                 continue;
             };
+            if self.runner.state.contains(&&**name) {
+                continue;
+            }
             let there = output::read_own(&self.workplace, name, FileKind::Record);
             if there.ok().as_ref() != Some(bytes) {
                 return Err(DispatchError::Export(self.workplace.join(name)));
@@ -335,7 +353,7 @@ impl Dispatch {
     /// Returns whether exactly the finished depth maps have been joined already.
     pub fn is_fused(&self) -> bool {
         let done = self.done_ids();
-        done.is_empty() || self.own_text("fused") == done
+        done.is_empty() || self.own_text("fused") == done && self.runner.cloud.is_file()
     }
 
     /// Returns a line with the id of each finished task.
@@ -344,7 +362,7 @@ impl Dispatch {
         done.map(|task| format!("{}\n", task.id)).collect()
     }
 
-    /// Reads a file in [`Self::folder`], links are not followed.
+    /// Reads a file in [`Self::folder`]; links are not followed.
     fn own(&self, name: &str) -> Result<Vec<u8>, OutputError> {
         output::read_own(
             &self.project,

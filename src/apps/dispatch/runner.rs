@@ -15,7 +15,7 @@ use super::{Dispatch, DispatchError, Task, Tools};
 use crate::{
     backends::{Call, Product},
     base::platform,
-    io::output::{self, Disk, Folder},
+    io::output::{self, Disk, Folder, OutputError},
 };
 
 /// Time between two polls of a process, of a lock and of the stop flag.
@@ -42,6 +42,8 @@ pub struct Runner<'a> {
     pub stop: &'a AtomicBool,
     /// Whose process the commands are part of.
     pub owner: Owner,
+    /// Called before another process is waited for that does the same.
+    pub on_wait: &'a dyn Fn(),
 }
 
 /// Who starts the commands.
@@ -54,41 +56,26 @@ pub enum Owner {
     Queue,
 }
 
+/// Holds a lock until it is dropped.
+struct Alone(#[allow(dead_code, reason = "held")] Option<File>);
+
 impl Dispatch {
     /// Computes the depth map of a task, unless it is there. Where another process computes one of
     /// the same key view, it is waited for first.
     pub fn compute(&self, task: &Task, runner: &Runner) -> Result<TaskResult, DispatchError> {
+        if self.is_done(task) {
+            return Ok(TaskResult::Idle);
+        }
         let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
         output::make_folder(&self.folder.join("done"), &disk)?;
-        let records = Folder::open(&self.project)?;
-        let marker = format!("viewrank/dispatch/{}/done/{}", self.backend, task.marker);
-        let lock = records.lock_file(&format!("{marker}.lock"))?;
-        // On a file system without locks, the work goes ahead unlocked.
-        while matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
-            if runner.stop.load(Ordering::Relaxed) {
-                return Ok(TaskResult::Stopped);
-            }
-            thread::sleep(PAUSE);
-        }
-        let ended = self.compute_alone(task, runner, &disk)?;
-        if matches!(ended, TaskResult::Done | TaskResult::Idle) {
-            // Whoever waits for it finds the map.
-            _ = output::remove(&self.project.join(format!("{marker}.lock")), &disk);
-        }
-        Ok(ended)
-    }
-
-    fn compute_alone(
-        &self,
-        task: &Task,
-        runner: &Runner,
-        disk: &Disk,
-    ) -> Result<TaskResult, DispatchError> {
+        let Some(_alone) = self.alone(&format!("done/{}.lock", task.marker), runner)? else {
+            return Ok(TaskResult::Stopped);
+        };
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
         let marker = self.folder.join("done").join(&task.marker);
-        output::remove(&marker, disk)?;
+        output::remove(&marker, &disk)?;
         let ended = self.run(Product::Map(task.rank), runner)?;
         if ended != TaskResult::Done {
             return Ok(ended);
@@ -97,8 +84,32 @@ impl Dispatch {
             let message = format!("{} was not written", task.map.display());
             return Ok(TaskResult::Failed(message));
         }
-        output::replace(&marker, format!("{}\n", task.id).as_bytes(), disk)?;
+        output::replace(&marker, format!("{}\n", task.id).as_bytes(), &disk)?;
         Ok(TaskResult::Done)
+    }
+
+    /// Waits until no other process holds this lock file, which stays: of one that was removed, some
+    /// would still hold the old and some the new. Returns what holds it; `None` if stopped before.
+    fn alone(&self, name: &str, runner: &Runner) -> Result<Option<Alone>, DispatchError> {
+        let path = format!("viewrank/dispatch/{}/{name}", self.backend);
+        let lock = match Folder::open(&self.project)?.lock_file(&path) {
+            Ok(lock) => lock,
+            // Another user's, in a project that several use.
+            Err(OutputError::Denied { .. }) => return Ok(Some(Alone(None))),
+            Err(error) => return Err(error.into()),
+        };
+        let mut has_waited = false;
+        // On a file system without locks, the work goes ahead unlocked.
+        while matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
+            if runner.stop.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            if !std::mem::replace(&mut has_waited, true) {
+                (runner.on_wait)();
+            }
+            thread::sleep(PAUSE);
+        }
+        Ok(Some(Alone(Some(lock))))
     }
 
     /// Fuses the depth maps that are there, unless the same ones were fused before.
@@ -106,6 +117,9 @@ impl Dispatch {
         if self.is_fused() {
             return Ok(TaskResult::Idle);
         }
+        let Some(_alone) = self.alone("fused.lock", runner)? else {
+            return Ok(TaskResult::Stopped);
+        };
         let fused = self.done_ids();
         let ended = self.run(Product::Cloud, runner)?;
         if ended == TaskResult::Done {

@@ -343,12 +343,16 @@ impl<'a> Request<'a> {
             "" => String::new(),
             lines => format!("{lines}\n"),
         };
+        let environment = match Dispatch::environment(tools) {
+            line if line.is_empty() => line,
+            line => line + "; ",
+        };
         let command = dispatch.command(&dispatch.project, tools, settings.cpus);
         let task = match step {
             Step::Array(array) => format!("--rank $(({} + SLURM_ARRAY_TASK_ID))", array.offset),
             _ => "--fuse".into(),
         };
-        format!("{setup}exec {command} {task}")
+        format!("{setup}{environment}exec {command} {task}")
     }
 }
 

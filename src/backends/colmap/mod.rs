@@ -104,6 +104,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         program: "colmap",
         variable: "COLMAP",
         commands,
+        state: &["stereo/viewrank/maps.tsv", "export.json"],
         cloud: export.files.root.join(FUSED),
         maps: selection.clusters.iter().map(map).collect(),
     })

@@ -123,6 +123,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         program: "DensifyPointCloud",
         variable: "DENSIFY",
         commands,
+        state: &[],
         cloud: export.files.root.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })

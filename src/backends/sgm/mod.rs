@@ -108,6 +108,7 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         program: "sgm.py",
         variable: "SGM",
         commands,
+        state: &[],
         cloud: out.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })

@@ -26,7 +26,7 @@ use crate::{
 };
 
 /// Options of a whole run, which plans.
-const WHOLE_RUN: [&str; 7] = [
+const WHOLE_RUN: [&str; 8] = [
     "target",
     "k",
     "scales",
@@ -34,6 +34,7 @@ const WHOLE_RUN: [&str; 7] = [
     "gsd",
     "images",
     "no_report",
+    "format",
 ];
 
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
@@ -86,8 +87,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// Compute the depth map of the N-th view cluster of the plan alone, and end; for queues
-    #[arg(long, value_name = "N", group = "task", conflicts_with_all = WHOLE_RUN)]
-    rank: Option<usize>,
+    #[arg(long, value_name = "N", group = "task", conflicts_with_all = WHOLE_RUN, value_parser = clap::value_parser!(u32).range(1..))]
+    rank: Option<u32>,
     /// Fuse the depth maps of the plan that are there, and end; for queues
     #[arg(long, group = "task", conflicts_with_all = WHOLE_RUN)]
     fuse: bool,
@@ -263,7 +264,7 @@ fn undistorted_project(
 impl Arguments {
     /// What is wanted of one task.
     fn product(&self) -> Option<Product> {
-        let map = self.rank.map(Product::Map);
+        let map = self.rank.map(|rank| Product::Map(rank as usize));
         map.or(self.fuse.then_some(Product::Cloud))
     }
 

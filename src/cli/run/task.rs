@@ -1,6 +1,6 @@
 //! `viewrank run --rank` and `--fuse`: one task of a plan, as a process of a queue.
 
-use std::sync::atomic::AtomicBool;
+use std::{path::Path, sync::atomic::AtomicBool};
 
 use super::Arguments;
 use crate::{
@@ -21,44 +21,42 @@ pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result
     // As dispatch names the project.
     let root =
         dunce::canonicalize(&arguments.project).unwrap_or_else(|_| arguments.project.clone());
-    if matches!(product, Product::Map(_)) && ends_at_target(&root) {
-        return Ok(());
-    }
     let plan = WrittenPlan::read(&root)?;
     let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend))?;
     let cut = plan.cut_at(arguments.budget, None);
     let (dispatch, export) = Dispatch::of_plan(&plan, backend, cut)?;
+    let say = |text: &str| {
+        if !arguments.is_silent() {
+            note(text);
+        }
+    };
+    if matches!(product, Product::Map(_)) && ends_at_target(&root, say) {
+        return Ok(());
+    }
     dispatch.refuse_strangers()?;
-    dispatch.refuse_other_programs(&export)?;
+    dispatch.refuse_other_export(&export)?;
     let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
     let runner = Runner {
         tools: &tools,
         threads: arguments.threads(),
         stop,
         owner: Owner::Queue,
-    };
-    let say = |text: String| {
-        if !arguments.is_silent() {
-            note(&text);
-        }
+        on_wait: &|| say("waiting for another process that does the same"),
     };
     match product {
         Product::Map(rank) => {
             let Some(task) = dispatch.tasks.iter().find(|task| task.rank == rank) else {
-                say(format!("rank {rank}: the plan has no depth map of it"));
-                return Ok(());
+                return no_task(rank, cut, say);
             };
-            say(format!("rank {rank}: {}", task.key));
-            let ended = dispatch.compute(task, &runner)?;
-            report(ended, &format!("rank {rank}: {}", task.key), say)?;
-            ends_at_target(&root);
+            let what = format!("rank {rank}: {}", task.key);
+            say(&what);
+            report(dispatch.compute(task, &runner)?, &what, say)?;
+            ends_at_target(&root, say);
         }
         Product::Cloud => {
             let done = dispatch.finished_maps().count();
-            say(format!(
-                "{done} of {} depth maps are there",
-                dispatch.tasks.len()
-            ));
+            let all = dispatch.tasks.len();
+            say(&format!("{done} of {all} depth maps are there"));
             report(dispatch.fuse(&runner)?, "the fusion", say)?;
         }
     }
@@ -66,10 +64,10 @@ pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result
 }
 
 /// Says how a task ended.
-fn report(ended: TaskResult, what: &str, say: impl Fn(String)) -> Result<(), Failure> {
+fn report(ended: TaskResult, what: &str, say: impl Fn(&str)) -> Result<(), Failure> {
     match ended {
-        TaskResult::Done => say(format!("{what}: done")),
-        TaskResult::Idle => say(format!("{what}: nothing to do")),
+        TaskResult::Done => say(&format!("{what}: done")),
+        TaskResult::Idle => say(&format!("{what}: nothing to do")),
         TaskResult::Stopped => {
             return Err(Failure::new(Exit::Failed, format!("{what}: stopped"), None));
         }
@@ -81,12 +79,25 @@ fn report(ended: TaskResult, what: &str, say: impl Fn(String)) -> Result<(), Fai
     Ok(())
 }
 
+/// Says that no depth map can be made of the cluster of a rank.
+///
+/// # Errors
+/// If the plan's list is shorter.
+fn no_task(rank: usize, cut: usize, say: impl Fn(&str)) -> Result<(), Failure> {
+    if rank > cut {
+        let message = format!("rank {rank}: the list ends at rank {cut}");
+        return Err(Failure::new(Exit::Usage, message, None));
+    }
+    say(&format!("rank {rank}: no depth map can be made of it"));
+    Ok(())
+}
+
 /// Returns whether the finished depth maps reach the target; the tasks that wait behind this one are
 /// not needed then.
-fn ends_at_target(root: &std::path::Path) -> bool {
+fn ends_at_target(root: &Path, say: impl Fn(&str)) -> bool {
     let reached = follow::target_reached(root);
     if reached {
-        note("the target is reached");
+        say("the target is reached");
         if let Err(error) = slurm::cancel_rest_of_array() {
             warn(&error.to_string());
         }

@@ -223,6 +223,7 @@ impl<'a> Work<'a> {
             threads: self.arguments.threads(),
             stop: self.stop,
             owner: Owner::Viewrank,
+            on_wait: &|| note("waiting for another process that computes the same"),
         }
     }
 

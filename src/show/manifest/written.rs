@@ -199,7 +199,7 @@ pub fn planned_model(project: &Project) -> Option<String> {
 /// The depth maps (or images) that a plan chooses.
 pub struct PlannedMaps {
     pub clusters: usize,
-    /// Those that the project can have.
+    /// Number of depth maps that the project can have.
     pub all: usize,
     /// Predicted share of the chosen ones in what all give, 0 to 1.
     pub share: f64,

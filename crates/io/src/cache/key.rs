@@ -47,16 +47,23 @@ fn read_or_make(folder: &Path) -> io::Result<Key> {
         let key = bytes.try_into().map(Key);
         key.map_err(|_| io::Error::from(io::ErrorKind::InvalidData))
     };
-    match read() {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+    let is_damaged = match read() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => false,
+        // Cut off by a loss of power.
+        Err(error) if error.kind() == io::ErrorKind::InvalidData => true,
         found => return found,
-    }
+    };
     let mut key = Key::default();
     getrandom::fill(&mut key.0)?;
     fs::create_dir_all(folder)?;
     // Readable for the user alone.
     let mut file = tempfile::NamedTempFile::new_in(folder)?;
     file.write_all(&key.0)?;
+    file.as_file().sync_all()?;
+    if is_damaged {
+        file.persist(&path)?;
+        return Ok(key);
+    }
     match file.persist_noclobber(&path) {
         // Another process was first.
         Err(error) if error.error.kind() == io::ErrorKind::AlreadyExists => read(),
@@ -86,10 +93,11 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_key_is_none_and_stays() {
+    fn a_damaged_key_is_made_again() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("cache.key"), "short").unwrap();
-        assert!(read_or_make(folder.path()).is_err());
+        let key = read_or_make(folder.path()).unwrap();
+        assert_eq!(read_or_make(folder.path()).unwrap(), key);
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         assert!(read_or_make(&file.join("below")).is_err());

@@ -15,7 +15,7 @@ mod tests;
 
 use std::{
     path::{Path, PathBuf},
-    time::Duration,
+    time::{Duration, SystemTime},
 };
 
 use nalgebra::Point2;
@@ -302,8 +302,9 @@ const BEING_WRITTEN: Duration = Duration::from_secs(180);
 
 fn has_just_changed(path: &Path) -> bool {
     let changed = path.metadata().and_then(|found| found.modified());
-    // A time in the future, by the clock of another machine, is as good as now.
-    changed.is_ok_and(|time| time.elapsed().unwrap_or_default() < BEING_WRITTEN)
+    // The clock of another machine may be ahead.
+    let age = |time: SystemTime| time.elapsed().unwrap_or_else(|ahead| ahead.duration());
+    changed.is_ok_and(|time| age(time) < BEING_WRITTEN)
 }
 
 impl Hint for DepthMapError {

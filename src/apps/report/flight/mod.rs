@@ -121,7 +121,8 @@ impl Flight {
         let highest = high.iter().copied().fold(0.0, f64::max);
         let which = self.part(high.len(), ["is", "are"])?;
         Some(format!(
-            "{which} higher than {LEGAL_HEIGHT} m above the ground (up to {highest:.0} m), where the EU and the US ask for a permit: a finer --gsd plans lower ones"
+            "{which} higher than {LEGAL_HEIGHT} m above the ground (up to {:.0} m), where the EU and the US ask for a permit: a finer --gsd plans lower ones",
+            highest.ceil()
         ))
     }
 
@@ -236,7 +237,7 @@ mod tests {
             flight.cautions(metres)
         };
         assert!(said(vec![image(119.0, 0.7)], Some(1.0)).is_empty());
-        // Of units that nobody knows, none is too high.
+        // Without a known unit no height is compared.
         assert!(said(vec![image(1e6, 0.7)], None).is_empty());
         let both = said(vec![image(70.0, 0.5), image(50.0, 0.9)], Some(2.0));
         assert!(both[0].starts_with("1 of the 2 planned images is higher than 120 m"));
