@@ -151,6 +151,19 @@ pub fn end_group(child: &mut Child) {
     _ = child.wait();
 }
 
+/// Another handle of a file, which the children that are started while it is kept inherit: a lock
+/// of the file holds as long as any of them runs. None elsewhere than on Unix.
+#[cfg(unix)]
+pub fn inheritable(file: &std::fs::File) -> io::Result<impl Sized + use<>> {
+    // Without close-on-exec, which std sets on its own handles.
+    Ok(rustix::io::dup(file)?)
+}
+
+#[cfg(not(unix))]
+pub fn inheritable(_: &std::fs::File) -> io::Result<impl Sized + use<>> {
+    Ok(())
+}
+
 /// Asks a child to end, and waits for it; elsewhere than on Unix it is ended at once.
 pub fn end(child: &mut Child) {
     #[cfg(unix)]

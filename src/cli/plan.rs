@@ -31,7 +31,7 @@ use crate::{
         files::PlanFiles,
         manifest::{
             WrittenPlanError, planned_backend, planned_backends, planned_model, planned_region,
-            warnings_with,
+            planned_test_every, warnings_with,
         },
         tables,
     },
@@ -213,13 +213,14 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let kept = kept_backends(at_home, &settings)?;
     let dropped_region = planned_region(&at_home.home).filter(|_| settings.region.is_none());
-    let settings = Settings {
+    let mut settings = Settings {
         backends: match &kept {
             Some(kept) => kept.iter().map(|backend| backend.name.into()).collect(),
             None => settings.backends,
         },
         ..settings
     };
+    settings.test_every = kept_test_every(&at_home.home, &settings);
     let (project, settings) = matchable(arguments, project, settings)?;
     let project = match &arguments.out {
         Some(out) => {
@@ -332,6 +333,24 @@ fn refuse_unwritable(arguments: &Arguments, project: &Project) -> Result<(), Fai
         .flatten()
         .try_for_each(output::refuse_unwritable)?;
     Ok(())
+}
+
+/// Returns which images are kept apart for tests: as in the plan before unless something else is
+/// asked for, since images that have trained are no tests.
+fn kept_test_every(home: &Path, settings: &Settings) -> Option<u32> {
+    let kept = || {
+        let takes_images =
+            |name: &String| backends::by_name(name).is_ok_and(|backend| !backend.makes_maps());
+        let every = planned_test_every(home)?;
+        if !settings.backends.iter().all(takes_images) {
+            return None;
+        }
+        note(&format!(
+            "images are kept apart for tests as in the plan before (--test-every {every}; 0 plans with all)"
+        ));
+        Some(every)
+    };
+    settings.test_every.or_else(kept)
 }
 
 /// Returns the folder of the depth maps that were made for the plan that this one replaces, with that

@@ -263,11 +263,14 @@ fn share_of_all(share: f64, plan: &PlannedMaps) -> String {
 /// What is finished of a project that no daemon watches.
 fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
-    let wanted = (1000.0 * progress.target.clamp(0.0, 1.0)).round() / 10.0;
-    let wanted = format!("{wanted} %");
+    let percent = |share: f64| format!("{} %", (1000.0 * share).round() / 10.0);
     let wanted = match plan.target {
-        Some(_) => format!("target: {wanted}"),
-        None => format!("the plan said {wanted} for all {clusters}"),
+        Some(target) => format!("target: {}", percent(target)),
+        None => format!(
+            "the plan said {:.0} % for its {}",
+            100.0 * plan.share,
+            plan.clusters
+        ),
     };
     let share = progress.share.map_or_else(String::new, |share| {
         format!(": {} ({wanted})", share_of_all(share, plan))

@@ -213,7 +213,7 @@ fn refuse_small_images(
     scene: &Scene,
     image_scale: f64,
 ) -> Result<(), PlanError> {
-    match faults.largest_scale(scene) {
+    match faults.usual_scale(scene) {
         Some(images) if image_scale > MOST_ENLARGED * images => Err(PlanError::SmallImages {
             images,
             image_scale,

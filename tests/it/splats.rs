@@ -334,6 +334,20 @@ fn a_setting_keeps_test_images_too() {
 }
 
 #[test]
+fn planned_tests_stay_tests_until_all_images_are_asked_for() {
+    let folder = project();
+    let kept = |options: &[&str]| {
+        plan(folder.path(), options);
+        manifest(folder.path())["settings"]["test_every"].clone()
+    };
+    assert_eq!(kept(&["--backend", "splat", "--test-every", "5"]), 5);
+    assert_eq!(kept(&["--budget", "6"]), 5);
+    assert_eq!(kept(&["--backend", "images"]), 5);
+    assert_eq!(kept(&["--test-every", "0"]), 0);
+    assert_eq!(kept(&["--budget", "7"]), Value::Null);
+}
+
+#[test]
 fn a_share_of_depth_maps_is_no_share_of_images() {
     for (planned, other) in [("openmvs", "splat"), ("splat", "openmvs")] {
         let folder = project();

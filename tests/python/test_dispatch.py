@@ -162,6 +162,23 @@ def test_two_processes_compute_a_key_view_once(work):
     assert sorted(path.suffix for path in (work.project / "viewrank/dispatch/sgm/done").iterdir()) == ["", ".lock"]
 
 
+def test_a_program_that_outlives_its_task_is_waited_for(work):
+    work.dispatch("shell")
+    work.hold(1)
+    command = [work.viewrank.program, "run", work.project, "--budget", RANKS, "--program", work.front, "--rank", "1"]
+    killed = subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL)
+    work.process(1)
+    killed.kill()
+    killed.wait()
+    again = threading.Thread(target=work.compute, args=(1,))
+    again.start()
+    time.sleep(1)
+    assert work.ranks() == [1]
+    work.release(1)
+    again.join()
+    assert work.ranks() == [1, 1] and work.maps() == work.keys(1)
+
+
 def test_another_plan_makes_only_what_is_new(work):
     work.dispatch("shell")
     work.compute(1, 2, 3)

@@ -238,3 +238,13 @@ def test_a_program_in_the_current_folder_is_not_trusted(run, viewrank, valley):
         refused = start(*words)
         assert refused.returncode != 0 and "cannot find the program DensifyPointCloud" in refused.stderr
     assert not list(valley.glob("*.ran"))
+
+
+def test_maps_of_another_program_are_none_of_this_plan(run, valley):
+    run(valley, "--backend", "sgm", "--budget", "3", "--no-report", "--quiet")
+    stub = valley.parent / "densify"
+    stub.write_text("#!/bin/sh\nexit 1\n")
+    stub.chmod(0o755)
+    _, err = run(valley, "--backend", "openmvs", "--program", stub, "--budget", "1", "--no-report", expect=1)
+    manifest = json.loads((valley / "viewrank/manifest.json").read_text())
+    assert manifest["cut"]["clusters"] == 1, err

@@ -10,7 +10,7 @@ pub mod runner;
 pub mod slurm;
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     env,
     fs::{self, File, TryLockError},
     io,
@@ -66,6 +66,8 @@ pub struct Dispatch {
     /// Folder of the export.
     workplace: PathBuf,
     image_scale: f64,
+    /// Scripts of the export, by name.
+    scripts: BTreeMap<String, Vec<u8>>,
     /// The backend's program, if the export includes it.
     exported_program: Option<PathBuf>,
     runner: TaskRunner,
@@ -182,6 +184,7 @@ impl Dispatch {
             finished,
             workplace,
             image_scale: export.record.image_scale,
+            scripts: scripts(&export.files),
             exported_program,
             runner,
         })
@@ -243,6 +246,19 @@ impl Dispatch {
         files
     }
 
+    /// Fails unless the scripts of the export are there as they are written.
+    pub fn refuse_other_programs(&self) -> Result<(), DispatchError> {
+        let mut scripts = self.scripts.iter();
+        scripts.try_for_each(|(name, bytes)| self.refuse_other_file(name, bytes))
+    }
+
+    fn refuse_other_file(&self, name: &str, bytes: &[u8]) -> Result<(), DispatchError> {
+        match output::read_own(&self.workplace, name, FileKind::Record) {
+            Ok(there) if there == bytes => Ok(()),
+            _ => Err(DispatchError::Export(self.workplace.join(name))),
+        }
+    }
+
     /// Fails unless the export is there as it is written: its scripts are about to be run on its
     /// lists, and the folder may be a stranger's, or of another plan.
     pub fn refuse_other_export(&self, export: &Export) -> Result<(), DispatchError> {
@@ -253,10 +269,7 @@ impl Dispatch {
             if self.runner.state.contains(&&**name) {
                 continue;
             }
-            let there = output::read_own(&self.workplace, name, FileKind::Record);
-            if there.ok().as_ref() != Some(bytes) {
-                return Err(DispatchError::Export(self.workplace.join(name)));
-            }
+            self.refuse_other_file(name, bytes)?;
         }
         Ok(())
     }
@@ -378,6 +391,14 @@ impl Dispatch {
             .and_then(|bytes| String::from_utf8(bytes).ok())
             .unwrap_or_default()
     }
+}
+
+fn scripts(files: &FileSet) -> BTreeMap<String, Vec<u8>> {
+    let script = |(name, contents): (&String, &Contents)| match contents {
+        Contents::Script(bytes) => Some((name.clone(), bytes.clone())),
+        _ => None,
+    };
+    files.files.iter().filter_map(script).collect()
 }
 
 /// Returns 16 hexadecimal digits of BLAKE3 over the texts.

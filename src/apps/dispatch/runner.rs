@@ -56,8 +56,9 @@ pub enum Owner {
     Queue,
 }
 
-/// Holds a lock until it is dropped.
-struct Alone(#[allow(dead_code, reason = "held")] Option<File>);
+/// Holds a lock until it is dropped, and the programs that were started meanwhile have ended: they
+/// may outlive a process that is killed.
+struct Alone<T>(#[allow(dead_code, reason = "held")] Option<(File, T)>);
 
 impl Dispatch {
     /// Computes the depth map of a task, unless it is there. Where another process computes one of
@@ -90,7 +91,11 @@ impl Dispatch {
 
     /// Waits until no other process holds this lock file, which stays: of one that was removed, some
     /// would still hold the old and some the new. Returns what holds it; `None` if stopped before.
-    fn alone(&self, name: &str, runner: &Runner) -> Result<Option<Alone>, DispatchError> {
+    fn alone(
+        &self,
+        name: &str,
+        runner: &Runner,
+    ) -> Result<Option<Alone<impl Sized + use<>>>, DispatchError> {
         let path = format!("viewrank/dispatch/{}/{name}", self.backend);
         let lock = match Folder::open(&self.project)?.lock_file(&path) {
             Ok(lock) => lock,
@@ -109,7 +114,11 @@ impl Dispatch {
             }
             thread::sleep(PAUSE);
         }
-        Ok(Some(Alone(Some(lock))))
+        let inherited = platform::inheritable(&lock).map_err(|source| DispatchError::Start {
+            program: self.backend.into(),
+            source,
+        })?;
+        Ok(Some(Alone(Some((lock, inherited)))))
     }
 
     /// Fuses the depth maps that are there, unless the same ones were fused before.
@@ -141,6 +150,8 @@ impl Dispatch {
             image_scale: self.image_scale,
         };
         for words in (self.runner.commands)(&call) {
+            // Somebody may have changed them while another process was waited for.
+            self.refuse_other_programs()?;
             let program = words[0].to_string_lossy().into_owned();
             let failed = |source| DispatchError::Start {
                 program: program.clone(),

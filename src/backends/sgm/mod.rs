@@ -161,7 +161,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.fusion =
         "a point per cell of one ground sampling distance, the mean of the depths in it".into();
     for (name, text) in MATCHER {
-        files.add_text(name, text);
+        files.add_script(name, text);
     }
     for (name, text) in semi_global::pair_files(BACKEND.name, selection)? {
         files.add_text(name, text);

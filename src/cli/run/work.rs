@@ -20,7 +20,7 @@ use crate::{
         summary::duration, terminal::complain, warn,
     },
     daemon::{PlanWhen, follow, foreground::Foreground, phase::Phase, state::Outcome},
-    io::paths::from_here,
+    io::{depthmaps, paths::from_here, project::Project},
     model::cluster::MapScale,
     show::{
         manifest::{WrittenPlan, warnings_with},
@@ -99,6 +99,13 @@ fn note_maps_of_other_plans(dispatch: &Dispatch) {
     note(&format!("{counted} for this plan: made again"));
 }
 
+/// Returns the folder in which the backend writes depth maps: those of another are none of its plan.
+fn own_folder(root: &Path, backend: &Backend) -> Result<Option<PathBuf>, Failure> {
+    let project = Project::open(root, None)?;
+    let dense = project.dense_workspace.as_deref();
+    Ok(depthmaps::folder_of(&project.home, dense, backend.name))
+}
+
 impl<'a> Work<'a> {
     pub fn new(
         arguments: &'a Arguments,
@@ -108,7 +115,9 @@ impl<'a> Work<'a> {
         when: PlanWhen,
     ) -> Result<Self, Failure> {
         let lines = Lines::new(arguments.is_silent());
-        match foreground.plan(when, &|stage, percent| lines.stage(stage, percent)) {
+        let own = own_folder(foreground.root(), backend)?;
+        let is_own = |path: &Path| own.as_ref().is_some_and(|own| path.starts_with(own));
+        match foreground.plan(when, &is_own, &|stage, percent| lines.stage(stage, percent)) {
             Outcome::Planned { note, .. } => note.iter().for_each(|text| warn(text)),
             other => return Err(failure(other, stop, arguments.go_on())),
         }

@@ -18,7 +18,7 @@ pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{
     PlannedMaps, WrittenPlan, WrittenPlanError, open_planned_workspace, planned_backend,
     planned_backends, planned_ground, planned_maps, planned_model, planned_region,
-    planned_workspace, validate,
+    planned_test_every, planned_workspace, validate,
 };
 
 use crate::{

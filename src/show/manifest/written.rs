@@ -230,6 +230,12 @@ pub fn planned_region(root: &Path) -> Option<String> {
     recorded.settings.region.map(|region| region.to_string())
 }
 
+/// Returns which image in how many the project's plan keeps apart for tests.
+pub fn planned_test_every(root: &Path) -> Option<u32> {
+    let (_, recorded) = RecordedPlan::open(root).ok()?;
+    recorded.settings.test_every.filter(|every| *every > 0)
+}
+
 /// Returns what the photographs show of the region of the project's plan; `None` without a plan or
 /// where the settings name another region or resolution.
 pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSummary> {

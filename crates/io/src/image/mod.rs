@@ -273,7 +273,8 @@ fn check_scans(bytes: &[u8]) -> Result<(), ImageError> {
     let coefficients =
         u64::from(info.width) * u64::from(info.height) * info.pixel_format.pixel_bytes() as u64;
     let is_kept = info.coding_process == CodingProcess::DctProgressive || scans > 1;
-    if is_kept && coefficients > most_decoded_bytes(bytes.len() as u64) {
+    // Of 16 bits each.
+    if is_kept && 2 * coefficients > most_decoded_bytes(bytes.len() as u64) {
         Err(ImageError::Coefficients)
     } else {
         Ok(())

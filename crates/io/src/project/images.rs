@@ -214,17 +214,21 @@ impl ImageFaults {
             .unwrap_or_default()
     }
 
-    /// Returns the largest width of a readable image over that of its camera; `None` without one.
-    pub fn largest_scale(&self, scene: &Scene) -> Option<f64> {
+    /// Returns the usual size of a readable image over that of its camera, by the side that is smaller
+    /// so: the median, since a few may be anything; `None` without a readable image.
+    pub fn usual_scale(&self, scene: &Scene) -> Option<f64> {
         let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
         let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
         let of_view = |view: ViewIndex| {
-            let other = others.get(&view);
-            let width = f64::from(scene.camera_of(view).width);
-            other.map_or(1.0, |[of_image, _]| f64::from(*of_image) / width)
+            let camera = scene.camera_of(view);
+            let [width, height] = *others.get(&view).unwrap_or(&[camera.width, camera.height]);
+            let of_width = f64::from(width) / f64::from(camera.width);
+            of_width.min(f64::from(height) / f64::from(camera.height))
         };
         let readable = scene.view_indices().filter(|view| !without.contains(view));
-        readable.map(of_view).max_by(f64::total_cmp)
+        let mut scales: Vec<f64> = readable.map(of_view).collect();
+        scales.sort_by(f64::total_cmp);
+        scales.get(scales.len() / 2).copied()
     }
 
     fn missing_or_unreadable(&self) -> impl Iterator<Item = ViewIndex> {
