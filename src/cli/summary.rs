@@ -45,6 +45,8 @@ pub struct Summary<'a> {
     /// Median of the images, scene units per matched pixel, where another g_d was asked for.
     #[serde(skip)]
     of_images: Option<f64>,
+    #[serde(skip)]
+    image_scale: f64,
     /// g_d in words, with that of areas of the region.
     #[serde(skip)]
     wanted: String,
@@ -136,6 +138,7 @@ impl<'a> Summary<'a> {
             finished: plan.decision.finished,
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
             of_images: gsd_of_images(plan).filter(|_| asked.is_survey),
+            image_scale: plan.stages.settings.image_scale(),
             wanted: plan.stages.wanted(),
             region: manifest.region.as_ref(),
             cut: plan.decision.cut,
@@ -210,7 +213,12 @@ impl<'a> Summary<'a> {
         lines.extend(self.memory.on_disk().map(on_disk));
         if self.use_of_views.is_none() {
             let of_images = self.of_images.map(|own| significant(own * metres));
-            let of_images = of_images.map(|own| format!("; the images have {own} in the median"));
+            let at_scale = match self.image_scale {
+                1.0 => String::new(),
+                scale => format!(" at image_scale {scale}, at which photographs are judged here"),
+            };
+            let of_images =
+                of_images.map(|own| format!("; the images have {own} in the median{at_scale}"));
             let of_images = of_images.unwrap_or_default();
             lines.push(format!("Wanted: {}{of_images}.", self.wanted));
         }

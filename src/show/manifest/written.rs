@@ -15,7 +15,7 @@ use crate::{
         bounded::{self, Names},
         error::{Advice, Hint, shortened},
         input::FileKind,
-        shell::command_path,
+        shell::{command_path, command_word},
     },
     config::{Budget, Settings, Share},
     io::{
@@ -465,7 +465,7 @@ pub enum WrittenPlanError {
     Manifest { path: PathBuf, what: String },
     #[error("cannot use the plan {}: written by another version of viewrank (its format is {version}, this program reads {VERSION})", path.display())]
     Version { path: PathBuf, version: u32 },
-    #[error("cannot use the plan {}: the model or the images have changed since it was made", .0.display())]
+    #[error("cannot use the plan {}: the model, the images or a file that its settings name has changed since it was made", .0.display())]
     OtherInput(PathBuf),
     #[error("cannot use the plan {}: another version of viewrank made it, and this version ranks differently", .0.display())]
     OtherPlan(PathBuf),
@@ -496,7 +496,10 @@ fn plan_command(path: &Path) -> String {
     let recorded = RecordedPlan::open(root).ok();
     let known = recorded.and_then(|(_, recorded)| by_name(&recorded.backend).ok());
     let backend = known.map_or_else(String::new, |known| format!(" --backend {}", known.name));
-    format!("viewrank plan {}{backend}", command_path(root))
+    let region = planned_region(root).map_or_else(String::new, |region| {
+        format!(" --region {}", command_word(&region))
+    });
+    format!("viewrank plan {}{backend}{region}", command_path(root))
 }
 
 impl Hint for WrittenPlanError {

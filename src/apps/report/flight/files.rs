@@ -157,7 +157,7 @@ fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {
 
 fn kml(all: &[Described], remarks: &str) -> String {
     let mut text = format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name><description>{}</description>\n",
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name><description>{} Heights are above the ellipsoid.</description>\n",
         in_markup(remarks)
     );
     let position = |w: &Described| {
