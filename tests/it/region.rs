@@ -349,7 +349,7 @@ fn a_plan_of_another_region_is_outdated() {
     for output in [export(), report()] {
         let stderr = String::from_utf8(output.stderr).unwrap();
         assert!(
-            !output.status.success() && stderr.contains("have changed since"),
+            !output.status.success() && stderr.contains("has changed since"),
             "{stderr}"
         );
     }
