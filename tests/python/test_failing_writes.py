@@ -79,6 +79,7 @@ class Place:
         self.folder = folder
         shutil.copytree(fixtures / "valley", folder / "p")
         (folder / "p/notes.txt").write_text("notes")
+        (folder / "p/viewrank.toml").write_text("image_scale = 0.1\n")
         (folder / "p/viewrank").mkdir()
         (folder / "p/viewrank/clusters.txt").write_text("the user's")
         region = '{"type": "Polygon", "crs": null, "coordinates": [[[-20, -20], [20, -20], [20, 20], [-20, 20], [-20, -20]]]}'
@@ -86,7 +87,7 @@ class Place:
         (folder / "maps").mkdir()
         random = np.random.default_rng(0)
         for image in sorted((folder / "p/images").iterdir()):
-            np.save(folder / f"maps/{image.name}.npy", (20 + random.random((30, 40))).astype(np.float32))
+            np.save(folder / f"maps/{image.name}.npy", (20 + random.random((45, 60))).astype(np.float32))
         self.saved = {}
         self.saved["[]"] = self.save()
 

@@ -620,7 +620,7 @@ def test_a_report_needs_a_plan_of_the_same_model(viewrank, fixtures, tmp_path):
     model[16] ^= 1
     points.write_bytes(model)
     refused = viewrank("report", tmp_path, expect=1).stderr
-    assert refused.startswith("error: ") and "have changed" in refused and "\nhint: plan again: viewrank plan" in refused
+    assert refused.startswith("error: ") and "has changed" in refused and "\nhint: plan again: viewrank plan" in refused
     assert (tmp_path / "viewrank" / "report.html").read_bytes() == first
     viewrank("plan", tmp_path, "--dry-run", "--quiet")
     assert (tmp_path / "viewrank" / "report.html").exists()
