@@ -68,7 +68,6 @@ impl Dispatch {
             return Ok(TaskResult::Idle);
         }
         let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
-        output::make_folder(&self.folder.join("done"), &disk)?;
         let Some(_alone) = self.alone(&format!("done/{}.lock", task.marker), runner)? else {
             return Ok(TaskResult::Stopped);
         };
@@ -96,6 +95,8 @@ impl Dispatch {
         name: &str,
         runner: &Runner,
     ) -> Result<Option<Alone<impl Sized + use<>>>, DispatchError> {
+        let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
+        output::make_folder(&self.folder.join("done"), &disk)?;
         let path = format!("viewrank/dispatch/{}/{name}", self.backend);
         let lock = match Folder::open(&self.project)?.lock_file(&path) {
             Ok(lock) => lock,
@@ -129,6 +130,9 @@ impl Dispatch {
         let Some(_alone) = self.alone("fused.lock", runner)? else {
             return Ok(TaskResult::Stopped);
         };
+        if self.is_fused() {
+            return Ok(TaskResult::Idle);
+        }
         let fused = self.done_ids();
         let ended = self.run(Product::Cloud, runner)?;
         if ended == TaskResult::Done {

@@ -25,12 +25,13 @@ pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result
     let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend))?;
     let cut = plan.cut_at(arguments.budget, None);
     let (dispatch, export) = Dispatch::of_plan(&plan, backend, cut)?;
+    let root = &plan.project.root;
     let say = |text: &str| {
         if !arguments.is_silent() {
             note(text);
         }
     };
-    if matches!(product, Product::Map(_)) && ends_at_target(&root, say) {
+    if matches!(product, Product::Map(_)) && ends_at_target(root, say) {
         return Ok(());
     }
     dispatch.refuse_strangers()?;
@@ -51,7 +52,7 @@ pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result
             let what = format!("rank {rank}: {}", task.key);
             say(&what);
             report(dispatch.compute(task, &runner)?, &what, say)?;
-            ends_at_target(&root, say);
+            ends_at_target(root, say);
         }
         Product::Cloud => {
             let done = dispatch.finished_maps().count();
