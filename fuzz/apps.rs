@@ -48,6 +48,8 @@ impl Finished {
         let project = Project::open(&valley, None).expect("a project");
         let settings = Settings {
             backends: vec!["sgm".into()],
+            // Of images 600 pixels wide.
+            image_scale: Some(f64::from(WIDTH) / 600.0),
             ..Settings::default()
         };
         let plan = viewrank::plan(&project, &settings, &NoWatcher).expect("a plan");
@@ -199,6 +201,7 @@ impl Finished {
             stages, &run, &maps, None, &NoWatcher,
         ));
         let options = EvaluationOptions {
+            all_maps: stages.clusters.len(),
             objective: &stages.objective,
             pilot: stages.pilot.as_ref(),
             cells: cells.expect("maps that were just read"),
