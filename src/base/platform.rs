@@ -61,6 +61,16 @@ pub fn command(program: impl AsRef<Path>) -> io::Result<Command> {
 /// or the options before the subcommand by which it runs this program.
 pub fn this_program_as_typed(subcommand: &str) -> Vec<PathBuf> {
     let program = std::env::current_exe().unwrap_or_else(|_| "viewrank".into());
+    // By the name that it was started with, a Python finds its environment.
+    let typed = std::env::args_os().next().map(PathBuf::from);
+    let typed = typed.and_then(|typed| located(&typed));
+    let is_same = |typed: &PathBuf| {
+        let real = [typed, &program].map(std::fs::canonicalize);
+        matches!(real, [Ok(typed), Ok(program)] if typed == program)
+    };
+    let program = typed
+        .filter(is_same)
+        .map_or(program, |typed| absolute(&typed));
     let before = std::env::args_os().skip(1).map(PathBuf::from);
     let before = before.take_while(|word| word != Path::new(subcommand));
     let resolved = before.map(|word| {
