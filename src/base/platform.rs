@@ -40,8 +40,8 @@ fn absolute_folders(path: &OsStr) -> impl Iterator<Item = PathBuf> {
     std::env::split_paths(path).filter(|folder| folder.is_absolute())
 }
 
-/// A call of a program, by its path or by its name on the PATH. Neither it nor what it calls in turn is looked
-/// for in the current folder, whatever the PATH.
+/// A call of a program, by its path or by its name on the PATH. Neither it nor what it calls in turn
+/// is looked for in the current folder, whatever the PATH.
 ///
 /// # Errors
 /// If it is not on the PATH.
@@ -144,18 +144,31 @@ pub fn in_own_group(command: &mut Command) -> &mut Command {
     command
 }
 
-/// Ends a child that was started [in its own group](in_own_group) with all its descendants;
-/// elsewhere than on Unix the child alone.
-pub fn end_group(child: &mut Child) {
+/// The processes that are asked to end with a child.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// The child alone.
+    Child,
+    /// All of the group that the child was started [in](in_own_group).
+    Group,
+}
+
+/// Asks a child to end, and waits for it; elsewhere than on Unix the child alone is ended, at once.
+pub fn end(child: &mut Child, processes: Ending) {
     #[cfg(unix)]
-    if let Some(group) = i32::try_from(child.id())
+    if let Some(pid) = i32::try_from(child.id())
         .ok()
         .and_then(rustix::process::Pid::from_raw)
     {
-        _ = rustix::process::kill_process_group(group, rustix::process::Signal::TERM);
+        use rustix::process::{Signal, kill_process, kill_process_group};
+        _ = match processes {
+            Ending::Child => kill_process(pid, Signal::TERM),
+            Ending::Group => kill_process_group(pid, Signal::TERM),
+        };
     }
     #[cfg(not(unix))]
     {
+        let _ = processes;
         _ = child.kill();
     }
     _ = child.wait();
@@ -172,22 +185,6 @@ pub fn inheritable(file: &std::fs::File) -> io::Result<impl Sized + use<>> {
 #[cfg(not(unix))]
 pub fn inheritable(_: &std::fs::File) -> io::Result<impl Sized + use<>> {
     Ok(())
-}
-
-/// Asks a child to end, and waits for it; elsewhere than on Unix it is ended at once.
-pub fn end(child: &mut Child) {
-    #[cfg(unix)]
-    if let Some(process) = i32::try_from(child.id())
-        .ok()
-        .and_then(rustix::process::Pid::from_raw)
-    {
-        _ = rustix::process::kill_process(process, rustix::process::Signal::TERM);
-    }
-    #[cfg(not(unix))]
-    {
-        _ = child.kill();
-    }
-    _ = child.wait();
 }
 
 /// Number or name of the user who runs this process, as queues take it.

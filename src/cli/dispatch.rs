@@ -353,16 +353,13 @@ fn by_hand(job: &Job) -> [String; 2] {
     let last = dispatch.tasks.last().map_or(0, |task| task.rank);
     let jobs = job.settings.at_once.unwrap_or(2);
     let viewrank = dispatch.command(Path::new("."), &job.tools, job.settings.cpus);
-    let start = match Dispatch::environment(&job.tools) {
-        line if line.is_empty() => format!("cd {folder}"),
-        line => format!("cd {folder} && {line}"),
-    };
+    let start = format!("cd {folder} && {}", Dispatch::environment(&job.tools));
     [
         format!(
-            "  one by one       {start} && {{ for rank in $(seq {last}); do {viewrank} --rank $rank; done; {viewrank} --fuse; }}"
+            "  one by one       {start}{{ for rank in $(seq {last}); do {viewrank} --rank $rank; done; {viewrank} --fuse; }}"
         ),
         format!(
-            "  with parallel    {start} && {{ seq {last} | parallel -q -j {jobs} {viewrank} --rank; {viewrank} --fuse; }}"
+            "  with parallel    {start}{{ seq {last} | parallel -q -j {jobs} {viewrank} --rank; {viewrank} --fuse; }}"
         ),
     ]
 }

@@ -32,7 +32,9 @@ use crate::{
 use clap::Args;
 use serde_json::json;
 
-use super::{Failure, Format, print, print_json, run::target_reached, terminal::print_json_line};
+use super::{
+    Failure, Format, print, print_json, run::target_in_percent, terminal::print_json_line,
+};
 
 /// Show what is planned and finished of a project, or of all under a watched folder.
 #[derive(Args)]
@@ -165,8 +167,7 @@ fn maps_of(project: &Path, backend: &str) -> Option<Vec<String>> {
     let project = Project::open(project, None).ok()?;
     let workspace = open_planned_workspace(&project);
     let project = workspace.as_ref().unwrap_or(&project);
-    let dense = project.dense_workspace.as_deref();
-    let folder = depthmaps::folder_of(&project.home, dense, backend)?;
+    let folder = project.folder_of_maps(backend)?;
     let scene = project.read_scene().ok()?;
     let maps = match depthmaps::list(&folder, &scene) {
         Ok(listed) => listed.maps,
@@ -263,9 +264,8 @@ fn share_of_all(share: f64, plan: &PlannedMaps) -> String {
 /// What is finished of a project that no daemon watches.
 fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<String> {
     let Progress { done, clusters, .. } = progress;
-    let percent = |share: f64| format!("{} %", (1000.0 * share).round() / 10.0);
     let wanted = match plan.target {
-        Some(target) => format!("target: {}", percent(target)),
+        Some(target) => format!("target: {}", target_in_percent(target)),
         None => format!(
             "the plan said {:.0} % for its {}",
             100.0 * plan.share,
@@ -282,7 +282,10 @@ fn unwatched(progress: &Progress, plan: &PlannedMaps, later: usize) -> Vec<Strin
     // Without a target of the user's the list ends the work, whatever it reached.
     lines.extend(match plan.target {
         _ if !progress.target_reached => None,
-        Some(target) => Some(format!("T{}.", &target_reached(target)[1..])),
+        Some(target) => Some(format!(
+            "The target of {} is reached.",
+            target_in_percent(target)
+        )),
         None => Some("The list is done.".into()),
     });
     lines.push("As last measured by `viewrank run`, `watch` or `evaluate`.".into());

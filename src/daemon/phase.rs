@@ -113,6 +113,7 @@ fn is_zero(n: &usize) -> bool {
 
 impl fmt::Display for Phase {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let area = area_of_all(None, false);
         match self {
             Self::Waiting { reason } => write!(f, "waiting: {reason}"),
             Self::Queued { reason } => write!(f, "queued: {reason}"),
@@ -122,7 +123,6 @@ impl fmt::Display for Phase {
                 share,
                 note,
             } => {
-                let area = area_of_all(None, false);
                 write!(
                     f,
                     "planned: {clusters} key views for {:.0} % of {area}",
@@ -140,7 +140,6 @@ impl fmt::Display for Phase {
                 write!(f, "partial: {done} of {clusters} depth maps")?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
                 share.iter().try_for_each(|share| {
-                    let area = area_of_all(None, false);
                     write!(f, ", about {:.0} % of {area}", (share * 100.0).floor())
                 })?;
                 match *unmeasured {
@@ -153,7 +152,6 @@ impl fmt::Display for Phase {
             Self::Reached {
                 done, share, note, ..
             } => {
-                let area = area_of_all(None, false);
                 write!(
                     f,
                     "done: {done} depth maps, about {:.0} % of {area}",

@@ -28,7 +28,7 @@ pub enum PlanError {
         folder: std::path::PathBuf,
         name: String,
     },
-    #[error("the images are at most {} times as wide as their cameras, and matched at {} times", significant(*images), significant(*image_scale))]
+    #[error("most images have {} times the size of their cameras or less, and are to be matched at {} times", significant(*images), significant(*image_scale))]
     SmallImages { images: f64, image_scale: f64 },
     #[error("{}: {what}", model.display())]
     NoObservations {

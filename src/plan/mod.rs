@@ -31,7 +31,7 @@ pub use georeference::{georeference, metres_per_unit, positions_in_images};
 pub use inputs::metres;
 pub use memory::Memory;
 pub use mesh::MeshError;
-pub use region::{GroundSummary, RegionFileError, photographed_ground};
+pub use region::{GroundSummary, RegionFileError, area_in_words, photographed_ground};
 pub use stages::Stages;
 pub use timings::Timings;
 pub use viewrank_core::decision::{

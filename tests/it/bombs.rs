@@ -248,7 +248,10 @@ fn cameras_that_claim_many_times_the_pixels_of_their_images_are_refused() {
     write_enlarged_camera(&project, 50);
     let plan = ["plan", text(&project), "--backend", "sgm"];
     let error = fails(viewrank(&plan));
-    assert!(error.contains("0.0200 times as wide"), "{error}");
+    assert!(
+        error.contains("0.0200 times the size of their cameras"),
+        "{error}"
+    );
     assert!(error.contains("set image_scale = 0.0200"), "{error}");
     fs::write(project.join("viewrank.toml"), "image_scale = 0.0200").unwrap();
     succeeds(viewrank(&[&plan[..], &["--dry-run"]].concat()));

@@ -36,7 +36,7 @@ pub struct CacheFile {
     /// BLAKE3 of what the contents depend on, hexadecimal; `None` if that is not known, or the user
     /// has no key: such contents are neither written nor read.
     inputs: Option<String>,
-    key: Key,
+    key: Option<Key>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -74,16 +74,16 @@ impl CacheFile {
             home: home.into(),
             path,
             inputs: inputs.map(|inputs| inputs.finalize().to_string()),
-            key: key.unwrap_or_default(),
+            key,
         }
     }
 
-    /// Returns the hasher of the file, which has seen all but its contents.
-    fn hasher(&self, inputs: &str, facts: &impl Serialize) -> blake3::Hasher {
+    /// Returns the hasher of the file, which has seen all but its contents; `None` without a key.
+    fn hasher(&self, inputs: &str, facts: &impl Serialize) -> Option<blake3::Hasher> {
         let json = serde_json::to_vec(&(self.path, inputs, facts));
-        let mut hasher = blake3::Hasher::new_keyed(&self.key.0);
+        let mut hasher = blake3::Hasher::new_keyed(&self.key?.0);
         hasher.update(&json.expect("numbers and texts are JSON"));
-        hasher
+        Some(hasher)
     }
 
     /// Fingerprint of what the contents depend on, so that other results can depend on them.
@@ -105,7 +105,7 @@ impl CacheFile {
             return None;
         }
         let head: Head<F> = serde_json::from_str(&line(LONGEST_HEAD)?).ok()?;
-        let hasher = self.hasher(inputs, &head.facts);
+        let hasher = self.hasher(inputs, &head.facts)?;
         (head.inputs == *inputs).then_some(OpenCache {
             facts: head.facts,
             file,
@@ -128,10 +128,11 @@ impl CacheFile {
 
     /// Makes the file; if the inputs are not known, as [`Self::no_file`].
     pub fn file(&self, facts: &impl Serialize, contents: Packed) -> FileSet {
-        let Some(inputs) = self.inputs.clone() else {
+        let inputs = self.inputs.clone();
+        let signed = inputs.and_then(|inputs| Some((self.hasher(&inputs, facts)?, inputs)));
+        let Some((mut hasher, inputs)) = signed else {
             return self.no_file();
         };
-        let mut hasher = self.hasher(&inputs, facts);
         for part in &contents {
             for block in part.as_bytes().chunks(BLOCK) {
                 hasher.update(block);
@@ -158,7 +159,7 @@ impl CacheFile {
     /// Returns the set whose writing removes the file, which is of other inputs; of a user without a
     /// key, one that leaves the files of others alone.
     pub fn no_file(&self) -> FileSet {
-        if self.key == Key::default() {
+        if self.key.is_none() {
             return FileSet::new(&self.home, "none");
         }
         let name = self

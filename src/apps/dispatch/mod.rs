@@ -190,19 +190,20 @@ impl Dispatch {
         })
     }
 
+    /// The disk, for changes in the project alone.
+    fn disk(&self) -> Disk<'_> {
+        Disk::REAL.within(std::slice::from_ref(&self.project))
+    }
+
     pub fn runner(&self) -> &TaskRunner {
         &self.runner
     }
 
     /// Returns a name of the tasks, which changes with each of them.
     pub fn plan_name(&self) -> String {
-        let ranks: Vec<String> = self
-            .tasks
-            .iter()
-            .map(|task| task.rank.to_string())
-            .collect();
-        let words = self.tasks.iter().zip(&ranks);
-        hash(words.flat_map(|(task, rank)| [&**rank, &task.id]))[..8].into()
+        let line = |task: &Task| format!("{} {}\n", task.rank, task.id);
+        let lines: String = self.tasks.iter().map(line).collect();
+        hash([&*lines])[..8].into()
     }
 
     /// Returns the start of the line of sh that does one of the tasks, which `--rank N` or `--fuse`
@@ -225,17 +226,14 @@ impl Dispatch {
         words.join(" ")
     }
 
-    /// Returns the line of sh that sets what the programs need of this environment; empty if
-    /// nothing.
+    /// Returns what stands before a [`command`](Self::command) in sh, for the variables that the
+    /// programs need; empty without any.
     pub fn environment(tools: &Tools) -> String {
-        if tools.python.is_absolute() {
-            format!(
-                "export PYTHON={}",
-                sh_word(&tools.python.display().to_string())
-            )
-        } else {
-            String::new()
+        if !tools.python.is_absolute() {
+            return String::new();
         }
+        let python = sh_word(&tools.python.display().to_string());
+        format!("export PYTHON={python} && ")
     }
 
     /// Returns the folder of a queue's logs.
@@ -321,10 +319,7 @@ impl Dispatch {
     /// Locks the project against other submissions until the file is dropped.
     pub fn hold(&self) -> Result<File, DispatchError> {
         self.refuse_strangers()?;
-        output::make_folder(
-            &self.folder,
-            &Disk::REAL.within(std::slice::from_ref(&self.project)),
-        )?;
+        output::make_folder(&self.folder, &self.disk())?;
         let name = format!("viewrank/dispatch/{}/lock", self.backend);
         let lock = Folder::open(&self.project)?.lock_file(&name)?;
         match lock.try_lock() {

@@ -5,7 +5,7 @@ use std::{
     fs::{File, TryLockError},
     io::{self, Read, Seek, SeekFrom},
     path::Path,
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     sync::atomic::{AtomicBool, Ordering},
     thread,
     time::Duration,
@@ -14,8 +14,8 @@ use std::{
 use super::{Dispatch, DispatchError, Task, Tools};
 use crate::{
     backends::{Call, Product},
-    base::platform,
-    io::output::{self, Disk, Folder, OutputError},
+    base::platform::{self, Ending},
+    io::output::{self, Folder, OutputError},
 };
 
 /// Time between two polls of a process, of a lock and of the stop flag.
@@ -56,9 +56,9 @@ pub enum Owner {
     Queue,
 }
 
-/// Holds a lock until it is dropped, and the programs that were started meanwhile have ended: they
+/// Holds a lock until it is dropped and the programs that were started meanwhile have ended: they
 /// may outlive a process that is killed.
-struct Alone<T>(#[allow(dead_code, reason = "held")] Option<(File, T)>);
+struct Lock<T>(#[allow(dead_code, reason = "held")] Option<(File, T)>);
 
 impl Dispatch {
     /// Computes the depth map of a task, unless it is there. Where another process computes one of
@@ -67,14 +67,13 @@ impl Dispatch {
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
-        let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
-        let Some(_alone) = self.alone(&format!("done/{}.lock", task.marker), runner)? else {
+        let Some(_lock) = self.lock(&format!("done/{}.lock", task.marker), runner)? else {
             return Ok(TaskResult::Stopped);
         };
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
-        let marker = self.folder.join("done").join(&task.marker);
+        let (marker, disk) = (self.folder.join("done").join(&task.marker), self.disk());
         output::remove(&marker, &disk)?;
         let ended = self.run(Product::Map(task.rank), runner)?;
         if ended != TaskResult::Done {
@@ -88,20 +87,19 @@ impl Dispatch {
         Ok(TaskResult::Done)
     }
 
-    /// Waits until no other process holds this lock file, which stays: of one that was removed, some
-    /// would still hold the old and some the new. Returns what holds it; `None` if stopped before.
-    fn alone(
+    /// Waits for the lock on a file; `None` if stopped before. The file is never removed: some
+    /// processes would lock the old file and some the new one.
+    fn lock(
         &self,
         name: &str,
         runner: &Runner,
-    ) -> Result<Option<Alone<impl Sized + use<>>>, DispatchError> {
-        let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
-        output::make_folder(&self.folder.join("done"), &disk)?;
+    ) -> Result<Option<Lock<impl Sized + use<>>>, DispatchError> {
+        output::make_folder(&self.folder.join("done"), &self.disk())?;
         let path = format!("viewrank/dispatch/{}/{name}", self.backend);
         let lock = match Folder::open(&self.project)?.lock_file(&path) {
             Ok(lock) => lock,
             // Another user's, in a project that several use.
-            Err(OutputError::Denied { .. }) => return Ok(Some(Alone(None))),
+            Err(OutputError::Denied { .. }) => return Ok(Some(Lock(None))),
             Err(error) => return Err(error.into()),
         };
         let mut has_waited = false;
@@ -119,7 +117,7 @@ impl Dispatch {
             program: self.backend.into(),
             source,
         })?;
-        Ok(Some(Alone(Some((lock, inherited)))))
+        Ok(Some(Lock(Some((lock, inherited)))))
     }
 
     /// Fuses the depth maps that are there, unless the same ones were fused before.
@@ -127,7 +125,7 @@ impl Dispatch {
         if self.is_fused() {
             return Ok(TaskResult::Idle);
         }
-        let Some(_alone) = self.alone("fused.lock", runner)? else {
+        let Some(_lock) = self.lock("fused.lock", runner)? else {
             return Ok(TaskResult::Stopped);
         };
         if self.is_fused() {
@@ -136,8 +134,7 @@ impl Dispatch {
         let fused = self.done_ids();
         let ended = self.run(Product::Cloud, runner)?;
         if ended == TaskResult::Done {
-            let disk = Disk::REAL.within(std::slice::from_ref(&self.project));
-            output::replace(&self.folder.join("fused"), fused.as_bytes(), &disk)?;
+            output::replace(&self.folder.join("fused"), fused.as_bytes(), &self.disk())?;
         }
         Ok(ended)
     }
@@ -198,17 +195,14 @@ impl Runner<'_> {
                 });
             }
             if self.stop.load(Ordering::Relaxed) {
-                self.end(&mut child);
+                let processes = match self.owner {
+                    Owner::Viewrank => Ending::Group,
+                    Owner::Queue => Ending::Child,
+                };
+                platform::end(&mut child, processes);
                 return Ok(TaskResult::Stopped);
             }
             thread::sleep(PAUSE);
-        }
-    }
-
-    fn end(&self, child: &mut Child) {
-        match self.owner {
-            Owner::Viewrank => platform::end_group(child),
-            Owner::Queue => platform::end(child),
         }
     }
 }

@@ -213,10 +213,9 @@ impl SlurmQueue {
         let queued = self.queued(dispatch);
         let ranks = missing.iter().map(|task| task.rank);
         let absent: Vec<usize> = ranks.filter(|rank| !queued.contains(rank)).collect();
-        let outdated = self
-            .tasks
-            .iter()
-            .any(|task| task.pending && task.plan != dispatch.plan_name());
+        let plan = dispatch.plan_name();
+        let is_outdated = |task: &QueuedTask| task.pending && task.plan != plan;
+        let outdated = self.tasks.iter().any(is_outdated);
         let waiting = self.tasks.iter().any(|task| task.pending);
         let cancels = if reached {
             waiting
@@ -343,10 +342,7 @@ impl<'a> Request<'a> {
             "" => String::new(),
             lines => format!("{lines}\n"),
         };
-        let environment = match Dispatch::environment(tools) {
-            line if line.is_empty() => line,
-            line => line + "; ",
-        };
+        let environment = Dispatch::environment(tools);
         let command = dispatch.command(&dispatch.project, tools, settings.cpus);
         let task = match step {
             Step::Array(array) => format!("--rank $(({} + SLURM_ARRAY_TASK_ID))", array.offset),

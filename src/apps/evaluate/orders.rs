@@ -190,7 +190,7 @@ pub fn shuffle<T>(values: &mut [T], seed: u64) {
 }
 
 /// Returns the position of the largest value, the first one in a tie.
-pub(super) fn first_largest(values: impl Iterator<Item = f64>) -> usize {
+fn first_largest(values: impl Iterator<Item = f64>) -> usize {
     values
         .enumerate()
         .fold(

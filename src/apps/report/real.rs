@@ -156,11 +156,7 @@ pub fn folders_of_maps(plan: &Plan, project: &Project) -> Vec<PathBuf> {
 /// Folder in which the plan's program writes its depth maps; `None` where links lead out of the
 /// project.
 pub fn own_folder_of_maps(plan: &Plan, project: &Project) -> Option<PathBuf> {
-    depthmaps::folder_of(
-        &project.home,
-        project.dense_workspace.as_deref(),
-        plan.stages.backend,
-    )
+    project.folder_of_maps(plan.stages.backend)
 }
 
 /// Warns of further folders with depth maps of the plan's views, which are not measured.

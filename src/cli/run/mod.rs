@@ -9,7 +9,7 @@ use std::{path::PathBuf, sync::atomic::Ordering, thread};
 
 use clap::Args;
 
-pub use self::result::target_reached;
+pub use self::result::target_in_percent;
 use self::work::Work;
 use super::{
     Exit, Failure, Format, arguments, config, next, note, plan::kept_backends, print, ready,
@@ -262,7 +262,7 @@ fn undistorted_project(
 }
 
 impl Arguments {
-    /// What is wanted of one task.
+    /// Returns the result of the single task to run; `None` for a whole run.
     fn product(&self) -> Option<Product> {
         let map = self.rank.map(|rank| Product::Map(rank as usize));
         map.or(self.fuse.then_some(Product::Cloud))

@@ -133,7 +133,8 @@ impl Work<'_> {
     /// Why the run ended, and the command to type next, if there is more to be had.
     fn verdict(&self, result: &RunSummary) -> (String, Option<String>) {
         if let Some(target) = result.target.filter(|_| result.target_reached) {
-            return (target_reached(target), None);
+            let target = target_in_percent(target);
+            return (format!("the target of {target} is reached"), None);
         }
         if result.stopped {
             return ("stopped".into(), Some(self.arguments.go_on()));
@@ -158,12 +159,9 @@ impl Work<'_> {
     }
 }
 
-/// Says that a target is reached.
-pub fn target_reached(target: f64) -> String {
-    format!(
-        "the target of {} % is reached",
-        (1000.0 * target).round() / 10.0
-    )
+/// Formats a target as "59.5 %".
+pub fn target_in_percent(target: f64) -> String {
+    format!("{} %", (1000.0 * target).round() / 10.0)
 }
 
 impl RunSummary {

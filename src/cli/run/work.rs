@@ -7,7 +7,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Arguments, result::Ended};
+use super::{
+    Arguments,
+    result::{Ended, target_in_percent},
+};
 use crate::{
     apps::dispatch::{
         Dispatch, Task, Tools,
@@ -20,7 +23,7 @@ use crate::{
         summary::duration, terminal::complain, warn,
     },
     daemon::{PlanWhen, follow, foreground::Foreground, phase::Phase, state::Outcome},
-    io::{depthmaps, paths::from_here, project::Project},
+    io::{paths::from_here, project::Project},
     model::cluster::MapScale,
     show::{
         manifest::{WrittenPlan, warnings_with},
@@ -99,13 +102,6 @@ fn note_maps_of_other_plans(dispatch: &Dispatch) {
     note(&format!("{counted} for this plan: made again"));
 }
 
-/// Returns the folder in which the backend writes depth maps: those of another are none of its plan.
-fn own_folder(root: &Path, backend: &Backend) -> Result<Option<PathBuf>, Failure> {
-    let project = Project::open(root, None)?;
-    let dense = project.dense_workspace.as_deref();
-    Ok(depthmaps::folder_of(&project.home, dense, backend.name))
-}
-
 impl<'a> Work<'a> {
     pub fn new(
         arguments: &'a Arguments,
@@ -115,7 +111,8 @@ impl<'a> Work<'a> {
         when: PlanWhen,
     ) -> Result<Self, Failure> {
         let lines = Lines::new(arguments.is_silent());
-        let own = own_folder(foreground.root(), backend)?;
+        // Depth maps of another backend aren't part of this plan.
+        let own = Project::open(foreground.root(), None)?.folder_of_maps(backend.name);
         let is_own = |path: &Path| own.as_ref().is_some_and(|own| path.starts_with(own));
         match foreground.plan(when, &is_own, &|stage, percent| lines.stage(stage, percent)) {
             Outcome::Planned { note, .. } => note.iter().for_each(|text| warn(text)),
@@ -196,9 +193,9 @@ impl<'a> Work<'a> {
         };
         match (self.target(), &self.arguments.budget) {
             (Some(target), _) => {
-                let target = (1000.0 * target).round() / 10.0;
+                let target = target_in_percent(target);
                 format!(
-                    "Computing up to {tasks} of {all} depth maps{done}, until they cover about {target} % of {area}."
+                    "Computing up to {tasks} of {all} depth maps{done}, until they cover about {target} of {area}."
                 )
             }
             (None, Some(budget)) => {

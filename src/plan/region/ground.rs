@@ -68,7 +68,7 @@ impl GroundSummary {
     /// Says how large the region is and how much of it has surface. `what`: the region, as the
     /// subject; `metres`: in a scene unit, if known.
     pub fn covered(&self, what: &str, metres: Option<f64>) -> String {
-        let area = square(self.area, metres);
+        let area = area_in_words(self.area, metres);
         match self.surface {
             Some(share) => format!(
                 "{what} covers {area} on the map; the surface between the sparse points spans {} of it.",
@@ -81,7 +81,7 @@ impl GroundSummary {
     /// Says how much of the region the photographs miss. `metres`: in a scene unit, if known.
     pub fn missed(&self, metres: Option<f64>) -> String {
         let in_metres = |share: f64| match metres {
-            Some(_) if share > 0.0 => format!(" ({})", square(share * self.area, metres)),
+            Some(_) if share > 0.0 => format!(" ({})", area_in_words(share * self.area, metres)),
             _ => String::new(),
         };
         let Self {
@@ -181,7 +181,7 @@ fn percent(share: f64) -> String {
 const MISSED: f64 = 0.01;
 
 /// Formats an area of square scene units, in hectares where it is large.
-fn square(area: f64, metres: Option<f64>) -> String {
+pub fn area_in_words(area: f64, metres: Option<f64>) -> String {
     match metres.map(|metres| area * metres * metres) {
         Some(area) if area >= 10_000.0 => format!("{} ha", significant(area / 10_000.0)),
         Some(area) => format!("{} m²", significant(area)),

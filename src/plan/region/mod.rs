@@ -4,7 +4,7 @@ mod ground;
 
 use std::path::{Path, PathBuf};
 
-pub use ground::{GroundSummary, photographed_ground};
+pub use ground::{GroundSummary, area_in_words, photographed_ground};
 
 use crate::{
     base::error::{Advice, Hint},

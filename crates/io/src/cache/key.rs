@@ -16,7 +16,7 @@ use crate::{
     paths::is_outside,
 };
 
-#[derive(Clone, Copy, Default, PartialEq)]
+#[derive(Clone, Copy, PartialEq)]
 pub(super) struct Key(pub [u8; 32]);
 
 /// A secret: what prints a plan must not print it.
@@ -53,7 +53,7 @@ fn read_or_make(folder: &Path) -> io::Result<Key> {
         Err(error) if error.kind() == io::ErrorKind::InvalidData => true,
         found => return found,
     };
-    let mut key = Key::default();
+    let mut key = Key([0; 32]);
     getrandom::fill(&mut key.0)?;
     fs::create_dir_all(folder)?;
     // Readable for the user alone.
@@ -83,7 +83,7 @@ mod tests {
         let key = read_or_make(&place).unwrap();
         assert_eq!(read_or_make(&place).unwrap(), key);
         let other = read_or_make(folder.path()).unwrap();
-        assert!(other != key && key != Key::default());
+        assert!(other != key && key != Key([0; 32]));
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;

@@ -7,7 +7,10 @@ use std::{
 };
 
 use rayon::prelude::*;
-use viewrank_core::model::scene::{Scene, ViewIndex};
+use viewrank_core::{
+    base::median::upper_median,
+    model::scene::{Scene, ViewIndex},
+};
 
 use super::{
     ImageFolder, MASKS, Project, folder,
@@ -214,8 +217,8 @@ impl ImageFaults {
             .unwrap_or_default()
     }
 
-    /// Returns the usual size of a readable image over that of its camera, by the side that is smaller
-    /// so: the median, since a few may be anything; `None` without a readable image.
+    /// Returns the median, over readable images, of the image size over the camera size (the smaller of
+    /// the ratios of width and height); `None` without a readable image.
     pub fn usual_scale(&self, scene: &Scene) -> Option<f64> {
         let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
         let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();
@@ -226,9 +229,7 @@ impl ImageFaults {
             of_width.min(f64::from(height) / f64::from(camera.height))
         };
         let readable = scene.view_indices().filter(|view| !without.contains(view));
-        let mut scales: Vec<f64> = readable.map(of_view).collect();
-        scales.sort_by(f64::total_cmp);
-        scales.get(scales.len() / 2).copied()
+        upper_median(readable.map(of_view))
     }
 
     fn missing_or_unreadable(&self) -> impl Iterator<Item = ViewIndex> {

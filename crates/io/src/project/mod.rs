@@ -33,6 +33,7 @@ pub use images::ImageFaults;
 pub use probe::{Unread, probe};
 
 use crate::{
+    depthmaps,
     formats::colmap::ColmapModel,
     output::Disk,
     paths,
@@ -272,6 +273,12 @@ impl Project {
             own if own.as_os_str().is_empty() => ".".into(),
             path => path.to_string_lossy().replace('\\', "/"),
         }
+    }
+
+    /// Returns the folder in which a program writes its depth maps; `None` where links lead out of the
+    /// project.
+    pub fn folder_of_maps(&self, program: &str) -> Option<PathBuf> {
+        depthmaps::folder_of(&self.home, self.dense_workspace.as_deref(), program)
     }
 
     /// Returns whether `viewrank undistort` made the dense workspace.

@@ -4,12 +4,14 @@
 //! depth at its place differs by at most one per cent join it, and their pixels are used. Unlike
 //! there, normals and the program's list of neighbours are not asked.
 
+use std::ops::Range;
+
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{
     CloudPart, FusedPoints, TakePart,
-    frustum::{Ball, Frustum},
+    frustum::{Frustum, Sphere},
 };
 use crate::{
     apps::evaluate::EvaluateError,
@@ -103,22 +105,12 @@ impl<'a> ThinnedMaps<'a> {
 
     /// Returns the points of a row of blocks of pixels, in the order of the pixels.
     fn points(&self, own: usize, row: u32, used: &[Vec<bool>]) -> Vec<AgreedPoint> {
-        let map = &self.maps[own];
-        let (width, height) = (map.map.width, map.map.height);
+        let (width, height) = (self.maps[own].map.width, self.maps[own].map.height);
         let rows = row * BLOCK..height.min((row + 1) * BLOCK);
         let others: Vec<Vec<u32>> = (0..width.div_ceil(BLOCK))
             .map(|block| {
                 let columns = block * BLOCK..width.min((block + 1) * BLOCK);
-                let pixels = rows
-                    .clone()
-                    .flat_map(|row| columns.clone().map(move |column| row * width + column));
-                let ball = Ball::around(pixels.filter_map(|pixel| map.place(pixel as usize)));
-                let may_show = |other: &u32| {
-                    let frustum = &self.maps[*other as usize].frustum;
-                    ball.as_ref().is_some_and(|ball| frustum.may_see(ball))
-                };
-                let others = self.others[own].iter().copied();
-                others.filter(may_show).collect()
+                self.others_of_block(own, &rows, &columns)
             })
             .collect();
         let pixels = rows.start as usize * width as usize..rows.end as usize * width as usize;
@@ -127,6 +119,22 @@ impl<'a> ThinnedMaps<'a> {
             self.point(own, pixel, &others[block], used)
         };
         pixels.filter_map(point).collect()
+    }
+
+    /// Returns the maps that may show a place of these pixels.
+    fn others_of_block(&self, own: usize, rows: &Range<u32>, columns: &Range<u32>) -> Vec<u32> {
+        let map = &self.maps[own];
+        let pixels = rows.clone().flat_map(|row| {
+            let start = row * map.map.width;
+            columns.clone().map(move |column| start + column)
+        });
+        let places = pixels.filter_map(|pixel| map.place(pixel as usize));
+        let Some(sphere) = Sphere::around(places) else {
+            return Vec::new();
+        };
+        let may_show = |other: &u32| self.maps[*other as usize].frustum.may_see(&sphere);
+        let others = self.others[own].iter().copied();
+        others.filter(may_show).collect()
     }
 
     /// Returns the point of a pixel; `None` if it is used, or too few maps agree. `others`: the maps

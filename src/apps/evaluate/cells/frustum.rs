@@ -1,27 +1,27 @@
-//! What a camera cannot see, found without looking at each place.
+//! View frustums, which rule out that a camera sees any of many places.
 
 use nalgebra::{Point2, Point3, Vector3};
 
 use crate::model::{camera::Camera, scene::Pose};
 
-/// Pixels around the image in which places still count as seen: rounding decides nothing.
+/// Pixels by which the frustum is wider than the image, so that rounding errors don't matter.
 const MARGIN: f64 = 1.0;
 
-/// The half spaces of the world that hold all that a pinhole camera sees. The frames of other cameras
-/// are bent: they have none, and may see everything.
+/// The planes through a pinhole camera's centre and the sides of its image, in world coordinates. With
+/// lens distortion the sides are curved: such a frustum has no planes, and rules nothing out.
 pub struct Frustum {
-    /// Unit normals towards the inside, with the distance of the world's origin.
-    sides: Vec<(Vector3<f64>, f64)>,
+    /// Unit normals that point inwards, and the signed distance of the origin.
+    planes: Vec<(Vector3<f64>, f64)>,
 }
 
-/// A ball around places.
-pub struct Ball {
+/// A bounding sphere.
+pub struct Sphere {
     centre: Point3<f64>,
     radius: f64,
 }
 
-impl Ball {
-    /// Returns a ball that holds these places; `None` if there are none.
+impl Sphere {
+    /// Returns a bounding sphere of these points; `None` without any.
     pub fn around(mut places: impl Iterator<Item = Point3<f64>>) -> Option<Self> {
         let first = places.next()?;
         let (low, high) = places.fold((first, first), |(low, high), place| {
@@ -44,22 +44,22 @@ impl Frustum {
         let ray = |(x, y): (f64, f64)| Some(camera.ray(&Point2::new(x, y))?.into_inner());
         let rays = corners.map(ray);
         let centre = pose.centre();
-        let side = |i: usize| {
+        let plane = |i: usize| {
             let normal = rays[i]?.cross(&rays[(i + 1) % 4]?);
             let normal = pose.rotation.inverse() * normal.try_normalize(0.0)?;
             Some((normal, -normal.dot(&centre.coords)))
         };
-        let sides: Option<Vec<_>> = (0..4).map(side).collect();
+        let planes: Option<Vec<_>> = (0..4).map(plane).collect();
         Self {
-            sides: sides.filter(|_| camera.is_pinhole()).unwrap_or_default(),
+            planes: planes.filter(|_| camera.is_pinhole()).unwrap_or_default(),
         }
     }
 
-    /// Returns whether a part of the ball may be seen; false only if none is.
-    pub fn may_see(&self, ball: &Ball) -> bool {
-        self.sides
+    /// Returns whether the sphere may intersect the frustum; false only if it doesn't.
+    pub fn may_see(&self, sphere: &Sphere) -> bool {
+        self.planes
             .iter()
-            .all(|(normal, offset)| normal.dot(&ball.centre.coords) + offset >= -ball.radius)
+            .all(|(normal, offset)| normal.dot(&sphere.centre.coords) + offset >= -sphere.radius)
     }
 }
 
@@ -82,7 +82,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_seen_is_in_no_ball_that_is_not(
+        fn spheres_around_visible_points_intersect(
             turn in vector(4.0),
             translation in vector(10.0),
             place in vector(20.0),
@@ -96,9 +96,9 @@ mod tests {
                 let x = pose.camera_from_world(place);
                 x.z > 0.0 && camera.project(&x).is_some_and(|pixel| camera.contains(&pixel))
             });
-            let alone = places.map(|place| Ball::around([place].into_iter()).unwrap());
-            prop_assert_eq!(alone.iter().any(|ball| frustum.may_see(ball)) || !is_seen, true);
-            let both = Ball::around(places.into_iter()).unwrap();
+            let alone = places.map(|place| Sphere::around([place].into_iter()).unwrap());
+            prop_assert!(alone.iter().any(|sphere| frustum.may_see(sphere)) || !is_seen);
+            let both = Sphere::around(places.into_iter()).unwrap();
             prop_assert!(frustum.may_see(&both) || !is_seen);
         }
     }
@@ -111,7 +111,7 @@ mod tests {
         };
         let frustum = Frustum::new(&camera(), &pose);
         let sees =
-            |x, y, z| frustum.may_see(&Ball::around([Point3::new(x, y, z)].into_iter()).unwrap());
+            |x, y, z| frustum.may_see(&Sphere::around([Point3::new(x, y, z)].into_iter()).unwrap());
         assert!(sees(0.0, 0.0, 1.0));
         assert!(!sees(2.0, 0.0, 1.0) && !sees(0.0, -2.0, 1.0) && !sees(0.0, 0.0, -1.0));
     }

@@ -23,34 +23,18 @@ pub fn orders(table: &Incidence, counted: CountedCells) -> Vec<Vec<u32>> {
 
 /// The map next that adds most cells; ties by index.
 fn greedy(table: &Incidence, counted: CountedCells, credit: u64) -> Vec<u32> {
-    let value = |taken: u32| match table.support().checked_sub(taken + 1) {
+    let support = table.support();
+    let added = |taken: u32| match support.checked_sub(taken + 1) {
         Some(0) if taken == 0 => WHOLE,
         Some(0) => WHOLE - credit,
         Some(1) => credit,
         _ => 0,
     };
-    let weight = |row: u32| counted.of(&table.rows()[row as usize]) as u64;
-    let mut taken = vec![0; table.rows().len()];
-    let gain = |map: u32| -> u64 {
-        let rows = table.rows_of(map).iter();
-        rows.map(|&row| value(0) * weight(row)).sum()
-    };
-    let mut gains: Vec<u64> = (0..table.names().len() as u32).map(gain).collect();
+    let mut choice = Choice::new(table, counted, added);
     let (mut left, mut order) = (table.usable(), Vec::new());
-    while let Some(&map) = left
-        .iter()
-        .max_by_key(|&&map| (gains[map as usize], Reverse(map)))
-    {
+    while let Some(map) = choice.best(&left) {
         left.retain(|&other| other != map);
-        for &row in table.rows_of(map) {
-            let before = value(taken[row as usize]) * weight(row);
-            taken[row as usize] += 1;
-            let now = value(taken[row as usize]) * weight(row);
-            if now != before {
-                let maps = table.rows()[row as usize].maps.iter();
-                maps.for_each(|&map| gains[map as usize] = gains[map as usize] + now - before);
-            }
-        }
+        choice.set(map, true);
         order.push(map);
     }
     order
@@ -69,102 +53,82 @@ pub fn best_of(
     covered.fold(0.0, f64::max)
 }
 
-fn exchanged(table: &Incidence, counted: CountedCells, chosen: Vec<u32>) -> f64 {
+fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> f64 {
     let usable = table.usable();
     let entries: usize = usable.iter().map(|&map| table.rows_of(map).len()).sum();
-    let mut choice = Choice::new(table, counted, chosen);
+    let support = table.support();
+    let mut choice = Choice::new(table, counted, |taken| u64::from(taken + 1 == support));
+    chosen.iter().for_each(|&map| choice.set(map, true));
     let (mut place, mut unchanged) = (0, 0);
     let mut left = MOST_STEPS / entries.max(1);
-    while unchanged < choice.maps.len() && left > 0 {
+    while unchanged < chosen.len() && left > 0 {
         left -= 1;
-        let out = choice.maps[place];
-        choice.take_away(out);
-        let own = choice.gains[out as usize];
-        let others = usable.iter().copied();
-        let others = others.filter(|&map| map == out || !choice.has[map as usize]);
-        let gain = |map: &u32| (choice.gains[*map as usize], Reverse(*map));
-        let best = others.max_by_key(gain).unwrap_or(out);
-        let is_better = choice.gains[best as usize] > own;
-        let enters = if is_better { best } else { out };
-        choice.maps[place] = enters;
-        choice.add(enters);
+        let out = chosen[place];
+        choice.set(out, false);
+        let best = choice.best(&usable).unwrap_or(out);
+        let is_better = choice.gains[best as usize] > choice.gains[out as usize];
+        chosen[place] = if is_better { best } else { out };
+        choice.set(chosen[place], true);
         unchanged = if is_better { 0 } else { unchanged + 1 };
-        place = (place + 1) % choice.maps.len();
+        place = (place + 1) % chosen.len();
     }
-    table.covered(&choice.maps, counted)
+    table.covered(&chosen, counted)
 }
 
-/// Chosen maps, with the cells that each map would add to them. Few rows change with a map, so that
-/// what they add is kept up to date and not counted anew.
-struct Choice<'a> {
+/// Chosen maps, and what each other map would add to them. Few rows change with a map, so the gains
+/// are kept up to date instead of being summed anew.
+struct Choice<'a, F> {
     table: &'a Incidence,
     counted: CountedCells,
-    maps: Vec<u32>,
-    /// Which maps are chosen.
+    /// What one more map adds to a cell that so many maps show.
+    added: F,
     has: Vec<bool>,
     /// For each row, the number of chosen maps.
     taken: Vec<u32>,
-    /// For each map, the cells that have all but one of the maps that they need, and it.
+    /// For each map, in the unit of `added`.
     gains: Vec<u64>,
 }
 
-impl<'a> Choice<'a> {
-    fn new(table: &'a Incidence, counted: CountedCells, maps: Vec<u32>) -> Self {
-        let mut choice = Self {
-            table,
-            counted,
-            maps: Vec::new(),
+impl<'a, F: Fn(u32) -> u64> Choice<'a, F> {
+    /// Starts without any map.
+    fn new(table: &'a Incidence, counted: CountedCells, added: F) -> Self {
+        let of_row = |&row: &u32| added(0) * counted.of(&table.rows()[row as usize]) as u64;
+        let gain = |map: u32| table.rows_of(map).iter().map(of_row).sum();
+        Self {
             has: vec![false; table.names().len()],
             taken: vec![0; table.rows().len()],
-            gains: vec![0; table.names().len()],
-        };
-        if table.support() == 1 {
-            (0..table.rows().len() as u32).for_each(|row| choice.give(row));
-        }
-        maps.iter().for_each(|&map| choice.add(map));
-        choice.maps = maps;
-        choice
-    }
-
-    fn add(&mut self, map: u32) {
-        self.has[map as usize] = true;
-        for &row in self.table.rows_of(map) {
-            self.lacks_one(row, Self::withdraw);
-            self.taken[row as usize] += 1;
-            self.lacks_one(row, Self::give);
+            gains: (0..table.names().len() as u32).map(gain).collect(),
+            table,
+            counted,
+            added,
         }
     }
 
-    fn take_away(&mut self, map: u32) {
-        self.has[map as usize] = false;
-        for &row in self.table.rows_of(map) {
-            self.lacks_one(row, Self::withdraw);
-            self.taken[row as usize] -= 1;
-            self.lacks_one(row, Self::give);
+    /// Adds a map, or takes it away.
+    fn set(&mut self, map: u32, is_chosen: bool) {
+        self.has[map as usize] = is_chosen;
+        for &number in self.table.rows_of(map) {
+            let row = &self.table.rows()[number as usize];
+            let taken = &mut self.taken[number as usize];
+            let before = (self.added)(*taken);
+            *taken = if is_chosen { *taken + 1 } else { *taken - 1 };
+            let now = (self.added)(*taken);
+            if now != before {
+                let cells = self.counted.of(row) as u64;
+                let gains = &mut self.gains;
+                row.maps.iter().for_each(|&map| {
+                    let gain = &mut gains[map as usize];
+                    *gain = *gain + now * cells - before * cells;
+                });
+            }
         }
     }
 
-    fn lacks_one(&mut self, row: u32, change: fn(&mut Self, u32)) {
-        if self.taken[row as usize] + 1 == self.table.support() {
-            change(self, row);
-        }
-    }
-
-    /// Counts the row's cells as a gain of its maps.
-    fn give(&mut self, row: u32) {
-        let row = &self.table.rows()[row as usize];
-        let cells = self.counted.of(row) as u64;
-        row.maps
-            .iter()
-            .for_each(|&map| self.gains[map as usize] += cells);
-    }
-
-    fn withdraw(&mut self, row: u32) {
-        let row = &self.table.rows()[row as usize];
-        let cells = self.counted.of(row) as u64;
-        row.maps
-            .iter()
-            .for_each(|&map| self.gains[map as usize] -= cells);
+    /// Returns the one of these maps that adds most, of those that are not chosen; ties by index.
+    fn best(&self, maps: &[u32]) -> Option<u32> {
+        let others = maps.iter().copied();
+        let others = others.filter(|&map| !self.has[map as usize]);
+        others.max_by_key(|&map| (self.gains[map as usize], Reverse(map)))
     }
 }
 

@@ -253,8 +253,8 @@ impl<'a> Overhead<'a> {
         Some([along * self.step, between * self.step])
     }
 
-    /// Returns the images over these squares, row by row, at their distance from the highest
-    /// surface nearby, or from the plane where there is none.
+    /// Returns the images over these squares, row by row, at the planned distance above the highest
+    /// surface nearby, or above the fitted plane if there is none.
     fn waypoints(
         &self,
         plan: &Plan,

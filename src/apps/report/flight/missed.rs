@@ -7,9 +7,10 @@ use super::{
     outlines::{Place, areas},
 };
 use crate::{
-    base::decimals::{significant, to_decimals},
+    base::decimals::to_decimals,
     method::region::{Ground, GroundCell},
     model::georeference::{Geodetic, Georeference, MapFrame},
+    plan::area_in_words,
     show::pictures::views_file,
 };
 
@@ -84,14 +85,13 @@ pub fn missed(
         Some(metres) => ("area_m2", metres),
         None => ("area_units2", 1.0),
     };
-    let cell = (ground.side * scale).powi(2);
     let feature = |missed: MissedArea| {
         let ring = |ring: &Vec<[f64; 2]>| -> Vec<[f64; 2]> {
             let positions = ring.iter().map(|at| position(ground, *at, frame, place));
             positions.collect()
         };
         let rings: Vec<Vec<[f64; 2]>> = missed.rings.iter().map(ring).collect();
-        let area = missed.cells as f64 * cell;
+        let area = missed.cells as f64 * (ground.side * scale).powi(2);
         json!({
             "type": "Feature",
             "geometry": { "type": "Polygon", "coordinates": rings },
@@ -99,7 +99,7 @@ pub fn missed(
         })
     };
     let mut areas = missed_areas(ground);
-    let note = format!("{purpose} {}", in_all(&areas, cell, metres));
+    let note = format!("{purpose} {}", in_all(&areas, ground.side, metres));
     areas.retain(|area| area.cells >= LEAST_CELLS);
     let features: Vec<Value> = areas.into_iter().map(feature).collect();
     let name = if is_local {
@@ -110,26 +110,25 @@ pub fn missed(
     (!features.is_empty()).then(|| (name, collection(features, &note, is_local)))
 }
 
-/// Says how much ground is missed, and how much of it the file leaves out. `cell`: area of one.
-fn in_all(areas: &[MissedArea], cell: f64, metres: Option<f64>) -> String {
-    let unit = if metres.is_some() {
-        "m²"
-    } else {
-        "square units"
-    };
+/// Says how much ground is missed, and how much of it the file leaves out. `side`: of a cell, scene
+/// units.
+fn in_all(areas: &[MissedArea], side: f64, metres: Option<f64>) -> String {
     let total = |counts: &dyn Fn(&&MissedArea) -> bool| -> f64 {
         let cells: usize = areas.iter().filter(counts).map(|area| area.cells).sum();
-        cells as f64 * cell
+        cells as f64 * side * side
     };
     let [unseen, once] = [0, 1].map(|shown| total(&|area| area.photographs == shown));
     let slivers = match total(&|area| area.cells < LEAST_CELLS) {
         0.0 => String::new(),
-        area => format!("; slivers that are not drawn: {} {unit}", significant(area)),
+        area => format!(
+            "; slivers that are not drawn: {}",
+            area_in_words(area, metres)
+        ),
     };
     format!(
-        "Ground that no photograph shows finely enough: {} {unit}; that a single one shows: {} {unit}{slivers}.",
-        significant(unseen),
-        significant(once)
+        "Ground that no photograph shows finely enough: {}; that a single one shows: {}{slivers}.",
+        area_in_words(unseen, metres),
+        area_in_words(once, metres)
     )
 }
 

@@ -58,7 +58,7 @@ pub struct Flight {
     pub of_holes: Vec<f64>,
     /// About how many more would be needed beyond the most that are planned.
     pub more: usize,
-    /// Of the images of bare ground, as [`BareGround::spacing`].
+    /// Spacing of the images over bare ground: [`BareGround::spacing`].
     pub spacing: Option<[f64; 2]>,
 }
 
