@@ -152,23 +152,20 @@ class OpenMvs(Bench):
         if scales:
             run = json.loads((folder / "run.json").read_text())
             for cluster in run["clusters"]:
-                cluster["scale"] = scales
+                cluster["resolution"] = round(scales * run["resolution"])
             (folder / "run.json").write_text(json.dumps(run))
 
     def match_all(self, plan, scale):
         folder = self.maps(scale)
         if not folder.exists():
             self.export(folder, scale)
-        self.run(folder, "--no-fusion", check=False)
+        command = [sys.executable, "run.py", "--stop-at", str(len(plan["clusters"])), "--threads", "1", "--densify", self.programs / "DensifyPointCloud"]
+        subprocess.run(command, cwd=folder, check=False, stdout=subprocess.DEVNULL)
 
     def map_of(self, key):
         """Path of a map in the folder of all."""
         run = json.loads((self.maps(1.0) / "run.json").read_text())
-        return next(f"depth{cluster['id']:04d}.dmap" for cluster in run["clusters"] if cluster["key"] == key)
-
-    def run(self, folder, *options, check=True):
-        command = [sys.executable, "run.py", *options, "--threads", "1", "--densify", self.programs / "DensifyPointCloud"]
-        subprocess.run(command, cwd=folder, check=check, stdout=subprocess.DEVNULL)
+        return next(cluster["map"] for cluster in run["clusters"] if cluster["key"] == key)
 
     def alone(self):
         """CPU seconds and the cloud of OpenMVS alone on all images at half size."""
@@ -201,17 +198,22 @@ class OpenMvs(Bench):
 
     def fuse(self, plan, scale=None, agreeing=1):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
-        folder = self.work / "fused"
-        self.export(folder, scale)
-        rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in ({scale} if scale else {1.0, 0.5})}
-        report, keys = [], {cluster["key"] for cluster in plan["clusters"]}
-        for cluster in json.loads((folder / "run.json").read_text())["clusters"]:
-            row = rows[cluster["scale"]].get(cluster["key"])
-            if row and not row["problems"] and cluster["key"] in keys:
-                report.append({**row, "rank": cluster["rank"]})
-                shutil.copy(self.maps(cluster["scale"]) / f"depth{cluster['id']:04d}.dmap", folder)
-        (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))
-        self.run(folder, "--stop-at", "0")
+        home, marks = self.project / "viewrank/openmvs", self.project / "viewrank/dispatch/openmvs"
+        run, keys = json.loads((home / "run.json").read_text()), {cluster["key"] for cluster in plan["clusters"]}
+        (marks / "done").mkdir(parents=True, exist_ok=True)
+        for row in run["clusters"]:
+            made = self.maps(scale or (1.0 if row["resolution"] == run["resolution"] else 0.5)) / row["map"]
+            if row["key"] in keys and made.exists():
+                shutil.copy(made, home)
+                (marks / "done" / row["mark"]).write_text(row["id"])
+        command = [self.args.viewrank, "run", self.project, "--backend", "openmvs", "--program", self.programs / "DensifyPointCloud", "--threads", "1", "--fuse"]
+        subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+        self.cloud().parent.mkdir(exist_ok=True)
+        (home / "fused.ply").replace(self.cloud())
+        # The next plan is not to keep these maps.
+        shutil.rmtree(marks)
+        for path in home.glob("depth*.dmap"):
+            path.unlink()
         return read_cloud(self.cloud(), agreeing)
 
 

@@ -32,17 +32,17 @@ class Statement(NamedTuple):
 
 
 def option(name):
-    """DensifyPointCloud takes this option, which run.py passes."""
-    return Statement(f"--{name} is an option of DensifyPointCloud", "integrations/openmvs/run.py", name, "apps/DensifyPointCloud/DensifyPointCloud.cpp", rf'\("{name}[",]')
+    """DensifyPointCloud takes this option, which is passed."""
+    return Statement(f"--{name} is an option of DensifyPointCloud", "src/backends/openmvs/run.rs", name, "apps/DensifyPointCloud/DensifyPointCloud.cpp", rf'\("{name}[",]')
 
 
 PROGRAMS = {
     "openMVS": [
         *map(option, ["resolution-level", "min-resolution", "max-resolution", "number-views", "number-views-fuse", "geometric-iters", "postprocess-dmaps"]),
-        *map(option, ["fusion-mode", "fusion-filter", "view-neighbors-file", "dense-config-file", "max-threads", "estimate-roi", "crop-to-roi", "tower-mode", "remove-dmaps"]),
+        *map(option, ["fusion-mode", "fusion-filter", "view-neighbors-file", "dense-config-file", "max-threads", "estimate-roi", "crop-to-roi", "tower-mode"]),
         Statement("filter 2 is the default fusion", "docs/backends.md", "Filter 2 (dense-fuse), the default", "apps/DensifyPointCloud/DensifyPointCloud.cpp", r'"fusion-filter".*default_value\(2\)'),
         Statement("filter 2 joins at least five pixels", "docs/backends.md", "least five pixels (`Min Pixels Fuse`)", "libs/MVS/DepthMap.cpp", r'"Min Pixels Fuse",.*"5"\)'),
-        Statement("depth maps are of the kinds DR and D2", "integrations/openmvs/run.py", 'KINDS = {b"DR"', "libs/MVS/Interface.h", r'HeaderDepthDataRawName\(\) \{[^}]*"D[R2]"'),
+        Statement("depth maps are of the kinds DR and D2", "crates/io/src/depthmaps/openmvs.rs", "`DR` (v2.0 to v2.4.0)", "libs/MVS/Interface.h", r'HeaderDepthDataRawName\(\) \{[^}]*"D[R2]"'),
         Statement("partners of a score below 2 are dropped", "docs/backends.md", "below max(2, 3 % of the best)", "libs/MVS/DepthMap.cpp", r'"View Min Score",.*"2\.0"\)'),
         Statement("partners of a score below 3 % are dropped", "docs/backends.md", "below max(2, 3 % of the best)", "libs/MVS/DepthMap.cpp", r'"View Min Score Ratio",.*"0\.03"\)'),
         Statement("12 partners at most by default", "docs/backends.md", "`Max Views` (else 12)", "libs/MVS/DepthMap.cpp", r'"Max Views",.*"12"\)'),

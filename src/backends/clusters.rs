@@ -1,8 +1,11 @@
 //! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is
-//! its head.
+//! its head. And what names a finished depth map.
 
-use super::{Selection, strangers};
-use crate::{base::shell::quoted, model::cluster::RankedCluster};
+use super::{Backend, Selection, strangers};
+use crate::{
+    base::shell::quoted,
+    model::cluster::{MapScale, RankedCluster},
+};
 
 const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
 
@@ -46,6 +49,32 @@ impl ClusterScript {
         }
         self.0 + "exit \"$failed\"\n"
     }
+}
+
+/// Returns the name of a key view as the name of a file, the mark of its finished depth map.
+pub fn task_marker(key: &str) -> String {
+    hash([key])
+}
+
+/// Returns 16 hexadecimal digits of BLAKE3 over the texts.
+pub fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for text in texts {
+        hasher
+            .update(&(text.len() as u64).to_le_bytes())
+            .update(text.as_bytes());
+    }
+    hasher.finalize().to_hex()[..16].into()
+}
+
+/// Returns the content of the mark: what the depth map is made from.
+pub fn task_id(backend: &Backend, selection: &Selection, cluster: &RankedCluster) -> String {
+    let half = match cluster.scale {
+        MapScale::Full => "",
+        MapScale::Half => " half",
+    };
+    let options = format!("{} {}{half}", backend.name, selection.image_scale);
+    recipe(selection, cluster, &options)
 }
 
 /// Returns the cache key of a depth map: a hash of views, cameras and poses of key view and

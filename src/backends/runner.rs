@@ -3,7 +3,10 @@
 use std::{
     ffi::{OsStr, OsString},
     path::{Path, PathBuf},
+    slice,
 };
+
+use crate::io::output::Disk;
 
 /// The result of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,11 +22,20 @@ pub struct Call<'a> {
     pub product: Product,
     /// Folder of the export.
     pub workplace: &'a Path,
-    pub project: &'a Path,
+    pub project: &'a PathBuf,
+    /// Ranks of the depth maps that are finished.
+    pub finished: &'a [usize],
     pub program: &'a Path,
     pub python: &'a Path,
     pub threads: usize,
     pub image_scale: f64,
+}
+
+impl<'a> Call<'a> {
+    /// The disk, for changes in the project alone.
+    pub fn disk(&self) -> Disk<'a> {
+        Disk::REAL.within(slice::from_ref(self.project))
+    }
 }
 
 /// How the clusters of an export are computed one by one, and their depth maps fused.
@@ -33,9 +45,13 @@ pub struct TaskRunner {
     pub program: &'static str,
     /// Environment variable that overrides the path, and is set for the commands.
     pub variable: &'static str,
-    /// Commands of a task, each run if the one before succeeds; they depend on no current folder.
-    /// Those of a depth map fail unless it is complete, and may run side by side with others.
-    pub commands: fn(&Call) -> Vec<Vec<OsString>>,
+    /// Makes ready what a task needs, and returns its commands, each run if the one before succeeds;
+    /// they depend on no current folder, and may run side by side with those of other depth maps.
+    /// An error is a reason in words.
+    pub commands: fn(&Call) -> Result<Vec<Vec<OsString>>, String>,
+    /// Checks what the commands have made, and puts it in its place. An error is a reason in words;
+    /// what was in that place is still there then.
+    pub finish: fn(&Call) -> Result<(), String>,
     /// Files of the export that change with the maps that are there.
     pub state: &'static [&'static str],
     /// Cloud that the fusion writes.
@@ -47,4 +63,10 @@ pub struct TaskRunner {
 /// The words of a command.
 pub fn words<const N: usize>(words: [&dyn AsRef<OsStr>; N]) -> Vec<OsString> {
     words.map(|word| word.as_ref().to_owned()).into()
+}
+
+/// [`TaskRunner::finish`] of a program that fails unless its results are complete, and puts them in
+/// their places itself.
+pub fn finishes_itself(_: &Call) -> Result<(), String> {
+    Ok(())
 }

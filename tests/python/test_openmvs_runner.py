@@ -1,529 +1,314 @@
-"""integrations/openmvs/run.py with a stub of DensifyPointCloud that is controlled by a file."""
+"""OpenMVS's depth maps by `viewrank run`, and by the script of its exports where there is no viewrank, with a stub of DensifyPointCloud that is controlled by a file."""
 
 import json
 import os
 import shutil
 import signal
-import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from conftest import LONG
 
-RUNNER = Path(__file__).resolve().parents[2] / "integrations/openmvs/run.py"
+from test_export_formats import Mvs
+from test_run_scripts import plans  # noqa: F401 (a fixture)
 
+pytestmark = pytest.mark.usefixtures("without_pilot")
+
+# Makes what run.json says of a scene, but for what made.json beside the stub says of its rank. It is the program, so it refuses what DensifyPointCloud would trip over.
 STAND_IN = '''#!{python} -IS
-import json, os, re, signal, struct, sys
+import json, os, signal, struct, sys
 from pathlib import Path
-NAMES = "working-folder input-file output-file view-neighbors-file dense-config-file resolution-level max-resolution min-resolution number-views number-views-fuse iters".split()
-NAMES += "geometric-iters estimate-colors estimate-normals fusion-mode postprocess-dmaps remove-dmaps tower-mode max-threads cuda-device verbosity".split()
-SHORT = dict(w="working-folder", i="input-file", o="output-file", v="verbosity")
-if "--help" in sys.argv:
-    print("  -w [ --working-folder ] arg", *(f"  --{{name}} arg" for name in NAMES), sep="\\n")
-    sys.exit(0)
 home = Path(__file__).parent
+known = "working-folder input-file output-file config-file dense-config-file max-threads verbosity resolution-level min-resolution max-resolution number-views".split()
+known += "geometric-iters postprocess-dmaps fusion-mode number-views-fuse view-neighbors-file".split()
+if (home / "newer").exists():
+    known += ["fusion-filter", "estimate-roi", "crop-to-roi"]
+if "--help" in sys.argv:
+    print(*(f"  --{{name}} arg" for name in known), sep="\\n")
+    sys.exit(0)
+names, values = sys.argv[1::2], sys.argv[2::2]
+options = dict(zip((name[2:] for name in names), values))
+if len(options) < len(names) or set(options) - set(known):
+    sys.exit("unrecognised or repeated options")
+if not options["working-folder"].endswith("/"):
+    sys.exit("with a file of options, names would only be appended")
 with open(home / "calls.jsonl", "a") as log:
-    log.write(json.dumps(sys.argv[1:]) + "\\n")
+    log.write(json.dumps(options) + "\\n")
+export, work, scene = Path(options["config-file"]).parent, Path(options["working-folder"]), Path(options["input-file"])
+run = json.loads((export / "run.json").read_text())
+made = json.loads((home / "made.json").read_text()) if (home / "made.json").exists() else {{}}
 
 
-def refuse(why):
-    print(f"06:04:49 [App     ] {{why}}", "06:04:49 [App     ] MEMORYINFO: {{", "}} ENDINFO", sep="\\n")
-    sys.exit(1)
+def size_at(row, resolution):
+    scale = min(1, resolution / max(row["size"]))
+    return [round(side * scale) for side in row["size"]]
 
 
-# As boost::program_options reads them, which takes each option once.
-options, words = {{}}, sys.argv[1:]
-while words:
-    word = words.pop(0)
-    name, equals, value = word[2:].partition("=") if word.startswith("--") else (SHORT[word[1]], "", word[2:])
-    meant = [name] if name in NAMES else [known for known in NAMES if known.startswith(name)]
-    if len(meant) != 1:
-        refuse(f"option '--{{name}}' is ambiguous" if meant else f"unrecognised option '--{{name}}'")
-    if meant[0] in options:
-        refuse(f"option '--{{meant[0]}}' cannot be specified more than once")
-    if not value and (not words or words[0][:2] == "--" and words[0][2:] in NAMES):
-        refuse(f"the required argument for option '--{{meant[0]}}' is missing")
-    options[meant[0]] = value or words.pop(0)
+if scene.name == "fuse.mvs":
+    lists = [list(map(int, line.split())) for line in (work / options["view-neighbors-file"]).read_text().splitlines()]
+    (home / "lists.json").write_text(json.dumps(lists))
+    (home / "fuse.mvs").write_bytes((work / scene).read_bytes())
+    for key, *_ in lists:
+        row = run["clusters"][key]
+        sizes = struct.unpack_from("<2I", (work / row["map"]).read_bytes(), 12)
+        if list(sizes) != size_at(row, int(options["max-resolution"])) or not (work / row["image"]).exists():
+            print("error: the map has another size than the image, or there is no image")
+            sys.exit(3)
+    if "fusion" not in made:
+        (work / options["output-file"]).write_bytes(b"scene")
+        (work / options["output-file"]).with_suffix(".ply").write_bytes(b"ply\\nelement vertex 42\\nend_header\\n")
+    sys.exit(0)
 
-here, scene = Path(options["working-folder"]), options["input-file"]
-data = (here / scene).read_bytes()
-if scene == "fusing.mvs":
-    (home / "fused").mkdir(exist_ok=True)
-    for path in here.glob("*.dmap"):
-        (home / "fused" / path.name).write_bytes(path.read_bytes())
-    for key in ("k0", "k1", "k2"):
-        at = data.find(b"images/" + key.encode()) + len("images/k0") + 8
-        if b"images/" + key.encode() in data and data[at + 8 : at + 12] != b"\\xff" * 4 and not (here / "images" / key).exists():
-            print(f"06:04:49 [App     ] error: failed reloading image '{{here}}/images/{{key}}'")
-            sys.exit(1)
-    if (here / "no-points").exists():
-        print("06:04:49 [App     ] error: out of luck")
-        sys.exit(0)
-    (here / "fusing-done.ply").write_bytes(b"ply\\nelement vertex 42\\nend_header\\n")
-    (here / "fusing-done.mvs").write_bytes(data)
-elif not (here / "images").is_dir() or list(here.glob("*.dmap")):
-    sys.exit("no images, or maps that OpenMVS would keep")
-for made in json.loads((home / "made.json").read_text()).get(scene, []):
-    ids, (least, greatest), depth = made["ids"], made["range"], made["depth"] + int(options.get("iters", 0))
-    kind = made.get("kind", "DR")
-    # D2: an exponent and the value of a confidence of 255 in the head, halves, normals of two shorts.
-    head = kind.encode() + bytes([3, 0 if kind == "DR" else 3]) + struct.pack("<4I2f", 4, 4, 4, 4, least, greatest) + (b"" if kind == "DR" else struct.pack("<f", 1))
-    head += struct.pack("<H", 1) + b"a" + struct.pack(f"<I{{len(ids)}}I", len(ids), *ids) + bytes(21 * 8)
-    planes = struct.pack("<16f", *[depth] * 16) + bytes(16 * 12) if kind == "DR" else struct.pack("<16e", *[depth / 8] * 16) + bytes(16 * 4)
-    (here / f"depth{{ids[0]:04d}}.dmap").write_bytes(head + planes[: made.get("bytes")])
-    if made.get("kill"):
-        os.kill(os.getppid(), made["kill"])
-    if "bytes" in made:
-        print("Killed")
-        sys.exit(137)
+row = next(row for row in run["clusters"] if row["rank"] == int(scene.stem))
+if list(work.iterdir()) or not (b"../../" + row["image"].encode() in scene.read_bytes() and (work / "../.." / row["image"]).exists()):
+    sys.exit("maps that OpenMVS would keep, or no images")
+what = dict(ids=row["ids"], range=row["depths"], depth=row["depths"][0], kind="DR") | made.get(str(row["rank"]), {{}})
+if "kill" in what:
+    os.kill(os.getppid(), what["kill"])
+if what["depth"] is None:
+    print("error: out of luck")
+    sys.exit(0)
+(width, height), (least, greatest), kind = size_at(row, int(options["max-resolution"])), what["range"], what["kind"].encode()
+pixels, old = width * height, kind == b"DR"
+head = kind + bytes([3, 0 if old else 10]) + struct.pack("<4I2f", width, height, width, height, least, greatest) + (b"" if old else struct.pack("<f", 1))
+head += struct.pack("<H", 1) + b"a" + struct.pack(f"<I{{len(what['ids'])}}I", len(what["ids"]), *what["ids"]) + bytes(21 * 8)
+depth = struct.pack("<f", what["depth"]) if old else struct.pack("<e", what["depth"] / 1024)
+whole = head + depth * pixels + bytes((12 if old else 4) * pixels)
+(work / row["map"]).write_bytes(whole[: what.get("bytes")])
 '''
 
 
+class Site:
+    """A planned project with the stub beside it."""
+
+    def __init__(self, folder, viewrank, plan):
+        self.viewrank, self.project, self.home = viewrank, folder / "site", folder / "bin"
+        shutil.copytree(plan, self.project, symlinks=True)
+        self.home.mkdir()
+        self.program = self.home / "DensifyPointCloud"
+        self.program.write_text(STAND_IN.format(python=sys.executable))
+        self.program.chmod(0o755)
+        self.export = self.project / "viewrank/openmvs"
+
+    def plan(self, *options):
+        self.viewrank("plan", self.project, "--backend", "openmvs", "--confidence", "geometric", "--quiet", *options)
+        self.rows = json.loads((self.export / "run.json").read_text())["clusters"]
+
+    def makes(self, **of_ranks):
+        """What the stub makes of ranks (`_1`) and of the `fusion` from now on."""
+        (self.home / "made.json").write_text(json.dumps({name.lstrip("_"): made for name, made in of_ranks.items()}))
+
+    def calls(self):
+        """What the program was called for since the last question: options, by rank or "fuse"."""
+        log = self.home / "calls.jsonl"
+        calls = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+        log.unlink(missing_ok=True)
+        return {call["input-file"].split("/")[-1].removesuffix(".mvs").lstrip("0"): call for call in calls}
+
+    def run(self, *words, expect=0):
+        return self.viewrank("run", self.project, "--backend", "openmvs", "--program", self.program, *words, expect=expect)
+
+    def rank(self, rank, expect=0):
+        return self.run("--rank", rank, expect=expect)
+
+    def script(self, *words):
+        return subprocess.run([sys.executable, "-I", self.export / "run.py", "--densify", self.program, *words], capture_output=True, text=True, cwd="/", timeout=60)
+
+    def map(self, rank):
+        return self.export / self.rows[rank - 1]["map"]
+
+    def maps(self):
+        return {path.name: path.read_bytes() for path in self.export.glob("*.dmap")}
+
+    def left(self):
+        unfinished = self.export / "unfinished"
+        return sorted(path.name for path in unfinished.iterdir()) if unfinished.exists() else []
+
+
 @pytest.fixture
-def folder(tmp_path):
-    shutil.copy(RUNNER, tmp_path / "run.py")
-    rows = [dict(rank=i + 1, scene=f"clusters/{i}.mvs", key=f"k{i}", image=f"images/k{i}", id=10 + i, partner_ids=[1, 2], share=(i + 1) / 3, depths=[100, 200], size=[400, 300]) for i in range(3)]
-    (tmp_path / "clusters").mkdir()
-    for row in rows:
-        (tmp_path / row["scene"]).write_text(row["key"])
-    # The middle of a scene as it matters here: name, no mask, platform, camera, pose, id of each image.
-    image = lambda name: struct.pack("<Q", len(name)) + name.encode() + struct.pack("<Q4I", 0, 0, 0, 7, 1)
-    (tmp_path / "fuse.mvs").write_bytes(b"MVSI" + b"".join(image(row["image"]) for row in rows))
-    (tmp_path / "links.txt").touch()
-    (tmp_path / "images").mkdir()
-    for row in rows:
-        (tmp_path / row["image"]).touch()
-    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], fused_with=24, maps_per_point=2, resolution=400, pictures={row["image"]: 0 for row in rows})
-    (tmp_path / "run.json").write_text(json.dumps(run))
-    make(tmp_path)
-    stand_in = tmp_path / "densify"
-    stand_in.write_text(STAND_IN.format(python=sys.executable))
-    stand_in.chmod(0o755)
-    return tmp_path
-
-
-def make(folder, **changes):
-    made = {f"clusters/{i}.mvs": [dict(ids=[10 + i, 2, 1], range=[90, 220], depth=150)] for i in range(3)}
-    made.update({f"clusters/{key[1:]}.mvs": value for key, value in changes.items()})
-    (folder / "made.json").write_text(json.dumps(made))
-
-
-def run(folder, *options, program=("run.py",)):
-    (folder / "calls.jsonl").unlink(missing_ok=True)
-    done = subprocess.run([sys.executable, *program, "--densify", folder / "densify", *options], capture_output=True, text=True, cwd=folder)
-    calls = [json.loads(line) for line in (folder / "calls.jsonl").read_text().splitlines()] if (folder / "calls.jsonl").exists() else []
-    report = json.loads((folder / "report.json").read_text()) if (folder / "report.json").exists() else {"clusters": []}
-    return done, calls, {row["key"]: row for row in report["clusters"]}
-
-
-def scenes(calls):
-    return [call[call.index("-i") + 1] for call in calls]
-
-
-def value(call, option):
-    return call[call.index(option) + 1]
-
-
-def maps(folder):
-    """Bytes of the depth maps, by name."""
-    return {path.name: path.read_bytes() for path in folder.glob("*.dmap")}
-
-
-def depth(content):
-    return struct.unpack_from("<f", content, len(content) - 16 * 16)[0]
-
-
-def nothing_left(folder):
-    return not list((folder / "unfinished").iterdir()) and not list(folder.rglob("*.tmp"))
-
-
-def test_a_picture_that_changed_since_the_plan_is_not_matched(folder):
-    (folder / "images/k1").write_bytes(b"another picture")
-    done, calls, _ = run(folder)
-    assert done.returncode == 1 and "'images/k1': the picture has changed since the plan: plan again" in done.stderr and not calls
-
-
-def test_in_rank_order_then_fused_and_resumed(folder):
-    done, calls, report = run(folder)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert scenes(calls) == ["clusters/0.mvs", "clusters/1.mvs", "clusters/2.mvs", "fusing.mvs"]
-    assert all(not row["problems"] for row in report.values())
-    assert scenes(run(folder)[1]) == ["fusing.mvs"]
-
-
-def test_a_map_of_half_the_size_is_fused_at_full_size(folder):
-    """DensifyPointCloud would silently fuse it with the camera of the full image."""
-    plan = json.loads((folder / "run.json").read_text())
-    plan["clusters"][1].update(scale=0.5, size=[800, 601])
-    (folder / "run.json").write_text(json.dumps(plan))
-    done, calls, report = run(folder)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert [value(call, "--max-resolution") for call in calls] == ["400", "200", "400", "400"]
-    assert report["k1"]["scale"] == 0.5 and report["k1"]["size"] == [4, 4]
-    made, fused = (folder / "depth0011.dmap").read_bytes(), (folder / "fused/depth0011.dmap").read_bytes()
-    assert struct.unpack_from("<4I", made, 4) == (4, 4, 4, 4) and struct.unpack_from("<4I", fused, 4) == (400, 300, 400, 300)
-    planes = fused[-(400 * 300 * 16) :]
-    assert struct.unpack_from("<120000f", planes) == (150.0,) * 120000 and not any(planes[4 * 400 * 300 :])
-    assert (folder / "fused/depth0010.dmap").read_bytes() == (folder / "depth0010.dmap").read_bytes()
-    assert scenes(run(folder)[1]) == ["fusing.mvs"], "it is kept"
-    plan["clusters"][1]["scale"] = 1
-    (folder / "run.json").write_text(json.dumps(plan))
-    assert scenes(run(folder)[1]) == ["clusters/1.mvs", "fusing.mvs"], "planned at full size now"
-    plan["clusters"][1]["scale"] = 0.5
-    (folder / "run.json").write_text(json.dumps(plan))
-    done, calls, report = run(folder)
-    assert scenes(calls) == ["fusing.mvs"] and "k1: planned at half the size, kept at full size" in done.stdout, "no finished map is made coarser"
-    assert report["k1"]["scale"] == 1 and (folder / "fused/depth0011.dmap").read_bytes() == (folder / "depth0011.dmap").read_bytes()
-
-
-def test_enlarging_keeps_where_pixels_look_and_lowers_confidence(folder, tmp_path):
-    sys.path.insert(0, str(folder))
-    import run as runner
-
-    k = [500.0, 0, 1.5, 0, 510.0, 1.0, 0, 0, 1]
-    head = b"DR" + bytes([7, 0]) + struct.pack("<4I2f", 4, 3, 4, 3, 1, 9) + struct.pack("<H", 1) + b"a" + struct.pack("<I2I", 2, 10, 1)
-    planes = struct.pack("<12f", *range(1, 13)) + struct.pack("<36f", *range(36)) + struct.pack("<12f", 0, 0.5, 0.9, 0.95, *[1.0] * 8)
-    path = tmp_path / "depth0010.dmap"
-    path.write_bytes(head + struct.pack("<21d", *k, *range(12)) + planes)
-    large = runner.enlarged(path, [8, 6])
-    depths = struct.unpack_from("<48f", large, len(large) - 48 * 20)
-    assert depths[:8] == (1, 1, 2, 2, 3, 3, 4, 4) and depths[8:16] == depths[:8] and depths[40:] == (9, 9, 10, 10, 11, 11, 12, 12)
-    normals = struct.unpack_from("<144f", large, len(large) - 48 * 16)
-    assert normals[:12] == (0, 1, 2, 0, 1, 2, 3, 4, 5, 3, 4, 5)
-    confidences = struct.unpack_from("<8f", large, len(large) - 48 * 4)
-    assert confidences == pytest.approx((0, 0, 0, 0, 0.6, 0.6, 0.8, 0.8))
-    # The ray through the middle of a pixel is that through the corner of its four copies.
-    wide = struct.unpack_from("<9d", large, len(head))
-    assert [(2 * 0 + 0.5 - wide[2]) / wide[0], (2 * 2 + 0.5 - wide[5]) / wide[4]] == pytest.approx([(0 - k[2]) / k[0], (2 - k[5]) / k[4]])
-
-
-def test_openmvs_compares_a_map_with_the_best_of_those_that_are_there(folder):
-    run_json = json.loads((folder / "run.json").read_text())
-    (folder / "run.json").write_text(json.dumps({**run_json, "fused_with": 1}))
-    make(folder, k1=[])
-    run(folder)
-    assert (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
-    make(folder)
-    run(folder)
-    assert (folder / "fuse.txt").read_text() == "0 1\n1 0\n2 0\n"
-
-
-def test_openmvs_silent_no_map(folder):
-    make(folder, k1=[])
-    done, _, report = run(folder)
-    assert done.returncode == 1 and report["k1"]["problems"][0] == "no depth map" and "ended with 0" in report["k1"]["problems"][1]
-    assert (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
-
-
-def test_partners_ranges_and_empty_maps_are_checked(folder):
-    make(folder, k0=[dict(ids=[10, 1], range=[90, 220], depth=1)], k1=[dict(ids=[11, 1, 2], range=[0.1, 100], depth=1)], k2=[dict(ids=[12, 1, 2], range=[90, 220], depth=0)])
-    done, _, report = run(folder)
-    assert done.returncode == 1
-    assert "partners [1] instead of [1, 2]" in report["k0"]["problems"][0]
-    assert "depth range 0.1 to 100" in report["k1"]["problems"][0]
-    assert "0.0 % of the pixels" in report["k2"]["problems"][0]
-
-
-def poses(folder):
-    """Returns the poses of the images of the last fused scene."""
-    data = (folder / "fused.mvs").read_bytes()
-    return [struct.unpack_from("<I", data, data.index(f"images/k{i}".encode()) + 25)[0] for i in range(3)]
-
-
-def test_maps_that_are_not_as_planned_are_made_anew_and_not_fused(folder):
-    """Partners that are not the plan's; a map cut off behind its depths by a program that was killed."""
-    cut = dict(ids=[12, 1, 2], range=[90, 220], depth=150, bytes=100)
-    make(folder, k1=[dict(ids=[11, 1], range=[90, 220], depth=1)], k2=[cut])
-    done, _, report = run(folder)
-    assert done.returncode == 1 and "partners" in report["k1"]["problems"][0]
-    assert report["k2"]["problems"] == ["unreadable depth map: cut off", "DensifyPointCloud ended with 137 | Killed"]
-    assert (folder / "fuse.txt").read_text() == "0 1\n" and poses(folder) == [7, 0xFFFFFFFF, 0xFFFFFFFF]
-    make(folder)
-    done, calls, report = run(folder)
-    assert done.returncode == 0 and scenes(calls) == ["clusters/1.mvs", "clusters/2.mvs", "fusing.mvs"]
-    assert poses(folder) == [7, 7, 7] and not any(row["problems"] for row in report.values())
-    os.truncate(folder / "depth0010.dmap", 100)
-    assert scenes(run(folder)[1]) == ["clusters/0.mvs", "fusing.mvs"], "cut off later"
-
-
-def test_openmvs_all_images_loaded(folder):
-    """An unused image is not loaded: it costs no memory, and may be missing."""
-    make(folder, k1=[])
-    (folder / "images/k1").unlink()
-    done, _, _ = run(folder)
-    assert poses(folder) == [7, 0xFFFFFFFF, 7] and "2 maps fused: 42 points" in done.stdout
-    run(folder, "--stop-at", "0", "--", "--resolution-level", "1")
-    assert poses(folder) == [7, 0xFFFFFFFF, 7], "nothing to fuse: what was fused stays"
-
-
-def test_an_image_that_cannot_be_read_keeps_no_others_from_being_fused(folder):
-    run(folder)
-    (folder / "images/k1").unlink()
-    done, _, report = run(folder)
-    assert done.returncode == 1 and "k1: its image cannot be read; 2 maps fused: 42 points" in done.stdout
-    assert (folder / "fuse.txt").read_text() == "0 2\n2 0\n" and not list(folder.glob("fusing*"))
-
-
-def test_a_fusion_that_fails_leaves_the_one_of_before(folder):
-    run(folder)
-    before = (folder / "fused.ply").read_bytes()
-    (folder / "no-points").touch()
-    (folder / "unfinished/fusion-killed").mkdir(parents=True)
-    done, _, _ = run(folder)
-    assert nothing_left(folder)
-    assert done.returncode == 1 and "DensifyPointCloud ended with 0 | error: out of luck" in done.stdout and "nothing is fused" in done.stdout
-    assert (folder / "fused.ply").read_bytes() == before and not list(folder.glob("fusing*"))
-
-
-def test_openmvs_existing_dmap_kept(folder):
-    """OpenMVS would reuse the map of other partners; if the new one fails, the old map stays but is not fused."""
-    run(folder)
-    before, scene = maps(folder), (folder / "clusters/1.mvs").read_text()
-    (folder / "clusters/1.mvs").write_text("other partners")
-    make(folder, k1=[])
-    done, calls, report = run(folder)
-    assert scenes(calls) == ["clusters/1.mvs", "fusing.mvs"] and report["k1"]["problems"][0] == "no depth map"
-    assert maps(folder) == before and (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
-    (folder / "clusters/1.mvs").write_text(scene)
-    done, calls, report = run(folder)
-    assert done.returncode == 0 and scenes(calls) == ["fusing.mvs"], "the plan of before finds its map"
-    assert not any(row["problems"] for row in report.values())
-
-
-def test_the_users_options_replace_those_of_the_runner(folder):
-    run(folder)
-    before = maps(folder)
-    done, calls, report = run(folder, "--", "--geometric-iters", "2")
-    assert done.returncode == 0 and len(report) == 3, done.stdout + done.stderr
-    *of_maps, fusion = calls
-    assert [value(call, "--geometric-iters") for call in of_maps] == ["2"] * 3
-    assert value(fusion, "--geometric-iters") == "0", "a fusion changes no map"
-    assert maps(folder).keys() == before.keys() and nothing_left(folder)
-
-
-@pytest.mark.parametrize(
-    "words, option, wanted",
-    [
-        (["--postprocess-dmaps=1"], "--postprocess-dmaps", "1"),
-        (["--max-res", "800"], "--max-resolution", "800"),
-        (["--verb=3", "--number-views", "4"], "--number-views", "4"),
-        (["-v3"], "--verbosity", "3"),
-        (["-v", "2", "--cuda-device", "-2"], "--cuda-device", "-2"),
-        (["--iters", "2", "--iters", "3"], "--iters", "3"),
-        (["--max-threads", "7"], "--max-threads", "7"),
-    ],
-)
-def test_spellings_of_options(folder, words, option, wanted):
-    done, calls, _ = run(folder, "--threads", "1", "--", *words)
-    assert done.returncode == 0 and [value(call, option) for call in calls[:3]] == [wanted] * 3, done.stdout + done.stderr
-
-
-@pytest.mark.parametrize("words", [["-w", "elsewhere"], ["-oelsewhere.mvs"], ["--fusion-mode=0"], ["--remove-dmaps", "1"], ["--remove", "1"], ["scene.mvs"]])
-def test_options_that_would_take_the_runner_its_files_are_refused(folder, words):
-    done, calls, _ = run(folder, "--", *words)
-    assert done.returncode == 1 and calls == [] and words[0] in done.stderr
-
-
-@pytest.mark.parametrize("words", [["--number-views-fuse", "3"], ["--estimate-colors=0"], ["--max-threads", "2"], ["-v", "3"]])
-def test_options_of_the_fusion_leave_the_maps(folder, words):
-    """They don't identify a map, whether given when it is made or only when it is fused."""
-    run(folder)
-    before = maps(folder)
-    done, calls, report = run(folder, "--stop-at", "0", "--", *words)
-    assert done.returncode == 0 and scenes(calls) == ["fusing.mvs"] and len(report) == 3
-    assert maps(folder) == before
-    assert scenes(run(folder, "--", *words)[1]) == ["fusing.mvs"]
-
-
-def test_the_number_of_agreeing_maps_reaches_the_fusion_alone(folder):
-    calls = run(folder, "--", "--number-views-fuse", "3")[1]
-    assert [value(call, "--number-views-fuse") for call in calls if "--number-views-fuse" in call] == ["3"] and len(calls) == 4
-    assert json.loads((folder / "report.json").read_text())["fusion"]["agreeing"] == 3
-
-
-@pytest.mark.parametrize("words, why", [(["--itres", "3"], "unrecognised option '--itres'"), (["--number"], "option '--number' is ambiguous"), (["--iters"], "the required argument for option '--iters' is missing")])
-@pytest.mark.parametrize("single", [True, False])
-def test_refused_options_are_named_and_end_the_run(folder, words, why, single):
-    run(folder)
-    before, report = maps(folder), (folder / "report.json").read_bytes()
-    done, calls, _ = run(folder, *(["--rank", "1"] if single else []), "--", *words)
-    assert done.returncode == 1 and len(calls) == 1 and done.stderr.rstrip().endswith(why)
-    assert maps(folder) == before and (folder / "report.json").read_bytes() == report and nothing_left(folder)
-
-
-CUT = dict(range=[90, 220], depth=150, bytes=100)
-
-
-@pytest.mark.parametrize("single", [True, False])
-@pytest.mark.parametrize(
-    "failure",
-    [[], [dict(ids=[11, 1, 2], **CUT)], [dict(ids=[11, 1], range=[90, 220], depth=150)], [dict(ids=[11, 1, 2], kill=signal.SIGINT, **CUT)], [dict(ids=[11, 1, 2], kill=signal.SIGKILL, **CUT)]],
-    ids=["no map", "cut off", "other partners", "interrupted", "killed"],
-)
-def test_a_run_that_fails_loses_no_map(folder, failure, single):
-    run(folder)
-    before = maps(folder)
-    make(folder, k0=failure and [{**failure[0], "ids": [10, *failure[0]["ids"][1:]]}], k1=failure)
-    rank = ["--rank", "2"] if single else []
-    done, calls, _ = run(folder, *rank, "--", "--iters", "9")
-    assert done.returncode != 0 and calls
-    after = maps(folder)
-    assert after.keys() == before.keys() and after["depth0011.dmap"] == before["depth0011.dmap"]
-    assert single or after["depth0010.dmap"] == before["depth0010.dmap"]
-    make(folder)
-    done, calls, report = run(folder, "--", "--iters", "9")
-    assert done.returncode == 0 and {"clusters/0.mvs", "clusters/1.mvs"} <= set(scenes(calls)) and not any(row["problems"] for row in report.values())
-    assert {depth(content) for content in maps(folder).values()} == {159} and nothing_left(folder)
-
-
-KILLED = """
-import os, pathlib, runpy, shutil, sys, tempfile
-left = int(sys.argv.pop(1))
-def counted(call):
-    def wrapped(*arguments, **named):
-        global left
-        left -= 1
-        if left < 0:
-            os.kill(os.getpid(), 9)
-        return call(*arguments, **named)
-    return wrapped
-for owner, name in ((pathlib.Path, "replace"), (pathlib.Path, "unlink"), (pathlib.Path, "mkdir"), (pathlib.Path, "symlink_to"), (shutil, "rmtree"), (tempfile, "mkdtemp"), (pathlib.Path, "write_text")):
-    setattr(owner, name, counted(getattr(owner, name)))
-sys.argv = ["run.py", *sys.argv[1:]]
-runpy.run_path("run.py", run_name="__main__")
-"""
-
-
-@pytest.mark.parametrize("words", [["--rank", "1"], ["--stop-at", "1", "--no-fusion"]], ids=["single", "whole"])
-def test_killed_at_any_step_every_map_is_there_and_known_for_what_it_is(folder, tmp_path_factory, words):
-    """A map of two iterations is to become one of nine; the run is killed before its first change of a file, its second, and on."""
-    run(folder, "--", "--iters", "2")
-    names = maps(folder).keys()
-    steps, finished = 0, False
-    while not finished:
-        copy, again = (tmp_path_factory.mktemp("killed") / name for name in ("copy", "again"))
-        shutil.copytree(folder, copy)
-        done, _, _ = run(copy, *words, "--", "--iters", "9", program=("-IS", "-c", KILLED, str(steps)))
-        finished = done.returncode == 0
-        assert finished or done.returncode == -signal.SIGKILL, done.stderr
-        assert maps(copy).keys() == names and {depth(content) for content in maps(copy).values()} <= {152, 159}
-        shutil.copytree(copy, again, symlinks=True)
-        run(again, "--stop-at", "0", "--", "--iters", "2")
-        older = {i for i in range(3) if depth(maps(again)[f"depth{10 + i:04d}.dmap"]) == 152}
-        assert {int(line.split()[0]) for line in (again / "fuse.txt").read_text().splitlines()} == older
-        done, calls, report = run(copy, "--", "--iters", "9")
-        assert done.returncode == 0 and len(calls) == len(older) + 1, "nothing that is finished is made again"
-        assert {depth(content) for content in maps(copy).values()} == {159} and len(report) == 3
-        # Every fifth step without VIEWRANK_LONG=1.
-        steps += 1 if LONG else 5
-    assert steps > 10 and len(older) == 2
-
-
-@pytest.mark.parametrize("older", ["plan", "options"])
-def test_a_map_of_an_older_plan_is_not_fused(folder, older):
-    """The run ends before that cluster: its map and its row in report.json exist."""
-    run(folder)
-    if older == "plan":
-        (folder / "clusters/1.mvs").write_text("other partners")
-    done, calls, report = run(folder, "--stop-at", "1", *(["--", "--resolution-level", "1"] if older == "options" else []))
-    fused = scenes(calls)[-1] == "fusing.mvs"
-    assert fused and "left out" in done.stdout and "k1" in done.stdout
-    lines = (folder / "fuse.txt").read_text().splitlines()
-    assert {int(line.split()[0]) for line in lines} == ({0, 2} if older == "plan" else {0})
-    assert "k1" not in report and (folder / "depth0011.dmap").exists()
-
-
-def test_nothing_is_fused_where_all_maps_are_of_other_options(folder):
-    run(folder)
-    done, calls, report = run(folder, "--stop-at", "0", "--", "--resolution-level", "1")
-    assert done.returncode == 1 and calls == [] and report == {} and "nothing to fuse" in done.stdout
-    assert scenes(run(folder)[1]) == ["fusing.mvs"], "their maps are still good for the options that they were made with"
-
-
-def test_openmvs_existing_dmap_header_rewritten(folder):
-    fusion = run(folder)[1][-1]
-    for option, value in (("--geometric-iters", "0"), ("--postprocess-dmaps", "0")):
-        assert fusion[fusion.index(option) + 1] == value, "maps stay as they are"
-
-
-def test_openmvs_number_views_1_is_global(folder):
-    assert all(call[call.index("--number-views") + 1] == "0" for call in run(folder)[1])
-
-
-def test_openmvs_number_views_1_defeats_score_0(folder):
-    """Also for clusters with a single partner, whose scene excludes the partner by a score."""
-    text = (folder / "run.json").read_text().replace("[1, 2]", "[1]")
-    (folder / "run.json").write_text(text)
-    make(folder, **{f"k{i}": [dict(ids=[10 + i, 1], range=[90, 220], depth=150)] for i in range(3)})
-    done, calls, _ = run(folder)
-    assert done.returncode == 0 and all(call[call.index("--number-views") + 1] == "0" for call in calls)
-
-
-@pytest.mark.parametrize("stop, count", [("2", 2), ("60%", 2), ("0s", 0)])
-def test_stops(folder, stop, count):
-    calls = run(folder, "--stop-at", stop, "--no-fusion")[1]
-    assert len(calls) == count
-
-
-def test_ends_when_the_target_is_reached(folder):
-    (folder / "progress.json").write_text('{"target_reached": true}')
-    assert run(folder, "--progress", folder / "progress.json", "--no-fusion")[1] == []
-
-
-def test_single_ranks_then_the_fusion(folder):
-    one = [sys.executable, folder / "run.py", "--densify", folder / "densify", "--rank"]
-    for rank in (2, 1, 2):
-        assert subprocess.run([*one, str(rank)], capture_output=True).returncode == 0
-    calls = [json.loads(line) for line in (folder / "calls.jsonl").read_text().splitlines()]
-    assert scenes(calls) == ["clusters/1.mvs", "clusters/0.mvs"] and not (folder / "report.json").exists()
-    _, calls, report = run(folder, "--stop-at", "0")
-    assert scenes(calls) == ["fusing.mvs"] and sorted(report) == ["k0", "k1"]
-    assert (folder / "fuse.txt").read_text() == "0 1\n1 0\n"
-
-
-def test_a_single_rank_that_is_not_as_planned_fails(folder):
-    make(folder, k1=[])
-    done = subprocess.run([sys.executable, folder / "run.py", "--densify", folder / "densify", "--rank", "2"], capture_output=True, text=True)
-    assert done.returncode == 1 and "no depth map" in done.stdout
-
-
-def of_a_stranger(folder):
-    """What somebody else may leave here, by name."""
-    row = dict(key="k0", digest="a", rank=1, problems=[], filled=10**400, seconds=1)
-    return {
-        "folder for fuse.txt": lambda: (folder / "fuse.txt").mkdir(),
-        "folder for fused.ply": lambda: (folder / "fused.ply").mkdir(),
-        "folder for a map": lambda: (folder / "depth0010.dmap/x").mkdir(parents=True),
-        "folder for a log": lambda: (folder / "DensifyPointCloud-x.log").mkdir(),
-        "list for run.json": lambda: (folder / "run.json").write_text("[]"),
-        "no clusters": lambda: (folder / "run.json").write_text('{"clusters": [[]]}'),
-        "number without a float": lambda: [(folder / "unfinished/0010-a").mkdir(parents=True), (folder / "unfinished/0010-a/row.json").write_text(json.dumps(row)), (folder / "report.json").write_text(json.dumps({"clusters": [row]}))],
-    }
-
-
-@pytest.mark.parametrize("what", of_a_stranger(Path()))
-def test_what_a_stranger_left_is_no_traceback(folder, what):
-    of_a_stranger(folder)[what]()
-    done, _, _ = run(folder)
-    assert "Traceback" not in done.stderr and (done.returncode == 0 or done.stderr.startswith("error: ") and done.returncode == 1), done.stderr
-
-
-def test_a_full_disk_loses_nothing_and_leaves_no_draft(folder):
-    run(folder)
-    before = {name: (folder / name).read_bytes() for name in ("report.json", "fused.ply")}
-    limited = "import resource, sys, runpy; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
-    done, _, _ = run(folder, program=("-c", limited, "run.py"))
-    assert done.returncode == 1 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr, done.stderr
-    assert not list(folder.glob("*.tmp")) and before == {name: (folder / name).read_bytes() for name in before}
+def site(tmp_path, viewrank, plans):  # noqa: F811
+    site = Site(tmp_path, viewrank, plans[4])
+    site.plan("-k", "4", "--budget", "3")
+    return site
+
+
+# viewrank run
+
+
+def test_maps_and_cloud_with_options_by_which_nothing_is_cut_off(site):
+    (site.home / "newer").touch()
+    for rank in (1, 2, 3):
+        site.rank(rank)
+    site.run("--fuse")
+    calls = site.calls()
+    assert list(calls) == ["1", "2", "3", "fuse"] and len(site.maps()) == 3 and not site.left()
+    for call in calls.values():
+        assert (call["number-views"], call["geometric-iters"], call["estimate-roi"], call["crop-to-roi"]) == ("0", "0", "0", "0")
+    assert calls["1"]["fusion-mode"] == "1" and calls["fuse"]["number-views-fuse"] == "2" and calls["fuse"]["fusion-filter"] == "1"
+    assert (site.export / "fused.ply").read_text().startswith("ply") and (site.export / "fused.mvs").exists()
+    for words in (["--rank", 1], ["--rank", 3], ["--fuse"]):
+        assert "nothing to do" in site.run(*words).stderr
+    assert not site.calls()
+
+
+def test_options_of_newer_versions_are_passed_to_these_alone(site):
+    site.rank(1)
+    assert not {"fusion-filter", "estimate-roi"} & set(site.calls()["1"])
+
+
+FAULTS = {
+    "no map": (dict(depth=None), "made no depth map"),
+    "empty": (dict(depth=0), "only 0.0 % of the pixels have a depth"),
+    "cut off": (dict(bytes=5000), "pixels need"),
+    "of another image": (dict(ids=[9999, 1]), "is of image 9999"),
+    "other partners": (dict(ids="fewer"), "instead of"),
+    "range": (dict(range=[0.1, 100]), "searched depths of 0.1"),
+    "newer": (dict(kind="D3"), "newer than this viewrank"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_map_that_is_not_what_the_plan_asked_for_takes_no_place(site, fault):
+    """DensifyPointCloud ends with success whatever it did."""
+    made, said = FAULTS[fault]
+    if made.get("ids") == "fewer":
+        made = dict(ids=site.rows[1]["ids"][:-1])
+    site.map(2).write_bytes(b"of an older plan")
+    site.makes(_2=made)
+    done = site.rank(2, expect=1)
+    assert said in done.stderr and "rank 2" in done.stderr, done.stderr
+    assert site.maps() == {site.map(2).name: b"of an older plan"}
+    site.run("--fuse")
+    assert list(site.calls()) == ["2"], "nothing to fuse"
+    site.makes()
+    site.rank(2)
+    assert len(site.map(2).read_bytes()) > 1000 and not site.left()
+
+
+def test_an_unfinished_run_is_fused_from_the_maps_that_are_there(site):
+    """Images of other key views have no pose: none is loaded."""
+    site.rank(3)
+    site.rank(1)
+    site.run("--fuse")
+    assert json.loads((site.home / "lists.json").read_text()) == [[0, 2], [2, 0]]
+    assert [image[2][2] == 0xFFFFFFFF for image in Mvs(site.home / "fuse.mvs").images] == [False, True, False]
+    site.rank(2)
+    site.run("--fuse")
+    assert [key for key, *_ in json.loads((site.home / "lists.json").read_text())] == [0, 1, 2]
+
+
+def test_one_map_alone_is_fused_with_what_it_has(site):
+    site.rank(1)
+    site.run("--fuse")
+    assert site.calls()["fuse"]["number-views-fuse"] == "1"
+
+
+def test_a_fusion_that_fails_leaves_the_cloud_of_before(site):
+    site.rank(1)
+    site.run("--fuse")
+    before = (site.export / "fused.ply").read_bytes()
+    site.rank(2)
+    site.makes(fusion={})
+    assert "fused.mvs" in site.run("--fuse", expect=1).stderr
+    assert (site.export / "fused.ply").read_bytes() == before
+    site.makes()
+    site.run("--fuse")
+
+
+@pytest.mark.parametrize("kind", ["DR", "D2"])
+def test_maps_of_half_the_size_are_fused_at_full_size(tmp_path, viewrank, plans, kind):  # noqa: F811
+    """DensifyPointCloud would silently fuse them with the camera of the full image."""
+    site = Site(tmp_path, viewrank, plans["sizes"])
+    site.plan("-k", "4", "--scales", "1,0.5", "--budget", "40%", "--target", "100%")
+    site.makes(**{f"_{row['rank']}": dict(kind=kind) for row in site.rows})
+    sizes = {row["resolution"] for row in site.rows}
+    assert len(sizes) == 2 and max(sizes) == 2 * min(sizes)
+    for row in site.rows:
+        site.rank(row["rank"])
+    before = site.maps()
+    assert len({len(content) for content in before.values()}) == 2
+    site.run("--fuse")
+    assert site.maps() == before and not site.left()
+    assert "not fused" in site.script().stdout, "the script leaves that to viewrank"
+
+
+def test_maps_of_two_kinds_are_not_mixed(site):
+    """OpenMVS reads only maps of the kind that it writes."""
+    site.rank(1)
+    before = site.maps()
+    site.makes(_2=dict(kind="D2"))
+    said = site.rank(2, expect=1).stderr
+    assert site.map(1).name in said and "D2" in said and "--program" in said and site.maps() == before
+    site.map(1).rename(site.home / "kept")
+    site.rank(2)
+    (site.home / "kept").rename(site.map(1))
+    assert "of the kind" in site.run("--fuse", expect=1).stderr
+
+
+def test_a_picture_that_changed_since_the_plan_is_not_matched(site):
+    picture = site.project / "images" / site.rows[0]["key"]
+    content = picture.read_bytes()
+    picture.unlink()  # may be a link
+    picture.write_bytes(content + b"\0")
+    assert "changed since" in site.rank(1, expect=1).stderr
+    assert "has changed since the plan" in site.script().stderr and not site.calls()
+
+
+def test_what_a_stranger_left_where_a_map_is_made_is_not_followed(site, tmp_path):
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside/letter").write_text("precious")
+    work = site.export / "unfinished/0001"
+    work.mkdir(parents=True)
+    (work / site.rows[0]["map"]).symlink_to(tmp_path / "outside/letter")
+    (work / "DensifyPointCloud.cfg").write_text("output-file=/tmp/x")
+    site.rank(1)
+    assert site.calls()["1"]["config-file"].endswith("options.cfg")
+    shutil.rmtree(site.export / "unfinished")
+    (site.export / "unfinished").symlink_to(tmp_path / "outside")
+    site.rank(2, expect=1)
+    assert [path.name for path in (tmp_path / "outside").iterdir()] == ["letter"] and (tmp_path / "outside/letter").read_text() == "precious"
+
+
+# The script
+
+
+def test_the_script_computes_in_rank_order_and_fuses_and_viewrank_knows_its_maps(site):
+    done = site.script("--stop-at", "2")
+    assert done.returncode == 0 and "viewrank run" in done.stdout and list(site.calls()) == ["1", "2"], done.stderr
+    assert "nothing to do" in site.rank(2).stderr
+    assert site.script().returncode == 0 and list(site.calls()) == ["3", "fuse"] and not site.left()
+    assert (site.export / "fused.ply").read_text().startswith("ply")
+    assert "nothing to do" in site.rank(3).stderr and not site.calls()
+
+
+def test_the_script_makes_maps_of_other_partners_anew(site):
+    assert site.script().returncode == 0
+    site.calls()
+    before = site.maps()
+    (site.project / "none").mkdir()
+    site.plan("-k", "3", "--budget", "3", "--finished", site.project / "none")
+    again = {row["map"] for row in site.rows}
+    site.script()
+    assert set(site.calls()) == {"1", "2", "3", "fuse"} and again <= set(site.maps()) and site.maps() != before
+
+
+@pytest.mark.parametrize("kill", [None, signal.SIGKILL], ids=["failed", "killed"])
+def test_a_script_that_fails_or_is_killed_loses_no_map(site, kill):
+    site.makes(_2=dict(depth=None) if kill is None else dict(kill=kill))
+    site.map(2).write_bytes(b"of an older plan")
+    done = site.script()
+    assert done.returncode != 0 and site.map(2).read_bytes() == b"of an older plan" and site.map(1).exists() and not (site.export / "fused.ply").exists()
+    assert kill or "1 of 3 depth maps failed" in done.stderr
+    site.makes()
+    site.calls()
+    assert site.script().returncode == 0 and set(site.calls()) >= {"2", "fuse"} and "1" not in site.calls()
 
 
 @pytest.mark.parametrize("entry", ["", ".", "images"])
-def test_no_program_of_this_folder_is_started(folder, entry):
-    program = folder / entry / "DensifyPointCloud"
-    program.write_text("#!/bin/sh\ntouch started\n")
-    program.chmod(0o755)
-    environment = {**os.environ, "PATH": f"{entry}{os.pathsep}/usr/bin"}
-    done = subprocess.run([sys.executable, "-I", "run.py"], env=environment, capture_output=True, text=True, cwd=folder)
-    assert done.returncode == 1 and "no program" in done.stderr and not list(folder.rglob("started"))
+def test_no_program_of_the_folder_is_started(site, entry):
+    for name in ("DensifyPointCloud", "images/DensifyPointCloud"):
+        (site.export / name).write_text(f"#!/bin/sh\n: > '{site.home}/taken'\n")
+        (site.export / name).chmod(0o755)
+    environment = {"PATH": f"{entry}:/usr/bin:/bin"}
+    done = subprocess.run([sys.executable, "-I", "run.py"], env=environment, capture_output=True, text=True, cwd=site.export)
+    assert done.returncode == 1 and "no program" in done.stderr and not (site.home / "taken").exists()

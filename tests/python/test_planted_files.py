@@ -12,7 +12,7 @@ import pytest
 
 from conftest import ROOT
 from test_export_formats import SIDE_FILE
-from test_openmvs_runner import folder, make, maps, run  # noqa: F401 (a fixture)
+from test_openmvs_runner import STAND_IN
 from test_run_scripts import COLMAP, DMRECON, RUN, SCENE2PSET, Work, plans, work  # noqa: F401 (fixtures)
 
 pytestmark = pytest.mark.usefixtures("without_pilot")
@@ -318,19 +318,6 @@ def test_realityscan_takes_only_what_is_listed(tmp_path):
 # OpenMVS
 
 
-@pytest.mark.parametrize("kind, bits, size", [(b"DR", 0, (1, 0xFFFFFFFF)), (b"DR", 14, (4, 4)), (b"DR", 1, (0xFFFFFFFF, 1)), (b"DR", 1, (1, 0xFFFFFFFF)), (b"D2", 1, (402, 300)),
-                                              (b"DR", 15, (401, 302)), (b"DR", 1, (10_000, 10))])
-def test_a_planted_map_without_depths_or_larger_than_its_image_is_not_read(folder, kind, bits, size):  # noqa: F811
-    place = planted_row(folder)
-    head = kind + bytes([bits, 0]) + struct.pack("<4I2f", *size, *size, 90, 220) + (b"" if kind == b"DR" else bytes(4))
-    head += struct.pack("<H", 1) + b"a" + struct.pack("<4I", 3, 10, 1, 2) + bytes(168)
-    (place / "depth0010.dmap").write_bytes(head)
-    os.truncate(place / "depth0010.dmap", len(head) + 24 * size[0] * size[1])
-    command = [sys.executable, folder / "run.py", "--densify", folder / "densify", "--rank", "1"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0 and "Traceback" not in done.stderr and (folder / "depth0010.dmap").stat().st_size < 1000, done.stderr
-
-
 def put(path, how):
     """Puts an odd thing in the place of a record."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -341,17 +328,22 @@ def put(path, how):
 ODD = ["pipe", "link", "long"]
 
 
+@pytest.fixture
+def exported(viewrank, plans, tmp_path):  # noqa: F811
+    """An export for OpenMVS with a stub beside it."""
+    return Work(viewrank, plans, "openmvs", tmp_path, {"densify": STAND_IN.format(python=sys.executable)})
+
+
+def run_py(exported):
+    command = [sys.executable, exported.folder / "run.py", "--densify", exported.bin / "densify", "--stop-at", "2"]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
 @pytest.mark.parametrize("how", ODD)
-@pytest.mark.parametrize("name", ["report.json", "rows/0010.json", "kinds.json", "unfinished/0010-a/row.json", "run.json", "links.txt", "../progress.json"])
-def test_odd_records_end_the_run_with_one_error(folder, name, how):  # noqa: F811
-    inside = folder / "export"
-    inside.mkdir()
-    for path in list(folder.iterdir()):
-        if path != inside:
-            path.rename(inside / path.name)
-    put(inside / name, how)
-    command = [sys.executable, inside / "run.py", "--densify", inside / "densify", "--progress", inside / "../progress.json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+@pytest.mark.parametrize("name", ["run.json", "links.txt", "done"])
+def test_odd_records_end_the_run_with_one_error(exported, name, how):
+    put(exported.folder / name, how)
+    done = run_py(exported)
     assert done.returncode == 1 and done.stderr.startswith("error: ") and len(done.stderr.splitlines()) <= 2, done.stderr
 
 
@@ -386,62 +378,24 @@ def test_planted_orientations_end_with_one_error(tmp_path, more):
     assert done.returncode == bool(more) and len(done.stderr.splitlines()) == bool(more), done.stderr
 
 
-def planted_row(folder, name="0010-evil", **changes):  # noqa: F811
-    """The note of a run that is said to have been killed; returns its folder."""
-    place = folder / "unfinished" / name
-    place.mkdir(parents=True)
-    row = {"key": "k0", "digest": "x", "rank": 1, "problems": [], "partner_ids": [1, 2], "filled": 1.0, "seconds": 1, **changes}
-    (place / "row.json").write_text(json.dumps(row))
-    return place
-
-
-def test_a_planted_map_takes_no_place(folder):  # noqa: F811
-    run(folder)
-    before = maps(folder)
-    place = planted_row(folder)
-    (place / "depth0010.dmap").write_bytes(before["depth0011.dmap"])
-    done, _, report = run(folder)
-    assert done.returncode == 0 and maps(folder) == before and report["k0"]["digest"] != "x", done.stderr
-
-
 DEEP = "[" * 100_000
 
 
-@pytest.mark.parametrize("text", ["[]", "3", '"a"', DEEP, '{"clusters": 3}', '{"clusters": [3, {}, {"key": []}]}', '{"clusters": [{"key": "k0", "digest": "x"}]}',
-                                  '{"clusters": [{"key": "k0", "digest": "x", "rank": 1, "problems": [{}], "filled": "x", "seconds": null}]}', '{"older": {"a": 1}, "clusters": []}'])
-@pytest.mark.parametrize("name", ["report.json", "rows/0010.json", "kinds.json", "unfinished/0010-a/row.json", "progress.json"])
-def test_planted_records_count_as_none(folder, name, text):  # noqa: F811
-    path = folder / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    done, calls, report = run(folder, "--progress", "progress.json")
-    assert done.returncode == 0 and "Traceback" not in done.stderr and len(report) == 3 and len(calls) == 4, done.stderr
+def test_what_run_json_says_reaches_no_terminal(exported):
+    planted = json.loads((exported.folder / "run.json").read_text())
+    for row in planted["clusters"]:
+        row["key"] = ESCAPE
+    (exported.folder / "run.json").write_text(json.dumps(planted))
+    done = run_py(exported)
+    assert done.returncode == 0 and "owned" in done.stdout and "\x1b" not in done.stdout + done.stderr and "\x07" not in done.stdout + done.stderr
 
 
-def test_what_rows_and_kinds_say_reaches_no_terminal(folder):  # noqa: F811
-    run(folder)
-    report = json.loads((folder / "report.json").read_text())
-    for row in report["clusters"]:
-        row["problems"], row["kind"] = [ESCAPE], ESCAPE
-    (folder / "report.json").write_text(json.dumps(report))
-    (folder / "kinds.json").write_text(json.dumps(dict.fromkeys(json.loads((folder / "kinds.json").read_text()), ESCAPE)))
-    planted_row(folder, problems=[ESCAPE], digest=report["clusters"][0]["digest"])
-    planted = json.loads((folder / "run.json").read_text())
-    planted["clusters"][2]["key"] = ESCAPE
-    (folder / "run.json").write_text(json.dumps(planted))
-    make(folder, k1=[dict(ids=[11, 1], range=[90, 220], depth=150)])
-    done, _, _ = run(folder)
-    assert "Traceback" not in done.stderr and "instead of" in done.stdout
-    assert "\x1b" not in done.stdout + done.stderr and "\x07" not in done.stdout + done.stderr
-
-
-def test_a_link_of_the_export_that_leads_to_a_folder_is_refused(folder, tmp_path_factory):  # noqa: F811
-    picture = folder / "images/k0"
-    (folder / "links.txt").write_text("./images/k0\n")
+def test_a_link_of_the_export_that_leads_to_a_folder_is_refused(exported, tmp_path_factory):
+    picture = next((exported.folder / "images").iterdir())
     picture.unlink()
     picture.symlink_to(tmp_path_factory.mktemp("outside"))
-    done, calls, _ = run(folder)
-    assert done.returncode == 1 and "images/k0" in done.stderr and not calls
+    done = run_py(exported)
+    assert done.returncode == 1 and f"images/{picture.name}" in done.stderr and not (exported.bin / "calls.jsonl").exists()
 
 
 # PatchmatchNet

@@ -18,7 +18,10 @@ use std::{
 };
 
 use crate::{
-    backends::{self, BACKENDS, Backend, BackendError, Export, Selection, TaskRunner, recipe},
+    backends::{
+        self, BACKENDS, Backend, BackendError, Export, Selection, TaskRunner, hash, task_id,
+        task_marker,
+    },
     base::{
         error::{Advice, Hint},
         input::FileKind,
@@ -31,7 +34,7 @@ use crate::{
         output::{self, Contents, Disk, FileSet, Folder, OutputError},
         project::Project,
     },
-    model::cluster::RankedCluster,
+    model::cluster::{MapScale, RankedCluster},
     show::manifest::WrittenPlan,
 };
 
@@ -44,6 +47,8 @@ pub struct Task {
     pub marker: String,
     /// Hash of the key view and its partners, their poses, and how they are matched.
     pub id: String,
+    /// The same for a map of full size, which is as good as one of half the size.
+    id_at_full_size: String,
     pub map: PathBuf,
     /// Name of the key view.
     pub key: String,
@@ -154,12 +159,21 @@ impl Dispatch {
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
-            let options = format!("{} {}", backend.name, export.record.image_scale);
-            let (marker, id) = (hash([key]), recipe(selection, cluster, &options));
+            let id = |scale| {
+                task_id(
+                    backend,
+                    selection,
+                    &RankedCluster {
+                        scale,
+                        ..cluster.clone()
+                    },
+                )
+            };
             Some(Task {
                 rank: i + 1,
-                marker,
-                id,
+                marker: task_marker(key),
+                id: id(cluster.scale),
+                id_at_full_size: id(MapScale::Full),
                 map: absolute(&map),
                 key: key.into(),
             })
@@ -275,17 +289,22 @@ impl Dispatch {
     /// Returns whether the task's depth map exists and either was made from this key view and these
     /// partners with their current poses, or is one that the plan was ranked around.
     pub fn is_done(&self, task: &Task) -> bool {
-        let noted = || self.own_text(&format!("done/{}", task.marker));
-        (task.rank <= self.finished || noted().trim() == task.id)
+        let is_noted = || {
+            let noted = self.own_text(&format!("done/{}", task.marker));
+            [&task.id, &task.id_at_full_size].contains(&&noted.trim().to_owned())
+        };
+        (task.rank <= self.finished || is_noted())
             && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
+    }
+
+    /// Returns the finished tasks, in rank order.
+    pub fn finished_tasks(&self) -> impl Iterator<Item = &Task> {
+        self.tasks.iter().filter(|task| self.is_done(task))
     }
 
     /// Returns the depth maps of the finished tasks.
     pub fn finished_maps(&self) -> impl Iterator<Item = &Path> {
-        self.tasks
-            .iter()
-            .filter(|task| self.is_done(task))
-            .map(|task| &*task.map)
+        self.finished_tasks().map(|task| &*task.map)
     }
 
     /// Refuses a project in which something other than files would be read, or written through
@@ -366,8 +385,9 @@ impl Dispatch {
 
     /// Returns a line with the id of each finished task.
     fn done_ids(&self) -> String {
-        let done = self.tasks.iter().filter(|task| self.is_done(task));
-        done.map(|task| format!("{}\n", task.id)).collect()
+        self.finished_tasks()
+            .map(|task| format!("{}\n", task.id))
+            .collect()
     }
 
     /// Reads a file in [`Self::folder`]; links are not followed.
@@ -394,17 +414,6 @@ fn scripts(files: &FileSet) -> BTreeMap<String, Vec<u8>> {
         _ => None,
     };
     files.files.iter().filter_map(script).collect()
-}
-
-/// Returns 16 hexadecimal digits of BLAKE3 over the texts.
-fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
-    let mut hasher = blake3::Hasher::new();
-    for text in texts {
-        hasher
-            .update(&(text.len() as u64).to_le_bytes())
-            .update(text.as_bytes());
-    }
-    hasher.finalize().to_hex()[..16].into()
 }
 
 /// An error in handing clusters to a queue.

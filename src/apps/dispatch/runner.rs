@@ -141,16 +141,23 @@ impl Dispatch {
 
     /// Runs the commands of a task, each if the one before succeeds.
     fn run(&self, product: Product, runner: &Runner) -> Result<TaskResult, DispatchError> {
+        let finished: Vec<usize> = self.finished_tasks().map(|task| task.rank).collect();
         let call = Call {
             product,
             workplace: &self.workplace,
             project: &self.project,
+            finished: &finished,
             program: &runner.tools.program,
             python: &runner.tools.python,
             threads: runner.threads,
             image_scale: self.image_scale,
         };
-        for words in (self.runner.commands)(&call) {
+        let commands = match (self.runner.commands)(&call) {
+            Ok(commands) => commands,
+            Err(reason) => return Ok(TaskResult::Failed(reason)),
+        };
+        let mut said = String::new();
+        for words in commands {
             // Somebody may have changed them while another process was waited for.
             self.refuse_other_programs()?;
             let program = words[0].to_string_lossy().into_owned();
@@ -166,17 +173,20 @@ impl Dispatch {
                 // The current folder may be a stranger's.
                 .current_dir("/");
             match runner.ended(&mut command).map_err(failed)? {
-                TaskResult::Done => {}
-                other => return Ok(other),
+                (TaskResult::Done, output) => said = output,
+                (other, _) => return Ok(other),
             }
         }
-        Ok(TaskResult::Done)
+        Ok(match (self.runner.finish)(&call) {
+            Ok(()) => TaskResult::Done,
+            Err(reason) => TaskResult::Failed(format!("{reason}\n{said}").trim().into()),
+        })
     }
 }
 
 impl Runner<'_> {
-    /// Starts a command and waits for its end.
-    fn ended(&self, command: &mut Command) -> io::Result<TaskResult> {
+    /// Starts a command and waits for its end; returns the last that it said, too.
+    fn ended(&self, command: &mut Command) -> io::Result<(TaskResult, String)> {
         let mut output = None;
         if self.owner == Owner::Viewrank {
             let file = tempfile::tempfile()?;
@@ -187,11 +197,12 @@ impl Runner<'_> {
         let mut child = command.spawn()?;
         loop {
             if let Some(status) = child.try_wait()? {
-                let said = || output.and_then(|mut file| tail(&mut file).ok());
+                let said = output.and_then(|mut file| tail(&mut file).ok());
+                let said = said.unwrap_or_default();
                 return Ok(if status.success() {
-                    TaskResult::Done
+                    (TaskResult::Done, said)
                 } else {
-                    TaskResult::Failed(said().unwrap_or_default())
+                    (TaskResult::Failed(said.clone()), said)
                 });
             }
             if self.stop.load(Ordering::Relaxed) {
@@ -200,7 +211,7 @@ impl Runner<'_> {
                     Owner::Queue => Ending::Child,
                 };
                 platform::end(&mut child, processes);
-                return Ok(TaskResult::Stopped);
+                return Ok((TaskResult::Stopped, String::new()));
             }
             thread::sleep(PAUSE);
         }

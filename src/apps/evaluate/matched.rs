@@ -42,8 +42,7 @@ struct File {
 #[derive(Deserialize)]
 struct Row {
     key: String,
-    /// Absent in reports of OpenMVS's runner, which name the partners by ids; its depth maps hold
-    /// these ids too.
+    /// Absent in reports of earlier exports for OpenMVS, whose depth maps hold the ids.
     partners: Option<Vec<Partner>>,
 }
 

@@ -28,7 +28,7 @@ use super::{
     ExportRecord, Honours, LastRun, PATCH_MATCH, PlanningNumbers, Product, References, Selection,
     TaskRunner, Trap,
     record::{at_full_size, capped_scale},
-    runner::words,
+    runner::{finishes_itself, words},
     selection,
     workspace::{Workspace, add_workspace},
 };
@@ -104,18 +104,19 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         program: "colmap",
         variable: "COLMAP",
         commands,
+        finish: finishes_itself,
         state: &["stereo/viewrank/maps.tsv", "export.json"],
         cloud: export.files.root.join(FUSED),
         maps: selection.clusters.iter().map(map).collect(),
     })
 }
 
-fn commands(call: &Call) -> Vec<Vec<OsString>> {
+fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     let script = call.workplace.join("stereo/viewrank/run.sh");
-    vec![match call.product {
+    Ok(vec![match call.product {
         Product::Map(rank) => words([&"sh", &script, &"--rank", &rank.to_string()]),
         Product::Cloud => words([&"sh", &script, &"--fuse"]),
-    }]
+    }])
 }
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {

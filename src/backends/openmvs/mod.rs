@@ -4,18 +4,19 @@
 //! units regardless of the scene. So each cluster becomes a scene of its own, in which only the key
 //! view can be computed and the depth range comes from its sparse points. The scenes share a folder
 //! and the ids of the images, which name the depth maps; a final run fuses these in a scene of the
-//! key views. `run.py` does all that and checks each map, since DensifyPointCloud exits with 0 even
-//! on failure.
+//! key views. [`run`] does all that and checks each map, since DensifyPointCloud exits with 0 even
+//! on failure; `run.py` is what remains of it where there is no viewrank.
 
-use std::{collections::BTreeMap, ffi::OsString, fs};
+use std::{collections::BTreeMap, fs};
 
-use serde::Serialize;
-
-use self::scene::{Builder, DepthRange};
+use self::{
+    run::{Row, Run},
+    scene::Builder,
+};
 use super::{
-    Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
-    ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap,
-    record::capped_scale, runner::words, selection, strangers::list_links,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, clusters::task_id,
+    record::capped_scale, selection, strangers::list_links,
 };
 use crate::{
     base::{printable::to_json, shell::command_path},
@@ -27,13 +28,14 @@ use crate::{
     method::confidence::{PairConfidence, Photometric},
     model::{
         camera::Camera,
-        cluster::{Gate, MapScale, RankedCluster},
+        cluster::{Gate, RankedCluster},
         scene::ViewIndex,
     },
     plan::WorkPerMap,
 };
 
 mod neighbours;
+mod run;
 mod scene;
 
 /// Depth maps that must agree on a point of the fused cloud.
@@ -98,7 +100,7 @@ pub static BACKEND: Backend = Backend {
         partners: Honours::Yes,
         key_subset: Honours::Yes,
         order: Honours::Yes,
-        fusion: "run.py fuses the key views' maps where at least two agree",
+        fusion: "of the key views' maps, where at least two agree",
         notes: "one small scene per cluster; the order of partners is OpenMVS's own, all of them are used",
     },
     planning: PLANNING,
@@ -122,28 +124,12 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     Some(TaskRunner {
         program: "DensifyPointCloud",
         variable: "DENSIFY",
-        commands,
+        commands: run::commands,
+        finish: run::finish,
         state: &[],
         cloud: export.files.root.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })
-}
-
-fn commands(call: &Call) -> Vec<Vec<OsString>> {
-    let script = call.workplace.join("run.py");
-    let (option, number) = match call.product {
-        Product::Map(rank) => ("--rank", rank),
-        Product::Cloud => ("--stop-at", 0),
-    };
-    vec![words([
-        &call.python,
-        &"-I",
-        &script,
-        &"--threads",
-        &call.threads.to_string(),
-        &option,
-        &number.to_string(),
-    ])]
 }
 
 /// Finds coordinates too large for the f32 points and cameras of a scene.mvs.
@@ -173,10 +159,7 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     views: Vec::new(),
 });
     let folder = &examined.project.root;
-    let cure = format!(
-        "remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap",
-        command_path(folder)
-    );
+    let cure = format!("remove them: rm {}/depth*.dmap", command_path(folder));
     let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
     let maps = examined.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
     trap.into_iter().chain(named).chain(maps).collect()
@@ -188,15 +171,18 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     check_names(BACKEND.name, selection)?;
     let images = selection.undistorted_images(BACKEND.name)?;
+    // Of the plan, not of scenes that were moved.
+    let task = |cluster| task_id(&BACKEND, selection, cluster);
+    let ids: Vec<String> = selection.clusters.iter().map(task).collect();
     let near = selection.near_origin();
     let selection = &near.selection();
     let builder = Builder::new(selection);
     let mut files = options.file_set(&BACKEND, selection);
     let mut rows = Vec::new();
-    for (rank, cluster) in (1..).zip(selection.clusters) {
+    for ((rank, cluster), id) in (1..).zip(selection.clusters).zip(ids) {
         let (mvs, range) = builder.cluster(cluster);
-        let row = Row::new(selection, &builder, rank, cluster, &range);
-        files.add(&*row.scene, Contents::Bytes(mvs.write()));
+        let row = Row::new(selection, &builder, (rank, cluster, id), &range);
+        files.add(row.scene(), Contents::Bytes(mvs.write()));
         rows.push(row);
     }
     let mut pictures = BTreeMap::new();
@@ -211,16 +197,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let (common, overlaps) = common_project(selection);
     files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
-    let run = Run {
-        clusters: rows,
-        overlaps,
-        fused_with: selection::FUSED_WITH,
-        maps_per_point: MAPS_PER_POINT,
-        resolution: resolution(selection),
-        pictures,
-    };
+    files.add_text("fuse.txt", run::neighbours(&overlaps));
+    let run = Run::new(selection, options, rows, overlaps, pictures);
     files.add_text("run.json", to_json(&run));
     files.add_text("dense.cfg", dense_config(selection));
+    files.add_text("options.cfg", run::NO_OPTIONS);
     list_links(&mut files);
     files.add_script(
         "run.py",
@@ -269,66 +250,6 @@ fn record_of(selection: &Selection) -> ExportRecord {
 /// that run OpenMVS themselves.
 pub(super) fn joint_scene(selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
     Builder::new(selection).joint(selection, path)
-}
-
-/// A row of `run.json`.
-#[derive(Serialize)]
-struct Row {
-    rank: usize,
-    scene: String,
-    key: String,
-    /// Path of its image, relative to this folder.
-    image: String,
-    id: u32,
-    partner_ids: Vec<u32>,
-    /// 1, or 0.5 for a map of half the size.
-    scale: MapScale,
-    /// Size of the key view's image, pixels.
-    size: [u32; 2],
-    share: f64,
-    /// Least and greatest depth of the sparse points; OpenMVS searches 0.9 and 1.1 times that.
-    depths: [f64; 2],
-}
-
-impl Row {
-    fn new(
-        selection: &Selection,
-        builder: &Builder,
-        rank: usize,
-        cluster: &RankedCluster,
-        range: &DepthRange,
-    ) -> Self {
-        let camera = selection.scene.camera_of(cluster.key);
-        let id = |view: ViewIndex| selection.scene.view(view).image_id;
-        Self {
-            rank,
-            scene: format!("clusters/{rank:04}.mvs"),
-            key: selection.scene.name(cluster.key).into(),
-            image: builder.image(cluster.key),
-            id: id(cluster.key),
-            partner_ids: cluster.partners.iter().map(|&p| id(p)).collect(),
-            scale: cluster.scale,
-            size: [camera.width, camera.height],
-            share: cluster.share,
-            depths: [range.least, range.greatest],
-        }
-    }
-}
-
-/// Content of `run.json`, the input of `run.py`.
-#[derive(Serialize)]
-struct Run {
-    clusters: Vec<Row>,
-    /// For each image of `fuse.mvs`, the indices of the key views that overlap it, best first, as
-    /// many as a fusion of the first maps may need; empty if it is not a key view.
-    overlaps: Vec<Vec<usize>>,
-    /// Number of finished maps, the best ones, that a fusion compares with it.
-    fused_with: usize,
-    maps_per_point: usize,
-    /// Long side of the matched images, pixels.
-    resolution: u32,
-    /// Length of the file of each image, bytes, to notice another picture of the same name.
-    pictures: BTreeMap<String, u64>,
 }
 
 /// Returns the images of the fusion (key views in rank order, and a partner if there is only one

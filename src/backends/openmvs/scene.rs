@@ -22,6 +22,9 @@ use crate::{
 /// than three in total.
 const LEAST_SHARED: usize = 4;
 
+/// Path of the export from the folder in which a map is made.
+const FROM_A_TASK: &[u8; 6] = b"../../";
+
 /// Inputs shared by all scenes of an export.
 pub struct Builder<'a> {
     scene: &'a Scene,
@@ -92,6 +95,9 @@ impl<'a> Builder<'a> {
     /// partner has a single neighbour, one less than OpenMVS requires.
     pub fn cluster(&self, cluster: &RankedCluster) -> (Mvs, DepthRange) {
         let mut mvs = self.images(&Vec::from_iter(cluster.views()));
+        for image in &mut mvs.images {
+            image.name.splice(..0, *FROM_A_TASK);
+        }
         let mut range = DepthRange {
             least: f64::INFINITY,
             greatest: 0.0,

@@ -8,7 +8,7 @@ use std::ffi::{OsStr, OsString};
 use super::{
     Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
     ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap, place,
-    runner::words,
+    runner::{finishes_itself, words},
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
 };
 use crate::{
@@ -108,13 +108,14 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         program: "sgm.py",
         variable: "SGM",
         commands,
+        finish: finishes_itself,
         state: &[],
         cloud: out.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })
 }
 
-fn commands(call: &Call) -> Vec<Vec<OsString>> {
+fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     let out = call.project.join("sgm");
     let command = |what: &str, options: &[&dyn AsRef<OsStr>]| {
         let mut command = words([
@@ -132,7 +133,7 @@ fn commands(call: &Call) -> Vec<Vec<OsString>> {
         command.extend(options.iter().map(|option| option.as_ref().to_owned()));
         command
     };
-    match call.product {
+    Ok(match call.product {
         Product::Map(rank) => {
             let (cache, rank) = (out.join("pairs"), rank.to_string());
             vec![command("match", &[&"--cache", &cache, &"--rank", &rank])]
@@ -141,7 +142,7 @@ fn commands(call: &Call) -> Vec<Vec<OsString>> {
             command("match", &[&"--stop-at", &"0"]),
             command("fuse", &[]),
         ],
-    }
+    })
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

@@ -321,8 +321,8 @@ fn mve_scale(name: &str) -> Option<u8> {
         .ok()
 }
 
-/// Returns whether `integrations/openmvs/run.py` is still writing the map
-/// (`unfinished/0012-NAME/depth0012.dmap`), or fuses it (`unfinished/fusion-NAME/depth0012.dmap`).
+/// Returns whether OpenMVS is still writing the map (`unfinished/0007/depth0012.dmap`), or fuses it
+/// (`unfinished/fusion/depth0012.dmap`).
 fn is_unfinished(path: &Path) -> bool {
     let above = path.ancestors().nth(2).and_then(Path::file_name);
     above.is_some_and(|name| name == "unfinished")

@@ -8,7 +8,7 @@ mod find;
 mod micmac;
 mod mvei;
 mod npy;
-mod openmvs;
+pub mod openmvs;
 mod pfm;
 #[cfg(test)]
 mod tests;

@@ -13,16 +13,18 @@ use nom::{
     combinator::verify,
     error::ErrorKind,
     multi::{length_data, many},
-    number::complete::{le_u16, le_u32},
+    number::complete::{le_f32, le_u16, le_u32},
 };
 use viewrank_core::base::pixels::PixelBound;
 
 use super::{Parsed, Plane, floats, plane};
 
+mod whole;
+
+pub use whole::WholeMap;
+
 /// Letters, type, exponent, width and height of the image.
 const BEFORE_THE_SIZE: usize = 12;
-/// Least and greatest depth, which viewrank does not need; f32 each.
-const RANGE: usize = 8;
 /// Value of a confidence of 255 in `D2`, f32.
 const CONFIDENCE: usize = 4;
 /// K, R and C in f64.
@@ -88,8 +90,12 @@ pub(super) fn parse(bytes: &[u8], bound: PixelBound, ids: &mut Vec<u32>) -> Pars
 /// Everything before the depth plane.
 pub(super) struct Header {
     kind: Kind,
+    /// Bits of the planes that follow.
+    planes: u8,
     pub width: u32,
     pub height: u32,
+    /// Least and greatest depth that was searched, scene units.
+    range: [f32; 2],
     /// Path of the image, relative to the map's folder.
     pub image: String,
     pub ids: Vec<u32>,
@@ -102,7 +108,7 @@ pub(super) fn header(bytes: &[u8]) -> Parsed<Header> {
     if bytes.get(2).is_some_and(|planes| planes & HAS_DEPTH == 0) {
         return Err((2, "the file has no depth plane".into()));
     }
-    let (rest, (width, height, image, ids)) = fields(kind, bytes).map_err(|error| {
+    let (rest, fields) = fields(kind, bytes).map_err(|error| {
         // All but an implausible number of views is an early end.
         let left = match error {
             nom::Err::Error(error) if error.code == ErrorKind::Verify => error.input.len(),
@@ -111,34 +117,37 @@ pub(super) fn header(bytes: &[u8]) -> Parsed<Header> {
         let what = format!("the header ends too early, or names more than {MOST_IDS} views");
         (bytes.len() - left, what)
     })?;
+    let (size, range, image, ids) = fields;
     Ok(Header {
         kind,
-        width,
-        height,
+        planes: bytes[2],
+        width: size.0,
+        height: size.1,
+        range: range.into(),
         image: String::from_utf8_lossy(image).into_owned(),
         ids,
         length: bytes.len() - rest.len(),
     })
 }
 
-/// Width, height, path of the image, and ids.
-type Fields<'a> = (u32, u32, &'a [u8], Vec<u32>);
+/// Width and height, range of depths, path of the image, and ids.
+type Fields<'a> = ((u32, u32), (f32, f32), &'a [u8], Vec<u32>);
 
 fn fields(kind: Kind, bytes: &[u8]) -> IResult<&[u8], Fields<'_>> {
-    let behind_the_size = match kind {
-        Kind::Floats => RANGE,
-        Kind::Halves { .. } => RANGE + CONFIDENCE,
+    let behind_the_range = match kind {
+        Kind::Floats => 0,
+        Kind::Halves { .. } => CONFIDENCE,
     };
     let is_plausible = |count: &u32| *count <= MOST_IDS;
-    let (rest, (_, width, height, _, image, count)) = (
+    let (rest, (_, size, range, _, image, count)) = (
         take(BEFORE_THE_SIZE),
-        le_u32,
-        le_u32,
-        take(behind_the_size),
+        (le_u32, le_u32),
+        (le_f32, le_f32),
+        take(behind_the_range),
         length_data(le_u16),
         verify(le_u32, is_plausible),
     )
         .parse(bytes)?;
     let (rest, (ids, _)) = (many(count as usize, le_u32), take(MATRICES)).parse(rest)?;
-    Ok((rest, (width, height, image, ids)))
+    Ok((rest, (size, range, image, ids)))
 }

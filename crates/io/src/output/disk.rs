@@ -228,6 +228,17 @@ impl<'a> Disk<'a> {
             .map(|()| true)
     }
 
+    /// Renames a file to a name in another folder, replacing what is there.
+    pub(super) fn rename_to(
+        &self,
+        from: (&Folder, &str),
+        (folder, name): (&Folder, &str),
+    ) -> Result<(), OutputError> {
+        self.change(Operation::Rename, (folder, name.as_ref()), || {
+            from.0.dir.rename(from.1, &folder.dir, name)
+        })
+    }
+
     /// Removes a file or a link; no error if it doesn't exist.
     pub(super) fn remove(&self, folder: &Folder, name: &str) -> Result<(), OutputError> {
         let remove = || folder.dir.remove_file(name);

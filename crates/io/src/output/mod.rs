@@ -255,6 +255,27 @@ pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     }
 }
 
+/// Moves a file that a program has finished to its place, where it replaces another.
+pub fn rename(from: &Path, to: &Path, disk: &Disk) -> Result<(), OutputError> {
+    let (folder, name) = place(from, disk)?;
+    let (to_folder, to_name) = place(to, disk)?;
+    disk.rename_to((&folder, &name), (&to_folder, &to_name))
+}
+
+/// Makes a folder in which a program is to work: empty, whatever was there.
+pub fn make_empty_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+    remove_folder(path, disk)?;
+    make_folder(path, disk)
+}
+
+/// Removes a folder with its contents, through no link; no error if it doesn't exist.
+pub fn remove_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+    match place(path, disk) {
+        Err(error) if error.is_missing() => Ok(()),
+        found => found.and_then(|(folder, name)| disk.remove_folder(&folder, &name)),
+    }
+}
+
 /// Opens the folder of a file.
 fn place(path: &Path, disk: &Disk) -> Result<(Folder, String), OutputError> {
     let name = path.file_name().and_then(|name| name.to_str());

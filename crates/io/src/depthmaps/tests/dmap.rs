@@ -218,3 +218,108 @@ proptest! {
         let _ = parse(&bytes, DepthMapFormat::OpenMvs);
     }
 }
+
+/// Bytes of values of f32, f64 and u16 in the order of the file.
+fn doubles_le(values: &[f64]) -> Vec<u8> {
+    values.iter().flat_map(|x| x.to_le_bytes()).collect()
+}
+
+/// A map of 4 x 3 pixels whose pixels differ in each plane, and whose first confidences are 0, 0.5,
+/// 0.9 and 0.95; returns the length of its header, too.
+fn of_distinct_pixels(kind: &str) -> (Vec<u8>, usize) {
+    let old = kind == "DR";
+    let mut bytes = kind.as_bytes().to_vec();
+    bytes.extend([15, 0]);
+    bytes.extend([4u32, 3, 4, 3].iter().flat_map(|side| side.to_le_bytes()));
+    bytes.extend(floats_le(&[1.0, 9.0]));
+    if !old {
+        bytes.extend(floats_le(&[1.0]));
+    }
+    bytes.extend([1, 0, b'a', 2, 0, 0, 0, 10, 0, 0, 0, 1, 0, 0, 0]);
+    bytes.extend(doubles_le(&[
+        500.0, 0.0, 1.5, 0.0, 510.0, 1.0, 0.0, 0.0, 1.0,
+    ]));
+    bytes.extend(doubles_le(&[0.0; 12]));
+    let header = bytes.len();
+    let confidences = [0.0, 0.5, 0.9, 0.95].into_iter().chain([1.0; 8]);
+    if old {
+        bytes.extend(floats_le(&(1..13u8).map(f32::from).collect::<Vec<_>>()));
+        bytes.extend(floats_le(&(0..36u8).map(f32::from).collect::<Vec<_>>()));
+        bytes.extend(floats_le(&confidences.collect::<Vec<_>>()));
+    } else {
+        // 1.0 and the halves after it.
+        bytes.extend((0..12u16).flat_map(|i| (0x3C00 + i).to_le_bytes()));
+        bytes.extend((0..24u16).flat_map(u16::to_le_bytes));
+        bytes.extend(confidences.map(|c| (c * 255.0f32).round() as u8));
+    }
+    bytes.extend((0..12u32).flat_map(u32::to_le_bytes));
+    (bytes, header)
+}
+
+/// OpenMVS fuses every map with the camera of the full image.
+#[test]
+fn an_enlarged_map_looks_where_it_looked_with_less_confidence() {
+    for (kind, widths) in [("DR", [4, 12, 4, 4]), ("D2", [2, 4, 1, 4])] {
+        let (bytes, start) = of_distinct_pixels(kind);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("depth0010.dmap");
+        std::fs::write(&path, &bytes).unwrap();
+        let map = openmvs::WholeMap::read(&path, [8, 6]).unwrap();
+        assert_eq!(
+            (map.kind(), map.ids(), map.range()),
+            (kind, &[10, 1][..], [1.0, 9.0])
+        );
+        assert_eq!(map.filled().unwrap(), 1.0);
+        let large = map.enlarged([8, 6]).unwrap();
+        assert_eq!(large.len(), start + 48 * widths.iter().sum::<usize>());
+        let number = |at: usize| u32::from_le_bytes(large[at..at + 4].try_into().unwrap());
+        assert_eq!([4, 8, 12, 16].map(number), [8, 6, 8, 6]);
+        let double = |i: usize| {
+            let at = start - 168 + 8 * i;
+            f64::from_le_bytes(large[at..at + 8].try_into().unwrap())
+        };
+        // The middle of the left half of the image stays there: 2 (1.5 + 0.5) - 0.5.
+        let camera = [1000.0, 0.0, 3.5, 0.0, 1020.0, 2.5, 0.0, 0.0, 1.0];
+        assert_eq!((0..9).map(double).collect::<Vec<_>>(), camera);
+        let (mut at, mut at_before) = (start, start);
+        for (plane, width) in widths.into_iter().enumerate() {
+            for (x, y) in [(0, 0), (1, 1), (7, 0), (4, 5)] {
+                let pixel = &large[at + width * (8 * y + x)..][..width];
+                let before = &bytes[at_before + width * (4 * (y / 2) + x / 2)..][..width];
+                if plane == 2 {
+                    let confidence = |bytes: &[u8]| match *bytes {
+                        [byte] => f32::from(byte) / 255.0,
+                        _ => f32::from_le_bytes(bytes.try_into().unwrap()),
+                    };
+                    let wanted = (1.0 - 4.0 * (1.0 - confidence(before))).max(0.0);
+                    assert!((confidence(pixel) - wanted).abs() < 0.01, "{kind} {x} {y}");
+                } else {
+                    assert_eq!(pixel, before, "{kind} plane {plane} {x} {y}");
+                }
+            }
+            (at, at_before) = (at + 48 * width, at_before + 12 * width);
+        }
+    }
+}
+
+#[test]
+fn a_map_that_is_cut_off_or_larger_than_its_image_is_not_whole() {
+    let (bytes, header) = of_distinct_pixels("D2");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("depth0010.dmap");
+    let read = |bytes: &[u8], image| {
+        std::fs::write(&path, bytes).unwrap();
+        openmvs::WholeMap::read(&path, image).map(|map| map.size())
+    };
+    // Programs round up.
+    assert_eq!(read(&bytes, [3, 2]).unwrap(), [4, 3]);
+    for (length, image) in [
+        (bytes.len(), [2, 3]),
+        (bytes.len() - 1, [4, 3]),
+        (header, [4, 3]),
+        (header - 1, [4, 3]),
+        (3, [4, 3]),
+    ] {
+        read(&bytes[..length], image).unwrap_err();
+    }
+}
