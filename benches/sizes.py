@@ -207,7 +207,7 @@ class OpenMvs(Bench):
                 shutil.copy(made, home)
                 (marks / "done" / row["mark"]).write_text(row["id"])
         command = [self.args.viewrank, "run", self.project, "--backend", "openmvs", "--program", self.programs / "DensifyPointCloud", "--threads", "1", "--fuse"]
-        subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self.cloud().parent.mkdir(exist_ok=True)
         (home / "fused.ply").replace(self.cloud())
         # The next plan is not to keep these maps.

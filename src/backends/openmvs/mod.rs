@@ -34,6 +34,7 @@ use crate::{
     plan::WorkPerMap,
 };
 
+mod fusion;
 mod neighbours;
 mod run;
 mod scene;
@@ -197,7 +198,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let (common, overlaps) = common_project(selection);
     files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
-    files.add_text("fuse.txt", run::neighbours(&overlaps));
+    files.add_text("fuse.txt", fusion::neighbours(&overlaps));
     let run = Run::new(selection, options, rows, overlaps, pictures);
     files.add_text("run.json", to_json(&run));
     files.add_text("dense.cfg", dense_config(selection));

@@ -13,19 +13,16 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{
-    MAPS_PER_POINT, resolution,
+    MAPS_PER_POINT, fusion, resolution,
     scene::{Builder, DepthRange},
 };
 use crate::{
-    backends::{
-        Call, ExportOptions, Product, Selection, clusters::task_marker, selection::FUSED_WITH,
-    },
+    backends::{Call, ExportOptions, Product, Selection, clusters::task_marker},
     base::platform,
     io::{
         depthmaps::openmvs::WholeMap,
-        formats::openmvs::{Mvs, NO_POSE},
         input::{self, FileKind},
-        output::{self, Contents, Disk, FileSet},
+        output,
     },
     model::{
         cluster::{MapScale, RankedCluster},
@@ -61,9 +58,9 @@ const WHERE_KNOWN: [[&str; 2]; 3] = [
     ["--crop-to-roi", "0"],
     ["--tower-mode", "0"],
 ];
-/// Filter 1 keeps what two maps agree on; filter 2, the default since v2.4.0, joins five pixels or
-/// none.
-const FILTER: [&str; 2] = ["--fusion-filter", "1"];
+/// Filter 1 keeps what two maps agree on, filter 0 all that a single one has; filter 2, the default
+/// since v2.4.0, joins five pixels or none.
+const FILTER: &str = "--fusion-filter";
 
 /// `options.cfg`: OpenMVS would read one that somebody left in the folder of the map.
 pub const NO_OPTIONS: &str = "# Options of DensifyPointCloud come from its command line alone.\n";
@@ -71,15 +68,15 @@ pub const NO_OPTIONS: &str = "# Options of DensifyPointCloud come from its comma
 /// Content of `run.json`.
 #[derive(Serialize, Deserialize)]
 pub struct Run {
-    clusters: Vec<Row>,
+    pub clusters: Vec<Row>,
     /// For each image of `fuse.mvs`, the indices of the key views that overlap it, best first, as
     /// many as a fusion of the first maps may need; empty if it is not a key view.
-    overlaps: Vec<Vec<usize>>,
+    pub overlaps: Vec<Vec<usize>>,
     /// Folder of the marks of finished maps.
     marks: String,
     /// Long side of the matched images, pixels.
-    resolution: u32,
-    maps_per_point: usize,
+    pub resolution: u32,
+    pub maps_per_point: usize,
     options: Vec<String>,
     of_maps: Vec<String>,
     of_the_cloud: Vec<String>,
@@ -96,17 +93,17 @@ pub struct Row {
     rank: usize,
     key: String,
     /// Path of its image, relative to this folder.
-    image: String,
+    pub image: String,
     /// OpenMVS's ids of key view and partners.
     ids: Vec<u32>,
-    map: String,
+    pub map: String,
     /// Name and content of the mark of its finished map.
     mark: String,
     id: String,
     /// Long side of the matched images, pixels.
     resolution: u32,
     /// Width and height of the key view's image, pixels.
-    size: [u32; 2],
+    pub size: [u32; 2],
     /// Least and greatest depth of the sparse points, scene units.
     depths: [f64; 2],
 }
@@ -150,20 +147,6 @@ pub fn map_name(image_id: u32) -> String {
     format!("depth{image_id:04}.dmap")
 }
 
-/// Returns the list of neighbours of a fusion of all maps.
-pub fn neighbours(overlaps: &[Vec<usize>]) -> String {
-    let line = |(i, others): (usize, &Vec<usize>)| {
-        let names = std::iter::once(&i).chain(others.iter().take(FUSED_WITH));
-        let names: Vec<String> = names.map(usize::to_string).collect();
-        names.join(" ") + "\n"
-    };
-    let keys = overlaps
-        .iter()
-        .enumerate()
-        .filter(|(_, others)| !others.is_empty());
-    keys.map(line).collect()
-}
-
 impl Run {
     pub fn new(
         selection: &Selection,
@@ -177,7 +160,8 @@ impl Run {
             None => "../dispatch/openmvs/done",
             Some(_) => "done",
         };
-        let known = WHERE_KNOWN.iter().chain([&FILTER]);
+        let filter = [FILTER, filter_of(MAPS_PER_POINT.min(clusters.len()))];
+        let known = WHERE_KNOWN.iter().chain([&filter]);
         Self {
             clusters,
             overlaps,
@@ -205,7 +189,7 @@ impl Run {
     }
 
     /// Rows of the finished maps, with their indices.
-    fn finished<'a>(&'a self, call: &'a Call) -> impl Iterator<Item = (usize, &'a Row)> {
+    pub fn finished<'a>(&'a self, call: &'a Call) -> impl Iterator<Item = (usize, &'a Row)> {
         let ranks: BTreeSet<usize> = call.finished.iter().copied().collect();
         let rows = self.clusters.iter().enumerate();
         rows.filter(move |(_, row)| ranks.contains(&row.rank))
@@ -251,39 +235,50 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     let (run, work, disk) = (Run::read(call)?, work(call), call.disk());
     output::make_folder(&call.workplace.join("unfinished"), &disk).map_err(text)?;
     output::make_empty_folder(&work, &disk).map_err(text)?;
-    let (mut command, of_task, resolution) = match call.product {
+    let known = known_options(&run, call.program, &work)?;
+    let (mut command, of_task, agreeing, resolution) = match call.product {
         Product::Map(rank) => {
             let row = run.row(rank)?;
             let scene = call.workplace.join(row.scene());
-            (
-                run.command(call, &work, &scene, "dense.mvs"),
-                &run.of_maps,
-                row.resolution,
-            )
+            let command = run.command(call, &work, &scene, "dense.mvs");
+            (command, &run.of_maps, run.maps_per_point, row.resolution)
         }
         Product::Cloud => {
-            let agreeing = lay_out_fusion(&run, call, &work, &disk)?;
+            let agreeing = fusion::lay_out(&run, call, &work, &disk)?;
             let mut command = run.command(call, &work, Path::new("fuse.mvs"), "fused.mvs");
-            command.extend(
-                ["--view-neighbors-file", "fuse.txt", "--number-views-fuse"].map(OsString::from),
-            );
-            command.push(agreeing.to_string().into());
-            (command, &run.of_the_cloud, run.resolution)
+            command.extend(["--view-neighbors-file", "fuse.txt"].map(OsString::from));
+            command.extend(["--number-views-fuse".into(), agreeing.to_string().into()]);
+            (command, &run.of_the_cloud, agreeing, run.resolution)
         }
     };
     command.extend(["--max-resolution".into(), resolution.to_string().into()]);
     command.extend(of_task.iter().map(OsString::from));
-    command.extend(known_options(&run, call.program, &work)?);
+    for [option, value] in known {
+        let value = match &**option {
+            FILTER => filter_of(agreeing).into(),
+            _ => value.into(),
+        };
+        command.extend([option.into(), value]);
+    }
     Ok(vec![command])
 }
 
-fn text(error: impl std::fmt::Display) -> String {
+/// Value of [`FILTER`] where so many maps must agree.
+fn filter_of(agreeing: usize) -> &'static str {
+    if agreeing < 2 { "0" } else { "1" }
+}
+
+pub fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
 /// Returns those of the options that only some versions know which this program names in its help.
 /// It writes a log even then, to the folder `work`.
-fn known_options(run: &Run, program: &Path, work: &Path) -> Result<Vec<OsString>, String> {
+fn known_options<'a>(
+    run: &'a Run,
+    program: &Path,
+    work: &Path,
+) -> Result<Vec<&'a [String; 2]>, String> {
     let failed = |error: std::io::Error| format!("{}: {error}", program.display());
     let asked = platform::command(program)
         .map_err(failed)?
@@ -294,106 +289,8 @@ fn known_options(run: &Run, program: &Path, work: &Path) -> Result<Vec<OsString>
         .map_err(failed)?;
     let help = [asked.stdout, asked.stderr].concat();
     let help = String::from_utf8_lossy(&help);
-    let known = run
-        .where_known
-        .iter()
-        .filter(|[option, _]| help.contains(&**option));
-    Ok(known.flatten().map(OsString::from).collect())
-}
-
-/// Puts a scene, lists and the finished maps where they are fused; returns how many must agree.
-fn lay_out_fusion(run: &Run, call: &Call, work: &Path, disk: &Disk) -> Result<usize, String> {
-    let rows: Vec<(usize, &Row)> = run.finished(call).collect();
-    let mut files = FileSet::new(work, "fusion");
-    let mut kinds: BTreeMap<&str, &str> = BTreeMap::new();
-    let mut small = Vec::new();
-    for (_, row) in &rows {
-        let path = call.workplace.join(&row.map);
-        let map = WholeMap::read(&path, row.size).map_err(text)?;
-        kinds.insert(map.kind(), &row.map);
-        let full = size_at(row.size, run.resolution);
-        if map.size() == full {
-            files.add(&*row.map, link(&path, call.project));
-        } else {
-            small.push((row, map, full));
-        }
-        files.add(
-            &*row.image,
-            link(&call.workplace.join(&row.image), call.project),
-        );
-    }
-    refuse_two_kinds(&kinds)?;
-    let there: Vec<usize> = rows.iter().map(|(i, _)| *i).collect();
-    files.add("fuse.mvs", Contents::Bytes(scene_of(call, &there)?));
-    files.add_text("fuse.txt", neighbours(&overlaps_among(run, &there)));
-    files.write(disk).map_err(text)?;
-    // Fusion takes the camera of its own image size for every map, whatever the size of the map.
-    for (row, map, full) in small {
-        let bytes = map.enlarged(full).map_err(text)?;
-        output::replace(&work.join(&row.map), &bytes, disk).map_err(text)?;
-    }
-    Ok(run.maps_per_point.min(there.len()))
-}
-
-fn link(path: &Path, project: &Path) -> Contents {
-    Contents::Link {
-        file: path.into(),
-        folder: project.into(),
-    }
-}
-
-/// Returns the scene of the fusion in which the images of other key views have no pose: one that is
-/// missing or broken keeps no others from being fused, and none costs memory.
-fn scene_of(call: &Call, there: &[usize]) -> Result<Vec<u8>, String> {
-    let path = call.workplace.join("fuse.mvs");
-    let bytes = input::read(&path, FileKind::Sparse).map_err(text)?;
-    let mut scene = Mvs::read(&bytes).map_err(|error| format!("{}: {error:?}", path.display()))?;
-    for (i, image) in scene.images.iter_mut().enumerate() {
-        if !there.contains(&i) {
-            image.pose = NO_POSE;
-        }
-    }
-    Ok(scene.write())
-}
-
-/// Returns for each image of the fusion those that are there and overlap it. A list must not be
-/// empty: a map that none overlaps is compared with any image of the scene.
-fn overlaps_among(run: &Run, there: &[usize]) -> Vec<Vec<usize>> {
-    let of = |(i, overlaps): (usize, &Vec<usize>)| {
-        if !there.contains(&i) {
-            return Vec::new();
-        }
-        let others = overlaps
-            .iter()
-            .copied()
-            .filter(|other| there.contains(other));
-        let others: Vec<usize> = others.collect();
-        if !others.is_empty() {
-            return others;
-        }
-        let any = there.iter().copied().find(|&other| other != i);
-        vec![any.unwrap_or(usize::from(i == 0))]
-    };
-    run.overlaps.iter().enumerate().map(of).collect()
-}
-
-/// Width and height at which images of a size are matched, by the rule of OpenMVS
-/// (`TImage::computeMaxResolution`).
-fn size_at(size: [u32; 2], resolution: u32) -> [u32; 2] {
-    let side = size[0].max(size[1]);
-    let scale = f64::from(side.min(resolution)) / f64::from(side.max(1));
-    size.map(|length| (f64::from(length) * scale).round() as u32)
-}
-
-/// Fails if there are maps of two kinds; `maps`: one of each.
-fn refuse_two_kinds(maps: &BTreeMap<&str, &str>) -> Result<(), String> {
-    let [(one, map), (other, other_map), ..] = Vec::from_iter(maps)[..] else {
-        return Ok(());
-    };
-    Err(format!(
-        "{map} is of the kind {one}, {other_map} of the kind {other}, and OpenMVS fuses only maps of the kind that it \
-         writes: name the version that made them with --program, or move the depth*.dmap away to compute all again"
-    ))
+    let is_known = |pair: &&[String; 2]| help.contains(&*pair[0]);
+    Ok(run.where_known.iter().filter(is_known).collect())
 }
 
 /// Checks what the program has made, and puts it in its place.
@@ -470,5 +367,5 @@ fn refuse_other_kinds(run: &Run, row: &Row, call: &Call, work: &Path) -> Result<
         Some((map.kind(), &*other.map))
     });
     let found: BTreeMap<&str, &str> = other.take(1).chain([(kind, "the new map")]).collect();
-    refuse_two_kinds(&found)
+    fusion::refuse_two_kinds(&found)
 }
