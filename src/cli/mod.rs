@@ -125,14 +125,14 @@ impl Failure {
             let (error, hint) = if self.is_stop {
                 ("", "")
             } else {
-                ("error: ", "hint: ")
+                ("error:", "hint:")
             };
-            terminal::complain_of(error, terminal::ERROR, &self.message);
+            terminal::advise(error, terminal::ERROR, &self.message);
             self.output
                 .iter()
                 .for_each(|line| terminal::complain(&format!("  {line}")));
             if let Some(words) = &self.hint {
-                terminal::complain_of(hint, terminal::HINT, words);
+                terminal::advise(hint, terminal::HINT, words);
             }
         }
         if arguments::asks_for_json() && !self.message.is_empty() && !self.has_result {

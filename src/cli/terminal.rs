@@ -80,7 +80,7 @@ pub fn complain(line: &str) {
 
 /// Prints a line to stderr that begins with a heading, whose style is shown on a terminal only.
 #[expect(clippy::disallowed_methods, reason = "all that is printed passes here")]
-pub fn complain_of(heading: &'static str, style: Style, words: &str) {
+fn complain_of(heading: &'static str, style: Style, words: &str) {
     _ = writeln!(
         anstream::stderr(),
         "{style}{heading}{style:#}{}",
@@ -98,12 +98,14 @@ pub fn note(fact: &str) {
     advise("note:", HINT, fact);
 }
 
-/// Prints a heading and words: wrapped on a terminal, else on a single line.
-fn advise(heading: &'static str, style: Style, words: &str) {
+/// Prints a heading, which may be empty, and words to stderr: wrapped on a terminal, else on a
+/// single line.
+pub fn advise(heading: &'static str, style: Style, words: &str) {
+    let space = if heading.is_empty() { "" } else { " " };
     let lines = if is_stderr_terminal() {
-        wrapped(&format!("{heading} "), words)
+        wrapped(&format!("{heading}{space}"), words)
     } else {
-        vec![format!("{heading} {words}")]
+        vec![format!("{heading}{space}{words}")]
     };
     for line in lines {
         match line.strip_prefix(heading) {

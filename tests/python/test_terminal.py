@@ -279,3 +279,9 @@ def test_models_of_other_programs(fixtures, tmp_path, forged):
             checked("inspect", folder)
         read += 1
     assert read > 40
+
+
+def test_errors_and_hints_wrap_at_words(tmp_path):
+    _, printed = on_terminal("plan", tmp_path)
+    lines = COLOUR.sub("", printed.decode()).replace("\r", "").splitlines()
+    assert lines[0].startswith("error: no sparse model") and len(lines) > 3 and all(len(line) <= 80 or " " not in line.strip() for line in lines)

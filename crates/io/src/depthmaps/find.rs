@@ -3,7 +3,6 @@
 
 use std::{
     collections::BTreeMap,
-    io::Read,
     path::{Path, PathBuf},
 };
 
@@ -14,10 +13,8 @@ use super::{DepthMapError, DepthMapFormat, micmac, openmvs};
 use crate::{
     input::{self, FileKind},
     paths,
+    project::is_image,
 };
-
-/// Bytes read from a `.dmap` to get its header.
-const DMAP_HEADER: u64 = 1 << 17;
 
 /// COLMAP's folder of depth maps in a dense workspace.
 const COLMAP: &str = "stereo/depth_maps";
@@ -348,7 +345,10 @@ fn view_of(
         DepthMapFormat::ColmapGeometric => by_suffix(scene, &text, ".geometric.bin"),
         DepthMapFormat::ColmapPhotometric => by_suffix(scene, &text, ".photometric.bin"),
         DepthMapFormat::Npy => by_suffix(scene, &text, ".npy"),
-        DepthMapFormat::OpenMvs => by_suffix(scene, &dmap_image(path)?, ""),
+        DepthMapFormat::OpenMvs => {
+            let image = dmap_image(path)?;
+            by_suffix(scene, &image, "").or_else(|| by_suffix_of_any_kind(scene, &image))
+        }
         DepthMapFormat::Pfm => match by_suffix(scene, &text, ".pfm") {
             Some(view) => Some(view),
             None => numbers.view(path.file_stem().and_then(|s| s.to_str()))?,
@@ -464,25 +464,39 @@ fn by_suffix(scene: &Scene, path: &str, extension: &str) -> Option<ViewIndex> {
     starts.find_map(|start| scene.find(&path[start..]))
 }
 
+/// As [`by_suffix`], for an image whose file has another extension than its name in the model, or
+/// one more; `None` if several views may be meant.
+fn by_suffix_of_any_kind(scene: &Scene, path: &str) -> Option<ViewIndex> {
+    fn stem(name: &str) -> &str {
+        let is_kind = is_image(Path::new(name));
+        let stem = name.rsplit_once('.').filter(|_| is_kind);
+        stem.map_or(name, |(stem, _)| stem)
+    }
+    let path = stem(path);
+    let length = |view: &ViewIndex| {
+        let rest = path.strip_suffix(stem(scene.name(*view)))?;
+        (rest.is_empty() || rest.ends_with('/')).then_some(path.len() - rest.len())
+    };
+    let longest = scene
+        .view_indices()
+        .filter_map(|view| length(&view))
+        .max()?;
+    let mut views = scene
+        .view_indices()
+        .filter(|view| length(view) == Some(longest));
+    views.next().filter(|_| views.next().is_none())
+}
+
 /// Returns the ids of the key view and its partners that OpenMVS's map names.
 ///
 /// # Errors
 /// If the file cannot be read or is no such map.
 pub fn ids_of(map: &Path) -> Result<Vec<u32>, DepthMapError> {
-    dmap_header(map).map(|header| header.ids)
+    openmvs::read_header(map).map(|header| header.ids)
 }
 
 fn dmap_image(path: &Path) -> Result<String, DepthMapError> {
-    dmap_header(path).map(|header| header.image.replace('\\', "/"))
-}
-
-fn dmap_header(path: &Path) -> Result<openmvs::Header, DepthMapError> {
-    let mut bytes = Vec::new();
-    input::open(path)
-        .and_then(|file| file.take(DMAP_HEADER).read_to_end(&mut bytes))
-        .map_err(DepthMapError::io(path))?;
-    super::check_kind(path, DepthMapFormat::OpenMvs, &bytes)?;
-    openmvs::header(&bytes).map_err(DepthMapError::of_bytes(path, &bytes))
+    openmvs::read_header(path).map(|header| header.image.replace('\\', "/"))
 }
 
 /// The numbers of `view_names.txt`, read at the first numbered map.

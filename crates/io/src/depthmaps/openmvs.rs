@@ -6,6 +6,8 @@
 //! (develop since 2026) halves of depth / 2^exponent, and 4 bytes more in its header. OpenMVS reads
 //! maps of its own kind only.
 
+use std::path::Path;
+
 use half::f16;
 use nom::{
     IResult, Parser,
@@ -17,12 +19,15 @@ use nom::{
 };
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{Parsed, Plane, floats, plane};
+use super::{DepthMapError, DepthMapFormat, Parsed, Plane, check_kind, floats, plane};
+use crate::input::{self, FileKind};
 
 mod whole;
 
 pub use whole::WholeMap;
 
+/// Bytes within which a header ends: its longest path and most ids.
+const LONGEST_HEADER: u64 = 1 << 17;
 /// Letters, type, exponent, width and height of the image.
 const BEFORE_THE_SIZE: usize = 12;
 /// Value of a confidence of 255 in `D2`, f32.
@@ -101,6 +106,14 @@ pub(super) struct Header {
     pub ids: Vec<u32>,
     /// Offset of the depth plane, bytes.
     pub length: usize,
+}
+
+/// Reads the header of a map.
+pub(super) fn read_header(path: &Path) -> Result<Header, DepthMapError> {
+    let bytes = input::read_start(path, FileKind::Picture, LONGEST_HEADER)
+        .map_err(DepthMapError::io(path))?;
+    check_kind(path, DepthMapFormat::OpenMvs, &bytes)?;
+    header(&bytes).map_err(DepthMapError::of_bytes(path, &bytes))
 }
 
 pub(super) fn header(bytes: &[u8]) -> Parsed<Header> {

@@ -8,14 +8,12 @@ use std::{
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{HAS_DEPTH, Header, Kind, MATRICES, header};
+use super::{HAS_DEPTH, Header, Kind, MATRICES, read_header};
 use crate::{
-    depthmaps::{DepthMapError, DepthMapFormat, check_kind, read},
+    depthmaps::{DepthMapError, DepthMapFormat, read},
     input::{self, FileKind},
 };
 
-/// Bytes within which a header ends: its longest path and most ids.
-const LONGEST_HEADER: u64 = 1 << 17;
 /// Bit of the plane of confidences.
 const HAS_CONFIDENCE: u8 = 4;
 /// Offset of the sizes of image and map, two u32 each.
@@ -61,13 +59,9 @@ impl WholeMap {
     /// [`DepthMapError::Newer`], and [`DepthMapError::Format`] for a map that ends too early or is
     /// larger than the image.
     pub fn read(path: &Path, image: [u32; 2]) -> Result<Self, DepthMapError> {
-        let bytes = input::read_start(path, FileKind::Picture, LONGEST_HEADER)
-            .map_err(DepthMapError::io(path))?;
-        check_kind(path, DepthMapFormat::OpenMvs, &bytes)?;
-        let header = header(&bytes).map_err(DepthMapError::format(path))?;
         let whole = Self {
             path: path.into(),
-            header,
+            header: read_header(path)?,
         };
         let fault = |what: String| DepthMapError::format(path)((SIZES, what));
         let [width, height] = whole.size();

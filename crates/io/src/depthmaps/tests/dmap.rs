@@ -147,6 +147,41 @@ fn maps_of_both_kinds_are_found_by_the_image_in_them() {
 }
 
 #[test]
+fn the_image_of_a_map_may_have_another_extension_than_its_name_in_the_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = |name| {
+        D2 {
+            name,
+            ..D2::small()
+        }
+        .bytes()
+    };
+    let path = folder.path().join("depth0040.dmap");
+    for (names, image_name, view) in [
+        (
+            &["IMG_9394.JPG", "IMG_9395.JPG"][..],
+            "images/IMG_9395.png",
+            Some(1),
+        ),
+        (&["IMG_9394", "IMG_9395"], "images/IMG_9395.jpg", Some(1)),
+        (&["IMG.9394", "IMG.9395"], "images/IMG.9395.jpg", Some(1)),
+        (&["1/a.tif", "2/a.tif", "a.tif"], "images/2/a.png", Some(1)),
+        (&["a.tif", "a.bmp"], "images/a.png", None),
+        (&["a.tif", "a.png"], "images/a.png", Some(1)),
+        (&["aa.tif"], "images/a.png", None),
+        (&["a.tif"], "images/aa.png", None),
+    ] {
+        std::fs::write(&path, image(image_name)).unwrap();
+        let set = list(folder.path(), &scene(names)).unwrap();
+        let wanted: Vec<_> = view
+            .map(|view| (view, DepthMapFormat::OpenMvs))
+            .into_iter()
+            .collect();
+        assert_eq!(found(&set), wanted, "{names:?} {image_name}");
+    }
+}
+
+#[test]
 fn maps_that_a_killed_run_was_making_or_fusing_are_not_found() {
     let folder = tempfile::tempdir().unwrap();
     for place in ["", "unfinished/0040-a1", "unfinished/fusion-b2"] {
