@@ -103,6 +103,20 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
+/// Returns the folder of depth maps of a project; `named` is a kind, or a folder as the user typed it.
+///
+/// # Errors
+/// If a link of the project leads from it to somewhere else.
+fn folder_of_maps(project: &Project, named: &str) -> Result<PathBuf, Failure> {
+    let dense = project.dense_workspace.as_deref();
+    if let Some(folder) = depthmaps::folder_of(&project.root, dense, named) {
+        return Ok(folder);
+    }
+    let folder = project.root.join(named);
+    output::refuse_to_leave(&project.root, &folder)?;
+    Ok(folder)
+}
+
 /// Plans the project as its written plan was made, else by its settings, with the confidence that
 /// is fitted.
 fn prepare(
@@ -131,12 +145,7 @@ fn prepare(
         Err(error) => return Err(error.into()),
     };
     let scene = project.read_scene()?;
-    let folder = depthmaps::folder_of(
-        &project.root,
-        project.dense_workspace.as_deref(),
-        &arguments.depth_maps,
-    )
-    .unwrap_or_else(|| project.root.join(&arguments.depth_maps));
+    let folder = folder_of_maps(&project, &arguments.depth_maps)?;
     let found = depthmaps::find(&folder, &scene)?.into_complete()?;
     let backend = backend(arguments, &found.maps[0].format);
     settings.confidence.source = ConfidenceSource::Photometric;

@@ -164,3 +164,27 @@ fn a_stale_plan_and_missing_pictures_teach_nothing() {
     fs::remove_dir_all(project.path().join("viewrank")).unwrap();
     assert!(refused().contains("hint"));
 }
+
+#[cfg(unix)]
+#[test]
+fn maps_are_read_through_no_link_that_leads_out_of_the_project() {
+    let project = project();
+    let outside = tempfile::tempdir().unwrap();
+    let maps = outside.path().join("maps");
+    fs::rename(project.path().join("sgm"), &maps).unwrap();
+    std::os::unix::fs::symlink(&maps, project.path().join("sgm")).unwrap();
+    let train = |named| {
+        viewrank(&[
+            "train",
+            project.path().to_str().unwrap(),
+            "--depth-maps",
+            named,
+        ])
+    };
+    for (named, why) in [("sgm", "no depth maps"), ("sgm/depth_maps", "leads out of")] {
+        let said = String::from_utf8(train(named).stderr).unwrap();
+        assert!(said.contains(why), "{named}: {said}");
+    }
+    // Named by the user.
+    assert_eq!(train(maps.to_str().unwrap()).status.code(), Some(0));
+}

@@ -190,6 +190,21 @@ pub fn neighbours(
     neighbours
 }
 
+/// Views of a track among which pairs are looked for. Only a camera that stands still sees a point
+/// in more images, and they would take the square of their number.
+const LONGEST_TRACK: usize = 512;
+
+/// Returns the views of a track that may be partners of one of them: those next to it by name, if
+/// there are many.
+fn beside(track: &[ViewIndex], view: ViewIndex) -> &[ViewIndex] {
+    let Some(others) = track.len().checked_sub(LONGEST_TRACK) else {
+        return track;
+    };
+    let at = track.partition_point(|other| *other < view);
+    let start = at.saturating_sub(LONGEST_TRACK / 2).min(others);
+    &track[start..start + LONGEST_TRACK]
+}
+
 /// Calls `act` with each point that a view shares, and each view with which it does.
 fn for_each_shared(
     scene: &Scene,
@@ -200,7 +215,7 @@ fn for_each_shared(
     for &point in points.observed_by(key) {
         // A view that observes the point twice occurs twice in a row.
         let mut last = key;
-        for &view in scene.track_views(point) {
+        for &view in beside(scene.track_views(point), key) {
             if view != key && view != last {
                 act(point, view);
             }
@@ -442,6 +457,22 @@ mod tests {
             reason: Reason::RotationOnly,
         };
         assert!(table.refused(ViewIndex(0)).contains(&still));
+    }
+
+    #[test]
+    fn a_view_of_a_long_track_has_its_neighbours_by_name_for_partners() {
+        let views = 5 * LONGEST_TRACK as u32;
+        let track: Vec<ViewIndex> = (0..views).map(ViewIndex).collect();
+        for view in [0, 1, 700, views - 1] {
+            let near = beside(&track, ViewIndex(view));
+            assert!(near.len() == LONGEST_TRACK && near.contains(&ViewIndex(view)));
+            let farthest = near.iter().map(|other| other.0.abs_diff(view)).max();
+            assert!(farthest <= Some(LONGEST_TRACK as u32));
+        }
+        assert_eq!(
+            beside(&track[..LONGEST_TRACK], ViewIndex(9)).len(),
+            LONGEST_TRACK
+        );
     }
 
     #[test]
