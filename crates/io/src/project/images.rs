@@ -151,9 +151,8 @@ impl ImageFaults {
         }
     }
 
-    /// Checks the image files of all views, in parallel.
-    pub(super) fn find(folder: &ImageFolder, scene: &Scene) -> Self {
-        let views: Vec<ViewIndex> = scene.view_indices().collect();
+    /// Checks the image files of these views, in parallel.
+    pub(super) fn find(folder: &ImageFolder, scene: &Scene, views: &[ViewIndex]) -> Self {
         let check = |view: &ViewIndex| Self::of_view(folder, scene, *view);
         let found: Vec<Self> = views.par_iter().map(check).collect();
         let mut all = Self::default();
@@ -428,8 +427,11 @@ mod tests {
                 .save_with_format(path(view), ImageFormat::Png)
                 .unwrap();
         };
-        let find = || ImageFaults::find(&ImageFolder::new(folder.path()), &scene);
-        let views = scene.views.len();
+        let of = |views: &[ViewIndex]| {
+            ImageFaults::find(&ImageFolder::new(folder.path()), &scene, views)
+        };
+        let all: Vec<ViewIndex> = scene.view_indices().collect();
+        let (find, views) = (|| of(&all), all.len());
         assert_eq!(find().missing.len(), views);
         assert_eq!(find().without_image(views), [], "all are elsewhere");
         (0..views as u32).for_each(|view| save(view, 1000, 750));
@@ -446,6 +448,8 @@ mod tests {
         assert_eq!(faults.other_aspect_ratio, [(ViewIndex(7), [900, 900])]);
         assert_eq!(faults.without_image(views), [3, 9].map(ViewIndex));
         assert_eq!(faults.unusable(views), [3, 7, 9].map(ViewIndex));
+        let some = [2, 3, 5].map(ViewIndex);
+        assert_eq!(of(&some), faults.among(&some), "the others are not opened");
         (0..views as u32).for_each(|view| save(view, 8, 8));
         assert_eq!(
             (find().other_aspect_ratio.len(), find().unusable(views)),

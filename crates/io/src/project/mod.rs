@@ -21,7 +21,7 @@ use std::{
     time::SystemTime,
 };
 
-use viewrank_core::model::scene::{ModelWarning, Scene, WarningKind};
+use viewrank_core::model::scene::{ModelWarning, Scene, ViewIndex, WarningKind};
 
 pub use containing::containing;
 pub use create::CreateError;
@@ -352,11 +352,14 @@ impl Project {
 
     /// Checks the image files of the scene; finds no faults without an image folder.
     pub fn image_faults(&self, scene: &Scene) -> ImageFaults {
-        self.images
-            .as_ref()
-            .map_or_else(ImageFaults::default, |folder| {
-                ImageFaults::find(folder, scene)
-            })
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        self.image_faults_of(&views, scene)
+    }
+
+    /// Checks the image files of these views alone, each of which is opened.
+    pub fn image_faults_of(&self, views: &[ViewIndex], scene: &Scene) -> ImageFaults {
+        let find = |folder| ImageFaults::find(folder, scene, views);
+        self.images.as_ref().map(find).unwrap_or_default()
     }
 
     /// Returns whether the image folder, if there is one, has no image of the scene.
