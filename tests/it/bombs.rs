@@ -258,6 +258,33 @@ fn cameras_that_claim_many_times_the_pixels_of_their_images_are_refused() {
 }
 
 #[test]
+fn pictures_that_shrink_to_a_fivehundredth_are_decoded_one_at_a_time() {
+    let root = Root::new(&["p"]);
+    let project = root.project("p");
+    write_enlarged_camera(&project, 25);
+    let [width, height] = [25 * 600, 25 * 450];
+    let plane = compress_to_vec_zlib(&vec![0; (3 * width + 1) * height], 1);
+    // As many bytes as a photograph of that size might have.
+    let filling = chunk(b"viEw", &vec![0; 512 << 10]);
+    let picture = png(width as u32, height as u32, &filling, &plane);
+    let mut images: Vec<PathBuf> = fs::read_dir(project.join("images"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    images.sort();
+    for image in &images[..4] {
+        fs::write(image, &picture).unwrap();
+    }
+    fs::write(project.join("viewrank.toml"), "image_scale = 0.04\n").unwrap();
+    let plan = ["plan", text(&project), "--backend", "sgm", "--dry-run"];
+    let said = succeeds(viewrank_within(3 << 19, &plan));
+    for image in &images[..4] {
+        let name = image.file_name().unwrap().to_str().unwrap();
+        assert!(!said.contains(name), "{said}");
+    }
+}
+
+#[test]
 fn a_region_of_millions_of_positions_is_refused() {
     let root = Root::new(&["p"]);
     let region = root.folder.path().join("region.geojson");

@@ -1,6 +1,9 @@
 //! Opens image files with bounds: on pixels before any is decoded, and on what a header may hold.
 
-use std::io::{BufRead, Cursor, Read, Seek};
+use std::{
+    io::{BufRead, Cursor, Read, Seek},
+    sync::{Mutex, MutexGuard, PoisonError},
+};
 
 use image::{
     ImageDecoder, ImageFormat, ImageReader, ImageResult, Limits,
@@ -20,6 +23,26 @@ const JPEG_HEADER_BYTES: u64 = 16 << 20;
 
 /// Says what to do with a TIFF of JPEGs.
 pub const TIFF_OF_JPEGS: &str = "JPEG compression: convert it to a JPEG, a PNG or another TIFF";
+
+/// Pictures of up to so many decoded bytes, and of so many for each byte of their files, are decoded
+/// beside each other: photographs hardly shrink so much.
+const BESIDE: u64 = 64 << 20;
+const BESIDE_PER_BYTE: u64 = 32;
+
+/// Waits until no other picture that shrinks more than photographs do is being decoded: a few
+/// megabytes may hold planes of half a gigabyte each. The holder must not wait for other threads.
+pub fn turn(bytes: &[u8]) -> Option<MutexGuard<'static, ()>> {
+    static TURN: Mutex<()> = Mutex::new(());
+    let decoder = header(Cursor::new(bytes)).ok()?;
+    let (width, height) = decoder.dimensions();
+    let decoded = match image::guess_format(bytes) {
+        // Of these, luma alone is decoded, or a smaller picture.
+        Ok(ImageFormat::Jpeg) => u64::from(width) * u64::from(height),
+        _ => decoder.total_bytes(),
+    };
+    let is_plane = decoded > BESIDE.max(BESIDE_PER_BYTE.saturating_mul(bytes.len() as u64));
+    is_plane.then(|| TURN.lock().unwrap_or_else(PoisonError::into_inner))
+}
 
 /// Reads the header of an image.
 pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecoder + 'a> {

@@ -113,12 +113,29 @@ impl Image {
         wanted: impl Fn([u32; 2]) -> [u32; 2],
     ) -> Result<Self, ImageError> {
         let bound = bound.of_photograph(bytes.len() as u64);
-        let image = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
-            ImageFormat::Jpeg => jpeg(bytes, bound, &wanted)?,
-            _ => whole(bytes, bound)?,
+        let _turn = picture::turn(bytes);
+        if image::guess_format(bytes).map_err(|_| ImageError::Unknown)? == ImageFormat::Jpeg {
+            let image = jpeg(bytes, bound, &wanted)?;
+            let [width, height] = wanted(image.full);
+            return Ok(image.shrunk(width, height));
+        }
+        let image = open(bytes, bound)?;
+        let full = [image.width(), image.height()];
+        let to = wanted(full);
+        // Grey levels become colours when they are few.
+        let rgb = if image.color().has_color() {
+            reduced(image.into_rgb8().into_raw(), full, to, 3)
+        } else {
+            let grey = reduced(image.into_luma8().into_raw(), full, to, 1);
+            grey.into_iter().flat_map(|level| [level; 3]).collect()
         };
-        let [width, height] = wanted(image.full);
-        Ok(image.shrunk(width, height))
+        let [width, height] = to;
+        Ok(Self {
+            width,
+            height,
+            rgb,
+            full,
+        })
     }
 
     /// Decodes an image to grey levels, reduced to the size that `wanted` returns for its width and
@@ -129,6 +146,7 @@ impl Image {
         wanted: impl Fn([u32; 2]) -> [u32; 2],
     ) -> Result<(GreyImage, [u32; 2]), ImageError> {
         let bound = bound.of_photograph(bytes.len() as u64);
+        let _turn = picture::turn(bytes);
         let (pixels, full) = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
             ImageFormat::Jpeg => jpeg_grey(bytes, bound)?,
             _ => {
@@ -151,16 +169,22 @@ impl Image {
 
     /// Reduces by area averaging; unchanged if it has that size already.
     fn shrunk(self, width: u32, height: u32) -> Self {
-        if (self.width, self.height) == (width, height) {
-            return self;
-        }
         let from = [self.width, self.height];
         Self {
             width,
             height,
-            rgb: resized(self.rgb, from, [width, height], 3, BY_AREA),
+            rgb: reduced(self.rgb, from, [width, height], 3),
             full: self.full,
         }
+    }
+}
+
+/// Reduces values by area averaging; unchanged if they have that size already.
+fn reduced(values: Vec<u8>, from: [u32; 2], to: [u32; 2], channels: usize) -> Vec<u8> {
+    if from == to {
+        values
+    } else {
+        resized(values, from, to, channels, BY_AREA)
     }
 }
 
@@ -318,17 +342,6 @@ fn product(a: u8, b: u8) -> u8 {
     (u16::from(a) * u16::from(b) / 255) as u8
 }
 
-fn whole(bytes: &[u8], bound: PixelBound) -> Result<Image, ImageError> {
-    let pixels = open(bytes, bound)?.into_rgb8();
-    let (width, height) = pixels.dimensions();
-    Ok(Image {
-        width,
-        height,
-        rgb: pixels.into_raw(),
-        full: [width, height],
-    })
-}
-
 fn open(bytes: &[u8], bound: PixelBound) -> Result<DynamicImage, ImageError> {
     Ok(DynamicImage::from_decoder(picture::open::<ImageError>(
         bytes, bound,
@@ -337,6 +350,7 @@ fn open(bytes: &[u8], bound: PixelBound) -> Result<DynamicImage, ImageError> {
 
 /// Decodes a mask: black pixels must not be used.
 pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
+    let _turn = picture::turn(bytes);
     let image = open(bytes, bound)?;
     let (width, height) = (image.width(), image.height());
     let usable = match image {
