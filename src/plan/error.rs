@@ -30,6 +30,13 @@ pub enum PlanError {
     },
     #[error("most images have {} times the size of their cameras or less, and are to be matched at {} times", significant(*images), significant(*image_scale))]
     SmallImages { images: f64, image_scale: f64 },
+    /// `fits`: the largest image_scale at which it is planned for.
+    #[error("the camera of {name} has {} x {} pixels, more than are planned for without its image", size[0], size[1])]
+    LargeCamera {
+        name: String,
+        size: [u32; 2],
+        fits: f64,
+    },
     #[error("{}: {what}", model.display())]
     NoObservations {
         model: std::path::PathBuf,
@@ -79,6 +86,9 @@ pub enum PlanError {
     /// The folder of `pilot.maps`.
     #[error("the pilot: {0}")]
     PilotMaps(#[from] DepthMapError),
+    /// A link in the folder of `pilot.maps`.
+    #[error("the pilot: the link {} leads out of the project", _0.display())]
+    PilotLink(std::path::PathBuf),
     #[error(transparent)]
     Disk(#[from] DiskError),
     #[error(transparent)]
@@ -150,6 +160,11 @@ impl Hint for PlanError {
                 significant(*images)
             )
             .into(),
+            Self::LargeCamera { fits, .. } => format!(
+                "give the images, look for a wrong camera, or set image_scale = {:.3} in viewrank.toml",
+                (1000.0 * fits).floor() / 1000.0
+            )
+            .into(),
             Self::NoObservations { cure, .. } => match cure {
                 Some(cure) => cure.clone().into(),
                 None => "export the model again, with its sparse points and their tracks".into(),
@@ -164,6 +179,10 @@ impl Hint for PlanError {
             Self::Decision(error) => return error.hint(),
             Self::PilotMaps(_) => {
                 Advice::text("give the folder of finished small maps (viewrank pilot makes their list): ")
+                    .set("pilot.maps")
+            }
+            Self::PilotLink(_) => {
+                Advice::text("copy the maps there, or name the folder where they are: ")
                     .set("pilot.maps")
             }
             Self::Memory {

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use super::{Matcher, PlanError, Timings, cached::Fingerprints, georeference, region};
 use crate::{
-    base::progress::Stage,
+    base::{pixels::PixelBound, progress::Stage},
     config::{ConfidenceSource, Settings, Share},
     decision::DEFAULT_TARGET,
     io::{
@@ -95,8 +95,10 @@ impl<'a> Inputs<'a> {
             })?;
         refuse_other_images(project, &scene, &settings)?;
         let image_faults = project.image_faults(&scene);
-        if project.images.is_some() {
-            refuse_small_images(&image_faults, &scene, settings.image_scale())?;
+        let images = project.images.as_ref();
+        match images.and_then(|_| image_faults.usual_scale(&scene)) {
+            Some(images) => refuse_small_images(images, settings.image_scale())?,
+            None => refuse_large_cameras(&scene, settings.image_scale())?,
         }
         let most_pixels = match project.images {
             Some(_) => image_faults.most_pixels(&scene),
@@ -208,17 +210,33 @@ fn refuse_other_images(
 /// so that cameras which claim any size would cost any time.
 const MOST_ENLARGED: f64 = 8.0;
 
-fn refuse_small_images(
-    faults: &ImageFaults,
-    scene: &Scene,
-    image_scale: f64,
-) -> Result<(), PlanError> {
-    match faults.usual_scale(scene) {
-        Some(images) if image_scale > MOST_ENLARGED * images => Err(PlanError::SmallImages {
+fn refuse_small_images(images: f64, image_scale: f64) -> Result<(), PlanError> {
+    if image_scale > MOST_ENLARGED * images {
+        return Err(PlanError::SmallImages {
             images,
             image_scale,
+        });
+    }
+    Ok(())
+}
+
+/// Refuses cameras that no image vouches for, if they are to be matched at more pixels than any
+/// image is read with: the surface gets triangles for all of them.
+fn refuse_large_cameras(scene: &Scene, image_scale: f64) -> Result<(), PlanError> {
+    let most = PixelBound::LARGEST.pixels() as f64;
+    let scale_to_fit = |view: ViewIndex| {
+        let camera = scene.camera_of(view);
+        let pixels = f64::from(camera.width) * f64::from(camera.height);
+        (most / pixels).sqrt()
+    };
+    let mut views = scene.view_indices();
+    match views.find(|view| image_scale > scale_to_fit(*view)) {
+        Some(view) => Err(PlanError::LargeCamera {
+            name: scene.name(view).into(),
+            size: [scene.camera_of(view).width, scene.camera_of(view).height],
+            fits: scale_to_fit(view),
         }),
-        _ => Ok(()),
+        None => Ok(()),
     }
 }
 

@@ -399,7 +399,8 @@ pub(super) fn pilot(
     run: &mut Run,
 ) -> Result<Option<Filed<Places>>, PlanError> {
     let folder = inputs.settings.pilot.maps.as_deref();
-    let made = folder.map(|folder| PilotMaps::find(folder, &inputs.scene));
+    let made =
+        folder.map(|folder| PilotMaps::find(folder, &inputs.scene, inputs.pictures.project()));
     let made = made.transpose()?;
     let has_pictures = matches!(inputs.confidence, Confidence::Photometric { .. })
         && inputs.pictures.have_images();

@@ -258,6 +258,17 @@ fn cameras_that_claim_many_times_the_pixels_of_their_images_are_refused() {
 }
 
 #[test]
+fn cameras_that_claim_gigapixels_are_refused_where_no_image_shows_them() {
+    let root = Root::new(&["p"]);
+    let project = root.project("p");
+    write_enlarged_camera(&project, 62);
+    fs::remove_dir_all(project.join("images")).unwrap();
+    let error = fails(viewrank(&["plan", text(&project), "--backend", "sgm"]));
+    assert!(error.contains("37200 x 27900 pixels"), "{error}");
+    assert!(error.contains("set image_scale = 0.508"), "{error}");
+}
+
+#[test]
 fn pictures_that_shrink_to_a_fivehundredth_are_decoded_one_at_a_time() {
     let root = Root::new(&["p"]);
     let project = root.project("p");
