@@ -104,7 +104,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = ProgressDisplay::new(arguments.quiet);
     let (project, plan, _) = replan::as_written(&arguments.project, &progress)?;
     match &arguments.depth_maps {
-        Some(folder) => measure(arguments, &project, &plan, folder, &progress),
+        Some(folder) => {
+            record(arguments, &plan, &project, folder, &progress);
+            measure(arguments, &project, &plan, folder, &progress)
+        }
         None => match found_maps(arguments, &project, &plan) {
             // Else what was measured of other maps would be said of these.
             Some(folder) => {
@@ -132,12 +135,13 @@ fn record(
     folder: &Path,
     progress: &ProgressDisplay,
 ) {
-    let is_of_plan = Some(folder) == own_folder_of_maps(plan, project).as_deref();
+    let place = |folder: &Path| folder.canonicalize().ok();
+    let own = own_folder_of_maps(plan, project).filter(|own| place(own) == place(folder));
     let is_other = arguments.reference.is_some() || arguments.clusters.is_some();
-    if is_other || !is_of_plan || arguments.out.is_some() {
+    let Some(own) = own.filter(|_| !is_other && arguments.out.is_none()) else {
         return;
-    }
-    let counts = |path: &Path| path.starts_with(folder);
+    };
+    let counts = |path: &Path| path.starts_with(&own);
     if let Outcome::Failed { reason, .. } = follow(&project.home, &counts, progress) {
         warn(&format!("status is not told what was measured: {reason}"));
     }

@@ -864,3 +864,22 @@ fn status_shows_what_evaluate_measured_and_counts_the_maps_that_came_after() {
     fs::write(&manifest, fs::read(&manifest).unwrap()).unwrap();
     assert_eq!(of("status")["projects"][0]["share"], Value::Null);
 }
+
+#[test]
+fn evaluate_records_the_maps_of_the_plan_also_where_their_folder_is_named() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..1, |column, _| column % 3 > 0);
+    let root = planned.folder.path().to_str().unwrap();
+    let (maps, other) = (planned.maps(), planned.folder.path().join("copies"));
+    fs::create_dir(&other).unwrap();
+    for map in fs::read_dir(&maps).unwrap().map(Result::unwrap) {
+        fs::copy(map.path(), other.join(map.file_name())).unwrap();
+    }
+    let recorded = |folder: &Path| {
+        let named = folder.join("../").join(folder.file_name().unwrap());
+        printed(&["evaluate", root, "--depth-maps", named.to_str().unwrap()]);
+        Progress::read(planned.folder.path()).map(|progress| progress.done)
+    };
+    assert_eq!(recorded(&other), None, "maps of anybody");
+    assert_eq!(recorded(&maps), Some(1));
+}
