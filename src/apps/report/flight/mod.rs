@@ -182,7 +182,14 @@ pub fn purpose(stages: &Stages) -> String {
             None => region.to_string(),
         });
     let region = region.map_or_else(String::new, |region| format!("; region: {region}"));
-    format!("Planned for {}{region}.", stages.wanted())
+    // Images at a part of their size show less than they do as photographs.
+    let scale = stages.settings.image_scale();
+    let of_photographs = stages.settings.target.gsd.filter(|_| scale != 1.0);
+    let of_photographs = of_photographs.map_or_else(String::new, |gsd| {
+        let own = length_in_words(gsd * scale, stages.metres);
+        format!(" in depth maps at image_scale {scale}, so {own} in a photograph")
+    });
+    format!("Planned for {}{of_photographs}{region}.", stages.wanted())
 }
 
 fn margin() -> String {
