@@ -219,11 +219,13 @@ fn later_than(mut phase: Phase, later: usize) -> Phase {
 
 /// The phase of a project whose depth maps, if any, were not measured.
 fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
-    let (clusters, share, note) = (plan.clusters, plan.share, None);
+    let (clusters, share, has_region) = (plan.clusters, plan.share, plan.has_region);
+    let note = None;
     if maps == 0 {
         return Phase::Planned {
             clusters,
             share,
+            has_region,
             note,
         };
     }
@@ -232,6 +234,7 @@ fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
         clusters,
         share: None,
         unmeasured: maps,
+        has_region,
         note,
     }
 }

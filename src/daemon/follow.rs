@@ -58,6 +58,8 @@ pub struct Progress {
     /// maps, measured, over what it is expected to keep of all (`kept` over `reachable`), 0 to 1; null where they are only counted (`note` says
     /// why).
     pub share: Option<f64>,
+    /// True if only what is inside a region counts.
+    pub has_region: bool,
     /// Target of `share`, 0 to 1.
     pub target: f64,
     /// Weight that fusion keeps of the finished depth maps, over that of the whole surface, 0 to 1
@@ -120,6 +122,7 @@ impl Progress {
             done,
             clusters,
             share,
+            has_region,
             note,
             ..
         } = self;
@@ -128,6 +131,7 @@ impl Progress {
                 done,
                 clusters,
                 share,
+                has_region,
                 note,
             },
             None => Phase::Partial {
@@ -135,6 +139,7 @@ impl Progress {
                 clusters,
                 share,
                 unmeasured: 0,
+                has_region,
                 note,
             },
         }
@@ -329,6 +334,7 @@ impl FollowJob<'_> {
             version: 1,
             done: finished.len(),
             clusters: listed.len(),
+            has_region: settings.region.is_some(),
             target: settings.cut.target.map_or(cut.share, |share| share.0),
             reachable: ranking.reachable,
             finished,
@@ -447,6 +453,7 @@ impl TargetForecast {
             done: finished.len(),
             clusters: self.cut,
             share: self.so_far.share.or(Some(0.0)),
+            has_region: stages.settings.region.is_some(),
             target: self.target,
             kept: Some(self.so_far.kept),
             reachable: self.so_far.reachable,

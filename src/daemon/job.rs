@@ -226,6 +226,7 @@ impl PlanJob {
             fingerprint,
             clusters,
             share,
+            has_region: settings.region.is_some(),
             note: note
                 .or_else(|| outdated_note(&plan.finished.outdated, "manifest.json"))
                 .or(replaced),
@@ -520,6 +521,7 @@ fn planned_before(job: &Job, fingerprint: &Fingerprint, note: &Option<String>) -
         fingerprint: record.fingerprint,
         clusters: record.clusters,
         share: record.share,
+        has_region: record.settings.region.is_some(),
         note: note.clone(),
         anew: false,
         known,

@@ -37,6 +37,9 @@ pub enum Phase {
         clusters: usize,
         /// Their predicted share of the fulfilment of all view clusters, 0 to 1.
         share: f64,
+        /// True if only what is inside a region counts.
+        #[serde(default, skip_serializing_if = "is_false")]
+        has_region: bool,
         /// Remark about the result.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
@@ -55,6 +58,9 @@ pub enum Phase {
         /// where it is 0.
         #[serde(default, skip_serializing_if = "is_zero")]
         unmeasured: usize,
+        /// True if only what is inside a region counts.
+        #[serde(default, skip_serializing_if = "is_false")]
+        has_region: bool,
         /// Remark about the result.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
@@ -69,6 +75,9 @@ pub enum Phase {
         /// Share of the result of all view clusters that they give, 0 to 1, estimated as in
         /// `partial`.
         share: f64,
+        /// True if only what is inside a region counts.
+        #[serde(default, skip_serializing_if = "is_false")]
+        has_region: bool,
         /// Remark about the result.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
@@ -113,7 +122,7 @@ fn is_zero(n: &usize) -> bool {
 
 impl fmt::Display for Phase {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let area = area_of_all(None, false);
+        let area = |has_region: &bool| area_of_all(None, *has_region);
         match self {
             Self::Waiting { reason } => write!(f, "waiting: {reason}"),
             Self::Queued { reason } => write!(f, "queued: {reason}"),
@@ -121,12 +130,14 @@ impl fmt::Display for Phase {
             Self::Planned {
                 clusters,
                 share,
+                has_region,
                 note,
             } => {
                 write!(
                     f,
-                    "planned: {clusters} key views for {:.0} % of {area}",
-                    share * 100.0
+                    "planned: {clusters} key views for {:.0} % of {}",
+                    share * 100.0,
+                    area(has_region)
                 )?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
@@ -135,12 +146,14 @@ impl fmt::Display for Phase {
                 clusters,
                 share,
                 unmeasured,
+                has_region,
                 note,
             } => {
                 write!(f, "partial: {done} of {clusters} depth maps")?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
                 share.iter().try_for_each(|share| {
-                    write!(f, ", about {:.0} % of {area}", (share * 100.0).floor())
+                    let percent = (share * 100.0).floor();
+                    write!(f, ", about {percent:.0} % of {}", area(has_region))
                 })?;
                 match *unmeasured {
                     0 => {}
@@ -150,12 +163,17 @@ impl fmt::Display for Phase {
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Reached {
-                done, share, note, ..
+                done,
+                share,
+                has_region,
+                note,
+                ..
             } => {
                 write!(
                     f,
-                    "done: {done} depth maps, about {:.0} % of {area}",
-                    share * 100.0
+                    "done: {done} depth maps, about {:.0} % of {}",
+                    share * 100.0,
+                    area(has_region)
                 )?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }

@@ -30,6 +30,7 @@ pub enum Outcome {
         fingerprint: Fingerprint,
         clusters: usize,
         share: f64,
+        has_region: bool,
         note: Option<String>,
         /// The plan is new.
         anew: bool,
@@ -150,6 +151,7 @@ impl TrackedProject {
                     done,
                     clusters,
                     share,
+                    has_region,
                     note,
                     ..
                 } => Phase::Partial {
@@ -157,6 +159,7 @@ impl TrackedProject {
                     clusters,
                     share,
                     unmeasured: self.maps.unmeasured(),
+                    has_region,
                     note,
                 },
                 result => result,
@@ -319,6 +322,7 @@ impl TrackedProject {
             Outcome::Planned {
                 clusters,
                 share,
+                has_region,
                 note,
                 known,
                 ..
@@ -331,6 +335,7 @@ impl TrackedProject {
                     None => Phase::Planned {
                         clusters,
                         share,
+                        has_region,
                         note,
                     },
                 }

@@ -17,6 +17,7 @@ fn planned(text: &str) -> Outcome {
         fingerprint,
         clusters: 3,
         share: 0.9,
+        has_region: false,
         note: None,
         anew: true,
         known: None,
@@ -50,6 +51,7 @@ fn run(project: &mut TrackedProject, work: Work, outcome: Outcome, now: Instant)
 const PLANNED: Phase = Phase::Planned {
     clusters: 3,
     share: 0.9,
+    has_region: false,
     note: None,
 };
 
@@ -257,6 +259,7 @@ fn maps_newer_than_the_last_measurement_are_counted() {
         clusters: 3,
         share: Some(0.5),
         unmeasured: 0,
+        has_region: false,
         note: None,
     });
     let unmeasured = |project: &TrackedProject| match project.phase() {
@@ -386,6 +389,7 @@ fn what_a_job_says_at_length_is_shortened() {
             clusters: 2,
             share: None,
             unmeasured: 0,
+            has_region: false,
             note: Some(long()),
         }),
     ];
@@ -396,4 +400,33 @@ fn what_a_job_says_at_length_is_shortened() {
         let status = serde_json::to_string(&project.phase()).expect("JSON");
         assert!(status.len() < 3000, "{}", status.len());
     }
+}
+
+#[test]
+fn shares_inside_a_region_are_said_to_be() {
+    let planned = Phase::Planned {
+        clusters: 3,
+        share: 0.9,
+        has_region: true,
+        note: None,
+    };
+    let partial = Phase::Partial {
+        done: 1,
+        clusters: 3,
+        share: Some(0.5),
+        unmeasured: 0,
+        has_region: true,
+        note: None,
+    };
+    let reached = Phase::Reached {
+        done: 3,
+        clusters: 3,
+        share: 0.9,
+        has_region: true,
+        note: None,
+    };
+    for phase in [planned, partial, reached] {
+        assert!(phase.to_string().contains(" inside the region"), "{phase}");
+    }
+    assert!(!PLANNED.to_string().contains("region"));
 }

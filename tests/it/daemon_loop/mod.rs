@@ -71,6 +71,7 @@ impl Planner for Counter {
             fingerprint,
             clusters: 1,
             share: 1.0,
+            has_region: false,
             note: None,
             anew: true,
             known: None,

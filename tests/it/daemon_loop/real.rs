@@ -362,3 +362,19 @@ fn a_plan_by_hand_that_is_replaced_is_named_with_its_region() {
         "{phase}"
     );
 }
+
+#[test]
+fn shares_of_a_project_with_a_region_are_inside_it() {
+    let real = Real::new(&town());
+    fs::write(real.project.join("viewrank.toml"), "region = 'auto'\n").expect("a file");
+    for has_map in [false, true] {
+        if has_map {
+            real.put_map("sgm");
+        }
+        let phase = real.once(false).to_string();
+        assert!(phase.contains("inside the region"), "{phase}");
+    }
+    // As `viewrank status` has it once nothing is planned or measured anew.
+    let phase = real.once(false).to_string();
+    assert!(phase.contains("inside the region"), "{phase}");
+}
