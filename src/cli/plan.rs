@@ -708,3 +708,41 @@ fn report(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::config::{Configuration, Files};
+
+    #[derive(Parser)]
+    struct Typed {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    #[test]
+    fn a_run_can_go_on_with_each_option_that_is_a_setting() {
+        let words = "plan p -k 3 --budget 7 --target 80% --time 2h --points 5M --test-every 8 --region auto \
+                     --gsd 0.1 --accuracy 0.1 --scales 1,0.5 --partners search --confidence none --surface 3d \
+                     --up 0,0,1 --mesh m.ply --mesh-as-is --images i --pilot s --no-gps --seed 2 --max-memory 8G";
+        let typed = Typed::parse_from(words.split_whitespace())
+            .arguments
+            .typed();
+        let load = |typed| {
+            let files = Files::default();
+            let loaded = Configuration::load(&files, typed, backends::canonical_name);
+            loaded.unwrap().settings
+        };
+        let planned = load(typed);
+        let next = CommandLineSettings::default().following(planned.typed.clone());
+        let next = load(next);
+        let named = Vec::new();
+        assert_eq!(
+            next,
+            Settings { named, ..planned },
+            "all but who named files"
+        );
+    }
+}

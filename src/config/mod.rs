@@ -26,7 +26,7 @@ pub use catalogue::{Key, keys};
 pub use dispatch::DispatchSettings;
 pub use layers::{
     BackendLookup, CommandLineSettings, ConfigError, Configuration, Files, SettingLocation, Source,
-    UnknownBackend, user_file,
+    TypedSetting, UnknownBackend, user_file,
 };
 pub use region::{RegionChoice, RegionChoiceError};
 
@@ -94,6 +94,9 @@ pub struct Settings {
     /// file or its plan.
     #[serde(skip)]
     pub named: Vec<PathBuf>,
+    /// Those that were typed, now or for the plan that this one goes on from.
+    #[serde(skip)]
+    pub typed: Vec<TypedSetting>,
 }
 
 /// Reads the n of every n-th view, of which 1 would leave none.

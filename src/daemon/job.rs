@@ -620,12 +620,16 @@ fn another_than(plan: &Plan, project: &Project) -> Option<String> {
         .map(|c| (c.key.clone(), c.scale));
     let is_same = earlier.backend == plan.stages.backend && before.eq(list);
     let (backend, maps) = (&earlier.backend, earlier.cut.clusters);
-    let dropped = earlier.settings.region.as_ref();
-    let dropped = dropped.filter(|_| plan.stages.settings.region.is_none());
-    let region = dropped.map_or_else(String::new, |region| format!(", region {region}"));
+    let dropped = earlier.settings.typed.iter();
+    let dropped: String = dropped.map(|option| format!(" {option}")).collect();
+    let dropped = if dropped.is_empty() {
+        dropped
+    } else {
+        format!(", typed with{dropped}")
+    };
     (!is_same).then(|| {
         format!(
-            "takes the place of a plan made by hand for {backend} ({maps} depth maps{region}): lasting options belong in viewrank.toml"
+            "takes the place of a plan made by hand for {backend} ({maps} depth maps{dropped}): lasting options belong in viewrank.toml"
         )
     })
 }

@@ -248,3 +248,20 @@ def test_maps_of_another_program_are_none_of_this_plan(run, valley):
     _, err = run(valley, "--backend", "openmvs", "--program", stub, "--budget", "1", "--no-report", expect=1)
     manifest = json.loads((valley / "viewrank/manifest.json").read_text())
     assert manifest["cut"]["clusters"] == 1, err
+
+
+def test_a_run_goes_on_with_what_was_typed_for_its_plan(run, viewrank, valley):
+    settings = lambda: json.loads((valley / "viewrank/manifest.json").read_text())["settings"]
+    viewrank("plan", valley, "--backend", "sgm", "--gsd", "0.06", "-k", "8", "--budget", "2")
+    _, err = run(valley, "--no-report")
+    assert f"as typed for the last plan: -k 8 --budget 2 --gsd 0.06 (viewrank plan '{valley}' starts afresh)" in err
+    first = settings()
+    assert (first["target"]["gsd"], first["partners"]["k"], first["cut"]["budget"]) == (0.06, 8, "2")
+    # Around the maps that are there, with another limit, and one number from the file.
+    (valley / "viewrank.toml").write_text("partners.k = 6\n")
+    _, err = run(valley, "--no-report", "--target", "60%")
+    assert "as typed for the last plan: --gsd 0.06 (" in err
+    then = settings()
+    assert (then["target"]["gsd"], then["partners"]["k"], then["cut"]["budget"]) == (0.06, 6, None)
+    viewrank("plan", valley)
+    assert settings()["target"]["gsd"] < 0.06

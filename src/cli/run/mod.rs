@@ -5,7 +5,11 @@ mod result;
 mod task;
 mod work;
 
-use std::{path::PathBuf, sync::atomic::Ordering, thread};
+use std::{
+    path::{Path, PathBuf},
+    sync::atomic::Ordering,
+    thread,
+};
 
 use clap::Args;
 
@@ -22,7 +26,7 @@ use crate::{
     config::{Budget, CommandLineSettings, Settings},
     daemon::{PlanWhen, foreground::Foreground},
     io::project::Project,
-    show::manifest::{PlannedMaps, planned_maps, planned_region},
+    show::manifest::{PlannedMaps, planned_maps, planned_options},
 };
 
 /// Options of a whole run, which plans.
@@ -109,8 +113,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(product) = arguments.product() {
         return task::run(arguments, product, &stop);
     }
-    let project = Project::open(&arguments.project, None)?;
-    let settings = config::load(Some(&project), arguments.typed(None, true))?.settings;
+    let project = open(arguments)?;
+    let typed = arguments
+        .typed(None, true)
+        .following(planned_options(&project.home));
+    let settings = config::load(Some(&project), typed)?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, choice) = planned_or_chosen(&project, &settings)?;
     let say = |line: String| {
@@ -146,12 +153,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         Some(what) => undistorted_project(arguments, project, backend, what)?,
     };
     let is_own = root == own;
-    let mut typed = arguments.typed(Some(backend.name), is_own);
-    // Somebody may have typed it for that plan.
-    if let Some(region) = planned_region(&root).filter(|_| settings.region.is_none()) {
-        note(&format!("the region is that of the last plan: {region}"));
-        typed.keep_planned("region", region);
-    }
+    let mut planned = planned_options(&root);
+    planned.retain(|option| is_own || option.key != "images");
+    let typed = arguments.typed(Some(backend.name), is_own);
+    let typed = typed.following(planned);
+    note_followed(&root, &typed)?;
     let foreground = Foreground::new(&root, typed, &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop, PlanWhen::Outdated)?;
     say(work.plan_in_words())?;
@@ -167,6 +173,40 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         ended = work.compute()?;
     }
     work.end(ended)
+}
+
+/// Opens the project, which must not be the folder of a plan made with `--out`: it is planned and
+/// computed in its own folder.
+fn open(arguments: &Arguments) -> Result<Project, Failure> {
+    let project = Project::open_or_planned(&arguments.project, None)?;
+    if !project.is_elsewhere() {
+        return Ok(project);
+    }
+    let (plan, root) = (
+        command_path(&arguments.project),
+        command_path(&project.root),
+    );
+    Err(Failure::new(
+        Exit::Usage,
+        format!("{plan} is a plan of {root}, and run plans and computes in the project itself"),
+        format!(
+            "viewrank run {root}; for the depth maps of this plan alone: viewrank dispatch {plan}"
+        ),
+    ))
+}
+
+/// Says with which options of the last plan this one goes on.
+fn note_followed(root: &Path, typed: &CommandLineSettings) -> Result<(), Failure> {
+    let configuration = config::load(Some(&Project::open(root, None)?), typed.clone())?;
+    let followed: Vec<String> = configuration.followed().map(ToString::to_string).collect();
+    if !followed.is_empty() {
+        note(&format!(
+            "as typed for the last plan: {} (viewrank plan {} starts afresh)",
+            followed.join(" "),
+            command_path(root)
+        ));
+    }
+    Ok(())
 }
 
 /// Returns the backend of the project's plan, if none is named: another could not use its maps. Without

@@ -1,6 +1,8 @@
 //! Settings in force: defaults, over them the user's file, the project's `viewrank.toml`, and the
 //! command line.
 
+mod planned;
+
 use std::{
     collections::BTreeMap,
     fmt, io,
@@ -11,6 +13,8 @@ use etcetera::BaseStrategy;
 use serde::Deserialize;
 use toml::{Table, Value, de::DeTable};
 
+pub use self::planned::TypedSetting;
+use self::planned::typed_settings;
 use super::{Key, RegionChoice, Settings, keys};
 use crate::{
     base::{
@@ -68,13 +72,17 @@ pub fn user_file() -> Option<PathBuf> {
 
 /// Settings from the command line: option, key, value.
 #[derive(Clone, Debug, Default)]
-pub struct CommandLineSettings(Vec<Entry>);
+pub struct CommandLineSettings {
+    typed: Vec<Entry>,
+    /// Those of the last plan, in the order of their options.
+    planned: Vec<TypedSetting>,
+}
 
 impl CommandLineSettings {
     /// Records the value of an option, if given.
     pub fn set(&mut self, option: &'static str, key: &str, value: Option<impl Into<Value>>) {
         if let Some(value) = value {
-            self.0.push(Entry {
+            self.typed.push(Entry {
                 key: key.into(),
                 value: value.into(),
                 place: SettingLocation::Option(option),
@@ -82,27 +90,22 @@ impl CommandLineSettings {
         }
     }
 
-    /// Records a value that the project's last plan has, which may be a stranger's.
-    pub fn keep_planned(&mut self, key: &str, value: impl Into<Value>) {
-        self.0.push(Entry {
-            key: key.into(),
-            value: value.into(),
-            place: SettingLocation::LastPlan,
-        });
-    }
-
     /// Returns whether all typed options are among these.
     pub fn are_among(&self, options: &[&str]) -> bool {
-        self.0.iter().all(|entry| matches!(entry.place, SettingLocation::Option(option) if options.contains(&option)))
+        self.typed.iter().all(|entry| matches!(entry.place, SettingLocation::Option(option) if options.contains(&option)))
     }
 }
 
 /// Location of a value: file and line, or option.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SettingLocation {
-    File { path: PathBuf, line: usize },
+    File {
+        path: PathBuf,
+        line: usize,
+    },
     Option(&'static str),
-    LastPlan,
+    /// An option of the last plan, which may be a stranger's.
+    LastPlan(&'static str),
 }
 
 /// Origin of a value in force.
@@ -117,7 +120,7 @@ impl fmt::Display for SettingLocation {
         match self {
             Self::File { path, line } => write!(f, "{}:{line}", path.display()),
             Self::Option(option) => write!(f, "{option}"),
-            Self::LastPlan => write!(f, "the last plan"),
+            Self::LastPlan(option) => write!(f, "{option} of the last plan"),
         }
     }
 }
@@ -193,7 +196,9 @@ impl Configuration {
             }
             entries.extend(project);
         }
-        entries.extend(typed.0);
+        let over = typed.over(&entries);
+        let typed = typed_settings(&entries, &over);
+        entries.extend(over);
         let is_measured = |entry: &Entry| is_length(entry) && entry.value.is_str();
         let has_units = entries.iter().any(|entry| entry.key == "units");
         let of_model = if entries.iter().any(is_measured) && !has_units {
@@ -207,13 +212,14 @@ impl Configuration {
         let is_named = |place: &SettingLocation| match place {
             SettingLocation::File { path, .. } => Some(path) != files.project.as_ref(),
             SettingLocation::Option(_) => true,
-            SettingLocation::LastPlan => false,
+            SettingLocation::LastPlan(_) => false,
         };
         configuration.settings.named = ["region", "surface.mesh"]
             .into_iter()
             .filter(|key| configuration.places.get(*key).is_some_and(is_named))
             .filter_map(|key| configuration.settings.file(key))
             .collect();
+        configuration.settings.typed = typed;
         Ok(configuration)
     }
 
@@ -232,6 +238,17 @@ impl Configuration {
         let configuration = Self { settings, places };
         configuration.check_together()?;
         Ok(configuration)
+    }
+
+    /// Returns the options in force that were typed for the last plan.
+    pub fn followed(&self) -> impl Iterator<Item = &TypedSetting> {
+        let is_planned = |setting: &&TypedSetting| {
+            matches!(
+                self.source(&setting.key),
+                Source::Written(SettingLocation::LastPlan(_))
+            )
+        };
+        self.settings.typed.iter().filter(is_planned)
     }
 
     pub fn source(&self, key: &str) -> Source {

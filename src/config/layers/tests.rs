@@ -1,6 +1,6 @@
 //! Layers of settings: which one wins, and what each refuses.
 
-use std::fs;
+use std::{fs, mem};
 
 use super::*;
 use crate::backends::canonical_name;
@@ -402,7 +402,73 @@ fn errors_quote_a_file_outside_only_if_the_user_names_it_by_no_link_of_the_proje
             typed.set("--region", "region", Some(text(&file)))
         });
         assert_eq!(by_user, is_quoted, "{file:?}");
-        let by_plan = quotes(&file, &|typed| typed.keep_planned("region", text(&file)));
+        let by_plan = quotes(&file, &|typed| {
+            *typed = mem::take(typed).following(vec![planned("region", text(&file))]);
+        });
         assert_eq!(by_plan, file == project.join("own"), "{file:?}");
     }
+}
+
+fn planned(key: &str, value: impl Into<Value>) -> TypedSetting {
+    TypedSetting {
+        key: key.into(),
+        value: value.into(),
+        instead_of: None,
+    }
+}
+
+#[test]
+fn options_of_the_last_plan_hold_until_one_is_typed_or_its_file_says_otherwise() {
+    let plan = |project: &str| {
+        let mut typed = CommandLineSettings::default();
+        typed.set("-k", "partners.k", Some(8));
+        typed.set("--gsd", "target.gsd", Some("2cm"));
+        typed.set("--budget", "cut.budget", Some("7"));
+        load("", project, typed).unwrap().settings.typed
+    };
+    let file = "units = 'metric'\npartners.k = 3\n";
+    let run = |project: &str, typed: CommandLineSettings| {
+        load("", project, typed.following(plan(file))).unwrap()
+    };
+    let same = run(file, CommandLineSettings::default());
+    assert_eq!(same.settings.partners.k, 8);
+    assert_eq!(same.settings.target.gsd, Some(0.02));
+    let words: Vec<String> = same.followed().map(ToString::to_string).collect();
+    assert_eq!(words, ["-k 8", "--gsd 2cm", "--budget 7"]);
+    assert_eq!(
+        same.settings.typed,
+        plan(file),
+        "and the next goes on from it"
+    );
+
+    let changed = run(
+        "units = 'metric'\npartners.k = 4\n",
+        CommandLineSettings::default(),
+    );
+    assert_eq!(changed.settings.partners.k, 4);
+    assert_eq!(changed.settings.target.gsd, Some(0.02));
+
+    let mut typed = CommandLineSettings::default();
+    typed.set("-k", "partners.k", Some(5));
+    typed.set("--target", "cut.target", Some("80%"));
+    let typed = run(file, typed);
+    assert_eq!(
+        (typed.settings.partners.k, typed.settings.cut.budget),
+        (5, None)
+    );
+    assert_eq!(typed.followed().count(), 1);
+}
+
+#[test]
+fn of_a_forged_plan_only_options_of_plan_count() {
+    let following = |key: &str, value: Value| {
+        let typed = CommandLineSettings::default().following(vec![planned(key, value)]);
+        load("", "", typed)
+    };
+    for key in ["on_target", "dispatch.setup", "no.such"] {
+        let forged = following(key, "touch gone".into()).unwrap();
+        assert_eq!(forged, Configuration::default(), "{key}");
+    }
+    let error = following("partners.k", "many".into()).unwrap_err();
+    assert!(error.to_string().contains("-k of the last plan"), "{error}");
 }

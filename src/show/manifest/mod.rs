@@ -17,14 +17,14 @@ pub use region::RegionSummary;
 pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{
     PlannedMaps, WrittenPlan, WrittenPlanError, open_planned_workspace, planned_backend,
-    planned_backends, planned_ground, planned_maps, planned_model, planned_region,
+    planned_backends, planned_ground, planned_maps, planned_model, planned_options, planned_region,
     planned_test_every, planned_workspace, validate,
 };
 
 use crate::{
     backends::ExportRecord,
     base::printable::to_json,
-    config::Settings,
+    config::{Settings, TypedSetting},
     io::project::{ImageFaults, Project},
     method::surface::{SurfaceKind, SurfaceStats},
     model::{
@@ -59,6 +59,8 @@ pub struct Manifest {
     /// All settings in force, nested as in viewrank.toml, with the values that the data or the
     /// backend decided.
     pub settings: Settings,
+    /// Those of the settings that were typed as options; `viewrank run` goes on with them.
+    pub typed: Vec<TypedSetting>,
     /// True if `settings.image_scale` was not set: it is the backend's default.
     pub own_size: bool,
     pub surface: SurfaceSummary,
@@ -202,6 +204,7 @@ impl Manifest {
             units: plan.stages.settings.units.unwrap_or(Units::Relative),
             backend: plan.stages.backend.into(),
             settings: plan.stages.settings.for_plan(),
+            typed: plan.stages.settings.typed.clone(),
             own_size: plan.stages.own_size,
             surface: SurfaceSummary::new(plan),
             region: RegionSummary::from_plan(plan),

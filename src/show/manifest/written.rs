@@ -2,7 +2,7 @@
 //! the model.
 
 use std::{
-    io,
+    io, mem,
     path::{Path, PathBuf},
 };
 
@@ -15,9 +15,9 @@ use crate::{
         bounded::{self, Names},
         error::{Advice, Hint, shortened},
         input::FileKind,
-        shell::{command_path, command_word},
+        shell::command_path,
     },
-    config::{Budget, Settings, Share},
+    config::{Budget, Settings, Share, TypedSetting},
     io::{
         output::{self, OutputError},
         project::{ImageFaults, Project, ProjectError},
@@ -71,6 +71,8 @@ pub(crate) struct RecordedPlan {
     pub backend: String,
     #[serde(deserialize_with = "bounded::text::<_, _, SETTINGS_BYTES>")]
     pub settings: Settings,
+    #[serde(default, deserialize_with = "bounded::text::<_, _, SETTINGS_BYTES>")]
+    typed: Vec<TypedSetting>,
     #[serde(default)]
     pub own_size: bool,
     /// The whole ranking, best first, but after the finished clusters.
@@ -230,6 +232,17 @@ pub fn planned_region(root: &Path) -> Option<String> {
     recorded.settings.region.map(|region| region.to_string())
 }
 
+/// Returns the options that were typed for the project's plan of depth maps; none without such a
+/// plan.
+pub fn planned_options(root: &Path) -> Vec<TypedSetting> {
+    match RecordedPlan::open(root) {
+        Ok((_, recorded)) if by_name(&recorded.backend).is_ok_and(|b| b.makes_maps()) => {
+            recorded.settings.typed
+        }
+        _ => Vec::new(),
+    }
+}
+
 /// Returns which image in how many the project's plan keeps apart for tests.
 pub fn planned_test_every(root: &Path) -> Option<u32> {
     let (_, recorded) = RecordedPlan::open(root).ok()?;
@@ -374,9 +387,11 @@ impl RecordedPlan {
         if version != VERSION {
             return Err(WrittenPlanError::Version { path, version });
         }
-        let recorded: Self =
+        let mut recorded: Self =
             serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
         check(&recorded).map_err(refused)?;
+        recorded.typed.retain(TypedSetting::is_of_plan);
+        recorded.settings.typed = mem::take(&mut recorded.typed);
         Ok(Self { path, ..recorded })
     }
 
@@ -496,10 +511,10 @@ fn plan_command(path: &Path) -> String {
     let recorded = RecordedPlan::open(root).ok();
     let known = recorded.and_then(|(_, recorded)| by_name(&recorded.backend).ok());
     let backend = known.map_or_else(String::new, |known| format!(" --backend {}", known.name));
-    let region = planned_region(root).map_or_else(String::new, |region| {
-        format!(" --region {}", command_word(&region))
-    });
-    format!("viewrank plan {}{backend}{region}", command_path(root))
+    let options = planned_options(root);
+    let options = options.iter().map(|option| format!(" {option}"));
+    let options: String = options.collect();
+    format!("viewrank plan {}{backend}{options}", command_path(root))
 }
 
 impl Hint for WrittenPlanError {

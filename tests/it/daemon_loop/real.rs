@@ -358,7 +358,7 @@ fn a_plan_by_hand_that_is_replaced_is_named_with_its_region() {
     assert!(by_hand.status.success(), "{by_hand:?}");
     let phase = real.once(false).to_string();
     assert!(
-        phase.contains("a plan made by hand") && phase.contains("region auto"),
+        phase.contains("a plan made by hand") && phase.contains("--region auto"),
         "{phase}"
     );
 }

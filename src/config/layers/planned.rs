@@ -1,0 +1,128 @@
+//! Options that were typed for the last plan, which the next one goes on with.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use toml::Value;
+
+use super::{CommandLineSettings, Entry, SettingLocation};
+use crate::base::shell::command_word;
+
+/// The options of `viewrank plan` that a run goes on with. Others of a plan, which may be a
+/// stranger's, do not count.
+const OPTIONS: [(&str, &str); 21] = [
+    ("partners.k", "-k"),
+    ("cut.budget", "--budget"),
+    ("cut.target", "--target"),
+    ("cut.time", "--time"),
+    ("cut.points", "--points"),
+    ("test_every", "--test-every"),
+    ("region", "--region"),
+    ("target.gsd", "--gsd"),
+    ("target.accuracy", "--accuracy"),
+    ("ranking.scales", "--scales"),
+    ("partners.method", "--partners"),
+    ("confidence.source", "--confidence"),
+    ("surface.kind", "--surface"),
+    ("surface.up", "--up"),
+    ("surface.mesh", "--mesh"),
+    ("surface.mesh_as_is", "--mesh-as-is"),
+    ("images", "--images"),
+    ("pilot.maps", "--pilot"),
+    ("frame.gps", "--no-gps"),
+    ("seed", "--seed"),
+    ("max_memory", "--max-memory"),
+];
+
+fn option_of(key: &str) -> Option<&'static str> {
+    let of_key = OPTIONS.iter().find(|(known, _)| *known == key);
+    of_key.map(|(_, option)| *option)
+}
+
+/// A setting that was given on the command line of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct TypedSetting {
+    /// The setting, as `target.gsd`.
+    pub key: String,
+    /// The value as it was typed; paths are absolute.
+    #[schemars(with = "serde_json::Value")]
+    pub value: Value,
+    /// What the settings files said instead, if anything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<serde_json::Value>")]
+    pub instead_of: Option<Value>,
+}
+
+impl TypedSetting {
+    pub fn is_of_plan(&self) -> bool {
+        option_of(&self.key).is_some()
+    }
+}
+
+impl fmt::Display for TypedSetting {
+    /// Writes the option as in a command.
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let word = |value: &Value| match value {
+            Value::String(text) => text.clone(),
+            value => value.to_string(),
+        };
+        let option = option_of(&self.key).unwrap_or(&self.key);
+        let value = match &self.value {
+            Value::Boolean(_) => return f.write_str(option),
+            Value::Array(members) => members.iter().map(word).collect::<Vec<_>>().join(","),
+            value => word(value),
+        };
+        write!(f, "{option} {}", command_word(&value))
+    }
+}
+
+/// Options typed for the same purpose replace each other: each limit is one.
+fn purpose(key: &str) -> &str {
+    if key.starts_with("cut.") { "cut" } else { key }
+}
+
+impl CommandLineSettings {
+    /// Goes on with the options of the last plan, which may be a stranger's, where none of the same
+    /// purpose was typed now, and the files still say what they said then.
+    pub fn following(mut self, mut planned: Vec<TypedSetting>) -> Self {
+        let is_typed = |then: &TypedSetting| {
+            let mut typed = self.typed.iter();
+            typed.any(|now| purpose(&now.key) == purpose(&then.key))
+        };
+        planned.retain(|then| !is_typed(then));
+        self.planned = planned;
+        self
+    }
+
+    /// Returns the entries over those of the files: of the last plan, then those typed now.
+    pub(super) fn over(self, files: &[Entry]) -> Vec<Entry> {
+        let still = |then: &TypedSetting| value_of(files, &then.key) == then.instead_of.as_ref();
+        let planned = self.planned.into_iter().filter(still);
+        let planned = planned.filter_map(|then| {
+            let place = SettingLocation::LastPlan(option_of(&then.key)?);
+            Some(Entry {
+                key: then.key,
+                value: then.value,
+                place,
+            })
+        });
+        planned.chain(self.typed).collect()
+    }
+}
+
+fn value_of<'a>(entries: &'a [Entry], key: &str) -> Option<&'a Value> {
+    let of_key = entries.iter().rev().find(|entry| entry.key == key);
+    of_key.map(|entry| &entry.value)
+}
+
+/// Returns what the next plan can go on with. Backends are left out: the files of the plan say them.
+pub(super) fn typed_settings(files: &[Entry], over: &[Entry]) -> Vec<TypedSetting> {
+    let kept = over.iter().filter(|entry| option_of(&entry.key).is_some());
+    let setting = |entry: &Entry| TypedSetting {
+        key: entry.key.clone(),
+        value: entry.value.clone(),
+        instead_of: value_of(files, &entry.key).cloned(),
+    };
+    kept.map(setting).collect()
+}
