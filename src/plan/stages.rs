@@ -164,13 +164,18 @@ impl Stages {
         Ok(stages)
     }
 
-    /// Formats the wanted ground sampling distance, with that of areas of the region.
-    pub fn wanted(&self) -> String {
+    /// Formats a ground sampling distance.
+    pub fn gsd_in_words(&self, gsd: f64) -> String {
         let (unit, metres) = match self.metres {
             Some(metres) => ("m", metres),
             None => ("units", 1.0),
         };
-        let said = |gsd: f64| significant(gsd * metres);
+        format!("{} {unit} per pixel", significant(gsd * metres))
+    }
+
+    /// Formats the wanted ground sampling distance, with that of areas of the region.
+    pub fn wanted(&self) -> String {
+        let said = |gsd: f64| significant(gsd * self.metres.unwrap_or(1.0));
         let of_areas = self.region.iter().flat_map(|region| &region.gsd);
         let of_areas = of_areas.copied().filter(|gsd| gsd.is_finite());
         let [finest, coarsest] = of_areas.fold([f32::INFINITY, 0.0], |[low, high], gsd| {
@@ -182,7 +187,7 @@ impl Stages {
             [low, high] => format!(", {low} to {high} where the region says so"),
         };
         let gsd = self.settings.target.gsd.unwrap_or(f64::NAN);
-        format!("{} {unit} per pixel{of_areas}", said(gsd))
+        format!("{}{of_areas}", self.gsd_in_words(gsd))
     }
 
     /// The area of the region in numbers.

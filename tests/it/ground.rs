@@ -329,6 +329,23 @@ fn images_to_take_of_an_earlier_plan_are_told() {
 }
 
 #[test]
+fn images_for_maps_of_a_quarter_of_their_size_say_what_a_photograph_must_show() {
+    let folder = flight(&format!(
+        "frame.origin = [{LATITUDE}, {LONGITUDE}, 0]\nimage_scale = 0.25\n"
+    ));
+    let region = site(&folder, [-10.0, -10.0, 200.0, 10.0]);
+    let plan = ["--region", &region, "--gsd", "0.4", "--backend", "sgm"];
+    let (code, _, stderr) = folder.plan(&[&plan[..], &["--report"]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    let said =
+        "0.400 m per pixel in depth maps at image_scale 0.25, so 0.100 m per pixel in a photograph";
+    for file in ["viewrank/flight/missed.geojson", "viewrank/report.html"] {
+        let text = fs::read_to_string(folder.at(file)).unwrap();
+        assert!(text.contains(said), "{file}: {text}");
+    }
+}
+
+#[test]
 fn slivers_of_missed_ground_are_summed_not_drawn() {
     let folder = georeferenced();
     let region = site(&folder, [-40.0, -40.0, 40.0, 40.0]);

@@ -186,7 +186,7 @@ pub fn purpose(stages: &Stages) -> String {
     let scale = stages.settings.image_scale();
     let of_photographs = stages.settings.target.gsd.filter(|_| scale != 1.0);
     let of_photographs = of_photographs.map_or_else(String::new, |gsd| {
-        let own = length_in_words(gsd * scale, stages.metres);
+        let own = stages.gsd_in_words(gsd * scale);
         format!(" in depth maps at image_scale {scale}, so {own} in a photograph")
     });
     format!("Planned for {}{of_photographs}{region}.", stages.wanted())
