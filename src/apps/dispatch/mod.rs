@@ -32,7 +32,7 @@ use crate::{
     config::Share,
     io::{
         output::{self, Contents, Disk, FileSet, Folder, OutputError},
-        project::Project,
+        project::{ImageFaults, Project},
     },
     model::cluster::{MapScale, RankedCluster},
     show::manifest::WrittenPlan,
@@ -134,8 +134,11 @@ impl Dispatch {
         backend: &'static Backend,
         cut: usize,
     ) -> Result<(Self, Export), DispatchError> {
-        let image_faults = plan.project.image_faults(&plan.scene);
-        let selection = plan.selection(&plan.clusters[..cut], &image_faults);
+        let clusters = &plan.clusters[..cut];
+        // Each task of a queue would open the images of the whole model.
+        let views = plan.selection(clusters, &ImageFaults::default()).views();
+        let image_faults = plan.project.image_faults_of(&views, &plan.scene);
+        let selection = plan.selection(clusters, &image_faults);
         let export = backend.export(&selection, &Default::default())?;
         output::refuse_to_leave(&plan.project.home, &export.files.root)?;
         let mut dispatch = Self::new(backend, &selection, &export, plan.finished)?;
