@@ -4,8 +4,8 @@
     python3 -I run.py --densify /path/to/DensifyPointCloud
     python3 -I run.py --stop-at 20          the first 20 maps, without a cloud
 
-A map that is there is not computed again. This is for machines without viewrank: `viewrank run PROJECT` also checks each map, measures how much of the cloud is there, and
-fuses the maps of an unfinished run and those of two sizes. Needs Python 3.8 and nothing else.
+A map of this plan that is there is not computed again. This is for machines without viewrank: `viewrank run PROJECT` goes on from these maps, checks those that it computes,
+measures how much of the cloud is there, and fuses the maps of an unfinished run and those of two sizes. Needs Python 3.8 and nothing else.
 """
 
 import errno
@@ -62,6 +62,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 WORK = HERE / "unfinished"  # viewrank looks for no depth maps there
+MARKS = HERE / "done"  # of finished maps, which viewrank reads
 MOST_BYTES_OF_A_RECORD = 128 << 20
 
 
@@ -77,9 +78,8 @@ def main():
         help_text = subprocess.run([program, "--help"], cwd=folder, capture_output=True, text=True, errors="replace", check=False)
     known = [word for option in run["where_known"] if option[0] in help_text.stdout + help_text.stderr for word in option]
     options = [*run["options"], *known, "--config-file", str(HERE / "options.cfg"), "--dense-config-file", str(HERE / "dense.cfg"), "--max-threads", str(args.threads)]
-    marks = marks_of(run["marks"])
     clusters = run["clusters"] if args.stop_at is None else run["clusters"][: args.stop_at]
-    failed = [row["key"] for row in clusters if not compute(row, [program, *options, *run["of_maps"]], marks)]
+    failed = [row["key"] for row in clusters if not compute(row, [program, *options, *run["of_maps"]])]
     if failed:
         sys.exit(f"error: {len(failed)} of {len(clusters)} depth maps failed: {', '.join(map(ascii, failed))}\nhint: run again, or `viewrank run PROJECT`, which says why")
     if args.stop_at is not None or len({row["resolution"] for row in clusters}) > 1:
@@ -100,6 +100,8 @@ def refuse_strangers(top):
     """Ends where anything here is neither a file nor a folder nor a link to a picture that links.txt lists: it would be followed out of this folder, or a pipe waited for."""
     links = set(read_record(top / "links.txt").split("\n"))
     for folder, folders, files in os.walk(top, onerror=refuse_unlisted):
+        if Path(folder) == WORK:
+            folders.clear()  # of other runs; each works in a new one
         for path in (Path(folder, name) for name in [*folders, *files]):
             mode = path.lstat().st_mode
             is_picture = f"./{path.relative_to(top).as_posix()}" in links and (os.path.isfile(path) or not os.path.exists(path))
@@ -131,34 +133,23 @@ def refuse_other_pictures(planned):
             sys.exit(f"error: {ascii(name)}: the picture has changed since the plan: plan again")
 
 
-def marks_of(name):
-    """The folder of the marks of finished maps, which `viewrank run` reads, too."""
-    folder = HERE
-    for part in name.split("/"):
-        folder = folder.parent if part == ".." else folder / part
-        folder.mkdir(exist_ok=True)
-        if folder.is_symlink():
-            sys.exit(f"error: {folder}: a link\nhint: move it away")
-    return folder
-
-
-def compute(row, command, marks):
+def compute(row, command):
     """Computes a map unless it is there; False if it fails. A half-made one never takes its place."""
-    mark, place, folder = marks / row["mark"], HERE / row["map"], WORK / f"{row['rank']:04d}"
-    if place.exists() and mark.exists() and read_record(mark).strip() == row["id"]:
+    mark, place = MARKS / row["mark"], HERE / row["map"]
+    if place.exists() and mark.exists() and read_record(mark).strip() in row["ids_of_map"]:
         return True
     mark.unlink(missing_ok=True)
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    scene = HERE / f"clusters/{row['rank']:04d}.mvs"
-    done = densify(command, folder, scene, "dense.mvs", row["resolution"])
-    made = folder / row["map"]
-    if done.returncode != 0 or not made.exists():
-        print(f"{row['rank']:4d} {row['key']}: failed: see {folder}", flush=True)
-        return False
-    made.replace(place)
-    write_new(mark, row["id"] + "\n")
-    shutil.rmtree(folder, ignore_errors=True)
+    WORK.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=WORK) as folder:
+        done = densify(command, folder, HERE / f"clusters/{row['rank']:04d}.mvs", "dense.mvs", row["resolution"])
+        made = Path(folder) / row["map"]
+        if done.returncode != 0 or not made.exists():
+            said = [line for line in done.stdout.splitlines() if "error" in line] or [f"DensifyPointCloud ended with {done.returncode} and no depth map"]
+            print(f"{row['rank']:4d} {row['key']}: failed: {said[0]}", flush=True)
+            return False
+        made.replace(place)
+    MARKS.mkdir(exist_ok=True)
+    write_new(mark, row["ids_of_map"][0] + "\n")
     print(f"{row['rank']:4d} {row['key']}: done", flush=True)
     return True
 
@@ -180,7 +171,7 @@ def fuse(run, command):
 def densify(command, folder, scene, output, resolution):
     # With a file of options, OpenMVS takes the folder as it is written.
     command = [*command, "--working-folder", str(folder) + os.sep, "--input-file", str(scene), "--output-file", output, "--max-resolution", str(resolution)]
-    return subprocess.run(command, cwd=folder, stdout=subprocess.DEVNULL, check=False)
+    return subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False)
 
 
 def write_new(path, text):

@@ -1,5 +1,5 @@
 //! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is
-//! its head. And what names a finished depth map.
+//! its head. Names and contents of the marks of finished depth maps.
 
 use super::{Backend, Selection, strangers};
 use crate::{
@@ -67,14 +67,17 @@ pub fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     hasher.finalize().to_hex()[..16].into()
 }
 
-/// Returns the content of the mark: what the depth map is made from.
-pub fn task_id(backend: &Backend, selection: &Selection, cluster: &RankedCluster) -> String {
-    let half = match cluster.scale {
-        MapScale::Full => "",
-        MapScale::Half => " half",
+/// Returns the content of the mark, what the depth map is made from, and that of a map of full size,
+/// which is as good as one of half the size.
+pub fn task_ids(backend: &Backend, selection: &Selection, cluster: &RankedCluster) -> [String; 2] {
+    let id = |half: &str| {
+        let options = format!("{} {}{half}", backend.name, selection.image_scale);
+        recipe(selection, cluster, &options)
     };
-    let options = format!("{} {}{half}", backend.name, selection.image_scale);
-    recipe(selection, cluster, &options)
+    match cluster.scale {
+        MapScale::Full => [id(""), id("")],
+        MapScale::Half => [id(" half"), id("")],
+    }
 }
 
 /// Returns the cache key of a depth map: a hash of views, cameras and poses of key view and

@@ -23,7 +23,12 @@ pub struct Call<'a> {
     /// Folder of the export.
     pub workplace: &'a Path,
     pub project: &'a PathBuf,
-    /// Ranks of the depth maps that are finished.
+    /// Where the programs may work: a name that no other process has, below the export. It is
+    /// removed at the end, if it is there.
+    pub work: &'a Path,
+    /// Content of the mark of a depth map: what it is made from.
+    pub id: &'a str,
+    /// Ranks of the depth maps that a cloud is fused from.
     pub finished: &'a [usize],
     pub program: &'a Path,
     pub python: &'a Path,
@@ -49,6 +54,8 @@ pub struct TaskRunner {
     /// they depend on no current folder, and may run side by side with those of other depth maps.
     /// An error is a reason in words.
     pub commands: fn(&Call) -> Result<Vec<Vec<OsString>>, String>,
+    /// Returns whether a depth map is all there, as far as its size tells.
+    pub is_whole: fn(&Path) -> bool,
     /// Checks what the commands have made, and puts it in its place. An error is a reason in words;
     /// what was in that place is still there then.
     pub finish: fn(&Call) -> Result<(), String>,
@@ -63,6 +70,12 @@ pub struct TaskRunner {
 /// The words of a command.
 pub fn words<const N: usize>(words: [&dyn AsRef<OsStr>; N]) -> Vec<OsString> {
     words.map(|word| word.as_ref().to_owned()).into()
+}
+
+/// [`TaskRunner::is_whole`] of a program that never leaves a part of a map.
+pub fn is_not_empty(map: &Path) -> bool {
+    map.metadata()
+        .is_ok_and(|map| map.is_file() && map.len() > 0)
 }
 
 /// [`TaskRunner::finish`] of a program that fails unless its results are complete, and puts them in

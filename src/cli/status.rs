@@ -223,6 +223,7 @@ fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
     let note = None;
     if maps == 0 {
         return Phase::Planned {
+            backend: plan.backend.clone(),
             clusters,
             share,
             has_region,

@@ -20,6 +20,7 @@ use super::{
     follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::PlanCache,
     maps::{MapFiles, map_files, map_files_inside},
+    phase::chosen_for,
     planned_from::{PlannedFrom, RECORD},
     platform, queue,
     settle::{Fingerprint, HashCache, lock},
@@ -224,6 +225,7 @@ impl PlanJob {
         }
         Ok(Outcome::Planned {
             fingerprint,
+            backend: plan.stages.backend.into(),
             clusters,
             share,
             has_region: settings.region.is_some(),
@@ -519,6 +521,7 @@ fn planned_before(job: &Job, fingerprint: &Fingerprint, note: &Option<String>) -
     let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
     Some(Outcome::Planned {
         fingerprint: record.fingerprint,
+        backend: record.backend,
         clusters: record.clusters,
         share: record.share,
         has_region: record.settings.region.is_some(),
@@ -619,7 +622,8 @@ fn another_than(plan: &Plan, project: &Project) -> Option<String> {
         .take(earlier.cut.clusters)
         .map(|c| (c.key.clone(), c.scale));
     let is_same = earlier.backend == plan.stages.backend && before.eq(list);
-    let (backend, maps) = (&earlier.backend, earlier.cut.clusters);
+    let backend = &earlier.backend;
+    let chosen = chosen_for(backend, earlier.cut.clusters);
     let dropped = earlier.settings.typed.iter();
     let dropped: String = dropped.map(|option| format!(" {option}")).collect();
     let dropped = if dropped.is_empty() {
@@ -629,7 +633,7 @@ fn another_than(plan: &Plan, project: &Project) -> Option<String> {
     };
     (!is_same).then(|| {
         format!(
-            "takes the place of a plan made by hand for {backend} ({maps} depth maps{dropped}): lasting options belong in viewrank.toml"
+            "takes the place of a plan made by hand for {backend} ({chosen}{dropped}): lasting options belong in viewrank.toml"
         )
     })
 }

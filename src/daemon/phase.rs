@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    backends,
     base::{bounded, error::shortened},
     show::share::area_of_all,
 };
@@ -33,6 +34,9 @@ pub enum Phase {
     },
     /// Planned; no depth maps yet.
     Planned {
+        /// The program that the plan is for, as `--backend` names it.
+        #[serde(default)]
+        backend: String,
         /// Number of key views up to the cut.
         clusters: usize,
         /// Their predicted share of the fulfilment of all view clusters, 0 to 1.
@@ -128,17 +132,18 @@ impl fmt::Display for Phase {
             Self::Queued { reason } => write!(f, "queued: {reason}"),
             Self::Planning { stage, percent } => write!(f, "planning: {stage} {percent} %"),
             Self::Planned {
+                backend,
                 clusters,
                 share,
                 has_region,
                 note,
             } => {
-                write!(
-                    f,
-                    "planned: {clusters} key views for {:.0} % of {}",
-                    share * 100.0,
-                    area(has_region)
-                )?;
+                let chosen = chosen_for(backend, *clusters);
+                write!(f, "planned for {backend}: {chosen}")?;
+                if makes_maps(backend) {
+                    let (percent, area) = (share * 100.0, area(has_region));
+                    write!(f, " for {percent:.0} % of {area}")?;
+                }
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Partial {
@@ -189,6 +194,22 @@ impl fmt::Display for Phase {
             }
         }
     }
+}
+
+/// Returns what a plan chooses for a backend, in words.
+pub(super) fn chosen_for(backend: &str, number: usize) -> String {
+    let one = if makes_maps(backend) {
+        "depth map"
+    } else {
+        "image"
+    };
+    let ending = if number == 1 { "" } else { "s" };
+    format!("{number} {one}{ending}")
+}
+
+/// Returns false for backends that use the images themselves.
+fn makes_maps(backend: &str) -> bool {
+    backends::by_name(backend).map_or(true, |backend| backend.makes_maps())
 }
 
 /// Version of the format of [`Status`].

@@ -27,6 +27,9 @@ pub struct PlannedFrom {
     /// Version of the manifest; a plan of another version is made again.
     #[serde(default)]
     pub version: u32,
+    /// Name of the backend that the plan is for.
+    #[serde(default)]
+    pub backend: String,
     pub clusters: usize,
     pub share: f64,
     /// True if the plan keeps finished depth maps.
@@ -46,6 +49,7 @@ impl PlannedFrom {
         Self {
             fingerprint,
             version: manifest::VERSION,
+            backend: plan.stages.backend.into(),
             clusters: plan.decision.cut.clusters,
             share: plan.decision.cut.share,
             finished,

@@ -287,7 +287,7 @@ proptest! {
         prop_assert_eq!(openmvs::Mvs::read(&mvs.write()).unwrap(), mvs.clone());
         let read = mvs.model(&|_| None).unwrap().scene().unwrap();
         for view in scene.view_indices() {
-            let name = format!("images/{}", scene.name(view));
+            let name = format!("../../images/{}", scene.name(view));
             let found = read.find(&name).unwrap();
             for (p, q) in scene.camera_of(view).params().iter().zip(read.camera_of(found).params()) {
                 prop_assert!((p - q).abs() < 1e-9, "{p} {q}");

@@ -54,9 +54,9 @@ if scene.name == "fuse.mvs":
         if list(sizes) != size_at(row, int(options["max-resolution"])) or not (work / row["image"]).exists():
             print("error: the map has another size than the image, or there is no image")
             sys.exit(3)
-    if "fusion" not in made:
+    if made.get("fusion", 42) is not None:
         (work / options["output-file"]).write_bytes(b"scene")
-        (work / options["output-file"]).with_suffix(".ply").write_bytes(b"ply\\nelement vertex 42\\nend_header\\n")
+        (work / options["output-file"]).with_suffix(".ply").write_bytes(b"ply\\nelement vertex %d\\nend_header\\n" % made.get("fusion", 42))
     sys.exit(0)
 
 row = next(row for row in run["clusters"] if row["rank"] == int(scene.stem))
@@ -75,6 +75,7 @@ head += struct.pack("<H", 1) + b"a" + struct.pack(f"<I{{len(what['ids'])}}I", le
 depth = struct.pack("<f", what["depth"]) if old else struct.pack("<e", what["depth"] / 1024)
 whole = head + depth * pixels + bytes((12 if old else 4) * pixels)
 (work / row["map"]).write_bytes(whole[: what.get("bytes")])
+print("06:04:49 [App     ] Densifying point-cloud completed", "06:04:49 [App     ] MEMORYINFO: {{", "}} ENDINFO", sep="\\n")
 '''
 
 
@@ -203,14 +204,15 @@ def test_one_map_alone_is_fused_with_what_it_has(site):
     assert site.calls()["fuse"]["number-views-fuse"] == "1"
 
 
-def test_a_fusion_that_fails_leaves_the_cloud_of_before(site):
+@pytest.mark.parametrize("points", [None, 0], ids=["none", "empty"])
+def test_a_fusion_that_fails_leaves_the_cloud_of_before(site, points):
     site.rank(1)
     site.run("--fuse")
     before = (site.export / "fused.ply").read_bytes()
     site.rank(2)
-    site.makes(fusion={})
-    assert "fused.mvs" in site.run("--fuse", expect=1).stderr
-    assert (site.export / "fused.ply").read_bytes() == before
+    site.makes(fusion=points)
+    assert "fused no points" in site.run("--fuse", expect=1).stderr
+    assert (site.export / "fused.ply").read_bytes() == before and not site.left()
     site.makes()
     site.run("--fuse")
 
@@ -245,6 +247,34 @@ def test_maps_of_two_kinds_are_not_mixed(site):
     assert "of the kind" in site.run("--fuse", expect=1).stderr
 
 
+def test_a_whole_run_says_why_a_map_failed_and_fuses_the_others(site):
+    site.makes(_2=dict(ids=site.rows[1]["ids"][:-1]))
+    done = site.run("--no-report", expect=1)
+    assert "OpenMVS matched the partners" in done.stderr and "ENDINFO" not in done.stderr
+    assert len(site.maps()) == 2 and (site.export / "fused.ply").exists()
+
+
+def test_a_finished_map_that_lost_its_end_is_made_again(site):
+    for rank in (1, 2, 3):
+        site.rank(rank)
+    content = site.map(2).read_bytes()
+    site.map(2).write_bytes(content[:-1])
+    site.run("--fuse")
+    assert [key for key, *_ in json.loads((site.home / "lists.json").read_text())] == [0, 2]
+    site.rank(2)
+    assert site.map(2).read_bytes() == content
+
+
+def test_a_task_of_another_plan_is_not_computed_by_this_ones_files(site):
+    """A process of a queue may wait while somebody plans again."""
+    text = (site.export / "run.json").read_text()
+    run = json.loads(text)
+    run["clusters"][0], run["clusters"][1] = [{**run["clusters"][i], "rank": 2 - i} for i in (1, 0)]
+    site.rank(3)
+    (site.export / "run.json").write_text(json.dumps(run))
+    assert "not what this viewrank writes" in site.rank(1, expect=1).stderr and not site.map(1).exists()
+
+
 def test_a_picture_that_changed_since_the_plan_is_not_matched(site):
     picture = site.project / "images" / site.rows[0]["key"]
     content = picture.read_bytes()
@@ -257,13 +287,16 @@ def test_a_picture_that_changed_since_the_plan_is_not_matched(site):
 def test_what_a_stranger_left_where_a_map_is_made_is_not_followed(site, tmp_path):
     (tmp_path / "outside").mkdir()
     (tmp_path / "outside/letter").write_text("precious")
-    work = site.export / "unfinished/0001"
-    work.mkdir(parents=True)
-    (work / site.rows[0]["map"]).symlink_to(tmp_path / "outside/letter")
-    (work / "DensifyPointCloud.cfg").write_text("output-file=/tmp/x")
+    (site.export / "DensifyPointCloud.cfg").write_text("output-file=/tmp/x")
     site.rank(1)
     assert site.calls()["1"]["config-file"].endswith("options.cfg")
+    # Within the project, too, nothing of anybody else's is removed.
     shutil.rmtree(site.export / "unfinished")
+    (site.export / "unfinished").symlink_to("../../images")
+    pictures = sorted((site.project / "images").rglob("*"))
+    site.rank(3)
+    assert sorted((site.project / "images").rglob("*")) == pictures
+    (site.export / "unfinished").unlink()
     (site.export / "unfinished").symlink_to(tmp_path / "outside")
     site.rank(2, expect=1)
     assert [path.name for path in (tmp_path / "outside").iterdir()] == ["letter"] and (tmp_path / "outside/letter").read_text() == "precious"
@@ -290,6 +323,13 @@ def test_the_script_makes_maps_of_other_partners_anew(site):
     again = {row["map"] for row in site.rows}
     site.script()
     assert set(site.calls()) == {"1", "2", "3", "fuse"} and again <= set(site.maps()) and site.maps() != before
+
+
+def test_what_a_killed_fusion_left_is_in_nobodys_way(site):
+    left = site.export / "unfinished/0123456789abcdef"
+    (left / "images").mkdir(parents=True)
+    (left / "depth0001.dmap").symlink_to(site.export / "run.json")
+    assert site.script().returncode == 0
 
 
 @pytest.mark.parametrize("kill", [None, signal.SIGKILL], ids=["failed", "killed"])

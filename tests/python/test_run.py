@@ -250,6 +250,20 @@ def test_maps_of_another_program_are_none_of_this_plan(run, valley):
     assert manifest["cut"]["clusters"] == 1, err
 
 
+def test_a_run_follows_no_option_of_a_plan_that_copies_files_from_elsewhere(run, viewrank, valley, tmp_path):
+    viewrank("plan", valley, "--backend", "sgm", "--budget", "2", "--confidence", "geometric")
+    path = valley / "viewrank/manifest.json"
+    manifest = json.loads(path.read_text())
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere/private.ply").write_text("ply\n")
+    manifest["typed"] += [{"key": "surface.mesh", "value": str(tmp_path / "elsewhere/private.ply")}, {"key": "pilot.maps", "value": str(tmp_path / "elsewhere")}]
+    path.write_text(json.dumps(manifest))
+    _, err = run(valley, "--no-report")
+    for option in ("--mesh", "--pilot"):
+        assert f"{option} {tmp_path}/elsewhere" in err and "outside of the project" in err
+    assert "--budget 2" in err and "private" not in json.dumps(json.loads(path.read_text())["settings"])
+
+
 def test_a_run_goes_on_with_what_was_typed_for_its_plan(run, viewrank, valley):
     settings = lambda: json.loads((valley / "viewrank/manifest.json").read_text())["settings"]
     viewrank("plan", valley, "--backend", "sgm", "--gsd", "0.06", "-k", "8", "--budget", "2")

@@ -12,14 +12,14 @@ pub mod slurm;
 use std::{
     collections::{BTreeMap, BTreeSet},
     env,
-    fs::{self, File, TryLockError},
+    fs::{File, TryLockError},
     io,
     path::{Path, PathBuf},
 };
 
 use crate::{
     backends::{
-        self, BACKENDS, Backend, BackendError, Export, Selection, TaskRunner, hash, task_id,
+        self, BACKENDS, Backend, BackendError, Export, Selection, TaskRunner, hash, task_ids,
         task_marker,
     },
     base::{
@@ -34,7 +34,7 @@ use crate::{
         output::{self, Contents, Disk, FileSet, Folder, OutputError},
         project::{ImageFaults, Project},
     },
-    model::cluster::{MapScale, RankedCluster},
+    model::cluster::RankedCluster,
     show::manifest::WrittenPlan,
 };
 
@@ -162,21 +162,12 @@ impl Dispatch {
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
-            let id = |scale| {
-                task_id(
-                    backend,
-                    selection,
-                    &RankedCluster {
-                        scale,
-                        ..cluster.clone()
-                    },
-                )
-            };
+            let [id, id_at_full_size] = task_ids(backend, selection, cluster);
             Some(Task {
                 rank: i + 1,
                 marker: task_marker(key),
-                id: id(cluster.scale),
-                id_at_full_size: id(MapScale::Full),
+                id,
+                id_at_full_size,
                 map: absolute(&map),
                 key: key.into(),
             })
@@ -292,12 +283,23 @@ impl Dispatch {
     /// Returns whether the task's depth map exists and either was made from this key view and these
     /// partners with their current poses, or is one that the plan was ranked around.
     pub fn is_done(&self, task: &Task) -> bool {
-        let is_noted = || {
-            let noted = self.own_text(&format!("done/{}", task.marker));
-            [&task.id, &task.id_at_full_size].contains(&&noted.trim().to_owned())
+        (task.rank <= self.finished || self.is_marked(task)) && (self.runner.is_whole)(&task.map)
+    }
+
+    /// Returns whether a task's depth map has its mark, from viewrank or from the script of the
+    /// export, which may have run where there is no viewrank.
+    fn is_marked(&self, task: &Task) -> bool {
+        let of_script = || {
+            let name = format!("done/{}", task.marker);
+            output::read_own(&self.workplace, &name, FileKind::Record)
         };
-        (task.rank <= self.finished || is_noted())
-            && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
+        let noted = self.own_text(&format!("done/{}", task.marker));
+        let noted = if noted.is_empty() {
+            text_of(of_script())
+        } else {
+            noted
+        };
+        [&*task.id, &*task.id_at_full_size].contains(&noted.trim())
     }
 
     /// Returns the finished tasks, in rank order.
@@ -404,11 +406,15 @@ impl Dispatch {
 
     /// Returns the text of such a file; empty if it does not exist.
     fn own_text(&self, name: &str) -> String {
-        self.own(name)
-            .ok()
-            .and_then(|bytes| String::from_utf8(bytes).ok())
-            .unwrap_or_default()
+        text_of(self.own(name))
     }
+}
+
+/// Returns the text of a file; empty where there is none.
+fn text_of(read: Result<Vec<u8>, OutputError>) -> String {
+    read.ok()
+        .and_then(|bytes| String::from_utf8(bytes).ok())
+        .unwrap_or_default()
 }
 
 fn scripts(files: &FileSet) -> BTreeMap<String, Vec<u8>> {

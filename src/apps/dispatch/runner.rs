@@ -2,7 +2,9 @@
 //! for each process of a queue.
 
 use std::{
+    ffi::OsString,
     fs::{File, TryLockError},
+    hash::{BuildHasher, Hasher, RandomState},
     io::{self, Read, Seek, SeekFrom},
     path::Path,
     process::{Command, Stdio},
@@ -75,11 +77,11 @@ impl Dispatch {
         }
         let (marker, disk) = (self.folder.join("done").join(&task.marker), self.disk());
         output::remove(&marker, &disk)?;
-        let ended = self.run(Product::Map(task.rank), runner)?;
+        let ended = self.run(Product::Map(task.rank), &task.id, runner)?;
         if ended != TaskResult::Done {
             return Ok(ended);
         }
-        if !task.map.metadata().is_ok_and(|map| map.len() > 0) {
+        if !(self.runner().is_whole)(&task.map) {
             let message = format!("{} was not written", task.map.display());
             return Ok(TaskResult::Failed(message));
         }
@@ -132,7 +134,7 @@ impl Dispatch {
             return Ok(TaskResult::Idle);
         }
         let fused = self.done_ids();
-        let ended = self.run(Product::Cloud, runner)?;
+        let ended = self.run(Product::Cloud, "", runner)?;
         if ended == TaskResult::Done {
             output::replace(&self.folder.join("fused"), fused.as_bytes(), &self.disk())?;
         }
@@ -140,19 +142,37 @@ impl Dispatch {
     }
 
     /// Runs the commands of a task, each if the one before succeeds.
-    fn run(&self, product: Product, runner: &Runner) -> Result<TaskResult, DispatchError> {
-        let finished: Vec<usize> = self.finished_tasks().map(|task| task.rank).collect();
+    fn run(
+        &self,
+        product: Product,
+        id: &str,
+        runner: &Runner,
+    ) -> Result<TaskResult, DispatchError> {
+        let work = self.workplace.join(format!("unfinished/{}", unique()));
+        let finished: Vec<usize> = match product {
+            Product::Map(_) => Vec::new(),
+            Product::Cloud => self.finished_tasks().map(|task| task.rank).collect(),
+        };
         let call = Call {
             product,
+            id,
+            work: &work,
+            finished: &finished,
             workplace: &self.workplace,
             project: &self.project,
-            finished: &finished,
             program: &runner.tools.program,
             python: &runner.tools.python,
             threads: runner.threads,
             image_scale: self.image_scale,
         };
-        let commands = match (self.runner.commands)(&call) {
+        let ended = self.run_there(&call, runner);
+        // What cannot be removed is in nobody's way.
+        _ = output::remove_folder(&work, &self.disk());
+        ended
+    }
+
+    fn run_there(&self, call: &Call, runner: &Runner) -> Result<TaskResult, DispatchError> {
+        let commands = match (self.runner.commands)(call) {
             Ok(commands) => commands,
             Err(reason) => return Ok(TaskResult::Failed(reason)),
         };
@@ -160,28 +180,42 @@ impl Dispatch {
         for words in commands {
             // Somebody may have changed them while another process was waited for.
             self.refuse_other_programs()?;
-            let program = words[0].to_string_lossy().into_owned();
-            let failed = |source| DispatchError::Start {
-                program: program.clone(),
-                source,
-            };
-            let mut command = platform::command(Path::new(&words[0])).map_err(failed)?;
-            command
-                .args(&words[1..])
-                .env(self.runner.variable, &runner.tools.program)
-                .stdin(Stdio::null())
-                // The current folder may be a stranger's.
-                .current_dir("/");
-            match runner.ended(&mut command).map_err(failed)? {
+            let mut command = self.command_of(&words, runner)?;
+            match runner.ended(&mut command).map_err(not_started(&words))? {
                 (TaskResult::Done, output) => said = output,
                 (other, _) => return Ok(other),
             }
         }
-        Ok(match (self.runner.finish)(&call) {
+        Ok(match (self.runner.finish)(call) {
             Ok(()) => TaskResult::Done,
-            Err(reason) => TaskResult::Failed(format!("{reason}\n{said}").trim().into()),
+            // The last line counts where there is room for one alone.
+            Err(reason) => TaskResult::Failed(format!("{said}\n{reason}").trim().into()),
         })
     }
+
+    fn command_of(&self, words: &[OsString], runner: &Runner) -> Result<Command, DispatchError> {
+        let mut command = platform::command(Path::new(&words[0])).map_err(not_started(words))?;
+        command
+            .args(&words[1..])
+            .env(self.runner.variable, &runner.tools.program)
+            .stdin(Stdio::null())
+            // The current folder may be a stranger's.
+            .current_dir("/");
+        Ok(command)
+    }
+}
+
+fn not_started(words: &[OsString]) -> impl Fn(io::Error) -> DispatchError {
+    let program = words[0].to_string_lossy().into_owned();
+    move |source| DispatchError::Start {
+        program: program.clone(),
+        source,
+    }
+}
+
+/// A name that no other process makes at the same time, on whatever machine.
+fn unique() -> String {
+    format!("{:016x}", RandomState::new().build_hasher().finish())
 }
 
 impl Runner<'_> {

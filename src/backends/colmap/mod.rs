@@ -28,7 +28,7 @@ use super::{
     ExportRecord, Honours, LastRun, PATCH_MATCH, PlanningNumbers, Product, References, Selection,
     TaskRunner, Trap,
     record::{at_full_size, capped_scale},
-    runner::{finishes_itself, words},
+    runner::{finishes_itself, is_not_empty, words},
     selection,
     workspace::{Workspace, add_workspace},
 };
@@ -104,6 +104,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         program: "colmap",
         variable: "COLMAP",
         commands,
+        is_whole: is_not_empty,
         finish: finishes_itself,
         state: &["stereo/viewrank/maps.tsv", "export.json"],
         cloud: export.files.root.join(FUSED),

@@ -1,18 +1,24 @@
 //! What a fusion needs beside its command: the scene of the key views, which others each is compared
 //! with, and the maps that are finished, all of one size.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
 
-use super::run::{Row, Run, text};
+use super::run::{Run, text};
 use crate::{
     backends::{Call, selection::FUSED_WITH},
     io::{
         depthmaps::openmvs::WholeMap,
         formats::openmvs::{Mvs, NO_POSE},
         input::{self, FileKind},
-        output::{self, Contents, Disk, FileSet},
+        output::{self, Contents, FileSet},
     },
 };
+
+/// Bytes in which the header of a cloud names the number of points.
+const PLY_HEADER: u64 = 2000;
 
 /// Returns the list of neighbours of a fusion of all maps.
 pub fn neighbours(overlaps: &[Vec<usize>]) -> String {
@@ -28,38 +34,57 @@ pub fn neighbours(overlaps: &[Vec<usize>]) -> String {
     keys.map(line).collect()
 }
 
-/// Puts a scene, lists and the finished maps where they are fused; returns how many must agree.
-pub fn lay_out(run: &Run, call: &Call, work: &Path, disk: &Disk) -> Result<usize, String> {
-    let rows: Vec<(usize, &Row)> = run.finished(call).collect();
-    let mut files = FileSet::new(work, "fusion");
+/// Puts a scene, lists and the finished maps where they are fused; returns how many must agree. Maps
+/// larger than those of this image size are left out.
+pub fn lay_out(run: &Run, call: &Call) -> Result<usize, String> {
+    let mut files = FileSet::new(call.work, "fusion");
     let mut kinds: BTreeMap<&str, &str> = BTreeMap::new();
-    let mut small = Vec::new();
-    for (_, row) in &rows {
+    let (mut there, mut small) = (BTreeSet::new(), Vec::new());
+    for (i, row) in run.finished(call) {
         let path = call.workplace.join(&row.map);
         let map = WholeMap::read(&path, row.size).map_err(text)?;
         kinds.insert(map.kind(), &row.map);
         let full = size_at(row.size, run.resolution);
+        if map.size()[0] > full[0] + 1 {
+            continue;
+        }
         if map.size() == full {
             files.add(&*row.map, link(&path, call.project));
         } else {
             small.push((row, map, full));
         }
+        there.insert(i);
         files.add(
             &*row.image,
             link(&call.workplace.join(&row.image), call.project),
         );
     }
     refuse_two_kinds(&kinds)?;
-    let there: Vec<usize> = rows.iter().map(|(i, _)| *i).collect();
     files.add("fuse.mvs", Contents::Bytes(scene_of(call, &there)?));
     files.add_text("fuse.txt", neighbours(&overlaps_among(run, &there)));
-    files.write(disk).map_err(text)?;
+    files.write(&call.disk()).map_err(text)?;
     // Fusion takes the camera of its own image size for every map, whatever the size of the map.
     for (row, map, full) in small {
         let bytes = map.enlarged(full).map_err(text)?;
-        output::replace(&work.join(&row.map), &bytes, disk).map_err(text)?;
+        output::replace(&call.work.join(&row.map), &bytes, &call.disk()).map_err(text)?;
     }
     Ok(run.maps_per_point.min(there.len()))
+}
+
+/// Fails unless a fusion has made a scene, and a cloud with points.
+pub fn check(work: &Path) -> Result<(), String> {
+    let cloud = input::read_start(&work.join("fused.ply"), FileKind::Mesh, PLY_HEADER);
+    let cloud = cloud.unwrap_or_default();
+    let header = String::from_utf8_lossy(&cloud);
+    let points = header
+        .lines()
+        .find_map(|line| line.strip_prefix("element vertex "));
+    let has_points = points.is_some_and(|points| points.trim() != "0");
+    if has_points && work.join("fused.mvs").is_file() {
+        Ok(())
+    } else {
+        Err("OpenMVS fused no points".into())
+    }
 }
 
 fn link(path: &Path, project: &Path) -> Contents {
@@ -71,10 +96,11 @@ fn link(path: &Path, project: &Path) -> Contents {
 
 /// Returns the scene of the fusion in which the images of other key views have no pose: one that is
 /// missing or broken keeps no others from being fused, and none costs memory.
-fn scene_of(call: &Call, there: &[usize]) -> Result<Vec<u8>, String> {
+fn scene_of(call: &Call, there: &BTreeSet<usize>) -> Result<Vec<u8>, String> {
     let path = call.workplace.join("fuse.mvs");
     let bytes = input::read(&path, FileKind::Sparse).map_err(text)?;
-    let mut scene = Mvs::read(&bytes).map_err(|error| format!("{}: {error:?}", path.display()))?;
+    let again = |_| format!("{}: not what viewrank wrote: export again", path.display());
+    let mut scene = Mvs::read(&bytes).map_err(again)?;
     for (i, image) in scene.images.iter_mut().enumerate() {
         if !there.contains(&i) {
             image.pose = NO_POSE;
@@ -85,7 +111,7 @@ fn scene_of(call: &Call, there: &[usize]) -> Result<Vec<u8>, String> {
 
 /// Returns for each image of the fusion those that are there and overlap it. A list must not be
 /// empty: a map that none overlaps is compared with any image of the scene.
-fn overlaps_among(run: &Run, there: &[usize]) -> Vec<Vec<usize>> {
+fn overlaps_among(run: &Run, there: &BTreeSet<usize>) -> Vec<Vec<usize>> {
     let of = |(i, overlaps): (usize, &Vec<usize>)| {
         if !there.contains(&i) {
             return Vec::new();

@@ -15,12 +15,13 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, clusters::task_id,
+    Honours, LastRun, PlanningNumbers, Selection, TaskRunner, Trap, clusters::task_ids,
     record::capped_scale, selection, strangers::list_links,
 };
 use crate::{
     base::{printable::to_json, shell::command_path},
     io::{
+        depthmaps::openmvs::WholeMap,
         formats::openmvs::Mvs,
         output::Contents,
         project::{ModelFormat, ProjectKind},
@@ -126,6 +127,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         program: "DensifyPointCloud",
         variable: "DENSIFY",
         commands: run::commands,
+        is_whole: WholeMap::is_there,
         finish: run::finish,
         state: &[],
         cloud: export.files.root.join("fused.ply"),
@@ -173,16 +175,16 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     check_names(BACKEND.name, selection)?;
     let images = selection.undistorted_images(BACKEND.name)?;
     // Of the plan, not of scenes that were moved.
-    let task = |cluster| task_id(&BACKEND, selection, cluster);
-    let ids: Vec<String> = selection.clusters.iter().map(task).collect();
+    let ids = selection.clusters.iter();
+    let ids: Vec<[String; 2]> = ids.map(|c| task_ids(&BACKEND, selection, c)).collect();
     let near = selection.near_origin();
     let selection = &near.selection();
     let builder = Builder::new(selection);
     let mut files = options.file_set(&BACKEND, selection);
     let mut rows = Vec::new();
-    for ((rank, cluster), id) in (1..).zip(selection.clusters).zip(ids) {
+    for ((rank, cluster), ids) in (1..).zip(selection.clusters).zip(ids) {
         let (mvs, range) = builder.cluster(cluster);
-        let row = Row::new(selection, &builder, (rank, cluster, id), &range);
+        let row = Row::new(selection, &builder, (rank, cluster, ids), &range);
         files.add(row.scene(), Contents::Bytes(mvs.write()));
         rows.push(row);
     }
@@ -199,7 +201,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let (common, overlaps) = common_project(selection);
     files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
     files.add_text("fuse.txt", fusion::neighbours(&overlaps));
-    let run = Run::new(selection, options, rows, overlaps, pictures);
+    let run = Run::new(selection, rows, overlaps, pictures);
     files.add_text("run.json", to_json(&run));
     files.add_text("dense.cfg", dense_config(selection));
     files.add_text("options.cfg", run::NO_OPTIONS);

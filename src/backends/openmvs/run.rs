@@ -7,7 +7,8 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     ffi::OsString,
-    path::{Path, PathBuf},
+    path::Path,
+    process::Stdio,
 };
 
 use serde::{Deserialize, Serialize};
@@ -17,7 +18,7 @@ use super::{
     scene::{Builder, DepthRange},
 };
 use crate::{
-    backends::{Call, ExportOptions, Product, Selection, clusters::task_marker},
+    backends::{Call, Product, Selection, clusters::task_marker},
     base::platform,
     io::{
         depthmaps::openmvs::WholeMap,
@@ -52,16 +53,6 @@ const OPTIONS: [&str; 10] = [
 /// Filter 3: speckles and gaps, without the one that needs the partners' maps.
 const OF_MAPS: [&str; 4] = ["--fusion-mode", "1", "--postprocess-dmaps", "3"];
 const OF_THE_CLOUD: [&str; 2] = ["--postprocess-dmaps", "0"];
-/// Options of newer versions, by which nothing is cut off or made up around the sparse points.
-const WHERE_KNOWN: [[&str; 2]; 3] = [
-    ["--estimate-roi", "0"],
-    ["--crop-to-roi", "0"],
-    ["--tower-mode", "0"],
-];
-/// Filter 1 keeps what two maps agree on, filter 0 all that a single one has; filter 2, the default
-/// since v2.4.0, joins five pixels or none.
-const FILTER: &str = "--fusion-filter";
-
 /// `options.cfg`: OpenMVS would read one that somebody left in the folder of the map.
 pub const NO_OPTIONS: &str = "# Options of DensifyPointCloud come from its command line alone.\n";
 
@@ -72,18 +63,23 @@ pub struct Run {
     /// For each image of `fuse.mvs`, the indices of the key views that overlap it, best first, as
     /// many as a fusion of the first maps may need; empty if it is not a key view.
     pub overlaps: Vec<Vec<usize>>,
-    /// Folder of the marks of finished maps.
-    marks: String,
     /// Long side of the matched images, pixels.
     pub resolution: u32,
     pub maps_per_point: usize,
-    options: Vec<String>,
-    of_maps: Vec<String>,
-    of_the_cloud: Vec<String>,
+    /// What follows is for `run.py` alone: viewrank has the options, and runs no plan whose images
+    /// have changed.
+    #[serde(flatten, skip_deserializing)]
+    of_script: OfScript,
+}
+
+#[derive(Default, Serialize)]
+struct OfScript {
+    options: Vec<&'static str>,
+    of_maps: Vec<&'static str>,
+    of_the_cloud: Vec<&'static str>,
     /// Options with their values, for versions that know them.
-    where_known: Vec<[String; 2]>,
-    /// Length of the file of each image, bytes: for `run.py`, to notice another picture of the same
-    /// name. viewrank itself runs no plan whose images have changed.
+    where_known: Vec<[&'static str; 2]>,
+    /// Length of the file of each image, bytes, to notice another picture of the same name.
     pictures: BTreeMap<String, u64>,
 }
 
@@ -97,9 +93,9 @@ pub struct Row {
     /// OpenMVS's ids of key view and partners.
     ids: Vec<u32>,
     pub map: String,
-    /// Name and content of the mark of its finished map.
+    /// Name of the mark of its finished map, and what it says: the first where this one is made.
     mark: String,
-    id: String,
+    ids_of_map: [String; 2],
     /// Long side of the matched images, pixels.
     resolution: u32,
     /// Width and height of the key view's image, pixels.
@@ -112,7 +108,7 @@ impl Row {
     pub fn new(
         selection: &Selection,
         builder: &Builder,
-        (rank, cluster, id): (usize, &RankedCluster, String),
+        (rank, cluster, ids_of_map): (usize, &RankedCluster, [String; 2]),
         range: &DepthRange,
     ) -> Self {
         let camera = selection.scene.camera_of(cluster.key);
@@ -126,7 +122,7 @@ impl Row {
             ids: cluster.views().map(image_id).collect(),
             map: map_name(image_id(cluster.key)),
             mark: task_marker(key),
-            id,
+            ids_of_map,
             resolution: match cluster.scale {
                 MapScale::Full => full,
                 MapScale::Half => full.div_ceil(2),
@@ -150,29 +146,23 @@ pub fn map_name(image_id: u32) -> String {
 impl Run {
     pub fn new(
         selection: &Selection,
-        options: &ExportOptions,
         clusters: Vec<Row>,
         overlaps: Vec<Vec<usize>>,
         pictures: BTreeMap<String, u64>,
     ) -> Self {
-        let texts = |options: &[&str]| options.iter().map(|&word| word.to_owned()).collect();
-        let marks = match options.out {
-            None => "../dispatch/openmvs/done",
-            Some(_) => "done",
+        let of_script = OfScript {
+            options: OPTIONS.into(),
+            of_maps: OF_MAPS.into(),
+            of_the_cloud: OF_THE_CLOUD.into(),
+            where_known: where_known(MAPS_PER_POINT.min(clusters.len())).into(),
+            pictures,
         };
-        let filter = [FILTER, filter_of(MAPS_PER_POINT.min(clusters.len()))];
-        let known = WHERE_KNOWN.iter().chain([&filter]);
         Self {
             clusters,
             overlaps,
-            marks: marks.into(),
             resolution: resolution(selection),
             maps_per_point: MAPS_PER_POINT,
-            options: texts(&OPTIONS),
-            of_maps: texts(&OF_MAPS),
-            of_the_cloud: texts(&OF_THE_CLOUD),
-            where_known: known.map(|pair| pair.map(str::to_owned)).collect(),
-            pictures,
+            of_script,
         }
     }
 
@@ -183,9 +173,11 @@ impl Run {
         serde_json::from_slice(&bytes).map_err(|error| again(error.to_string()))
     }
 
-    fn row(&self, rank: usize) -> Result<&Row, String> {
-        let row = self.clusters.iter().find(|row| row.rank == rank);
-        row.ok_or_else(|| format!("run.json has no rank {rank}: export again"))
+    /// The row of a task: another plan may have been exported meanwhile.
+    fn row(&self, rank: usize, call: &Call) -> Result<&Row, String> {
+        let is_it = |row: &&Row| row.rank == rank && row.ids_of_map[0] == call.id;
+        let row = self.clusters.iter().find(is_it);
+        row.ok_or_else(|| format!("rank {rank} is of another plan than run.json: try again"))
     }
 
     /// Rows of the finished maps, with their indices.
@@ -194,125 +186,115 @@ impl Run {
         let rows = self.clusters.iter().enumerate();
         rows.filter(move |(_, row)| ranks.contains(&row.rank))
     }
-
-    /// Words that every command begins with: works in the folder `work`.
-    fn command(&self, call: &Call, work: &Path, scene: &Path, made: &str) -> Vec<OsString> {
-        let [config, dense] = ["options.cfg", "dense.cfg"].map(|name| call.workplace.join(name));
-        let threads = call.threads.to_string();
-        // With a file of options, OpenMVS takes the folder as it is written.
-        let work = work.join("");
-        let own: [(&str, &Path); 6] = [
-            ("--working-folder", &work),
-            ("--input-file", scene),
-            ("--output-file", Path::new(made)),
-            ("--config-file", &config),
-            ("--dense-config-file", &dense),
-            ("--max-threads", Path::new(&threads)),
-        ];
-        let own = own
-            .into_iter()
-            .flat_map(|(name, value)| [name.into(), value.into()]);
-        let options = self.options.iter().map(OsString::from);
-        [call.program.into()]
-            .into_iter()
-            .chain(own)
-            .chain(options)
-            .collect()
-    }
 }
 
-/// Folder in which the program works on a task.
-fn work(call: &Call) -> PathBuf {
-    let name = match call.product {
-        Product::Map(rank) => format!("{rank:04}"),
-        Product::Cloud => "fusion".into(),
-    };
-    call.workplace.join("unfinished").join(name)
+/// Returns the start of every command: the program, its files and the options of all.
+fn command_on(call: &Call, scene: &Path, made: &str) -> Vec<OsString> {
+    let [config, dense] = ["options.cfg", "dense.cfg"].map(|name| call.workplace.join(name));
+    let threads = call.threads.to_string();
+    // With a file of options, OpenMVS takes the folder as it is written.
+    let work = call.work.join("");
+    let files: [(&str, &Path); 6] = [
+        ("--working-folder", &work),
+        ("--input-file", scene),
+        ("--output-file", Path::new(made)),
+        ("--config-file", &config),
+        ("--dense-config-file", &dense),
+        ("--max-threads", Path::new(&threads)),
+    ];
+    let files = files.into_iter();
+    let files = files.flat_map(|(name, value)| [name.into(), value.into()]);
+    let options = OPTIONS.map(OsString::from);
+    [call.program.into()]
+        .into_iter()
+        .chain(files)
+        .chain(options)
+        .collect()
 }
 
 /// Makes the folder of a task, and returns the command that does it there.
 pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
-    let (run, work, disk) = (Run::read(call)?, work(call), call.disk());
-    output::make_folder(&call.workplace.join("unfinished"), &disk).map_err(text)?;
-    output::make_empty_folder(&work, &disk).map_err(text)?;
-    let known = known_options(&run, call.program, &work)?;
+    let run = Run::read(call)?;
+    output::make_new_folder(call.work, &call.disk()).map_err(text)?;
+    let help = help_of(call)?;
     let (mut command, of_task, agreeing, resolution) = match call.product {
         Product::Map(rank) => {
-            let row = run.row(rank)?;
+            let row = run.row(rank, call)?;
             let scene = call.workplace.join(row.scene());
-            let command = run.command(call, &work, &scene, "dense.mvs");
-            (command, &run.of_maps, run.maps_per_point, row.resolution)
+            let command = command_on(call, &scene, "dense.mvs");
+            (command, &OF_MAPS[..], run.maps_per_point, row.resolution)
         }
         Product::Cloud => {
-            let agreeing = fusion::lay_out(&run, call, &work, &disk)?;
-            let mut command = run.command(call, &work, Path::new("fuse.mvs"), "fused.mvs");
+            let agreeing = fusion::lay_out(&run, call)?;
+            let mut command = command_on(call, Path::new("fuse.mvs"), "fused.mvs");
             command.extend(["--view-neighbors-file", "fuse.txt"].map(OsString::from));
             command.extend(["--number-views-fuse".into(), agreeing.to_string().into()]);
-            (command, &run.of_the_cloud, agreeing, run.resolution)
+            (command, &OF_THE_CLOUD[..], agreeing, run.resolution)
         }
     };
     command.extend(["--max-resolution".into(), resolution.to_string().into()]);
     command.extend(of_task.iter().map(OsString::from));
-    for [option, value] in known {
-        let value = match &**option {
-            FILTER => filter_of(agreeing).into(),
-            _ => value.into(),
-        };
-        command.extend([option.into(), value]);
-    }
+    let known = where_known(agreeing);
+    let known = known.iter().filter(|[option, _]| help.contains(option));
+    command.extend(known.flatten().map(OsString::from));
     Ok(vec![command])
 }
 
-/// Value of [`FILTER`] where so many maps must agree.
-fn filter_of(agreeing: usize) -> &'static str {
-    if agreeing < 2 { "0" } else { "1" }
+/// Returns options that only some versions know, with their values, where so many maps must agree on
+/// a point: nothing is cut off or made up around the sparse points; filter 1 keeps what two maps
+/// agree on, filter 0 all that a single one has, and filter 2, the default since v2.4.0, joins five
+/// pixels or none.
+fn where_known(agreeing: usize) -> [[&'static str; 2]; 4] {
+    [
+        ["--estimate-roi", "0"],
+        ["--crop-to-roi", "0"],
+        ["--tower-mode", "0"],
+        ["--fusion-filter", if agreeing < 2 { "0" } else { "1" }],
+    ]
 }
 
 pub fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-/// Returns those of the options that only some versions know which this program names in its help.
-/// It writes a log even then, to the folder `work`.
-fn known_options<'a>(
-    run: &'a Run,
-    program: &Path,
-    work: &Path,
-) -> Result<Vec<&'a [String; 2]>, String> {
-    let failed = |error: std::io::Error| format!("{}: {error}", program.display());
-    let asked = platform::command(program)
+/// Returns the program's help, which names the options that it knows. It writes a log even then.
+fn help_of(call: &Call) -> Result<String, String> {
+    let failed = |error: std::io::Error| format!("{}: {error}", call.program.display());
+    let asked = platform::command(call.program)
         .map_err(failed)?
         .arg("--help")
-        .current_dir(work)
-        .stdin(std::process::Stdio::null())
+        .current_dir(call.work)
+        .stdin(Stdio::null())
         .output()
         .map_err(failed)?;
     let help = [asked.stdout, asked.stderr].concat();
-    let help = String::from_utf8_lossy(&help);
-    let is_known = |pair: &&[String; 2]| help.contains(&*pair[0]);
-    Ok(run.where_known.iter().filter(is_known).collect())
+    Ok(String::from_utf8_lossy(&help).into_owned())
 }
 
 /// Checks what the program has made, and puts it in its place.
 pub fn finish(call: &Call) -> Result<(), String> {
-    let (run, work, disk) = (Run::read(call)?, work(call), call.disk());
-    let made = match call.product {
-        Product::Map(rank) => {
-            let row = run.row(rank)?;
-            check(row, &work.join(&row.map))?;
-            refuse_other_kinds(&run, row, call, &work)?;
-            vec![row.map.clone()]
-        }
-        Product::Cloud => ["fused.mvs", "fused.ply"].map(str::to_owned).into(),
+    let place = |name: &str| {
+        let (from, to) = (call.work.join(name), call.workplace.join(name));
+        output::rename(&from, &to, &call.disk()).map_err(text)
     };
-    for name in made {
-        output::rename(&work.join(&name), &call.workplace.join(&name), &disk).map_err(text)?;
+    match call.product {
+        Product::Map(rank) => {
+            let run = Run::read(call)?;
+            let row = run.row(rank, call)?;
+            let kind = check(row, &call.work.join(&row.map))?;
+            refuse_other_kinds(&run, row, call, kind)?;
+            place(&row.map)
+        }
+        Product::Cloud => {
+            fusion::check(call.work)?;
+            place("fused.ply")?;
+            place("fused.mvs")
+        }
     }
-    output::remove_folder(&work, &disk).map_err(text)
 }
 
-/// Fails unless the map is what the plan asked for.
-fn check(row: &Row, path: &Path) -> Result<(), String> {
+/// Fails unless the map is what the plan asked for; returns its kind.
+fn check(row: &Row, path: &Path) -> Result<&'static str, String> {
     if !path.exists() {
         return Err("OpenMVS made no depth map".into());
     }
@@ -323,13 +305,11 @@ fn check(row: &Row, path: &Path) -> Result<(), String> {
             .collect()
     };
     let (key, partners) = map.ids().split_first().unwrap_or((&u32::MAX, &[]));
-    if *key != row.ids[0] {
-        return Err(format!(
-            "the depth map is of image {key}, not of {}",
-            row.ids[0]
-        ));
+    let (own, planned) = row.ids.split_first().unwrap_or((&u32::MAX, &[]));
+    if key != own {
+        return Err(format!("the depth map is of image {key}, not of {own}"));
     }
-    let (made, planned) = (sorted(partners), sorted(&row.ids[1..]));
+    let (made, planned) = (sorted(partners), sorted(planned));
     if made != planned {
         return Err(format!(
             "OpenMVS matched the partners {made:?} instead of {planned:?}"
@@ -346,26 +326,23 @@ fn check(row: &Row, path: &Path) -> Result<(), String> {
     }
     let filled = map.filled().map_err(text)?;
     if filled < LEAST_FILLED {
-        return Err(format!(
-            "only {:.1} % of the pixels have a depth",
-            100.0 * filled
-        ));
+        let percent = 100.0 * filled;
+        return Err(format!("only {percent:.1} % of the pixels have a depth"));
     }
-    Ok(())
+    Ok(map.kind())
 }
 
-/// Fails if a finished map is of another kind than the one just made.
-fn refuse_other_kinds(run: &Run, row: &Row, call: &Call, work: &Path) -> Result<(), String> {
-    let kind = WholeMap::read(&work.join(&row.map), row.size)
-        .map_err(text)?
-        .kind();
-    let others = run
-        .finished(call)
-        .filter(|(_, other)| other.rank != row.rank);
-    let other = others.filter_map(|(_, other)| {
+/// Fails if a map that is there is of another kind than the one just made.
+fn refuse_other_kinds(run: &Run, row: &Row, call: &Call, kind: &str) -> Result<(), String> {
+    let others = run.clusters.iter().filter(|other| other.rank != row.rank);
+    let mut others = others.filter_map(|other| {
         let map = WholeMap::read(&call.workplace.join(&other.map), other.size).ok()?;
         Some((map.kind(), &*other.map))
     });
-    let found: BTreeMap<&str, &str> = other.take(1).chain([(kind, "the new map")]).collect();
+    let found: BTreeMap<&str, &str> = others
+        .next()
+        .into_iter()
+        .chain([(kind, "the new map")])
+        .collect();
     fusion::refuse_two_kinds(&found)
 }

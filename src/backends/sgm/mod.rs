@@ -8,7 +8,7 @@ use std::ffi::{OsStr, OsString};
 use super::{
     Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
     ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap, place,
-    runner::{finishes_itself, words},
+    runner::{finishes_itself, is_not_empty, words},
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
 };
 use crate::{
@@ -108,6 +108,7 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         program: "sgm.py",
         variable: "SGM",
         commands,
+        is_whole: is_not_empty,
         finish: finishes_itself,
         state: &[],
         cloud: out.join("fused.ply"),

@@ -17,7 +17,7 @@ pub use self::result::target_in_percent;
 use self::work::Work;
 use super::{
     Exit, Failure, Format, arguments, config, next, note, plan::kept_backends, print, ready,
-    undistort::undistorted,
+    undistort::undistorted, warn,
 };
 use crate::{
     apps::{dispatch::Dispatch, planning, undistort::UndistortOptions},
@@ -154,7 +154,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let is_own = root == own;
     let mut planned = planned_options(&root);
+    if planned.is_empty() {
+        planned = planned_options(&own);
+    }
     planned.retain(|option| is_own || option.key != "images");
+    for option in planned.extract_if(.., |option| option.leads_out(&own)) {
+        warn(&format!(
+            "{option} of the last plan is outside of the project, and so not followed: type it again"
+        ));
+    }
     let typed = arguments.typed(Some(backend.name), is_own);
     let typed = typed.following(planned);
     note_followed(&root, &typed)?;

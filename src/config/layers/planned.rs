@@ -1,13 +1,13 @@
 //! Options that were typed for the last plan, which the next one goes on with.
 
-use std::fmt;
+use std::{fmt, path::Path};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
 use super::{CommandLineSettings, Entry, SettingLocation};
-use crate::base::shell::command_word;
+use crate::base::{paths::is_outside, shell::command_word};
 
 /// The options of `viewrank plan` that a run goes on with. Others of a plan, which may be a
 /// stranger's, do not count.
@@ -57,6 +57,15 @@ pub struct TypedSetting {
 impl TypedSetting {
     pub fn is_of_plan(&self) -> bool {
         option_of(&self.key).is_some()
+    }
+
+    /// Returns whether it names files outside of a project of which a plan, which may be a
+    /// stranger's, would copy or list the contents. A region is often kept elsewhere, and its polygon
+    /// alone is used.
+    pub fn leads_out(&self, root: &Path) -> bool {
+        let is_copied = matches!(&*self.key, "surface.mesh" | "pilot.maps");
+        let path = self.value.as_str().filter(|_| is_copied);
+        path.is_some_and(|path| is_outside(Path::new(path), root))
     }
 }
 

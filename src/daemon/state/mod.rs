@@ -28,6 +28,7 @@ pub enum Outcome {
     /// A new plan was written, or the existing one is current.
     Planned {
         fingerprint: Fingerprint,
+        backend: String,
         clusters: usize,
         share: f64,
         has_region: bool,
@@ -320,6 +321,7 @@ impl TrackedProject {
         (self.failures, self.retry) = (0, None);
         let result = match outcome {
             Outcome::Planned {
+                backend,
                 clusters,
                 share,
                 has_region,
@@ -333,6 +335,7 @@ impl TrackedProject {
                 match known {
                     Some(known) => return self.conclude(work, *known, times),
                     None => Phase::Planned {
+                        backend,
                         clusters,
                         share,
                         has_region,

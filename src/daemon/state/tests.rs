@@ -15,6 +15,7 @@ fn planned(text: &str) -> Outcome {
     let fingerprint = serde_json::from_value(text.into()).expect("a string");
     Outcome::Planned {
         fingerprint,
+        backend: "colmap".into(),
         clusters: 3,
         share: 0.9,
         has_region: false,
@@ -48,12 +49,15 @@ fn run(project: &mut TrackedProject, work: Work, outcome: Outcome, now: Instant)
     assert!(project.finish(7, input, outcome, now));
 }
 
-const PLANNED: Phase = Phase::Planned {
-    clusters: 3,
-    share: 0.9,
-    has_region: false,
-    note: None,
-};
+fn of_plan(has_region: bool) -> Phase {
+    Phase::Planned {
+        backend: "colmap".into(),
+        clusters: 3,
+        share: 0.9,
+        has_region,
+        note: None,
+    }
+}
 
 #[test]
 fn a_project_that_stops_changing_is_planned_once() {
@@ -75,7 +79,7 @@ fn a_project_that_stops_changing_is_planned_once() {
     assert_eq!(project.due(SETTLE), None);
     project.observe(stamp, start + SETTLE * 9, OnBusy::Restart);
     assert_eq!(project.due(SETTLE), None);
-    assert_eq!(project.phase(), PLANNED);
+    assert_eq!(project.phase(), of_plan(false));
 }
 
 #[test]
@@ -115,7 +119,7 @@ fn input_that_changes_and_returns_is_checked_again() {
     );
     assert_eq!(project.due(SETTLE), Some((start + SETTLE * 3, Work::Plan)));
     run(&mut project, Work::Plan, planned("a"), start + SETTLE * 3);
-    assert_eq!(project.phase(), PLANNED);
+    assert_eq!(project.phase(), of_plan(false));
 }
 
 #[test]
@@ -148,7 +152,7 @@ fn maps_that_come_and_go_while_a_job_is_queued_leave_the_project_planned() {
     assert_eq!(project.due(SETTLE), Some((start + SETTLE, Work::Follow)));
     project.wait_for(Some("a free job slot (--jobs)"));
     assert!(project.is_queued());
-    assert_eq!(project.phase(), PLANNED);
+    assert_eq!(project.phase(), of_plan(false));
     project.observe_maps(MapFiles::new(), start + SETTLE);
     project.wait_for(None);
     run(
@@ -157,7 +161,10 @@ fn maps_that_come_and_go_while_a_job_is_queued_leave_the_project_planned() {
         Outcome::Abandoned,
         start + SETTLE * 2,
     );
-    assert_eq!((project.phase(), project.due(SETTLE)), (PLANNED, None));
+    assert_eq!(
+        (project.phase(), project.due(SETTLE)),
+        (of_plan(false), None)
+    );
 }
 
 #[test]
@@ -404,12 +411,7 @@ fn what_a_job_says_at_length_is_shortened() {
 
 #[test]
 fn shares_inside_a_region_are_said_to_be() {
-    let planned = Phase::Planned {
-        clusters: 3,
-        share: 0.9,
-        has_region: true,
-        note: None,
-    };
+    let planned = of_plan(true);
     let partial = Phase::Partial {
         done: 1,
         clusters: 3,
@@ -428,5 +430,5 @@ fn shares_inside_a_region_are_said_to_be() {
     for phase in [planned, partial, reached] {
         assert!(phase.to_string().contains(" inside the region"), "{phase}");
     }
-    assert!(!PLANNED.to_string().contains("region"));
+    assert!(!of_plan(false).to_string().contains("region"));
 }

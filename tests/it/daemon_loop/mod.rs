@@ -69,6 +69,7 @@ impl Planner for Counter {
         let text = serde_json::to_string(&fingerprint).expect("a string");
         let done = Outcome::Planned {
             fingerprint,
+            backend: "colmap".into(),
             clusters: 1,
             share: 1.0,
             has_region: false,
@@ -461,7 +462,7 @@ fn once_ends_when_nothing_is_left_and_a_failure_affects_no_other_project() {
             "failed: broken (retry 10 s after the failure)".into()
         )
     );
-    let planned = "planned: 1 key views for 100 % of the area that all cover";
+    let planned = "planned for colmap: 1 depth map for 100 % of the area that all cover";
     assert_eq!(phases[1], ("good", planned.into()));
 }
 

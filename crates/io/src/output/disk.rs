@@ -228,6 +228,12 @@ impl<'a> Disk<'a> {
             .map(|()| true)
     }
 
+    /// Waits until the contents of a file are on the disk.
+    pub(super) fn sync(&self, folder: &Folder, name: &str) -> Result<(), OutputError> {
+        let file = folder.file(name)?;
+        self.change(Operation::Sync, (folder, name.as_ref()), || file.sync_all())
+    }
+
     /// Renames a file to a name in another folder, replacing what is there.
     pub(super) fn rename_to(
         &self,

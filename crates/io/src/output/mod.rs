@@ -259,13 +259,18 @@ pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
 pub fn rename(from: &Path, to: &Path, disk: &Disk) -> Result<(), OutputError> {
     let (folder, name) = place(from, disk)?;
     let (to_folder, to_name) = place(to, disk)?;
+    disk.sync(&folder, &name)?;
     disk.rename_to((&folder, &name), (&to_folder, &to_name))
 }
 
-/// Makes a folder in which a program is to work: empty, whatever was there.
-pub fn make_empty_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
-    remove_folder(path, disk)?;
-    make_folder(path, disk)
+/// Creates a folder in which a program is to work, below a folder that is created if necessary.
+///
+/// # Errors
+/// If there is something of that name.
+pub fn make_new_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+    make_folder(path.parent().unwrap_or(path), disk)?;
+    let (folder, name) = place(path, disk)?;
+    disk.make_new_folder(&folder, &name)
 }
 
 /// Removes a folder with its contents, through no link; no error if it doesn't exist.

@@ -59,23 +59,33 @@ impl WholeMap {
     /// [`DepthMapError::Newer`], and [`DepthMapError::Format`] for a map that ends too early or is
     /// larger than the image.
     pub fn read(path: &Path, image: [u32; 2]) -> Result<Self, DepthMapError> {
+        let whole = Self::read_of_any_size(path)?;
+        let [width, height] = whole.size();
+        if width > image[0].saturating_add(1) || height > image[1].saturating_add(1) {
+            let what = format!("{width} x {height} pixels, more than the image has");
+            return Err(DepthMapError::format(path)((SIZES, what)));
+        }
+        Ok(whole)
+    }
+
+    fn read_of_any_size(path: &Path) -> Result<Self, DepthMapError> {
         let whole = Self {
             path: path.into(),
             header: read_header(path)?,
         };
-        let fault = |what: String| DepthMapError::format(path)((SIZES, what));
         let [width, height] = whole.size();
-        if width > image[0].saturating_add(1) || height > image[1].saturating_add(1) {
-            let what = format!("{width} x {height} pixels, more than the image has");
-            return Err(fault(what));
-        }
         let there = fs::metadata(path).map_err(DepthMapError::io(path))?.len();
         let needed = whole.bytes();
         if width == 0 || height == 0 || there < needed {
             let what = format!("{width} x {height} pixels need {needed} bytes, {there} are there");
-            return Err(fault(what));
+            return Err(DepthMapError::format(path)((SIZES, what)));
         }
         Ok(whole)
+    }
+
+    /// Returns whether there is a map whose planes are all there.
+    pub fn is_there(path: &Path) -> bool {
+        Self::read_of_any_size(path).is_ok()
     }
 
     /// Width and height, pixels.
