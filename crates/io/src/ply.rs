@@ -187,6 +187,18 @@ pub fn read_with_lists(
     Ok(())
 }
 
+/// Numbers of vertices and faces by the header; `None` if that cannot be read.
+pub fn counts(bytes: &[u8]) -> Option<[u64; 2]> {
+    let header = read_header(bytes).ok()?;
+    Some(["vertex", "face"].map(|name| {
+        let named = header
+            .elements
+            .iter()
+            .filter(|element| element.name == name);
+        named.map(|element| element.count).sum()
+    }))
+}
+
 fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
     let mut at = 0;
     let mut line = 0;

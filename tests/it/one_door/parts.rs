@@ -233,3 +233,28 @@ fn zero_distortion_needs_no_undistortion() {
     let original = fs::read(folder.at("images/view_4.png")).unwrap();
     assert_eq!(linked("colmap/images/view_4.png"), original);
 }
+
+#[test]
+fn of_several_ply_files_the_cloud_of_most_points_is_taken() {
+    let folder = Folder::new();
+    let mut few = scene();
+    few.points.truncate(3);
+    let corners = "0 0 0\n1 0 0\n0 1 0\n".repeat(400);
+    let head = "ply\nformat ascii 1.0\nelement vertex 1200\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+                property list uchar int vertex_indices\nend_header\n";
+    folder
+        .colmap("sparse/0", &without_points())
+        .cloud("sparse/0/a.ply", &few)
+        .write("sparse/0/mesh.ply", format!("{head}{corners}3 0 1 2\n"))
+        .cloud("sparse/0/points.ply", &scene())
+        .write("sparse/0/z.ply", "none");
+    let read = folder.read();
+    assert_eq!(read.points.len(), scene().points.len());
+    let said: Vec<&str> = read.warnings.iter().map(|said| &*said.text).collect();
+    let named = |text: &&str| {
+        ["points.ply", "a.ply", "mesh.ply"]
+            .iter()
+            .all(|name| text.contains(name))
+    };
+    assert!(said.iter().any(named), "{said:?}");
+}

@@ -1,7 +1,10 @@
 //! Completes models of which programs wrote a part: points of a PLY file beside the cameras,
 //! observations by projection.
 
-use std::path::{Path, PathBuf};
+use std::{
+    cmp::Reverse,
+    path::{Path, PathBuf},
+};
 
 use nalgebra::Point3;
 use viewrank_core::model::scene::{ModelWarning, WarningKind};
@@ -9,6 +12,7 @@ use viewrank_core::model::scene::{ModelWarning, WarningKind};
 use super::{ModelFormat, ModelLocation, ProjectError, files, foreign::file_names};
 use crate::{
     formats::{Place, Problem, cloud, colmap::ColmapModel},
+    input::{self, FileKind},
     ply,
 };
 
@@ -40,23 +44,90 @@ pub(super) fn completed<'a>(
                 "the points are far from the cameras",
             ));
         }
-        Some(_) => cloud::add_cloud(&mut model, &points),
+        Some(path) => {
+            model.warnings.extend(other_clouds(&path));
+            cloud::add_cloud(&mut model, &points);
+        }
     }
     Ok(model)
 }
 
-/// The first PLY file in the folder of a model.
+/// The PLY file of the points in the folder of a model.
 pub(super) fn cloud_beside(location: &ModelLocation) -> Option<PathBuf> {
     let folder = if location.format.is_colmap() {
         &*location.path
     } else {
         location.path.parent()?
     };
-    file_names(folder)
-        .iter()
-        .find(|name| name.to_ascii_lowercase().ends_with(".ply"))
-        .map(|name| folder.join(name))
+    clouds_in(folder).into_iter().next().map(|cloud| cloud.path)
 }
+
+/// A PLY file.
+pub(super) struct Cloud {
+    pub path: PathBuf,
+    /// Numbers of vertices and faces; `None` if its header cannot be read.
+    counts: Option<[u64; 2]>,
+}
+
+/// Bytes in which a header ends.
+const HEADER: u64 = 1 << 16;
+
+/// The PLY files in a folder, best first: clouds before meshes, of most vertices.
+pub(super) fn clouds_in(folder: &Path) -> Vec<Cloud> {
+    let names = file_names(folder).into_iter();
+    let clouds = names.filter(|name| name.to_ascii_lowercase().ends_with(".ply"));
+    let mut clouds: Vec<Cloud> = clouds
+        .map(|name| Cloud::examined(folder.join(name)))
+        .collect();
+    clouds.sort_by_key(|cloud| {
+        let is_mesh = cloud.counts.is_some_and(|[_, faces]| faces > 0);
+        let vertices = cloud.counts.map_or(0, |[vertices, _]| vertices);
+        (cloud.counts.is_none(), is_mesh, Reverse(vertices))
+    });
+    clouds
+}
+
+impl Cloud {
+    fn examined(path: PathBuf) -> Self {
+        let start = input::read_start(&path, FileKind::Sparse, HEADER).ok();
+        let counts = start.and_then(|start| ply::counts(&start));
+        Self { path, counts }
+    }
+
+    fn in_words(&self) -> String {
+        let name = self.path.file_name().unwrap_or_default().display();
+        match self.counts {
+            None => format!("{name} (no PLY file)"),
+            Some([vertices, 0]) => format!("{name} ({vertices} points)"),
+            Some([vertices, faces]) => {
+                format!("{name} (a mesh of {vertices} vertices and {faces} faces)")
+            }
+        }
+    }
+}
+
+/// Names the PLY file that the points are from, if others are beside it.
+fn other_clouds(path: &Path) -> Option<ModelWarning> {
+    let clouds = clouds_in(path.parent()?);
+    let words = |is_used: bool| {
+        let named = clouds
+            .iter()
+            .filter(move |cloud| (cloud.path == path) == is_used);
+        let words: Vec<String> = named.take(NAMED).map(Cloud::in_words).collect();
+        words.join(", ")
+    };
+    let text = format!(
+        "the points are those of {}, not of {}",
+        words(true),
+        words(false)
+    );
+    let cure =
+        "no action needed; if another file has the points, take the others out of the folder";
+    (clouds.len() > 1).then(|| ModelWarning::new(WarningKind::Format, text).with_cure(cure))
+}
+
+/// PLY files that a warning names.
+const NAMED: usize = 3;
 
 /// The vertices of a PLY file.
 pub(super) fn vertices(path: &Path) -> Result<Vec<Point3<f64>>, ProjectError> {

@@ -19,7 +19,7 @@ use crate::{
     input::{self, FileKind},
     project::{
         ModelFormat, ModelLocation, ProjectError,
-        complete::{cloud_beside, vertices},
+        complete::{cloud_beside, clouds_in, vertices},
         files, folder,
         images::ImageSearch,
     },
@@ -80,11 +80,30 @@ fn read_transforms(
     let path = &model.path;
     let size_of = |name: &str| search.size_of(name);
     let spelled = |name: &str| search.spelled(name);
-    let (foreign, named) =
+    let (mut foreign, named) =
         transforms::read(bytes, &size_of, &spelled).map_err(ProjectError::fault(path))?;
+    let others = splits_beside(path);
+    if !others.is_empty() {
+        let text = format!("{} not read: images kept for tests", others.join(" and "));
+        foreign.warn(WarningKind::Format, text);
+    }
     let named = named.map(|cloud| path.with_file_name(cloud.replace('\\', "/")));
     let named = named.filter(|cloud| cloud.is_file());
     Ok((foreign, named.or_else(|| cloud_beside(model))))
+}
+
+/// The files of test images beside a `transforms_train.json`.
+fn splits_beside(path: &Path) -> Vec<String> {
+    let is_part = path.ends_with("transforms_train.json");
+    let names = path
+        .parent()
+        .map(file_names)
+        .unwrap_or_default()
+        .into_iter();
+    let others = ["transforms_test.json", "transforms_val.json"];
+    names
+        .filter(|name| is_part && others.contains(&&**name))
+        .collect()
 }
 
 fn read_mve(bundle: &Path, bytes: &[u8]) -> Result<ForeignModel, Fault> {
@@ -218,20 +237,21 @@ pub(super) fn sure_cloud(folder: &Path) -> Option<(PathBuf, ModelFormat)> {
     let above = folder.parent().filter(|_| folder.ends_with("ori"));
     let project = above.unwrap_or(folder);
     let names = file_names(project);
-    let endings = [
-        (".nvm", ModelFormat::Nvm),
-        (".out", ModelFormat::Bundler),
-        (".ply", ModelFormat::Sure),
-    ];
     let first = |ending: &str| {
         names
             .iter()
             .find(|name| name.ends_with(ending))
             .map(|name| project.join(name))
     };
-    endings
-        .into_iter()
-        .find_map(|(ending, format)| Some((first(ending)?, format)))
+    let endings = [(".nvm", ModelFormat::Nvm), (".out", ModelFormat::Bundler)];
+    let with_tracks = |(ending, format)| Some((first(ending)?, format));
+    let cloud = || {
+        Some((
+            clouds_in(project).into_iter().next()?.path,
+            ModelFormat::Sure,
+        ))
+    };
+    endings.into_iter().find_map(with_tracks).or_else(cloud)
 }
 
 /// Reads the oriented images of a folder of SURE.
