@@ -398,3 +398,42 @@ fn the_undistorted_workspace_is_planned_where_the_backend_needs_it() {
     let (code, ..) = folder.plan(&["--backend", "openmvs"]);
     assert_eq!(code, 1);
 }
+
+#[test]
+fn an_enabled_chunk_is_taken_before_a_disabled_one() {
+    let folder = Folder::new();
+    let cameras = [
+        ("a", "sensor_id=\"0\"", Some(0.0)),
+        ("b", "sensor_id=\"0\"", Some(1.0)),
+    ];
+    let two = metashape(&sensor(0, ""), &cameras);
+    let one = metashape(&sensor(0, ""), &[("c", "sensor_id=\"0\"", Some(2.0))]);
+    let two = two.replace(
+        "label=\"a\"><sensors",
+        "label=\"old\" enabled=\"false\"><sensors",
+    );
+    let joined = two.replace("</document>", "") + &one.replace("<document version=\"2.0.0\">", "");
+    folder
+        .write("cameras.xml", joined)
+        .cloud("points.ply", &at(&[[1.0, 0.0, 9.0]]));
+    assert_eq!(names(&folder.read()), ["c"]);
+    let others = taken(&folder).1;
+    assert!(others.contains("disabled chunk old (2 images)"), "{others}");
+}
+
+#[test]
+fn images_kept_for_tests_are_named_where_they_are_not_read() {
+    let folder = Folder::new();
+    let frames = r#"{"w":100,"h":75,"fl_x":85,"frames":[{"file_path":"a.png","transform_matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,9]]}]}"#;
+    folder
+        .write("transforms_train.json", frames)
+        .write("transforms_test.json", frames)
+        .cloud("points.ply", &at(&[[0.0, 0.0, 0.0]]));
+    let warnings = folder.read().warnings;
+    assert!(
+        warnings
+            .iter()
+            .any(|said| said.text.contains("transforms_test.json")),
+        "{warnings:?}"
+    );
+}

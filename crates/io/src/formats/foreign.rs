@@ -120,7 +120,7 @@ impl ForeignModel {
         }
     }
 
-    /// Says which of several models in a file is read: the one with most images. `names`: those of
+    /// Says how many images the one of several models in a file has that is read. `others`: those of
     /// the others, with their numbers of images.
     pub(super) fn warn_of_others(&mut self, what: &str, others: &[(String, usize)]) {
         if others.is_empty() {
@@ -134,7 +134,7 @@ impl ForeignModel {
         let more = if others.len() > NAMED { ", ..." } else { "" };
         let used = self.model.images.len();
         let text = format!(
-            "of {} {what} the one with most images ({used}) is read; left out: {}{more}",
+            "of {} {what} one ({used} images) is read; left out: {}{more}",
             others.len() + 1,
             named.join(", ")
         );

@@ -40,7 +40,7 @@ pub enum Frame {
     Chunk,
 }
 
-/// Reads cameras and poses of the chunk with most aligned cameras, of that the component with most,
+/// Reads cameras and poses of the enabled chunk with most aligned cameras, of that the component with most,
 /// in each of some frames. `spelled` completes labels, which may lack the extension of the image.
 pub fn read<const N: usize>(
     bytes: &[u8],
@@ -56,7 +56,7 @@ pub fn read<const N: usize>(
     Ok(models)
 }
 
-/// The chunk with most aligned cameras, and the names of the others with their numbers of them.
+/// The chunk with most aligned cameras, enabled if any is, and the names of the others with their numbers of them.
 fn largest_chunk(bytes: &[u8]) -> Result<(Chunk, Vec<(String, usize)>), Fault> {
     let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
     let mut largest = Chunk::default();
@@ -67,11 +67,12 @@ fn largest_chunk(bytes: &[u8]) -> Result<(Chunk, Vec<(String, usize)>), Fault> {
             continue;
         }
         let mut chunk = Chunk::read(&entered, &mut xml)?;
-        if chunk.aligned() > largest.aligned() {
+        if chunk.rank() > largest.rank() {
             std::mem::swap(&mut chunk, &mut largest);
         }
         if chunk.aligned() > 0 {
-            others.push((format!("chunk {}", chunk.label), chunk.aligned()));
+            let disabled = if chunk.is_enabled { "" } else { "disabled " };
+            others.push((format!("{disabled}chunk {}", chunk.label), chunk.aligned()));
         }
     }
     Ok((largest, others))
@@ -80,6 +81,7 @@ fn largest_chunk(bytes: &[u8]) -> Result<(Chunk, Vec<(String, usize)>), Fault> {
 #[derive(Default)]
 struct Chunk {
     label: String,
+    is_enabled: bool,
     /// By id as in the file.
     sensors: HashMap<String, Sensor>,
     components: HashMap<String, Similarity>,
@@ -124,7 +126,7 @@ impl ChunkCamera {
             sensor_id: id("sensor_id")?.unwrap_or_default(),
             component_id: id("component_id")?.unwrap_or_default(),
             master_id: id("master_id")?,
-            is_enabled: !matches!(camera.attribute("enabled"), Some("false" | "0")),
+            is_enabled: is_enabled(camera),
             placement: transform.transpose(),
         })
     }
@@ -160,6 +162,7 @@ impl Chunk {
     fn read(entered: &Element, xml: &mut Xml) -> Result<Self, Fault> {
         let mut chunk = Self {
             label: entered.attribute("label").unwrap_or_default().to_owned(),
+            is_enabled: is_enabled(entered),
             ..Self::default()
         };
         while let Some(entered) = xml.enter()? {
@@ -221,11 +224,21 @@ impl Chunk {
         Ok(())
     }
 
+    /// Enabled chunks come first, then those of most cameras; none is without a camera.
+    fn rank(&self) -> (bool, bool, usize) {
+        let aligned = self.aligned();
+        (aligned > 0, self.is_enabled, aligned)
+    }
+
     /// Number of enabled cameras that have a pose or a master.
     fn aligned(&self) -> usize {
         let is_aligned = |camera: &&ChunkCamera| camera.is_enabled && camera.is_aligned();
         self.cameras.iter().filter(is_aligned).count()
     }
+}
+
+fn is_enabled(element: &Element) -> bool {
+    !matches!(element.attribute("enabled"), Some("false" | "0"))
 }
 
 /// Longest id, bytes: that of a master's component is compared for each of its slaves.
