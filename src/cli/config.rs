@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 use crate::backends;
 use crate::{
     base::{paths::is_outside, printable::printable},
-    config::{CommandLineSettings, Configuration, Files, Key, Settings, Source, keys, user_file},
+    config::{
+        CommandLineSettings, ConfigError, Configuration, Files, Key, Settings, Source, keys,
+        user_file,
+    },
     io::project::{Project, ProjectError},
     model::scene::Units,
     plan::metres_per_unit,
@@ -78,6 +81,10 @@ fn load_in(
     };
     let metres = |settings: &Settings| metres_per_unit(project?, settings);
     let loaded = Configuration::load_for(&files, typed, backends::canonical_name, &metres);
+    // Without the model its unit is unknown, and that is the fault to name.
+    if let (Err(ConfigError::NotMetric { .. }), Some(project)) = (&loaded, project) {
+        project.read_scene()?;
+    }
     // A stranger's project may say that it is a plan of another folder.
     let is_hidden = |path: &PathBuf| {
         let is_projects = files.project.as_ref() == Some(path);

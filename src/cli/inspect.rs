@@ -154,7 +154,15 @@ impl Inspection {
         let number =
             |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
         let error_px = number(self.mean_reprojection_error_px, 4);
-        let gsd = number(self.median_gsd, 6);
+        let unit = if self.metres_per_unit.is_some() {
+            "m"
+        } else {
+            "units"
+        };
+        let gsd = self
+            .median_gsd
+            .map(|gsd| gsd * self.metres_per_unit.unwrap_or(1.0));
+        let gsd = number(gsd, 6);
         let mut rows = vec![
             (
                 "model",
@@ -173,7 +181,7 @@ impl Inspection {
             ("observations", self.observations.to_string()),
             ("mean track length", number(self.mean_track_length, 2)),
             ("mean reprojection error", format!("{error_px} px")),
-            ("median GSD", format!("{gsd} units per pixel")),
+            ("median GSD", format!("{gsd} {unit} per pixel")),
             ("units", self.units_in_words()),
         ];
         let sub_models = self.sub_models.iter().filter(|_| self.sub_models.len() > 1);

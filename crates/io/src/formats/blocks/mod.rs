@@ -18,7 +18,7 @@ mod group;
 use std::collections::HashMap;
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank_core::model::georeference::{Georeference, Zone};
+use viewrank_core::model::georeference::{Geodetic, Georeference, Zone};
 
 use self::group::Group;
 use super::{
@@ -59,7 +59,7 @@ pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
 struct System {
     /// Beginning of its definition, if coordinates are longitude and latitude.
     geographic: Option<String>,
-    zone: Option<Zone>,
+    place: Option<Georeference>,
 }
 
 /// Reference systems by id.
@@ -79,7 +79,7 @@ impl System {
             || plain.contains("+PROJ=LONGLAT");
         Self {
             geographic: is_geographic.then(|| definition.chars().take(40).collect()),
-            zone: Zone::of_reference_system(definition),
+            place: local_frame(&plain).or_else(|| projection(definition)),
         }
     }
 
@@ -93,6 +93,31 @@ impl System {
         let hint = "export the block in a projected or local coordinate system";
         Err(Problem::Unsupported { what, hint }.at(id.at()))
     }
+}
+
+/// Metres east, north and up of a latitude and a longitude on the ellipsoid ("ENU:30.17,-98.08").
+fn local_frame(definition: &str) -> Option<Georeference> {
+    let numbers = definition.strip_prefix("ENU:")?.split(',');
+    let numbers: Option<Vec<f64>> = numbers.map(|number| number.trim().parse().ok()).collect();
+    let (latitude, longitude, height) = match numbers?[..] {
+        [latitude, longitude] => (latitude, longitude, 0.0),
+        [latitude, longitude, height] => (latitude, longitude, height),
+        _ => return None,
+    };
+    let is_on_earth = latitude.abs() <= 90.0 && longitude.abs() <= 180.0 && height.is_finite();
+    is_on_earth.then(|| {
+        Georeference::east_north_up(Geodetic {
+            longitude,
+            latitude,
+            height,
+        })
+    })
+}
+
+fn projection(definition: &str) -> Option<Georeference> {
+    let zone = Zone::of_reference_system(definition)?;
+    let offset = [0.0; 2];
+    Some(Georeference::Utm { zone, offset })
 }
 
 fn read_systems(xml: &mut Xml) -> Result<Systems, Fault> {
@@ -135,11 +160,8 @@ impl Block {
 
     fn read_system(&mut self, id: &Element, systems: &Systems) -> Result<(), Fault> {
         System::check(systems, id)?;
-        let zone = systems.get(id.text()).and_then(|system| system.zone);
-        self.foreign.georeference = zone.map(|zone| Georeference::Utm {
-            zone,
-            offset: [0.0; 2],
-        });
+        let system = systems.get(id.text());
+        self.foreign.georeference = system.and_then(|system| system.place);
         Ok(())
     }
 
