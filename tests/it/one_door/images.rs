@@ -185,3 +185,50 @@ fn masks_are_named_as_by_colmap() {
     assert_eq!([0, 1, 2, 3].map(has_mask), [true, true, true, false]);
     assert_eq!(pictures.stray_masks(&scene), Vec::<PathBuf>::new());
 }
+
+#[test]
+fn names_that_lead_far_out_are_found_by_their_last_parts() {
+    let folder = Folder::new();
+    let mut model = ColmapModel::from_scene(&scene());
+    for image in &mut model.images {
+        image.name = format!("../../photos/{}", image.name).into();
+    }
+    folder
+        .colmap("work/project/sparse/0", &model)
+        .pictures(&scene(), |name| format!("elsewhere/photos/{name}"));
+    let root = folder.at("work/project");
+    let read = |project: Project| project.read_scene();
+    let error = read(Project::open(&root, None).unwrap()).unwrap_err();
+    let hint = viewrank_core::base::error::Hint::hint(&error).unwrap();
+    assert!(format!("{hint:?}").contains("--images"), "{hint:?}");
+    for images in ["elsewhere", "elsewhere/photos"] {
+        let project = Project::open(&root, None).unwrap();
+        let project = project.with_images(Some(&folder.at(images)));
+        let scene = read(project.clone()).unwrap();
+        assert_eq!(project.image_faults(&scene).missing, [], "{images}");
+    }
+}
+
+#[test]
+fn names_of_another_program_that_lead_far_out_are_found_by_their_last_parts() {
+    let folder = Folder::new();
+    let frame = |n: usize| {
+        format!(
+            r#"{{"file_path":"../../photos/view_{n}.png","transform_matrix":[[1,0,0,{n}],[0,1,0,0],[0,0,1,9]]}}"#
+        )
+    };
+    let frames: Vec<String> = (0..3).map(frame).collect();
+    let frames = frames.join(",");
+    folder
+        .write(
+            "a/b/transforms.json",
+            format!(r#"{{"w":100,"h":75,"fl_x":85,"frames":[{frames}]}}"#),
+        )
+        .pictures(&scene(), |name| format!("photos/{name}"));
+    let project = Project::open(&folder.at("a/b"), None).unwrap();
+    assert!(project.read_scene().is_err());
+    let project = project.with_images(Some(&folder.at("photos")));
+    let scene = project.read_scene().unwrap();
+    assert_eq!(names(&scene), ["view_0.png", "view_1.png", "view_2.png"]);
+    assert_eq!(project.image_faults(&scene).missing, []);
+}

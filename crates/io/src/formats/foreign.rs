@@ -244,8 +244,8 @@ pub(super) fn largest_component<'a>(
 /// Most folders of a moved image's path that still hold.
 const KEPT_FOLDERS: usize = 16;
 
-/// The name, and if it is an absolute path what is left without its first folders: the image may
-/// have moved.
+/// The name, and if it is an absolute path, or leads further than to the parent of its folder, what is
+/// left without its first folders: the image may have moved.
 pub fn last_parts(name: &str) -> Vec<String> {
     if name.len() > LONGEST_NAME {
         return vec![name.to_owned()];
@@ -255,10 +255,10 @@ pub fn last_parts(name: &str) -> Vec<String> {
     } else {
         name.to_owned()
     };
-    let is_absolute = is_of_windows(name) || name.starts_with('/');
+    let has_moved = is_of_windows(name) || name.starts_with('/') || name_parts(name).is_none();
     let ends = slashes
         .rmatch_indices('/')
-        .filter(|_| is_absolute)
+        .filter(|_| has_moved)
         .take(KEPT_FOLDERS);
     let mut parts: Vec<String> = ends.map(|(at, _)| slashes[at + 1..].to_owned()).collect();
     parts.push(name.to_owned());

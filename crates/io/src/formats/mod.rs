@@ -190,6 +190,9 @@ impl Problem {
             Self::Name { name, .. } if name.is_empty() => {
                 "copy or export the file again: it is incomplete or damaged"
             }
+            Self::Name { why: OUTSIDE, .. } => {
+                "name the folder of the images with --images: there they are found by the last parts of their names"
+            }
             Self::Name { .. } => "rename the image, in the image folder and in the model",
             Self::TrackIndex { .. } | Self::Contradiction(_) => {
                 "export all files of the model together; delete rigs and frames files of other models"
@@ -251,9 +254,12 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     }
     match name_parts(name) {
         Some(_) => Ok(()),
-        None => refuse("is outside the parent of the image folder"),
+        None => refuse(OUTSIDE),
     }
 }
+
+/// What a name is that leads further than to the parent of its folder.
+const OUTSIDE: &str = "is outside the parent of the image folder";
 
 /// Separators in image names: models made on Windows have its own.
 pub const SEPARATORS: [char; 2] = ['/', '\\'];

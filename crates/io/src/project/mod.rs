@@ -334,6 +334,9 @@ impl Project {
             return model.scene().map_err(|fault| files.locate(fault));
         }
         let (mut foreign, cloud) = foreign::read(&self.root, &self.model)?;
+        if let Some(images) = &self.images {
+            names::take_names_of_files(&mut foreign.model, images);
+        }
         foreign.model = complete::completed(foreign.model, &self.model, cloud)?;
         let scene = foreign.scene();
         scene.map_err(ProjectError::fault(&self.model.path))
