@@ -25,9 +25,8 @@ pub fn undistorted_workspace(
     project: &Project,
     backend: &Backend,
 ) -> Result<Option<Project>, ProjectError> {
-    let dense = project.dense_workspace.as_ref();
-    let Some(dense) = dense.filter(|dense| !backend.takes_distorted && **dense != project.root)
-    else {
+    let dense = project.undistorted_workspace();
+    let Some(dense) = dense.filter(|_| !backend.takes_distorted) else {
         return Ok(None);
     };
     let is_pinhole = |scene: &Scene| {

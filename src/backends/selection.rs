@@ -97,16 +97,17 @@ impl Selection<'_> {
 
     /// Returns the folder of the images.
     pub fn images(&self, backend: &'static str) -> Result<&ImageFolder, BackendError> {
-        let needs = |what: String, folder: &Path| BackendError::Needs {
+        let needs = |what: String| BackendError::Needs {
             backend,
             what,
-            hint: format!("put the images into {}", folder.display()),
+            hint: self.project.where_images_belong(),
         };
         let Some(folder) = self.project.images.as_ref() else {
-            return Err(needs(
-                "the images, and there is no image folder".into(),
-                &self.project.root.join("images"),
-            ));
+            let why = match &self.project.originals {
+                Some(originals) => originals.what(),
+                None => "there is no image folder".into(),
+            };
+            return Err(needs(format!("the images, and {why}")));
         };
         let views = self.views();
         let faults = self.image_faults.among(&views);
@@ -141,10 +142,7 @@ impl Selection<'_> {
                             .map_or_else(String::new, |(other, name)| {
                                 format!(", which has others ({other}; the model's is {name})")
                             });
-                    needs(
-                        format!("the images, and none of them is in {at}{others}"),
-                        folder,
-                    )
+                    needs(format!("the images, and none of them is in {at}{others}"))
                 }
             },
         )
@@ -177,12 +175,10 @@ impl Selection<'_> {
         let Some(view) = distorted else {
             return self.images(backend);
         };
-        // To undistort other images than the model's would fail next.
-        if !self.image_faults.other_aspect_ratio.is_empty() {
-            self.images(backend)?;
-        }
+        // To undistort no images, or others than the model's, would fail next.
+        self.images(backend)?;
         let camera = self.scene.camera_of(view).model().name();
-        let hint = match &self.project.dense_workspace {
+        let hint = match self.project.undistorted_workspace() {
             Some(dense) => {
                 format!(
                     "plan and export the undistorted images instead: viewrank plan {}",
@@ -191,7 +187,7 @@ impl Selection<'_> {
             }
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
-                let dense = command_path(&self.project.root.join("dense"));
+                let dense = command_path(&self.project.home.join("dense"));
                 let images = self.project.images.as_ref();
                 let images = images.map_or_else(
                     || self.project.root.join("images"),

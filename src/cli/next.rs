@@ -90,18 +90,13 @@ pub fn next(
         (Some(run), _) => run,
         (None, Some(next)) => next.clone(),
         (None, None) if !has_images => {
-            let images = project
-                .images
-                .as_ref()
-                .map_or(project.root.join("images"), |folder| folder.to_path_buf());
-            let images = command_path(&images);
             let cure = plan.stages.image_faults.cure().map(str::to_owned);
-            let cure = cure.unwrap_or_else(|| format!("put the images into {images}"));
+            let cure = cure.unwrap_or_else(|| project.where_images_belong());
             format!("{cure}, then {}", again(&root))
         }
         (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {
             let plan_of = |dense: &Path| again(&command_path(dense));
-            match &project.dense_workspace {
+            match project.undistorted_workspace() {
                 Some(dense) => plan_of(dense),
                 None => one_after_other(
                     &format!("viewrank undistort {root}"),

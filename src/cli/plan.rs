@@ -669,13 +669,15 @@ fn report(
     files: &PlanFiles,
     asked: Asked,
 ) -> Result<(), Failure> {
+    // What was asked for and cannot be written cannot without --dry-run either.
+    let is_complete = arguments.backend.is_none() || files.not_exported.is_empty();
     let next = match (
         arguments.dry_run,
         arguments.quiet && arguments.format == Format::Text,
     ) {
         (_, true) => String::new(),
-        (true, false) => next::not_dry(),
-        (false, false) => {
+        (true, false) if is_complete => next::not_dry(),
+        (_, false) => {
             let maps_of_run = project.home.join(plan.stages.backend);
             let again = |other: &str| {
                 next::for_other_project(&arguments.project, other, plan.stages.backend)

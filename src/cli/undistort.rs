@@ -136,10 +136,19 @@ fn text(done: &UndistortReport) -> Vec<String> {
             .iter()
             .map(|kept| format!("kept {kept}: not written by viewrank")),
     );
-    lines.push(format!(
-        "Next: viewrank plan {}",
-        command_path(&done.folder)
-    ));
+    let plan = format!("viewrank plan {}", command_path(&done.folder));
+    lines.extend(
+        done.is_without_points
+            .then(|| "The model has no points.".into()),
+    );
+    lines.push(if done.is_without_points {
+        let model = command_path(&done.folder.join("sparse"));
+        format!(
+            "Next: copy them as a PLY cloud, in the coordinates of the cameras, into {model}, then {plan}"
+        )
+    } else {
+        format!("Next: {plan}")
+    });
     lines
 }
 

@@ -176,6 +176,7 @@ fn project() -> Project {
         model_is_named: false,
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),
+        originals: None,
         dense_workspace: None,
         model_stamps: Vec::new(),
     }

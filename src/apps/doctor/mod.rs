@@ -288,11 +288,9 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
         inputs.project.as_argument(),
         command_path(&inputs.project.root.join("dense")),
     );
-    let cure = match &inputs.project.dense_workspace {
-        Some(dense) if *dense != inputs.project.root => {
-            format!("viewrank plan {}", command_path(dense))
-        }
-        _ => format!("viewrank undistort {root}, then viewrank plan {own}"),
+    let cure = match inputs.project.undistorted_workspace() {
+        Some(dense) => format!("viewrank plan {}", command_path(dense)),
+        None => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
     let what =
         format!("the cameras are {camera}, but these programs need images without lens distortion");

@@ -123,10 +123,7 @@ fn no_images(inputs: &Inputs) -> Option<Finding> {
     };
     inputs.project.images.is_none().then(|| {
         let what = "no image folder found: the images can be neither examined nor matched";
-        let cure = format!(
-            "put the images into {}",
-            inputs.project.root.join("images").display()
-        );
+        let cure = inputs.project.where_images_belong();
         Finding::new(severity, "no-images", what, cure)
     })
 }

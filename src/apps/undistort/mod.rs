@@ -84,6 +84,9 @@ pub struct UndistortReport {
     pub computed: usize,
     /// New names of the user's files that were in the way.
     pub kept: Vec<String>,
+    /// True if the model has no points: nothing can be planned without.
+    #[serde(skip)]
+    pub is_without_points: bool,
     /// Folder of the images' masks, which are not undistorted; null without masks.
     pub masks: Option<PathBuf>,
 }
@@ -121,6 +124,7 @@ pub fn undistort(
     let mut done = UndistortReport {
         folder: out.into(),
         images: scene.views.len(),
+        is_without_points: scene.points.is_empty(),
         masks,
         ..UndistortReport::default()
     };
@@ -186,10 +190,9 @@ impl<'a> Undistortion<'a> {
         options: &UndistortOptions,
         out: &'a Path,
     ) -> Result<Self, UndistortError> {
-        let images = project
-            .images
-            .as_ref()
-            .ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
+        let images = project.images.as_ref().ok_or_else(|| {
+            UndistortError::NoImages(project.root.clone(), project.where_images_belong())
+        })?;
         if paths::is_same(images, &out.join("images")) {
             return Err(UndistortError::OwnImages(images.to_path_buf()));
         }
@@ -441,7 +444,7 @@ pub enum UndistortError {
     #[error(transparent)]
     Project(#[from] ProjectError),
     #[error("cannot undistort {}: no image folder found", .0.display())]
-    NoImages(PathBuf),
+    NoImages(PathBuf, String),
     #[error("cannot write to {}: it contains the images to undistort", .0.display())]
     OwnImages(PathBuf),
     #[error("cannot undistort {model} cameras to pinhole cameras")]
@@ -461,7 +464,7 @@ impl Hint for UndistortError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Project(error) => return error.hint(),
-            Self::NoImages(root) => format!("put the images into {}", root.join("images").display()).into(),
+            Self::NoImages(_, hint) => hint.as_str().into(),
             Self::OwnImages(_) => Advice::text("write to another folder with ").set("out"),
             Self::NoPinhole { .. } => {
                 "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py".into()

@@ -173,6 +173,7 @@ pub fn project() -> Project {
         model_is_named: false,
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),
+        originals: None,
         dense_workspace: None,
         model_stamps: Vec::new(),
     }

@@ -4,6 +4,7 @@
 mod images;
 mod models;
 mod parts;
+mod undistorted;
 mod words;
 
 use std::{

@@ -65,6 +65,14 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// Returns whether two poses are the same, to the precision of text files.
+    pub fn is_near(&self, other: &Self) -> bool {
+        const DIGITS: f64 = 1e-5;
+        let moved = (self.translation - other.translation).norm();
+        (self.rotation.matrix() - other.rotation.matrix()).norm() < DIGITS
+            && moved < DIGITS * (1.0 + self.translation.norm())
+    }
+
     /// Transforms a point from world to camera coordinates, scene units.
     pub fn camera_from_world(&self, x: &Point3<f64>) -> Point3<f64> {
         self.rotation * x + self.translation
@@ -243,13 +251,9 @@ impl Scene {
     /// Returns whether both scenes have the same view names and poses, to the precision of text
     /// files.
     pub fn has_same_views(&self, other: &Self) -> bool {
-        const DIGITS: f64 = 1e-5;
-        let near = |a: &Pose, b: &Pose| {
-            (a.rotation.matrix() - b.rotation.matrix()).norm() < DIGITS
-                && (a.translation - b.translation).norm() < DIGITS * (1.0 + a.translation.norm())
+        let same = |(a, b): (&View, &View)| {
+            a.name == b.name && a.cam_from_world.is_near(&b.cam_from_world)
         };
-        let same =
-            |(a, b): (&View, &View)| a.name == b.name && near(&a.cam_from_world, &b.cam_from_world);
         self.views.len() == other.views.len() && self.views.iter().zip(&other.views).all(same)
     }
 

@@ -4,7 +4,7 @@
 //! Counts are checked against the remaining bytes before anything is allocated. 2D points and
 //! tracks are borrowed from the input.
 
-use std::{borrow::Cow, collections::BTreeSet};
+use std::{borrow::Cow, collections::BTreeMap};
 
 use nom::{
     IResult, Parser,
@@ -61,13 +61,18 @@ pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     })
 }
 
-/// Reads the names of the images in `images.bin`.
-pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
+/// Reads the poses of the images in `images.bin`, by name.
+pub fn poses(images: &[u8]) -> Result<BTreeMap<String, StoredPose>, Fault> {
     let images = records("images", images, "image", 73, image, &mut Vec::new())?;
     Ok(images
         .into_iter()
-        .map(|image| image.name.into_owned())
+        .map(|image| (image.name.into_owned(), image.cam_from_world))
         .collect())
+}
+
+/// Reads `cameras.bin`.
+pub fn cameras(cameras: &[u8]) -> Result<Vec<Camera>, Fault> {
+    records("cameras", cameras, "camera", 24, camera, &mut Vec::new())
 }
 
 /// Reads the names of the images in `images.bin`, by ascending id: the order of COLMAP's own

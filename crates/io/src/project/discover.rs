@@ -2,7 +2,7 @@
 
 use std::{
     cmp::Reverse,
-    collections::{BTreeSet, HashSet},
+    collections::{BTreeMap, HashSet},
     fs,
     io::Read,
     path::{Path, PathBuf},
@@ -14,9 +14,16 @@ use super::{
     files::{self, REQUIRED, colmap_file, read},
     folder, foreign,
     image_files::slashes,
-    images, stamps,
+    images, originals, stamps,
 };
-use crate::{formats::colmap_text, input, paths::sub_folders};
+use crate::{
+    formats::{
+        colmap::{ColmapImage, StoredPose},
+        colmap_text,
+    },
+    input,
+    paths::sub_folders,
+};
 
 pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, ProjectError> {
     let parent = path
@@ -29,12 +36,17 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     }
     let (model, other_models) = choose(path, root, models_of(path, root)?, wanted)?;
     let dense_workspace = dense_workspace(root, &model);
+    let (images, originals) = match image_folder(root, &model) {
+        Some(images) => originals::told_apart(root, &model, images),
+        None => (None, None),
+    };
     Ok(Project {
         root: root.into(),
         home: root.into(),
         named: root.into(),
         kind: kind_of(root, &model, dense_workspace.as_deref()),
-        images: image_folder(root, &model),
+        images,
+        originals,
         model_is_named: wanted.is_some(),
         model_stamps: stamps(root, &model),
         model,
@@ -142,6 +154,8 @@ pub(super) const FOLDERS_OF_PROGRAMS: [&str; 3] = ["", "colmap", "distorted"];
 const NODES_OF_MESHROOM: [&str; 2] = ["StructureFromMotion", "ConvertSfMFormat"];
 /// Folder of the dense workspaces of a project.
 const DENSE: &str = "dense";
+/// Another usual name of it.
+const UNDISTORTED: &str = "undistorted";
 /// Most folders that are searched for models.
 const MOST_FOLDERS: usize = 1000;
 
@@ -217,7 +231,7 @@ fn models_in(root: &Path, of_colmap: &[PathBuf], of_others: &[PathBuf]) -> Found
 }
 
 /// The folder, its `sparse`, and the folders in that.
-fn with_sparse(folder: &Path) -> Vec<PathBuf> {
+pub(super) fn with_sparse(folder: &Path) -> Vec<PathBuf> {
     [
         vec![folder.into()],
         with_sub_folders(&folder.join("sparse")),
@@ -394,48 +408,76 @@ fn by_number(name: &str) -> (u64, String) {
     (name.parse().unwrap_or(u64::MAX), name.into())
 }
 
-/// Finds the dense workspace of the model: the project folder itself, or the first one below
-/// `dense` that has all its images.
+/// Finds the dense workspace of the model: the project folder itself, or the first one below it that
+/// has all its images, in the same poses.
 fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
     if root.join("stereo").is_dir() {
         return Some(root.into());
     }
     let workspaces = dense_folders(root, model);
-    let names = if workspaces.is_empty() {
+    let own = if workspaces.is_empty() {
         None
     } else {
-        image_names(root, model)
+        poses(root, model)
     }?;
     let has_the_images = |folder: &PathBuf| {
-        let there = colmap_model(&folder.join("sparse")).ok().flatten();
-        there
-            .and_then(|dense| image_names(root, &dense))
-            .is_some_and(|there| names.is_subset(&there))
+        let there = poses_of_workspace(root, folder);
+        there.is_some_and(|there| are_among(&own, &there))
     };
     workspaces.into_iter().find(has_the_images)
 }
 
-/// Dense workspaces below `dense` (folders with `stereo`), the one with the model's name first.
+fn poses_of_workspace(root: &Path, workspace: &Path) -> Option<Poses> {
+    let model = colmap_model(&workspace.join("sparse")).ok().flatten();
+    model.and_then(|model| poses(root, &model))
+}
+
+/// Says why a dense workspace is not that of the model.
+pub(super) fn why_other(root: &Path, model: &ModelLocation, workspace: &Path) -> &'static str {
+    let own = poses(root, model).unwrap_or_default();
+    match poses_of_workspace(root, workspace) {
+        None => "has a model that cannot be read",
+        Some(there) if own.keys().any(|name| !there.contains_key(name)) => {
+            "lacks images of this model"
+        }
+        Some(_) => "has the images of this model in other poses",
+    }
+}
+
+/// Returns whether the images have the same poses in another model.
+pub(super) fn are_among(own: &Poses, others: &Poses) -> bool {
+    let is_near = |(name, own): (&String, &StoredPose)| {
+        let other = others.get(name).and_then(|other| other.pose().ok());
+        other
+            .zip(own.pose().ok())
+            .is_some_and(|(other, own)| own.is_near(&other))
+    };
+    own.iter().all(is_near)
+}
+
+/// Dense workspaces (folders with `stereo`) of their usual names, those with the model's name first.
 pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
-    let dense = root.join(DENSE);
     let name = model.path.file_name().unwrap_or_default();
-    let mut folders = [vec![dense.join(name), dense.clone()], sub_folders(&dense)].concat();
+    let of = |folder: &str| {
+        let dense = root.join(folder);
+        [vec![dense.join(name), dense.clone()], sub_folders(&dense)].concat()
+    };
+    let mut folders = [of(DENSE), of(UNDISTORTED)].concat();
     let mut known = HashSet::new();
     folders.retain(|folder| folder.join("stereo").is_dir() && known.insert(folder.clone()));
     folders
 }
 
-/// Names of the registered images; `None` if the model cannot be read.
-pub(super) fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet<String>> {
+/// Poses of the registered images, by name.
+pub(super) type Poses = BTreeMap<String, StoredPose>;
+
+/// Poses of the registered images; `None` if the model cannot be read.
+pub(super) fn poses(root: &Path, model: &ModelLocation) -> Option<Poses> {
     if model.format.is_colmap() {
-        files::image_names(model)
+        files::poses(model)
     } else {
         let images = foreign::read(root, model).ok()?.0.model.images;
-        Some(
-            images
-                .into_iter()
-                .map(|image| image.name.into_owned())
-                .collect(),
-        )
+        let pose = |image: ColmapImage| (image.name.into_owned(), image.cam_from_world);
+        Some(images.into_iter().map(pose).collect())
     }
 }

@@ -1,7 +1,7 @@
 //! Reads the files of a COLMAP model.
 
 use std::{
-    collections::BTreeSet,
+    collections::BTreeMap,
     fs::File,
     io::{self, BufRead, BufReader, Read},
     path::{Path, PathBuf},
@@ -11,7 +11,11 @@ use super::{
     ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside, images::PROBED,
 };
 use crate::{
-    formats::{Bytes, Fault, LONGEST_NAME, colmap::ColmapModel, colmap_bin, colmap_text},
+    formats::{
+        Bytes, Fault, LONGEST_NAME,
+        colmap::{ColmapModel, StoredPose},
+        colmap_bin, colmap_text,
+    },
     input::{self, FileKind},
 };
 
@@ -36,17 +40,29 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
 /// Extensions of model files that are not text.
 const BINARY: [&str; 3] = ["bin", "mvs", "ply"];
 
-/// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be
-/// read.
-pub(super) fn image_names(model: &ModelLocation) -> Option<BTreeSet<String>> {
+/// Poses of the images of a COLMAP model by name, without reading the rest of it; `None` if they
+/// cannot be read.
+pub(super) fn poses(model: &ModelLocation) -> Option<BTreeMap<String, StoredPose>> {
     let images = read(&colmap_file(&model.path, "images", model.format)).ok()?;
     let is_text = model.format == ModelFormat::ColmapText;
     if is_text {
-        colmap_text::image_names(&images)
+        colmap_text::poses(&images)
     } else {
-        colmap_bin::image_names(&images)
+        colmap_bin::poses(&images)
     }
     .ok()
+}
+
+/// Returns whether any camera of a COLMAP model has lens distortion; `None` if they cannot be read.
+pub(super) fn is_distorted(model: &ModelLocation) -> Option<bool> {
+    let cameras = read(&colmap_file(&model.path, "cameras", model.format)).ok()?;
+    let is_text = model.format == ModelFormat::ColmapText;
+    let cameras = if is_text {
+        colmap_text::cameras(&cameras)
+    } else {
+        colmap_bin::cameras(&cameras)
+    };
+    Some(cameras.ok()?.iter().any(|camera| !camera.is_pinhole()))
 }
 
 /// Names of the first images of a COLMAP model, by reading little of its file; empty if that fails.

@@ -12,6 +12,7 @@ mod foreign;
 mod image_files;
 mod images;
 mod names;
+mod originals;
 mod other_names;
 mod probe;
 
@@ -30,6 +31,7 @@ pub use files::ColmapFiles;
 pub use folder::{ImageFolder, MASKS};
 pub use image_files::{images_below, is_image, slashes};
 pub use images::ImageFaults;
+pub use originals::Originals;
 pub use probe::{Unread, probe};
 
 use crate::{
@@ -179,7 +181,10 @@ pub struct Project {
     pub other_models: Vec<ModelLocation>,
     /// The folder to which image names are relative.
     pub images: Option<ImageFolder>,
-    /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`.
+    /// Images that were found, but are not those of the model: it is undistorted, they are not.
+    pub originals: Option<Originals>,
+    /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`, or of the same
+    /// structure in `root/undistorted`.
     pub dense_workspace: Option<PathBuf>,
     /// The model's files as they were before the scene was read.
     pub model_stamps: Vec<FileStamp>,
@@ -235,8 +240,13 @@ impl Project {
 
     /// The same project with its images in this folder; `None`: where they were found.
     pub fn with_images(self, images: Option<&Path>) -> Self {
+        let originals = self.originals.filter(|_| images.is_none());
         let images = images.map(ImageFolder::new).or(self.images);
-        Self { images, ..self }
+        Self {
+            images,
+            originals,
+            ..self
+        }
     }
 
     /// Returns the name of the project's folder, also where that was typed as `.`.
@@ -281,6 +291,26 @@ impl Project {
         depthmaps::folder_of(&self.home, self.dense_workspace.as_deref(), program)
     }
 
+    /// Returns the dense workspace below the project, unless it lacks its images.
+    pub fn undistorted_workspace(&self) -> Option<&Path> {
+        let dense = self.dense_workspace.as_deref();
+        dense.filter(|dense| {
+            let images = || ImageFolder::new(dense.join("images"));
+            **dense != *self.root && images().first_image().is_some()
+        })
+    }
+
+    /// Says where the images are to be put.
+    pub fn where_images_belong(&self) -> String {
+        let which = match &self.originals {
+            Some(_) => "undistorted images",
+            None => "images",
+        };
+        let folder = self.images.as_ref().map(|images| images.to_path_buf());
+        let folder = folder.unwrap_or_else(|| self.root.join("images"));
+        format!("put the {which} into {}", command_path(&folder))
+    }
+
     /// Returns whether `viewrank undistort` made the dense workspace.
     pub fn has_undistorted_workspace(&self) -> bool {
         self.dense_workspace.as_ref().is_some_and(|dense| {
@@ -312,6 +342,12 @@ impl Project {
         scene
             .warnings
             .extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
+        scene
+            .warnings
+            .extend(self.originals.iter().map(|originals| {
+                ModelWarning::new(WarningKind::OtherWorkspace, originals.what())
+                    .with_cure(originals.cure())
+            }));
         if let Some(images) = &self.images {
             images.resolve(&scene);
         }
@@ -460,12 +496,13 @@ impl Project {
             }
         }
         let is_copy = |model: &&ModelLocation| {
-            let names = discover::image_names(&self.root, model).unwrap_or_default();
+            let poses = discover::poses(&self.root, model).unwrap_or_default();
+            let names: Vec<&String> = poses.keys().collect();
             let mut shared: BTreeMap<(bool, &str), usize> = BTreeMap::new();
             for name in &names {
                 let ends = ends_of(name).filter(|end| scene.find(end).is_some());
                 let before = ends.map(|end| (true, &name[..name.len() - end.len()]));
-                let longer = views_by_end.get(&**name).into_iter().flatten();
+                let longer = views_by_end.get(&***name).into_iter().flatten();
                 let beyond = longer.map(|view| (false, &view[..view.len() - name.len()]));
                 before
                     .chain(beyond)
@@ -483,8 +520,9 @@ impl Project {
         let other = others
             .first()
             .filter(|_| self.dense_workspace.is_none() && !self.is_elsewhere())?;
+        let why = discover::why_other(&self.root, &self.model, other);
         Some(format!(
-            "{} lacks images of this model, or its own model cannot be read; viewrank writes nothing into it",
+            "{} {why}; viewrank writes nothing into it",
             other.display()
         ))
     }

@@ -141,6 +141,7 @@ fn project(format: ModelFormat) -> (TempDir, Project) {
         model_is_named: false,
         other_models: Vec::new(),
         images: None,
+        originals: None,
         dense_workspace: None,
         model_stamps: Vec::new(),
     };

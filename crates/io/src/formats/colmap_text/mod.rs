@@ -8,7 +8,7 @@ mod write;
 
 pub use write::write;
 
-use std::{borrow::Cow, collections::BTreeSet, str::FromStr};
+use std::{borrow::Cow, collections::BTreeMap, str::FromStr};
 
 use nom::{
     IResult, Parser, bytes::complete::take_till1, character::complete::space0, combinator::map_res,
@@ -164,7 +164,8 @@ fn in_batches<L: Send, T: Send>(
     }
 }
 
-fn cameras(bytes: &[u8]) -> Result<Vec<Camera>, Fault> {
+/// Reads `cameras.txt`.
+pub fn cameras(bytes: &[u8]) -> Result<Vec<Camera>, Fault> {
     let lines = || lines("cameras", bytes).filter(Line::is_record);
     let cameras = in_batches(lines().take(MOST_IMAGES), camera)?;
     check_images(lines().count()).map_err(|fault| fault.in_file("cameras"))?;
@@ -203,10 +204,13 @@ pub fn count_images(bytes: &[u8]) -> u64 {
     image_lines(bytes).count() as u64
 }
 
-/// Reads the names of the images in `images.txt`.
-pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
+/// Reads the poses of the images in `images.txt`, by name.
+pub fn poses(images: &[u8]) -> Result<BTreeMap<String, StoredPose>, Fault> {
     image_lines(images)
-        .map(|(head, _)| Ok(image(head, None)?.name.into_owned()))
+        .map(|(head, _)| {
+            let image = image(head, None)?;
+            Ok((image.name.into_owned(), image.cam_from_world))
+        })
         .collect()
 }
 

@@ -1,0 +1,127 @@
+//! Tells the images of an undistorted model from those that it was undistorted from: with the latter
+//! every depth map would be wrong, and nothing would show it.
+
+use std::path::{Path, PathBuf};
+
+use super::{
+    ImageFolder, ModelFormat, ModelLocation,
+    discover::{FOLDERS_OF_PROGRAMS, are_among, poses, with_sparse},
+    files::{self, colmap_file},
+    folder,
+};
+use crate::{paths, shell::command_path};
+
+/// Images that are not those of the model, but those that they were made from.
+#[derive(Clone, Debug)]
+pub struct Originals {
+    /// Their folder.
+    pub folder: PathBuf,
+    /// Their model, with the folder of its project.
+    model: Option<(PathBuf, PathBuf)>,
+}
+
+/// Where the scripts of 3D Gaussian Splatting keep the photographs, and where their model.
+const INPUT: &str = "input";
+const DISTORTED: &str = "distorted";
+/// Folders above the images that may be the project of their model.
+const ABOVE: usize = 2;
+
+impl Originals {
+    /// What they are.
+    pub fn what(&self) -> String {
+        let folder = self.folder.display();
+        match &self.model {
+            Some((_, model)) => format!(
+                "the images in {folder} are those of the distorted model {}, not of this undistorted one, and are not used",
+                model.display()
+            ),
+            None => format!(
+                "the images in {folder} are those before the undistortion, as 3D Gaussian Splatting names them, and are not used"
+            ),
+        }
+    }
+
+    /// What to do besides giving the undistorted images.
+    pub fn cure(&self) -> String {
+        let named = "if these are the undistorted ones, name them with --images";
+        match &self.model {
+            Some((project, model)) => {
+                let inside = model.strip_prefix(project).unwrap_or(model);
+                format!(
+                    "give the undistorted images, or make them: viewrank undistort {} --model {}; {named}",
+                    command_path(project),
+                    command_path(inside)
+                )
+            }
+            None => format!("give the undistorted images; {named}"),
+        }
+    }
+}
+
+/// The folder of a model's images, unless it has the originals of its images.
+pub(super) fn told_apart(
+    root: &Path,
+    model: &ModelLocation,
+    images: ImageFolder,
+) -> (Option<ImageFolder>, Option<Originals>) {
+    match originals(root, model, &images) {
+        Some(originals) => (None, Some(originals)),
+        None => (Some(images), None),
+    }
+}
+
+fn originals(root: &Path, model: &ModelLocation, images: &Path) -> Option<Originals> {
+    if !model.format.is_colmap() || files::is_distorted(model)? {
+        return None;
+    }
+    let above = images.ancestors().skip(1).take(ABOVE);
+    let found = above.chain([root]).find_map(|project| {
+        let distorted = distorted_model(project, model, images)?;
+        Some((project.to_path_buf(), distorted))
+    });
+    let is_input = images.ends_with(INPUT) && model.path.starts_with(root.join("sparse"));
+    (found.is_some() || is_input).then(|| Originals {
+        folder: images.into(),
+        model: found,
+    })
+}
+
+/// The distorted model in a project that has these images, and the other model's in the same poses.
+fn distorted_model(project: &Path, model: &ModelLocation, images: &Path) -> Option<PathBuf> {
+    let folders = FOLDERS_OF_PROGRAMS.map(|folder| with_sparse(&project.join(folder)));
+    let folders = folders.into_iter().flatten();
+    let others = folders
+        .filter(|folder| !paths::is_same(folder, &model.path))
+        .filter_map(|folder| colmap_cameras(&folder))
+        .filter(|other| files::is_distorted(other) == Some(true))
+        .filter(|other| is_folder_of(project, other, images));
+    let others: Vec<ModelLocation> = others.collect();
+    if others.is_empty() {
+        return None;
+    }
+    let own = poses(project, model).filter(|own| !own.is_empty())?;
+    let is_same =
+        |other: &ModelLocation| poses(project, other).is_some_and(|other| are_among(&own, &other));
+    others
+        .into_iter()
+        .find(is_same)
+        .map(|distorted| distorted.path)
+}
+
+/// The model of a folder, by its cameras alone: to look at its images takes long.
+fn colmap_cameras(folder: &Path) -> Option<ModelLocation> {
+    let mut formats = [ModelFormat::ColmapBinary, ModelFormat::ColmapText].into_iter();
+    let format = formats.find(|format| colmap_file(folder, "cameras", *format).is_file())?;
+    Some(ModelLocation::new(format, folder))
+}
+
+/// Returns whether a folder is that of a distorted model's images.
+fn is_folder_of(project: &Path, distorted: &ModelLocation, images: &Path) -> bool {
+    // `images` beside it is that of the undistorted model.
+    if distorted.path.starts_with(project.join(DISTORTED)) {
+        return paths::is_same(images, &project.join(INPUT));
+    }
+    let names = files::first_names(distorted);
+    folder::find(project, &distorted.path, None, &names)
+        .is_some_and(|own| paths::is_same(&own, images))
+}

@@ -1,0 +1,165 @@
+//! Undistorted models and the images that they were made from are told apart, and the advice where
+//! something is missing can be followed.
+
+use super::*;
+
+/// The model of a camera with lens distortion.
+fn distorted() -> ColmapModel<'static> {
+    let mut model = ColmapModel::from_scene(&scene());
+    let params = vec![85.0, 50.0, 37.5, 0.001];
+    model.cameras[0] = Camera::new(1, CameraModel::SimpleRadial, 100, 75, params).unwrap();
+    model
+}
+
+/// The model in other poses.
+fn moved() -> ColmapModel<'static> {
+    let mut model = ColmapModel::from_scene(&scene());
+    model.images[0].cam_from_world.translation[0] += 1.0;
+    model
+}
+
+/// A workspace of undistorted images.
+fn workspace<'a>(folder: &'a Folder, place: &str, model: &ColmapModel) -> &'a Folder {
+    folder
+        .colmap(&format!("{place}/sparse"), model)
+        .pictures(&scene(), |name| format!("{place}/images/{name}"))
+        .write(&format!("{place}/stereo/fusion.cfg"), "")
+}
+
+/// The command that plan says is next.
+fn next(stdout: &str) -> String {
+    let line = stdout.lines().find(|line| line.starts_with("Next: "));
+    line.unwrap_or_else(|| panic!("{stdout}"))[6..].into()
+}
+
+#[test]
+fn a_workspace_is_not_planned_with_the_images_it_was_made_from() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("images/{name}"))
+        .colmap("dense/sparse", &ColmapModel::from_scene(&scene()))
+        .write("dense/stereo/fusion.cfg", "");
+    let (code, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(!stderr.contains("planning"), "{stderr}");
+    assert!(stderr.contains("viewrank undistort"), "{stderr}");
+    assert!(next(&stdout).starts_with("viewrank undistort"), "{stdout}");
+
+    let dense = Project::open(&folder.at("dense"), None).unwrap();
+    assert!(dense.images.is_none());
+    let said = dense.read_scene().unwrap().warnings;
+    assert!(
+        said.iter()
+            .any(|said| said.text.contains("distorted model")),
+        "{said:?}"
+    );
+    // Named by the user, they are meant.
+    let named = dense.with_images(Some(&folder.at("images")));
+    assert!(named.originals.is_none() && named.read_scene().is_ok());
+    let root = folder.path().to_str().unwrap();
+    assert!(viewrank(&["undistort", root]).status.success());
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
+fn a_model_of_gaussian_splatting_is_not_planned_with_its_input() {
+    for with_distorted in [true, false] {
+        let folder = Folder::new();
+        if with_distorted {
+            folder.colmap("distorted/sparse/0", &distorted());
+        }
+        folder
+            .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
+            .pictures(&scene(), |name| format!("input/{name}"));
+        let (code, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
+        assert_eq!(code, 1, "{stderr}");
+        assert!(stderr.contains("input"), "{stderr}");
+        assert!(next(&stdout).contains("undistorted images"), "{stdout}");
+        folder.pictures(&scene(), |name| format!("images/{name}"));
+        assert!(folder.open().images.unwrap().ends_with("images"));
+    }
+}
+
+#[test]
+fn without_images_the_advice_is_to_give_them_before_they_are_undistorted() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &distorted());
+    for options in [
+        &["--backend", "openmvs"][..],
+        &["--backend", "openmvs", "--dry-run"],
+    ] {
+        let (code, stdout, stderr) = folder.plan(options);
+        assert_eq!(code, 1, "{stderr}");
+        assert!(stderr.contains("put the images into"), "{stderr}");
+        assert!(next(&stdout).starts_with("put the images into"), "{stdout}");
+    }
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    let (_, stdout, stderr) = folder.plan(&["--backend", "openmvs", "--dry-run"]);
+    assert!(stderr.contains("viewrank undistort"), "{stderr}");
+    assert!(next(&stdout).starts_with("viewrank undistort"), "{stdout}");
+}
+
+#[test]
+fn a_workspace_of_other_poses_is_named_and_not_advised() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("images/{name}"));
+    workspace(&folder, "dense/0", &moved());
+    let root = folder.path().to_str().unwrap();
+    let (code, stdout, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("other poses"), "{stderr}");
+    assert!(!stderr.contains("plan and export"), "{stderr}");
+    assert!(next(&stdout).starts_with("viewrank undistort"), "{stdout}");
+    let (_, stdout, _) = said(&viewrank(&["doctor", root]));
+    let words: Vec<&str> = stdout.split_whitespace().collect();
+    assert!(words.join(" ").contains("in other poses"), "{stdout}");
+
+    assert!(viewrank(&["undistort", root]).status.success());
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(folder.at("dense/viewrank/manifest.json").is_file());
+}
+
+#[test]
+fn a_workspace_of_another_usual_name_is_found() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("images/{name}"));
+    workspace(&folder, "undistorted", &ColmapModel::from_scene(&scene()));
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(folder.at("undistorted/viewrank/manifest.json").is_file());
+}
+
+#[test]
+fn undistorting_a_model_without_points_says_what_to_do_before_a_plan() {
+    let folder = Folder::new();
+    let mut model = distorted();
+    model.points.clear();
+    for image in &mut model.images {
+        image.points2d = Default::default();
+    }
+    folder
+        .colmap("sparse/0", &model)
+        .pictures(&scene(), |name| format!("images/{name}"));
+    let (code, stdout, stderr) = said(&viewrank(&["undistort", folder.path().to_str().unwrap()]));
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        next(&stdout).starts_with("copy them as a PLY cloud"),
+        "{stdout}"
+    );
+    folder.cloud("dense/sparse/points.ply", &scene());
+    let dense = folder.at("dense");
+    let (code, _, stderr) = said(&viewrank(&[
+        "plan",
+        dense.to_str().unwrap(),
+        "--backend",
+        "openmvs",
+    ]));
+    assert_eq!(code, 0, "{stderr}");
+}
