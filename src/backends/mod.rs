@@ -54,7 +54,7 @@ pub use machine::{
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use runner::{Call, Product, TaskRunner};
-pub use selection::Selection;
+pub use selection::{Selection, of_unread_kind};
 pub use semi_global::pair_files;
 pub use strangers::with_refusal;
 pub use tiles::clusters_by_area;
@@ -103,6 +103,8 @@ pub struct Backend {
     pub own_scale: fn(&Camera) -> f64,
     /// True if it supports cameras with lens distortion.
     pub takes_distorted: bool,
+    /// Extensions of images that its program does not read, in lower case.
+    pub unread: &'static [&'static str],
     /// True if its program reads the project's own model, which must be COLMAP's.
     pub reads_colmap: bool,
     /// True if it takes the masks where viewrank finds them.
@@ -140,6 +142,7 @@ impl Backend {
         use_of_views: None,
         own_scale: full_size,
         takes_distorted: false,
+        unread: &[],
         reads_colmap: false,
         takes_masks: false,
         serves: |_| false,

@@ -110,6 +110,13 @@ impl Selection<'_> {
             return Err(needs(format!("the images, and {why}")));
         };
         let views = self.views();
+        if let Some((name, cure)) = of_unread_kind(self.project, self.scene, backend) {
+            return Err(BackendError::Needs {
+                backend,
+                what: format!("images that it reads, and it reads none like {name}"),
+                hint: cure.into(),
+            });
+        }
         let faults = self.image_faults.among(&views);
         if views.is_empty() || faults.is_any_usable(views.len()) {
             return Ok(folder);
@@ -268,6 +275,23 @@ impl Selection<'_> {
             .max()
             .unwrap_or(0)
     }
+}
+
+/// Returns the first image, and what to do, if the program of a backend reads none by their kinds.
+pub fn of_unread_kind(
+    project: &Project,
+    scene: &Scene,
+    backend: &str,
+) -> Option<(String, &'static str)> {
+    let (folder, unread) = (project.images.as_ref()?, by_name(backend).ok()?.unread);
+    let file = |view: ViewIndex| folder.name_of_kind(scene.name(view));
+    let mut files = scene.view_indices().map(file);
+    let is_unread = |name: &String| extension(name, unread).is_some();
+    let first = files.next().filter(is_unread)?;
+    files.all(|name| is_unread(&name)).then_some((
+        first,
+        "convert the images to JPEG or PNG, with the same names but for the extension",
+    ))
 }
 
 /// Spacing of f32 from which it is too coarse, ground pixels.

@@ -74,7 +74,9 @@ pub fn next(
 ) -> String {
     let root = project.as_argument();
     let backend = backends::by_name(plan.stages.backend).ok();
+    let of_unread_kind = backends::of_unread_kind(project, &plan.stages.scene, plan.stages.backend);
     let has_images = project.images.is_some()
+        && of_unread_kind.is_none()
         && plan
             .stages
             .image_faults
@@ -90,7 +92,9 @@ pub fn next(
         (Some(run), _) => run,
         (None, Some(next)) => next.clone(),
         (None, None) if !has_images => {
-            let cure = plan.stages.image_faults.cure().map(str::to_owned);
+            let unread = of_unread_kind.map(|(_, cure)| cure);
+            let cure = unread.or(plan.stages.image_faults.cure());
+            let cure = cure.map(str::to_owned);
             let cure = cure.unwrap_or_else(|| project.where_images_belong());
             format!("{cure}, then {}", again(&root))
         }

@@ -18,9 +18,12 @@ pub struct Mistaken {
 const START: u64 = 512;
 
 const UNPACK: &str = "unpack it";
+const HEIC: &str = "a HEIC image, which MVS programs do not read";
+const AVIF: &str = "an AVIF image, which MVS programs do not read";
+const AS_JPEG: &str = "convert the images to JPEG, without turning or scaling them";
 const AS_UTF8: &str = "save it again as UTF-8";
 /// First bytes, what they are, and what to do.
-const KINDS: [(&[u8], &str, &str); 11] = [
+const KINDS: [(&[u8], &str, &str); 12] = [
     (
         b"version https://git-lfs.github.com/spec/",
         "a Git LFS pointer, not the file itself",
@@ -38,6 +41,11 @@ const KINDS: [(&[u8], &str, &str); 11] = [
     (b"BZh", "a bzip2 archive", UNPACK),
     (b"\xfd7zXZ\0", "an xz archive", UNPACK),
     (b"\x28\xb5\x2f\xfd", "a Zstandard archive", UNPACK),
+    (
+        b"GIF8",
+        "a GIF image, which MVS programs do not read",
+        AS_JPEG,
+    ),
     (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", UNPACK),
     (b"Rar!\x1a\x07", "a RAR archive", UNPACK),
 ];
@@ -58,15 +66,43 @@ pub fn by_start(start: &[u8]) -> Option<Mistaken> {
         });
     }
     let known = KINDS.iter().find(|(head, ..)| start.starts_with(head));
-    known.map(|&(_, what, cure)| Mistaken { what, cure })
+    let known = known.map(|&(_, what, cure)| Mistaken { what, cure });
+    known.or_else(|| picture_of_phones(start))
+}
+
+/// A picture in the container of videos (ISO 23008-12), whose brand says how it is compressed.
+fn picture_of_phones(start: &[u8]) -> Option<Mistaken> {
+    let brand = start.get(8..12).filter(|_| start[4..8] == *b"ftyp")?;
+    let what = match brand {
+        b"avif" | b"avis" => AVIF,
+        b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"hevx" | b"mif1" | b"msf1" => HEIC,
+        _ => return None,
+    };
+    let cure = AS_JPEG;
+    Some(Mistaken { what, cure })
 }
 
 /// What to do about a file that [`by_start`] says to be this.
 pub(crate) fn cure_of(what: &str) -> Option<&'static str> {
     let page = by_start(PAGES[0]);
     let kinds = KINDS.iter().map(|&(_, what, cure)| Mistaken { what, cure });
-    let mut all = kinds.chain(page);
+    let pictures = [HEIC, AVIF].map(|what| Mistaken {
+        what,
+        cure: AS_JPEG,
+    });
+    let mut all = kinds.chain(page).chain(pictures);
     all.find(|kind| kind.what == what).map(|kind| kind.cure)
+}
+
+/// Text in a file whose name says that it is binary; `None` if it isn't.
+pub fn text_as_binary(path: &Path) -> Option<Mistaken> {
+    let start = input::read_start(path, FileKind::Sparse, START).ok()?;
+    let is_text = |byte: &u8| matches!(byte, b' '..=b'~' | b'\n' | b'\r' | b'\t' | 0x80..);
+    let is_binary = path.extension().is_some_and(|extension| extension == "bin");
+    (is_binary && !start.is_empty() && start.iter().all(is_text)).then_some(Mistaken {
+        what: "text, and its name that of a binary file",
+        cure: "name the files of a text model cameras.txt, images.txt and points3D.txt",
+    })
 }
 
 /// What the file at this path is; `None` if that cannot be said.

@@ -113,6 +113,7 @@ pub static BACKEND: Backend = Backend {
     tasks,
     traps,
     export,
+    unread: &["webp", "jp2"],
     ..Backend::DEFAULT
 };
 

@@ -83,6 +83,7 @@ pub static BACKEND: Backend = Backend {
         notes: "pairs that it refuses are named in its report.json, with the reason",
     },
     planning: NUMBERS,
+    unread: &["webp", "bmp", "ppm", "pgm", "jp2"],
     reads_colmap: true,
     takes_masks: true,
     mixes_sizes: true,

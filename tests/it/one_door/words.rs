@@ -191,3 +191,121 @@ fn a_byte_order_mark_is_no_part_of_a_text() {
     other.write("reconstruction.json", json);
     assert_eq!(other.read().views.len(), 0);
 }
+
+#[test]
+fn files_of_other_programs_are_named_for_what_they_are() {
+    let kinds = [
+        ("project.psx", "Metashape project", "Export Cameras"),
+        ("site.rsproj", "RealityScan", "export"),
+        ("cloud.las", "point cloud", "cameras"),
+        ("model.zip", "ZIP", "unpack"),
+        ("database.db", "database", "colmap mapper"),
+    ];
+    for (name, what, cure) in kinds {
+        let folder = Folder::new();
+        folder
+            .pictures(&scene(), |name| format!("images/{name}"))
+            .write(name, "of a program");
+        let file = folder.at(name);
+        for path in [folder.path(), &file] {
+            let (code, _, stderr) = said(&viewrank(&["plan", path.to_str().unwrap()]));
+            assert_eq!(code, 1, "{stderr}");
+            assert!(stderr.contains(what) && stderr.contains(cure), "{stderr}");
+            assert!(stderr.contains(name), "{stderr}");
+        }
+        // Beside a model it is none of our business.
+        folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+        assert_eq!(folder.read().views.len(), 9);
+    }
+}
+
+#[test]
+fn a_text_model_named_as_a_binary_one_is_text() {
+    let folder = Folder::new();
+    folder.colmap_text("sparse/0", &ColmapModel::from_scene(&scene()));
+    for name in ["cameras", "images", "points3D"] {
+        let text = folder.at(&format!("sparse/0/{name}.txt"));
+        fs::rename(&text, text.with_extension("bin")).unwrap();
+    }
+    let (code, _, stderr) = folder.plan(&[]);
+    assert_eq!(code, 1);
+    assert!(
+        stderr.contains("is text") && stderr.contains("cameras.txt"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn pictures_that_no_program_reads_are_to_be_converted() {
+    let kinds: [(&str, &[u8], &str); 4] = [
+        ("HEIC", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "HEIC"),
+        ("avif", b"\0\0\0\x18ftypavif\0\0\0\0mif1avif", "AVIF"),
+        ("gif", b"GIF89a\x64\0\x4b\0\0\0\0;", "GIF"),
+        ("webp", b"RIFF\x1a\0\0\0WEBPVP8L\x0d\0\0\0\x2f", "webp"),
+    ];
+    for (extension, bytes, what) in kinds {
+        let mut scene = scene();
+        let folder = Folder::new();
+        for view in &mut scene.views {
+            view.name = view.name.replace("png", extension);
+            folder.write(&format!("images/{}", view.name), bytes);
+        }
+        folder.colmap("sparse/0", &ColmapModel::from_scene(&scene));
+        let (_, stdout, _) = folder.plan(&[]);
+        assert!(stdout.contains("Next: convert the images"), "{stdout}");
+        for backend in ["openmvs", "sgm"] {
+            let (code, stdout, stderr) = folder.plan(&["--backend", backend]);
+            assert_eq!(code, 1, "{extension}: {stderr}");
+            assert!(
+                stderr.contains(what) && !stderr.contains("broken image"),
+                "{stderr}"
+            );
+            assert!(stdout.contains("Next: convert the images"), "{stdout}");
+        }
+    }
+}
+
+/// A block without distortion, in a reference system, its photos seen from 10 above.
+fn block(definition: &str) -> String {
+    let photo = |id: usize| {
+        format!(
+            "<Photo><Id>{id}</Id><ImagePath>view_{id}.png</ImagePath><Pose><Rotation><M_00>1</M_00><M_01>0</M_01><M_02>0</M_02><M_10>0</M_10>\
+             <M_11>-1</M_11><M_12>0</M_12><M_20>0</M_20><M_21>0</M_21><M_22>-1</M_22></Rotation><Center><x>{id}</x><y>0</y><z>10</z></Center>\
+             </Pose></Photo>"
+        )
+    };
+    let photos: String = (0..3).map(photo).collect();
+    format!(
+        "<BlocksExchange version=\"3.2\"><SpatialReferenceSystems><SRS><Id>0</Id><Definition>{definition}</Definition></SRS>\
+         </SpatialReferenceSystems><Block><Name>b</Name><SRSId>0</SRSId><Photogroups><Photogroup><ImageDimensions><Width>100</Width>\
+         <Height>75</Height></ImageDimensions><FocalLengthPixels>85</FocalLengthPixels>{photos}</Photogroup></Photogroups></Block></BlocksExchange>"
+    )
+}
+
+#[test]
+fn a_local_frame_of_a_block_is_on_earth_and_in_metres() {
+    let folder = Folder::new();
+    folder.write("block.xml", block("ENU:30.17,-98.08"));
+    let place = folder.read().georeference.unwrap();
+    let origin = place.geodetic(&nalgebra::Point3::origin()).unwrap();
+    assert!((origin.latitude - 30.17).abs() < 1e-9 && (origin.longitude + 98.08).abs() < 1e-9);
+    assert_eq!(place.metres_per_unit(), Some(1.0));
+    let (_, stdout, _) = said(&viewrank(&["inspect", folder.path().to_str().unwrap()]));
+    assert!(
+        stdout.contains("metres") && !stdout.contains("units per pixel"),
+        "{stdout}"
+    );
+    for other in ["ENU:95,0", "ENU:a,b", "ENU:1"] {
+        folder.write("block.xml", block(other));
+        assert!(folder.read().georeference.is_none(), "{other}");
+    }
+}
+
+#[test]
+fn a_resolution_in_metres_does_not_hide_what_is_wrong_with_the_model() {
+    let folder = Folder::new();
+    folder.write("block.xml", block("EPSG:4326"));
+    let (code, _, stderr) = folder.plan(&["--gsd", "5cm"]);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("longitude and latitude"), "{stderr}");
+}

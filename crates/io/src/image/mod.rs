@@ -13,10 +13,13 @@ use std::{
 
 use crate::{
     input::{self, FileKind},
-    picture,
+    mistaken, picture,
     project::Unread,
 };
-use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat};
+use image::{
+    ColorType, DynamicImage, ImageDecoder, ImageFormat,
+    error::{ImageFormatHint, UnsupportedErrorKind},
+};
 use jpeg_decoder::{CodingProcess, PixelFormat};
 use viewrank_core::{
     base::{
@@ -62,7 +65,7 @@ pub enum ImageError {
     Unknown,
     #[error("broken JPEG: {0}")]
     Jpeg(#[from] jpeg_decoder::Error),
-    #[error("broken image: {}", shortened(&.0.to_string()))]
+    #[error("{}", shortened(&undecoded(.0)))]
     Other(#[from] image::ImageError),
     #[error(transparent)]
     Large(#[from] TooManyPixels),
@@ -80,6 +83,26 @@ pub enum ImageError {
     Unread(#[from] Unread),
     #[error("its mask: {0}")]
     Mask(Box<ImageError>),
+}
+
+/// Says why an image is not decoded: its format, or a fault.
+fn undecoded(error: &image::ImageError) -> String {
+    match error {
+        image::ImageError::Unsupported(unsupported) => match unsupported.kind() {
+            UnsupportedErrorKind::Format(ImageFormatHint::Exact(format)) => {
+                format!("{format:?}, which viewrank does not decode: JPEG, PNG and TIFF it does")
+            }
+            _ => error.to_string(),
+        },
+        _ => format!("broken image: {error}"),
+    }
+}
+
+/// Says what is not an image at all.
+fn unknown(bytes: &[u8]) -> ImageError {
+    mistaken::by_start(bytes).map_or(ImageError::Unknown, |mistaken| {
+        Unread::Broken(mistaken.what).into()
+    })
 }
 
 impl ImageError {
@@ -114,7 +137,7 @@ impl Image {
     ) -> Result<Self, ImageError> {
         let bound = bound.of_photograph(bytes.len() as u64);
         let _turn = picture::turn(bytes);
-        if image::guess_format(bytes).map_err(|_| ImageError::Unknown)? == ImageFormat::Jpeg {
+        if image::guess_format(bytes).map_err(|_| unknown(bytes))? == ImageFormat::Jpeg {
             let image = jpeg(bytes, bound, &wanted)?;
             let [width, height] = wanted(image.full);
             return Ok(image.shrunk(width, height));
@@ -147,7 +170,7 @@ impl Image {
     ) -> Result<(GreyImage, [u32; 2]), ImageError> {
         let bound = bound.of_photograph(bytes.len() as u64);
         let _turn = picture::turn(bytes);
-        let (pixels, full) = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
+        let (pixels, full) = match image::guess_format(bytes).map_err(|_| unknown(bytes))? {
             ImageFormat::Jpeg => jpeg_grey(bytes, bound)?,
             _ => {
                 let image = open(bytes, bound)?.into_luma8();

@@ -345,6 +345,9 @@ fn check_any(path: &Path, root: &Path, models: &[ModelLocation]) -> Result<(), P
     if !models.is_empty() {
         return Ok(());
     }
+    if let Some(error) = foreign::of_other_program(path, root) {
+        return Err(error);
+    }
     let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, colmap and distorted, and two folders below";
     let looked_for = format!("{colmap}; {}", foreign::SEARCHED_PATHS);
     Err(ProjectError::NoModel {

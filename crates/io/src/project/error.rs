@@ -56,14 +56,16 @@ impl ProjectError {
     /// `named`, the folder that the user named.
     pub(super) fn explained(self, named: &Path) -> Self {
         match self {
-            Self::Fault { path, fault } => match mistaken::of_file(&path) {
-                Some(mistaken) => Self::Mistaken { path, mistaken },
-                None if is_outside(&path, named) => Self::Fault {
-                    path,
-                    fault: Fault::new(fault.file, fault.place, Problem::Hidden),
-                },
-                None => Self::Fault { path, fault },
-            },
+            Self::Fault { path, fault } => {
+                match mistaken::of_file(&path).or_else(|| mistaken::text_as_binary(&path)) {
+                    Some(mistaken) => Self::Mistaken { path, mistaken },
+                    None if is_outside(&path, named) => Self::Fault {
+                        path,
+                        fault: Fault::new(fault.file, fault.place, Problem::Hidden),
+                    },
+                    None => Self::Fault { path, fault },
+                }
+            }
             error => error,
         }
     }

@@ -12,7 +12,8 @@ use self::read::{bundler_list, sure_cloud};
 use super::{ModelContents, ModelFormat, ModelLocation, ProjectError, complete::cloud_beside};
 use crate::{
     formats::{Place, Problem, cloud},
-    input, mistaken,
+    input,
+    mistaken::{self, Mistaken},
 };
 
 /// Model files in a project folder, in order of preference.
@@ -62,6 +63,58 @@ pub(super) fn in_binary(root: &Path) -> Option<ProjectError> {
         .at(Place::File);
         Some(ProjectError::fault(&root.join(name))(fault))
     })
+}
+
+/// Files of programs that hold no model for others: extension, what it is, and what to do.
+const OTHER_FILES: [(&str, &str, &str); 11] = [
+    ("psx", METASHAPE, EXPORT_CAMERAS),
+    ("psz", METASHAPE, EXPORT_CAMERAS),
+    ("rsproj", REALITY, EXPORT_REGISTRATION),
+    ("rcproj", REALITY, EXPORT_REGISTRATION),
+    ("zip", "a ZIP archive", "unpack it, and name its folder"),
+    (
+        "db",
+        "a database, such as COLMAP's of features and matches, and no model",
+        "make the model of it: colmap mapper",
+    ),
+    ("las", CLOUD, WITH_CAMERAS),
+    ("laz", CLOUD, WITH_CAMERAS),
+    ("e57", CLOUD, WITH_CAMERAS),
+    ("pts", CLOUD, WITH_CAMERAS),
+    (
+        "ply",
+        "a point cloud or a mesh, without the cameras",
+        WITH_CAMERAS,
+    ),
+];
+
+const METASHAPE: &str = "a Metashape project, which only Metashape reads";
+const EXPORT_CAMERAS: &str = "export the cameras as XML beside it (File > Export > Export Cameras), and the tie points as PLY, in the same coordinate system";
+const REALITY: &str = "a RealityScan (RealityCapture) project, which only that reads";
+const EXPORT_REGISTRATION: &str =
+    "export the registration as COLMAP's text format, with the images undistorted";
+const CLOUD: &str = "a point cloud, without the cameras";
+const WITH_CAMERAS: &str =
+    "a plan needs the cameras: name the folder with the model of structure from motion";
+
+/// The file of another program that a path names, else the first one in its folder, for the fault of
+/// a folder without any model.
+pub(super) fn of_other_program(path: &Path, root: &Path) -> Option<ProjectError> {
+    let kind = |path: PathBuf| {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        let kinds = OTHER_FILES.iter().zip(0..);
+        let (&(_, what, cure), rank) =
+            kinds.into_iter().find(|((own, ..), _)| *own == extension)?;
+        let mistaken = Mistaken { what, cure };
+        Some((rank, ProjectError::Mistaken { path, mistaken }))
+    };
+    if path.is_file() {
+        return kind(path.into()).map(|(_, error)| error);
+    }
+    let names = file_names(root).into_iter();
+    let found = names.filter_map(|name| kind(root.join(name)));
+    let first = found.min_by_key(|(rank, _): &(u32, _)| *rank);
+    first.map(|(_, error)| error)
 }
 
 /// Extensions of model files, of which some are recognised by what is in them.
