@@ -4,7 +4,7 @@
     benches/partners.py PROJECT WORK_FOLDER --openmvs FOLDER [-k 3 5 8 12 16] [--image-scale 0.5] [--viewrank viewrank]
     benches/partners.py PROJECT WORK_FOLDER --matcher sgm
 
-For each k, matches all key views with the partners of `viewrank plan -k K` and fuses their maps as run.py (or sgm.py) does; then, for a quarter, a half and all of the CPU time of all maps with
+For each k, matches all key views with the partners of `viewrank plan -k K` and fuses their maps as `viewrank run` does; then, for a quarter, a half and all of the CPU time of all maps with
 k = 5, the first maps of that k's plan that fit in it. g_d and cells as in benches/sizes.py. In a set with exact depth (PROJECT/truth):
 
     complete   cells of the true surface that two photographs show with a point within 2 g_d, %

@@ -161,8 +161,8 @@ impl Hint for PlanError {
             )
             .into(),
             Self::LargeCamera { fits, .. } => format!(
-                "give the images, look for a wrong camera, or set image_scale = {:.3} in viewrank.toml",
-                (1000.0 * fits).floor() / 1000.0
+                "give the images, look for a wrong camera, or set image_scale = {} in viewrank.toml",
+                significant(0.99 * fits)
             )
             .into(),
             Self::NoObservations { cure, .. } => match cure {

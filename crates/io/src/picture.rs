@@ -33,13 +33,7 @@ const BESIDE_PER_BYTE: u64 = 32;
 /// megabytes may hold planes of half a gigabyte each. The holder must not wait for other threads.
 pub fn turn(bytes: &[u8]) -> Option<MutexGuard<'static, ()>> {
     static TURN: Mutex<()> = Mutex::new(());
-    let decoder = header(Cursor::new(bytes)).ok()?;
-    let (width, height) = decoder.dimensions();
-    let decoded = match image::guess_format(bytes) {
-        // Of these, luma alone is decoded, or a smaller picture.
-        Ok(ImageFormat::Jpeg) => u64::from(width) * u64::from(height),
-        _ => decoder.total_bytes(),
-    };
+    let decoded = header(Cursor::new(bytes)).ok()?.total_bytes();
     let is_plane = decoded > BESIDE.max(BESIDE_PER_BYTE.saturating_mul(bytes.len() as u64));
     is_plane.then(|| TURN.lock().unwrap_or_else(PoisonError::into_inner))
 }

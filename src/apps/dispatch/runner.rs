@@ -219,7 +219,7 @@ fn unique() -> String {
 }
 
 impl Runner<'_> {
-    /// Starts a command and waits for its end; returns the last that it said, too.
+    /// Starts a command and waits for it; returns the end of its output, too.
     fn ended(&self, command: &mut Command) -> io::Result<(TaskResult, String)> {
         let mut output = None;
         if self.owner == Owner::Viewrank {

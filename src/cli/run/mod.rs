@@ -165,7 +165,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let typed = arguments.typed(Some(backend.name), is_own);
     let typed = typed.following(planned);
-    note_followed(&root, &typed)?;
+    if !arguments.is_silent() {
+        note_followed(&root, &typed)?;
+    }
     let foreground = Foreground::new(&root, typed, &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop, PlanWhen::Outdated)?;
     say(work.plan_in_words())?;

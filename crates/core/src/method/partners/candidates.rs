@@ -190,18 +190,18 @@ pub fn neighbours(
     neighbours
 }
 
-/// Views of a track among which pairs are looked for. Only a camera that stands still sees a point
+/// Observations of a track among which pairs are looked for. Only a camera that stands still sees a point
 /// in more images, and they would take the square of their number.
 const LONGEST_TRACK: usize = 512;
 
 /// Returns the views of a track that may be partners of one of them: those next to it by name, if
 /// there are many.
 fn beside(track: &[ViewIndex], view: ViewIndex) -> &[ViewIndex] {
-    let Some(others) = track.len().checked_sub(LONGEST_TRACK) else {
+    let Some(last_start) = track.len().checked_sub(LONGEST_TRACK) else {
         return track;
     };
     let at = track.partition_point(|other| *other < view);
-    let start = at.saturating_sub(LONGEST_TRACK / 2).min(others);
+    let start = at.saturating_sub(LONGEST_TRACK / 2).min(last_start);
     &track[start..start + LONGEST_TRACK]
 }
 
