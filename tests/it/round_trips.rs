@@ -284,11 +284,15 @@ proptest! {
     #[test]
     fn openmvs_scenes(scene in scenes(true)) {
         let (bytes, origin) = exported(&scene, "openmvs", "clusters/0001.mvs");
-        let mvs = openmvs::Mvs::read(&bytes).unwrap();
+        let mut mvs = openmvs::Mvs::read(&bytes).unwrap();
         prop_assert_eq!(openmvs::Mvs::read(&mvs.write()).unwrap(), mvs.clone());
+        // The map is made in unfinished/NAME.
+        for image in &mut mvs.images {
+            image.name = image.name.strip_prefix(b"../../").unwrap().to_vec();
+        }
         let read = mvs.model(&|_| None).unwrap().scene().unwrap();
         for view in scene.view_indices() {
-            let name = format!("../../images/{}", scene.name(view));
+            let name = format!("images/{}", scene.name(view));
             let found = read.find(&name).unwrap();
             for (p, q) in scene.camera_of(view).params().iter().zip(read.camera_of(found).params()) {
                 prop_assert!((p - q).abs() < 1e-9, "{p} {q}");
