@@ -113,7 +113,7 @@ impl Selection<'_> {
         if let Some((name, cure)) = of_unread_kind(self.project, self.scene, backend) {
             return Err(BackendError::Needs {
                 backend,
-                what: format!("images that it reads, and it reads none like {name}"),
+                what: format!("images in a format that it reads, which {name} is not"),
                 hint: cure.into(),
             });
         }

@@ -100,7 +100,7 @@ pub fn text_as_binary(path: &Path) -> Option<Mistaken> {
     let is_text = |byte: &u8| matches!(byte, b' '..=b'~' | b'\n' | b'\r' | b'\t' | 0x80..);
     let is_binary = path.extension().is_some_and(|extension| extension == "bin");
     (is_binary && !start.is_empty() && start.iter().all(is_text)).then_some(Mistaken {
-        what: "text, and its name that of a binary file",
+        what: "text, in a file with the name of a binary one",
         cure: "name the files of a text model cameras.txt, images.txt and points3D.txt",
     })
 }

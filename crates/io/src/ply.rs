@@ -191,11 +191,9 @@ pub fn read_with_lists(
 pub fn counts(bytes: &[u8]) -> Option<[u64; 2]> {
     let header = read_header(bytes).ok()?;
     Some(["vertex", "face"].map(|name| {
-        let named = header
-            .elements
-            .iter()
-            .filter(|element| element.name == name);
-        named.map(|element| element.count).sum()
+        let mut elements = header.elements.iter();
+        let named = elements.find(|element| element.name == name);
+        named.map_or(0, |element| element.count)
     }))
 }
 

@@ -33,7 +33,10 @@ use super::{
     workspace::{Workspace, add_workspace},
 };
 use crate::{
-    io::output::{Contents, FileSet},
+    io::{
+        output::{Contents, FileSet},
+        project::ProjectKind,
+    },
     model::{
         cluster::{MapScale, RankedCluster},
         scene::ViewIndex,
@@ -81,7 +84,10 @@ pub static BACKEND: Backend = Backend {
     },
     options: &["--refs", "--geometric"],
     mixes_sizes: true,
-    serves: |project| project.dense_workspace.is_some(),
+    serves: |project| {
+        let is_itself = project.kind == ProjectKind::ColmapDense;
+        is_itself || project.undistorted_workspace().is_some()
+    },
     tasks,
     traps,
     export,

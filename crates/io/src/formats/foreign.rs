@@ -120,8 +120,8 @@ impl ForeignModel {
         }
     }
 
-    /// Says how many images the one of several models in a file has that is read. `others`: those of
-    /// the others, with their numbers of images.
+    /// Says which of several models in a file is read. `others`: those that are not, with their
+    /// numbers of images.
     pub(super) fn warn_of_others(&mut self, what: &str, others: &[(String, usize)]) {
         if others.is_empty() {
             return;

@@ -90,7 +90,7 @@ fn undecoded(error: &image::ImageError) -> String {
     match error {
         image::ImageError::Unsupported(unsupported) => match unsupported.kind() {
             UnsupportedErrorKind::Format(ImageFormatHint::Exact(format)) => {
-                format!("{format:?}, which viewrank does not decode: JPEG, PNG and TIFF it does")
+                format!("{format:?}, but viewrank decodes only JPEG, PNG and TIFF")
             }
             _ => error.to_string(),
         },

@@ -71,11 +71,10 @@ const OTHER_FILES: [(&str, &str, &str); 11] = [
     ("psz", METASHAPE, EXPORT_CAMERAS),
     ("rsproj", REALITY, EXPORT_REGISTRATION),
     ("rcproj", REALITY, EXPORT_REGISTRATION),
-    ("zip", "a ZIP archive", "unpack it, and name its folder"),
     (
         "db",
-        "a database, such as COLMAP's of features and matches, and no model",
-        "make the model of it: colmap mapper",
+        "a database, such as COLMAP's of features and matches, but no model",
+        "make a model from it: colmap mapper",
     ),
     ("las", CLOUD, WITH_CAMERAS),
     ("laz", CLOUD, WITH_CAMERAS),
@@ -86,11 +85,14 @@ const OTHER_FILES: [(&str, &str, &str); 11] = [
         "a point cloud or a mesh, without the cameras",
         WITH_CAMERAS,
     ),
+    ("zip", "a ZIP archive", "unpack it, and name its folder"),
 ];
+/// Pictures of a folder as Windows shows them.
+const THUMBNAILS: &str = "thumbs.db";
 
 const METASHAPE: &str = "a Metashape project, which only Metashape reads";
 const EXPORT_CAMERAS: &str = "export the cameras as XML beside it (File > Export > Export Cameras), and the tie points as PLY, in the same coordinate system";
-const REALITY: &str = "a RealityScan (RealityCapture) project, which only that reads";
+const REALITY: &str = "a RealityScan (RealityCapture) project, which only RealityScan reads";
 const EXPORT_REGISTRATION: &str =
     "export the registration as COLMAP's text format, with the images undistorted";
 const CLOUD: &str = "a point cloud, without the cameras";
@@ -112,7 +114,11 @@ pub(super) fn of_other_program(path: &Path, root: &Path) -> Option<ProjectError>
         return kind(path.into()).map(|(_, error)| error);
     }
     let names = file_names(root).into_iter();
-    let found = names.filter_map(|name| kind(root.join(name)));
+    let names = names.filter(|name| !name.eq_ignore_ascii_case(THUMBNAILS));
+    let paths = names
+        .map(|name| root.join(name))
+        .filter(|path| path.is_file());
+    let found = paths.filter_map(kind);
     let first = found.min_by_key(|(rank, _): &(u32, _)| *rank);
     first.map(|(_, error)| error)
 }

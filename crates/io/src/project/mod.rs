@@ -214,7 +214,9 @@ impl Project {
     /// elsewhere (`plan --out`).
     pub fn open_or_planned(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
         match Self::open(path, model) {
-            Err(ProjectError::NoModel { .. }) if elsewhere::project_of(path).is_some() => {
+            Err(ProjectError::NoModel { .. } | ProjectError::Mistaken { .. })
+                if elsewhere::project_of(path).is_some() =>
+            {
                 let project = elsewhere::project_of(path).unwrap_or_default();
                 let project = Self::open(&paths::from_here(&project), model)?;
                 Ok(Self {

@@ -16,8 +16,9 @@ use crate::{paths, shell::command_path};
 pub struct Originals {
     /// Their folder.
     pub folder: PathBuf,
-    /// Their model, with the folder of its project.
-    model: Option<(PathBuf, PathBuf)>,
+    /// The folder of their project, and their model.
+    project: PathBuf,
+    model: PathBuf,
 }
 
 /// Where the scripts of 3D Gaussian Splatting keep the photographs, and where their model.
@@ -29,32 +30,22 @@ const ABOVE: usize = 2;
 impl Originals {
     /// What they are.
     pub fn what(&self) -> String {
-        let folder = self.folder.display();
-        match &self.model {
-            Some((_, model)) => format!(
-                "the images in {folder} are those of the distorted model {}, not of this undistorted one, and are not used",
-                model.display()
-            ),
-            None => format!(
-                "the images in {folder} are those before the undistortion, as 3D Gaussian Splatting names them, and are not used"
-            ),
-        }
+        let (folder, model) = (self.folder.display(), self.model.display());
+        format!(
+            "the images in {folder} are those of the distorted model {model}, not of this undistorted one, and are not used"
+        )
     }
 
     /// What to do besides giving the undistorted images.
     pub fn cure(&self) -> String {
-        let named = "if these are the undistorted ones, name them with --images";
-        match &self.model {
-            Some((project, model)) => {
-                let inside = model.strip_prefix(project).unwrap_or(model);
-                format!(
-                    "give the undistorted images, or make them: viewrank undistort {} --model {}; {named}",
-                    command_path(project),
-                    command_path(inside)
-                )
-            }
-            None => format!("give the undistorted images; {named}"),
-        }
+        let Self { project, model, .. } = self;
+        let inside = model.strip_prefix(project).unwrap_or(model);
+        format!(
+            "give the undistorted images, or make them: viewrank undistort {} --model {}; if these are the undistorted \
+             ones, name them with --images",
+            command_path(project),
+            command_path(inside)
+        )
     }
 }
 
@@ -75,14 +66,14 @@ fn originals(root: &Path, model: &ModelLocation, images: &Path) -> Option<Origin
         return None;
     }
     let above = images.ancestors().skip(1).take(ABOVE);
-    let found = above.chain([root]).find_map(|project| {
-        let distorted = distorted_model(project, model, images)?;
-        Some((project.to_path_buf(), distorted))
-    });
-    let is_input = images.ends_with(INPUT) && model.path.starts_with(root.join("sparse"));
-    (found.is_some() || is_input).then(|| Originals {
-        folder: images.into(),
-        model: found,
+    above.chain([root]).find_map(|project| {
+        let is_here = project.as_os_str().is_empty();
+        let project = if is_here { Path::new(".") } else { project };
+        Some(Originals {
+            folder: images.into(),
+            project: project.into(),
+            model: distorted_model(project, model, images)?,
+        })
     })
 }
 
