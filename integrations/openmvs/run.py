@@ -100,9 +100,10 @@ def refuse_strangers(top):
     """Ends where anything here is neither a file nor a folder nor a link to a picture that links.txt lists: it would be followed out of this folder, or a pipe waited for."""
     links = set(read_record(top / "links.txt").split("\n"))
     for folder, folders, files in os.walk(top, onerror=refuse_unlisted):
+        names = [*folders, *files]
         if Path(folder) == WORK:
             folders.clear()  # of other runs; each works in a new one
-        for path in (Path(folder, name) for name in [*folders, *files]):
+        for path in (Path(folder, name) for name in names):
             mode = path.lstat().st_mode
             is_picture = f"./{path.relative_to(top).as_posix()}" in links and (os.path.isfile(path) or not os.path.exists(path))
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISLNK(mode) and is_picture):

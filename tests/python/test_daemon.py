@@ -653,7 +653,7 @@ def test_the_status_is_shown_as_it_changes_and_when_the_daemon_is_gone(root, con
             assert shown["running"] and shown["projects"][0]["project"] == "p"
             follower.kill()
     down = subprocess.run([PROGRAM, "status", str(root / "p")], capture_output=True, text=True, check=True).stdout
-    assert "no daemon is running" in down and "planned: " in down
+    assert "no daemon is running" in down and "planned for sgm: " in down
 
 
 def test_maps_of_undistorted_images_are_counted_where_the_model_is_distorted(root, config):
