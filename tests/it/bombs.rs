@@ -265,7 +265,7 @@ fn cameras_that_claim_gigapixels_are_refused_where_no_image_shows_them() {
     fs::remove_dir_all(project.join("images")).unwrap();
     let error = fails(viewrank(&["plan", text(&project), "--backend", "sgm"]));
     assert!(error.contains("37200 x 27900 pixels"), "{error}");
-    assert!(error.contains("set image_scale = 0.508"), "{error}");
+    assert!(error.contains("set image_scale = 0.50"), "{error}");
 }
 
 #[test]

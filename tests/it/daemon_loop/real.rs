@@ -248,6 +248,8 @@ fn a_later_dense_workspace_gets_its_files_and_removed_files_are_written_again() 
     let dense = real.project.join("dense");
     fs::create_dir_all(dense.join("stereo")).expect("a folder");
     fs::create_dir_all(dense.join("sparse")).expect("a folder");
+    fs::create_dir_all(dense.join("images")).expect("a folder");
+    fs::write(dense.join("images/a.jpg"), "").expect("a file");
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
         fs::copy(
             real.project.join("sparse/0").join(name),

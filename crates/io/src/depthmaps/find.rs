@@ -13,7 +13,7 @@ use super::{DepthMapError, DepthMapFormat, micmac, openmvs};
 use crate::{
     input::{self, FileKind},
     paths,
-    project::is_image,
+    project::{WORKSPACES, is_image},
 };
 
 /// COLMAP's folder of depth maps in a dense workspace.
@@ -83,10 +83,13 @@ impl DepthMapSet {
 }
 
 /// Folders in which backends write their depth maps, existing or not: COLMAP's in the project or
-/// its dense workspaces (`dense`, `dense/N`), other programs' in a folder of their name.
+/// its dense workspaces ([`WORKSPACES`] and the folders in them), other programs' in a folder of their name.
 pub fn default_folders(project: &Path) -> Vec<PathBuf> {
-    let mut workspaces = vec![project.to_path_buf(), project.join("dense")];
-    workspaces.extend(paths::sub_folders(&project.join("dense")));
+    let mut workspaces = vec![project.to_path_buf()];
+    for name in WORKSPACES {
+        let workspace = project.join(name);
+        workspaces.extend([vec![workspace.clone()], paths::sub_folders(&workspace)].concat());
+    }
     workspaces.push(project.join("viewrank/colmap"));
     let mut folders: Vec<PathBuf> = workspaces
         .iter()

@@ -154,8 +154,8 @@ pub(super) const FOLDERS_OF_PROGRAMS: [&str; 3] = ["", "colmap", "distorted"];
 const NODES_OF_MESHROOM: [&str; 2] = ["StructureFromMotion", "ConvertSfMFormat"];
 /// Folder of the dense workspaces of a project.
 const DENSE: &str = "dense";
-/// Another usual name of it.
-const UNDISTORTED: &str = "undistorted";
+/// Usual names of dense workspaces, and of the folders of several.
+pub const WORKSPACES: [&str; 2] = [DENSE, "undistorted"];
 /// Most folders that are searched for models.
 const MOST_FOLDERS: usize = 1000;
 
@@ -465,7 +465,7 @@ pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> 
         let dense = root.join(folder);
         [vec![dense.join(name), dense.clone()], sub_folders(&dense)].concat()
     };
-    let mut folders = [of(DENSE), of(UNDISTORTED)].concat();
+    let mut folders = WORKSPACES.map(of).concat();
     let mut known = HashSet::new();
     folders.retain(|folder| folder.join("stereo").is_dir() && known.insert(folder.clone()));
     folders

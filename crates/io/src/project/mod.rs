@@ -26,6 +26,7 @@ use viewrank_core::model::scene::{ModelWarning, Scene, ViewIndex, WarningKind};
 
 pub use containing::containing;
 pub use create::CreateError;
+pub use discover::WORKSPACES;
 pub use error::ProjectError;
 pub use files::ColmapFiles;
 pub use folder::{ImageFolder, MASKS};
