@@ -98,7 +98,8 @@ fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
             let later = number_later(&maps.unwrap_or_default(), &progress);
             let progress = without_gone(progress, gone);
             if is_json {
-                print_json(&alone(&project, later_than(progress.phase(), later)))
+                let phase = progress.phase().of_plan_for(&plan.backend);
+                print_json(&alone(&project, later_than(phase, later)))
             } else {
                 print(unwatched(&progress, &plan, later))
             }
@@ -231,6 +232,7 @@ fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
         };
     }
     Phase::Partial {
+        backend: plan.backend.clone(),
         done: maps,
         clusters,
         share: None,

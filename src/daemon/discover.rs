@@ -21,6 +21,10 @@ const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames
 pub const OUTPUT_FOLDER: &str = "viewrank";
 /// Folder for the dense workspaces of a project.
 pub const DENSE: &str = "dense";
+/// Folders beside the images in which nerfstudio and 3D Gaussian Splatting keep the model.
+const FOLDERS_OF_PROGRAMS: [&str; 2] = ["colmap", "distorted"];
+/// Folders of a project's images.
+const IMAGES: [&str; 2] = ["images", "input"];
 /// This many projects in a folder with stray files of a model or scene are separate projects.
 const SEVERAL: usize = 2;
 /// Depth limit of a walk, against loops of mounts.
@@ -201,6 +205,14 @@ impl Listing {
         if named(&self.links, "sparse") && (!follow_links || sparse()) {
             return FolderKind::Project;
         }
+        let has_pictures = IMAGES.iter().any(|name| named(&self.folders, name));
+        let of_program = |name: &&str| {
+            let sparse = folder.join(name).join("sparse");
+            named(&self.folders, name) && holds_model_below(&sparse, follow_links)
+        };
+        if has_pictures && FOLDERS_OF_PROGRAMS.iter().any(of_program) {
+            return FolderKind::Project;
+        }
         let scene = self
             .files
             .iter()
@@ -293,7 +305,11 @@ impl InputFolders {
     /// Lists the existing input folders. Symbolic links are followed only with `follow_links`.
     pub fn find(project: &Path, follow_links: bool) -> Self {
         let mut models = vec![project.to_path_buf()];
-        for above in [project.to_path_buf(), project.join(DENSE)] {
+        let of_programs = FOLDERS_OF_PROGRAMS.map(|name| project.join(name));
+        for above in [project.to_path_buf(), project.join(DENSE)]
+            .into_iter()
+            .chain(of_programs)
+        {
             let sparse = above.join("sparse");
             models.extend(sub_folders(&sparse));
             models.push(sparse);
@@ -301,10 +317,8 @@ impl InputFolders {
         }
         let has_orientations =
             Listing::read(project).is_ok_and(|listing| listing.holds_orientations(project));
-        let (mut images, mut masks) = (
-            folders_at(&project.join("images")),
-            folders_at(&project.join(MASKS)),
-        );
+        let mut images = IMAGES.map(|name| folders_at(&project.join(name))).concat();
+        let mut masks = folders_at(&project.join(MASKS));
         let in_images = project.join("images").join(MASKS);
         masks.extend(images.extract_if(.., |folder| folder.starts_with(&in_images)));
         let mut folders = Self {
@@ -381,6 +395,11 @@ mod tests {
             "b/c/d/e/sparse/points3D.txt",
             "bare model/images.bin",
             "bare model/cameras.bin",
+            "gs/input/a.jpg",
+            "gs/distorted/sparse/0/cameras.bin",
+            "models/colmap/sparse/0/cameras.bin",
+            "ns/images/a.jpg",
+            "ns/colmap/sparse/0/cameras.bin",
             "mvs/scene.mvs",
             "mvs/dense/sparse/cameras.bin",
             "mvs/colmap/sparse/cameras.bin",
@@ -399,7 +418,10 @@ mod tests {
             "a",
             "b/c/d/e",
             "bare model",
+            "gs",
+            "models/colmap",
             "mvs",
+            "ns",
             "sure",
             "sure without a folder",
         ];

@@ -128,6 +128,7 @@ impl Progress {
         } = self;
         match share.filter(|_| self.target_reached) {
             Some(share) => Phase::Reached {
+                backend: String::new(),
                 done,
                 clusters,
                 share,
@@ -135,6 +136,7 @@ impl Progress {
                 note,
             },
             None => Phase::Partial {
+                backend: String::new(),
                 done,
                 clusters,
                 share,

@@ -50,6 +50,9 @@ pub enum Phase {
     },
     /// Some depth maps are finished; the backend may be at work on others.
     Partial {
+        /// The program that the plan is for, as `--backend` names it.
+        #[serde(default)]
+        backend: String,
         /// Number of key views with a depth map.
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
@@ -72,6 +75,9 @@ pub enum Phase {
     /// The target is reached, as far as finished maps tell; or the list is done, where only other
     /// limits are set.
     Reached {
+        /// The program that the plan is for, as `--backend` names it.
+        #[serde(default)]
+        backend: String,
         /// Number of key views with a depth map.
         done: usize,
         /// Number of key views up to the cut, plus those beyond it with a depth map.
@@ -116,6 +122,19 @@ impl Phase {
     }
 }
 
+impl Phase {
+    /// The same phase of a plan for this backend, where it is of a plan.
+    pub fn of_plan_for(mut self, name: &str) -> Self {
+        if let Self::Planned { backend, .. }
+        | Self::Partial { backend, .. }
+        | Self::Reached { backend, .. } = &mut self
+        {
+            *backend = name.into();
+        }
+        self
+    }
+}
+
 fn is_false(flag: &bool) -> bool {
     !flag
 }
@@ -139,7 +158,7 @@ impl fmt::Display for Phase {
                 note,
             } => {
                 let chosen = chosen_for(backend, *clusters);
-                write!(f, "planned for {backend}: {chosen}")?;
+                write!(f, "planned{}: {chosen}", of(backend))?;
                 if makes_maps(backend) {
                     let (percent, area) = (share * 100.0, area(has_region));
                     write!(f, " for {percent:.0} % of {area}")?;
@@ -147,6 +166,7 @@ impl fmt::Display for Phase {
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Partial {
+                backend,
                 done,
                 clusters,
                 share,
@@ -154,7 +174,7 @@ impl fmt::Display for Phase {
                 has_region,
                 note,
             } => {
-                write!(f, "partial: {done} of {clusters} depth maps")?;
+                write!(f, "partial{}: {done} of {clusters} depth maps", of(backend))?;
                 // Rounded down: 89.9 % must not look like a reached target of 90 %.
                 share.iter().try_for_each(|share| {
                     let percent = (share * 100.0).floor();
@@ -168,6 +188,7 @@ impl fmt::Display for Phase {
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Reached {
+                backend,
                 done,
                 share,
                 has_region,
@@ -176,7 +197,8 @@ impl fmt::Display for Phase {
             } => {
                 write!(
                     f,
-                    "done: {done} depth maps, about {:.0} % of {}",
+                    "done{}: {done} depth maps, about {:.0} % of {}",
+                    of(backend),
                     share * 100.0,
                     area(has_region)
                 )?;
@@ -205,6 +227,15 @@ pub(super) fn chosen_for(backend: &str, number: usize) -> String {
     };
     let ending = if number == 1 { "" } else { "s" };
     format!("{number} {one}{ending}")
+}
+
+/// Names the backend, if it is known.
+fn of(backend: &str) -> String {
+    if backend.is_empty() {
+        String::new()
+    } else {
+        format!(" for {backend}")
+    }
 }
 
 /// Returns false for backends that use the images themselves.

@@ -94,6 +94,8 @@ pub struct TrackedProject {
     concluded: bool,
     /// There is a plan for which depth maps may appear.
     planned: bool,
+    /// Backend of the last plan.
+    backend: String,
     job: Option<RunningJob>,
     /// The reason why a job that is due can't start.
     queued: Option<&'static str>,
@@ -124,6 +126,7 @@ impl TrackedProject {
             maps: MapTracker::default(),
             concluded: false,
             planned: false,
+            backend: String::new(),
             job: None,
             queued: None,
             failures: 0,
@@ -149,6 +152,7 @@ impl TrackedProject {
             // Depth maps still to be measured leave the last result valid.
             _ if self.concluded => match self.result.clone() {
                 Phase::Partial {
+                    backend,
                     done,
                     clusters,
                     share,
@@ -156,6 +160,7 @@ impl TrackedProject {
                     note,
                     ..
                 } => Phase::Partial {
+                    backend,
                     done,
                     clusters,
                     share,
@@ -332,6 +337,7 @@ impl TrackedProject {
                 // Measure again even where the plan is unchanged.
                 self.maps.forget_measured();
                 self.planned = true;
+                self.backend.clone_from(&backend);
                 match known {
                     Some(known) => return self.conclude(work, *known, times),
                     None => Phase::Planned {
@@ -343,7 +349,7 @@ impl TrackedProject {
                     },
                 }
             }
-            Outcome::Followed(phase) => phase,
+            Outcome::Followed(phase) => phase.of_plan_for(&self.backend),
             Outcome::Incomplete { reason } => {
                 // New depth maps would belong to a plan whose model is gone.
                 self.planned = false;

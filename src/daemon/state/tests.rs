@@ -262,6 +262,7 @@ fn maps_newer_than_the_last_measurement_are_counted() {
     run(&mut project, Work::Plan, planned("a"), now);
     project.observe_maps(map(1), now);
     let followed = Outcome::Followed(Phase::Partial {
+        backend: "colmap".into(),
         done: 1,
         clusters: 3,
         share: Some(0.5),
@@ -392,6 +393,7 @@ fn what_a_job_says_at_length_is_shortened() {
             hint: Some(long()),
         },
         Outcome::Followed(Phase::Partial {
+            backend: "colmap".into(),
             done: 1,
             clusters: 2,
             share: None,
@@ -413,6 +415,7 @@ fn what_a_job_says_at_length_is_shortened() {
 fn shares_inside_a_region_are_said_to_be() {
     let planned = of_plan(true);
     let partial = Phase::Partial {
+        backend: "colmap".into(),
         done: 1,
         clusters: 3,
         share: Some(0.5),
@@ -421,6 +424,7 @@ fn shares_inside_a_region_are_said_to_be() {
         note: None,
     };
     let reached = Phase::Reached {
+        backend: "colmap".into(),
         done: 3,
         clusters: 3,
         share: 0.9,
@@ -428,7 +432,9 @@ fn shares_inside_a_region_are_said_to_be() {
         note: None,
     };
     for phase in [planned, partial, reached] {
-        assert!(phase.to_string().contains(" inside the region"), "{phase}");
+        let words = phase.to_string();
+        assert!(words.contains(" inside the region"), "{phase}");
+        assert!(words.contains(" for colmap: "), "{phase}");
     }
     assert!(!of_plan(false).to_string().contains("region"));
 }
