@@ -67,8 +67,8 @@ pub fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     hasher.finalize().to_hex()[..16].into()
 }
 
-/// Returns the content of the mark, what the depth map is made from, and that of a map of full size,
-/// which is as good as one of half the size.
+/// Returns the content of the mark, what the depth map is made from, and that of a map of full
+/// size, which is as good as one of half the size.
 pub fn task_ids(backend: &Backend, selection: &Selection, cluster: &RankedCluster) -> [String; 2] {
     let id = |half: &str| {
         let options = format!("{} {}{half}", backend.name, selection.image_scale);

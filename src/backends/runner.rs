@@ -50,9 +50,9 @@ pub struct TaskRunner {
     pub program: &'static str,
     /// Environment variable that overrides the path, and is set for the commands.
     pub variable: &'static str,
-    /// Makes ready what a task needs, and returns its commands, each run if the one before succeeds;
-    /// they depend on no current folder, and may run side by side with those of other depth maps.
-    /// An error is a reason in words.
+    /// Makes ready what a task needs, and returns its commands, each run if the one before
+    /// succeeds; they depend on no current folder, and may run side by side with those of other
+    /// depth maps. An error is a reason in words.
     pub commands: fn(&Call) -> Result<Vec<Vec<OsString>>, String>,
     /// Returns whether a depth map is all there, as far as its size tells.
     pub is_whole: fn(&Path) -> bool,

@@ -40,8 +40,8 @@ fn absolute_folders(path: &OsStr) -> impl Iterator<Item = PathBuf> {
     std::env::split_paths(path).filter(|folder| folder.is_absolute())
 }
 
-/// A call of a program, by its path or by its name on the PATH. Neither it nor what it calls in turn
-/// is looked for in the current folder, whatever the PATH.
+/// A call of a program, by its path or by its name on the PATH. Neither it nor what it calls in
+/// turn is looked for in the current folder, whatever the PATH.
 ///
 /// # Errors
 /// If it is not on the PATH.

@@ -103,7 +103,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Returns the folder of depth maps of a project; `named` is a kind, or a folder as the user typed it.
+/// Returns the folder of depth maps of a project; `named` is a kind, or a folder as the user typed
+/// it.
 ///
 /// # Errors
 /// If a link of the project leads from it to somewhere else.

@@ -13,7 +13,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{base::paths::sub_folders, io::project::MASKS};
+use crate::{
+    base::paths::sub_folders,
+    io::project::{FOLDERS_OF_PROGRAMS, MASKS},
+};
 
 /// File names of a COLMAP model, without suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
@@ -21,8 +24,6 @@ const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames
 pub const OUTPUT_FOLDER: &str = "viewrank";
 /// Folder for the dense workspaces of a project.
 pub const DENSE: &str = "dense";
-/// Folders beside the images in which nerfstudio and 3D Gaussian Splatting keep the model.
-const FOLDERS_OF_PROGRAMS: [&str; 2] = ["colmap", "distorted"];
 /// Folders of a project's images.
 const IMAGES: [&str; 2] = ["images", "input"];
 /// This many projects in a folder with stray files of a model or scene are separate projects.
@@ -305,11 +306,8 @@ impl InputFolders {
     /// Lists the existing input folders. Symbolic links are followed only with `follow_links`.
     pub fn find(project: &Path, follow_links: bool) -> Self {
         let mut models = vec![project.to_path_buf()];
-        let of_programs = FOLDERS_OF_PROGRAMS.map(|name| project.join(name));
-        for above in [project.to_path_buf(), project.join(DENSE)]
-            .into_iter()
-            .chain(of_programs)
-        {
+        for name in FOLDERS_OF_PROGRAMS.into_iter().chain([DENSE]) {
+            let above = project.join(name);
             let sparse = above.join("sparse");
             models.extend(sub_folders(&sparse));
             models.push(sparse);

@@ -37,8 +37,8 @@ impl PilotMaps {
     /// Finds the maps in the folder.
     ///
     /// # Errors
-    /// If there is none, one cannot be read, or the folder is in the project, which may be a
-    /// stranger's, and a link in it leads out of that.
+    /// Without any map, for one that cannot be read, and for a folder in the project in which a
+    /// link leads out of the project, which may be a stranger's.
     pub fn find(folder: &Path, scene: &Scene, project: &Path) -> Result<Self, PlanError> {
         if !is_outside(folder, project) {
             refuse_links_out_of(project, folder)?;

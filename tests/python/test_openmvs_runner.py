@@ -56,7 +56,7 @@ if scene.name == "fuse.mvs":
             sys.exit(3)
     if made.get("fusion", 42) is not None:
         (work / options["output-file"]).write_bytes(b"scene")
-        (work / options["output-file"]).with_suffix(".ply").write_bytes(b"ply\\nelement vertex %d\\nend_header\\n" % made.get("fusion", 42))
+        (work / options["output-file"]).with_suffix(".ply").write_bytes(b"ply\\nformat ascii 1.0\\nelement vertex %d\\nproperty float x\\nend_header\\n" % made.get("fusion", 42))
     sys.exit(0)
 
 row = next(row for row in run["clusters"] if row["rank"] == int(scene.stem))
@@ -287,7 +287,7 @@ def test_a_picture_that_changed_since_the_plan_is_not_matched(site):
 def test_what_a_stranger_left_where_a_map_is_made_is_not_followed(site, tmp_path):
     (tmp_path / "outside").mkdir()
     (tmp_path / "outside/letter").write_text("precious")
-    (site.export / "DensifyPointCloud.cfg").write_text("output-file=/tmp/x")
+    (site.export / "DensifyPointCloud.cfg").write_text(f"output-file={tmp_path}/outside/letter")
     site.rank(1)
     assert site.calls()["1"]["config-file"].endswith("options.cfg")
     # Within the project, too, nothing of anybody else's is removed.

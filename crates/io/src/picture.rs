@@ -24,8 +24,8 @@ const JPEG_HEADER_BYTES: u64 = 16 << 20;
 /// Says what to do with a TIFF of JPEGs.
 pub const TIFF_OF_JPEGS: &str = "JPEG compression: convert it to a JPEG, a PNG or another TIFF";
 
-/// Pictures of up to so many decoded bytes, and of so many for each byte of their files, are decoded
-/// beside each other: photographs hardly shrink so much.
+/// Pictures of up to so many decoded bytes, and of so many for each byte of their files, are
+/// decoded beside each other: photographs hardly shrink so much.
 const BESIDE: u64 = 64 << 20;
 const BESIDE_PER_BYTE: u64 = 32;
 

@@ -5,10 +5,16 @@
 //! `vertex_indices` or `vertex_index`. It skips other elements and properties, and splits polygons
 //! into triangle fans. Every count is checked against the remaining bytes.
 
+use std::path::Path;
+
 use nalgebra::Point3;
 use viewrank_core::model::mesh::Mesh;
 
-use crate::{formats::HIDDEN, mistaken};
+use crate::{
+    formats::HIDDEN,
+    input::{self, FileKind},
+    mistaken,
+};
 
 /// Error in a PLY file, with its position.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -187,9 +193,13 @@ pub fn read_with_lists(
     Ok(())
 }
 
-/// Numbers of vertices and faces by the header; `None` if that cannot be read.
-pub fn counts(bytes: &[u8]) -> Option<[u64; 2]> {
-    let header = read_header(bytes).ok()?;
+/// Bytes within which a header ends.
+const LONGEST_HEADER: u64 = 1 << 16;
+
+/// Numbers of vertices and faces by the header of a file; `None` if that cannot be read.
+pub fn counts(path: &Path) -> Option<[u64; 2]> {
+    let start = input::read_start(path, FileKind::Sparse, LONGEST_HEADER).ok()?;
+    let header = read_header(&start).ok()?;
     Some(["vertex", "face"].map(|name| {
         let mut elements = header.elements.iter();
         let named = elements.find(|element| element.name == name);

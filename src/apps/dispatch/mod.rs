@@ -410,7 +410,7 @@ impl Dispatch {
     }
 }
 
-/// Returns the text of a file; empty where there is none.
+/// Returns the text of a file; empty if it cannot be read.
 fn text_of(read: Result<Vec<u8>, OutputError>) -> String {
     read.ok()
         .and_then(|bytes| String::from_utf8(bytes).ok())

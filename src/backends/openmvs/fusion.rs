@@ -1,5 +1,5 @@
-//! What a fusion needs beside its command: the scene of the key views, which others each is compared
-//! with, and the maps that are finished, all of one size.
+//! Inputs of a fusion: the scene of the key views, the list of neighbours, and the finished maps,
+//! all at one size.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -14,11 +14,9 @@ use crate::{
         formats::openmvs::{Mvs, NO_POSE},
         input::{self, FileKind},
         output::{self, Contents, FileSet},
+        ply,
     },
 };
-
-/// Bytes in which the header of a cloud names the number of points.
-const PLY_HEADER: u64 = 2000;
 
 /// Returns the list of neighbours of a fusion of all maps.
 pub fn neighbours(overlaps: &[Vec<usize>]) -> String {
@@ -34,8 +32,8 @@ pub fn neighbours(overlaps: &[Vec<usize>]) -> String {
     keys.map(line).collect()
 }
 
-/// Puts a scene, lists and the finished maps where they are fused; returns how many must agree. Maps
-/// larger than those of this image size are left out.
+/// Puts a scene, lists and the finished maps where they are fused; returns how many must agree.
+/// Maps larger than those of this image size are left out.
 pub fn lay_out(run: &Run, call: &Call) -> Result<usize, String> {
     let mut files = FileSet::new(call.work, "fusion");
     let mut kinds: BTreeMap<&str, &str> = BTreeMap::new();
@@ -73,13 +71,8 @@ pub fn lay_out(run: &Run, call: &Call) -> Result<usize, String> {
 
 /// Fails unless a fusion has made a scene, and a cloud with points.
 pub fn check(work: &Path) -> Result<(), String> {
-    let cloud = input::read_start(&work.join("fused.ply"), FileKind::Mesh, PLY_HEADER);
-    let cloud = cloud.unwrap_or_default();
-    let header = String::from_utf8_lossy(&cloud);
-    let points = header
-        .lines()
-        .find_map(|line| line.strip_prefix("element vertex "));
-    let has_points = points.is_some_and(|points| points.trim() != "0");
+    let counts = ply::counts(&work.join("fused.ply"));
+    let has_points = counts.is_some_and(|[points, _]| points > 0);
     if has_points && work.join("fused.mvs").is_file() {
         Ok(())
     } else {

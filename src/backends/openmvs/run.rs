@@ -33,7 +33,7 @@ use crate::{
 
 /// Share of pixels with a depth below which a map counts as empty.
 const LEAST_FILLED: f64 = 0.01;
-/// What [`Row::depths`] may differ by: OpenMVS searches 0.9 and 1.1 times the range.
+/// Bounds on the searched range over [`Row::depths`]: OpenMVS takes 0.9 and 1.1 times that.
 const RANGE: [f64; 2] = [0.8, 1.25];
 
 /// Options of every run of DensifyPointCloud: all views, none reduced by a level.
@@ -66,12 +66,12 @@ pub struct Run {
     /// Long side of the matched images, pixels.
     pub resolution: u32,
     pub maps_per_point: usize,
-    /// What follows is for `run.py` alone: viewrank has the options, and runs no plan whose images
-    /// have changed.
+    /// Read by `run.py` alone.
     #[serde(flatten, skip_deserializing)]
     of_script: OfScript,
 }
 
+/// What viewrank knows or checks by itself.
 #[derive(Default, Serialize)]
 struct OfScript {
     options: Vec<&'static str>,
@@ -240,10 +240,12 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     Ok(vec![command])
 }
 
-/// Returns options that only some versions know, with their values, where so many maps must agree on
-/// a point: nothing is cut off or made up around the sparse points; filter 1 keeps what two maps
-/// agree on, filter 0 all that a single one has, and filter 2, the default since v2.4.0, joins five
-/// pixels or none.
+/// Returns the options that not all versions have, with their values. `agreeing`: number of maps
+/// that must agree on a point.
+///
+/// With them nothing is cut off or filled in around the sparse points. Filter 1 keeps what two maps
+/// agree on, filter 0 everything; filter 2, the default since v2.4.0, needs five pixels for a
+/// point.
 fn where_known(agreeing: usize) -> [[&'static str; 2]; 4] {
     [
         ["--estimate-roi", "0"],
@@ -299,17 +301,13 @@ fn check(row: &Row, path: &Path) -> Result<&'static str, String> {
         return Err("OpenMVS made no depth map".into());
     }
     let map = WholeMap::read(path, row.size).map_err(text)?;
-    let sorted = |ids: &[u32]| -> Vec<u32> {
-        BTreeSet::from_iter(ids.iter().copied())
-            .into_iter()
-            .collect()
-    };
+    let set = |ids: &[u32]| BTreeSet::from_iter(ids.iter().copied());
     let (key, partners) = map.ids().split_first().unwrap_or((&u32::MAX, &[]));
     let (own, planned) = row.ids.split_first().unwrap_or((&u32::MAX, &[]));
     if key != own {
         return Err(format!("the depth map is of image {key}, not of {own}"));
     }
-    let (made, planned) = (sorted(partners), sorted(planned));
+    let (made, planned) = (set(partners), set(planned));
     if made != planned {
         return Err(format!(
             "OpenMVS matched the partners {made:?} instead of {planned:?}"

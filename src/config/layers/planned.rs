@@ -48,7 +48,7 @@ pub struct TypedSetting {
     /// The value as it was typed; paths are absolute.
     #[schemars(with = "serde_json::Value")]
     pub value: Value,
-    /// What the settings files said instead, if anything.
+    /// Value in the settings files, which it replaced.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<serde_json::Value>")]
     pub instead_of: Option<Value>,
@@ -60,8 +60,8 @@ impl TypedSetting {
     }
 
     /// Returns whether it names files outside of a project of which a plan, which may be a
-    /// stranger's, would copy or list the contents. A region is often kept elsewhere, and its polygon
-    /// alone is used.
+    /// stranger's, would copy or list the contents. A region is often kept elsewhere, and its
+    /// polygon alone is used.
     pub fn leads_out(&self, root: &Path) -> bool {
         let is_copied = matches!(&*self.key, "surface.mesh" | "pilot.maps");
         let path = self.value.as_str().filter(|_| is_copied);
@@ -125,7 +125,8 @@ fn value_of<'a>(entries: &'a [Entry], key: &str) -> Option<&'a Value> {
     of_key.map(|entry| &entry.value)
 }
 
-/// Returns what the next plan can go on with. Backends are left out: the files of the plan say them.
+/// Returns what the next plan can go on with. Backends are left out: the files of the plan say
+/// them.
 pub(super) fn typed_settings(files: &[Entry], over: &[Entry]) -> Vec<TypedSetting> {
     let kept = over.iter().filter(|entry| option_of(&entry.key).is_some());
     let setting = |entry: &Entry| TypedSetting {

@@ -83,7 +83,8 @@ impl DepthMapSet {
 }
 
 /// Folders in which backends write their depth maps, existing or not: COLMAP's in the project or
-/// its dense workspaces ([`WORKSPACES`] and the folders in them), other programs' in a folder of their name.
+/// its dense workspaces ([`WORKSPACES`] and the folders in them), other programs' in a folder of
+/// their name.
 pub fn default_folders(project: &Path) -> Vec<PathBuf> {
     let mut workspaces = vec![project.to_path_buf()];
     for name in WORKSPACES {
@@ -321,8 +322,7 @@ fn mve_scale(name: &str) -> Option<u8> {
         .ok()
 }
 
-/// Returns whether OpenMVS is still writing the map (`unfinished/0007/depth0012.dmap`), or fuses it
-/// (`unfinished/fusion/depth0012.dmap`).
+/// Returns whether a task is still writing or fusing the map (`unfinished/NAME/depth0012.dmap`).
 fn is_unfinished(path: &Path) -> bool {
     let above = path.ancestors().nth(2).and_then(Path::file_name);
     above.is_some_and(|name| name == "unfinished")

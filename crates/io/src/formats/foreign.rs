@@ -244,8 +244,8 @@ pub(super) fn largest_component<'a>(
 /// Most folders of a moved image's path that still hold.
 const KEPT_FOLDERS: usize = 16;
 
-/// The name, and if it is an absolute path, or leads further than to the parent of its folder, what is
-/// left without its first folders: the image may have moved.
+/// The name, and if it is an absolute path, or leads further than to the parent of its folder, what
+/// is left without its first folders: the image may have moved.
 pub fn last_parts(name: &str) -> Vec<String> {
     if name.len() > LONGEST_NAME {
         return vec![name.to_owned()];

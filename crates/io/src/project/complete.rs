@@ -12,7 +12,6 @@ use viewrank_core::model::scene::{ModelWarning, WarningKind};
 use super::{ModelFormat, ModelLocation, ProjectError, files, foreign::file_names};
 use crate::{
     formats::{Place, Problem, cloud, colmap::ColmapModel},
-    input::{self, FileKind},
     ply,
 };
 
@@ -69,9 +68,6 @@ pub(super) struct Cloud {
     counts: Option<[u64; 2]>,
 }
 
-/// Bytes in which a header ends.
-const HEADER: u64 = 1 << 16;
-
 /// The PLY files in a folder, best first: clouds before meshes, of most vertices.
 pub(super) fn clouds_in(folder: &Path) -> Vec<Cloud> {
     let names = file_names(folder).into_iter();
@@ -89,8 +85,7 @@ pub(super) fn clouds_in(folder: &Path) -> Vec<Cloud> {
 
 impl Cloud {
     fn examined(path: PathBuf) -> Self {
-        let start = input::read_start(&path, FileKind::Sparse, HEADER).ok();
-        let counts = start.and_then(|start| ply::counts(&start));
+        let counts = ply::counts(&path);
         Self { path, counts }
     }
 

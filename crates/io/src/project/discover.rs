@@ -149,7 +149,7 @@ fn models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
 
 /// Folders of a project that programs name: COLMAP's own is the project, nerfstudio has a `colmap`,
 /// the scripts of 3D Gaussian Splatting have a `distorted`.
-pub(super) const FOLDERS_OF_PROGRAMS: [&str; 3] = ["", "colmap", "distorted"];
+pub const FOLDERS_OF_PROGRAMS: [&str; 3] = ["", "colmap", "distorted"];
 /// Folders of Meshroom's nodes that have models, each in a folder named by a hash.
 const NODES_OF_MESHROOM: [&str; 2] = ["StructureFromMotion", "ConvertSfMFormat"];
 /// Folder of the dense workspaces of a project.
@@ -411,8 +411,8 @@ fn by_number(name: &str) -> (u64, String) {
     (name.parse().unwrap_or(u64::MAX), name.into())
 }
 
-/// Finds the dense workspace of the model: the project folder itself, or the first one below it that
-/// has all its images, in the same poses.
+/// Finds the dense workspace of the model: the project folder itself, or the first one below it
+/// that has all its images, in the same poses.
 fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
     if root.join("stereo").is_dir() {
         return Some(root.into());
@@ -458,7 +458,8 @@ pub(super) fn are_among(own: &Poses, others: &Poses) -> bool {
     own.iter().all(is_near)
 }
 
-/// Dense workspaces (folders with `stereo`) of their usual names, those with the model's name first.
+/// Dense workspaces (folders with `stereo`) of their usual names, those with the model's name
+/// first.
 pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     let name = model.path.file_name().unwrap_or_default();
     let of = |folder: &str| {

@@ -99,8 +99,8 @@ const CLOUD: &str = "a point cloud, without the cameras";
 const WITH_CAMERAS: &str =
     "a plan needs the cameras: name the folder with the model of structure from motion";
 
-/// The file of another program that a path names, else the first one in its folder, for the fault of
-/// a folder without any model.
+/// The file of another program that a path names, else the first one in its folder, for the fault
+/// of a folder without any model.
 pub(super) fn of_other_program(path: &Path, root: &Path) -> Option<ProjectError> {
     let kind = |path: PathBuf| {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();

@@ -216,8 +216,8 @@ impl ImageFaults {
             .unwrap_or_default()
     }
 
-    /// Returns the median, over readable images, of the image size over the camera size (the smaller of
-    /// the ratios of width and height); `None` without a readable image.
+    /// Returns the median, over readable images, of the image size over the camera size (the
+    /// smaller of the ratios of width and height); `None` without a readable image.
     pub fn usual_scale(&self, scene: &Scene) -> Option<f64> {
         let without: HashSet<ViewIndex> = self.missing_or_unreadable().collect();
         let others: HashMap<ViewIndex, [u32; 2]> = self.other_size.iter().copied().collect();

@@ -26,7 +26,7 @@ use viewrank_core::model::scene::{ModelWarning, Scene, ViewIndex, WarningKind};
 
 pub use containing::containing;
 pub use create::CreateError;
-pub use discover::WORKSPACES;
+pub use discover::{FOLDERS_OF_PROGRAMS, WORKSPACES};
 pub use error::ProjectError;
 pub use files::ColmapFiles;
 pub use folder::{ImageFolder, MASKS};
@@ -288,8 +288,8 @@ impl Project {
         }
     }
 
-    /// Returns the folder in which a program writes its depth maps; `None` where links lead out of the
-    /// project.
+    /// Returns the folder in which a program writes its depth maps; `None` where links lead out of
+    /// the project.
     pub fn folder_of_maps(&self, program: &str) -> Option<PathBuf> {
         depthmaps::folder_of(&self.home, self.dense_workspace.as_deref(), program)
     }

@@ -1,5 +1,5 @@
-//! Tells the images of an undistorted model from those that it was undistorted from: with the latter
-//! every depth map would be wrong, and nothing would show it.
+//! Tells the images of an undistorted model from those that it was undistorted from: with the
+//! latter every depth map would be wrong, and nothing would show it.
 
 use std::path::{Path, PathBuf};
 

@@ -7,8 +7,8 @@ use crate::model::{camera::Camera, scene::Pose};
 /// Pixels by which the frustum is wider than the image, so that rounding errors don't matter.
 const MARGIN: f64 = 1.0;
 
-/// The planes through a pinhole camera's centre and the sides of its image, in world coordinates. With
-/// lens distortion the sides are curved: such a frustum has no planes, and rules nothing out.
+/// The planes through a pinhole camera's centre and the sides of its image, in world coordinates.
+/// With lens distortion the sides are curved: such a frustum has no planes, and rules nothing out.
 pub struct Frustum {
     /// Unit normals that point inwards, and the signed distance of the origin.
     planes: Vec<(Vector3<f64>, f64)>,

@@ -80,7 +80,7 @@ fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> 
 struct Choice<'a, F> {
     table: &'a Incidence,
     counted: CountedCells,
-    /// What one more map adds to a cell that so many maps show.
+    /// Gain from one more map in a cell that this number of chosen maps show.
     added: F,
     has: Vec<bool>,
     /// For each row, the number of chosen maps.

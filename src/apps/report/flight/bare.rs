@@ -254,7 +254,7 @@ impl<'a> Overhead<'a> {
     }
 
     /// Returns the images over these squares, row by row, at the planned distance above the highest
-    /// surface nearby, or above the fitted plane if there is none.
+    /// surface nearby; without any, above the fitted plane.
     fn waypoints(
         &self,
         plan: &Plan,

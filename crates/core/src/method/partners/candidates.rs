@@ -190,8 +190,8 @@ pub fn neighbours(
     neighbours
 }
 
-/// Observations of a track among which pairs are looked for. Only a camera that stands still sees a point
-/// in more images, and they would take the square of their number.
+/// Observations of a track among which pairs are looked for. Only a camera that stands still sees a
+/// point in more images, and they would take the square of their number.
 const LONGEST_TRACK: usize = 512;
 
 /// Returns the views of a track that may be partners of one of them: those next to it by name, if

@@ -40,8 +40,9 @@ pub enum Frame {
     Chunk,
 }
 
-/// Reads cameras and poses of the enabled chunk with most aligned cameras, of that the component with most,
-/// in each of some frames. `spelled` completes labels, which may lack the extension of the image.
+/// Reads cameras and poses of the enabled chunk with most aligned cameras, of that the component
+/// with most, in each of some frames. `spelled` completes labels, which may lack the extension of
+/// the image.
 pub fn read<const N: usize>(
     bytes: &[u8],
     frames: [Frame; N],
@@ -56,7 +57,8 @@ pub fn read<const N: usize>(
     Ok(models)
 }
 
-/// The chunk with most aligned cameras, enabled if any is, and the names of the others with their numbers of them.
+/// The chunk with most aligned cameras, enabled if any is, and the names of the others with their
+/// numbers of them.
 fn largest_chunk(bytes: &[u8]) -> Result<(Chunk, Vec<(String, usize)>), Fault> {
     let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
     let mut largest = Chunk::default();
