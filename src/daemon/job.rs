@@ -220,8 +220,16 @@ impl PlanJob {
         if job.is_wanted() {
             Progress::clear_target_reached(job.project, disk).map_err(failed)?;
         }
-        for warning in write(&plan, &project, record, job, disk)? {
+        // Nobody asked for the export of a backend that was chosen for the project.
+        let is_asked = !settings.backends.is_empty();
+        let written = write(&plan, &project, record, is_asked, job, disk)?;
+        for warning in written.warnings {
             warn!(project = %job.project.display(), "{warning}");
+        }
+        if is_asked && !written.not_exported.is_empty() {
+            let missing = written.not_exported.join("; ");
+            let reason = format!("the plan is complete, but {missing}");
+            return Err(Outcome::Failed { reason, hint: None });
         }
         Ok(Outcome::Planned {
             fingerprint,
@@ -300,6 +308,7 @@ impl PlanJob {
                 &plan,
                 &project,
                 PlannedFrom::new(&plan, record.fingerprint, record.settings),
+                false,
                 job,
                 &disk,
             )?;
@@ -571,25 +580,35 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
     }
 }
 
-/// Writes the plan, with the record of its input unless that has changed meanwhile; returns its
-/// warnings.
+/// What there is to say of a plan that was written.
+struct Written {
+    warnings: Vec<String>,
+    /// Why there is no export for some of the backends.
+    not_exported: Vec<String>,
+}
+
+/// Writes the plan, with the record of its input unless that has changed meanwhile, or an export is
+/// missing that `is_asked` for: then the input is planned again.
 fn write(
     plan: &Plan,
     project: &Project,
     mut record: PlannedFrom,
+    is_asked: bool,
     job: &Job,
     disk: &Disk,
-) -> StepResult<Vec<String>> {
+) -> StepResult<Written> {
     let files::PlanFiles {
         manifest,
         mut sets,
+        not_exported,
         outdated_exports,
         outdated_flight,
         ..
     } = files::files(plan, project).map_err(failed)?;
     record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
-    if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
+    let is_complete = job.is_current() && !(is_asked && !not_exported.is_empty());
+    if let Some(own) = sets.first_mut().filter(|_| is_complete) {
         own.add_text(RECORD, record + "\n");
     }
     if !job.is_wanted() {
@@ -601,11 +620,10 @@ fn write(
         .into_iter()
         .chain(outdated_flight)
         .collect();
-    Ok(warnings_with(
-        &manifest.warnings,
-        &manifest.exports,
-        &outdated,
-    ))
+    Ok(Written {
+        warnings: warnings_with(&manifest.warnings, &manifest.exports, &outdated),
+        not_exported,
+    })
 }
 
 /// Says so if the plan differs from the one made by hand whose place it takes: options that were

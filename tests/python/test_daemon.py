@@ -595,6 +595,17 @@ def test_once_says_by_its_exit_code_whether_all_is_planned(root, config):
     once(root, config, "--max-memory", "1M", expect=0)  # It is planned already.
 
 
+def test_an_export_that_was_asked_for_and_is_missing_fails_until_it_is_there(source, root, config):
+    cp(source, root / "a")  # Its images are none.
+    (root / "a/viewrank.toml").write_text('backends = ["openmvs"]\n')
+    for _ in range(2):
+        once(root, config, expect=1)
+        shown = subprocess.run([PROGRAM, "status", root], capture_output=True, text=True).stdout
+        assert "did not export to openmvs" in " ".join(shown.split())
+    (root / "a/viewrank.toml").write_text('backends = ["realityscan"]\n')
+    once(root, config, expect=0)
+
+
 def test_a_plan_that_turns_out_too_large_is_refused(root, config, monkeypatch):
     monkeypatch.setenv("RAYON_NUM_THREADS", "2")
     shutil.copytree(ROOT / "fixtures/valley", root / "p", ignore=shutil.ignore_patterns("viewrank"))
