@@ -67,8 +67,7 @@ fn separators_of_windows_are_separators_where_files_say_so() {
         literal
             .colmap("sparse/0", &renamed(|n| format!("east\\view_{n}.png")))
             .pictures(&scene(), |name| format!("images/east\\{name}"));
-        assert_eq!(names(&literal.read())[0], "east\\view_0.png");
-        assert_eq!(names(&folder.read())[0], "east/view_0.png");
+        assert_found(&literal, |n| format!("images/east/view_{n}.png"));
     }
     let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
     assert_eq!(code, 0, "{stderr}");
@@ -89,13 +88,13 @@ fn an_absolute_windows_path_is_found_by_its_end() {
 }
 
 #[test]
-fn names_with_one_end_stay_as_they_are() {
+fn names_with_one_end_are_told_apart_by_their_folders() {
     let folder = Folder::new();
     let twice = |n: usize| format!("D:\\flight_{n}\\view_{}.png", n / 2);
     folder
         .colmap("sparse/0", &renamed(twice))
         .pictures(&scene(), |name| format!("images/{name}"));
-    assert_eq!(names(&folder.read())[1], twice(1));
+    assert_eq!(names(&folder.read())[1], "flight_1/view_0.png");
 }
 
 #[test]
@@ -231,4 +230,33 @@ fn names_of_another_program_that_lead_far_out_are_found_by_their_last_parts() {
     let scene = project.read_scene().unwrap();
     assert_eq!(names(&scene), ["view_0.png", "view_1.png", "view_2.png"]);
     assert_eq!(project.image_faults(&scene).missing, []);
+}
+
+#[test]
+fn names_that_are_no_plain_paths_can_be_exported() {
+    let out_of = |n: usize| format!("../photos/may/view_{n}.png");
+    let spellings: [(&str, fn(usize) -> String); 4] = [
+        ("images", |n| format!("./may//view_{n}.png")),
+        ("images", |n| format!("june/../may/view_{n}.jpg")),
+        ("images", |n| format!("May\\View_{n}.JPG")),
+        ("images", |n| format!("/home/ann/project/may/view_{n}.tif")),
+    ];
+    let outside: (&str, fn(usize) -> String) = ("photos", out_of);
+    for (at, name) in spellings.into_iter().chain([outside]) {
+        let folder = Folder::new();
+        folder
+            .colmap("sparse/0", &renamed(name))
+            .pictures(&scene(), |view| format!("{at}/may/{view}"))
+            .write("images/notes.txt", "");
+        let project = folder.open();
+        let read = project.read_scene().unwrap();
+        assert_eq!(project.image_faults(&read).missing, [], "{}", name(0));
+        assert_eq!(read.unregistered, Vec::<String>::new(), "{}", name(0));
+        for backend in ["openmvs", "colmap", "sgm", "splat", "mvsnet"] {
+            let out = folder.at(backend);
+            let (code, _, stderr) =
+                folder.plan(&["--backend", backend, "--out", out.to_str().unwrap()]);
+            assert_eq!(code, 0, "{} for {backend}: {stderr}", name(0));
+        }
+    }
 }

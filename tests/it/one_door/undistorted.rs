@@ -81,6 +81,58 @@ fn a_model_of_gaussian_splatting_is_not_planned_with_its_input() {
 }
 
 #[test]
+fn a_workspace_without_its_images_is_made_anew_and_planned() {
+    let folder = Folder::new();
+    folder
+        .colmap("sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("images/{name}"));
+    // As automatic_reconstructor left it, without the images, which are large.
+    workspace(&folder, "dense/0", &ColmapModel::from_scene(&scene()));
+    std::fs::remove_dir_all(folder.at("dense/0/images")).unwrap();
+    let root = folder.path().to_str().unwrap();
+    let (_, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert!(stderr.contains("viewrank undistort"), "{stderr}");
+    let undistorted = viewrank(&["undistort", root]);
+    assert!(undistorted.status.success(), "{undistorted:?}");
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs"]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
+fn a_distorted_model_of_gaussian_splatting_has_its_input() {
+    let folder = Folder::new();
+    folder
+        .colmap("gs/distorted/sparse/0", &distorted())
+        .pictures(&scene(), |name| format!("gs/images/{name}"))
+        .pictures(&scene(), |name| format!("gs/input/{name}"));
+    for project in ["gs", "gs/distorted"] {
+        let project = Project::open(&folder.at(project), None).unwrap();
+        assert_eq!(project.images.unwrap().to_path_buf(), folder.at("gs/input"));
+    }
+    folder.colmap("gs/sparse/0", &ColmapModel::from_scene(&scene()));
+    let project = Project::open(&folder.at("gs"), None).unwrap();
+    assert!(project.images.unwrap().ends_with("gs/images"));
+    let project = Project::open(&folder.at("gs"), Some("distorted/sparse/0")).unwrap();
+    assert!(project.images.unwrap().ends_with("gs/input"));
+}
+
+#[test]
+fn the_folder_of_colmap_in_a_project_of_nerfstudio_stands_for_it() {
+    let folder = Folder::new();
+    folder
+        .colmap("ns/colmap/sparse/0", &ColmapModel::from_scene(&scene()))
+        .pictures(&scene(), |name| format!("ns/images/{name}"));
+    let colmap = folder.at("ns/colmap");
+    let plan = viewrank(&["plan", colmap.to_str().unwrap(), "--backend", "openmvs"]);
+    assert!(
+        plan.status.success(),
+        "{}",
+        String::from_utf8_lossy(&plan.stderr)
+    );
+    assert!(folder.at("ns/viewrank/manifest.json").is_file());
+}
+
+#[test]
 fn without_images_the_advice_is_to_give_them_before_they_are_undistorted() {
     let folder = Folder::new();
     folder.colmap("sparse/0", &distorted());

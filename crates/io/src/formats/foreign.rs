@@ -267,7 +267,7 @@ pub fn last_parts(name: &str) -> Vec<String> {
 }
 
 /// Returns whether a name is an absolute path of Windows: a drive or a server.
-fn is_of_windows(name: &str) -> bool {
+pub fn is_of_windows(name: &str) -> bool {
     let drive = name.as_bytes();
     name.starts_with(r"\\")
         || matches!(drive, [letter, b':', b'\\' | b'/', ..] if letter.is_ascii_alphabetic())

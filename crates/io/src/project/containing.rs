@@ -43,6 +43,8 @@ fn project_of(part: &Path, name: &str) -> Option<PathBuf> {
             (is_project(home) || elsewhere::project_of(home).is_some()).then(|| home.to_path_buf())
         }
         "sparse" | "images" => project_above(part, above),
+        // The images are beside it.
+        _ if discover::FOLDERS_OF_PROGRAMS.contains(&name) => project_above(part, above),
         _ if above.ends_with("sparse") => project_of_sub_model(part, above.parent()?),
         _ => None,
     }
@@ -84,11 +86,8 @@ fn project_above(part: &Path, above: &Path) -> Option<PathBuf> {
         return None;
     }
     let Project { model, .. } = discover::open(above, None).ok()?;
-    let holds_model = is_same(&model.path, part)
-        || model
-            .path
-            .parent()
-            .is_some_and(|folder| is_same(folder, part));
+    let mut above_model = model.path.ancestors().take(3);
+    let holds_model = above_model.any(|folder| is_same(folder, part));
     (holds_model || part.ends_with("images")).then(|| above.to_path_buf())
 }
 

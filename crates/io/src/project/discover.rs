@@ -412,7 +412,7 @@ fn by_number(name: &str) -> (u64, String) {
 }
 
 /// Finds the dense workspace of the model: the project folder itself, or the first one below it
-/// that has all its images, in the same poses.
+/// that has all its images, in the same poses; best one that still has their files.
 fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
     if root.join("stereo").is_dir() {
         return Some(root.into());
@@ -427,7 +427,15 @@ fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
         let there = poses_of_workspace(root, folder);
         there.is_some_and(|there| are_among(&own, &there))
     };
-    workspaces.into_iter().find(has_the_images)
+    let fitting: Vec<PathBuf> = workspaces.into_iter().filter(has_the_images).collect();
+    let with_files = fitting.iter().find(|folder| has_pictures(folder));
+    with_files.or(fitting.first()).cloned()
+}
+
+/// Returns whether a workspace has its undistorted images.
+pub(super) fn has_pictures(workspace: &Path) -> bool {
+    let images = ImageFolder::new(workspace.join("images"));
+    images.first_image().is_some()
 }
 
 fn poses_of_workspace(root: &Path, workspace: &Path) -> Option<Poses> {

@@ -7,15 +7,15 @@ use std::{
     sync::{Arc, OnceLock},
 };
 
-use viewrank_core::model::scene::Scene;
 use walkdir::{DirEntry, WalkDir};
 
 use super::{
     image_files::{MOST_ENTRIES, images_below, is_image},
-    names::{Names, last},
+    names::{Names, last, take_names_of_files},
     other_names::{Others, others},
 };
 use crate::{
+    formats::colmap::ColmapModel,
     input::{self, FileKind},
     output::Contents,
 };
@@ -24,6 +24,9 @@ use crate::{
 pub const MASKS: &str = "masks";
 /// Usual name of the folder of images.
 const IMAGES: &str = "images";
+/// Where the scripts of 3D Gaussian Splatting keep the photographs, and where their model.
+pub(super) const INPUT: &str = "input";
+pub(super) const DISTORTED: &str = "distorted";
 /// Depth below a folder to which other folders of images are searched.
 const DEPTH: usize = 2;
 /// Most folders that are searched.
@@ -125,19 +128,24 @@ impl ImageFolder {
             .map(|(name, other)| (name.as_str(), other.as_str()))
     }
 
-    /// Finds the files of images that are not in the folder under their names: spelled otherwise,
-    /// or in another sub-folder if only one has a file of that name. No file is that of two images.
-    pub(super) fn resolve(&self, scene: &Scene) {
-        let is_missing = |name: &&str| !self.path.join(name).exists();
-        let (missing, there): (Vec<&str>, Vec<&str>) = scene
-            .views
-            .iter()
-            .map(|view| &*view.name)
-            .partition(is_missing);
-        _ = self.others.set(if missing.is_empty() {
-            Others::default()
-        } else {
-            others(&self.path, &missing, &there)
+    /// Gives the images of a model the names under which the folder has their files, and finds the
+    /// files of those that are not there under their names: spelled otherwise, or in another
+    /// sub-folder if only one has a file of that name. No file is that of two images.
+    pub(super) fn name_images(&self, model: &mut ColmapModel, is_workspace: bool) {
+        let spelled = take_names_of_files(model, Some(&self.path), is_workspace);
+        self.others.get_or_init(|| {
+            let names = model.images.iter().map(|image| &*image.name);
+            let is_missing =
+                |name: &&str| spelled.contains_key(*name) || !self.path.join(name).exists();
+            let (missing, there): (Vec<&str>, Vec<&str>) = names.partition(is_missing);
+            let path = |name| spelled.get(name).map_or(name, String::as_str);
+            let missing: Vec<(&str, &str)> =
+                missing.into_iter().map(|name| (name, path(name))).collect();
+            if missing.is_empty() {
+                Others::default()
+            } else {
+                others(&self.path, &missing, &there)
+            }
         });
     }
 }
@@ -177,17 +185,27 @@ pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
     [usual(root, model), reduced(root, model)].concat()
 }
 
-/// The nearest `images`, the image path in the model's `project.ini`, the project folder and the
-/// model's folder, where they exist.
+/// The photographs of a distorted model of 3D Gaussian Splatting, the nearest `images`, the image
+/// path in the model's `project.ini`, the project folder and the model's folder, where they exist.
 fn usual(root: &Path, model: &Path) -> Vec<PathBuf> {
     let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
-    around(root, model)
-        .map(|above| Some(above.join(IMAGES)))
+    let images = around(root, model).map(|above| Some(above.join(IMAGES)));
+    [input_of(model)]
+        .into_iter()
+        .chain(images)
         .chain([colmap_image_path(model)])
         .chain(bare)
         .flatten()
         .filter(|folder| folder.is_dir())
         .collect()
+}
+
+/// The folder of the photographs of a model that the scripts of 3D Gaussian Splatting have
+/// undistorted: `images` beside its own has the result.
+fn input_of(model: &Path) -> Option<PathBuf> {
+    let mut above = model.ancestors().take(DEPTH + 1);
+    let own = above.find(|folder| folder.ends_with(DISTORTED))?;
+    Some(own.parent()?.join(INPUT))
 }
 
 /// Folders of reduced copies of the images (`images_2`), the nearest first, of those the largest.

@@ -84,6 +84,13 @@ impl ImageSearch {
             .unwrap_or_else(|| name.into())
     }
 
+    /// Returns whether a name means an image.
+    pub fn finds(&self, name: &str) -> bool {
+        let located = |folder: &PathBuf| self.names.locate(folder, name);
+        self.unless_most_are_missing(name, || self.folders.iter().find_map(located))
+            .is_some()
+    }
+
     /// Returns width and height by the header of the image, or of that in a folder with the last
     /// parts of its path.
     pub fn size_of(&self, name: &str) -> Option<(u32, u32)> {

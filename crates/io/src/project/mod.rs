@@ -297,10 +297,7 @@ impl Project {
     /// Returns the dense workspace below the project, unless it lacks its images.
     pub fn undistorted_workspace(&self) -> Option<&Path> {
         let dense = self.dense_workspace.as_deref();
-        dense.filter(|dense| {
-            let images = || ImageFolder::new(dense.join("images"));
-            **dense != *self.root && images().first_image().is_some()
-        })
+        dense.filter(|dense| **dense != *self.root && discover::has_pictures(dense))
     }
 
     /// Says where the images are to be put.
@@ -352,9 +349,6 @@ impl Project {
                     .with_cure(originals.cure())
             }));
         if let Some(images) = &self.images {
-            images.resolve(&scene);
-        }
-        if let Some(images) = &self.images {
             let mut others = images::unregistered(images, &scene);
             if **images == *self.root {
                 others.retain(images::is_beside_views(&scene));
@@ -373,9 +367,7 @@ impl Project {
             return model.scene().map_err(|fault| files.locate(fault));
         }
         let (mut foreign, cloud) = foreign::read(&self.root, &self.model)?;
-        if let Some(images) = &self.images {
-            names::take_names_of_files(&mut foreign.model, images);
-        }
+        self.name_images(&mut foreign.model);
         foreign.model = complete::completed(foreign.model, &self.model, cloud)?;
         let scene = foreign.scene();
         scene.map_err(ProjectError::fault(&self.model.path))
@@ -386,10 +378,16 @@ impl Project {
         files: &'a ColmapFiles,
     ) -> Result<ColmapModel<'a>, ProjectError> {
         let mut model = files.model()?;
-        if let Some(images) = &self.images {
-            names::take_names_of_files(&mut model, images);
-        }
+        self.name_images(&mut model);
         complete::completed(model, &self.model, complete::cloud_beside(&self.model))
+    }
+
+    fn name_images(&self, model: &mut ColmapModel) {
+        let is_workspace = self.dense_workspace.is_some();
+        match &self.images {
+            Some(images) => images.name_images(model, is_workspace),
+            None => drop(names::take_names_of_files(model, None, is_workspace)),
+        }
     }
 
     /// Checks the image files of the scene; finds no faults without an image folder.

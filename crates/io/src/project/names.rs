@@ -10,8 +10,16 @@ use std::{
 
 use unicode_normalization::UnicodeNormalization;
 
-use super::image_files::{MOST_ENTRIES, is_image};
-use crate::formats::{SEPARATORS, colmap::ColmapModel, foreign::last_parts, name_parts};
+use super::{
+    image_files::{MOST_ENTRIES, is_image},
+    images::ImageSearch,
+};
+use crate::formats::{
+    SEPARATORS,
+    colmap::ColmapModel,
+    foreign::{is_of_windows, last_parts},
+    name_parts,
+};
 
 /// Names of the folder of images of which programs make reduced copies.
 const REDUCED: [&str; 3] = ["images", "image", "input"];
@@ -132,34 +140,70 @@ impl Names {
 }
 
 /// Names the images of a model made on another machine as their files are named here: with
-/// separators of Windows, or with an absolute path of which only the end still holds.
-pub(super) fn take_names_of_files(model: &mut ColmapModel, images: &Path) {
-    let names = model.images.iter();
-    let names = names.map(|image| name_here(&image.name, images));
-    let names: Vec<Option<String>> = names.collect();
+/// separators of Windows, or with an absolute path of which only the end still holds. Each name
+/// becomes a path below a folder, without `.`, `..` and empty parts, since exports put links and
+/// depth maps in its place; unless `is_workspace`: there COLMAP goes by the names of its model.
+///
+/// Returns the path of the file, if it is another, by name.
+pub(super) fn take_names_of_files(
+    model: &mut ColmapModel,
+    images: Option<&Path>,
+    is_workspace: bool,
+) -> HashMap<String, String> {
+    if let Some(images) = images {
+        let search = ImageSearch::new(vec![images.to_path_buf()]);
+        rename(model, |name| name_here(name, images, &search));
+    }
+    if is_workspace {
+        return HashMap::new();
+    }
+    rename(model, plain)
+}
+
+/// Gives images other names, unless two images would have one: they would be taken for each other.
+/// Returns the names before that, by those after.
+fn rename(
+    model: &mut ColmapModel,
+    other: impl Fn(&str) -> Option<String>,
+) -> HashMap<String, String> {
+    let others: Vec<Option<String>> = model.images.iter().map(|i| other(&i.name)).collect();
     let mut images_of: HashMap<String, usize> = HashMap::new();
-    for (image, name) in model.images.iter().zip(&names) {
-        let name = name.clone().unwrap_or_else(|| image.name.to_string());
+    for (image, other) in model.images.iter().zip(&others) {
+        let name = other.clone().unwrap_or_else(|| image.name.to_string());
         *images_of.entry(name).or_default() += 1;
     }
-    for (image, name) in model.images.iter_mut().zip(names) {
-        // Two images of one name would be taken for each other.
-        if let Some(name) = name.filter(|name| images_of[name] == 1) {
+    let mut before = HashMap::new();
+    for (image, other) in model.images.iter_mut().zip(others) {
+        if let Some(name) = other.filter(|name| *name != image.name && images_of[name] == 1) {
+            before.insert(name.clone(), image.name.to_string());
             image.name = name.into();
         }
     }
+    before
 }
 
 /// The name under which the folder of images has the file, where it isn't the image's own.
-fn name_here(name: &str, images: &Path) -> Option<String> {
+fn name_here(name: &str, images: &Path, search: &ImageSearch) -> Option<String> {
     let has_file = |name: &str| images.join(name).is_file();
     if has_file(name) {
         return None;
     }
     let is_inside = |moved: &str| name_parts(moved).is_some_and(|parts| !parts.contains(&".."));
     let separated = [name.replace('\\', "/")].into_iter();
-    let mut moved = separated.chain(last_parts(name).into_iter().skip(1));
-    moved.find(|moved| moved != name && is_inside(moved) && has_file(moved))
+    let ends = || last_parts(name).into_iter().skip(1);
+    let mut moved = separated.chain(ends());
+    moved
+        .find(|moved| moved != name && is_inside(moved) && has_file(moved))
+        .or_else(|| ends().find(|end| is_inside(end) && search.finds(end)))
+}
+
+/// A name as a path below a folder: with slashes, without a drive and the parts that lead to the
+/// same folder or above; `None` if it leads further out than to the parent of its folder.
+fn plain(name: &str) -> Option<String> {
+    let below_drive = name.get(2..).filter(|_| is_of_windows(name));
+    let parts = name_parts(below_drive.unwrap_or(name))?;
+    let parts: Vec<&str> = parts.into_iter().filter(|part| *part != "..").collect();
+    (!parts.is_empty()).then(|| parts.join("/"))
 }
 
 impl Listing {

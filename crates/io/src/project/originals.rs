@@ -21,9 +21,6 @@ pub struct Originals {
     model: PathBuf,
 }
 
-/// Where the scripts of 3D Gaussian Splatting keep the photographs, and where their model.
-const INPUT: &str = "input";
-const DISTORTED: &str = "distorted";
 /// Folders above the images that may be the project of their model.
 const ABOVE: usize = 2;
 
@@ -108,10 +105,6 @@ fn colmap_cameras(folder: &Path) -> Option<ModelLocation> {
 
 /// Returns whether a folder is that of a distorted model's images.
 fn is_folder_of(project: &Path, distorted: &ModelLocation, images: &Path) -> bool {
-    // `images` beside it is that of the undistorted model.
-    if distorted.path.starts_with(project.join(DISTORTED)) {
-        return paths::is_same(images, &project.join(INPUT));
-    }
     let names = files::first_names(distorted);
     folder::find(project, &distorted.path, None, &names)
         .is_some_and(|own| paths::is_same(&own, images))

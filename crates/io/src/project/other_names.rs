@@ -12,6 +12,7 @@ use super::{
     image_files::{MOST_ENTRIES, is_image, slashes},
     names::{Names, folded, last, stem},
 };
+use crate::formats::name_parts;
 
 /// Images of a model that are not in the folder under their names.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -22,17 +23,22 @@ pub(super) struct Others {
     pub ambiguous: BTreeMap<String, [String; 2]>,
 }
 
-/// Looks in a folder for images that are `missing` under their names. `taken`: names of the other
-/// images.
-pub(super) fn others(folder: &Path, missing: &[&str], taken: &[&str]) -> Others {
+/// Looks in a folder for images that are `missing` under their names, each with the path that the
+/// model gives. `taken`: names of the other images.
+pub(super) fn others(folder: &Path, missing: &[(&str, &str)], taken: &[&str]) -> Others {
     let names = Names::new();
     let mut found: BTreeMap<&str, String> = BTreeMap::new();
     let mut ambiguous = BTreeMap::new();
-    for name in missing {
-        found.extend(names.locate(folder, name).map(|file| (*name, file)));
+    for (name, path) in missing {
+        found.extend(names.locate(folder, path).map(|file| (*name, file)));
     }
-    let moved = missing.iter().filter(|name| !found.contains_key(*name));
-    let moved: Vec<&str> = moved.copied().collect();
+    // `./a.jpg` is there as a.jpg.
+    let is_there = |name: &str, file: &str| {
+        name_parts(file).is_some_and(|parts| parts.join("/") == name) && folder.join(name).is_file()
+    };
+    let moved = missing.iter().map(|(name, _)| *name);
+    let moved: Vec<&str> = moved.filter(|name| !found.contains_key(name)).collect();
+    found.retain(|name, file| !is_there(name, file));
     for (name, files) in in_other_folders(folder, &moved) {
         match files {
             Fitting::One(file) => drop(found.insert(name, file)),
@@ -125,7 +131,10 @@ mod tests {
     #[test]
     fn no_file_is_that_of_two_images() {
         let folder = folder_with(&["a.jpg", "b.png"]);
-        let found = |missing: &[&str], taken: &[&str]| others(folder.path(), missing, taken).found;
+        let found = |missing: &[&str], taken: &[&str]| {
+            let missing: Vec<_> = missing.iter().map(|name| (*name, *name)).collect();
+            others(folder.path(), &missing, taken).found
+        };
         assert_eq!(found(&["A.jpg"], &["a.jpg"]), BTreeMap::new());
         assert_eq!(found(&["b.jpg", "b.tif"], &[]), BTreeMap::new());
         assert_eq!(found(&["b.jpg"], &["a.jpg"]).len(), 1);
@@ -144,7 +153,7 @@ mod tests {
         let names = [
             "a.jpg", "b.jpg", "c.jpg", "x/d.jpg", "p/e.jpg", "q/e.jpg", "f.jpg",
         ];
-        let others = others(folder.path(), &names, &[]);
+        let others = others(folder.path(), &names.map(|name| (name, name)), &[]);
         let two = ["x/c.jpg", "y/c.jpg"].map(str::to_owned);
         assert_eq!(
             others.ambiguous,
