@@ -258,3 +258,19 @@ fn of_several_ply_files_the_cloud_of_most_points_is_taken() {
     };
     assert!(said.iter().any(named), "{said:?}");
 }
+
+#[test]
+fn a_cloud_in_the_project_has_the_points_of_poses_below_it() {
+    let folder = Folder::new();
+    let pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n";
+    folder
+        .colmap("sparse/0", &without_points())
+        .cloud("points.ply", &scene())
+        .write("z.ply", pointer);
+    std::fs::remove_file(folder.at("sparse/0/points3D.bin")).unwrap();
+    let read = folder.read();
+    assert_eq!(read.points.len(), scene().points.len());
+    let said: Vec<&str> = read.warnings.iter().map(|said| &*said.text).collect();
+    let is_named = |text: &&str| text.contains("z.ply (a Git LFS pointer");
+    assert!(said.iter().any(is_named), "{said:?}");
+}

@@ -12,7 +12,7 @@ use viewrank_core::model::scene::{ModelWarning, WarningKind};
 use super::{ModelFormat, ModelLocation, ProjectError, files, foreign::file_names};
 use crate::{
     formats::{Place, Problem, cloud, colmap::ColmapModel},
-    ply,
+    mistaken, ply,
 };
 
 /// Completes a model; `cloud`: the PLY file of its points, if it has none of its own.
@@ -44,21 +44,27 @@ pub(super) fn completed<'a>(
             ));
         }
         Some(path) => {
-            model.warnings.extend(other_clouds(&path));
+            model.warnings.extend(other_clouds(location, &path));
             cloud::add_cloud(&mut model, &points);
         }
     }
     Ok(model)
 }
 
-/// The PLY file of the points in the folder of a model.
+/// The PLY file of the points beside a model, else in its project.
 pub(super) fn cloud_beside(location: &ModelLocation) -> Option<PathBuf> {
-    let folder = if location.format.is_colmap() {
-        &*location.path
-    } else {
-        location.path.parent()?
-    };
-    clouds_in(folder).into_iter().next().map(|cloud| cloud.path)
+    let mut clouds = folders_of_clouds(location).flat_map(clouds_in);
+    clouds.next().map(|cloud| cloud.path)
+}
+
+/// The folder of a model, and that of the project whose `sparse` it is in.
+fn folders_of_clouds(location: &ModelLocation) -> impl Iterator<Item = &Path> {
+    let is_colmap = location.format.is_colmap();
+    let own = Some(&*location.path).filter(|_| is_colmap);
+    let mut above = own.into_iter().flat_map(|path| path.ancestors().take(2));
+    let sparse = above.find(|folder| folder.ends_with("sparse"));
+    let beside = own.or_else(|| location.path.parent());
+    beside.into_iter().chain(sparse.and_then(Path::parent))
 }
 
 /// A PLY file.
@@ -92,7 +98,10 @@ impl Cloud {
     fn in_words(&self) -> String {
         let name = self.path.file_name().unwrap_or_default().display();
         match self.counts {
-            None => format!("{name} (no PLY file)"),
+            None => {
+                let what = mistaken::of_file(&self.path).map_or("no PLY file", |file| file.what);
+                format!("{name} ({what})")
+            }
             Some([vertices, 0]) => format!("{name} ({vertices} points)"),
             Some([vertices, faces]) => {
                 format!("{name} (a mesh of {vertices} vertices and {faces} faces)")
@@ -102,23 +111,18 @@ impl Cloud {
 }
 
 /// Names the PLY file that the points are from, if others are beside it.
-fn other_clouds(path: &Path) -> Option<ModelWarning> {
-    let clouds = clouds_in(path.parent()?);
-    let words = |is_used: bool| {
-        let named = clouds
-            .iter()
-            .filter(move |cloud| (cloud.path == path) == is_used);
-        let words: Vec<String> = named.take(NAMED).map(Cloud::in_words).collect();
-        words.join(", ")
-    };
+fn other_clouds(location: &ModelLocation, path: &Path) -> Option<ModelWarning> {
+    let clouds = folders_of_clouds(location).flat_map(clouds_in);
+    let others = clouds.filter(|cloud| cloud.path != path).take(NAMED);
+    let others: Vec<String> = others.map(|cloud| cloud.in_words()).collect();
+    let used = Cloud::examined(path.into()).in_words();
     let text = format!(
-        "the points are those of {}, not of {}",
-        words(true),
-        words(false)
+        "the points are those of {used}, not of {}",
+        others.join(", ")
     );
     let cure =
         "no action needed; if another file has the points, take the others out of the folder";
-    (clouds.len() > 1).then(|| ModelWarning::new(WarningKind::Format, text).with_cure(cure))
+    (!others.is_empty()).then(|| ModelWarning::new(WarningKind::Format, text).with_cure(cure))
 }
 
 /// PLY files that a warning names.
