@@ -473,7 +473,7 @@ impl Step for PilotStep<'_> {
         let smaller = pilot::smaller(&self.inputs.scene, settings.image_scale());
         Ok(Places::new(
             self.clusters,
-            &maps,
+            maps,
             self.support,
             smaller,
             watcher,

@@ -116,7 +116,7 @@ fn main() {
         );
         let maps = maps.unwrap();
         let matched = start.elapsed();
-        let places = pilot::Places::new(&clusters, &maps, 2, 1.0, &NoWatcher).unwrap();
+        let places = pilot::Places::new(&clusters, maps, 2, 1.0, &NoWatcher).unwrap();
         let counted = start.elapsed() - matched;
         let ms = |time: std::time::Duration| 1e3 * time.as_secs_f64() / f64::from(VIEWS);
         println!("maps    {:6.1} ms per view", ms(matched));

@@ -22,7 +22,7 @@ const SAME_SURFACE: f32 = 0.03;
 const LEAST_NEIGHBOURS: usize = 3;
 
 impl PilotMap {
-    /// Returns the places that the pixels with a depth show.
+    /// Returns the places that the pixels with a confirmed depth show.
     pub(super) fn places(&self) -> impl Iterator<Item = (usize, Point3<f64>)> {
         let depths = self
             .inverse
@@ -49,16 +49,16 @@ impl PilotMap {
     }
 }
 
-/// Returns the maps with those depths that the map of a partner confirms, and that are not alone.
-/// `maps`: one per cluster, in the order of their key views.
-pub fn confirmed(clusters: &[ViewCluster], maps: &[Option<PilotMap>]) -> Vec<Option<PilotMap>> {
+/// Makes the depths negative that no map of a partner confirms, or that are alone. `maps`: one per
+/// cluster, in the order of their key views.
+pub fn confirm(clusters: &[ViewCluster], maps: &mut [Option<PilotMap>]) {
     let map_of = |view: &ViewIndex| {
         let place = clusters
             .binary_search_by_key(view, |cluster| cluster.key)
             .ok()?;
         maps[place].as_ref()
     };
-    let kept = clusters.par_iter().zip(maps).map(|(cluster, map)| {
+    let of_map = |(cluster, map): (&ViewCluster, &Option<PilotMap>)| {
         let map = map.as_ref()?;
         let others: Vec<&PilotMap> = cluster.partners.iter().filter_map(map_of).collect();
         let mut is_confirmed = vec![false; map.inverse.len()];
@@ -66,20 +66,32 @@ pub fn confirmed(clusters: &[ViewCluster], maps: &[Option<PilotMap>]) -> Vec<Opt
             is_confirmed[pixel] = others.iter().any(|other| other.agrees(&place));
         }
         Some(without_specks(map, &is_confirmed))
+    };
+    let jobs = clusters.par_iter().zip(&*maps);
+    let confirmed: Vec<Option<Vec<bool>>> = jobs.map(of_map).collect();
+    let jobs = maps.par_iter_mut().zip(confirmed);
+    jobs.for_each(|(map, is_confirmed)| {
+        let depths = map.iter_mut().flat_map(|map| &mut map.inverse);
+        for (inverse, is_confirmed) in depths.zip(is_confirmed.into_iter().flatten()) {
+            *inverse = if is_confirmed { *inverse } else { -*inverse };
+        }
     });
-    kept.collect()
 }
 
-fn without_specks(map: &PilotMap, is_confirmed: &[bool]) -> PilotMap {
-    let kept = |(pixel, &inverse): (usize, &f32)| {
-        let is_kept =
-            is_confirmed[pixel] && confirmed_beside(map, is_confirmed, pixel) >= LEAST_NEIGHBOURS;
-        if is_kept { inverse } else { 0.0 }
+/// Takes all depths for confirmed ones.
+pub fn take_all(maps: &mut [Option<PilotMap>]) {
+    maps.par_iter_mut().flatten().for_each(|map| {
+        let depths = map.inverse.iter_mut();
+        depths.for_each(|inverse| *inverse = inverse.abs());
+    });
+}
+
+/// Returns for each pixel whether it is confirmed, and not alone.
+fn without_specks(map: &PilotMap, is_confirmed: &[bool]) -> Vec<bool> {
+    let is_left = |pixel: usize| {
+        is_confirmed[pixel] && confirmed_beside(map, is_confirmed, pixel) >= LEAST_NEIGHBOURS
     };
-    PilotMap {
-        inverse: map.inverse.iter().enumerate().map(kept).collect(),
-        ..map.clone()
-    }
+    (0..is_confirmed.len()).map(is_left).collect()
 }
 
 /// Returns the number of confirmed neighbours of a pixel that are on the same surface.

@@ -35,16 +35,11 @@ use crate::{
     },
 };
 
-/// The pilot's maps of all clusters, one each: `None` without a thumbnail or sparse points.
-pub struct MatchedThumbnails {
-    pub maps: Vec<Option<PilotMap>>,
-    /// Of these, the depths that other maps confirm.
-    pub confirmed: Vec<Option<PilotMap>>,
-}
-
 /// Matches each cluster in thumbnails, and finds the depths that other maps confirm. Thumbnails that
 /// are missing are made of the pictures of the `source`, which are read for matching at this size.
 /// Nothing is matched where a map is `made` already, one for each cluster.
+///
+/// Returns the maps of all clusters, one each: `None` without a thumbnail or sparse points.
 pub fn maps(
     (scene, points): (&Scene, &ViewPoints),
     clusters: &[ViewCluster],
@@ -52,7 +47,7 @@ pub fn maps(
     thumbnails: Thumbnails,
     source: (&dyn Pictures, f64),
     watcher: &dyn Watcher,
-) -> Result<MatchedThumbnails, Cancelled> {
+) -> Result<Vec<Option<PilotMap>>, Cancelled> {
     let unmatched = clusters
         .iter()
         .zip(&made)
@@ -69,15 +64,12 @@ pub fn maps(
         let match_it = || map(scene, points, cluster, &thumbnails, scratch);
         steps.run(|| made.or_else(match_it))
     });
-    let matched: Vec<Option<PilotMap>> = matched.collect::<Result<_, Cancelled>>()?;
+    let mut maps: Vec<Option<PilotMap>> = matched.collect::<Result<_, Cancelled>>()?;
     watcher.check()?;
-    // No longer needed, and larger than the maps.
+    // No longer needed.
     drop(thumbnails);
-    let confirmed = confirm::confirmed(clusters, &matched);
-    Ok(MatchedThumbnails {
-        maps: matched,
-        confirmed,
-    })
+    confirm::confirm(clusters, &mut maps);
+    Ok(maps)
 }
 
 /// Returns the views of some clusters, ascending.
@@ -99,13 +91,14 @@ pub fn smaller(scene: &Scene, image_scale: f64) -> f64 {
     thumbnail::LONG_SIDE / (f64::from(side.unwrap_or(1)) * image_scale)
 }
 
-/// Bytes per pixel of a thumbnail, with its quads and mask, and of its map before and after it is
-/// confirmed.
-const VIEW_PIXEL: u64 = 1 + 4 + 1 + MAPS_PIXEL;
-/// Of these, the maps, which are there until all places are found.
-const MAPS_PIXEL: u64 = 4 + 4;
-/// Bytes per pixel while a view is matched: costs of the planes and their sums, and rows of floats.
-const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60;
+/// Bytes per pixel of a thumbnail, with its mask, and of its map. The thumbnails are gone when the
+/// maps are confirmed, which takes no more.
+const VIEW_PIXEL: u64 = 1 + 1 + MAP_PIXEL;
+/// Of these, the map, which is there until all places are found.
+const MAP_PIXEL: u64 = 4;
+/// Bytes per pixel while a view is matched: costs of the planes and their sums, rows of floats, and
+/// the quads of some partners.
+const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60 + 4 * 16;
 
 /// Returns the memory of the thumbnails and maps of all views, of one view that is being matched,
 /// and of the places with the tables that the ranking makes of them, bytes.
@@ -120,7 +113,7 @@ pub fn bytes(scene: &Scene) -> [u64; 3] {
     [
         VIEW_PIXEL * all,
         SWEPT_PIXEL * most,
-        MAPS_PIXEL * all + places::bytes(all as usize),
+        MAP_PIXEL * all + places::bytes(all as usize),
     ]
 }
 
@@ -296,7 +289,7 @@ mod tests {
         (scene, (0..4).map(cluster).collect())
     }
 
-    fn matched(scene: &Scene, clusters: &[ViewCluster]) -> MatchedThumbnails {
+    fn matched(scene: &Scene, clusters: &[ViewCluster]) -> Vec<Option<PilotMap>> {
         let thumbnails = Thumbnails::new(scene.views.len());
         // One is there already, as after a comparison of the pictures.
         let beside = thumbnails.beside(&Stage);
@@ -310,7 +303,7 @@ mod tests {
     fn maps_show_the_ground_and_the_wall() {
         let (scene, clusters) = scene();
         let maps = matched(&scene, &clusters);
-        for (cluster, map) in clusters.iter().zip(&maps.confirmed) {
+        for (cluster, map) in clusters.iter().zip(&maps) {
             let map = map.as_ref().unwrap();
             let (mut right, mut wrong) = (0, 0);
             for (pixel, &inverse) in map.inverse.iter().enumerate().filter(|(_, v)| **v > 0.0) {
@@ -327,7 +320,7 @@ mod tests {
                 "{right} right, {wrong} wrong"
             );
         }
-        let places = Places::new(&clusters, &maps, 2, 1.0, &NoWatcher).unwrap();
+        let places = Places::new(&clusters, maps, 2, 1.0, &NoWatcher).unwrap();
         assert!(places.centres.len() > 500);
         let near =
             |place: &&Point3<f64>| (place.z - 10.0).abs() < 0.3 || (place.z - 7.0).abs() < 0.3;
@@ -358,7 +351,8 @@ mod tests {
     fn where_a_single_map_is_enough_it_gives_places_beside_the_confirmed_ones() {
         let (scene, clusters) = scene();
         let maps = matched(&scene, &clusters);
-        let places = |support| Places::new(&clusters, &maps, support, 1.0, &NoWatcher).unwrap();
+        let places =
+            |support| Places::new(&clusters, maps.clone(), support, 1.0, &NoWatcher).unwrap();
         let (confirmed, all) = (places(2), places(1));
         let number = confirmed.centres.len();
         assert_eq!(all.centres[..number], confirmed.centres);
@@ -390,7 +384,7 @@ mod tests {
             (&NoPictures, 1.0),
             &NoWatcher,
         );
-        for (cluster, map) in clusters.iter().zip(maps.unwrap().confirmed) {
+        for (cluster, map) in clusters.iter().zip(maps.unwrap()) {
             let inverse = map.unwrap().inverse;
             let kept = inverse.iter().enumerate().filter(|(_, v)| **v > 0.0);
             let right = |(pixel, inverse): &(usize, &f32)| {
@@ -412,8 +406,8 @@ mod tests {
         scene.track_views.clear();
         scene.track_offsets = vec![0];
         let found = matched(&scene, &clusters);
-        assert_eq!(found.maps, [None, None, None, None]);
-        let places = Places::new(&clusters, &found, 1, 1.0, &NoWatcher).unwrap();
+        assert_eq!(found, [None, None, None, None]);
+        let places = Places::new(&clusters, found, 1, 1.0, &NoWatcher).unwrap();
         assert!(places.centres.is_empty());
     }
 }

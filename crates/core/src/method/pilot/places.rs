@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::{MatchedThumbnails, sweep::PilotMap, thumbnail::LONG_SIDE};
+use super::{confirm::take_all, sweep::PilotMap, thumbnail::LONG_SIDE};
 use crate::{
     base::progress::{Cancelled, Watcher},
     method::target::GSD_MARGIN,
@@ -86,7 +86,7 @@ impl Places {
     /// thumbnails over that of the matched images.
     pub fn new(
         clusters: &[ViewCluster],
-        maps: &MatchedThumbnails,
+        mut maps: Vec<Option<PilotMap>>,
         support: u32,
         smaller: f64,
         watcher: &dyn Watcher,
@@ -100,10 +100,11 @@ impl Places {
         let mut add = |maps: &[Option<PilotMap>], agreement: fn(usize) -> Option<Agreement>| {
             places.add(maps, agreement, &mut sample, smaller, watcher)
         };
-        add(&maps.confirmed, Agreement::of)?;
+        add(&maps, Agreement::of)?;
         if support == 1 {
             // Depths that are left agree by chance.
-            add(&maps.maps, |_| Some(Agreement::Single))?;
+            take_all(&mut maps);
+            add(&maps, |_| Some(Agreement::Single))?;
         }
         Ok(places)
     }
@@ -406,11 +407,7 @@ mod tests {
                 partners: Vec::new(),
             };
             let clusters: Vec<ViewCluster> = (0..maps.len() as u32).map(cluster).collect();
-            let maps = MatchedThumbnails {
-                confirmed: vec![None; maps.len()],
-                maps,
-            };
-            Places::new(&clusters, &maps, 1, 1.0, &NoWatcher).unwrap()
+            Places::new(&clusters, maps, 1, 1.0, &NoWatcher).unwrap()
         };
         let alone = places(vec![map(100, 100, 0.1)]);
         let among_many = places(vec![map(100, 100, 0.1), map(10_000, 1_000, 0.0)]);

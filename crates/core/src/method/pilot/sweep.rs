@@ -44,13 +44,15 @@ pub struct PilotMap {
     pub camera: Pinhole,
     /// Step between planes, in inverse depth.
     pub step: f64,
-    /// 1 / z, per scene unit, row by row; 0 for no depth.
+    /// 1 / z, per scene unit, row by row; 0 for no depth, negative for one that is not confirmed.
     pub inverse: Vec<f32>,
 }
 
 /// Buffers of a sweep, for one view after another.
 #[derive(Default)]
 pub struct Scratch {
+    /// By partner: the four neighbours of each pixel in one word, so that a sample is one load.
+    quads: Vec<Vec<u32>>,
     /// The key picture with its border repeated, and the warped partner likewise.
     padded: Vec<f32>,
     warped: Vec<f32>,
@@ -143,13 +145,18 @@ pub fn sweep(
         .map(|partner| Warp::new(key, partner))
         .collect();
     scratch.prepare(key, planes.count);
+    let mut quads = std::mem::take(&mut scratch.quads);
+    quads.resize_with(quads.len().max(partners.len()), Vec::new);
+    let of_partners = partners.iter().zip(&mut quads);
+    of_partners.for_each(|(partner, quads)| partner.write_quads(quads));
     for plane in 0..planes.count {
         let inverse = planes.inverse(plane as f64);
         scratch.best.iter_mut().for_each(|best| best.fill(0.0));
-        for (partner, warp) in partners.iter().zip(&warps) {
+        for ((partner, quads), warp) in partners.iter().zip(&quads).zip(&warps) {
             vectorised(Compare {
                 key,
                 partner,
+                quads,
                 warp,
                 inverse,
                 scratch,
@@ -157,6 +164,7 @@ pub fn sweep(
         }
         scratch.store(plane, planes.count, partners.len());
     }
+    scratch.quads = quads;
     scratch.aggregation.run(Volume {
         costs: &scratch.costs,
         width: key.camera.width,

@@ -97,9 +97,6 @@ pub struct Thumbnail {
     pub camera: Pinhole,
     /// Grey levels, 0 to 255, row by row.
     pub grey: Vec<u8>,
-    /// The four neighbours of each pixel in one word, so that a sample is one load: the pixel
-    /// itself, right, below and below right, lowest byte first; repeated at the border.
-    pub(super) quads: Vec<u32>,
     /// True where the view's mask allows the pixel; empty without a mask.
     pub(super) allowed: Vec<bool>,
 }
@@ -117,11 +114,25 @@ impl Thumbnail {
             allowed.extend(mask.map(|mask| mask.allows(share[0], share[1])));
         }
         Some(Self {
-            quads: quads(&levels, camera.width, camera.height),
             camera,
             grey: levels,
             allowed,
         })
+    }
+
+    /// Writes the four neighbours of each pixel in one word: the pixel itself, right, below and
+    /// below right, lowest byte first; repeated at the border.
+    pub(super) fn write_quads(&self, quads: &mut Vec<u32>) {
+        let (width, height) = (self.camera.width, self.camera.height);
+        quads.clear();
+        for y in 0..height {
+            let row = |y: usize| &self.grey[y * width..(y + 1) * width];
+            let (upper, lower) = (row(y), row((y + 1).min(height - 1)));
+            quads.extend((0..width).map(|x| {
+                let right = (x + 1).min(width - 1);
+                u32::from_le_bytes([upper[x], upper[right], lower[x], lower[right]])
+            }));
+        }
     }
 }
 
@@ -193,12 +204,4 @@ fn shown<'a>(
         let ray = Point3::from(thumbnail.ray(x, y));
         camera.project(&ray).map_or(plain, |at| [at.x, at.y])
     })
-}
-
-fn quads(grey: &[u8], width: usize, height: usize) -> Vec<u32> {
-    let at = |x: usize, y: usize| u32::from(grey[y.min(height - 1) * width + x.min(width - 1)]);
-    let quad = |x, y| at(x, y) | at(x + 1, y) << 8 | at(x, y + 1) << 16 | at(x + 1, y + 1) << 24;
-    (0..height)
-        .flat_map(|y| (0..width).map(move |x| quad(x, y)))
-        .collect()
 }

@@ -32,6 +32,8 @@ pub(super) struct Sums {
 pub(super) struct Compare<'a> {
     pub key: &'a Thumbnail,
     pub partner: &'a Thumbnail,
+    /// The partner's.
+    pub quads: &'a [u32],
     pub warp: &'a Warp,
     pub inverse: f64,
     pub scratch: &'a mut Scratch,
@@ -47,7 +49,7 @@ impl Kernel for Compare<'_> {
         warp_rows(
             self.warp,
             self.inverse,
-            self.partner,
+            (self.partner, self.quads),
             (width, height),
             scratch,
         );
@@ -60,7 +62,7 @@ impl Kernel for Compare<'_> {
 fn warp_rows(
     warp: &Warp,
     inverse: f64,
-    partner: &Thumbnail,
+    partner: (&Thumbnail, &[u32]),
     (width, height): (usize, usize),
     scratch: &mut Scratch,
 ) {
@@ -133,7 +135,7 @@ impl Row {
 
     /// Finds where the partner shows the pixels of a row, and the four levels around each.
     #[inline(always)]
-    fn find(&mut self, line: &Line, partner: &Thumbnail, inside: &mut [f32]) {
+    fn find(&mut self, line: &Line, (partner, quads): (&Thumbnail, &[u32]), inside: &mut [f32]) {
         let width = inside.len();
         let (at, right, down) = (
             &mut self.at[..width],
@@ -155,7 +157,7 @@ impl Row {
             down[x] = cv - top as f32;
         }
         for (quad, &at) in self.quad[..width].iter_mut().zip(at.iter()) {
-            *quad = partner.quads[at as usize];
+            *quad = quads[at as usize];
         }
     }
 
