@@ -15,15 +15,13 @@ use std::{
 
 use crate::{
     base::paths::sub_folders,
-    io::project::{FOLDERS_OF_PROGRAMS, MASKS},
+    io::project::{FOLDERS_OF_PROGRAMS, MASKS, WORKSPACES},
 };
 
 /// File names of a COLMAP model, without suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
 /// Folder for the outputs of a project and the daemon's own files of a root; never input.
 pub const OUTPUT_FOLDER: &str = "viewrank";
-/// Folder for the dense workspaces of a project.
-pub const DENSE: &str = "dense";
 /// Folders of a project's images.
 const IMAGES: [&str; 2] = ["images", "input"];
 /// This many projects in a folder with stray files of a model or scene are separate projects.
@@ -94,7 +92,7 @@ impl Walk<'_> {
         let may_be_one = kind == FolderKind::MayBeProject;
         let (own, others): (Vec<_>, Vec<_>) = listing
             .below()
-            .partition(|name| may_be_one && *name == DENSE);
+            .partition(|name| may_be_one && is_workspace(name));
         others
             .into_iter()
             .for_each(|name| self.enter(folder.join(name), depth + 1));
@@ -142,6 +140,11 @@ impl Discovery {
         self.folders.truncate(folders);
         self.unreadable.truncate(unreadable);
     }
+}
+
+/// True if this is the name of a project's dense workspaces.
+pub fn is_workspace(name: &OsStr) -> bool {
+    WORKSPACES.iter().any(|workspace| name == *workspace)
 }
 
 /// True if projects are searched for in folders of this name.
@@ -306,7 +309,7 @@ impl InputFolders {
     /// Lists the existing input folders. Symbolic links are followed only with `follow_links`.
     pub fn find(project: &Path, follow_links: bool) -> Self {
         let mut models = vec![project.to_path_buf()];
-        for name in FOLDERS_OF_PROGRAMS.into_iter().chain([DENSE]) {
+        for name in FOLDERS_OF_PROGRAMS.into_iter().chain(WORKSPACES) {
             let above = project.join(name);
             let sparse = above.join("sparse");
             models.extend(sub_folders(&sparse));
@@ -400,6 +403,7 @@ mod tests {
             "ns/colmap/sparse/0/cameras.bin",
             "mvs/scene.mvs",
             "mvs/dense/sparse/cameras.bin",
+            "mvs/undistorted/0/sparse/cameras.bin",
             "mvs/colmap/sparse/cameras.bin",
             "sure/ori/x.ori",
             "sure without a folder/x.ori",

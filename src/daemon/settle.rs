@@ -225,7 +225,7 @@ impl Stamp {
             let is_colmap = discover::is_model_file(name);
             let is_dense = path
                 .components()
-                .any(|part| part.as_os_str() == discover::DENSE);
+                .any(|part| discover::is_workspace(part.as_os_str()));
             // A COLMAP model is all files of one format in a folder, an OpenMVS scene one file, a
             // SURE model all other files.
             let model = match path.extension().and_then(OsStr::to_str) {
