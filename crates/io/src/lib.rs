@@ -9,6 +9,7 @@ pub mod depthmaps;
 pub mod formats;
 pub mod image;
 pub mod input;
+pub mod jpeg;
 pub mod mistaken;
 pub mod npy;
 pub mod output;

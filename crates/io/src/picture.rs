@@ -1,7 +1,7 @@
 //! Opens image files with bounds: on pixels before any is decoded, and on what a header may hold.
 
 use std::{
-    io::{BufRead, Cursor, Read, Seek},
+    io::{self, BufRead, Cursor, Read, Seek},
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
@@ -15,6 +15,8 @@ use tiff::{
     tags::{CompressionMethod, Tag},
 };
 use viewrank_core::base::pixels::{PixelBound, TooManyPixels, most_decoded_bytes};
+
+use crate::jpeg::{self, CostlyJpeg, refuse_costly};
 
 /// Limit on colour profile and other metadata, bytes: they may be deflated.
 const METADATA_BYTES: u64 = 32 << 20;
@@ -38,9 +40,17 @@ pub fn turn(bytes: &[u8]) -> Option<MutexGuard<'static, ()>> {
     is_plane.then(|| TURN.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-/// Reads the header of an image.
+/// Reads the header of an image, from its start.
 pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecoder + 'a> {
     let mut reader = ImageReader::new(file).with_guessed_format()?;
+    if reader.format() == Some(ImageFormat::Jpeg) {
+        let mut file = reader.into_inner();
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes)?;
+        jpeg::scans(&bytes).map_err(io::Error::other)?;
+        file.rewind()?;
+        reader = ImageReader::with_format(file, ImageFormat::Jpeg);
+    }
     let mut limits = Limits::default();
     limits.max_alloc = Some(METADATA_BYTES);
     reader.limits(limits);
@@ -76,9 +86,12 @@ fn refuse_tiff_of_jpegs(bytes: &[u8]) -> ImageResult<()> {
 /// Opens an image of no more pixels than the bound, to be decoded.
 pub fn open<'a, E>(bytes: &'a [u8], bound: PixelBound) -> Result<impl ImageDecoder + 'a, E>
 where
-    E: From<image::ImageError> + From<TooManyPixels>,
+    E: From<image::ImageError> + From<TooManyPixels> + From<CostlyJpeg>,
 {
     refuse_tiff_of_jpegs(bytes)?;
+    if image::guess_format(bytes).ok() == Some(ImageFormat::Jpeg) {
+        refuse_costly(bytes)?;
+    }
     let mut decoder = header(Cursor::new(bytes))?;
     let (width, height) = decoder.dimensions();
     bound.admit(width, height)?;

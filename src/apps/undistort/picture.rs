@@ -14,6 +14,7 @@ use crate::{
     base::pixels::{PixelBound, TooManyPixels},
     io::{
         image::{FilterType, resized},
+        jpeg::CostlyJpeg,
         picture,
     },
     model::camera::{Camera, CameraError},
@@ -29,6 +30,8 @@ pub enum UndistortImageError {
     Broken(#[from] image::ImageError),
     #[error(transparent)]
     Large(#[from] TooManyPixels),
+    #[error(transparent)]
+    Costly(#[from] CostlyJpeg),
     #[error("it is {}x{} pixels, its camera {}x{}", found[0], found[1], camera[0], camera[1])]
     Size { found: [u32; 2], camera: [u32; 2] },
     #[error("only .jpg, .png and .tif images can be written")]

@@ -13,6 +13,7 @@ use std::{
 
 use crate::{
     input::{self, FileKind},
+    jpeg::{CostlyJpeg, refuse_costly},
     mistaken, picture,
     project::Unread,
 };
@@ -20,7 +21,7 @@ use image::{
     ColorType, DynamicImage, ImageDecoder, ImageFormat,
     error::{ImageFormatHint, UnsupportedErrorKind},
 };
-use jpeg_decoder::{CodingProcess, PixelFormat};
+use jpeg_decoder::PixelFormat;
 use viewrank_core::{
     base::{
         error::shortened,
@@ -39,9 +40,6 @@ pub use self::resize::{FilterType, resized};
 const LEAST_PIXELS: f64 = 750_000.0;
 /// Minimum side relative to the file's.
 const LEAST_SCALE: f64 = 0.25;
-/// Limit on the scans of a JPEG, each of which may visit all its pixels in a few hundred bytes;
-/// programs write about ten.
-const MOST_SCANS: usize = 100;
 /// Averages the pixels that a larger one covers.
 const BY_AREA: FilterType = FilterType::Box;
 
@@ -69,10 +67,8 @@ pub enum ImageError {
     Other(#[from] image::ImageError),
     #[error(transparent)]
     Large(#[from] TooManyPixels),
-    #[error("a JPEG of more than {MOST_SCANS} scans")]
-    Scans,
-    #[error("a JPEG in several scans that takes too much memory: save it as a baseline JPEG")]
-    Coefficients,
+    #[error(transparent)]
+    Costly(#[from] CostlyJpeg),
     #[error("{width} x {height} pixels, the camera has {} x {}", camera[0], camera[1])]
     Shape {
         width: u32,
@@ -220,7 +216,7 @@ pub struct GreyImage {
 
 /// Decodes to grey levels, with the slower decoder if the faster one fails.
 fn jpeg_grey(bytes: &[u8], bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
-    check_scans(bytes)?;
+    refuse_costly(bytes)?;
     if let Some(stored) = stored_luma(bytes, bound) {
         return Ok(stored);
     }
@@ -267,7 +263,7 @@ fn jpeg(
     bound: PixelBound,
     wanted: &impl Fn([u32; 2]) -> [u32; 2],
 ) -> Result<Image, ImageError> {
-    check_scans(bytes)?;
+    refuse_costly(bytes)?;
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_max_decoding_buffer_size(most_decoded_bytes(bytes.len() as u64) as usize);
     decoder.read_info()?;
@@ -303,61 +299,6 @@ fn rgb(format: PixelFormat, data: Vec<u8>) -> Vec<u8> {
             .flat_map(|v| [0, 1, 2].map(|c| product(255 - v[c], 255 - v[3])))
             .collect(),
     }
-}
-
-/// Checks the number of scans, and the size of an image in several: decoders keep the coefficients
-/// of all its blocks, at any scale and for grey alone.
-fn check_scans(bytes: &[u8]) -> Result<(), ImageError> {
-    let scans = scans(bytes);
-    if scans > MOST_SCANS {
-        return Err(ImageError::Scans);
-    }
-    let mut decoder = jpeg_decoder::Decoder::new(bytes);
-    // What it cannot read the other decoder refuses, or reads in one scan.
-    let (Ok(()), Some(info)) = (decoder.read_info(), decoder.info()) else {
-        return Ok(());
-    };
-    let coefficients =
-        u64::from(info.width) * u64::from(info.height) * info.pixel_format.pixel_bytes() as u64;
-    let is_kept = info.coding_process == CodingProcess::DctProgressive || scans > 1;
-    // Of 16 bits each.
-    if is_kept && 2 * coefficients > most_decoded_bytes(bytes.len() as u64) {
-        Err(ImageError::Coefficients)
-    } else {
-        Ok(())
-    }
-}
-
-/// Counts the scans up to the end of the image. Neither segments nor what follows the image (the
-/// film of a motion photo, say) count; scan data has no marker but restarts (ITU T.81, B.1.1.5).
-fn scans(bytes: &[u8]) -> usize {
-    const RESTARTS: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
-    let (mut at, mut scans) = (2, 0);
-    while let Some(next) = bytes
-        .get(at..)
-        .and_then(|rest| rest.windows(2).position(|pair| is_marker(pair[0], pair[1])))
-    {
-        let marker = bytes[at + next + 1];
-        at += next + 2;
-        match marker {
-            0xd9 => break,
-            0x01 => {}
-            _ if RESTARTS.contains(&marker) => {}
-            _ => {
-                scans += usize::from(marker == 0xda);
-                let Some(length) = bytes.get(at..at + 2) else {
-                    break;
-                };
-                at += usize::from(u16::from_be_bytes([length[0], length[1]])).max(2);
-            }
-        }
-    }
-    scans
-}
-
-/// A stuffed byte or a fill byte is no marker.
-fn is_marker(first: u8, second: u8) -> bool {
-    first == 0xff && second != 0 && second != 0xff
 }
 
 /// Multiplies two shares in 255ths.

@@ -209,7 +209,8 @@ fn coefficients_of_a_jpeg_count_at_any_scale() {
     let is_refused = |bytes: &[u8]| {
         let grey = Image::decode_grey(bytes, PixelBound::LARGEST, |_| [60, 45]).err();
         let drawn = Image::decode(bytes, PixelBound::LARGEST, |_| [60, 45]).err();
-        [grey, drawn].map(|error| matches!(error, Some(ImageError::Coefficients)))
+        [grey, drawn]
+            .map(|error| matches!(error, Some(ImageError::Costly(CostlyJpeg::Coefficients))))
     };
     assert_eq!(is_refused(&jpeg(progressive, [18_900, 14_175])), [true; 2]);
     for (process, sides) in [(progressive, [600, 450]), (sequential, [18_900, 14_175])] {
@@ -361,9 +362,45 @@ fn a_jpeg_of_many_scans_is_refused() {
     };
     let decode = |bytes: &[u8]| Image::decode_grey(bytes, PixelBound::LARGEST, |full| full).err();
     assert!(decode(&repeated(0)).is_none());
-    assert!(matches!(decode(&repeated(200)), Some(ImageError::Scans)));
+    assert!(matches!(
+        decode(&repeated(200)),
+        Some(ImageError::Costly(CostlyJpeg::Scans))
+    ));
     let colour = Image::decode(&repeated(200), PixelBound::LARGEST, |full| full);
-    assert!(matches!(colour, Err(ImageError::Scans)));
+    assert!(matches!(colour, Err(ImageError::Costly(CostlyJpeg::Scans))));
+}
+
+#[test]
+fn a_jpeg_of_many_segments_is_refused_as_a_picture_and_as_a_mask() {
+    let plain = encoded(&ramp(64, 48), ImageFormat::Jpeg);
+    let with = |segments: &[u8]| [&plain[..2], segments, &plain[2..]].concat();
+    let refusals = |bytes: &[u8]| {
+        let picture = Image::decode(bytes, PixelBound::LARGEST, drawn_size).err();
+        let grey = Image::decode_grey(bytes, PixelBound::LARGEST, |full| full).err();
+        let mask = mask(bytes, PixelBound::LARGEST).err();
+        let is_refused = |error| matches!(error, Some(ImageError::Costly(CostlyJpeg::Segments)));
+        let has_no_size = picture::size(Cursor::new(bytes)).is_none();
+        [
+            is_refused(picture),
+            is_refused(grey),
+            is_refused(mask),
+            has_no_size,
+        ]
+    };
+    let application = b"\xff\xe5\0\x02";
+    assert_eq!(refusals(&with(&application.repeat(4000))), [false; 4]);
+    let many = application.repeat(5000);
+    // A restart, which has a length to some decoders, and would hide what follows it from others.
+    let restart = b"\xff\xd0\0\x06\xff\xe5\xff\xff";
+    // Tables of no code.
+    let tables = [&b"\xff\xc4\xff\xff"[..], &[0; 65_533]].concat();
+    for segments in [
+        many.clone(),
+        [&restart[..], &many].concat(),
+        tables.repeat(2),
+    ] {
+        assert_eq!(refusals(&with(&segments)), [true; 4]);
+    }
 }
 
 #[test]
