@@ -11,9 +11,10 @@ use crate::base::{
     printable::printable,
 };
 
-/// Most rows of a table, and most maps of all rows together: what is beyond needs a gigabyte.
-const MOST_ROWS: usize = 1 << 22;
-const MOST_ENTRIES: usize = 1 << 26;
+/// Most rows of a table, and most maps of all rows together: several times those of a table of a
+/// thousand maps.
+const MOST_ROWS: usize = 1 << 21;
+const MOST_ENTRIES: usize = 1 << 25;
 
 /// Which maps take part in which cells.
 ///
@@ -24,11 +25,60 @@ const MOST_ENTRIES: usize = 1 << 26;
 pub struct Incidence {
     /// Names of the key views of the maps.
     names: Vec<String>,
-    rows: Vec<Row>,
+    /// For each row, the maps that take part, ascending.
+    maps_of: Lists,
+    /// For each row, the number of cells, and of those that are sure.
+    cells: Vec<[u32; 2]>,
     /// Maps that must take part in a cell: the fusion keeps no point of fewer (m, method 5.2).
     support: u32,
     /// For each map, the rows in which it takes part, ascending.
-    rows_of: Vec<Vec<u32>>,
+    rows_of: Lists,
+}
+
+/// Lists of numbers in two arrays.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Lists {
+    numbers: Vec<u32>,
+    /// Where each list ends.
+    ends: Vec<usize>,
+}
+
+impl Lists {
+    fn of(&self, list: u32) -> &[u32] {
+        let list = list as usize;
+        let start = list.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.numbers[start..self.ends[list]]
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &[u32]> {
+        (0..self.ends.len() as u32).map(|list| self.of(list))
+    }
+
+    /// Returns for each number below `count` the lists that have it, ascending.
+    fn turned(&self, count: usize) -> Self {
+        let mut next = vec![0_usize; count];
+        for &number in &self.numbers {
+            next[number as usize] += 1;
+        }
+        let ends = next.iter_mut().scan(0, |sum, count| {
+            let start = *sum;
+            *sum += std::mem::replace(count, start);
+            Some(*sum)
+        });
+        let ends = ends.collect();
+        let mut lists = vec![0; self.numbers.len()];
+        for (list, numbers) in (0..).zip(self.iter()) {
+            for &number in numbers {
+                let place = &mut next[number as usize];
+                lists[*place] = list;
+                *place += 1;
+            }
+        }
+        Self {
+            numbers: lists,
+            ends,
+        }
+    }
 }
 
 /// Cells in which the same maps take part.
@@ -54,11 +104,11 @@ pub enum CountedCells {
 impl CountedCells {
     pub const BOTH: [Self; 2] = [Self::All, Self::Agreeing];
 
-    pub fn of(self, row: &Row) -> f64 {
-        f64::from(match self {
-            Self::All => row.cells,
-            Self::Agreeing => row.agreeing,
-        })
+    fn of(self, [cells, agreeing]: [u32; 2]) -> u32 {
+        match self {
+            Self::All => cells,
+            Self::Agreeing => agreeing,
+        }
     }
 }
 
@@ -94,17 +144,22 @@ impl Hint for IncidenceError {
 
 impl Incidence {
     pub fn new(names: Vec<String>, rows: Vec<Row>, support: u32) -> Self {
-        let mut rows_of = vec![Vec::new(); names.len()];
-        for (number, row) in (0..).zip(&rows) {
-            row.maps
-                .iter()
-                .for_each(|&map| rows_of[map as usize].push(number));
+        let cells = rows.iter().map(|row| [row.cells, row.agreeing]).collect();
+        let mut maps_of = Lists::default();
+        for row in rows {
+            maps_of.numbers.extend(row.maps);
+            maps_of.ends.push(maps_of.numbers.len());
         }
+        Self::of_lists(names, maps_of, cells, support)
+    }
+
+    fn of_lists(names: Vec<String>, maps_of: Lists, cells: Vec<[u32; 2]>, support: u32) -> Self {
         Self {
+            rows_of: maps_of.turned(names.len()),
             names,
-            rows,
+            maps_of,
+            cells,
             support,
-            rows_of,
         }
     }
 
@@ -116,18 +171,31 @@ impl Incidence {
         &self.names
     }
 
-    pub(super) fn rows(&self) -> &[Row] {
-        &self.rows
+    /// Number of rows.
+    pub(super) fn rows(&self) -> u32 {
+        self.cells.len() as u32
+    }
+
+    /// Returns the maps that take part in the cells of a row, ascending.
+    pub(super) fn maps_of(&self, row: u32) -> &[u32] {
+        self.maps_of.of(row)
+    }
+
+    /// Returns the number of cells of a row that count.
+    pub(super) fn cells(&self, row: u32, counted: CountedCells) -> u32 {
+        counted.of(self.cells[row as usize])
     }
 
     /// Returns the rows in which a map takes part.
     pub(super) fn rows_of(&self, map: u32) -> &[u32] {
-        &self.rows_of[map as usize]
+        self.rows_of.of(map)
     }
 
     /// Number of cells that count.
     pub fn total(&self, counted: CountedCells) -> f64 {
-        self.rows.iter().map(|row| counted.of(row)).sum()
+        (0..self.rows())
+            .map(|row| f64::from(self.cells(row, counted)))
+            .sum()
     }
 
     /// Returns the maps that take part anywhere; a program may have rejected all of a map.
@@ -140,13 +208,13 @@ impl Incidence {
     /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...
     pub fn curve(&self, order: &[u32], counted: CountedCells) -> Vec<f64> {
         let total = self.total(counted).max(1.0);
-        let (mut covered, mut taken) = (0.0, vec![0u32; self.rows.len()]);
+        let (mut covered, mut taken) = (0.0, vec![0u32; self.cells.len()]);
         let mut curve = vec![0.0];
         for &map in order {
             for &row in self.rows_of(map) {
                 taken[row as usize] += 1;
                 if taken[row as usize] == self.support {
-                    covered += counted.of(&self.rows[row as usize]);
+                    covered += f64::from(self.cells(row, counted));
                 }
             }
             curve.push(covered / total);
@@ -158,13 +226,15 @@ impl Incidence {
     pub fn covered(&self, maps: &[u32], counted: CountedCells) -> f64 {
         let mut is_chosen = vec![false; self.names.len()];
         maps.iter().for_each(|&map| is_chosen[map as usize] = true);
-        let is_covered = |row: &&Row| {
+        let is_covered = |&row: &u32| {
             // Most rows have many maps, of which the first few are enough.
-            let chosen = row.maps.iter().filter(|&&map| is_chosen[map as usize]);
+            let maps = self.maps_of(row).iter();
+            let chosen = maps.filter(|&&map| is_chosen[map as usize]);
             chosen.take(self.support as usize).count() == self.support as usize
         };
-        let covered = self.rows.iter().filter(is_covered);
-        covered.map(|row| counted.of(row)).sum::<f64>() / self.total(counted).max(1.0)
+        let covered = (0..self.rows()).filter(is_covered);
+        let cells = covered.map(|row| f64::from(self.cells(row, counted)));
+        cells.sum::<f64>() / self.total(counted).max(1.0)
     }
 
     /// Reads a table. `support`: maps that fusion wants. `views`: number of views of the scene, which
@@ -194,67 +264,65 @@ impl Incidence {
         if names.iter().collect::<HashSet<_>>().len() < names.len() {
             return Err((1, "a map twice"));
         }
-        let (mut rows, mut left) = (Vec::new(), MOST_ENTRIES);
+        let (mut maps_of, mut all_cells, mut sum) = (Lists::default(), Vec::new(), 0_u32);
         for (line, text) in (2..).zip(lines) {
-            let row = row(text, names.len(), left).map_err(|what| (line, what))?;
-            left -= row.maps.len();
-            if rows.len() == MOST_ROWS {
-                return Err((line, "too many rows"));
+            let fault = |what| (line, what);
+            if all_cells.len() == MOST_ROWS {
+                return Err(fault("too many rows"));
             }
-            rows.push(row);
+            let cells = read_row(text, names.len(), &mut maps_of.numbers).map_err(fault)?;
+            sum = sum.checked_add(cells[0]).ok_or((line, "too many cells"))?;
+            maps_of.ends.push(maps_of.numbers.len());
+            all_cells.push(cells);
         }
-        Ok(Self::new(names, rows, support))
+        Ok(Self::of_lists(names, maps_of, all_cells, support))
     }
 
     /// Returns the table as text.
     pub fn text(&self) -> String {
         let names: Vec<String> = self.names.iter().map(|name| escaped(name)).collect();
         let mut text = names.join("\t") + "\n";
-        for row in &self.rows {
+        for (maps, [cells, agreeing]) in self.maps_of.iter().zip(&self.cells) {
             let mut digits = vec![0u8; self.names.len().div_ceil(4).max(1)];
-            for &map in &row.maps {
+            for &map in maps {
                 digits[map as usize / 4] |= 1 << (map % 4);
             }
             let digits = digits.iter().rev().skip_while(|digit| **digit == 0);
             let hex: String = digits.map(|digit| format!("{digit:x}")).collect();
             let hex = if hex.is_empty() { "0" } else { &hex };
-            text += &format!("{}\t{}\t{hex}\n", row.cells, row.agreeing);
+            text += &format!("{cells}\t{agreeing}\t{hex}\n");
         }
         text
     }
 }
 
-/// Reads a row. `maps`: number of all maps; `most`: most that may take part.
-fn row(text: &str, maps: usize, most: usize) -> Result<Row, &'static str> {
+/// Reads a row: appends its maps to `taking_part`, and returns its numbers of cells. `maps`: number
+/// of all maps.
+fn read_row(text: &str, maps: usize, taking_part: &mut Vec<u32>) -> Result<[u32; 2], &'static str> {
     let mut words = text.split('\t');
     let mut count = || words.next().and_then(|word| word.parse().ok());
     let (Some(cells), Some(agreeing)) = (count(), count()) else {
         return Err("two numbers of cells are expected");
     };
-    let mut of_row = Vec::new();
     let hex = words.next().ok_or("the maps are missing")?;
     if hex.len() > maps.div_ceil(4).max(1) {
         return Err("more maps than names");
     }
-    for (place, digit) in hex.chars().rev().enumerate() {
-        let digit = digit
+    let start = taking_part.len();
+    for (place, digit) in (0..).zip(hex.bytes().rev()) {
+        let mut digit = char::from(digit)
             .to_digit(16)
             .ok_or("the maps are not a hexadecimal number")?;
-        of_row.extend(
-            (0..4)
-                .filter(|bit| digit >> bit & 1 == 1)
-                .map(|bit| 4 * place + bit),
-        );
+        while digit > 0 {
+            taking_part.push(4 * place + digit.trailing_zeros());
+            digit &= digit - 1;
+        }
     }
-    match of_row.last() {
-        Some(&last) if last >= maps => Err("more maps than names"),
-        _ if of_row.len() > most => Err("too many maps in all rows"),
+    match taking_part[start..].last() {
+        Some(&last) if last as usize >= maps => Err("more maps than names"),
+        _ if taking_part.len() > MOST_ENTRIES => Err("too many maps in all rows"),
         _ if agreeing > cells => Err("more sure cells than cells"),
-        _ => Ok(Row {
-            maps: of_row.into_iter().map(|map| map as u32).collect(),
-            cells,
-            agreeing,
-        }),
+        _ => Ok([cells, agreeing]),
     }
 }
 
@@ -329,6 +397,7 @@ mod tests {
             ("a\n1\t0\tg", 2),
             ("a\n1\t0\t2", 2),
             ("a\n1\t2\t1", 2),
+            ("a\n4000000000\t0\t1\n4000000000\t0\t1", 3),
         ] {
             assert_eq!(
                 Incidence::parse(damaged, 2, 6).unwrap_err().0,

@@ -1,10 +1,11 @@
 //! Orders of the maps, judged by the cells that their first maps cover.
 
-use rayon::prelude::*;
+use std::collections::HashMap;
+
 use serde::Serialize;
 
 use super::{
-    CellSource,
+    CellSource, every_nth,
     incidence::{CountedCells, Incidence},
     oracle,
 };
@@ -68,14 +69,14 @@ impl CellsEvaluation {
         clusters: &[(&'static str, Vec<&ViewCluster>)],
     ) -> Self {
         let usable = table.usable();
-        let named = clusters.iter().map(|(name, clusters)| {
-            let map = |cluster: &&ViewCluster| {
-                let name = scene.name(cluster.key);
-                let map = table.names().iter().position(|own| own == name)? as u32;
-                usable.contains(&map).then_some(map)
-            };
-            (*name, clusters.iter().filter_map(map).collect::<Vec<u32>>())
-        });
+        let named = usable
+            .iter()
+            .map(|&map| (&*table.names()[map as usize], map));
+        let of_name: HashMap<&str, u32> = named.collect();
+        let map = |cluster: &&ViewCluster| of_name.get(scene.name(cluster.key)).copied();
+        let named = clusters
+            .iter()
+            .map(|(name, clusters)| (*name, clusters.iter().filter_map(map).collect::<Vec<u32>>()));
         let named: Vec<_> = named.collect();
         let orders = |counted| CellOrders::new(table, counted, &named);
         Self {
@@ -103,7 +104,9 @@ impl CellOrders {
             .map(|seed| orders::random(usable.len(), seed))
             .map(|order| of(&order.iter().map(|&i| usable[i as usize]).collect()))
             .collect();
-        let spread = OFFSETS.map(|offset| every_nth(table, counted, &usable, offset));
+        let mut by_name = usable.clone();
+        by_name.sort_by_key(|&map| &table.names()[map as usize]);
+        let spread = OFFSETS.map(|offset| every_nth::shares(table, counted, &by_name, offset));
         let best = oracle::orders(table, counted);
         let mut curves: Vec<(&str, Vec<f64>)> = named
             .iter()
@@ -167,21 +170,6 @@ pub(super) fn at(tenth: f64, maps: usize) -> usize {
 /// Smallest number of first maps that cover a share.
 fn least(curve: &[f64], share: f64) -> Option<usize> {
     curve.iter().position(|&covered| covered >= share - 1e-9)
-}
-
-/// Returns the shares of choices of 0, 1, ... maps, evenly spread over their names; they are not
-/// nested, so that a larger one may cover less.
-fn every_nth(table: &Incidence, counted: CountedCells, usable: &[u32], offset: f64) -> Vec<f64> {
-    let mut by_name = usable.to_vec();
-    by_name.sort_by_key(|&map| &table.names()[map as usize]);
-    let choice = |number: usize| -> Vec<u32> {
-        let step = by_name.len() as f64 / number as f64;
-        (0..number)
-            .map(|i| by_name[((i as f64 + offset) * step) as usize])
-            .collect()
-    };
-    let covered = |number| table.covered(&choice(number), counted);
-    (0..=by_name.len()).into_par_iter().map(covered).collect()
 }
 
 fn mean(curves: &[Vec<f64>]) -> Vec<f64> {

@@ -7,6 +7,7 @@
 
 mod agreement;
 mod cloud_cells;
+mod every_nth;
 mod frustum;
 mod fused;
 mod gsd;

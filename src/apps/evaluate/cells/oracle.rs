@@ -12,6 +12,8 @@ const CREDITS: [u64; 2] = [WHOLE / 5, WHOLE / 3];
 
 /// Bound on the exchanges of single maps: their number times the entries of the table.
 const MOST_STEPS: usize = 1_000_000_000;
+/// Bound on the rows that they change.
+const MOST_ROWS: usize = 8_000_000;
 
 /// Returns greedy orders by the real cells, one for each credit.
 pub fn orders(table: &Incidence, counted: CountedCells) -> Vec<Vec<u32>> {
@@ -60,7 +62,9 @@ fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> 
     let mut choice = Choice::new(table, counted, |taken| u64::from(taken + 1 == support));
     chosen.iter().for_each(|&map| choice.set(map, true));
     let (mut place, mut unchanged) = (0, 0);
-    let mut left = MOST_STEPS / entries.max(1);
+    // A map is taken away and another added.
+    let rows = 2 * entries / usable.len().max(1);
+    let mut left = (MOST_STEPS / entries.max(1)).min(MOST_ROWS / rows.max(1));
     while unchanged < chosen.len() && left > 0 {
         left -= 1;
         let out = chosen[place];
@@ -92,11 +96,11 @@ struct Choice<'a, F> {
 impl<'a, F: Fn(u32) -> u64> Choice<'a, F> {
     /// Starts without any map.
     fn new(table: &'a Incidence, counted: CountedCells, added: F) -> Self {
-        let of_row = |&row: &u32| added(0) * counted.of(&table.rows()[row as usize]) as u64;
+        let of_row = |&row: &u32| added(0) * u64::from(table.cells(row, counted));
         let gain = |map: u32| table.rows_of(map).iter().map(of_row).sum();
         Self {
             has: vec![false; table.names().len()],
-            taken: vec![0; table.rows().len()],
+            taken: vec![0; table.rows() as usize],
             gains: (0..table.names().len() as u32).map(gain).collect(),
             table,
             counted,
@@ -107,16 +111,15 @@ impl<'a, F: Fn(u32) -> u64> Choice<'a, F> {
     /// Adds a map, or takes it away.
     fn set(&mut self, map: u32, is_chosen: bool) {
         self.has[map as usize] = is_chosen;
-        for &number in self.table.rows_of(map) {
-            let row = &self.table.rows()[number as usize];
-            let taken = &mut self.taken[number as usize];
+        for &row in self.table.rows_of(map) {
+            let taken = &mut self.taken[row as usize];
             let before = (self.added)(*taken);
             *taken = if is_chosen { *taken + 1 } else { *taken - 1 };
             let now = (self.added)(*taken);
             if now != before {
-                let cells = self.counted.of(row) as u64;
+                let cells = u64::from(self.table.cells(row, self.counted));
                 let gains = &mut self.gains;
-                row.maps.iter().for_each(|&map| {
+                self.table.maps_of(row).iter().for_each(|&map| {
                     let gain = &mut gains[map as usize];
                     *gain = *gain + now * cells - before * cells;
                 });
