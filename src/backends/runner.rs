@@ -50,6 +50,8 @@ pub struct TaskRunner {
     pub program: &'static str,
     /// Environment variable that overrides the path, and is set for the commands.
     pub variable: &'static str,
+    /// Its commands need a Python, which the variable `PYTHON` may name.
+    pub takes_python: bool,
     /// Makes ready what a task needs, and returns its commands, each run if the one before
     /// succeeds; they depend on no current folder, and may run side by side with those of other
     /// depth maps. An error is a reason in words.

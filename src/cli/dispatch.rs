@@ -271,7 +271,8 @@ impl Arguments {
     /// start now find it in `progress.json`.
     fn target_reached(&self, root: &Path, dispatch: &Dispatch) -> Result<bool, Failure> {
         if self.dry_run {
-            return Ok(follow::target_reached(root));
+            return Ok(follow::reached(root)
+                .is_some_and(|progress| dispatch.has_maps_of(&progress.finished)));
         }
         let progress = ProgressDisplay::new(self.format == Format::Json);
         // Maps of another model, plan or program don't belong to these tasks.
@@ -353,7 +354,7 @@ fn by_hand(job: &Job) -> [String; 2] {
     let last = dispatch.tasks.last().map_or(0, |task| task.rank);
     let jobs = job.settings.at_once.unwrap_or(2);
     let viewrank = dispatch.command(Path::new("."), &job.tools, job.settings.cpus);
-    let start = format!("cd {folder} && {}", Dispatch::environment(&job.tools));
+    let start = format!("cd {folder} && {}", job.dispatch.environment(&job.tools));
     [
         format!(
             "  one by one       {start}{{ for rank in $(seq {last}); do {viewrank} --rank $rank; done; {viewrank} --fuse; }}"

@@ -182,10 +182,10 @@ pub fn progress_file(root: &Path) -> PathBuf {
     root.join(PROGRESS_FILE)
 }
 
-/// True if the target was reached at the last measurement.
-pub fn target_reached(root: &Path) -> bool {
-    let progress = || Progress::read(root).is_some_and(|progress| progress.target_reached);
-    !is_of_earlier_plan(root) && progress()
+/// Returns the last measurement if the target was reached.
+pub fn reached(root: &Path) -> Option<Progress> {
+    let progress = Progress::read(root).filter(|progress| progress.target_reached)?;
+    (!is_of_earlier_plan(root)).then_some(progress)
 }
 
 /// Returns whether the project was planned again after its depth maps were last measured.

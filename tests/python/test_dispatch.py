@@ -28,7 +28,6 @@ DAEMONS = [f"{folder}/{name}" for name in ("slurmctld", "slurmd") for folder in 
 RANKS = 4
 MAX_INDEX = 2  # of an array, so that the ranks need two
 
-REACHED = '{"backend": "sgm", "target_reached": true}'
 
 # Stands before sgm.py: notes each start, and waits while a file says so.
 FRONT = """
@@ -98,6 +97,11 @@ class Work:
     def keys(self, count):
         return sorted(line.split("\t")[0] + ".npy" for line in (self.project / "viewrank/sgm/clusters.txt").read_text().splitlines()[:count])
 
+    def reach(self, count):
+        """Says that the target is reached with the depth maps of the first key views, there or not."""
+        finished = [key.removesuffix(".npy") for key in self.keys(count)]
+        (self.project / "viewrank/progress.json").write_text(json.dumps({"target_reached": True, "finished": finished}))
+
     def reported(self):
         return sorted(row["key"] + ".npy" for row in json.loads((self.project / "sgm/report.json").read_text())["clusters"])
 
@@ -139,12 +143,20 @@ def test_a_killed_task_is_done_again_and_a_reached_target_ends(work):
     os.killpg(os.getsid(work.process(1)), signal.SIGKILL)
     running.join()
     work.release(1)
-    (work.project / "viewrank/progress.json").write_text(REACHED)
-    work.compute(1)
-    assert work.ranks() == [1]
-    (work.project / "viewrank/progress.json").unlink()
     work.compute(1)
     assert work.ranks() == [1, 1] and work.maps() == work.keys(1)
+    work.reach(1)
+    assert "the target is reached" in work.task("--rank", 2).stderr
+    assert work.ranks() == [1, 1]
+
+
+@pytest.mark.parametrize("counted", [0, 2])
+def test_a_target_reached_with_maps_that_are_not_there_ends_nothing(work, counted):
+    work.dispatch("shell")
+    work.compute(1)
+    work.reach(counted)
+    assert "progress.json says that the target is reached, but" in work.task("--rank", 2).stderr
+    assert work.ranks() == [1, 2]
 
 
 def test_two_processes_compute_a_key_view_once(work):
@@ -472,7 +484,7 @@ def test_slurm_tasks_see_the_target_themselves(work, slurm):
     work.hold(2)
     work.dispatch("slurm", "--at-once", "1")
     work.process(2)
-    (work.project / "viewrank/progress.json").write_text(REACHED)
+    work.reach(1)
     work.release(2)
     slurm.drained()
     assert work.ranks() == [1, 2] and work.maps() == work.keys(2) == work.reported()

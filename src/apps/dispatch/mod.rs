@@ -236,8 +236,8 @@ impl Dispatch {
 
     /// Returns what stands before a [`command`](Self::command) in sh, for the variables that the
     /// programs need; empty without any.
-    pub fn environment(tools: &Tools) -> String {
-        if !tools.python.is_absolute() {
+    pub fn environment(&self, tools: &Tools) -> String {
+        if !self.runner.takes_python || !tools.python.is_absolute() {
             return String::new();
         }
         let python = sh_word(&tools.python.display().to_string());
@@ -310,6 +310,17 @@ impl Dispatch {
     /// Returns the depth maps of the finished tasks.
     pub fn finished_maps(&self) -> impl Iterator<Item = &Path> {
         self.finished_tasks().map(|task| &*task.map)
+    }
+
+    /// Returns whether the depth maps of these key views are there, at least one: who says so may be
+    /// a stranger. Those beyond the tasks are not looked for.
+    pub fn has_maps_of(&self, keys: &[String]) -> bool {
+        let keys: BTreeSet<&str> = keys.iter().map(String::as_str).collect();
+        let counted = self.tasks.iter().filter(|task| keys.contains(&*task.key));
+        let mut are_there = counted
+            .map(|task| (self.runner.is_whole)(&task.map))
+            .peekable();
+        are_there.peek().is_some() && are_there.all(|is_there| is_there)
     }
 
     /// Refuses a project in which something other than files would be read, or written through

@@ -342,7 +342,7 @@ impl<'a> Request<'a> {
             "" => String::new(),
             lines => format!("{lines}\n"),
         };
-        let environment = Dispatch::environment(tools);
+        let environment = dispatch.environment(tools);
         let command = dispatch.command(&dispatch.project, tools, settings.cpus);
         let task = match step {
             Step::Array(array) => format!("--rank $(({} + SLURM_ARRAY_TASK_ID))", array.offset),

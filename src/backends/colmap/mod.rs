@@ -109,6 +109,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     Some(TaskRunner {
         program: "colmap",
         variable: "COLMAP",
+        takes_python: false,
         commands,
         is_whole: is_not_empty,
         finish: finishes_itself,

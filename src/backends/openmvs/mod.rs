@@ -127,6 +127,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     Some(TaskRunner {
         program: "DensifyPointCloud",
         variable: "DENSIFY",
+        takes_python: false,
         commands: run::commands,
         is_whole: WholeMap::is_there,
         finish: run::finish,

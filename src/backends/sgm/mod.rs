@@ -108,6 +108,7 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
     Some(TaskRunner {
         program: "sgm.py",
         variable: "SGM",
+        takes_python: true,
         commands,
         is_whole: is_not_empty,
         finish: finishes_itself,

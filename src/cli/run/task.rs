@@ -31,10 +31,10 @@ pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result
             note(text);
         }
     };
-    if matches!(product, Product::Map(_)) && ends_at_target(root, say) {
+    dispatch.refuse_strangers()?;
+    if matches!(product, Product::Map(_)) && ends_at_target(root, &dispatch, say) {
         return Ok(());
     }
-    dispatch.refuse_strangers()?;
     dispatch.refuse_other_export(&export)?;
     let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
     let runner = Runner {
@@ -52,7 +52,7 @@ pub fn run(arguments: &Arguments, product: Product, stop: &AtomicBool) -> Result
             let what = format!("rank {rank}: {}", task.key);
             say(&what);
             report(dispatch.compute(task, &runner)?, &what, say)?;
-            ends_at_target(root, say);
+            ends_at_target(root, &dispatch, say);
         }
         Product::Cloud => {
             let done = dispatch.finished_maps().count();
@@ -95,13 +95,20 @@ fn no_task(rank: usize, cut: usize, say: impl Fn(&str)) -> Result<(), Failure> {
 
 /// Returns whether the finished depth maps reach the target; the tasks that wait behind this one are
 /// not needed then.
-fn ends_at_target(root: &Path, say: impl Fn(&str)) -> bool {
-    let reached = follow::target_reached(root);
-    if reached {
-        say("the target is reached");
-        if let Err(error) = slurm::cancel_rest_of_array() {
-            warn(&error.to_string());
-        }
+fn ends_at_target(root: &Path, dispatch: &Dispatch, say: impl Fn(&str)) -> bool {
+    let Some(progress) = follow::reached(root) else {
+        return false;
+    };
+    if !dispatch.has_maps_of(&progress.finished) {
+        warn(&format!(
+            "{} says that the target is reached, but not all depth maps that it counts are there: it is ignored",
+            follow::progress_file(root).display()
+        ));
+        return false;
     }
-    reached
+    say("the target is reached");
+    if let Err(error) = slurm::cancel_rest_of_array() {
+        warn(&error.to_string());
+    }
+    true
 }
