@@ -42,8 +42,7 @@ struct File {
 #[derive(Deserialize)]
 struct Row {
     key: String,
-    /// Absent in reports of earlier exports for OpenMVS, whose depth maps hold the ids.
-    partners: Option<Vec<Partner>>,
+    partners: Vec<Partner>,
 }
 
 #[derive(Deserialize)]
@@ -104,9 +103,9 @@ fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, MatcherReportError>
         what: error.to_string(),
     })?;
     let entry = |row: &Row| {
-        let all = row.partners.as_ref()?;
         let partners = |wanted: fn(&&Partner) -> bool| {
-            all.iter()
+            row.partners
+                .iter()
                 .filter(wanted)
                 .filter_map(|p| scene.find(&p.name))
                 .collect()
@@ -216,8 +215,7 @@ mod tests {
             really_matched(&cluster, &Report::new(), &[], &scene).partners,
             [b, c]
         );
-        let row = r#"{"clusters": [{"key": "grid_028.jpg", "partners": [{"name": "grid_029.jpg", "matched": true}]},
-            {"key": "grid_029.jpg", "partner_ids": [1, 2]}]}"#;
+        let row = r#"{"clusters": [{"key": "grid_028.jpg", "partners": [{"name": "grid_029.jpg", "matched": true}]}]}"#;
         std::fs::create_dir(folder.path().join("rows")).unwrap();
         std::fs::write(folder.path().join("rows/grid_028.jpg.json"), row).unwrap();
         let newer = read_report(folder.path(), &scene).unwrap();
