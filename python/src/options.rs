@@ -63,7 +63,7 @@ pub fn load(root: &Path, typed: CommandLineSettings) -> Result<Settings, Failure
         project: Some(root.join("viewrank.toml")),
     };
     let metres = |settings: &Settings| {
-        metres_per_unit(&Project::open_or_planned(root, None).ok()?, settings)
+        metres_per_unit(&Project::open_or_planned(root, None).ok()?, settings).ok()?
     };
     let lookup = backends::canonical_name;
     Ok(Configuration::load_for(&files, typed, lookup, &metres)?.settings)

@@ -1,13 +1,16 @@
 //! `viewrank config`: prints the settings in force as a valid `viewrank.toml`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    cell::Cell,
+    path::{Path, PathBuf},
+};
 
 use crate::backends;
 use crate::{
     base::{paths::is_outside, printable::printable},
     config::{
-        CommandLineSettings, ConfigError, Configuration, Files, Key, Settings, Source, keys,
-        user_file,
+        CommandLineSettings, ConfigError, Configuration, Files, Key, Settings, Source,
+        TypedSetting, keys, user_file,
     },
     io::project::{Project, ProjectError},
     model::scene::Units,
@@ -17,7 +20,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::{
-    COLUMNS, Failure, Format, print_json,
+    COLUMNS, Exit, Failure, Format, print_json,
     terminal::{print_data, toml_escaped},
 };
 
@@ -79,11 +82,18 @@ fn load_in(
         root: None,
         project: folder.map(|folder| folder.join("viewrank.toml")),
     };
-    let metres = |settings: &Settings| metres_per_unit(project?, settings);
+    let unread = Cell::new(None);
+    let metres = |settings: &Settings| {
+        let read = metres_per_unit(project?, settings);
+        read.unwrap_or_else(|error| {
+            unread.set(Some(error));
+            None
+        })
+    };
     let loaded = Configuration::load_for(&files, typed, backends::canonical_name, &metres);
     // Without the model its unit is unknown, and that is the fault to name.
-    if let (Err(ConfigError::NotMetric { .. }), Some(project)) = (&loaded, project) {
-        project.read_scene()?;
+    if let (Err(ConfigError::NotMetric { .. }), Some(error)) = (&loaded, unread.take()) {
+        return Err(error.into());
     }
     // A stranger's project may say that it is a plan of another folder.
     let is_hidden = |path: &PathBuf| {
@@ -91,6 +101,19 @@ fn load_in(
         is_projects && project.is_some_and(|project| is_outside(path, &project.named))
     };
     Ok(loaded.map_err(|error| error.without_words_of(is_hidden))?)
+}
+
+/// Refuses options of the last plan, which may be a stranger's, that name files outside of the
+/// project: another plan would be made without them.
+pub fn refuse_outside(followed: &[&TypedSetting], project: &Path) -> Result<(), Failure> {
+    match followed.iter().find(|option| option.leads_out(project)) {
+        Some(option) => Err(Failure::new(
+            Exit::Usage,
+            format!("{option} of the last plan leads out of the project, so it is not followed"),
+            "type it again, or copy it into the project and plan with that".to_owned(),
+        )),
+        None => Ok(()),
+    }
 }
 
 fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {

@@ -7,7 +7,7 @@ use crate::{
     backends::Backend,
     config::CommandLineSettings,
     io::project::Project,
-    show::manifest::planned_region,
+    show::manifest::planned_options,
 };
 use clap::Args;
 
@@ -65,7 +65,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     typed.set("--gsd", "target.gsd", arguments.gsd.clone());
     let mut settings = config::load(Some(&project), typed)?.settings;
     if settings.target.gsd.is_some() && settings.region.is_none() {
-        settings.region = planned_region(&project.home).and_then(|region| region.parse().ok());
+        let planned = planned_options(&project.home);
+        let region = planned.iter().find(|option| option.key == "region");
+        config::refuse_outside(region.as_slice(), &project.root)?;
+        settings.region = region.and_then(|option| option.value.as_str()?.parse().ok());
     }
     let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() {

@@ -30,7 +30,7 @@ use crate::{
     show::{
         files::PlanFiles,
         manifest::{
-            WrittenPlanError, planned_backend, planned_backends, planned_model, planned_region,
+            WrittenPlanError, planned_backend, planned_backends, planned_model, planned_options,
             planned_test_every, warnings_with,
         },
         tables,
@@ -212,7 +212,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         None => &project,
     };
     let kept = kept_backends(at_home, &settings)?;
-    let dropped_region = planned_region(&at_home.home).filter(|_| settings.region.is_none());
+    let dropped_region = planned_options(&at_home.home)
+        .into_iter()
+        .find(|option| option.key == "region" && settings.region.is_none());
     let mut settings = Settings {
         backends: match &kept {
             Some(kept) => kept.iter().map(|backend| backend.name.into()).collect(),

@@ -6,9 +6,9 @@ use crate::{
     backends::{self, Choice},
     base::{
         decimals::significant,
-        shell::{command_path, command_word, shown_path},
+        shell::{command_path, shown_path},
     },
-    config::{ConfidenceSource, TriangleWeight},
+    config::{ConfidenceSource, TriangleWeight, TypedSetting},
     io::project::Project,
     method::target::GSD_MARGIN,
     model::{georeference::Georeference, scene::Units},
@@ -104,7 +104,7 @@ pub struct Asked {
     /// No backend is given, and that of the previous plan is kept.
     pub keeps_backend: bool,
     /// Region of the plan that this one replaces, which is for the whole surface.
-    pub dropped_region: Option<String>,
+    pub dropped_region: Option<TypedSetting>,
     /// Path of the report, if one is written.
     pub page: Option<PathBuf>,
 }
@@ -591,11 +591,8 @@ fn whole_percent(share: f64) -> String {
 }
 
 /// Says that the plan before was for a region, and how to have it again.
-fn dropped(region: &str) -> String {
-    let region = command_word(region);
-    format!(
-        "The plan before was for a region; this one is for all (--region {region} brings it back)."
-    )
+fn dropped(region: &TypedSetting) -> String {
+    format!("The plan before was for a region; this one is for all ({region} brings it back).")
 }
 
 /// Notes on images that may be unexpected: other names, other folders.

@@ -120,11 +120,14 @@ impl Settings {
         !is_outside(file, project) || is_named && !is_through_project()
     }
 
-    /// Returns whether the pilot's maps are outside. `watch` takes no such settings from a record in
-    /// the project, which may be a stranger's.
-    pub fn has_pilot_outside(&self, project: &Path) -> bool {
-        let maps = self.pilot.maps.as_ref();
-        maps.is_some_and(|folder| is_outside(folder, project))
+    /// Returns whether the pilot's maps, the mesh or the region are outside. `watch` takes no such
+    /// settings from a record in the project, which may be a stranger's.
+    pub fn leads_out(&self, project: &Path) -> bool {
+        let files = self
+            .files_of_plan()
+            .into_iter()
+            .chain(self.pilot.maps.clone());
+        files.into_iter().any(|file| is_outside(&file, project))
     }
 
     /// Returns the file that the setting names.

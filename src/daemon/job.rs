@@ -437,8 +437,9 @@ impl PlanJob {
     /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at
     /// least those of its plan, with a note.
     fn settings(&self, project: &Path) -> StepResult<(Settings, Option<String>)> {
-        let metres =
-            |settings: &Settings| metres_per_unit(&Project::open(project, None).ok()?, settings);
+        let metres = |settings: &Settings| {
+            metres_per_unit(&Project::open(project, None).ok()?, settings).ok()?
+        };
         match self.settings_of_files(project, &metres) {
             Ok(settings) => {
                 lock(&self.valid_settings).insert(project.into(), settings.clone());
@@ -479,7 +480,7 @@ impl PlanJob {
         let known = lock(&self.valid_settings).get(project).cloned();
         let of_plan = || {
             let settings = PlannedFrom::read(project)?.settings;
-            (!settings.has_pilot_outside(project)).then_some(settings)
+            (!settings.leads_out(project)).then_some(settings)
         };
         known.or_else(of_plan)
     }

@@ -12,7 +12,7 @@ use crate::{
     config::{FrameSettings, Settings},
     io::{
         formats::exif,
-        project::{ModelFormat, Project},
+        project::{ModelFormat, Project, ProjectError},
     },
     model::{
         georeference::{Geodetic, Georeference, Zone},
@@ -33,10 +33,13 @@ pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) 
 }
 
 /// Metres in a unit of the project's model, by its place on earth; `None` if unknown.
-pub fn metres_per_unit(project: &Project, settings: &Settings) -> Option<f64> {
+pub fn metres_per_unit(
+    project: &Project,
+    settings: &Settings,
+) -> Result<Option<f64>, ProjectError> {
     let project = project.clone().with_images(settings.images.as_deref());
-    let scene = project.read_scene().ok()?;
-    georeference(&project, &scene, &settings.frame).metres_per_unit()
+    let scene = project.read_scene()?;
+    Ok(georeference(&project, &scene, &settings.frame).metres_per_unit())
 }
 
 /// Most images whose positions are read.

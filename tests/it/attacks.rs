@@ -298,6 +298,41 @@ fn attack_6_an_edited_manifest_is_used_by_no_command() {
 }
 
 #[test]
+fn a_region_elsewhere_that_a_plan_names_is_not_read_again() {
+    let place = Place::new();
+    let region = place.folder.path().join("area.txt");
+    fs::write(&region, "-9e9,-9e9,-9e9,9e9,9e9,9e9").unwrap();
+    let project = place.project();
+    let plan = [
+        "plan",
+        path(&project),
+        "--quiet",
+        "--confidence",
+        "geometric",
+    ];
+    succeeds(viewrank(
+        &[&plan[..], &["--region", path(&region)]].concat(),
+    ));
+    let doctor = |options: &[&str]| {
+        let done = viewrank(&[&["doctor", path(&project), "--gsd", "0.5"], options].concat());
+        (done.status.code(), said(&done))
+    };
+    let (code, said) = doctor(&[]);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("leads out of the project"), "{said}");
+    let (code, said) = doctor(&["--region", path(&region)]);
+    assert_ne!(code, Some(2), "{said}");
+    // Within the project it is one of its files.
+    let inside = project.join("area.txt");
+    fs::rename(&region, &inside).unwrap();
+    succeeds(viewrank(
+        &[&plan[..], &["--region", path(&inside)]].concat(),
+    ));
+    let (code, said) = doctor(&[]);
+    assert_ne!(code, Some(2), "{said}");
+}
+
+#[test]
 fn a_plan_of_another_version_says_so_and_is_made_again() {
     let place = Place::new();
     succeeds(place.plan());

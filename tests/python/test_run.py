@@ -250,18 +250,19 @@ def test_maps_of_another_program_are_none_of_this_plan(run, valley):
     assert manifest["cut"]["clusters"] == 1, err
 
 
-def test_a_run_follows_no_option_of_a_plan_that_copies_files_from_elsewhere(run, viewrank, valley, tmp_path):
+def test_a_run_follows_no_option_of_a_plan_that_names_files_elsewhere(run, viewrank, valley, tmp_path):
     viewrank("plan", valley, "--backend", "sgm", "--budget", "2", "--confidence", "geometric")
     path = valley / "viewrank/manifest.json"
     manifest = json.loads(path.read_text())
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere/private.ply").write_text("ply\n")
-    manifest["typed"] += [{"key": "surface.mesh", "value": str(tmp_path / "elsewhere/private.ply")}, {"key": "pilot.maps", "value": str(tmp_path / "elsewhere")}]
-    path.write_text(json.dumps(manifest))
-    _, err = run(valley, "--no-report")
-    for option in ("--mesh", "--pilot"):
-        assert f"{option} {tmp_path}/elsewhere" in err and "outside of the project" in err
-    assert "--budget 2" in err and "private" not in json.dumps(json.loads(path.read_text())["settings"])
+    private = tmp_path / "elsewhere/private"
+    private.mkdir(parents=True)
+    for key, option in [("surface.mesh", "--mesh"), ("pilot.maps", "--pilot"), ("region", "--region")]:
+        path.write_text(json.dumps({**manifest, "typed": [*manifest["typed"], {"key": key, "value": str(private)}]}))
+        _, err = run(valley, "--no-report", expect=2)
+        assert f"{option} {private} of the last plan leads out of the project" in err
+    # Another region, typed now, takes its place.
+    _, err = run(valley, "--no-report", "--region", "auto")
+    assert "--budget 2" in err and "private" not in path.read_text()
 
 
 def test_a_run_goes_on_with_what_was_typed_for_its_plan(run, viewrank, valley):

@@ -17,13 +17,13 @@ pub use self::result::target_in_percent;
 use self::work::Work;
 use super::{
     Exit, Failure, Format, arguments, config, next, note, plan::kept_backends, print, ready,
-    undistort::undistorted, warn,
+    undistort::undistorted,
 };
 use crate::{
     apps::{dispatch::Dispatch, planning, undistort::UndistortOptions},
     backends::{self, Backend, Choice, Product},
     base::{platform, shell::command_path},
-    config::{Budget, CommandLineSettings, Settings},
+    config::{Budget, CommandLineSettings, Settings, TypedSetting},
     daemon::{PlanWhen, foreground::Foreground},
     io::project::Project,
     show::manifest::{PlannedMaps, planned_maps, planned_options},
@@ -116,7 +116,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = open(arguments)?;
     let typed = arguments
         .typed(None, true)
-        .following(planned_options(&project.home));
+        .following(options_of_maps(&project.home));
     let settings = config::load(Some(&project), typed)?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, choice) = planned_or_chosen(&project, &settings)?;
@@ -153,20 +153,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         Some(what) => undistorted_project(arguments, project, backend, what)?,
     };
     let is_own = root == own;
-    let mut planned = planned_options(&root);
+    let mut planned = options_of_maps(&root);
     if planned.is_empty() {
-        planned = planned_options(&own);
+        planned = options_of_maps(&own);
     }
     planned.retain(|option| is_own || option.key != "images");
-    for option in planned.extract_if(.., |option| option.leads_out(&own)) {
-        warn(&format!(
-            "{option} of the last plan is outside of the project, and so not followed: type it again"
-        ));
-    }
     let typed = arguments.typed(Some(backend.name), is_own);
     let typed = typed.following(planned);
+    let configuration = config::load(Some(&Project::open(&root, None)?), typed.clone())?;
+    let followed: Vec<&TypedSetting> = configuration.followed().collect();
+    config::refuse_outside(&followed, &own)?;
     if !arguments.is_silent() {
-        note_followed(&root, &typed)?;
+        note_followed(&root, &followed);
     }
     let foreground = Foreground::new(&root, typed, &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop, PlanWhen::Outdated)?;
@@ -205,10 +203,22 @@ fn open(arguments: &Arguments) -> Result<Project, Failure> {
     ))
 }
 
+/// Returns the options that were typed for the project's plan of depth maps; none without such a
+/// plan.
+fn options_of_maps(root: &Path) -> Vec<TypedSetting> {
+    let makes_maps = |plan: PlannedMaps| {
+        backends::by_name(&plan.backend).is_ok_and(|backend| backend.makes_maps())
+    };
+    if planned_maps(root).is_some_and(makes_maps) {
+        planned_options(root)
+    } else {
+        Vec::new()
+    }
+}
+
 /// Says with which options of the last plan this one goes on.
-fn note_followed(root: &Path, typed: &CommandLineSettings) -> Result<(), Failure> {
-    let configuration = config::load(Some(&Project::open(root, None)?), typed.clone())?;
-    let followed: Vec<String> = configuration.followed().map(ToString::to_string).collect();
+fn note_followed(root: &Path, followed: &[&TypedSetting]) {
+    let followed: Vec<String> = followed.iter().map(ToString::to_string).collect();
     if !followed.is_empty() {
         note(&format!(
             "as typed for the last plan: {} (viewrank plan {} starts afresh)",
@@ -216,7 +226,6 @@ fn note_followed(root: &Path, typed: &CommandLineSettings) -> Result<(), Failure
             command_path(root)
         ));
     }
-    Ok(())
 }
 
 /// Returns the backend of the project's plan, if none is named: another could not use its maps. Without

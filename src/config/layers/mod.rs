@@ -493,14 +493,21 @@ fn from_file(key: &str, value: &Value, file: &Path) -> Value {
 
 /// Refuses a path in a project's `file` that leads out of its folder.
 fn refuse_outside(entry: &Entry, file: &Path) -> Result<(), ConfigError> {
-    let named = PathValue::new(&entry.key, &entry.value).filter(|named| !named.may_leave);
-    match (named, absolute(file).parent()) {
-        (Some(PathValue { key, path, .. }), Some(folder)) if is_outside(&path, folder) => {
+    let file = absolute(file);
+    let outside = |folder| path_outside(&entry.key, &entry.value, folder);
+    match file.parent().and_then(outside) {
+        Some(PathValue { key, path, .. }) => {
             let place = entry.place.clone();
             Err(ConfigError::Outside { place, key, path })
         }
-        _ => Ok(()),
+        None => Ok(()),
     }
+}
+
+/// Returns a path outside of a project, where its files may not name such a one.
+fn path_outside(key: &str, value: &Value, project: &Path) -> Option<PathValue> {
+    let named = PathValue::new(key, value)?;
+    (!named.may_leave && is_outside(&named.path, project)).then_some(named)
 }
 
 /// Calls `found` with each key that is not a section, and its byte offset. A name with a dot keeps

@@ -6,8 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
-use super::{CommandLineSettings, Entry, SettingLocation};
-use crate::base::{paths::is_outside, shell::command_word};
+use super::{CommandLineSettings, Entry, SettingLocation, path_outside};
+use crate::base::shell::command_word;
 
 /// The options of `viewrank plan` that a run goes on with. Others of a plan, which may be a
 /// stranger's, do not count.
@@ -59,13 +59,10 @@ impl TypedSetting {
         option_of(&self.key).is_some()
     }
 
-    /// Returns whether it names files outside of a project of which a plan, which may be a
-    /// stranger's, would copy or list the contents. A region is often kept elsewhere, and its
-    /// polygon alone is used.
+    /// Returns whether it names a file outside of a project that the project's own files, which may
+    /// be a stranger's, may not name.
     pub fn leads_out(&self, root: &Path) -> bool {
-        let is_copied = matches!(&*self.key, "surface.mesh" | "pilot.maps");
-        let path = self.value.as_str().filter(|_| is_copied);
-        path.is_some_and(|path| is_outside(Path::new(path), root))
+        path_outside(&self.key, &self.value, root).is_some()
     }
 }
 

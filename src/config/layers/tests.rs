@@ -472,3 +472,28 @@ fn of_a_forged_plan_only_options_of_plan_count() {
     let error = following("partners.k", "many".into()).unwrap_err();
     assert!(error.to_string().contains("-k of the last plan"), "{error}");
 }
+
+#[test]
+fn a_path_of_the_last_plan_leads_out_as_one_of_the_projects_file_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let project = folder.path().join("p");
+    fs::create_dir(&project).unwrap();
+    for (key, leads_out) in [
+        ("region", true),
+        ("surface.mesh", true),
+        ("pilot.maps", true),
+        ("images", false),
+        ("ranking.scales", false),
+    ] {
+        let named = |path: &Path| planned(key, path.to_str().unwrap());
+        assert_eq!(
+            named(&folder.path().join("a")).leads_out(&project),
+            leads_out,
+            "{key}"
+        );
+        assert!(!named(&project.join("a")).leads_out(&project), "{key}");
+    }
+    for region in ["auto", "0,0,0,1,1,1"] {
+        assert!(!planned("region", region).leads_out(&project), "{region}");
+    }
+}

@@ -17,7 +17,7 @@ pub use region::RegionSummary;
 pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{
     PlannedMaps, WrittenPlan, WrittenPlanError, open_planned_workspace, planned_backend,
-    planned_backends, planned_ground, planned_maps, planned_model, planned_options, planned_region,
+    planned_backends, planned_ground, planned_maps, planned_model, planned_options,
     planned_test_every, planned_workspace, validate,
 };
 

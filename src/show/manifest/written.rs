@@ -226,21 +226,10 @@ pub fn planned_maps(root: &Path) -> Option<PlannedMaps> {
     })
 }
 
-/// Returns the region of the project's plan, as it was set; `None` without a plan or a region.
-pub fn planned_region(root: &Path) -> Option<String> {
-    let (_, recorded) = RecordedPlan::open(root).ok()?;
-    recorded.settings.region.map(|region| region.to_string())
-}
-
-/// Returns the options that were typed for the project's plan of depth maps; none without such a
-/// plan.
+/// Returns the options that were typed for the project's plan; none without a plan.
 pub fn planned_options(root: &Path) -> Vec<TypedSetting> {
-    match RecordedPlan::open(root) {
-        Ok((_, recorded)) if by_name(&recorded.backend).is_ok_and(|b| b.makes_maps()) => {
-            recorded.settings.typed
-        }
-        _ => Vec::new(),
-    }
+    let recorded = RecordedPlan::open(root);
+    recorded.map_or_else(|_| Vec::new(), |(_, recorded)| recorded.settings.typed)
 }
 
 /// Returns which image in how many the project's plan keeps apart for tests.
