@@ -22,8 +22,16 @@ use super::{
 /// made from them.
 const CLOUD_POINTS: usize = 1 << 20;
 const CLOUD_OBSERVATIONS: usize = 20_000_000;
-/// Number of points sampled to estimate how many views a point projects into.
+/// Largest number that is made where a sample promised fewer.
+const MOST_OBSERVATIONS: usize = CLOUD_OBSERVATIONS / 2 * 3;
+/// Largest number of projections of points into images, of which a small file may ask for billions.
+const PROJECTIONS: usize = 1 << 30;
+/// Number of points sampled to estimate how many views a point projects into, and largest number of
+/// their projections.
 const CLOUD_SAMPLE: usize = 1 << 12;
+const SAMPLE_PROJECTIONS: usize = 1 << 26;
+/// Projections that are made at a time: all may be observations.
+const PROJECTIONS_AT_ONCE: usize = 1 << 22;
 
 /// Poses and cameras of the images of a model, by position; `None` if the model lacks one.
 struct Projection<'a> {
@@ -66,7 +74,8 @@ impl<'a> Projection<'a> {
 /// Mean number of views into which a point projects, estimated from some of the points.
 pub fn views_per_point(model: &ColmapModel, points: &[Point3<f64>]) -> f64 {
     let projection = Projection::new(model);
-    let sample = thinned(points.len(), CLOUD_SAMPLE);
+    let most = SAMPLE_PROJECTIONS / model.images.len().max(1);
+    let sample = thinned(points.len(), CLOUD_SAMPLE.min(most).max(1));
     let seen = sample
         .par_iter()
         .map(|&p| projection.seen_by(&points[p]).len());
@@ -114,36 +123,54 @@ pub fn add_cloud(model: &mut ColmapModel, points: &[Point3<f64>]) {
         model,
         "the points of the PLY file have no tracks",
         points.len(),
+        MOST_OBSERVATIONS,
     );
 }
 
 /// Indices of the points that are used of a cloud: of very many some, the same at each reading.
 fn used(model: &ColmapModel, points: &[Point3<f64>]) -> Vec<usize> {
-    let most = CLOUD_OBSERVATIONS / (views_per_point(model, points) as usize).max(1);
-    thinned(points.len(), most.min(CLOUD_POINTS))
+    let most = most_points(model.images.len(), views_per_point(model, points));
+    thinned(points.len(), most)
+}
+
+/// Largest number of points used from a cloud that this number of views shows.
+fn most_points(views: usize, views_per_point: f64) -> usize {
+    let by_projections = PROJECTIONS / views.max(1);
+    let by_observations = CLOUD_OBSERVATIONS / (views_per_point as usize).max(1);
+    CLOUD_POINTS.min(by_projections).min(by_observations)
 }
 
 /// Gives all points the tracks of the images into which they project; hidden ones count, too.
-/// `why`: begins the warning; `all`: points of the cloud that these were chosen from.
-fn observe(model: &mut ColmapModel, why: &str, all: usize) {
+/// Those beyond `most` observations are left out: the sample of [`used`] may have missed where
+/// points are. `why`: begins the warning; `all`: points of the cloud that these were chosen from.
+fn observe(model: &mut ColmapModel, why: &str, all: usize, most: usize) {
+    let mut points = std::mem::take(&mut model.points);
+    let mut observed = vec![Vec::new(); model.images.len()];
+    let (mut observations, mut done) = (0, 0);
     let projection = Projection::new(model);
-    let points = model.points.par_iter();
-    let tracks: Vec<Vec<(usize, [f64; 2])>> = points
-        .map(|point| projection.seen_by(&point.xyz.into()))
-        .collect();
-    model
-        .images
-        .iter_mut()
-        .for_each(|image| image.points2d = Cow::Owned(Vec::new()));
-    let images = &mut model.images;
-    for (point, track) in model.points.iter_mut().zip(tracks) {
-        let element = |(image, pixel): (usize, [f64; 2])| {
-            let image = &mut images[image];
-            let points2d = image.points2d.to_mut();
-            points2d.push(Point2d::new(pixel, Some(point.id)));
-            TrackElement::new(image.id, points2d.len() as u32 - 1)
-        };
-        point.track = Cow::Owned(track.into_iter().map(element).collect());
+    for points in points.chunks_mut((PROJECTIONS_AT_ONCE / model.images.len().max(1)).max(1)) {
+        if observations > most {
+            break;
+        }
+        let tracks = points.par_iter();
+        let tracks: Vec<Vec<(usize, [f64; 2])>> = tracks
+            .map(|point| projection.seen_by(&point.xyz.into()))
+            .collect();
+        for (point, track) in points.iter_mut().zip(tracks) {
+            observations += track.len();
+            let element = |(image, pixel): (usize, [f64; 2])| {
+                let points2d: &mut Vec<Point2d> = &mut observed[image];
+                points2d.push(Point2d::new(pixel, Some(point.id)));
+                TrackElement::new(model.images[image].id, points2d.len() as u32 - 1)
+            };
+            point.track = Cow::Owned(track.into_iter().map(element).collect());
+        }
+        done += points.len();
+    }
+    points.truncate(done);
+    model.points = points;
+    for (image, points2d) in model.images.iter_mut().zip(observed) {
+        image.points2d = Cow::Owned(points2d);
     }
     let text = format!("{why}: every view into which a point projects counts as observing it");
     model.warn(WarningKind::Projected, text);
@@ -175,7 +202,7 @@ pub fn complete(model: &mut ColmapModel) {
             .map(Some)
             .collect();
         model.points = used.iter().filter_map(|&p| points[p].take()).collect();
-        observe(model, why, positions.len());
+        observe(model, why, positions.len(), MOST_OBSERVATIONS);
     }
 }
 
@@ -285,4 +312,58 @@ fn thinned(all: usize, most: usize) -> Vec<usize> {
     (0..all)
         .filter(|&n| all <= most || (hash(n) as f64) < limit)
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use viewrank_core::model::camera::CameraModel;
+
+    use super::*;
+    use crate::formats::{colmap::StoredPose, foreign::ForeignModel};
+
+    #[test]
+    fn a_cloud_of_few_views_is_used_whole_and_one_of_very_many_in_part() {
+        assert_eq!(most_points(500, 12.5), CLOUD_POINTS);
+        assert_eq!(most_points(500, 100.0), 200_000);
+        assert!(200_000 * most_points(200_000, 0.0) <= PROJECTIONS);
+    }
+
+    #[test]
+    fn points_beyond_the_most_observations_are_left_out() {
+        let mut foreign = ForeignModel::default();
+        let camera = Camera::new(
+            1,
+            CameraModel::SimplePinhole,
+            100,
+            100,
+            vec![90.0, 50.0, 50.0],
+        );
+        foreign.model.cameras.push(camera.unwrap());
+        let pose = || StoredPose {
+            quaternion: [1.0, 0.0, 0.0, 0.0],
+            translation: [0.0; 3],
+        };
+        for id in 1..=1000 {
+            foreign.add_image(id, format!("{id}.jpg"), 1, pose(), Place::File);
+        }
+        let mut model = foreign.model;
+        // More than are looked at together.
+        let points = vec![Point3::new(0.0, 0.0, 1.0); 9000];
+        let point = |n: usize| ColmapPoint {
+            id: n as u64 + 1,
+            xyz: points[n].into(),
+            colour: [255; 3],
+            error: -1.0,
+            track: Cow::Borrowed(&[]),
+            at: Place::File,
+        };
+        model.points = (0..9000).map(point).collect();
+        observe(&mut model, "they have no tracks", 9000, 5_000_000);
+        let used = model.points.len();
+        assert!((5000..9000).contains(&used), "{used}");
+        assert!(model.points.iter().all(|point| point.track.len() == 1000));
+        let of_image = |image: &ColmapImage| image.points2d.len();
+        assert!(model.images.iter().all(|image| of_image(image) == used));
+        assert_eq!(model.warnings.len(), 2);
+    }
 }
