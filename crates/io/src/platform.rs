@@ -34,6 +34,29 @@ pub fn is_executable(found: &Metadata) -> bool {
     }
 }
 
+/// Returns whether the file belongs to the user of this process; true where files have no owners.
+pub fn is_own(found: &Metadata) -> bool {
+    #[cfg(unix)]
+    return std::os::unix::fs::MetadataExt::uid(found) == rustix::process::geteuid().as_raw();
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        true
+    }
+}
+
+/// Returns whether no other user may read or write the file; true where the system has no such
+/// permissions.
+pub fn is_private(found: &Metadata) -> bool {
+    #[cfg(unix)]
+    return std::os::unix::fs::PermissionsExt::mode(&found.permissions()) & 0o077 == 0;
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        true
+    }
+}
+
 /// Returns the device number of the file system; 0 if unknown.
 pub fn file_system(found: &Metadata) -> u64 {
     #[cfg(unix)]

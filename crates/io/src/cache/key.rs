@@ -14,6 +14,7 @@ use etcetera::BaseStrategy;
 use crate::{
     input::{self, FileKind},
     paths::is_outside,
+    platform,
 };
 
 #[derive(Clone, Copy, PartialEq)]
@@ -43,13 +44,20 @@ pub(super) fn of_user(project: &Path) -> Option<Key> {
 fn read_or_make(folder: &Path) -> io::Result<Key> {
     let path = folder.join("cache.key");
     let read = || {
-        let bytes = input::read(&path, FileKind::State)?;
-        let key = bytes.try_into().map(Key);
-        key.map_err(|_| io::Error::from(io::ErrorKind::InvalidData))
+        let file = input::open(&path)?;
+        let found = file.metadata()?;
+        // Who knows the key can make caches that are believed.
+        if !platform::is_own(&found) {
+            return Err(io::ErrorKind::PermissionDenied.into());
+        }
+        let bytes: Result<[u8; 32], _> = input::read_all(file, FileKind::State)?.try_into();
+        let key = bytes.ok().filter(|_| platform::is_private(&found));
+        key.map(Key)
+            .ok_or_else(|| io::Error::from(io::ErrorKind::InvalidData))
     };
     let is_damaged = match read() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => false,
-        // Cut off by a loss of power.
+        // Cut off by a loss of power, or to be read by others.
         Err(error) if error.kind() == io::ErrorKind::InvalidData => true,
         found => return found,
     };
@@ -101,5 +109,22 @@ mod tests {
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         assert!(read_or_make(&file.join("below")).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_key_that_others_may_know_is_not_taken() {
+        use std::os::unix::fs::{PermissionsExt, chown};
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cache.key");
+        let key = read_or_make(folder.path()).unwrap();
+        for mode in [0o644, 0o620] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            assert!(read_or_make(folder.path()).unwrap() != key, "{mode:o}");
+        }
+        // Only root can give files away.
+        if chown(&path, Some(12_345), None).is_ok() {
+            assert!(read_or_make(folder.path()).is_err());
+        }
     }
 }
