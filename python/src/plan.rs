@@ -334,10 +334,10 @@ impl Plan {
                 if self.0.is_temporary() {
                     return Err(Failure::without_folder());
                 }
-                let mut files = FileSet::new(&project.root, files::REPORT_SET);
+                let mut files = FileSet::new(&project.home, files::REPORT_SET);
                 files.add_text(files::REPORT_FILE, page);
                 files.write(&project.disk())?;
-                return Ok(files::report_path(&project.root));
+                return Ok(files::report_path(&project.home));
             };
             output::replace(&path, page.as_bytes(), &Disk::REAL)?;
             Ok(path)

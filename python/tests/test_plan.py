@@ -137,6 +137,15 @@ def test_report_is_a_page(plan, tmp_path):
     assert page.read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
 
 
+def test_the_report_of_a_plan_elsewhere_is_beside_the_plan(valley, tmp_path):
+    done = program("plan", valley, "--out", tmp_path, "--backend", "openmvs", "--confidence", "geometric", "--quiet")
+    assert done.returncode == 0, done.stderr
+    report = valley / "viewrank/report.html"
+    before = report.read_bytes() if report.exists() else None
+    assert viewrank.load(tmp_path).report() == tmp_path / "viewrank/report.html"
+    assert (report.read_bytes() if report.exists() else None) == before
+
+
 def test_doctor_finds_what_the_program_finds(valley):
     done = program("doctor", valley, "--backend", "colmap", "--format", "json")
     printed = json.loads(done.stdout)["findings"]
