@@ -1,4 +1,5 @@
-//! Names in tables for spreadsheets.
+//! Names in tables for spreadsheets. Lists that programs read have names as they are: those of
+//! exports, and the tables of cells that an evaluation keeps.
 
 use crate::base::printable::printable;
 
