@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use nalgebra::Point2;
-use viewrank::{Plan, Settings, config::PilotSettings};
+use viewrank::{Plan, Settings, config::PilotSettings, manifest};
 use viewrank_core::{
     base::progress::NoWatcher,
     method::{synthetic::Town, visibility},
@@ -134,4 +134,34 @@ fn a_folder_without_maps_or_with_a_damaged_one_is_an_error() {
     fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     let error = plan(project.path(), Some(&maps)).unwrap_err();
     assert!(error.contains(name), "{error}");
+}
+
+/// Else a stranger's plan would have them read and ranked by.
+#[test]
+fn a_plan_is_one_of_the_maps_outside_that_it_was_made_from() {
+    let (project, outside) = (project(&town()), tempfile::tempdir().unwrap());
+    let predicted = plan(project.path(), None).unwrap();
+    let fingerprint = |maps: &Path| {
+        let project = Project::open(project.path(), None).unwrap();
+        let settings = Settings {
+            pilot: PilotSettings {
+                maps: Some(maps.into()),
+            },
+            ..Settings::default()
+        };
+        manifest::fingerprint(&project, &predicted.stages.scene, &settings).unwrap()
+    };
+    let inside = project.path().join("small");
+    let both = [outside.path(), &inside];
+    let write = |has: fn(f64) -> bool| {
+        for maps in both {
+            write_maps(&predicted, maps, |_, place| has(place.x));
+        }
+    };
+    write(|x| x < 0.0);
+    let before = both.map(fingerprint);
+    write(|_| true);
+    let after = both.map(fingerprint);
+    assert_ne!(before[0], after[0]);
+    assert_eq!(before[1], after[1], "what is in the project is its own");
 }

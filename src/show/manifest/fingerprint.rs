@@ -12,9 +12,10 @@ use crate::{
     base::{
         error::{Advice, Hint},
         input,
+        paths::is_outside,
     },
     config::{ConfidenceSource, Settings},
-    io::{pictures::PictureFolders, project::Project},
+    io::{depthmaps, pictures::PictureFolders, project::Project},
     model::scene::{Scene, View},
 };
 
@@ -39,7 +40,8 @@ impl Hint for FingerprintError {
 
 /// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh and the region that the
 /// settings name, the name and size of each registered image and, where the confidence source in
-/// force reads them, the first and last 64 KiB of images and masks.
+/// force reads them, the first and last 64 KiB of images and masks; also of the pilot's maps, if
+/// these are outside: a plan that a stranger wrote has them read only if they are known.
 pub fn fingerprint(
     project: &Project,
     scene: &Scene,
@@ -61,6 +63,10 @@ pub fn fingerprint(
         hasher
             .update_reader(input::open(&path).map_err(failed)?.take(length))
             .map_err(failed)?;
+    }
+    for map in maps_outside(project, scene, settings) {
+        let hash = ends(&map).map_or([0; blake3::OUT_LEN], |hash| *hash.as_bytes());
+        hasher.update(&hash);
     }
     let pictures = PictureFolders::new(project);
     let (reads_images, reads_masks) = match settings.confidence.source {
@@ -86,6 +92,16 @@ pub fn fingerprint(
         }
     }
     Ok(hasher.finalize().to_string())
+}
+
+/// Returns the files of the pilot's maps, by view, in a folder outside of the project.
+fn maps_outside(project: &Project, scene: &Scene, settings: &Settings) -> Vec<PathBuf> {
+    let folder = settings.pilot.maps.as_deref();
+    let folder = folder.filter(|folder| is_outside(folder, &project.root));
+    let found = folder.and_then(|folder| depthmaps::list(folder, scene).ok());
+    let maps = found.into_iter().flat_map(|found| found.maps);
+    maps.flat_map(|map| depthmaps::files_with_depths(&map))
+        .collect()
 }
 
 /// Returns a hash of a file's length and of [`END`] bytes at its beginning and end.
