@@ -75,7 +75,7 @@ def points_of(view, depth):
 
 def colours_of(workspace, view, depth):
     """Red, green and blue (n x 3) of the same pixels; grey where the image cannot be read."""
-    image = decoded(workspace.image_file(view.name), COLOUR_AS_STORED, view)
+    image = decoded(workspace.images / view.name, COLOUR_AS_STORED, view)
     if image is None:
         return np.full(((depth > 0).sum(), 3), 128.0)
     return cv2.resize(image, depth.shape[::-1], interpolation=cv2.INTER_AREA)[depth > 0][:, ::-1].astype(float)

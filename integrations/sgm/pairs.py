@@ -107,7 +107,7 @@ def fingerprint(workspace, a, b, shared, around):
     for v in (a, b):
         parts += [v.K.tobytes(), v.R.tobytes(), v.t.tobytes(), str(v.size).encode()]
         with contextlib.suppress(OSError):
-            parts.append(str(workspace.image_file(v.name).stat().st_size).encode())
+            parts.append(str((workspace.images / v.name).stat().st_size).encode())
         if mask := workspace.mask_digest(v.name):
             parts += [b"mask", mask]
     return hashlib.sha256(b"|".join(parts)).hexdigest()

@@ -387,7 +387,9 @@ def match(args):
 def kept_by_plan(workspace):
     """Key views whose depth maps the plan stands around: those of views that hardly moved since they were made are as good as new ones."""
     try:
-        manifest = json.loads(read_record(workspace.folder / "viewrank" / "manifest.json"))
+        is_export = (workspace.folder / "export.json").is_file()  # which lies beside the manifest
+        folder = workspace.folder.absolute().parent if is_export else workspace.folder / "viewrank"
+        manifest = json.loads(read_record(folder / "manifest.json"))
         return {cluster["key"] for cluster in manifest["clusters"] if cluster["finished"] and manifest["version"] == MANIFEST_VERSION}
     except (OSError, InputError, ValueError, KeyError, TypeError, RecursionError):
         return set()

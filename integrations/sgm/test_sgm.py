@@ -476,18 +476,6 @@ def test_images_of_half_the_size_are_matched_in_the_models_size(planes, tmp_path
     assert (Workspace(folder, 0.5).grey("key.png") == stored).all(), "nothing is left to scale"
 
 
-def test_an_image_may_have_another_extension_than_its_name_in_the_model(planes, tmp_path):
-    shutil.copytree(planes, tmp_path / "copy")
-    name = next(iter(Workspace(tmp_path / "copy", 1.0).views))
-    before = Workspace(tmp_path / "copy", 1.0).grey(name)
-    path = tmp_path / "copy/images" / name
-    path.rename(path.with_suffix(".TIFF"))
-    assert (Workspace(tmp_path / "copy", 1.0).grey(name) == before).all()
-    shutil.copy(path.with_suffix(".TIFF"), path.with_suffix(".jpeg"))
-    with pytest.raises(InputError):
-        Workspace(tmp_path / "copy", 1.0).grey(name)
-
-
 def test_what_masks_exclude_is_not_matched(planes, tmp_path):
     folder = shutil.copytree(planes, tmp_path / "w")
     get = lambda: Pairs(Workspace(folder), tmp_path / "cache").get("key.png", SIDES[0])  # noqa: E731

@@ -19,7 +19,6 @@ os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"] = str(MOST_PIXELS)
 import cv2
 import numpy as np
 
-IMAGES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 PINHOLE_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
 PINHOLE_IDS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE"}
 GREY_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the model knows nothing of EXIF
@@ -74,7 +73,7 @@ class Workspace:
 
     def __init__(self, folder, image_scale=1.0):
         self.folder = Path(folder)
-        self.images, self.by_stem = self.folder / "images", None
+        self.images = self.folder / "images"
         if not self.images.is_dir():
             raise InputError(f"{self.images}: no such folder. An undistorted COLMAP workspace has images/ and sparse/; {UNDISTORT}")
         cameras, images, (ids, self.xyz) = read_model(model_folder(self.folder))
@@ -89,7 +88,7 @@ class Workspace:
 
     def grey(self, name):
         """The image as it is matched: grey, 8 bit, scaled from whatever size its file has."""
-        path, view = self.image_file(name), self.views[name]
+        path, view = self.images / name, self.views[name]
         image = decoded(path, GREY_AS_STORED, view)
         if image is None:
             raise ImageError(path, f"no JPEG, PNG or TIFF of at most {view.most_picture_pixels} pixels that OpenCV can read")
@@ -97,20 +96,6 @@ class Workspace:
         if not same_aspect_ratio(size, view.full_size):
             raise ImageError(path, f"{size[0]} x {size[1]} pixels, but the model says {view.full_size[0]} x {view.full_size[1]}: are these the images that were undistorted with this model?")
         return image if size == view.size else cv2.resize(image, view.size, interpolation=cv2.INTER_AREA if size[0] > view.size[0] else cv2.INTER_LINEAR)
-
-    def image_file(self, name):
-        """The image of that name, else the only one that differs from it in its extension, as viewrank takes it."""
-        path = self.images / name
-        if path.exists():
-            return path
-        if self.by_stem is None:
-            self.by_stem = {}
-            for file in sorted(self.images.rglob("*")):
-                if file.suffix.lower() in IMAGES:
-                    self.by_stem.setdefault(file.with_suffix(""), []).append(file)
-        stems = (path.with_suffix("") if path.suffix.lower() in IMAGES else path, path)
-        found = next((self.by_stem[stem] for stem in stems if stem in self.by_stem), [])
-        return found[0] if len(found) == 1 else path
 
     def mask(self, name):
         """True where the view may be matched (height x width, as matched); None if all of it may, as with a mask that can't be used."""

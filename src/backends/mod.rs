@@ -105,8 +105,6 @@ pub struct Backend {
     pub takes_distorted: bool,
     /// Extensions of images that its program does not read, in lower case.
     pub unread: &'static [&'static str],
-    /// True if its program reads the project's own model, which must be COLMAP's.
-    pub reads_colmap: bool,
     /// True if it takes the masks where viewrank finds them.
     pub takes_masks: bool,
     /// True if the project is set up for it; `plan` then writes its files by default.
@@ -143,7 +141,6 @@ impl Backend {
         own_scale: full_size,
         takes_distorted: false,
         unread: &[],
-        reads_colmap: false,
         takes_masks: false,
         serves: |_| false,
         mixes_sizes: false,

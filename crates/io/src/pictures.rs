@@ -256,8 +256,9 @@ impl PictureFolders {
         self.mask_file(name).is_some()
     }
 
-    /// A pipe or a device is found, too, so that reading it says what is wrong.
-    fn mask_file(&self, name: &str) -> Option<PathBuf> {
+    /// Returns the file of a view's mask. A pipe or a device is found, too, so that reading it says
+    /// what is wrong.
+    pub fn mask_file(&self, name: &str) -> Option<PathBuf> {
         self.mask_files(name)
             .find(|path| path.exists() && !path.is_dir())
     }

@@ -5,15 +5,25 @@ mod search;
 
 use std::ffi::{OsStr, OsString};
 
+use nalgebra::Vector3;
+
 use super::{
     Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
-    ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap, place,
+    ExportRecord, Honours, LastRun, PlanningNumbers, Product, Selection, TaskRunner, Trap,
     runner::{finishes_itself, is_not_empty, words},
     semi_global::{self, CONFIDENCE, PHOTOMETRIC},
+    workspace::{Workspace, add_workspace},
 };
 use crate::{
-    base::shell::command_path,
-    model::cluster::{Gate, RankedCluster},
+    io::{
+        output::{Contents, FileSet},
+        pictures::PictureFolders,
+        project::ImageFolder,
+    },
+    model::{
+        cluster::{Gate, RankedCluster},
+        scene::ViewIndex,
+    },
     plan::WorkPerMap,
 };
 
@@ -84,7 +94,6 @@ pub static BACKEND: Backend = Backend {
     },
     planning: NUMBERS,
     unread: &["webp", "bmp", "ppm", "pgm", "jp2"],
-    reads_colmap: true,
     takes_masks: true,
     mixes_sizes: true,
     tasks,
@@ -125,7 +134,7 @@ fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
             &call.python,
             &call.program,
             &what,
-            &call.project,
+            &call.workplace,
             &"--clusters",
             &call.workplace.join("clusters.txt"),
             &"--out",
@@ -149,16 +158,15 @@ fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-    selection.undistorted_images(BACKEND.name)?;
+    let images = selection.undistorted_images(BACKEND.name)?;
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     record.made_for = "integrations/sgm".into();
-    record.way = "pair files".into();
+    record.way = "COLMAP workspace, pair files".into();
     let scale = selection.image_scale;
     let mut files = options.file_set(&BACKEND, selection);
-    let project = command_path(&place::path_from(&files.root, &selection.project.root));
     let command = |what| {
         format!(
-            "python3 sgm.py {what} {project} --clusters clusters.txt --out depth_maps --image-scale {scale}"
+            "python3 sgm.py {what} . --clusters clusters.txt --out depth_maps --image-scale {scale}"
         )
     };
     record.commands = vec![command("match"), command("fuse")];
@@ -170,5 +178,35 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     for (name, text) in semi_global::pair_files(BACKEND.name, selection)? {
         files.add_text(name, text);
     }
+    add_model(selection, &mut files)?;
+    add_pictures(selection, images, &mut files);
     Ok(Export::new(files, record))
+}
+
+/// Adds the model as it was planned: completed, without distortion, and with plain names.
+fn add_model(selection: &Selection, files: &mut FileSet) -> Result<(), BackendError> {
+    let all: Vec<ViewIndex> = selection.scene.view_indices().collect();
+    let workspace = Workspace {
+        // All, since the spacing of the cloud is the median of their ground sampling distances.
+        views: &all,
+        tests: &[],
+        least_views: 1,
+        model: "sparse",
+        images: None,
+    };
+    add_workspace(BACKEND.name, files, selection, workspace, Vector3::zeros())
+}
+
+/// Adds links to the images of the clusters and to their masks.
+fn add_pictures(selection: &Selection, images: &ImageFolder, files: &mut FileSet) {
+    let pictures = PictureFolders::new(selection.project);
+    for view in selection.views() {
+        let name = selection.scene.name(view);
+        files.add(format!("images/{name}"), images.link(name));
+        if let Some(mask) = pictures.mask_file(name) {
+            let folder = mask.parent().unwrap_or(&mask).to_path_buf();
+            let link = Contents::Link { file: mask, folder };
+            files.add(format!("masks/{name}.png"), link);
+        }
+    }
 }

@@ -148,9 +148,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     })?;
     Dispatch::refuse_if_at_work(&project)?;
-    let root = match lacks(backend, &project, is_distorted) {
-        None => project.root,
-        Some(what) => undistorted_project(arguments, project, backend, what)?,
+    let root = if is_distorted && !backend.takes_distorted {
+        undistorted_project(arguments, project, backend)?
+    } else {
+        project.root
     };
     let is_own = root == own;
     let mut planned = options_of_maps(&root);
@@ -275,31 +276,19 @@ fn refuse_images(
     }
 }
 
-/// Returns a requirement of the backend that only a workspace of undistorted images fulfils.
-fn lacks(backend: &Backend, project: &Project, is_distorted: bool) -> Option<&'static str> {
-    if is_distorted && !backend.takes_distorted {
-        Some("undistorted images")
-    } else if backend.reads_colmap && !project.model.format.is_colmap() {
-        Some("a COLMAP model")
-    } else {
-        None
-    }
-}
-
 /// Finds the workspace of undistorted images of another program, else undistorts the images, which
-/// writes a COLMAP model; returns their project. `what`: what the backend needs it for.
+/// writes a COLMAP model; returns their project.
 fn undistorted_project(
     arguments: &Arguments,
     project: Project,
     backend: &Backend,
-    what: &str,
 ) -> Result<PathBuf, Failure> {
     // Its own may be of earlier images.
     if !project.has_undistorted_workspace()
         && let Some(workspace) = planning::undistorted_workspace(&project, backend)?
     {
         note(&format!(
-            "{} needs {what}: {}",
+            "{} needs undistorted images: {}",
             backend.name,
             workspace.root.display()
         ));
@@ -311,7 +300,7 @@ fn undistorted_project(
         Dispatch::refuse_if_at_work(&earlier)?;
     }
     note(&format!(
-        "{} needs {what}: {}",
+        "{} needs undistorted images: {}",
         backend.name,
         dense.display()
     ));
