@@ -22,6 +22,15 @@ def test_a_missing_project_is_a_read_error_with_its_path(tmp_path):
     assert isinstance(raised.value, viewrank.Error)
 
 
+def test_what_is_printed_of_a_stranger_s_names_moves_no_cursor(valley, tmp_path):
+    (tmp_path / "p").mkdir()
+    shutil.copytree(valley / "sparse", tmp_path / "p/sparse")
+    (tmp_path / "p/viewrank.toml").write_text('"a\\u001b[2J\\u009bä" = 1\n', encoding="utf-8")
+    with pytest.raises(viewrank.SettingsError) as raised:
+        viewrank.plan(tmp_path / "p")
+    assert r"a\x1b[2J\x9bä" in str(raised.value) and "\x1b" in raised.value.message
+
+
 @pytest.mark.parametrize(
     "keywords",
     [{"k": 0}, {"target": -0.5}, {"backend": "nothing"}, {"settings": {"partners.kk": 3}}, {"surface": "flat"}, {"time": "2h"}],

@@ -14,6 +14,7 @@ from . import _viewrank
 from ._plan import Plan, load
 from ._run import Progress, Runner
 from ._scene import PathLike
+from ._text import printable
 
 __all__ = ["Evaluation", "Finding", "backends", "doctor", "evaluate"]
 
@@ -154,9 +155,12 @@ def doctor(
     names = [backend] if isinstance(backend, str) else list(backend)
     with Runner(progress) as runner:
         diagnosis = json.loads(_viewrank.doctor_json(project, names, model, runner))
-    return [
-        Finding(**{**finding, "views": [view["name"] for view in finding["views"]]}) for finding in diagnosis["findings"]
-    ]
+
+    def finding(found: dict[str, Any]) -> Finding:
+        texts = {text: printable(found[text]) for text in ("what", "cure")}
+        return Finding(**{**found, **texts, "views": [view["name"] for view in found["views"]]})
+
+    return [finding(found) for found in diagnosis["findings"]]
 
 
 def backends() -> list[str]:

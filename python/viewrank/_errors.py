@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Optional, Union
 
+from ._text import printable
+
 __all__ = ["Error", "EvaluateError", "ExportError", "PlanError", "ReadError", "SettingsError", "WriteError"]
 
 
@@ -32,7 +34,7 @@ class Error(Exception):
         self.path = None if path is None else Path(path)
 
     def __str__(self) -> str:
-        return self.message if self.hint is None else f"{self.message}\nhint: {self.hint}"
+        return printable(self.message if self.hint is None else f"{self.message}\nhint: {self.hint}")
 
 
 class ReadError(Error):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from . import _viewrank
 from ._run import Progress, Runner
 from ._scene import PathLike, Scene
+from ._text import printable
 
 __all__ = ["Cluster", "Export", "Fulfilment", "Plan", "Surface", "Visibility", "load", "plan"]
 
@@ -184,7 +185,7 @@ class Plan:
     @property
     def warnings(self) -> list[str]:
         """What to look at before matching."""
-        return self._native.warnings
+        return [printable(warning) for warning in self._native.warnings]
 
     @cached_property
     def curve(self) -> NDArray[np.void]:
@@ -285,7 +286,7 @@ class Plan:
         record = dict(json.loads(text))
         runner_script = record.get("runner")
         commands = [f"./{runner_script}"] if runner_script else list(record.get("commands", []))
-        return Export(folder, record["backend"], commands, list(record.get("warnings", [])), record)
+        return Export(folder, record["backend"], commands, [printable(warning) for warning in record.get("warnings", [])], record)
 
     def report(
         self,

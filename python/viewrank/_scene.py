@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _viewrank
 from ._errors import ReadError
 from ._run import Progress, Runner
+from ._text import printable
 
 __all__ = ["Camera", "PathLike", "Scene", "read"]
 
@@ -199,7 +200,7 @@ class Scene:
     @property
     def warnings(self) -> list[str]:
         """Problems that did not prevent reading."""
-        return self._native.warnings
+        return [printable(warning) for warning in self._native.warnings]
 
     def __repr__(self) -> str:
         return f"Scene({len(self.names)} views, {len(self.points)} points)"

@@ -11,8 +11,8 @@ const MOST_SCANS: usize = 100;
 /// Limit on the segments, of which a decoder may look through all earlier ones for each. Profiles,
 /// thermal images and the like take one for each 64 KiB.
 const MOST_SEGMENTS: usize = 4096;
-/// Bytes of a Huffman table without a code (ITU T.81, B.2.4.2); a segment may have many tables, each
-/// of which is expanded.
+/// Bytes of a Huffman table without a code (ITU T.81, B.2.4.2); a segment may have many tables,
+/// each of which is expanded.
 const TABLE_BYTES: usize = 17;
 
 const RESTARTS: RangeInclusive<u8> = 0xd0..=0xd7;

@@ -312,8 +312,8 @@ impl Dispatch {
         self.finished_tasks().map(|task| &*task.map)
     }
 
-    /// Returns whether the depth maps of these key views are there, at least one: who says so may be
-    /// a stranger. Those beyond the tasks are not looked for.
+    /// Returns whether the depth maps of these key views are there, at least one: who says so may
+    /// be a stranger. Those beyond the tasks are not looked for.
     pub fn has_maps_of(&self, keys: &[String]) -> bool {
         let keys: BTreeSet<&str> = keys.iter().map(String::as_str).collect();
         let counted = self.tasks.iter().filter(|task| keys.contains(&*task.key));

@@ -9,8 +9,8 @@ use super::incidence::{CountedCells, Incidence};
 const MOST_CHOICES: usize = 1 << 11;
 const BITS: usize = u64::BITS as usize;
 
-/// Returns the shares of the cells that choices of 0, 1, ... of these maps cover; a larger choice may
-/// cover less. `offset`: start, in parts of the step between two.
+/// Returns the shares of the cells that choices of 0, 1, ... of these maps cover; a larger choice
+/// may cover less. `offset`: start, in parts of the step between two.
 pub fn shares(table: &Incidence, counted: CountedCells, by_name: &[u32], offset: f64) -> Vec<f64> {
     let numbers = numbers(by_name.len(), MOST_CHOICES);
     let choices = Choices::new(table.names().len(), by_name, &numbers, offset);
