@@ -186,6 +186,25 @@ fn masks_are_named_as_by_colmap() {
 }
 
 #[test]
+fn the_matcher_gets_names_and_masks_as_they_were_found() {
+    let folder = Folder::new();
+    folder
+        .colmap("colmap/sparse/0", &renamed(|n| format!("./view_{n}.jpg")))
+        .pictures(&scene(), |name| format!("images/{name}"))
+        .pictures(&scene(), |name| format!("masks/{name}"));
+    let (code, _, stderr) = folder.plan(&["--backend", "sgm", "--budget", "9"]);
+    assert_eq!(code, 0, "{stderr}");
+    let same = |link: &str, file: &str| {
+        let [link, file] = [link, file].map(|path| fs::read(folder.at(path)).unwrap());
+        assert_eq!(link, file);
+    };
+    same("viewrank/sgm/images/view_4.jpg", "images/view_4.png");
+    same("viewrank/sgm/masks/view_4.jpg.png", "masks/view_4.png");
+    let copy = Project::open(&folder.at("viewrank/sgm"), None).unwrap();
+    assert_eq!(names(&copy.read_scene().unwrap()), names(&folder.read()));
+}
+
+#[test]
 fn names_that_lead_far_out_are_found_by_their_last_parts() {
     let folder = Folder::new();
     let mut model = ColmapModel::from_scene(&scene());

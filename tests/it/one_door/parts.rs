@@ -227,8 +227,11 @@ fn zero_distortion_needs_no_undistortion() {
         .colmap_text("sparse/0", &model)
         .pictures(&scene(), |name| format!("images/{name}"));
     assert_eq!(folder.read().cameras[0].model(), CameraModel::Pinhole);
-    let (code, _, stderr) = folder.plan(&["--backend", "openmvs,colmap"]);
+    let (code, _, stderr) = folder.plan(&["--backend", "openmvs,colmap,sgm"]);
     assert_eq!(code, 0, "{stderr}");
+    // The matcher reads no distorted camera. Of a record: id, then the number of the model.
+    let cameras = fs::read(folder.at("viewrank/sgm/sparse/cameras.bin")).unwrap();
+    assert_eq!(cameras[12..16], 1_u32.to_le_bytes());
     let linked = |export: &str| fs::read(folder.at(&format!("viewrank/{export}"))).unwrap();
     let original = fs::read(folder.at("images/view_4.png")).unwrap();
     assert_eq!(linked("colmap/images/view_4.png"), original);
