@@ -182,14 +182,22 @@ class Colmap(Bench):
             shutil.copytree(self.project / "viewrank/colmap", workspace, symlinks=True)
         for kind in ("depth_maps", "normal_maps") if self.args.maps else ():
             shutil.copytree(self.args.maps / "stereo" / kind, workspace / "stereo" / kind, dirs_exist_ok=True)
-        self.run(workspace, *(["--fuse"] if self.args.maps else []))
+        self.start(workspace, self.fusion() if self.args.maps else ["sh", "stereo/viewrank/run.sh"])
 
-    def run(self, workspace, *options):
-        program = shutil.which(self.args.colmap) or sys.exit(f"error: no program {self.args.colmap}: give --colmap")
-        environment = {**os.environ, "COLMAP": str(Path(program).resolve())}
-        done = subprocess.run([workspace / "stereo/viewrank/run.sh", *options], env=environment, capture_output=True, text=True)
+    def program(self):
+        found = shutil.which(self.args.colmap) or sys.exit(f"error: no program {self.args.colmap}: give --colmap")
+        return str(Path(found).resolve())
+
+    def start(self, workspace, command):
+        done = subprocess.run(command, cwd=workspace, env={**os.environ, "COLMAP": self.program()}, capture_output=True, text=True)
         if done.returncode:
             sys.exit(done.stdout + done.stderr)
+
+    def fusion(self, pixels=PIXELS[0]):
+        """The last command of the export, with another number of pixels."""
+        record = json.loads((self.project / "viewrank/colmap/stereo/viewrank/export.json").read_text())
+        command = re.sub(r"(--StereoFusion.min_num_pixels) \d+", rf"\1 {pixels}", record["commands"][-1])
+        return [self.program(), *command.split()[1:]]
 
     def cloud(self):
         return self.maps(1.0) / "stereo/viewrank/fused.ply"
@@ -200,13 +208,10 @@ class Colmap(Bench):
     def fuse(self, plan, scale, pixels=PIXELS[0]):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
         workspace, keys = self.maps(scale), {cluster["key"] for cluster in plan["clusters"]}
-        exported = self.project / "viewrank/colmap/stereo"
-        listed = [key for key in (exported / "fusion.cfg").read_text().splitlines() if key in keys]
+        exported = self.project / "viewrank/colmap/stereo/fusion.cfg"
+        listed = [key for key in exported.read_text().splitlines() if key in keys]
         (workspace / "stereo/fusion.cfg").write_text("".join(f"{key}\n" for key in listed))
-        script = (exported / "viewrank/run.sh").read_text()
-        script = re.sub(r"(--StereoFusion.min_num_pixels) \d+", rf"\1 {pixels}", script)
-        (workspace / "stereo/viewrank/run.sh").write_text(script)
-        self.run(workspace, "--fuse")
+        self.start(workspace, self.fusion(pixels))
         return colmap_cuda.read_cloud(self.cloud())
 
 

@@ -20,7 +20,7 @@ def main():
     for verb in ("patch_match_stereo", "stereo_fusion"):
         verbs.add_parser(verb).add_argument("--workspace_path", type=Path, required=True)
     matching, fusion = (verbs.choices[verb] for verb in ("patch_match_stereo", "stereo_fusion"))
-    matching.add_argument("--config_path", type=Path, required=True)
+    matching.add_argument("--config_path", type=Path, default=Path("stereo/patch-match.cfg"))
     matching.add_argument("--PatchMatchStereo.geom_consistency", dest="geom_consistency", choices="0", required=True)
     matching.add_argument("--PatchMatchStereo.filter", dest="filter", choices="1")
     matching.add_argument("--PatchMatchStereo.max_image_size", dest="max_image_size", type=int)

@@ -45,7 +45,7 @@ mod tiles;
 mod traps;
 mod workspace;
 
-pub use clusters::{hash, task_ids, task_marker};
+pub use clusters::{hash, made_from, task_ids, task_marker};
 pub use error::BackendError;
 pub use listing::{FIRST_PAGE, LastRun, names};
 pub use machine::{
@@ -172,17 +172,19 @@ impl Backend {
         {
             self.check_line(selection.scene.name(view))?;
         }
-        if selection.own_size {
-            let image_scale = self.matcher().image_scale(selection.scene);
-            (self.export)(
-                &Selection {
-                    image_scale,
-                    ..*selection
-                },
-                options,
-            )
+        (self.export)(&self.at_its_size(selection), options)
+    }
+
+    /// Returns the selection at the backend's default image size, unless the user has set one.
+    pub fn at_its_size<'a>(&self, selection: &Selection<'a>) -> Selection<'a> {
+        let image_scale = if selection.own_size {
+            self.matcher().image_scale(selection.scene)
         } else {
-            (self.export)(selection, options)
+            selection.image_scale
+        };
+        Selection {
+            image_scale,
+            ..*selection
         }
     }
 

@@ -2,11 +2,17 @@
 
 use std::{
     ffi::{OsStr, OsString},
+    fmt::Display,
     path::{Path, PathBuf},
     slice,
 };
 
-use crate::io::output::Disk;
+use serde::de::DeserializeOwned;
+
+use crate::io::{
+    input::{self, FileKind},
+    output::{self, Contents, Disk},
+};
 
 /// The result of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +47,28 @@ impl<'a> Call<'a> {
     pub fn disk(&self) -> Disk<'a> {
         Disk::REAL.within(slice::from_ref(self.project))
     }
+
+    /// Reads a list of the export that viewrank wrote as JSON.
+    pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, String> {
+        let path = self.workplace.join(name);
+        let again = |error: &dyn Display| format!("{}: {error}: export again", path.display());
+        let bytes = input::read(&path, FileKind::Plan).map_err(|error| again(&error))?;
+        serde_json::from_slice(&bytes).map_err(|error| again(&error))
+    }
+
+    /// Returns a link to a file of the export.
+    pub fn link(&self, name: &str) -> Contents {
+        Contents::Link {
+            file: self.workplace.join(name),
+            folder: self.project.clone(),
+        }
+    }
+
+    /// Moves what was made in [`Self::work`] to its place in the export.
+    pub fn place(&self, name: &str) -> Result<(), String> {
+        let [from, to] = [self.work, self.workplace].map(|folder| folder.join(name));
+        output::rename(&from, &to, &self.disk()).map_err(text)
+    }
 }
 
 /// How the clusters of an export are computed one by one, and their depth maps fused.
@@ -61,12 +89,20 @@ pub struct TaskRunner {
     /// Checks what the commands have made, and puts it in its place. An error is a reason in words;
     /// what was in that place is still there then.
     pub finish: fn(&Call) -> Result<(), String>,
+    /// Folder of viewrank's own files in the export, with a `/` behind it unless it is the export
+    /// itself: tasks work below it, and the script of the export leaves its marks there.
+    pub own: &'static str,
     /// Files of the export that change with the maps that are there.
     pub state: &'static [&'static str],
     /// Cloud that the fusion writes.
     pub cloud: PathBuf,
     /// Depth map of each cluster, in rank order; `None` if it cannot be computed.
     pub maps: Vec<Option<PathBuf>>,
+}
+
+/// An error as a reason.
+pub fn text(error: impl Display) -> String {
+    error.to_string()
 }
 
 /// The words of a command.

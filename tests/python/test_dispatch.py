@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 from conftest import LONG
+from test_run_scripts import COLMAP, INTERPRETER
 
 pytestmark = pytest.mark.usefixtures("without_pilot")
 
@@ -239,11 +240,8 @@ def test_the_printed_commands(way, name, work, tmp_path):
         work.project.rename(project)
     work.project = project
     program = tmp_path / "a colmap"
-    program.write_text(COLMAP.format(folder=tmp_path))
+    program.write_text(COLMAP.replace("PYTHON", INTERPRETER))
     program.chmod(0o755)
-    (tmp_path / "depth_maps").write_bytes(b"4&3&1&" + bytes(48))
-    (tmp_path / "normal_maps").write_bytes(b"4&3&3&" + bytes(144))
-    (tmp_path / "bytes").write_text("1000")
     said = work.viewrank("dispatch", project, "--scheduler", "shell", "--backend", "colmap", "--program", program, "--budget", RANKS).stdout
     (command,) = [line.split(way)[1] for line in said.splitlines() if way in line]
     assert command.isprintable()
@@ -255,40 +253,6 @@ def test_the_printed_commands(way, name, work, tmp_path):
             subprocess.run([*shell, "-c", command], cwd=tmp_path, check=True)
             assert len(list(project.glob(made[0]))) == RANKS and len(list(project.glob(made[1]))) == 1
     assert not list(tmp_path.rglob("pwned"))
-
-
-COLMAP = """#!/bin/sh
-# Writes the map that its list asks for, as many bytes of it as a file says.
-echo "$@" >> {folder}/colmap
-[ "$1" = patch_match_stereo ] || {{ for cloud; do :; done; echo points > "$cloud"; exit 0; }}
-while [ $# -gt 0 ]; do [ "$1" = --config_path ] && list=$2; shift; done
-name=$(head -n 1 "$list")
-for kind in depth_maps normal_maps; do
-    [ -e "stereo/$kind/$name.photometric.bin" ] || head -c "$(cat {folder}/bytes)" {folder}/$kind > "stereo/$kind/$name.photometric.bin"
-done
-"""
-
-
-def test_colmap_maps_must_be_whole(work):
-    """patch_match_stereo keeps existing files, and writes in place."""
-    (work.folder / "depth_maps").write_bytes(b"4&3&1&" + bytes(48))
-    (work.folder / "normal_maps").write_bytes(b"4&3&3&" + bytes(144))
-    program = work.folder / "colmap-program"
-    program.write_text(COLMAP.format(folder=work.folder))
-    program.chmod(0o755)
-    options = ("--scheduler", "shell", "--backend", "colmap", "--program", program, "--format", "json", "--budget", RANKS)
-    tasks = json.loads(work.viewrank("dispatch", work.project, *options).stdout)["tasks"]
-    task = lambda *which, **options: work.task(*which, program=program, backend="colmap", **options)
-    (work.folder / "bytes").write_text("30")
-    assert task("--rank", 2, check=False).returncode == 1, "cut off"
-    (work.folder / "bytes").write_text("1000")
-    for _ in range(2):
-        for rank in range(1, tasks + 1):
-            task("--rank", rank)
-    task("--fuse")
-    calls = (work.folder / "colmap").read_text().splitlines()
-    assert len(calls) == tasks + 2 and "stereo_fusion" in calls[-1]
-    assert json.loads(work.viewrank("dispatch", work.project, *options).stdout)["done"] == tasks
 
 
 def test_dry_run_writes_nothing(work):

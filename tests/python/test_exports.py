@@ -164,42 +164,6 @@ def image_order(path):
     return names
 
 
-def test_finished_maps_of_other_partners_are_reported_and_replaced(viewrank, planned, tmp_path):
-    project, folder = tmp_path / "project", tmp_path / "workspace"
-    shutil.copytree(planned[0], project)
-
-    def export():
-        said = viewrank("export", project, "--backend", "colmap", "--out", folder, "--budget", "8").stdout
-        unwrapped = said.replace("\n" + " " * len("  warning      "), " ")
-        return [line for line in unwrapped.splitlines() if not line.startswith("  removed ")]
-
-    def reported():
-        return [line for line in export() if "other partners" in line]
-
-    assert not reported()
-    lists = (folder / "stereo/patch-match.cfg").read_text().splitlines()
-    names = [line for line in lists if line.strip() and not line.startswith("#")][::2]
-    maps = [folder / f"stereo/depth_maps/{name}.photometric.bin" for name in names]
-    for path in maps:
-        path.write_bytes(b"")
-    assert not reported(), "made by the lists in force"
-    viewrank("plan", project, "-k", "3", "--budget", "8", "--quiet")
-    said = reported()
-    rows = [line.split("\t") for line in (folder / "stereo/viewrank/maps.tsv").read_text().splitlines()]
-    stale = [name for wanted, made, name in rows if "-" not in (wanted, made) and wanted != made]
-    assert stale and f"{len(stale)} finished depth maps were made with other partners" in said[0] and "--replace" in said[0]
-    assert reported() == said, "until they are gone"
-    program = tmp_path / "colmap"
-    program.write_text('#!/bin/sh\n[ "$1" != stereo_fusion ] || for cloud; do :; done\n[ "$1" != stereo_fusion ] || echo points > "$cloud"\n')
-    program.chmod(0o755)
-    environment = {"PATH": "/usr/bin:/bin", "COLMAP": program}
-    subprocess.run(["sh", folder / "stereo/viewrank/run.sh", "--replace"], env=environment, check=True)
-    assert not any((folder / "stereo/depth_maps" / name).exists() for name in stale)
-    kept = {path.name for path in maps} - {name for wanted, _, name in rows if wanted != "-"}
-    assert {path.name for path in maps if path.exists()} == kept, "those of views that are no key views any more"
-    assert not reported()
-
-
 # What is written where
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+import pycolmap
 import pytest
 
 from test_export_formats import Mvs
@@ -215,6 +216,21 @@ def test_a_fusion_that_fails_leaves_the_cloud_of_before(site, points):
     assert (site.export / "fused.ply").read_bytes() == before and not site.left()
     site.makes()
     site.run("--fuse")
+
+
+def test_a_plan_for_another_program_is_computed_at_the_size_of_this_one(site):
+    """OpenMVS matches large images at half the size."""
+    model = pycolmap.Reconstruction(site.project / "sparse/0")
+    for camera in model.cameras.values():
+        camera.rescale(4.0)
+    for image in model.images.values():
+        for point in image.points2D:
+            point.xy = 4.0 * point.xy
+    model.write(site.project / "sparse/0")
+    site.viewrank("plan", site.project, "--backend", "sgm", "--budget", "3", "--confidence", "geometric", "--quiet")
+    site.viewrank("export", site.project, "--backend", "openmvs")
+    site.rank(1)
+    assert site.calls()["1"]["max-resolution"] == "1200"
 
 
 @pytest.mark.parametrize("kind", ["DR", "D2"])

@@ -17,7 +17,6 @@ from test_run_scripts import COLMAP, DMRECON, RUN, SCENE2PSET, Work, plans, work
 
 pytestmark = pytest.mark.usefixtures("without_pilot")
 
-MADE = b"2&2&1&" + bytes(16)
 ESCAPE = "\x1b]0;owned\x07"
 
 
@@ -141,97 +140,51 @@ def test_lists_that_are_too_long_are_not_read(work, tmp_path):  # noqa: F811
 # COLMAP
 
 
-@pytest.mark.parametrize("list", ["stereo/viewrank/maps.tsv", "stereo/patch-match.cfg", "stereo/viewrank/ranks.txt"])
-@pytest.mark.parametrize("options", [[], ["--rank", "1"]])
-def test_lists_of_colmap_that_are_too_long_are_not_read(colmap, list, options):
-    os.truncate(colmap.folder / list, 1 << 32)
-    done, calls = colmap.run(*options, script="stereo/viewrank/run.sh")
-    assert done.returncode == 1 and f"{list}: longer than the 64 MiB" in done.stderr and not calls
-
-
 @pytest.fixture
 def colmap(work):  # noqa: F811
     return work("colmap", {"colmap": COLMAP})
 
 
-def plant(workspace, path, content=MADE):
-    (workspace / path).parent.mkdir(parents=True, exist_ok=True)
-    (workspace / path).write_bytes(content)
+@pytest.mark.parametrize("list", ["stereo/viewrank/marks.tsv", "stereo/patch-match.cfg"])
+def test_lists_of_colmap_that_are_too_long_are_not_read(colmap, list):
+    os.truncate(colmap.folder / list, 1 << 32)
+    done, calls = colmap.run(script=RUN)
+    assert done.returncode == 1 and f"{list}: longer than the 64 MiB" in done.stderr and not calls
 
 
 HASH = "0123456789abcdef"
 
 
-@pytest.mark.parametrize("line", [f"{HASH}\t-\t../../user.bin", f"{HASH}\t-\ta/../../user.bin", f"{HASH}\t-\t/user.bin", f"{HASH}\t-\t..", f"{HASH}\t-\t", f"{HASH[1:]}\t-\ta.bin",
-                                  f"{HASH}\t$(id)\ta.bin", f"{HASH}\t{HASH}0\ta.bin", "a.bin", f"{HASH.upper()}\t-\ta.bin"])
-def test_lines_about_maps_lead_to_none_elsewhere(colmap, line):
-    with open(colmap.folder / "stereo/viewrank/maps.tsv", "a") as file:
+@pytest.mark.parametrize("line", [f"{HASH}\t{HASH}\t../../user.bin", f"{HASH}\t{HASH}\ta/../../user.bin", f"{HASH}\t{HASH}\t/user.bin", f"{HASH}\t{HASH}\t..", f"{HASH}\t{HASH}\t",
+                                  f"../{HASH}\t{HASH}\ta.bin", f"\t{HASH}\ta.bin", f"{HASH}\t$(id)\ta.bin", "a.bin", f"{HASH.upper()}\t{HASH}\ta.bin"])
+def test_marks_lead_to_no_maps_elsewhere(colmap, line):
+    with open(colmap.folder / "stereo/viewrank/marks.tsv", "a") as file:
         file.write(line + "\n")
-    plant(colmap.folder, "user.bin.before")
-    plant(colmap.folder, "user.bin", b"user")
-    for words in ([], ["--replace"], ["--rank", "1"]):
-        done, calls = colmap.run(*words, script=RUN)
-        assert done.returncode == 1 and "maps.tsv" in done.stderr and not calls
-    assert (colmap.folder / "user.bin").read_bytes() == b"user" and (colmap.folder / "user.bin.before").exists()
+    (colmap.folder / "user.bin").write_bytes(b"user")
+    done, calls = colmap.run(script=RUN)
+    assert done.returncode == 1 and "marks.tsv" in done.stderr and not calls
+    assert (colmap.folder / "user.bin").read_bytes() == b"user"
 
 
 @pytest.mark.parametrize("name", ["../../user", "/user", "a/../../user"])
-@pytest.mark.parametrize("file", ["stereo/viewrank/ranks.txt", "stereo/patch-match.cfg"])
-def test_names_of_key_views_lead_to_no_maps_elsewhere(colmap, name, file):
-    path = colmap.folder / file
-    path.write_text(f"{name}\n{path.read_text()}" if file.endswith("txt") else f"{path.read_text()}{name}\na.jpg\n")
-    plant(colmap.folder, "user.photometric.bin", b"user")
-    done, calls = colmap.run("--rank", "1", script=RUN)
+def test_names_of_key_views_lead_to_no_maps_elsewhere(colmap, name):
+    path = colmap.folder / "stereo/patch-match.cfg"
+    path.write_text(f"{path.read_text()}{name}\na.jpg\n")
+    done, calls = colmap.run(script=RUN)
     assert done.returncode == 1 and path.name in done.stderr and not calls
-    assert (colmap.folder / "user.photometric.bin").read_bytes() == b"user"
 
 
-def test_only_maps_of_the_lists_come_back(colmap):
-    """A file that nobody noted is the user's, though another lies there that looks like one that a run has set aside."""
-    listed = [line.split("\t")[2] for line in (colmap.folder / "stereo/viewrank/maps.tsv").read_text().splitlines()]
-    users = {f"stereo/depth_maps/{name}": b"user" for name in ("user.bin", listed[0])}
-    for path, content in users.items():
-        plant(colmap.folder, path, content)
-        plant(colmap.folder, f"{path}.before")
-    done, _ = colmap.run("--fuse", script=RUN)
-    assert done.returncode == 0, done.stderr
-    done, calls = colmap.run(script=RUN, MAPS="0")
-    assert done.returncode == 137
-    assert (colmap.folder / "stereo/depth_maps/user.bin").read_bytes() == b"user" and (colmap.folder / "stereo/depth_maps/user.bin.before").exists()
-    # The other is no whole map, and is what this run makes.
-    assert (colmap.folder / f"stereo/depth_maps/{listed[0]}").read_bytes() != MADE or (colmap.folder / f"stereo/depth_maps/{listed[0]}.made").exists()
-
-
-def test_a_map_that_was_set_aside_stays_listed_until_it_is_back(colmap):
-    """A run is killed, and the next plan wants no map of that key view."""
+def test_a_mark_that_is_no_hash_is_taken_for_another(colmap):
     colmap.run(script=RUN)
-    colmap.export(3)
-    colmap.run("--replace", script=RUN, DURING="kill -9 $(ps -o ppid= -p $PPID) $PPID")
-    aside = {path.name.removesuffix(".before") for path in colmap.folder.glob("stereo/depth_maps/*.bin.before")}
-    assert len(aside) > 2
-    colmap.export(3, "--budget", "1")
-    colmap.run(script=RUN)
-    assert not list(colmap.folder.rglob("*.before")) and all((colmap.folder / "stereo/depth_maps" / name).is_file() for name in aside)
-
-
-def test_a_note_that_is_no_hash_is_taken_for_none(colmap):
-    colmap.run(script=RUN)
-    (first, *_) = sorted((colmap.folder / "stereo/depth_maps").glob("*.bin"))
-    note = first.with_name(f"{first.name}.made")
-    note.write_text("\\033[2J../../etc\n" + ESCAPE)
-    done, calls = colmap.run("--replace", script=RUN)
-    assert done.returncode == 0 and len(calls) == 2 and len(note.read_text().strip()) == 16, "made anew"
+    before = {path: path.read_bytes() for path in (colmap.folder / "stereo").rglob("*.bin")}
+    (mark, *_) = sorted((colmap.folder / "stereo/viewrank/done").iterdir())
+    mark.write_text("\\033[2J../../etc\n" + ESCAPE)
+    done, calls = colmap.run(script=RUN)
+    assert done.returncode == 0 and calls == ["stereo_fusion"] and "are kept" in done.stderr and "\x1b" not in done.stderr
+    assert {path: path.read_bytes() for path in (colmap.folder / "stereo").rglob("*.bin")} == before, "no mark has a map removed"
 
 
 # What is printed
-
-
-def test_a_rank_without_map_is_named_without_escape_sequences(colmap):
-    name = f"a{ESCAPE}\\033[2J.jpg"
-    (colmap.folder / "stereo/viewrank/ranks.txt").write_text(f"{name}\n")
-    done, _ = colmap.run("--rank", "1", script=RUN)
-    assert done.returncode == 1 and "COLMAP left no whole depth map" in done.stderr and "\\033[2J.jpg" in done.stderr
-    assert "\x1b" not in done.stderr and "\x07" not in done.stderr
 
 
 def test_tasks_of_a_queue_name_views_without_escape_sequences(viewrank, plans, tmp_path):  # noqa: F811

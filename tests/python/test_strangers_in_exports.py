@@ -39,9 +39,7 @@ CASES = {
     "acmm": ({"ACMM": ACMM}, ["run.sh"], ["ACMM", "ACMM/2333_00000000", "ACMM/2333_00000000/depths.dmb"]),
     "alicevision": ({f"aliceVision_{name}": ALICEVISION for name in ("depthMapEstimation", "depthMapFiltering", "meshing")}, ["run.sh"],
                     ["unfinished", "unfinished/filtered", "older", "kept", "finished.sfm.part", "depthMaps", "filtered"]),
-    "colmap": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh", "--replace"],
-               ["stereo/viewrank/unfinished.ply", "stereo/viewrank/rank-1.cfg", "stereo/depth_maps/x.bin.before", "stereo/consistency_graphs/x"]),
-    "colmap rank": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh", "--rank", "1"], ["stereo/viewrank/rank-1.cfg"]),
+    "colmap": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh"], ["stereo/viewrank/unfinished.ply", "stereo/viewrank/0001.cfg", "stereo/consistency_graphs/x"]),
     "gipuma": ({"gipuma": GIPUMA}, ["run.sh"], ["unfinished", "older", "results/2_0123456789abcdef_00000001"]),
     "mve": ({"dmrecon": DMRECON, "scene2pset": SCENE2PSET}, ["run.sh"],
             ["unfinished", "kept", "synth_0.out", "unfinished.ply", "fused_half.ply", "kept/fused_half.ply", "views/view_00000099.mve", "older"]),
@@ -256,7 +254,7 @@ def test_tasks_of_a_queue(which, viewrank, plans, tmp_path):  # noqa: F811
             kept.rename(project)
 
 
-@pytest.mark.parametrize("backend, name", [("openmvs", "run.py"), ("openmvs", "run.json"), ("openmvs", "clusters/*.mvs"), ("colmap", "run.sh"), ("colmap", "patch-match.cfg"),
+@pytest.mark.parametrize("backend, name", [("openmvs", "run.py"), ("openmvs", "run.json"), ("openmvs", "clusters/*.mvs"), ("colmap", "run.sh"), ("colmap", "patch-match.cfg"), ("colmap", "run.json"),
                                            ("sgm", "matching.py"), ("sgm", "clusters.txt")])
 def test_tasks_of_a_queue_use_no_other_export(backend, name, viewrank, plans, tmp_path):  # noqa: F811
     project = tmp_path / "project"

@@ -156,6 +156,7 @@ impl Dispatch {
         export: &Export,
         finished: usize,
     ) -> Result<Self, DispatchError> {
+        let selection = &backend.at_its_size(selection);
         let project = absolute(&selection.project.home);
         let runner =
             (backend.tasks)(selection, export).ok_or(DispatchError::NoTasks(backend.name))?;
@@ -286,20 +287,19 @@ impl Dispatch {
         (task.rank <= self.finished || self.is_marked(task)) && (self.runner.is_whole)(&task.map)
     }
 
-    /// Returns whether a task's depth map has its mark, from viewrank or from the script of the
-    /// export, which may have run where there is no viewrank.
+    /// Returns whether a task's depth map has its mark. That of the script of the export, which may
+    /// have run where there is no viewrank, counts first: it goes when viewrank makes a map.
     fn is_marked(&self, task: &Task) -> bool {
-        let of_script = || {
-            let name = format!("done/{}", task.marker);
-            output::read_own(&self.workplace, &name, FileKind::Record)
-        };
-        let noted = self.own_text(&format!("done/{}", task.marker));
-        let noted = if noted.is_empty() {
-            text_of(of_script())
-        } else {
-            noted
-        };
-        [&*task.id, &*task.id_at_full_size].contains(&noted.trim())
+        let made_from = backends::made_from(
+            (&self.workplace, &self.mark_of_script(task)),
+            (&self.project, self.backend),
+            &task.marker,
+        );
+        made_from.is_some_and(|id| [&*task.id, &*task.id_at_full_size].contains(&&*id))
+    }
+
+    fn mark_of_script(&self, task: &Task) -> String {
+        format!("{}done/{}", self.runner.own, task.marker)
     }
 
     /// Returns the finished tasks, in rank order.
@@ -493,9 +493,6 @@ impl Hint for DispatchError {
                     "name it with --program or {variable}{or_sgm}; where only the nodes of a queue have it, see viewrank dispatch --setup"
                 )
                 .into()
-            }
-            Self::Start { program, .. } if program == "sh" => {
-                "COLMAP's script needs sh; on Windows, put that of Git for Windows on the PATH, or use WSL".into()
             }
             Self::Start { program, .. } if slurm::COMMANDS.contains(&&**program) => {
                 "run this where SLURM's commands are, or take --scheduler shell".into()

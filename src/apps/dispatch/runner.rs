@@ -77,6 +77,7 @@ impl Dispatch {
         }
         let (marker, disk) = (self.folder.join("done").join(&task.marker), self.disk());
         output::remove(&marker, &disk)?;
+        output::remove(&self.workplace.join(self.mark_of_script(task)), &disk)?;
         let ended = self.run(Product::Map(task.rank), &task.id, runner)?;
         if ended != TaskResult::Done {
             return Ok(ended);
@@ -148,7 +149,8 @@ impl Dispatch {
         id: &str,
         runner: &Runner,
     ) -> Result<TaskResult, DispatchError> {
-        let work = self.workplace.join(format!("unfinished/{}", unique()));
+        let own = self.runner.own;
+        let work = self.workplace.join(format!("{own}unfinished/{}", unique()));
         let finished: Vec<usize> = match product {
             Product::Map(_) => Vec::new(),
             Product::Cloud => self.finished_tasks().map(|task| task.rank).collect(),

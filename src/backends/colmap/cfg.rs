@@ -5,13 +5,23 @@
 //! others are pairs of a reference image and its sources, separated by `,` or `;`. There is no
 //! escape, and an empty list of sources would shift all later pairs by a line.
 
+use serde::{Deserialize, Serialize};
+
 use crate::backends::BackendError;
 
 /// One problem of patch match: the reference image and its sources, never empty.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Problem {
     pub reference: String,
     pub sources: Vec<String>,
+}
+
+impl Problem {
+    /// Returns the names of all its images.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        let names = [&self.reference].into_iter().chain(&self.sources);
+        names.map(String::as_str)
+    }
 }
 
 /// Returns the text of a `patch-match.cfg`; `heading` becomes comment lines.
@@ -22,26 +32,6 @@ pub fn write_patch_match(heading: &[String], problems: &[Problem]) -> String {
         text += &format!("{}\n{}\n", problem.reference, problem.sources.join(", "));
     }
     text
-}
-
-/// Parses a `patch-match.cfg` as COLMAP does: a last reference without a line of sources is
-/// dropped.
-pub fn read_patch_match(text: &str) -> Vec<Problem> {
-    let lines: Vec<&str> = text
-        .lines()
-        .map(trim)
-        .filter(|l| !l.is_empty() && !l.starts_with('#'))
-        .collect();
-    let problem = |pair: &[&str]| Problem {
-        reference: pair[0].into(),
-        sources: pair[1]
-            .split([',', ';'])
-            .map(trim)
-            .filter(|s| !s.is_empty())
-            .map(Into::into)
-            .collect(),
-    };
-    lines.chunks_exact(2).map(problem).collect()
 }
 
 /// Refuses a name that cannot be written to both files, as a reference and as a source.
@@ -73,6 +63,26 @@ mod tests {
 
     use super::*;
     use crate::base::error::Hint;
+
+    /// Parses a `patch-match.cfg` as COLMAP does: a last reference without a line of sources is
+    /// dropped.
+    fn read_patch_match(text: &str) -> Vec<Problem> {
+        let lines: Vec<&str> = text
+            .lines()
+            .map(trim)
+            .filter(|l| !l.is_empty() && !l.starts_with('#'))
+            .collect();
+        let problem = |pair: &[&str]| Problem {
+            reference: pair[0].into(),
+            sources: pair[1]
+                .split([',', ';'])
+                .map(trim)
+                .filter(|s| !s.is_empty())
+                .map(Into::into)
+                .collect(),
+        };
+        lines.chunks_exact(2).map(problem).collect()
+    }
 
     proptest! {
         /// Whatever is written is read back as it was meant.

@@ -1,7 +1,8 @@
 //! COLMAP's dense stereo, 3.8 to 4.2: `docs/backends.md` 1.
 //!
 //! `stereo/patch-match.cfg` always runs through with the options at its head,
-//! `stereo/viewrank/run.sh` runs all steps. The difficulty is geometric consistency: it needs the
+//! `stereo/viewrank/run.sh` runs all steps where there is no viewrank, and [`run`] does them one by
+//! one and checks each. The difficulty is geometric consistency: it needs the
 //! photometric depth maps of every partner, and a partner that isn't a reference image never gets
 //! one. There are four variants, by [`ExportOptions::refs`] and [`ExportOptions::geometric`]:
 //!
@@ -15,24 +16,26 @@
 //! With geometric consistency the ranked list is cut into batches, so that an interrupted run
 //! leaves complete results of the best clusters.
 
-use std::{collections::HashSet, ffi::OsString};
+use std::collections::{HashMap, HashSet};
 
 use nalgebra::Vector3;
 
 use self::{
     cfg::Problem,
-    finished::{MapRecipe, MapRecords, map_name},
+    marks::{ListedMap, map_name},
+    run::{Row, Run},
 };
 use super::{
-    Backend, BackendError, Call, Capabilities, ExaminedProject, Export, ExportOptions,
-    ExportRecord, Honours, LastRun, PATCH_MATCH, PlanningNumbers, Product, References, Selection,
-    TaskRunner, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, References, Selection, TaskRunner, Trap,
+    clusters::task_ids,
     record::{at_full_size, capped_scale},
-    runner::{finishes_itself, is_not_empty, words},
     selection,
+    strangers::with_refusal,
     workspace::{Workspace, add_workspace},
 };
 use crate::{
+    base::printable::to_json,
     io::{
         output::{Contents, FileSet},
         project::ProjectKind,
@@ -44,14 +47,20 @@ use crate::{
 };
 
 mod cfg;
-mod finished;
-mod script;
+mod marks;
+mod run;
 mod traps;
 mod widths;
 
 /// Maps that must agree on a point. COLMAP's default of 5 gives 40 to 74 % of the surface that 2 does,
 /// 3 to 12 points more accurate (docs/benchmarks.md), and how many maps see a place depends on the plan.
 const MIN_PIXELS: usize = 2;
+/// Folder of viewrank's own files in the workspace.
+const OWN: &str = "stereo/viewrank/";
+const MARKS: &str = "stereo/viewrank/marks.tsv";
+const SCRIPT: &str = "stereo/viewrank/run.sh";
+/// Options of photometric maps from which no geometric pass starts.
+const PHOTOMETRIC: &str = "--PatchMatchStereo.geom_consistency 0 --PatchMatchStereo.filter 1";
 /// Path of the cloud: `fused.ply` in the workspace itself may be the user's.
 const FUSED: &str = "stereo/viewrank/fused.ply";
 /// List that COLMAP reads by default.
@@ -110,21 +119,14 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         program: "colmap",
         variable: "COLMAP",
         takes_python: false,
-        commands,
-        is_whole: is_not_empty,
-        finish: finishes_itself,
-        state: &["stereo/viewrank/maps.tsv", "export.json"],
+        commands: run::commands,
+        is_whole: run::is_whole,
+        finish: run::finish,
+        own: OWN,
+        state: &["stereo/viewrank/export.json"],
         cloud: export.files.root.join(FUSED),
         maps: selection.clusters.iter().map(map).collect(),
     })
-}
-
-fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
-    let script = call.workplace.join("stereo/viewrank/run.sh");
-    Ok(vec![match call.product {
-        Product::Map(rank) => words([&"sh", &script, &"--rank", &rank.to_string()]),
-        Product::Cloud => words([&"sh", &script, &"--fuse"]),
-    }])
 }
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {
@@ -150,11 +152,13 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         }
     };
     passes.add_files(selection, &mut files, &mut record);
-    add_lists(
-        passes.lists(|scale| max_image_size(selection, scale)),
-        &mut files,
+    let maps = passes.listed_maps(selection);
+    warn_of_stale(
+        &marks::stale(&maps, &files.root, &selection.project.home),
         &mut record,
     );
+    files.add_text(MARKS, marks::to_tsv(&maps));
+    files.add_script(SCRIPT, script(&record));
     files.add_text("stereo/viewrank/export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -247,9 +251,7 @@ impl Passes {
     /// Returns all names in the lists.
     fn names(&self) -> impl Iterator<Item = &str> {
         let problems = self.first.iter().chain(&self.last);
-        problems
-            .flat_map(|problem| std::iter::once(&problem.reference).chain(&problem.sources))
-            .map(String::as_str)
+        problems.flat_map(Problem::names)
     }
 
     /// Returns a list that can be run with COLMAP's default options, or with `geom_consistency 0`
@@ -269,7 +271,7 @@ impl Passes {
         } else {
             self.last.len()
         };
-        record.runner = Some("stereo/viewrank/run.sh".into());
+        record.runner = Some(SCRIPT.into());
         record.made_for = "COLMAP 3.8 to 4.2 (models and fusion run with 3.8 and 4.2.1)".into();
         record.way = format!(
             "refs {}, geometric {}",
@@ -348,19 +350,35 @@ impl Passes {
         };
         record.commands.extend(passes);
         self.add_fusion(selection, record);
-        let ranks: String = selection
-            .clusters
-            .iter()
-            .map(|c| format!("{}\n", selection.scene.name(c.key)))
-            .collect();
-        files.add_text("stereo/viewrank/ranks.txt", ranks);
+        if !self.geometric {
+            files.add_text(run::RUN, to_json(&self.run(selection)));
+        }
         for folder in map_folders(self.main_list()) {
             files.add(folder, Contents::Folder);
         }
-        files.add_script(
-            "stereo/viewrank/run.sh",
-            script::runner(record, self.geometric, self.half_size(selection)),
-        );
+    }
+
+    /// Returns the tasks of an export without geometric consistency.
+    fn run(&self, selection: &Selection) -> Run {
+        let problems: HashMap<&str, &Problem> =
+            self.last.iter().map(|p| (&*p.reference, p)).collect();
+        let row = |(rank, cluster): (usize, &RankedCluster)| {
+            let problem = *problems.get(selection.scene.name(cluster.key))?;
+            let [id, _] = task_ids(&BACKEND, selection, cluster);
+            let max_image_size = max_image_size(selection, cluster.scale);
+            let camera = selection.scene.camera_of(cluster.key);
+            Some(Row {
+                rank,
+                id,
+                problem: problem.clone(),
+                max_image_size,
+                size: reduced([camera.width, camera.height], max_image_size),
+            })
+        };
+        Run {
+            images: selection.scene.views.len(),
+            maps: (1..).zip(selection.clusters).filter_map(row).collect(),
+        }
     }
 
     /// Adds the lists of the two passes with geometric consistency, batch by batch; returns their
@@ -385,75 +403,64 @@ impl Passes {
     /// Adds the lists of the only pass without geometric consistency, one for each run of maps of
     /// one size; returns their commands.
     fn add_lists(&self, selection: &Selection, files: &mut FileSet) -> Vec<String> {
-        let options = geometric(false) + "--PatchMatchStereo.filter 1";
         let mut commands = Vec::new();
         for (config, scale, problems) in self.lists_of_one_size() {
-            commands.push(patch_match(selection, &config, &options, scale));
+            commands.push(patch_match(selection, &config, PHOTOMETRIC, scale));
             if config != MAIN_LIST {
                 files.add_text(config, cfg::write_patch_match(&[], problems));
             }
         }
-        if !self.half.is_empty() {
-            let names = self.half_in_order();
-            let half: String = names.map(|name| format!("{name}\n")).collect();
-            files.add_text("stereo/viewrank/half.txt", half);
-        }
         commands
     }
 
-    /// Returns the recipes of the depth maps.
-    fn lists(&self, long_side: impl Fn(MapScale) -> Option<u32>) -> MapRecords {
-        let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
-            let made = |p: &Problem| {
-                let scale = if self.half.contains(&p.reference) {
-                    MapScale::Half
-                } else {
-                    MapScale::Full
-                };
-                (
-                    map_name(&p.reference, kind),
-                    MapRecipe::new(p, filtered, long_side(scale)),
-                )
-            };
-            problems.iter().map(made).collect()
-        };
-        let first = maps(&self.first, "photometric", false);
-        let last = maps(
-            &self.last,
-            if self.geometric {
-                "geometric"
-            } else {
-                "photometric"
-            },
-            !self.geometric,
-        );
-        MapRecords::new(first.into_iter().chain(last))
+    fn scale(&self, problem: &Problem) -> MapScale {
+        if self.half.contains(&problem.reference) {
+            MapScale::Half
+        } else {
+            MapScale::Full
+        }
     }
 
-    /// MapRecords of key views of one size each, in the order of computation, with their paths: the
-    /// main list where all have full size.
-    fn lists_of_one_size(&self) -> Vec<(String, MapScale, &[Problem])> {
-        let scale = |p: &Problem| {
-            if self.half.contains(&p.reference) {
-                MapScale::Half
-            } else {
-                MapScale::Full
-            }
+    /// Returns all depth maps of the lists, with their marks.
+    fn listed_maps(&self, selection: &Selection) -> Vec<ListedMap> {
+        let clusters = selection.clusters.iter();
+        let tasks: HashMap<&str, &RankedCluster> =
+            clusters.map(|c| (selection.scene.name(c.key), c)).collect();
+        let listed = |problem: &Problem, kind: &str| {
+            ListedMap::new(
+                problem,
+                kind,
+                max_image_size(selection, self.scale(problem)),
+            )
         };
+        let last = |problem: &Problem| {
+            if self.geometric {
+                return listed(problem, "geometric");
+            }
+            let mut map = listed(problem, "photometric");
+            if let Some(task) = tasks.get(&*problem.reference) {
+                map.ids = task_ids(&BACKEND, selection, task);
+            }
+            map
+        };
+        let first = self
+            .first
+            .iter()
+            .map(|problem| listed(problem, "photometric"));
+        first.chain(self.last.iter().map(last)).collect()
+    }
+
+    /// Lists of key views of one size each, in the order of computation, with their paths: the main
+    /// list where all have full size.
+    fn lists_of_one_size(&self) -> Vec<(String, MapScale, &[Problem])> {
         if self.half.is_empty() {
             return vec![(MAIN_LIST.into(), MapScale::Full, &self.last)];
         }
-        let lists = self.last.chunk_by(|a, b| scale(a) == scale(b)).zip(1..);
+        let of_one_size = |a: &Problem, b: &Problem| self.scale(a) == self.scale(b);
+        let lists = self.last.chunk_by(of_one_size).zip(1..);
         lists
-            .map(|(list, n)| (format!("stereo/viewrank/{n:04}.cfg"), scale(&list[0]), list))
+            .map(|(list, n)| (format!("{OWN}{n:04}.cfg"), self.scale(&list[0]), list))
             .collect()
-    }
-
-    fn half_in_order(&self) -> impl Iterator<Item = &str> {
-        self.last
-            .iter()
-            .map(|p| p.reference.as_str())
-            .filter(|name| self.half.contains(*name))
     }
 
     /// Splits the last pass into batches of [`BATCH`], each with the photometric maps that it needs
@@ -477,43 +484,57 @@ impl Passes {
         self.last.chunks(BATCH).map(batch).collect()
     }
 
-    /// Returns the long side of the images that are matched at half the size, if any.
-    fn half_size(&self, selection: &Selection) -> Option<u32> {
-        max_image_size(selection, MapScale::Half).filter(|_| !self.half.is_empty())
-    }
-
     fn add_fusion(&self, selection: &Selection, record: &mut ExportRecord) {
-        // With a single map no other can agree.
-        let min_pixels = MIN_PIXELS.min(self.last.len().max(1));
         let kind = if self.geometric {
             "geometric"
         } else {
             "photometric"
         };
+        let options = fusion_options(kind, self.last.len(), selection.scene.views.len());
         record.commands.push(format!(
-            "colmap stereo_fusion --workspace_path . --input_type {kind} --StereoFusion.min_num_pixels {min_pixels} \
-             --StereoFusion.check_num_images {} --output_path {FUSED}",
-            selection.scene.views.len()
+            "colmap stereo_fusion --workspace_path . {options} --output_path {FUSED}"
         ));
+        let min_pixels = min_pixels(self.last.len());
         record.fusion = format!(
             "min_num_pixels {min_pixels}: COLMAP's default of 5 leaves nothing where fewer key views see a place; check_num_images: key views are joined although other views overlap them more"
         );
     }
 }
 
-/// Notes the lists and reports the finished maps that don't fit them.
-fn add_lists(mut lists: MapRecords, files: &mut FileSet, record: &mut ExportRecord) {
-    let stale = lists.follow(&files.root);
-    if !stale.is_empty() {
+/// Returns how many maps must agree on a point: with a single map no other can.
+fn min_pixels(maps: usize) -> usize {
+    MIN_PIXELS.min(maps.max(1))
+}
+
+/// Options of a fusion of maps of one kind. `images`: number of those of the model.
+fn fusion_options(kind: &str, maps: usize, images: usize) -> String {
+    format!(
+        "--input_type {kind} --StereoFusion.min_num_pixels {} --StereoFusion.check_num_images {images}",
+        min_pixels(maps)
+    )
+}
+
+/// Reports the finished maps that are not of the lists.
+fn warn_of_stale(stale: &[&str], record: &mut ExportRecord) {
+    if let [first, others @ ..] = stale {
+        let more = if others.is_empty() { "" } else { ", ..." };
         record.warnings.push(format!(
-            "{} finished depth maps were made with other partners or options, or nobody knows how, and COLMAP would keep them ({}{}): \
-             `stereo/viewrank/run.sh --replace` makes them anew",
-            stale.len(),
-            stale[0],
-            if stale.len() > 1 { ", ..." } else { "" }
+            "{} finished depth maps were made with other partners or options, or nobody knows how, and COLMAP would keep them ({first}{more}): \
+             remove them to compute them again",
+            stale.len()
         ));
     }
-    files.add_text(finished::MAPS, lists.to_tsv());
+}
+
+/// Returns `run.sh`, which runs the commands of the record in the workspace.
+fn script(record: &ExportRecord) -> String {
+    let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
+    let command = |c: &String| c.replacen("colmap", "\"${COLMAP:-colmap}\"", 1);
+    let maps: Vec<String> = maps.iter().map(command).collect();
+    let unfinished = format!("{OWN}unfinished.ply");
+    with_refusal(include_str!("../../../integrations/colmap/run.sh"))
+        .replacen("@MAPS@", &maps.join("\n"), 1)
+        .replacen("@FUSION@", &command(fusion).replace(FUSED, &unfinished), 1)
 }
 
 /// Returns, for each view, whether it observes a sparse point. COLMAP derives the depth range from
@@ -617,6 +638,13 @@ fn patch_match(selection: &Selection, config: &str, options: &str, scale: MapSca
 fn max_image_size(selection: &Selection, scale: MapScale) -> Option<u32> {
     let factor = selection.image_scale * scale.factor();
     (factor < 1.0).then(|| (f64::from(selection.long_side()) * factor).ceil() as u32)
+}
+
+/// Returns width and height of an image whose long side is reduced to this, pixels.
+fn reduced(size: [u32; 2], long_side: Option<u32>) -> [u32; 2] {
+    let long = size[0].max(size[1]);
+    let scale = f64::from(long_side.map_or(long, |side| side.min(long))) / f64::from(long.max(1));
+    size.map(|side| (f64::from(side) * scale).round() as u32)
 }
 
 /// Returns the longest side of the matched images, one number for all of them.

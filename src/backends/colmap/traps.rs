@@ -1,6 +1,6 @@
 //! Faults of a project that break COLMAP.
 
-use super::{cfg, finished, widths};
+use super::{MARKS, cfg, widths};
 use crate::{
     backends::{ExaminedProject, Trap, selection},
     base::shell::command_path,
@@ -28,15 +28,14 @@ pub fn all(examined: &ExaminedProject) -> Vec<Trap> {
         .collect()
 }
 
-/// Finds maps without a record of their lists.
+/// Finds maps without marks.
 fn finished_maps(examined: &ExaminedProject) -> Option<Trap> {
     let workspace = examined
         .project
         .dense_workspace
         .as_ref()
-        .filter(|folder| !folder.join(finished::MAPS).exists())?;
-    let cure =
-        "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
+        .filter(|folder| !folder.join(MARKS).exists())?;
+    let cure = "viewrank run makes those anew that its plan needs".into();
     let folder = workspace.join("stereo/depth_maps");
     examined.finished_maps(
         "colmap-stale-maps-skipped",

@@ -6,9 +6,9 @@ use std::{
     path::Path,
 };
 
-use super::run::{Run, text};
+use super::run::Run;
 use crate::{
-    backends::{Call, selection::FUSED_WITH},
+    backends::{Call, runner::text, selection::FUSED_WITH},
     io::{
         depthmaps::openmvs::WholeMap,
         formats::openmvs::{Mvs, NO_POSE},
@@ -47,15 +47,12 @@ pub fn lay_out(run: &Run, call: &Call) -> Result<usize, String> {
             continue;
         }
         if map.size() == full {
-            files.add(&*row.map, link(&path, call.project));
+            files.add(&*row.map, call.link(&row.map));
         } else {
             small.push((row, map, full));
         }
         there.insert(i);
-        files.add(
-            &*row.image,
-            link(&call.workplace.join(&row.image), call.project),
-        );
+        files.add(&*row.image, call.link(&row.image));
     }
     refuse_two_kinds(&kinds)?;
     files.add("fuse.mvs", Contents::Bytes(scene_of(call, &there)?));
@@ -77,13 +74,6 @@ pub fn check(work: &Path) -> Result<(), String> {
         Ok(())
     } else {
         Err("OpenMVS fused no points".into())
-    }
-}
-
-fn link(path: &Path, project: &Path) -> Contents {
-    Contents::Link {
-        file: path.into(),
-        folder: project.into(),
     }
 }
 

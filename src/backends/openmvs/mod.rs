@@ -131,6 +131,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         commands: run::commands,
         is_whole: WholeMap::is_there,
         finish: run::finish,
+        own: "",
         state: &[],
         cloud: export.files.root.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),

@@ -18,13 +18,9 @@ use super::{
     scene::{Builder, DepthRange},
 };
 use crate::{
-    backends::{Call, Product, Selection, clusters::task_marker},
+    backends::{Call, Product, Selection, clusters::task_marker, runner::text},
     base::platform,
-    io::{
-        depthmaps::openmvs::WholeMap,
-        input::{self, FileKind},
-        output,
-    },
+    io::{depthmaps::openmvs::WholeMap, output},
     model::{
         cluster::{MapScale, RankedCluster},
         scene::ViewIndex,
@@ -166,13 +162,6 @@ impl Run {
         }
     }
 
-    fn read(call: &Call) -> Result<Self, String> {
-        let path = call.workplace.join("run.json");
-        let again = |what: String| format!("{}: {what}: export again", path.display());
-        let bytes = input::read(&path, FileKind::Plan).map_err(|error| again(error.to_string()))?;
-        serde_json::from_slice(&bytes).map_err(|error| again(error.to_string()))
-    }
-
     /// The row of a task: another plan may have been exported meanwhile.
     fn row(&self, rank: usize, call: &Call) -> Result<&Row, String> {
         let is_it = |row: &&Row| row.rank == rank && row.ids_of_map[0] == call.id;
@@ -214,7 +203,7 @@ fn command_on(call: &Call, scene: &Path, made: &str) -> Vec<OsString> {
 
 /// Makes the folder of a task, and returns the command that does it there.
 pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
-    let run = Run::read(call)?;
+    let run: Run = call.read("run.json")?;
     output::make_new_folder(call.work, &call.disk()).map_err(text)?;
     let help = help_of(call)?;
     let (mut command, of_task, agreeing, resolution) = match call.product {
@@ -255,10 +244,6 @@ fn where_known(agreeing: usize) -> [[&'static str; 2]; 4] {
     ]
 }
 
-pub fn text(error: impl std::fmt::Display) -> String {
-    error.to_string()
-}
-
 /// Returns the program's help, which names the options that it knows. It writes a log even then.
 fn help_of(call: &Call) -> Result<String, String> {
     let failed = |error: std::io::Error| format!("{}: {error}", call.program.display());
@@ -275,22 +260,18 @@ fn help_of(call: &Call) -> Result<String, String> {
 
 /// Checks what the program has made, and puts it in its place.
 pub fn finish(call: &Call) -> Result<(), String> {
-    let place = |name: &str| {
-        let (from, to) = (call.work.join(name), call.workplace.join(name));
-        output::rename(&from, &to, &call.disk()).map_err(text)
-    };
     match call.product {
         Product::Map(rank) => {
-            let run = Run::read(call)?;
+            let run: Run = call.read("run.json")?;
             let row = run.row(rank, call)?;
             let kind = check(row, &call.work.join(&row.map))?;
             refuse_other_kinds(&run, row, call, kind)?;
-            place(&row.map)
+            call.place(&row.map)
         }
         Product::Cloud => {
             fusion::check(call.work)?;
-            place("fused.ply")?;
-            place("fused.mvs")
+            call.place("fused.ply")?;
+            call.place("fused.mvs")
         }
     }
 }

@@ -121,6 +121,7 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         commands,
         is_whole: is_not_empty,
         finish: finishes_itself,
+        own: "",
         state: &[],
         cloud: out.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),

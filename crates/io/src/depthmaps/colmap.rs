@@ -1,21 +1,51 @@
 //! COLMAP's `NAME.geometric.bin`: ASCII `W&H&C&`, then W x H x C little-endian float32, plane by
 //! plane, row-major.
 
+use std::{fs, path::Path};
+
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{Parsed, Plane, floats};
+use super::{DepthMapError, Parsed, Plane, floats};
+use crate::input::{self, FileKind};
+
+/// Bytes within which a head ends: three numbers of ten digits.
+const LONGEST_HEAD: u64 = 33;
+
+/// Width and height of a map that is all there, also of one of normals (3 `channels`).
+///
+/// # Errors
+/// [`DepthMapError::Format`] for a map of other channels, or of another length than its head says.
+pub fn whole_size(path: &Path, channels: u32) -> Result<[u32; 2], DepthMapError> {
+    let start = input::read_start(path, FileKind::Picture, LONGEST_HEAD);
+    let start = start.map_err(DepthMapError::io(path))?;
+    let there = fs::metadata(path).map_err(DepthMapError::io(path))?.len();
+    let (size, at) = head(&start, channels).map_err(DepthMapError::format(path))?;
+    let [width, height] = size;
+    let values = u64::from(width) * u64::from(height);
+    let needed = values.saturating_mul(4 * u64::from(channels));
+    let needed = needed.saturating_add(at as u64);
+    if values > 0 && there == needed {
+        return Ok(size);
+    }
+    let what = format!("{width} x {height} pixels need {needed} bytes, {there} are there");
+    Err(DepthMapError::format(path)((at, what)))
+}
 
 pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
+    let (size, at) = head(bytes, 1)?;
+    floats(bytes, at, size, bound)
+}
+
+/// Returns width and height, and the offset of the floats.
+fn head(bytes: &[u8], channels: u32) -> Parsed<([u32; 2], usize)> {
     let (width, at) = number(bytes, 0)?;
     let (height, at) = number(bytes, at)?;
-    let (channels, at) = number(bytes, at)?;
-    if channels != 1 {
-        return Err((
-            0,
-            format!("{channels} channels, expected 1 (is this a normal map?)"),
-        ));
+    let (found, at) = number(bytes, at)?;
+    if found != channels {
+        let what = format!("{found} channels, expected {channels} (a normal map has 3)");
+        return Err((0, what));
     }
-    floats(bytes, at, [width, height], bound)
+    Ok(([width, height], at))
 }
 
 /// Parses decimal digits up to `&`; returns the number and the offset after the `&`.

@@ -285,7 +285,9 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     match name {
         _ if is_other_map => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
-        _ if name.ends_with(".photometric.bin") => Some((DepthMapFormat::ColmapPhotometric, 1)),
+        _ if name.ends_with(".photometric.bin") && !is_in_colmaps_task(path) => {
+            Some((DepthMapFormat::ColmapPhotometric, 1))
+        }
         _ if is_dmap(name) && !is_unfinished(path) => Some((DepthMapFormat::OpenMvs, 0)),
         "depths_geom.dmb" => Some((DepthMapFormat::Dmb, 0)),
         "depths.dmb" => Some((DepthMapFormat::Dmb, 1)),
@@ -326,6 +328,12 @@ fn mve_scale(name: &str) -> Option<u8> {
 fn is_unfinished(path: &Path) -> bool {
     let above = path.ancestors().nth(2).and_then(Path::file_name);
     above.is_some_and(|name| name == "unfinished")
+}
+
+/// Returns whether a task is still making the map, in a workspace of its own.
+fn is_in_colmaps_task(path: &Path) -> bool {
+    path.ancestors()
+        .any(|above| above.ends_with("stereo/viewrank/unfinished"))
 }
 
 /// Accepts `depth0012.dmap`, but not OpenMVS's intermediate `depth0012.geo.dmap` and

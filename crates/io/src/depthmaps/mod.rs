@@ -1,7 +1,7 @@
 //! Readers for the depth maps of the backends, one module per format, and the assignment of files
 //! to views.
 
-mod colmap;
+pub mod colmap;
 mod dmb;
 mod exr;
 mod find;

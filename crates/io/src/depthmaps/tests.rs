@@ -583,6 +583,11 @@ fn prefers_colmaps_geometric_maps_and_ignores_normal_maps() {
         ("depth_maps/flight 1/IMG_9394.jpg.photometric.bin", BIN),
         ("depth_maps/other.jpg.photometric.bin", BIN),
         ("normal_maps/IMG_9394.jpg.geometric.bin", BIN),
+        // What a killed task was making.
+        (
+            "stereo/viewrank/unfinished/a1/stereo/depth_maps/flight 1/IMG_9394.jpg.photometric.bin",
+            BIN,
+        ),
     ]);
     let set = find(folder.path(), &scene).unwrap();
     assert_eq!(
@@ -596,6 +601,35 @@ fn prefers_colmaps_geometric_maps_and_ignores_normal_maps() {
         set.unassigned,
         [folder.path().join("depth_maps/other.jpg.photometric.bin")]
     );
+}
+
+#[test]
+fn a_map_of_colmap_is_whole_at_one_length_alone() {
+    let folder = folder(&[("a.bin", BIN)]);
+    let path = folder.path().join("a.bin");
+    let bytes = std::fs::read(&path).unwrap();
+    let size = |bytes: &[u8], channels| {
+        std::fs::write(&path, bytes).unwrap();
+        colmap::whole_size(&path, channels)
+    };
+    assert_eq!(size(&bytes, 1).unwrap(), [6, 4]);
+    let longer = [&*bytes, &[0]].concat();
+    for (bytes, channels, why) in [
+        (
+            &bytes[..bytes.len() - 1],
+            1,
+            "6 x 4 pixels need 102 bytes, 101 are there",
+        ),
+        (&longer, 1, "102 bytes, 103 are there"),
+        (&bytes, 3, "1 channels, expected 3"),
+        (b"0&4&1&", 1, "0 x 4 pixels"),
+        (b"4294967295&4294967295&1&", 1, "18446744073709551615 bytes"),
+        (b"6&4", 1, "expected `WIDTH&HEIGHT&CHANNELS&`"),
+        (b"", 1, "expected"),
+    ] {
+        let said = size(bytes, channels).unwrap_err().to_string();
+        assert!(said.contains(why), "{said}");
+    }
 }
 
 #[test]

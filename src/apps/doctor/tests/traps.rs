@@ -272,7 +272,7 @@ fn finished_maps_of_another_plan() {
             "{backend}"
         );
     }
-    put("dense/stereo/viewrank/maps.tsv");
+    put("dense/stereo/viewrank/marks.tsv");
     assert!(
         traps("colmap")
             .iter()

@@ -1,0 +1,51 @@
+#!/bin/sh
+# Computes the depth maps of viewrank's plan with COLMAP, in rank order, and fuses them. COLMAP=/path/to/colmap run.sh takes another program.
+# Started again, it goes on. It keeps maps of earlier plans, measures none, and fuses no part of them: `viewrank run PROJECT` does that, and goes on from these maps.
+set -eu
+if [ $# -gt 0 ]; then
+    echo "error: run.sh takes no options: viewrank run has --rank and --fuse, and computes maps of earlier plans again" >&2
+    exit 2
+fi
+@RESTART@
+cd ../..
+@REFUSE_STRANGERS@
+# What a killed viewrank run left is in nobody's way. The folder of pictures may be a link.
+refuse_strangers /dev/null stereo sparse -path stereo/viewrank/unfinished -prune -o
+refuse_no_files -H images
+# The lists name files below the folders of maps: no path in them may lead out of these. A mark is a hash.
+marks=stereo/viewrank/marks.tsv
+for list in "$marks" stereo/patch-match.cfg stereo/viewrank/*.cfg; do
+    [ ! -f "$list" ] || { refuse_long "$list" && LC_ALL=C awk -v marks="$marks" '
+        { path = $0 }
+        FILENAME == marks { wrong = !sub(/^[0-9a-f]+\t[0-9a-f]+\t/, "", path) || path == "" }
+        wrong || path ~ /^\/|(^|\/|, )\.\.(\/|$)/ { exit 1 }' "$list" 2>/dev/null; } || refuse "$list"
+done
+# A map of COLMAP is whole when its size is what its head says: WIDTH&HEIGHT&CHANNELS& and as many floats.
+whole() {
+    [ -f "$1" ] || return 1
+    head=$(head -c 40 -- "$1" 2>/dev/null | LC_ALL=C tr -c '0-9&' ' ')
+    width=${head%%&*} rest=${head#*&}
+    height=${rest%%&*} rest=${rest#*&}
+    channels=${rest%%&*}
+    case $width$height$channels in '' | *[!0-9]*) return 1 ;; esac
+    [ "$(wc -c < "$1")" -eq $((${#width} + ${#height} + ${#channels} + 3 + 4 * width * height * channels)) ]
+}
+# COLMAP keeps what is there, also what a killed run has cut off. A map counts as made from its list when it is whole and has its mark.
+kept=
+tried mkdir -p stereo/viewrank/done
+while IFS=$(printf '\t') read -r mark id map; do
+    mark=stereo/viewrank/done/$mark
+    if ! whole "stereo/depth_maps/$map" || ! whole "stereo/normal_maps/$map"; then
+        tried rm -f -- "$mark" "stereo/depth_maps/$map" "stereo/normal_maps/$map"
+        echo "$id" > "$mark"
+    elif [ -f "$mark" ] && [ "$(head -c 16 -- "$mark" 2>/dev/null | LC_ALL=C tr -c '0-9a-f' '?')" != "$id" ]; then
+        kept=$map
+    fi
+done < "$marks"
+@MAPS@
+[ -z "$kept" ] || say "maps of an earlier plan are kept, such as $kept: remove them to compute them again" >&2
+# A new file: an older one may have another name elsewhere.
+rm -f stereo/viewrank/unfinished.ply stereo/viewrank/unfinished.ply.vis
+@FUSION@
+[ ! -f stereo/viewrank/unfinished.ply.vis ] || mv stereo/viewrank/unfinished.ply.vis stereo/viewrank/fused.ply.vis
+mv stereo/viewrank/unfinished.ply stereo/viewrank/fused.ply
