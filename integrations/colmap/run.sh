@@ -1,9 +1,9 @@
 #!/bin/sh
 # Computes the depth maps of viewrank's plan with COLMAP, in rank order, and fuses them. COLMAP=/path/to/colmap run.sh takes another program.
-# Started again, it goes on. It keeps maps of earlier plans, measures none, and fuses no part of them: `viewrank run PROJECT` does that, and goes on from these maps.
+# Started again, it goes on. It keeps maps that were made otherwise, measures none, and fuses no part of them: `viewrank run PROJECT` does that, and goes on from its maps.
 set -eu
 if [ $# -gt 0 ]; then
-    echo "error: run.sh takes no options: viewrank run has --rank and --fuse, and computes maps of earlier plans again" >&2
+    echo "error: run.sh takes no options: viewrank run has --rank and --fuse, and makes maps of earlier plans anew" >&2
     exit 2
 fi
 @RESTART@
@@ -31,19 +31,19 @@ whole() {
     [ "$(wc -c < "$1")" -eq $((${#width} + ${#height} + ${#channels} + 3 + 4 * width * height * channels)) ]
 }
 # COLMAP keeps what is there, also what a killed run has cut off. A map counts as made from its list when it is whole and has its mark.
-kept=
+kept=0
 tried mkdir -p stereo/viewrank/done
 while IFS=$(printf '\t') read -r mark id map; do
     mark=stereo/viewrank/done/$mark
     if ! whole "stereo/depth_maps/$map" || ! whole "stereo/normal_maps/$map"; then
         tried rm -f -- "$mark" "stereo/depth_maps/$map" "stereo/normal_maps/$map"
         echo "$id" > "$mark"
-    elif [ -f "$mark" ] && [ "$(head -c 16 -- "$mark" 2>/dev/null | LC_ALL=C tr -c '0-9a-f' '?')" != "$id" ]; then
-        kept=$map
+    elif [ "$(head -c 16 -- "$mark" 2>/dev/null | LC_ALL=C tr -c '0-9a-f' '?')" != "$id" ]; then
+        kept=$((kept + 1)) first=$map
     fi
 done < "$marks"
 @MAPS@
-[ -z "$kept" ] || say "maps of an earlier plan are kept, such as $kept: remove them to compute them again" >&2
+[ "$kept" -eq 0 ] || say "$kept depth maps were made otherwise, or nobody knows how, and are kept, such as $first: remove them to compute them again" >&2
 # A new file: an older one may have another name elsewhere.
 rm -f stereo/viewrank/unfinished.ply stereo/viewrank/unfinished.ply.vis
 @FUSION@

@@ -1,12 +1,9 @@
 //! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is
 //! its head. Names and contents of the marks of finished depth maps.
 
-use std::path::Path;
-
 use super::{Backend, Selection, strangers};
 use crate::{
-    base::{input::FileKind, shell::quoted},
-    io::output,
+    base::shell::quoted,
     model::cluster::{MapScale, RankedCluster},
 };
 
@@ -57,22 +54,6 @@ impl ClusterScript {
 /// Returns the name of a key view as the name of a file, the mark of its finished depth map.
 pub fn task_marker(key: &str) -> String {
     hash([key])
-}
-
-/// Returns what the depth map of a marker was made from, if that is noted: by the script of an
-/// export (its folder, and the name of the mark there), else by viewrank (project and backend).
-pub fn made_from(
-    of_script: (&Path, &str),
-    (project, backend): (&Path, &str),
-    marker: &str,
-) -> Option<String> {
-    let own = format!("viewrank/dispatch/{backend}/done/{marker}");
-    let marks = [of_script, (project, &*own)].into_iter();
-    let mut noted = marks.filter_map(|(root, name)| {
-        let bytes = output::read_own(root, name, FileKind::Record).ok()?;
-        Some(String::from_utf8_lossy(&bytes).trim().to_owned())
-    });
-    noted.find(|id| !id.is_empty())
 }
 
 /// Returns 16 hexadecimal digits of BLAKE3 over the texts.

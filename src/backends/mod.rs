@@ -45,7 +45,7 @@ mod tiles;
 mod traps;
 mod workspace;
 
-pub use clusters::{hash, made_from, task_ids, task_marker};
+pub use clusters::{hash, task_ids, task_marker};
 pub use error::BackendError;
 pub use listing::{FIRST_PAGE, LastRun, names};
 pub use machine::{

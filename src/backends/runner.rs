@@ -90,10 +90,8 @@ pub struct TaskRunner {
     /// what was in that place is still there then.
     pub finish: fn(&Call) -> Result<(), String>,
     /// Folder of viewrank's own files in the export, with a `/` behind it unless it is the export
-    /// itself: tasks work below it, and the script of the export leaves its marks there.
+    /// itself: tasks work below it, and the marks of their maps are there.
     pub own: &'static str,
-    /// Files of the export that change with the maps that are there.
-    pub state: &'static [&'static str],
     /// Cloud that the fusion writes.
     pub cloud: PathBuf,
     /// Depth map of each cluster, in rank order; `None` if it cannot be computed.

@@ -472,27 +472,28 @@ fn links_and_pipes_in_place_of_a_dispatchs_state_are_refused() {
     };
     fails(task());
     let folder = place.own("dispatch/sgm");
-    let lock = fs::read_dir(folder.join("done"))
+    let lock = fs::read_dir(folder.join("locks"))
         .unwrap()
         .next()
         .unwrap()
         .unwrap()
         .path();
-    let marker = lock.file_stem().unwrap().to_str().unwrap();
+    let marker = lock.file_name().unwrap().to_str().unwrap();
+    fs::create_dir(place.own("sgm/done")).unwrap();
     for plant in [
         &(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path),
         &make_pipe,
     ] {
         for name in [
-            &format!("done/{marker}"),
-            &format!("done/{marker}.lock"),
+            &format!("../../sgm/done/{marker}"),
+            &format!("locks/{marker}"),
             "fused",
             "lock",
         ] {
             let file = folder.join(name);
             _ = fs::remove_file(&file);
             plant(&file);
-            let error = fails(if name.ends_with(".lock") {
+            let error = fails(if name.starts_with("locks/") {
                 task()
             } else {
                 dispatch()
@@ -804,7 +805,8 @@ fn tasks_of_a_queue_wait_for_no_pipe_and_write_through_no_link() {
         fs::remove_file(at).unwrap();
     }
     for name in [
-        "viewrank/dispatch/sgm/done",
+        "viewrank/sgm/done",
+        "viewrank/dispatch/sgm/locks",
         "viewrank/dispatch/sgm/logs",
         "sgm/depth_maps",
         "sgm",

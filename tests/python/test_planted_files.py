@@ -198,7 +198,7 @@ def test_tasks_of_a_queue_name_views_without_escape_sequences(viewrank, plans, t
         done = subprocess.run([viewrank.program, "run", project, "--program", program, *which], capture_output=True, text=True)
         assert "\x1b" not in done.stdout + done.stderr and "\x07" not in done.stderr, done.stderr
         assert done.returncode == {"1": 1, "99": 2}.get(which[-1], 0), done.stderr
-    assert len(list((project / "viewrank/dispatch/colmap/done").iterdir())) == 1, "the lock of the task that failed"
+    assert len(list((project / "viewrank/dispatch/colmap/locks").iterdir())) == 1, "the lock of the task that failed"
 
 
 def test_realityscan_names_a_side_file_without_escape_sequences(tmp_path):

@@ -1,7 +1,8 @@
 //! The view clusters of a plan as tasks, one per rank, for `viewrank run` and for queues.
 //!
-//! `PROJECT/viewrank/dispatch/NAME` holds the records: `done/MARKER` with the id of the cluster that
-//! the depth map was made for, `fused` with the ids joined last, and the `logs/` of a queue. An id
+//! `done/MARKER` in the export holds the id of the cluster that a depth map was made for, also of one
+//! that the export's script made. `PROJECT/viewrank/dispatch/NAME` has the other records: `fused`
+//! with the ids joined last, `locks/`, and the `logs/` of a queue. An id
 //! covers a key view with its partners, their cameras and poses, so a changed plan recomputes only
 //! changed clusters. Missing work is derived from these files alone; [`runner`] does it, here or on
 //! a node, and [`slurm`] knows which of it is queued.
@@ -273,9 +274,6 @@ impl Dispatch {
             let (Contents::Script(bytes) | Contents::Bytes(bytes)) = contents else {
                 continue;
             };
-            if self.runner.state.contains(&&**name) {
-                continue;
-            }
             self.refuse_other_file(name, bytes)?;
         }
         Ok(())
@@ -287,19 +285,20 @@ impl Dispatch {
         (task.rank <= self.finished || self.is_marked(task)) && (self.runner.is_whole)(&task.map)
     }
 
-    /// Returns whether a task's depth map has its mark. That of the script of the export, which may
-    /// have run where there is no viewrank, counts first: it goes when viewrank makes a map.
+    /// Returns whether a task's depth map has its mark, from viewrank or from the script of the
+    /// export, which may have run where there is no viewrank.
     fn is_marked(&self, task: &Task) -> bool {
-        let made_from = backends::made_from(
-            (&self.workplace, &self.mark_of_script(task)),
-            (&self.project, self.backend),
-            &task.marker,
-        );
-        made_from.is_some_and(|id| [&*task.id, &*task.id_at_full_size].contains(&&*id))
+        let mark = output::read_own(&self.workplace, &self.mark(task), FileKind::Record);
+        [&*task.id, &*task.id_at_full_size].contains(&text_of(mark).trim())
     }
 
-    fn mark_of_script(&self, task: &Task) -> String {
+    /// Name of the mark of a task's depth map, in the export.
+    fn mark(&self, task: &Task) -> String {
         format!("{}done/{}", self.runner.own, task.marker)
+    }
+
+    fn marks(&self) -> PathBuf {
+        self.workplace.join(format!("{}done", self.runner.own))
     }
 
     /// Returns the finished tasks, in rank order.
@@ -326,14 +325,11 @@ impl Dispatch {
     /// Refuses a project in which something other than files would be read, or written through
     /// links.
     pub fn refuse_strangers(&self) -> Result<(), OutputError> {
-        let own = |name: &str| format!("viewrank/dispatch/{}/{name}", self.backend);
-        let read = ["viewrank/progress.json".into(), own("fused")].into_iter();
-        for name in read.chain(
-            self.tasks
-                .iter()
-                .map(|task| own(&format!("done/{}", task.marker))),
-        ) {
-            match output::open_own(&self.project, &name) {
+        let fused = format!("viewrank/dispatch/{}/fused", self.backend);
+        let read = ["viewrank/progress.json".into(), fused].map(|name| (&self.project, name));
+        let marks = self.tasks.iter().map(|t| (&self.workplace, self.mark(t)));
+        for (root, name) in read.into_iter().chain(marks) {
+            match output::open_own(root, &name) {
                 Err(error) if error.is_missing() => {}
                 found => drop(found?),
             }
@@ -343,7 +339,11 @@ impl Dispatch {
             .iter()
             .filter_map(|task| task.map.parent())
             .collect();
-        let written = [self.folder.join("done"), self.folder.join("logs")];
+        let written = [
+            self.marks(),
+            self.folder.join("locks"),
+            self.folder.join("logs"),
+        ];
         written
             .iter()
             .map(PathBuf::as_path)

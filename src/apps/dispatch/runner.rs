@@ -69,15 +69,14 @@ impl Dispatch {
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
-        let Some(_lock) = self.lock(&format!("done/{}.lock", task.marker), runner)? else {
+        let Some(_lock) = self.lock(&format!("locks/{}", task.marker), runner)? else {
             return Ok(TaskResult::Stopped);
         };
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
-        let (marker, disk) = (self.folder.join("done").join(&task.marker), self.disk());
-        output::remove(&marker, &disk)?;
-        output::remove(&self.workplace.join(self.mark_of_script(task)), &disk)?;
+        let (mark, disk) = (self.workplace.join(self.mark(task)), self.disk());
+        output::remove(&mark, &disk)?;
         let ended = self.run(Product::Map(task.rank), &task.id, runner)?;
         if ended != TaskResult::Done {
             return Ok(ended);
@@ -86,7 +85,8 @@ impl Dispatch {
             let message = format!("{} was not written", task.map.display());
             return Ok(TaskResult::Failed(message));
         }
-        output::replace(&marker, format!("{}\n", task.id).as_bytes(), &disk)?;
+        output::make_folder(&self.marks(), &disk)?;
+        output::replace(&mark, format!("{}\n", task.id).as_bytes(), &disk)?;
         Ok(TaskResult::Done)
     }
 
@@ -97,7 +97,7 @@ impl Dispatch {
         name: &str,
         runner: &Runner,
     ) -> Result<Option<Lock<impl Sized + use<>>>, DispatchError> {
-        output::make_folder(&self.folder.join("done"), &self.disk())?;
+        output::make_folder(&self.folder.join("locks"), &self.disk())?;
         let path = format!("viewrank/dispatch/{}/{name}", self.backend);
         let lock = match Folder::open(&self.project)?.lock_file(&path) {
             Ok(lock) => lock,

@@ -123,7 +123,6 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         is_whole: run::is_whole,
         finish: run::finish,
         own: OWN,
-        state: &["stereo/viewrank/export.json"],
         cloud: export.files.root.join(FUSED),
         maps: selection.clusters.iter().map(map).collect(),
     })
@@ -152,12 +151,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         }
     };
     passes.add_files(selection, &mut files, &mut record);
-    let maps = passes.listed_maps(selection);
-    warn_of_stale(
-        &marks::stale(&maps, &files.root, &selection.project.home),
-        &mut record,
-    );
-    files.add_text(MARKS, marks::to_tsv(&maps));
+    files.add_text(MARKS, marks::to_tsv(&passes.listed_maps(selection)));
     files.add_script(SCRIPT, script(&record));
     files.add_text("stereo/viewrank/export.json", record.to_json());
     Ok(Export { files, record })
@@ -426,27 +420,24 @@ impl Passes {
         let clusters = selection.clusters.iter();
         let tasks: HashMap<&str, &RankedCluster> =
             clusters.map(|c| (selection.scene.name(c.key), c)).collect();
-        let listed = |problem: &Problem, kind: &str| {
-            ListedMap::new(
-                problem,
-                kind,
-                max_image_size(selection, self.scale(problem)),
-            )
+        let listed = |problem: &Problem, kind: &str, filter: &str| {
+            let size = max_image_size(selection, self.scale(problem));
+            ListedMap::new(problem, kind, &format!("{filter} {size:?}"))
         };
         let last = |problem: &Problem| {
             if self.geometric {
-                return listed(problem, "geometric");
+                return listed(problem, "geometric", "filter 1");
             }
-            let mut map = listed(problem, "photometric");
+            let mut map = listed(problem, "photometric", "filter 1");
             if let Some(task) = tasks.get(&*problem.reference) {
-                map.ids = task_ids(&BACKEND, selection, task);
+                [map.id, _] = task_ids(&BACKEND, selection, task);
             }
             map
         };
         let first = self
             .first
             .iter()
-            .map(|problem| listed(problem, "photometric"));
+            .map(|problem| listed(problem, "photometric", "filter 0"));
         first.chain(self.last.iter().map(last)).collect()
     }
 
@@ -512,18 +503,6 @@ fn fusion_options(kind: &str, maps: usize, images: usize) -> String {
         "--input_type {kind} --StereoFusion.min_num_pixels {} --StereoFusion.check_num_images {images}",
         min_pixels(maps)
     )
-}
-
-/// Reports the finished maps that are not of the lists.
-fn warn_of_stale(stale: &[&str], record: &mut ExportRecord) {
-    if let [first, others @ ..] = stale {
-        let more = if others.is_empty() { "" } else { ", ..." };
-        record.warnings.push(format!(
-            "{} finished depth maps were made with other partners or options, or nobody knows how, and COLMAP would keep them ({first}{more}): \
-             remove them to compute them again",
-            stale.len()
-        ));
-    }
 }
 
 /// Returns `run.sh`, which runs the commands of the record in the workspace.

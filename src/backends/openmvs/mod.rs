@@ -132,7 +132,6 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         is_whole: WholeMap::is_there,
         finish: run::finish,
         own: "",
-        state: &[],
         cloud: export.files.root.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })

@@ -122,7 +122,6 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         is_whole: is_not_empty,
         finish: finishes_itself,
         own: "",
-        state: &[],
         cloud: out.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })
