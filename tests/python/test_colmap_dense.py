@@ -113,6 +113,20 @@ def test_colmaps_fusion_joins_the_maps_of_the_first_key_views(fused):
     assert checked > 50 and near > 0.9 * checked
 
 
+def test_viewrank_fuses_the_same_from_links(viewrank, fused):
+    """In a workspace of its own, the maps that the script has made."""
+    project, workspace, calls = fused
+    before = len(points(workspace / "stereo/viewrank/fused.ply"))
+    log = project.parent / "calls of viewrank"
+    command = [viewrank.program, "run", project, "--backend", "colmap", "--program", project.parent / "colmap", "--fuse"]
+    done = subprocess.run([*map(str, command)], env={**os.environ, "CALLS": str(log)}, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and f"{FIRST} of 8 depth maps are there" in done.stderr, done.stderr
+    words = [line.split(" --workspace_path ")[1].split()[1:-1] for line in (calls[-1], log.read_text())]
+    assert words[0] == words[1] and "unfinished" in log.read_text()
+    cloud = workspace / "stereo/viewrank/fused.ply"
+    assert abs(len(points(cloud)) / before - 1) < 0.02 and len(visibility(cloud.with_name("fused.ply.vis"))) == len(points(cloud))
+
+
 def test_viewrank_reads_these_maps_and_this_cloud(viewrank, fused):
     project, workspace, _ = fused
     maps = workspace / "stereo/depth_maps"

@@ -7,26 +7,14 @@ import subprocess
 
 import pytest
 
+import test_openmvs_runner
 from test_run_scripts import COLMAP, INTERPRETER, maps_made, plans  # noqa: F401 (a fixture)
 
 pytestmark = pytest.mark.usefixtures("without_pilot")
 
 
-class Site:
-    """A planned project with the stub beside it."""
-
-    def __init__(self, folder, viewrank, plan):
-        self.viewrank, self.project, self.home = viewrank, folder / "site", folder / "bin"
-        shutil.copytree(plan, self.project, symlinks=True)
-        self.home.mkdir()
-        self.program = self.home / "colmap"
-        self.program.write_text(COLMAP.replace("PYTHON", INTERPRETER))
-        self.program.chmod(0o755)
-        self.workspace = self.project / "viewrank/colmap"
-
-    def plan(self, *options):
-        self.viewrank("plan", self.project, "--backend", "colmap", "--confidence", "geometric", "--quiet", *options)
-        self.rows = json.loads((self.workspace / "stereo/viewrank/run.json").read_text())["maps"]
+class Site(test_openmvs_runner.Site):
+    backend, name, stand_in, record = "colmap", "colmap", COLMAP.replace("PYTHON", INTERPRETER), "stereo/viewrank/run.json"
 
     def keys(self):
         return [row["problem"]["reference"] for row in self.rows]
@@ -45,25 +33,18 @@ class Site:
         assert done.returncode == expect, done.stdout + done.stderr
         return done
 
-    def rank(self, rank, **options):
-        return self.run("--rank", rank, **options)
-
     def script(self):
         environment = {"PATH": "/usr/bin:/bin", "COLMAP": str(self.program), "CALLS": str(self.home / "calls")}
-        return subprocess.run([self.workspace / "stereo/viewrank/run.sh"], env=environment, capture_output=True, text=True, cwd="/")
+        return subprocess.run([self.export / "stereo/viewrank/run.sh"], env=environment, capture_output=True, text=True, cwd="/")
 
     def map(self, rank, kind="depth_maps"):
-        return self.workspace / f"stereo/{kind}/{self.keys()[rank - 1]}.photometric.bin"
+        return self.export / f"stereo/{kind}/{self.keys()[rank - 1]}.photometric.bin"
 
     def maps(self):
-        return {path.relative_to(self.workspace): path.read_bytes() for path in self.workspace.glob("stereo/*_maps/**/*.bin")}
-
-    def left(self):
-        unfinished = self.workspace / "stereo/viewrank/unfinished"
-        return sorted(path.name for path in unfinished.iterdir()) if unfinished.exists() else []
+        return {path.relative_to(self.export): path.read_bytes() for path in self.export.glob("stereo/*_maps/**/*.bin")}
 
     def cloud(self):
-        return self.workspace / "stereo/viewrank/fused.ply"
+        return self.export / "stereo/viewrank/fused.ply"
 
 
 @pytest.fixture
@@ -172,7 +153,7 @@ def test_maps_of_the_users_own_colmap_are_made_anew_unless_they_are_planned_arou
     shutil.rmtree(site.project / "viewrank")
     for path in dense.glob("**/.*"):
         path.unlink()
-    site.project, site.workspace = dense, dense
+    site.project, site.export = dense, dense
     site.plan("-k", "4", "--budget", "3")
     theirs = {kind: b"2&2&%d&" % channels + bytes(16 * channels) for kind, channels in (("depth_maps", 1), ("normal_maps", 3))}
     for kind, content in theirs.items():
@@ -185,7 +166,7 @@ def test_maps_of_the_users_own_colmap_are_made_anew_unless_they_are_planned_arou
 
 
 def test_viewrank_knows_the_maps_of_the_script(site):
-    left = site.workspace / "stereo/viewrank/unfinished/0123456789abcdef/stereo"
+    left = site.export / "stereo/viewrank/unfinished/0123456789abcdef/stereo"
     left.mkdir(parents=True)
     (left / "fusion.cfg").symlink_to("/etc/passwd")  # what a killed run left is in nobody's way
     done = site.script()
@@ -203,7 +184,7 @@ def test_of_two_marks_that_of_the_last_map_counts(site):
     (site.project / "none").mkdir()
     site.plan("-k", "3", "--budget", "3", "--finished", site.project / "none")
     for path in site.maps():
-        (site.workspace / path).unlink()
+        (site.export / path).unlink()
     assert site.script().returncode == 0
     site.calls()
     assert "nothing to do" in site.rank(1).stderr
@@ -218,11 +199,11 @@ def test_of_two_marks_that_of_the_last_map_counts(site):
 def test_what_a_stranger_left_where_a_map_is_made_is_not_followed(site, tmp_path):
     (tmp_path / "outside").mkdir()
     (tmp_path / "outside/letter").write_text("precious")
-    unfinished = site.workspace / "stereo/viewrank/unfinished"
+    unfinished = site.export / "stereo/viewrank/unfinished"
     unfinished.symlink_to(tmp_path / "outside")
     site.rank(1, expect=1)
     unfinished.unlink()
-    shutil.rmtree(site.workspace / "stereo/normal_maps")
-    (site.workspace / "stereo/normal_maps").symlink_to(tmp_path / "outside")
+    shutil.rmtree(site.export / "stereo/normal_maps")
+    (site.export / "stereo/normal_maps").symlink_to(tmp_path / "outside")
     site.rank(1, expect=1)
     assert [path.name for path in (tmp_path / "outside").iterdir()] == ["letter"] and (tmp_path / "outside/letter").read_text() == "precious"

@@ -83,18 +83,21 @@ print("06:04:49 [App     ] Densifying point-cloud completed", "06:04:49 [App    
 class Site:
     """A planned project with the stub beside it."""
 
+    backend, name, stand_in, record = "openmvs", "DensifyPointCloud", STAND_IN.format(python=sys.executable), "run.json"
+
     def __init__(self, folder, viewrank, plan):
         self.viewrank, self.project, self.home = viewrank, folder / "site", folder / "bin"
         shutil.copytree(plan, self.project, symlinks=True)
         self.home.mkdir()
-        self.program = self.home / "DensifyPointCloud"
-        self.program.write_text(STAND_IN.format(python=sys.executable))
+        self.program = self.home / self.name
+        self.program.write_text(self.stand_in)
         self.program.chmod(0o755)
-        self.export = self.project / "viewrank/openmvs"
+        self.export = self.project / "viewrank" / self.backend
 
     def plan(self, *options):
-        self.viewrank("plan", self.project, "--backend", "openmvs", "--confidence", "geometric", "--quiet", *options)
-        self.rows = json.loads((self.export / "run.json").read_text())["clusters"]
+        self.viewrank("plan", self.project, "--backend", self.backend, "--confidence", "geometric", "--quiet", *options)
+        run = json.loads((self.export / self.record).read_text())
+        self.rows = run.get("clusters", run.get("maps"))
 
     def makes(self, **of_ranks):
         """What the stub makes of ranks (`_1`) and of the `fusion` from now on."""
@@ -110,8 +113,8 @@ class Site:
     def run(self, *words, expect=0):
         return self.viewrank("run", self.project, "--backend", "openmvs", "--program", self.program, *words, expect=expect)
 
-    def rank(self, rank, expect=0):
-        return self.run("--rank", rank, expect=expect)
+    def rank(self, rank, **options):
+        return self.run("--rank", rank, **options)
 
     def script(self, *words):
         return subprocess.run([sys.executable, "-I", self.export / "run.py", "--densify", self.program, *words], capture_output=True, text=True, cwd="/", timeout=60)
@@ -123,7 +126,7 @@ class Site:
         return {path.name: path.read_bytes() for path in self.export.glob("*.dmap")}
 
     def left(self):
-        unfinished = self.export / "unfinished"
+        unfinished = (self.export / self.record).with_name("unfinished")
         return sorted(path.name for path in unfinished.iterdir()) if unfinished.exists() else []
 
 

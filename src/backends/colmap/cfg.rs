@@ -98,17 +98,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn reads_like_colmap() {
-        let text =
-            "# comment\n\n  a b.jpg \r\n c.jpg,d.jpg ; e.jpg,\n\nc.jpg\n__auto__, 20\nlast.jpg\n";
-        let read = read_patch_match(text);
-        assert_eq!(read.len(), 2);
-        assert_eq!(read[0].reference, "a b.jpg");
-        assert_eq!(read[0].sources, ["c.jpg", "d.jpg", "e.jpg"]);
-        assert_eq!(read[1].sources, ["__auto__", "20"]);
-    }
-
     fn refused(name: &str) -> bool {
         check_name("colmap", name)
             .is_err_and(|e| e.to_string().contains(name.trim()) && e.hint().is_some())
