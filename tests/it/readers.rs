@@ -157,7 +157,8 @@ fn colmap_text_name_cut() {
         "flug 2/straße/Übersicht ö.jpg",
         "日本/写真 2.png",
         "quote'd \"name\".jpg",
-        "back\\slash.jpg",
+        // A separator of Windows.
+        "back/slash.jpg",
     ] {
         assert!(names("names/txt").contains(&name.to_string()), "{name}");
     }
