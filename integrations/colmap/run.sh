@@ -1,6 +1,6 @@
 #!/bin/sh
 # Computes the depth maps of viewrank's plan with COLMAP, in rank order, and fuses them. COLMAP=/path/to/colmap run.sh takes another program.
-# Started again, it goes on. It keeps maps that were made otherwise, measures none, and fuses no part of them: `viewrank run PROJECT` does that, and goes on from its maps.
+# Started again, it goes on. It keeps maps that were made otherwise, measures none, and fuses only the whole list: `viewrank run PROJECT` does the rest, and goes on from its maps.
 set -eu
 if [ $# -gt 0 ]; then
     echo "error: run.sh takes no options: viewrank run has --rank and --fuse, and makes maps of earlier plans anew" >&2
@@ -20,6 +20,14 @@ for list in "$marks" stereo/patch-match.cfg stereo/viewrank/*.cfg; do
         FILENAME == marks { wrong = !sub(/^[0-9a-f]+\t[0-9a-f]+\t/, "", path) || path == "" }
         wrong || path ~ /^\/|(^|\/|, )\.\.(\/|$)/ { exit 1 }' "$list" 2>/dev/null; } || refuse "$list"
 done
+# Another run.sh would remove maps that this one is writing. What COLMAP itself holds open keeps the lock as long as it computes.
+exec 9< stereo/viewrank
+status=0
+! command -v flock > /dev/null || flock -n 9 || status=$?
+if [ "$status" -eq 1 ]; then
+    echo "error: another run.sh computes here" >&2
+    exit 1
+fi
 # A map of COLMAP is whole when its size is what its head says: WIDTH&HEIGHT&CHANNELS& and as many floats.
 whole() {
     [ -f "$1" ] || return 1
@@ -39,11 +47,11 @@ while IFS=$(printf '\t') read -r mark id map; do
         tried rm -f -- "$mark" "stereo/depth_maps/$map" "stereo/normal_maps/$map"
         echo "$id" > "$mark"
     elif [ "$(head -c 16 -- "$mark" 2>/dev/null | LC_ALL=C tr -c '0-9a-f' '?')" != "$id" ]; then
-        kept=$((kept + 1)) first=$map
+        kept=$((kept + 1)) last=$map
     fi
 done < "$marks"
 @MAPS@
-[ "$kept" -eq 0 ] || say "$kept depth maps were made otherwise, or nobody knows how, and are kept, such as $first: remove them to compute them again" >&2
+[ "$kept" -eq 0 ] || say "$kept depth maps were made otherwise, or nobody knows how, and are kept, such as $last: remove them to compute them again" >&2
 # A new file: an older one may have another name elsewhere.
 rm -f stereo/viewrank/unfinished.ply stereo/viewrank/unfinished.ply.vis
 @FUSION@

@@ -36,6 +36,8 @@ pub struct Call<'a> {
     pub id: &'a str,
     /// Ranks of the depth maps that a cloud is fused from.
     pub finished: &'a [usize],
+    /// The product there was made by viewrank, or by the script of the export.
+    pub is_marked: bool,
     pub program: &'a Path,
     pub python: &'a Path,
     pub threads: usize,
@@ -64,9 +66,14 @@ impl<'a> Call<'a> {
         }
     }
 
-    /// Moves what was made in [`Self::work`] to its place in the export.
+    /// Moves what was made in [`Self::work`] to its place in the export. What nobody has marked
+    /// there may be the user's own work, and is kept beside it.
     pub fn place(&self, name: &str) -> Result<(), String> {
         let [from, to] = [self.work, self.workplace].map(|folder| folder.join(name));
+        let kept = self.workplace.join(format!("{name}.before-viewrank"));
+        if !self.is_marked && to.exists() && !kept.exists() {
+            output::rename(&to, &kept, &self.disk()).map_err(text)?;
+        }
         output::rename(&from, &to, &self.disk()).map_err(text)
     }
 }

@@ -110,7 +110,14 @@ pub fn refuse_outside(followed: &[&TypedSetting], project: &Path) -> Result<(), 
         Some(option) => Err(Failure::new(
             Exit::Usage,
             format!("{option} of the last plan leads out of the project, so it is not followed"),
-            "type it again, or copy it into the project and plan with that".to_owned(),
+            match &*option.key {
+                key @ ("region" | "images") => {
+                    format!("type --{key} again, or copy it into the project and plan with that")
+                }
+                key => format!(
+                    "copy it into the project and plan with that, or set {key} in your own settings (viewrank config)"
+                ),
+            },
         )),
         None => Ok(()),
     }

@@ -220,14 +220,12 @@ impl PlanJob {
         if job.is_wanted() {
             Progress::clear_target_reached(job.project, disk).map_err(failed)?;
         }
-        // Nobody asked for the export of a backend that was chosen for the project.
-        let is_asked = !settings.backends.is_empty();
-        let written = write(&plan, &project, record, is_asked, job, disk)?;
+        let written = write(&plan, &project, record, job, disk)?;
         for warning in written.warnings {
             warn!(project = %job.project.display(), "{warning}");
         }
-        if is_asked && !written.not_exported.is_empty() {
-            let missing = written.not_exported.join("; ");
+        if !written.missing.is_empty() {
+            let missing = written.missing.join("; ");
             let reason = format!("the plan is complete, but {missing}");
             return Err(Outcome::Failed { reason, hint: None });
         }
@@ -308,7 +306,6 @@ impl PlanJob {
                 &plan,
                 &project,
                 PlannedFrom::new(&plan, record.fingerprint, record.settings),
-                false,
                 job,
                 &disk,
             )?;
@@ -523,7 +520,7 @@ fn refuse_large(job: &Job, model: &[PathBuf]) -> StepResult<()> {
 /// Returns the outcome of the last plan, if it was made of the same.
 fn planned_before(job: &Job, fingerprint: &Fingerprint, note: &Option<String>) -> Option<Outcome> {
     let record = PlannedFrom::read(job.project)?;
-    if record.fingerprint != *fingerprint {
+    if record.fingerprint != *fingerprint || record.lacks_export {
         return None;
     }
     // The last measurement holds until the next one.
@@ -584,17 +581,15 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
 /// What there is to say of a plan that was written.
 struct Written {
     warnings: Vec<String>,
-    /// Why there is no export for some of the backends.
-    not_exported: Vec<String>,
+    /// Why there is no export for some of the backends that the settings name.
+    missing: Vec<String>,
 }
 
-/// Writes the plan, with the record of its input unless that has changed meanwhile, or an export is
-/// missing that `is_asked` for: then the input is planned again.
+/// Writes the plan, with the record of its input unless that has changed meanwhile.
 fn write(
     plan: &Plan,
     project: &Project,
     mut record: PlannedFrom,
-    is_asked: bool,
     job: &Job,
     disk: &Disk,
 ) -> StepResult<Written> {
@@ -607,9 +602,13 @@ fn write(
         ..
     } = files::files(plan, project).map_err(failed)?;
     record.list_files(&sets, job.project);
+    // Nobody asked for the export of a backend that was chosen for the project.
+    let is_asked = !record.settings.backends.is_empty();
+    let missing = not_exported.into_iter().filter(|_| is_asked);
+    let missing: Vec<String> = missing.collect();
+    record.lacks_export = !missing.is_empty();
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
-    let is_complete = job.is_current() && !(is_asked && !not_exported.is_empty());
-    if let Some(own) = sets.first_mut().filter(|_| is_complete) {
+    if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
         own.add_text(RECORD, record + "\n");
     }
     if !job.is_wanted() {
@@ -623,7 +622,7 @@ fn write(
         .collect();
     Ok(Written {
         warnings: warnings_with(&manifest.warnings, &manifest.exports, &outdated),
-        not_exported,
+        missing,
     })
 }
 

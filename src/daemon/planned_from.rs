@@ -35,6 +35,9 @@ pub struct PlannedFrom {
     /// True if the plan keeps finished depth maps.
     #[serde(default)]
     pub finished: bool,
+    /// True if there is no export for a backend that the settings name: the input is planned again.
+    #[serde(default)]
+    pub lacks_export: bool,
     /// Settings as given, without the values chosen from the data.
     pub settings: Settings,
     /// Files of the plan, relative to the project; if one is missing the project is planned again.
@@ -53,6 +56,7 @@ impl PlannedFrom {
             clusters: plan.decision.cut.clusters,
             share: plan.decision.cut.share,
             finished,
+            lacks_export: false,
             settings,
             files: Vec::new(),
         }

@@ -46,7 +46,9 @@ pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecod
     if reader.format() == Some(ImageFormat::Jpeg) {
         let mut file = reader.into_inner();
         let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes)?;
+        file.by_ref()
+            .take(JPEG_HEADER_BYTES)
+            .read_to_end(&mut bytes)?;
         jpeg::scans(&bytes).map_err(io::Error::other)?;
         file.rewind()?;
         reader = ImageReader::with_format(file, ImageFormat::Jpeg);

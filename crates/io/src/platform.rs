@@ -45,6 +45,17 @@ pub fn is_own(found: &Metadata) -> bool {
     }
 }
 
+/// Takes the permissions of other users away, where the system has such.
+pub fn make_private(path: &Path) -> std::io::Result<()> {
+    #[cfg(unix)]
+    return std::fs::set_permissions(path, std::os::unix::fs::PermissionsExt::from_mode(0o600));
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        Ok(())
+    }
+}
+
 /// Returns whether no other user may read or write the file; true where the system has no such
 /// permissions.
 pub fn is_private(found: &Metadata) -> bool {

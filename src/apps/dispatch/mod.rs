@@ -1,7 +1,7 @@
 //! The view clusters of a plan as tasks, one per rank, for `viewrank run` and for queues.
 //!
-//! `done/MARKER` in the export holds the id of the cluster that a depth map was made for, also of one
-//! that the export's script made. `PROJECT/viewrank/dispatch/NAME` has the other records: `fused`
+//! `done/MARKER` in the export holds the id of the cluster that a depth map was made for, also of
+//! one that the export's script made. `PROJECT/viewrank/dispatch/NAME` has the other records: `fused`
 //! with the ids joined last, `locks/`, and the `logs/` of a queue. An id
 //! covers a key view with its partners, their cameras and poses, so a changed plan recomputes only
 //! changed clusters. Missing work is derived from these files alone; [`runner`] does it, here or on
@@ -261,8 +261,8 @@ impl Dispatch {
     }
 
     fn refuse_other_file(&self, name: &str, bytes: &[u8]) -> Result<(), DispatchError> {
-        match output::read_own(&self.workplace, name, FileKind::Record) {
-            Ok(there) if there == bytes => Ok(()),
+        match output::is_own(&self.workplace, name, bytes) {
+            Ok(true) => Ok(()),
             _ => Err(DispatchError::Export(self.workplace.join(name))),
         }
     }

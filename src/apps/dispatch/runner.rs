@@ -76,8 +76,9 @@ impl Dispatch {
             return Ok(TaskResult::Idle);
         }
         let (mark, disk) = (self.workplace.join(self.mark(task)), self.disk());
+        let is_marked = mark.exists();
         output::remove(&mark, &disk)?;
-        let ended = self.run(Product::Map(task.rank), &task.id, runner)?;
+        let ended = self.run(Product::Map(task.rank), &task.id, is_marked, runner)?;
         if ended != TaskResult::Done {
             return Ok(ended);
         }
@@ -135,7 +136,7 @@ impl Dispatch {
             return Ok(TaskResult::Idle);
         }
         let fused = self.done_ids();
-        let ended = self.run(Product::Cloud, "", runner)?;
+        let ended = self.run(Product::Cloud, "", true, runner)?;
         if ended == TaskResult::Done {
             output::replace(&self.folder.join("fused"), fused.as_bytes(), &self.disk())?;
         }
@@ -147,6 +148,7 @@ impl Dispatch {
         &self,
         product: Product,
         id: &str,
+        is_marked: bool,
         runner: &Runner,
     ) -> Result<TaskResult, DispatchError> {
         let own = self.runner.own;
@@ -160,6 +162,7 @@ impl Dispatch {
             id,
             work: &work,
             finished: &finished,
+            is_marked,
             workplace: &self.workplace,
             project: &self.project,
             program: &runner.tools.program,

@@ -1,5 +1,5 @@
-//! Marks of the depth maps that the script of an export makes: `done/MARKER` in the folder of
-//! viewrank's own files, as of those that viewrank makes (`apps/dispatch`).
+//! Marks of finished depth maps as `run.sh` writes them: `stereo/viewrank/done/MARKER`, the same
+//! files as `apps/dispatch` writes and reads.
 //!
 //! COLMAP skips a problem when its files exist, even if they were made with other partners. So the
 //! script notes what each map that isn't there will be made from when it starts COLMAP, and names

@@ -165,17 +165,20 @@ pub fn finish(call: &Call) -> Result<(), String> {
     }
 }
 
-/// Fails unless a map is all there, and of this size.
+/// Fails unless a map is all there, and of the shape of this size. It may be smaller: the images of
+/// a workspace may be smaller than those of the model that was planned.
 fn check(path: &Path, channels: u32, what: &str, size: [u32; 2]) -> Result<(), String> {
     if !path.exists() {
         return Err(format!("COLMAP made no {what}"));
     }
     let made = whole_size(path, channels).map_err(text)?;
-    // Versions may round the short side otherwise.
-    if (0..2).all(|i| made[i].abs_diff(size[i]) <= 1) {
+    let [[w, h], [width, height]] = [made, size];
+    let [across, along] = [[w, height], [h, width]].map(|[a, b]| u64::from(a) * u64::from(b));
+    // Versions round either side otherwise.
+    let is_of_shape = across.abs_diff(along) <= u64::from(width.max(height));
+    if is_of_shape && w <= width.saturating_add(1) && h <= height.saturating_add(1) {
         return Ok(());
     }
-    let [[w, h], [width, height]] = [made, size];
     Err(format!(
         "the {what} has {w} x {h} pixels instead of {width} x {height}"
     ))

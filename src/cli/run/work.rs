@@ -290,12 +290,15 @@ impl<'a> Work<'a> {
     /// is reached.
     fn measure(&mut self, is_last: bool) -> bool {
         self.share = None;
+        if !(is_last || self.measured.is_due(REST)) {
+            return false;
+        }
         let done: BTreeSet<PathBuf> = self
             .dispatch
             .finished_maps()
             .map(Path::to_path_buf)
             .collect();
-        if done.is_empty() || !(is_last || self.measured.is_due(REST)) {
+        if done.is_empty() {
             return false;
         }
         let began = Instant::now();

@@ -41,6 +41,18 @@ pub(super) fn of_user(project: &Path) -> Option<Key> {
     is_outside(folder, project).then_some(*key)
 }
 
+/// Returns whether no other user may read the key, as far as its file system knows users: on one that
+/// gives all files the same permissions, they cannot be taken away.
+fn is_private(path: &Path, found: &fs::Metadata) -> bool {
+    if platform::is_private(found) {
+        return true;
+    }
+    platform::make_private(path).is_ok()
+        && path
+            .metadata()
+            .is_ok_and(|found| !platform::is_private(&found))
+}
+
 fn read_or_make(folder: &Path) -> io::Result<Key> {
     let path = folder.join("cache.key");
     let read = || {
@@ -51,7 +63,7 @@ fn read_or_make(folder: &Path) -> io::Result<Key> {
             return Err(io::ErrorKind::PermissionDenied.into());
         }
         let bytes: Result<[u8; 32], _> = input::read_all(file, FileKind::State)?.try_into();
-        let key = bytes.ok().filter(|_| platform::is_private(&found));
+        let key = bytes.ok().filter(|_| is_private(&path, &found));
         key.map(Key)
             .ok_or_else(|| io::Error::from(io::ErrorKind::InvalidData))
     };

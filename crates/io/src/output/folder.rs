@@ -27,7 +27,7 @@ use cap_std::{
     fs::{self as cap_fs, Dir, Metadata, OpenOptions},
 };
 
-use super::OutputError;
+use super::{OutputError, staging::has_bytes};
 use crate::{
     input::{self, FileKind},
     paths::absolute,
@@ -292,6 +292,15 @@ pub fn open_own(root: &Path, name: &str) -> Result<File, OutputError> {
 pub fn read_own(root: &Path, name: &str, kind: FileKind) -> Result<Vec<u8>, OutputError> {
     let file = open_own(root, name)?;
     input::read_all(file, kind).map_err(|error| OutputError::new(&root.join(name), error))
+}
+
+/// Returns whether one of viewrank's files has these contents, whatever their length.
+///
+/// # Errors
+/// As [`open_own`], and if the file cannot be read.
+pub fn is_own(root: &Path, name: &str, bytes: &[u8]) -> Result<bool, OutputError> {
+    let file = open_own(root, name)?;
+    has_bytes(&file, bytes).map_err(|error| OutputError::new(&root.join(name), error))
 }
 
 /// Checks that a folder whose path is below `root` is there through all links, before work whose

@@ -32,7 +32,7 @@ use std::{
 use viewrank_core::base::error::{Advice, Hint};
 
 pub use disk::{Disk, Operation};
-pub use folder::{Folder, below, open_own, read_own, refuse_to_leave};
+pub use folder::{Folder, below, is_own, open_own, read_own, refuse_to_leave};
 
 use crate::{packed::Packed, paths};
 

@@ -451,7 +451,7 @@ fn is_copy(file: &File, source: &File) -> io::Result<bool> {
     has_contents(file, source.metadata()?.len(), source)
 }
 
-fn has_bytes(file: &File, bytes: &[u8]) -> io::Result<bool> {
+pub(super) fn has_bytes(file: &File, bytes: &[u8]) -> io::Result<bool> {
     has_contents(file, bytes.len() as u64, bytes)
 }
 

@@ -412,7 +412,7 @@ fn by_number(name: &str) -> (u64, String) {
 }
 
 /// Finds the dense workspace of the model: the project folder itself, or the first one below it
-/// that has all its images, in the same poses; best one that still has their files.
+/// that has all its images, in the same poses, preferably one that still has their files.
 fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
     if root.join("stereo").is_dir() {
         return Some(root.into());
@@ -428,7 +428,9 @@ fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
         there.is_some_and(|there| are_among(&own, &there))
     };
     let fitting: Vec<PathBuf> = workspaces.into_iter().filter(has_the_images).collect();
-    let with_files = fitting.iter().find(|folder| has_pictures(folder));
+    // To look for files takes long in a large one.
+    let with_files = fitting.iter().filter(|_| fitting.len() > 1);
+    let with_files = with_files.into_iter().find(|folder| has_pictures(folder));
     with_files.or(fitting.first()).cloned()
 }
 

@@ -97,8 +97,9 @@ const VIEW_PIXEL: u64 = 1 + 1 + MAP_PIXEL;
 /// Of these, the map, which is there until all places are found.
 const MAP_PIXEL: u64 = 4;
 /// Bytes per pixel while a view is matched: costs of the planes and their sums, rows of floats, and
-/// the quads of some partners.
-const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60 + 4 * 16;
+/// the quads of as many partners as are usual.
+const SWEPT_PIXEL: u64 = 3 * MOST_PLANES as u64 + 60 + 4 * USUAL_PARTNERS;
+const USUAL_PARTNERS: u64 = 16;
 
 /// Returns the memory of the thumbnails and maps of all views, of one view that is being matched,
 /// and of the places with the tables that the ranking makes of them, bytes.
