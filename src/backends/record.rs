@@ -137,7 +137,7 @@ impl ExportRecord {
             warnings: nothing_chosen(selection)
                 .into_iter()
                 .chain(faults.warnings(selection.project, selection.scene))
-                .chain(without_images(selection, &faults.missing))
+                .chain(without_images(backend, selection, &faults.missing))
                 .chain(masks(selection).filter(|_| !backend.takes_masks))
                 .chain(other_kind(backend, selection))
                 .chain(at_full_size(selection).filter(|_| !backend.mixes_sizes))
@@ -191,10 +191,25 @@ impl ExportRecord {
     }
 }
 
-/// Warns of view clusters that cannot be computed as planned because images are missing; `missing`
-/// is ascending.
-fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String> {
-    let lacks = |c: &RankedCluster| c.views().any(|view| missing.binary_search(&view).is_ok());
+/// Warns of view clusters that cannot be computed as planned because images are missing, or of such
+/// images; `missing` is ascending.
+fn without_images(
+    backend: &Backend,
+    selection: &Selection,
+    missing: &[ViewIndex],
+) -> Option<String> {
+    let has_image = |view: ViewIndex| missing.binary_search(&view).is_err();
+    let lacks = |c: &RankedCluster| match backend.makes_maps() {
+        true => !c.views().all(has_image),
+        false => !has_image(c.key),
+    };
+    let [what, so] = match backend.makes_maps() {
+        true => [
+            "view clusters that lack an image",
+            "cannot be computed as planned",
+        ],
+        false => ["images that are not there", "cannot be taken"],
+    };
     let ranks = (1..)
         .zip(selection.clusters)
         .filter(|(_, c)| lacks(c))
@@ -211,8 +226,7 @@ fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String
     } else {
         ""
     };
-    (!ranks.is_empty())
-        .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
+    (!ranks.is_empty()).then(|| format!("{what}, by rank: {some}{more}; they {so}"))
 }
 
 /// Warns that masks are left to the user, if one of the views has a mask.

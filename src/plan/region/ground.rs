@@ -117,7 +117,7 @@ impl GroundSummary {
             ),
         };
         format!(
-            "{missed}{}, and the {needed} that a depth needs, or more, show {}.",
+            "{missed}{}, and the {needed} that each place needs, or more, show {}.",
             self.seen_by_few(in_metres),
             percent(enough)
         )
@@ -248,11 +248,11 @@ mod tests {
         assert!(covered(Some(100.0)).contains("384 ha"));
         assert_eq!(
             ground.missed(None),
-            "No photograph shows 81.2 % of the region, only one shows 0.4 %, 2 show 0.4 %, and the 3 that a depth needs, or more, show 18.0 %."
+            "No photograph shows 81.2 % of the region, only one shows 0.4 %, 2 show 0.4 %, and the 3 that each place needs, or more, show 18.0 %."
         );
         assert_eq!(
             ground.missed(Some(0.5)),
-            "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
+            "No photograph shows 81.2 % of the region (78.0 m²), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that each place needs, or more, show 18.0 %."
         );
         let oblique = GroundSummary {
             too_coarse: 0.512,
@@ -260,7 +260,7 @@ mod tests {
         };
         assert_eq!(
             oblique.missed(Some(0.5)),
-            "No photograph shows 81.2 % of the region (78.0 m²) finely enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that a depth needs, or more, show 18.0 %."
+            "No photograph shows 81.2 % of the region (78.0 m²) finely enough (0.100 m per pixel, 4 times the wanted, or finer; none shows 30.0 % at all), only one shows 0.4 % (0.384 m²), 2 show 0.4 % (0.384 m²), and the 3 that each place needs, or more, show 18.0 %."
         );
         let of_areas = GroundSummary {
             coarsest_of_finest: 0.04,
@@ -275,7 +275,7 @@ mod tests {
         };
         assert_eq!(
             rim.missed(None),
-            "Only one photograph shows 0.4 % of the region, 2 show 0.4 %, and the 3 that a depth needs, or more, show 99.2 %."
+            "Only one photograph shows 0.4 % of the region, 2 show 0.4 %, and the 3 that each place needs, or more, show 99.2 %."
         );
         let rim = GroundSummary {
             seen_once: 0.0002,

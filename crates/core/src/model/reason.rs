@@ -78,9 +78,7 @@ impl Reason {
         match self {
             Self::NoSharedPoints => "it shares too few sparse points with every other view",
             Self::RotationOnly => "there is no baseline: the other views are at the same position",
-            Self::DuplicateOfBetterView => {
-                "a chosen key view fulfils nearly everything that it could"
-            }
+            Self::DuplicateOfBetterView => "a chosen image gives nearly everything that it could",
             Self::TooFewCameras => "too few cameras of a view cluster see the same places",
             Self::Hidden => "it sees no part of the surface",
             Self::TooCoarse => "no view is close enough for the target resolution",
