@@ -691,7 +691,7 @@ fn sort_out(error: PlanError) -> Outcome {
     match error {
         PlanError::Cancelled(_) => Outcome::Abandoned,
         PlanError::Project(error) => incomplete(error),
-        PlanError::NoViews(_) => Outcome::Incomplete {
+        PlanError::NoViews { .. } => Outcome::Incomplete {
             reason: error.to_string(),
         },
         PlanError::Refused { .. } => Outcome::Aside {

@@ -14,6 +14,7 @@ use crate::{
     decision::DecisionError,
     io::{depthmaps::DepthMapError, project::ProjectError},
     method::{region::RegionError, surface::SurfaceError, visibility::VisibilityError},
+    model::scene::ModelWarning,
 };
 
 /// Planning failed.
@@ -21,8 +22,12 @@ use crate::{
 pub enum PlanError {
     #[error(transparent)]
     Project(#[from] ProjectError),
-    #[error("{}: the model has no registered image", _0.display())]
-    NoViews(std::path::PathBuf),
+    /// `why`: what the reader of the model said, and what to do.
+    #[error("{}: the model has no registered image{}", model.display(), because(why))]
+    NoViews {
+        model: std::path::PathBuf,
+        why: Vec<ModelWarning>,
+    },
     #[error("{}: no image of the model is in this folder, e.g. no {name}", folder.display())]
     OtherImages {
         folder: std::path::PathBuf,
@@ -142,11 +147,20 @@ impl From<TableError> for PlanError {
     }
 }
 
+/// What the reader of a model said of it, behind what it lacks.
+fn because(why: &[ModelWarning]) -> String {
+    why.iter().map(|why| format!("; {}", why.text)).collect()
+}
+
 impl Hint for PlanError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::Project(error) => return error.hint(),
-            Self::NoViews(_) => {
+            Self::NoViews { why, .. } if why.iter().any(|why| why.cure.is_some()) => {
+                let cures: Vec<&str> = why.iter().filter_map(|why| why.cure.as_deref()).collect();
+                cures.join("; ").into()
+            }
+            Self::NoViews { .. } => {
                 Advice::text("run structure from motion first, or choose another model with ")
                     .set("model")
             }
@@ -215,7 +229,7 @@ impl Hint for PlanError {
     fn path(&self) -> Option<&Path> {
         match self {
             Self::Project(error) => error.path(),
-            Self::NoViews(path)
+            Self::NoViews { model: path, .. }
             | Self::NoObservations { model: path, .. }
             | Self::OtherImages { folder: path, .. } => Some(path),
             Self::Surface(error) => error.path(),

@@ -249,7 +249,10 @@ fn in_force(
     source: ConfidenceSource,
 ) -> Result<Settings, PlanError> {
     if scene.views.is_empty() {
-        return Err(PlanError::NoViews(project.model.path.clone()));
+        return Err(PlanError::NoViews {
+            model: project.model.path.clone(),
+            why: scene.warnings.clone(),
+        });
     }
     if scene.observations() == 0 {
         return Err(no_observations(project, scene));

@@ -155,7 +155,7 @@ pub fn examine(
         .copied()
         .unwrap_or_else(|| backends::by_default(project).0);
     let (mut findings, partners_judged) = if scene.views.is_empty() {
-        (vec![no_views()], false)
+        (vec![no_views(scene)], false)
     } else {
         scene_findings(&Inputs {
             project,
@@ -176,14 +176,21 @@ pub fn examine(
     }
 }
 
-fn no_views() -> Finding {
-    let cure = "register the images first (viewrank inspect shows the model's contents)";
-    Finding::new(
-        Severity::Error,
-        "no-views",
-        "no image of the model is registered",
-        cure,
-    )
+fn no_views(scene: &Scene) -> Finding {
+    let why = scene
+        .warnings
+        .iter()
+        .map(|why| format!("; {}", why.text))
+        .collect::<String>();
+    let cures = scene.warnings.iter().filter_map(|why| why.cure.as_deref());
+    let cure = match cures.collect::<Vec<_>>().join("; ") {
+        none if none.is_empty() => {
+            "register the images first (viewrank inspect shows the model's contents)".into()
+        }
+        cures => cures,
+    };
+    let what = format!("no image of the model is registered{why}");
+    Finding::new(Severity::Error, "no-views", what, cure)
 }
 
 /// Returns the findings, and true if partners and links were judged.

@@ -437,3 +437,23 @@ fn images_kept_for_tests_are_named_where_they_are_not_read() {
         "{warnings:?}"
     );
 }
+
+#[test]
+fn cameras_that_are_all_disabled_are_said_to_be() {
+    let folder = Folder::new();
+    let cameras = [
+        ("a", "sensor_id=\"0\" enabled=\"false\"", Some(0.0)),
+        ("b", "sensor_id=\"0\" enabled=\"false\"", Some(1.0)),
+    ];
+    folder
+        .write("cameras.xml", metashape(&sensor(0, ""), &cameras))
+        .cloud("points.ply", &at(&[[1.0, 0.0, 9.0]]));
+    let root = folder.path().to_str().unwrap();
+    let (_, plan, why) = folder.plan(&[]);
+    let (_, doctor, _) = said(&viewrank(&["doctor", root]));
+    for said in [plan + &why, doctor] {
+        let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains("2 disabled cameras"), "{said}");
+        assert!(said.contains("enable the cameras in Metashape"), "{said}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use viewrank_core::model::scene::WarningKind;
+use viewrank_core::model::scene::{ModelWarning, WarningKind};
 
 use super::{
     Chunk, ChunkCamera, Frame, Sensor,
@@ -41,7 +41,12 @@ impl Chunk {
                 "{} disabled cameras are left out, e.g. {first}",
                 disabled.len()
             );
-            foreign.warn(WarningKind::Format, text);
+            let warning = ModelWarning::new(WarningKind::Format, text);
+            let warning = match foreign.model.images.is_empty() {
+                true => warning.with_cure("enable the cameras in Metashape, and export them again"),
+                false => warning,
+            };
+            foreign.model.warnings.push(warning);
         }
         foreign.left_out = disabled;
         Ok(foreign)
