@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, path::PathBuf};
 
 use crate::{
     io::project::{ModelFormat, ModelLocation, Project, ProjectKind},
-    model::scene::{ModelWarning, Scene, Units},
+    model::scene::{ModelWarning, Scene, Units, WarningKind},
     plan,
 };
 use clap::Args;
@@ -106,6 +106,10 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
         .iter()
         .map(|model| sub_model(model, false));
     let points = scene.points.len();
+    let are_projected = scene
+        .warnings
+        .iter()
+        .any(|warning| warning.kind == WarningKind::Projected);
     Inspection {
         format: project.model.format,
         path: project.model.path.clone(),
@@ -120,7 +124,7 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
         mean_track_length: (points > 0).then(|| scene.observations() as f64 / points as f64),
         mean_reprojection_error_px: scene
             .mean_reprojection_error()
-            .filter(|_| project.model.format.has_pixels()),
+            .filter(|_| project.model.format.has_pixels() && !are_projected),
         median_gsd: scene.median_gsd(),
         units: None,
         metres_per_unit: None,
@@ -153,7 +157,6 @@ impl Inspection {
         let unregistered = list(&self.unregistered);
         let number =
             |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
-        let error_px = number(self.mean_reprojection_error_px, 4);
         let unit = if self.metres_per_unit.is_some() {
             "m"
         } else {
@@ -180,10 +183,14 @@ impl Inspection {
             ("points", self.points.to_string()),
             ("observations", self.observations.to_string()),
             ("mean track length", number(self.mean_track_length, 2)),
-            ("mean reprojection error", format!("{error_px} px")),
+        ];
+        // Of observations by projection there is none.
+        let error = self.mean_reprojection_error_px;
+        rows.extend(error.map(|px| ("mean reprojection error", format!("{px:.4} px"))));
+        rows.extend([
             ("median GSD", format!("{gsd} {unit} per pixel")),
             ("units", self.units_in_words()),
-        ];
+        ]);
         let sub_models = self.sub_models.iter().filter(|_| self.sub_models.len() > 1);
         rows.extend(sub_models.map(|m| {
             let used = if m.used { ", used" } else { "" };

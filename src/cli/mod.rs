@@ -95,10 +95,16 @@ impl Failure {
         }
     }
 
-    /// Adds what a program printed before it failed.
+    /// Adds what a program printed before it failed, but for the line that the message ends with.
     fn with_output(self, output: &str) -> Self {
+        let is_said = |line: &&str| {
+            let line = line.trim();
+            let words = line.strip_prefix("error: ").unwrap_or(line);
+            !words.is_empty() && self.message.ends_with(words)
+        };
+        let lines = output.lines().filter(|line| !is_said(line));
         Self {
-            output: output.lines().map(String::from).collect(),
+            output: lines.map(String::from).collect(),
             ..self
         }
     }

@@ -6,7 +6,7 @@ use crate::{
     base::{
         error::{Advice, Hint},
         platform::{self, Request},
-        shell::command_path,
+        shell::{command_path, shown_path},
     },
     config::{self, Bytes, CommandLineSettings},
     daemon::{
@@ -20,6 +20,7 @@ use clap::{Args, builder::PossibleValue};
 use super::{
     Failure,
     log::{self, LogFormat},
+    warn,
 };
 
 /// Default interval between scans of all projects.
@@ -132,6 +133,12 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     let command = machine::this_program(WORKER).map_err(NoProgram)?;
     let planner = Workers::new(planner, command);
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
+    if once && summary.projects == 0 {
+        warn(&format!(
+            "no project was found in {}",
+            in_words(&options.roots)
+        ));
+    }
     match summary.failed {
         failed if failed > 0 && once => Err(WatchFailure {
             failed,
@@ -187,7 +194,7 @@ impl Hint for NoProgram {
 }
 
 #[derive(Debug, thiserror::Error)]
-#[error("{failed} of {projects} projects could not be planned")]
+#[error("{failed} of {projects} projects could not be planned or exported")]
 struct WatchFailure {
     failed: usize,
     projects: usize,
@@ -204,6 +211,11 @@ impl Hint for WatchFailure {
             .collect();
         Some(format!("to see why: {}", commands.join(", ")).into())
     }
+}
+
+fn in_words(folders: &[PathBuf]) -> String {
+    let shown: Vec<String> = folders.iter().map(|folder| shown_path(folder)).collect();
+    shown.join(", ")
 }
 
 fn forward_signals(to_daemon: Box<dyn Fn(Signal) + Send>) {

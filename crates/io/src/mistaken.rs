@@ -3,7 +3,10 @@
 
 use std::path::Path;
 
-use crate::input::{self, FileKind};
+use crate::{
+    formats::{Fault, Problem},
+    input::{self, FileKind},
+};
 
 /// A file of another kind than its name says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,6 +105,26 @@ pub fn text_as_binary(path: &Path) -> Option<Mistaken> {
     (is_binary && !start.is_empty() && start.iter().all(is_text)).then_some(Mistaken {
         what: "text, in a file with the name of a binary one",
         cure: "name the files of a text model cameras.txt, images.txt and points3D.txt",
+    })
+}
+
+/// JSON of another kind in a `transforms.json`, by the fault of reading it.
+pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
+    let Problem::Json(what) = &fault.problem else {
+        return None;
+    };
+    if !what.contains("missing field `frames`") {
+        return None;
+    }
+    let start = input::read_start(path, FileKind::Sparse, START).ok()?;
+    let start = String::from_utf8_lossy(&start);
+    let is_geojson = ["\"FeatureCollection\"", "\"Feature\"", "\"coordinates\""];
+    Some(Mistaken {
+        what: match is_geojson.iter().any(|word| start.contains(word)) {
+            true => "GeoJSON, not the cameras of nerfstudio",
+            false => "JSON of another kind, without the frames of nerfstudio",
+        },
+        cure: "give it another name, and put the transforms.json with the cameras in its place (a region is given by --region FILE)",
     })
 }
 

@@ -309,3 +309,54 @@ fn a_resolution_in_metres_does_not_hide_what_is_wrong_with_the_model() {
     assert_eq!(code, 1, "{stderr}");
     assert!(stderr.contains("longitude and latitude"), "{stderr}");
 }
+
+#[test]
+fn json_of_another_kind_is_named_for_what_it_is() {
+    let folder = Folder::new();
+    folder.pictures(&scene(), |name| format!("images/{name}"));
+    for (json, what) in [
+        (r#"{"type":"FeatureCollection","features":[]}"#, "GeoJSON"),
+        (r#"{"name":"site"}"#, "JSON of another kind"),
+    ] {
+        folder.write("transforms.json", json);
+        let (code, _, stderr) = folder.plan(&[]);
+        assert_eq!(code, 1);
+        assert!(stderr.contains(what), "{stderr}");
+        assert!(!stderr.contains("correct the line"), "{stderr}");
+    }
+}
+
+#[test]
+fn poses_without_a_file_of_points_are_completed_by_a_cloud() {
+    let folder = Folder::new();
+    folder.colmap("sparse/0", &ColmapModel::from_scene(&scene()));
+    fs::remove_file(folder.at("sparse/0/points3D.bin")).unwrap();
+    let (code, _, stderr) = folder.plan(&[]);
+    assert_eq!(code, 1);
+    assert!(stderr.contains("PLY cloud"), "{stderr}");
+}
+
+#[test]
+fn observations_by_projection_have_no_error() {
+    let folder = Folder::new();
+    let mut model = ColmapModel::from_scene(&scene());
+    for image in &mut model.images {
+        image.points2d = Default::default();
+    }
+    for point in &mut model.points {
+        point.track = Default::default();
+    }
+    folder.colmap("sparse/0", &model);
+    let root = folder.path().to_str().unwrap();
+    let (_, stdout, _) = said(&viewrank(&["inspect", root]));
+    assert!(!stdout.contains("reprojection error"), "{stdout}");
+}
+
+#[test]
+fn a_watched_folder_without_a_project_is_said_to_have_none() {
+    let folder = Folder::new();
+    let root = folder.path().to_str().unwrap();
+    let (code, _, stderr) = said(&viewrank(&["watch", root, "--once"]));
+    assert_eq!(code, 0);
+    assert!(stderr.contains("no project was found in"), "{stderr}");
+}

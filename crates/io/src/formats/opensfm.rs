@@ -5,7 +5,7 @@
 //! same unit. Of several reconstructions the one with the most shots is read, ties by position in
 //! the file.
 
-use std::{collections::HashMap, fmt};
+use std::{cmp::Reverse, collections::HashMap, fmt};
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::{
@@ -173,7 +173,7 @@ type Observations = Vec<Vec<(usize, [f64; 2])>>;
 /// Reads the reconstruction and the tracks; without tracks, points have no observations.
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
     let Reconstructions(reconstructions) = json(reconstruction)?;
-    let all = reconstructions.len();
+    let sizes = reconstructions.iter().map(|one| one.shots.len()).collect();
     let Some(largest) = largest(reconstructions) else {
         return Ok(ForeignModel::default());
     };
@@ -182,7 +182,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
         georeference: origin.map(Reference::georeference),
         ..ForeignModel::default()
     };
-    warn_of_smaller(&mut foreign, all, largest.shots.len());
+    warn_of_smaller(&mut foreign, sizes);
     let shots = largest.add_shots(&mut foreign)?;
     let observations = match tracks {
         Some(tracks) => observations(tracks, &shots, &largest.points)?,
@@ -198,10 +198,22 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
     Ok(foreign)
 }
 
-fn warn_of_smaller(foreign: &mut ForeignModel, all: usize, shots: usize) {
-    if all > 1 {
-        let text =
-            format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
+/// Reconstructions that a warning names.
+const NAMED: usize = 5;
+
+/// Warns of the reconstructions that are not read. `sizes`: the shots of each.
+fn warn_of_smaller(foreign: &mut ForeignModel, mut sizes: Vec<usize>) {
+    sizes.sort_unstable_by_key(|size| Reverse(*size));
+    if let [largest, others @ ..] = &sizes[..]
+        && !others.is_empty()
+    {
+        let named: Vec<String> = others.iter().take(NAMED).map(usize::to_string).collect();
+        let more = if others.len() > NAMED { ", ..." } else { "" };
+        let text = format!(
+            "of {} reconstructions only the one with the most shots ({largest}) is read, not those with {}{more}",
+            sizes.len(),
+            named.join(", ")
+        );
         foreign.warn(WarningKind::OtherParts, text);
     }
 }

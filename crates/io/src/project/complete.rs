@@ -9,7 +9,7 @@ use std::{
 use nalgebra::Point3;
 use viewrank_core::model::scene::{ModelWarning, WarningKind};
 
-use super::{ModelFormat, ModelLocation, ProjectError, files, foreign::file_names};
+use super::{ModelFormat, ModelLocation, ProjectError, error, files, foreign::file_names};
 use crate::{
     formats::{Place, Problem, cloud, colmap::ColmapModel},
     mistaken, ply,
@@ -147,9 +147,7 @@ fn other_coordinates(path: &Path, how: &str) -> ProjectError {
 /// Says how the program that wrote a model without points gives them.
 fn no_points(location: &ModelLocation) -> ModelWarning {
     let cure = match location.format {
-        ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
-            "triangulate them (colmap point_triangulator), or copy a PLY cloud in the coordinates of the cameras into the folder of the model"
-        }
+        ModelFormat::ColmapBinary | ModelFormat::ColmapText => error::TO_GIVE_POINTS,
         ModelFormat::AliceVision => {
             "cameras.sfm of Meshroom's StructureFromMotion has poses only: convert the sfm.abc beside it (aliceVision_convertSfMFormat --input sfm.abc \
              --output sfm.sfm, or a node ConvertSfMFormat)"

@@ -15,6 +15,9 @@ use crate::{
     shell::command_path,
 };
 
+/// What to do about a model of COLMAP with poses and no points.
+pub(super) const TO_GIVE_POINTS: &str = "triangulate them (colmap point_triangulator), or copy a PLY cloud in the coordinates of the cameras into the folder of the model";
+
 /// Returns the path between quotes that a shell has passed on.
 fn unquoted(path: &Path) -> Option<&Path> {
     let text = path.to_str()?;
@@ -57,7 +60,10 @@ impl ProjectError {
     pub(super) fn explained(self, named: &Path) -> Self {
         match self {
             Self::Fault { path, fault } => {
-                match mistaken::of_file(&path).or_else(|| mistaken::text_as_binary(&path)) {
+                let mistaken = mistaken::of_file(&path)
+                    .or_else(|| mistaken::text_as_binary(&path))
+                    .or_else(|| mistaken::json_without_frames(&path, &fault));
+                match mistaken {
                     Some(mistaken) => Self::Mistaken { path, mistaken },
                     None if is_outside(&path, named) => Self::Fault {
                         path,
@@ -114,6 +120,9 @@ impl Hint for ProjectError {
             }
             Self::IncompleteModel { .. } => {
                 "export the model again, with cameras, images and points3D in one format, binary or text".into()
+            Self::IncompleteModel { missing, .. } if missing.starts_with("points3D") => {
+                TO_GIVE_POINTS.into()
+            }
             }
             Self::NoSuchModel { .. } => Advice::text("pass one of these names to ").set("model").and(", or omit it"),
             Self::Io { .. } => "check that the file exists and is readable".into(),
