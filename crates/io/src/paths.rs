@@ -44,6 +44,14 @@ pub fn real(path: &Path) -> PathBuf {
     real
 }
 
+/// The path of a file without links and `..` among its folders; the file itself may be a link.
+pub fn place_of_file(file: &Path) -> PathBuf {
+    match (file.parent(), file.file_name()) {
+        (Some(folder), Some(name)) => real(folder).join(name),
+        _ => real(file),
+    }
+}
+
 /// Returns whether links, or the path itself, lead to a file outside of the folder. Errors must not
 /// quote such a file of a project, which may be a stranger's.
 pub fn is_outside(file: &Path, folder: &Path) -> bool {

@@ -50,6 +50,8 @@ pub enum ProjectError {
     Mistaken { path: PathBuf, mistaken: Mistaken },
     #[error("the model {0} has changed since it was read")]
     ModelChanged(PathBuf),
+    #[error("the images {:?} and {:?} of the model {path} are one file", names[0], names[1])]
+    OneFile { path: PathBuf, names: [String; 2] },
     #[error("no image list (list.txt) for {0} in its folder or the one above")]
     NoImageList(PathBuf),
 }
@@ -118,17 +120,21 @@ impl Hint for ProjectError {
                 let named: Vec<String> = named.collect();
                 format!("name one of them: {}{more}", named.join(", ")).into()
             }
-            Self::IncompleteModel { .. } => {
-                "export the model again, with cameras, images and points3D in one format, binary or text".into()
             Self::IncompleteModel { missing, .. } if missing.starts_with("points3D") => {
                 TO_GIVE_POINTS.into()
             }
+            Self::IncompleteModel { .. } => {
+                "export the model again, with cameras, images and points3D in one format, binary or text".into()
             }
             Self::NoSuchModel { .. } => Advice::text("pass one of these names to ").set("model").and(", or omit it"),
             Self::Io { .. } => "check that the file exists and is readable".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
             Self::Mistaken { mistaken, .. } => mistaken.cure.into(),
             Self::ModelChanged(_) => "once the model is complete, read it and plan again; nothing was written".into(),
+            Self::OneFile { names, .. } => format!(
+                "take one of the two out of the model, as \"{}\", or give each a file of its own", names[1]
+            )
+            .into(),
             Self::NoImageList(_) => "copy Bundler's image list there: one line per camera with the image name".into(),
         })
     }
@@ -146,6 +152,7 @@ impl Hint for ProjectError {
             | Self::NoSuchModel { path, .. }
             | Self::Io { path, .. }
             | Self::Mistaken { path, .. }
+            | Self::OneFile { path, .. }
             | Self::Fault { path, .. } => Some(path),
         }
     }

@@ -3,7 +3,7 @@
 use std::{
     cell::Cell,
     collections::{HashMap, HashSet},
-    path::{Path, PathBuf},
+    path::{Component, Path, PathBuf},
 };
 
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     formats::foreign::{ForeignModel, last_parts},
-    mistaken,
+    mistaken, paths,
 };
 
 /// Number of image names that are tried on a candidate for the image folder.
@@ -376,7 +376,7 @@ pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
         .chain(scene.left_out.iter().map(String::as_str))
         .chain(folder.other_names().map(|(_, file)| file))
         .chain(folder.candidates());
-    let registered: HashSet<PathBuf> = names.map(|name| normal(Path::new(name))).collect();
+    let registered: HashSet<PathBuf> = names.map(|name| in_folder(name, folder)).collect();
     images_below(folder, |name| {
         !registered.contains(name) && !name.starts_with(MASKS)
     })
@@ -392,10 +392,22 @@ pub(super) fn is_beside_views(scene: &Scene) -> impl Fn(&String) -> bool {
     move |name| folder(name).is_some_and(|folder| of_views.contains(&folder))
 }
 
+/// The path in the folder of a file that may be named by a way out of it and back.
+fn in_folder(name: &str, folder: &Path) -> PathBuf {
+    let name = normal(Path::new(name));
+    let is_plain = |part| matches!(part, Component::Normal(_));
+    if name.components().all(is_plain) {
+        return name;
+    }
+    let file = paths::place_of_file(&folder.join(&name));
+    let inside = file.strip_prefix(paths::real(folder));
+    inside.map(Path::to_path_buf).unwrap_or(name)
+}
+
 /// Removes `.` components.
 fn normal(name: &Path) -> PathBuf {
     name.components()
-        .filter(|c| !matches!(c, std::path::Component::CurDir))
+        .filter(|c| !matches!(c, Component::CurDir))
         .collect()
 }
 

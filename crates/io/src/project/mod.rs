@@ -367,7 +367,7 @@ impl Project {
             return model.scene().map_err(|fault| files.locate(fault));
         }
         let (mut foreign, cloud) = foreign::read(&self.root, &self.model)?;
-        self.name_images(&mut foreign.model);
+        self.name_images(&mut foreign.model)?;
         foreign.model = complete::completed(foreign.model, &self.model, cloud)?;
         let scene = foreign.scene();
         scene.map_err(ProjectError::fault(&self.model.path))
@@ -378,11 +378,11 @@ impl Project {
         files: &'a ColmapFiles,
     ) -> Result<ColmapModel<'a>, ProjectError> {
         let mut model = files.model()?;
-        self.name_images(&mut model);
+        self.name_images(&mut model)?;
         complete::completed(model, &self.model, complete::cloud_beside(&self.model))
     }
 
-    fn name_images(&self, model: &mut ColmapModel) {
+    fn name_images(&self, model: &mut ColmapModel) -> Result<(), ProjectError> {
         let is_workspace = self.dense_workspace.is_some();
         match &self.images {
             Some(images) => images.name_images(model, is_workspace),
@@ -399,6 +399,13 @@ impl Project {
     /// Checks the image files of these views alone, each of which is opened.
     pub fn image_faults_of(&self, views: &[ViewIndex], scene: &Scene) -> ImageFaults {
         let find = |folder| ImageFaults::find(folder, scene, views);
+        match names::with_one_file(model, self.images.as_deref()) {
+            Some(names) => Err(ProjectError::OneFile {
+                path: self.model.path.clone(),
+                names,
+            }),
+            None => Ok(()),
+        }
         self.images.as_ref().map(find).unwrap_or_default()
     }
 

@@ -11,14 +11,17 @@ use std::{
 use unicode_normalization::UnicodeNormalization;
 
 use super::{
-    image_files::{MOST_ENTRIES, is_image},
+    image_files::{MOST_ENTRIES, is_image, slashes},
     images::ImageSearch,
 };
-use crate::formats::{
-    SEPARATORS,
-    colmap::ColmapModel,
-    foreign::{is_of_windows, last_parts},
-    name_parts,
+use crate::{
+    formats::{
+        SEPARATORS,
+        colmap::ColmapModel,
+        foreign::{is_of_windows, last_parts},
+        name_parts,
+    },
+    paths,
 };
 
 /// Names of the folder of images of which programs make reduced copies.
@@ -152,7 +155,14 @@ pub(super) fn take_names_of_files(
 ) -> HashMap<String, String> {
     if let Some(images) = images {
         let search = ImageSearch::new(vec![images.to_path_buf()]);
-        rename(model, |name| name_here(name, images, &search));
+        rename(model, |name| {
+            let has_file = images.join(name).is_file();
+            match has_file {
+                true if is_workspace => None,
+                true => from_folder(name, images),
+                false => name_here(name, images, &search),
+            }
+        });
     }
     if is_workspace {
         return HashMap::new();
@@ -182,12 +192,37 @@ fn rename(
     before
 }
 
-/// The name under which the folder of images has the file, where it isn't the image's own.
+/// The path in the folder of images of a file there that a model names by its whole path.
+fn from_folder(name: &str, images: &Path) -> Option<String> {
+    let file = Path::new(name).is_absolute().then_some(name)?;
+    let file = paths::place_of_file(Path::new(file));
+    let inside = file.strip_prefix(paths::real(images)).ok()?;
+    inside.to_str().map(|_| slashes(inside))
+}
+
+/// Two images whose names lead to one file.
+pub(super) fn with_one_file(model: &ColmapModel, images: Option<&Path>) -> Option<[String; 2]> {
+    let file = |name: &str| match images {
+        Some(images) => paths::place_of_file(&images.join(name)),
+        None => PathBuf::from(name_parts(name).unwrap_or_default().join("/")),
+    };
+    let mut known: HashMap<String, &str> = HashMap::new();
+    for image in &model.images {
+        let name: &str = &image.name;
+        let of_plain = plain(name).unwrap_or_else(|| name.into());
+        match known.insert(of_plain, name) {
+            Some(other) if file(other) == file(name) => {
+                return Some([other, name].map(str::to_owned));
+            }
+            _ => {}
+        }
+    }
+    None
+}
+
+/// The name under which the folder of images has the file, which isn't the image's own.
 fn name_here(name: &str, images: &Path, search: &ImageSearch) -> Option<String> {
     let has_file = |name: &str| images.join(name).is_file();
-    if has_file(name) {
-        return None;
-    }
     let is_inside = |moved: &str| name_parts(moved).is_some_and(|parts| !parts.contains(&".."));
     let separated = [name.replace('\\', "/")].into_iter();
     let ends = || last_parts(name).into_iter().skip(1);
