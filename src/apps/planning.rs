@@ -5,7 +5,7 @@ use crate::{
     base::progress::Watcher,
     config::Settings,
     io::project::{Project, ProjectError},
-    model::scene::Scene,
+    model::scene::{Scene, View},
     plan::{Plan, PlanError, Timings},
 };
 
@@ -38,11 +38,26 @@ pub fn undistorted_workspace(
     if is_pinhole(&scene) {
         return Ok(None);
     }
-    let Ok(workspace) = Project::open(dense, None) else {
+    let Ok(workspace) = Project::open(&dense, None) else {
         return Ok(None);
     };
-    let fits = |there: Scene| is_pinhole(&there) && there.has_same_views(&scene);
+    if backend.reads_colmap && !workspace.model.format.is_colmap() {
+        return Ok(None);
+    }
+    let fits = |there: Scene| is_pinhole(&there) && is_of_same_images(&there, &scene);
     Ok(workspace.read_scene().is_ok_and(fits).then_some(workspace))
+}
+
+/// Returns whether a scene has the views of another in the same poses. OpenSfM adds the extension of
+/// the undistorted images to the names (`a.jpg.tif`).
+fn is_of_same_images(undistorted: &Scene, scene: &Scene) -> bool {
+    let is_same = |(there, here): (&View, &View)| {
+        let added = there.name.strip_prefix(&*here.name);
+        added.is_some_and(|added| added.is_empty() || added.starts_with('.'))
+            && there.cam_from_world.is_near(&here.cam_from_world)
+    };
+    undistorted.views.len() == scene.views.len()
+        && undistorted.views.iter().zip(&scene.views).all(is_same)
 }
 
 /// Like [`plan`], for a scene of the project that is already read.

@@ -189,7 +189,7 @@ impl Selection<'_> {
             Some(dense) => {
                 format!(
                     "plan and export the undistorted images instead: viewrank plan {}",
-                    command_path(dense)
+                    command_path(&dense)
                 )
             }
             None => {

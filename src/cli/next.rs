@@ -101,7 +101,7 @@ pub fn next(
         (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {
             let plan_of = |dense: &Path| again(&command_path(dense));
             match project.undistorted_workspace() {
-                Some(dense) => plan_of(dense),
+                Some(dense) => plan_of(&dense),
                 None => one_after_other(
                     &format!("viewrank undistort {root}"),
                     &plan_of(&project.home.join("dense")),

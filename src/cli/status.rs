@@ -87,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
     let workspace = || {
         let project = Project::open(&project, None).ok()?;
-        Progress::read(planned_workspace(&project)?)
+        Progress::read(&planned_workspace(&project)?)
     };
     let progress = Progress::read(&project).or_else(workspace);
     let progress = progress.filter(|_| !follow::is_of_earlier_plan(&project));

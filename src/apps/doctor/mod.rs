@@ -296,7 +296,7 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
         command_path(&inputs.project.root.join("dense")),
     );
     let cure = match inputs.project.undistorted_workspace() {
-        Some(dense) => format!("viewrank plan {}", command_path(dense)),
+        Some(dense) => format!("viewrank plan {}", command_path(&dense)),
         None => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
     let what =

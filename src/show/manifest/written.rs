@@ -251,15 +251,16 @@ pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSu
 }
 
 /// Returns the project's workspace of undistorted images if it has a plan, and the project none.
-pub fn planned_workspace(project: &Project) -> Option<&Path> {
-    let dense = project.dense_workspace.as_deref();
+pub fn planned_workspace(project: &Project) -> Option<PathBuf> {
+    let dense = project.dense_workspace.clone();
+    let dense = dense.or_else(|| project.undistorted_workspace());
     let dense = dense.filter(|dense| *dense != project.root && dense.join(FILE).is_file());
     dense.filter(|_| !project.home.join(FILE).exists())
 }
 
 /// Opens the [`planned_workspace`] of the project, if any.
 pub fn open_planned_workspace(project: &Project) -> Option<Project> {
-    Project::open(planned_workspace(project)?, None).ok()
+    Project::open(&planned_workspace(project)?, None).ok()
 }
 
 impl WrittenPlan {
@@ -346,7 +347,7 @@ impl RecordedPlan {
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
         let any_model = Project::open_or_planned(root, None)?;
         if let Some(workspace) = planned_workspace(&any_model) {
-            return Self::open(workspace);
+            return Self::open(&workspace);
         }
         let recorded = Self::read(&any_model)?;
         let planned = &recorded.input.model;

@@ -213,3 +213,65 @@ fn undistorting_a_model_without_points_says_what_to_do_before_a_plan() {
     ]));
     assert_eq!(code, 0, "{stderr}");
 }
+
+/// A model of OpenSfM; the names end on `added`, as those of undistorted images do.
+fn opensfm(scene: &Scene, k1: f64, added: &str) -> String {
+    let shot = |view: &viewrank_core::model::scene::View| {
+        let pose = &view.cam_from_world;
+        let [rotation, translation] = [pose.rotation.scaled_axis(), pose.translation];
+        serde_json::json!({
+            "camera": "c", "rotation": rotation.as_slice(), "translation": translation.as_slice(),
+        })
+    };
+    let shots: serde_json::Map<_, _> = scene
+        .views
+        .iter()
+        .map(|view| (format!("{}{added}", view.name), shot(view)))
+        .collect();
+    let points: serde_json::Map<_, _> = (0..)
+        .zip(&scene.points)
+        .map(|(n, x): (u32, _)| {
+            (
+                n.to_string(),
+                serde_json::json!({"coordinates": [x.x, x.y, x.z]}),
+            )
+        })
+        .collect();
+    let camera = serde_json::json!({
+        "projection_type": "perspective", "width": 100, "height": 75, "focal": 0.85, "k1": k1, "k2": 0.0,
+    });
+    serde_json::json!([{ "cameras": {"c": camera}, "shots": shots, "points": points }]).to_string()
+}
+
+#[test]
+fn images_that_opensfm_has_undistorted_are_planned() {
+    let folder = Folder::new();
+    let scene = scene();
+    folder
+        .write("opensfm/reconstruction.json", opensfm(&scene, -0.03, ""))
+        .pictures(&scene, |name| format!("images/{name}"))
+        .write(
+            "opensfm/undistorted/reconstruction.json",
+            opensfm(&scene, 0.0, ".tif"),
+        )
+        .pictures(&scene, |name| {
+            format!("opensfm/undistorted/images/{name}.tif")
+        });
+    let (code, stdout, stderr) = folder.plan(&["--backend", "odm"]);
+    assert_eq!(code, 0, "{stdout}{stderr}");
+    assert!(stderr.contains("opensfm/undistorted"), "{stderr}");
+    assert!(
+        folder
+            .at("opensfm/undistorted/viewrank/odm/run.sh")
+            .is_file()
+    );
+    // Only of the same poses.
+    let mut moved = scene.clone();
+    moved.views[0].cam_from_world.translation.x += 1.0;
+    folder.write(
+        "opensfm/undistorted/reconstruction.json",
+        opensfm(&moved, 0.0, ".tif"),
+    );
+    let (code, stdout, stderr) = folder.plan(&["--backend", "odm"]);
+    assert_eq!(code, 1, "{stdout}{stderr}");
+}

@@ -294,10 +294,21 @@ impl Project {
         depthmaps::folder_of(&self.home, self.dense_workspace.as_deref(), program)
     }
 
-    /// Returns the dense workspace below the project, unless it lacks its images.
-    pub fn undistorted_workspace(&self) -> Option<&Path> {
-        let dense = self.dense_workspace.as_deref();
-        dense.filter(|dense| **dense != *self.root && discover::has_pictures(dense))
+    /// Returns the dense workspace below the project, or the folder that OpenSfM has undistorted its
+    /// model into, unless it lacks its images.
+    pub fn undistorted_workspace(&self) -> Option<PathBuf> {
+        let dense = self.dense_workspace.clone();
+        let dense = dense.filter(|dense| *dense != self.root);
+        let by_opensfm = || {
+            let name = self.model.path.file_name()?;
+            let folder = self.model.path.parent()?.join("undistorted");
+            (self.model.format == ModelFormat::OpenSfm && folder.join(name).is_file())
+                .then_some(folder)
+        };
+        let places = dense.into_iter().chain(by_opensfm());
+        places
+            .into_iter()
+            .find(|place| discover::has_pictures(place))
     }
 
     /// Says where the images are to be put.
@@ -388,6 +399,13 @@ impl Project {
             Some(images) => images.name_images(model, is_workspace),
             None => drop(names::take_names_of_files(model, None, is_workspace)),
         }
+        match names::with_one_file(model, self.images.as_deref()) {
+            Some(names) => Err(ProjectError::OneFile {
+                path: self.model.path.clone(),
+                names,
+            }),
+            None => Ok(()),
+        }
     }
 
     /// Checks the image files of the scene; finds no faults without an image folder.
@@ -399,13 +417,6 @@ impl Project {
     /// Checks the image files of these views alone, each of which is opened.
     pub fn image_faults_of(&self, views: &[ViewIndex], scene: &Scene) -> ImageFaults {
         let find = |folder| ImageFaults::find(folder, scene, views);
-        match names::with_one_file(model, self.images.as_deref()) {
-            Some(names) => Err(ProjectError::OneFile {
-                path: self.model.path.clone(),
-                names,
-            }),
-            None => Ok(()),
-        }
         self.images.as_ref().map(find).unwrap_or_default()
     }
 
