@@ -231,12 +231,14 @@ fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
             note,
         };
     }
+    let measured = plan.finished.filter(|(finished, _)| *finished <= maps);
+    let (done, share) = measured.map_or((maps, None), |(done, share)| (done, Some(share)));
     Phase::Partial {
         backend: plan.backend.clone(),
-        done: maps,
+        done,
         clusters,
-        share: None,
-        unmeasured: maps,
+        share,
+        unmeasured: maps - measured.map_or(0, |_| done),
         has_region,
         note,
     }
@@ -247,10 +249,24 @@ fn planned_in_words(plan: &PlannedMaps, maps: usize) -> String {
     let PlannedMaps {
         clusters: planned,
         backend,
+        finished,
         ..
     } = plan;
-    match backends::by_name(backend).map(|backend| backend.use_of_views) {
-        Ok(Some(_)) => format!("{planned} images are planned; {backend} makes no depth maps."),
+    match (
+        backends::by_name(backend).map(|backend| backend.use_of_views),
+        finished,
+    ) {
+        (Ok(Some(_)), _) => format!("{planned} images are planned; {backend} makes no depth maps."),
+        (_, Some((done, share))) if *done <= maps => {
+            let later = match maps - done {
+                0 => String::new(),
+                later => format!("; {later} more are there, not measured yet (viewrank evaluate)"),
+            };
+            format!(
+                "{done} of {planned} planned depth maps are finished: {}, as measured for this plan{later}.",
+                share_of_all(*share, plan)
+            )
+        }
         _ if maps > 0 => format!(
             "{planned} depth maps are planned, for {}; {maps} are there, not measured yet (viewrank evaluate).",
             share_of_all(plan.share, plan)

@@ -205,6 +205,8 @@ pub struct PlannedMaps {
     pub all: usize,
     /// Predicted share of the chosen ones in what all give, 0 to 1.
     pub share: f64,
+    /// Number of depth maps that were finished when the plan was made, and their measured share.
+    pub finished: Option<(usize, f64)>,
     /// Share that the user wants; `None` if only other limits were set.
     pub target: Option<f64>,
     pub has_region: bool,
@@ -220,6 +222,7 @@ pub fn planned_maps(root: &Path) -> Option<PlannedMaps> {
         clusters: recorded.cut.clusters,
         all: recorded.all_maps(),
         share: share.unwrap_or_default(),
+        finished: recorded.measured(),
         target: recorded.settings.cut.target.map(|target| target.0),
         has_region: recorded.settings.region.is_some(),
         backend: recorded.backend,
@@ -428,6 +431,12 @@ impl RecordedPlan {
             .iter()
             .take_while(|cluster| cluster.finished)
             .count()
+    }
+
+    /// Number and share of the finished clusters, as measured for the plan.
+    fn measured(&self) -> Option<(usize, f64)> {
+        let last = self.finished().checked_sub(1)?;
+        Some((last + 1, self.clusters[last].share))
     }
 
     /// Returns an error if the ranking is not the plan's. With finished depth maps, their partners
