@@ -459,3 +459,23 @@ fn auto_takes_the_subject() {
         );
     }
 }
+
+#[test]
+fn a_polygon_beside_the_surface_is_missed_and_one_far_away_is_misplaced() {
+    let folder = project();
+    for (x, is_near) in [(40.0, true), (1e5, false)] {
+        let corners = [[x, 0.0], [x + 9.0, 0.0], [x + 9.0, 9.0], [x, 0.0]];
+        let polygon = json!({
+            "type": "Polygon", "crs": null, "coordinates": [corners],
+        });
+        let file = folder.path().join("beside.geojson");
+        fs::write(&file, polygon.to_string()).unwrap();
+        let (code, said) = refused(folder.path(), file.to_str().unwrap());
+        assert_eq!(code, 1);
+        assert_eq!(
+            said.contains("100 % of its area is missed"),
+            is_near,
+            "{said}"
+        );
+    }
+}

@@ -63,7 +63,8 @@ fn of_ground(
             .map_or("", |_| "set a larger target.gsd, or ");
         let cure = format!("{less}{}", place_of_region(inputs, place));
         let finely_enough = finely_enough.unwrap_or_default();
-        let what = format!("no photograph shows any of the region{finely_enough}");
+        let area = plan::area_in_words(ground.area, metres);
+        let what = format!("no photograph shows any of the region ({area}){finely_enough}");
         return Some(Finding::new(Severity::Error, "region", what, cure));
     }
     let covered = ground.covered("the region", metres);
@@ -99,7 +100,8 @@ fn of_ground(
 /// Advice on a region that lies outside the photographs.
 fn place_of_region(inputs: &Inputs, place: &Georeference) -> String {
     if *place != Georeference::Local {
-        return "check that its polygon has longitude before latitude, and frame.origin or frame.utm"
+        return "photograph it; if it is not where it was meant to be, check that its polygon has longitude before latitude, and frame.origin or \
+                frame.utm"
             .into();
     }
     let gps = match positions_in_images(inputs.project, inputs.scene).1.len() {

@@ -60,6 +60,9 @@ pub enum RegionError {
     Cancelled(#[from] Cancelled),
 }
 
+/// Distance from the surface, over its size, up to which a region is probably where it was meant.
+const NEAR: f64 = 10.0;
+
 impl RegionError {
     /// Returns whether the region is where the surface is, but between the samples of its
     /// triangles.
@@ -72,6 +75,18 @@ impl RegionError {
                 .all(|axis| model[axis] <= region[axis] && region[axis + 3] <= model[axis + 3]),
             _ => false,
         }
+    }
+
+    /// Returns whether the region is beside the surface, at most [`NEAR`] times its size away.
+    fn is_near(&self) -> bool {
+        let Self::OutsideMap { region, model, .. } = self else {
+            return false;
+        };
+        let size = |axis: usize| model.high[axis] - model.low[axis];
+        let gap = |axis: usize| {
+            (region.low[axis] - model.high[axis]).max(model.low[axis] - region.high[axis])
+        };
+        (0..2).all(|axis| gap(axis) <= NEAR * size(0).max(size(1)))
     }
 
     /// Returns whether a polygon that was taken for one in units of the model is probably in degrees.
@@ -132,6 +147,13 @@ impl Hint for RegionError {
                 return Some(
                     Advice::text("draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer ")
                         .set("target.gsd"),
+                );
+            }
+            _ if self.is_near() => {
+                return Some(
+                    Advice::text("no photograph shows any of it: 100 % of its area is missed, and nothing can be planned there; draw it on over a part of the surface, and ")
+                        .run("report")
+                        .and(" after the plan has the images to take of the rest"),
                 );
             }
             Self::OutsideMap {
