@@ -27,6 +27,7 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    selection.refuse_unusable_images(BACKEND.name)?;
     let views = listed_views(selection, options.refs);
     let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
     record.made_for = "any program".into();
@@ -40,14 +41,15 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         );
     }
     let mut files = options.file_set(&BACKEND, selection);
-    let folder = selection.images_in_commands(&files.root);
+    let all = [&views[..], &selection.kept_for_tests()].concat();
+    let (paths, folder) = selection.files_in_commands(&all, &files.root);
+    let (chosen, tests) = paths.split_at(views.len());
     record.commands = vec![format!(
         "rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/"
     )];
-    files.add_text("images.txt", name_lines(selection, &views));
-    let tests = selection.kept_for_tests();
+    files.add_text("images.txt", lines(chosen));
     if !tests.is_empty() {
-        files.add_text("test.txt", name_lines(selection, &tests));
+        files.add_text("test.txt", lines(tests));
     }
     Ok(Export::new(files, record))
 }
@@ -90,8 +92,10 @@ pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> V
 }
 
 pub(super) fn name_lines(selection: &Selection, views: &[ViewIndex]) -> String {
-    views
-        .iter()
-        .map(|&v| selection.scene.name(v).to_owned() + "\n")
-        .collect()
+    let names = views.iter().map(|&v| selection.scene.name(v));
+    names.map(|name| name.to_owned() + "\n").collect()
+}
+
+fn lines(paths: &[String]) -> String {
+    paths.iter().map(|path| path.clone() + "\n").collect()
 }

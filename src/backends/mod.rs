@@ -54,7 +54,7 @@ pub use machine::{
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use runner::{Call, Product, TaskRunner};
-pub use selection::{Selection, of_unread_kind};
+pub use selection::{Selection, cure_of_images, of_unread_kind};
 pub use semi_global::pair_files;
 pub use strangers::with_refusal;
 pub use tiles::clusters_by_area;

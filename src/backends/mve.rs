@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     base::shell::command_path,
+    io::project::Project,
     method::confidence::Photometric,
     model::{
         camera::Camera,
@@ -79,7 +80,7 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     );
     let maps = examined.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
     examined
-        .bad_names("mve-extension", extension)
+        .bad_names("mve-extension", |name| extension(examined.project, name))
         .into_iter()
         .chain(maps)
         .collect()
@@ -98,7 +99,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         let folder = format!("views/{}", folder(selection.scene, view));
         files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
         files.add(
-            format!("{folder}/undistorted.{}", extension(name)?),
+            format!(
+                "{folder}/undistorted.{}",
+                extension(selection.project, name)?
+            ),
             images.link(name),
         );
     }
@@ -227,9 +231,10 @@ fn folder(scene: &Scene, view: ViewIndex) -> String {
 }
 
 /// MVE finds the decoder by the extension.
-fn extension(name: &str) -> Result<&'static str, BackendError> {
+fn extension(project: &Project, name: &str) -> Result<&'static str, BackendError> {
     let why = "it reads undistorted images as jpg and png, by the extension";
-    selection::extension(name, &["jpg", "png"]).ok_or_else(|| BackendError::name("mve", name, why))
+    let file = selection::name_of_kind(project, name);
+    selection::extension(&file, &["jpg", "png"]).ok_or_else(|| BackendError::name("mve", name, why))
 }
 
 /// Returns `meta.ini`: focal length in units of the larger side, principal point in units of each

@@ -116,11 +116,15 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut files = options.file_set(&BACKEND, selection);
     // ODM calls OpenMVS in the working folder openmvs/depthmaps, whose absolute path depends on the
     // container.
-    let mvs = openmvs::joint_scene(selection, |name| format!("../images/{name}"));
+    let of_kind = |name: &str| selection::name_of_kind(selection.project, name);
+    let mvs = openmvs::joint_scene(selection, |name| format!("../images/{}", of_kind(name)));
     files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
     for view in selection.views() {
         let name = selection.scene.name(view);
-        files.add(format!("openmvs/images/{name}"), images.link(name));
+        files.add(
+            format!("openmvs/images/{}", of_kind(name)),
+            images.link(name),
+        );
     }
     let mut record = ExportRecord::new(&BACKEND, selection, |v| {
         format!("depth{:04}.dmap", selection.scene.view(v).image_id)

@@ -13,7 +13,7 @@ use super::{
     strangers::add_runner,
 };
 use crate::{
-    io::output::Contents,
+    io::{output::Contents, project::Project},
     model::{
         cluster::MapScale,
         scene::{PointIndex, Scene, ViewIndex},
@@ -51,7 +51,7 @@ pub static BACKEND: Backend = Backend {
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     examined
-        .bad_names("pmvs-extension", extension)
+        .bad_names("pmvs-extension", |name| extension(examined.project, name))
         .into_iter()
         .collect()
 }
@@ -69,7 +69,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut files = options.file_set(&BACKEND, selection);
     for (i, &view) in views.iter().enumerate() {
         let name = selection.scene.name(view);
-        let extension = extension(name)?;
+        let extension = extension(selection.project, name)?;
         files.add_text(
             format!("txt/{i:08}.txt"),
             format!("CONTOUR\n{}", projection(selection.scene, view)),
@@ -108,9 +108,10 @@ pub(super) fn projection(scene: &Scene, view: ViewIndex) -> String {
 }
 
 /// PMVS2 chooses the decoder by the extension.
-fn extension(name: &str) -> Result<&'static str, BackendError> {
+fn extension(project: &Project, name: &str) -> Result<&'static str, BackendError> {
     let why = "it reads jpg, png, tiff and ppm, by the extension";
-    selection::extension(name, &["jpg", "png", "tiff", "ppm"])
+    let file = selection::name_of_kind(project, name);
+    selection::extension(&file, &["jpg", "png", "tiff", "ppm"])
         .ok_or_else(|| BackendError::name("pmvs", name, why))
 }
 

@@ -5,11 +5,11 @@ use std::collections::HashMap;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, Selection, Trap,
-    images::{ANY_PROGRAM, name_lines},
+    Honours, LastRun, Selection, Trap, images::ANY_PROGRAM,
 };
 use crate::{
     base::input::{self, FileKind},
+    io::project::Project,
     model::scene::ViewIndex,
 };
 
@@ -36,33 +36,36 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
     let same = examined.same_names(
         "realityscan-xmp-same-stem",
         "the same side file (.xmp)",
-        |name| stem(name).to_owned(),
+        |name| stem(path_of(examined.project, name)).to_owned(),
     );
     same.into_iter().chain(poses_beside(examined)).collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    selection.refuse_unusable_images(BACKEND.name)?;
     let (scene, used) = (selection.scene, selection.views());
+    let path = |view: ViewIndex| path_of(selection.project, scene.name(view));
     let mut files = options.file_set(&BACKEND, selection);
     let mut by_stem: HashMap<&str, &str> = HashMap::new();
-    let mut side_files = String::new();
+    let (mut side_files, mut images) = (String::new(), String::new());
     for view in scene.view_indices() {
-        let name = scene.name(view);
+        let name = path(view);
         let stem = stem(name);
         if let Some(other) = by_stem.insert(stem, name) {
             let why = format!("its side file would be that of {other} too");
             return Err(BackendError::name(BACKEND.name, name, why));
         }
-        files.add_text(
-            format!("xmp/{stem}.xmp"),
-            side_file(used.binary_search(&view).is_ok()),
-        );
+        let is_used = used.binary_search(&view).is_ok();
+        files.add_text(format!("xmp/{stem}.xmp"), side_file(is_used));
         side_files += &format!("{stem}.xmp\n");
+        if is_used {
+            images += &format!("{name}\n");
+        }
     }
     files.add_text("xmp.txt", side_files);
-    files.add_text("images.txt", name_lines(selection, &used));
+    files.add_text("images.txt", images);
     let mut record = ExportRecord::new(&BACKEND, selection, |v| {
-        format!("xmp/{}.xmp", stem(scene.name(v)))
+        format!("xmp/{}.xmp", stem(path(v)))
     });
     record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
     record.way =
@@ -94,7 +97,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 fn poses_beside(examined: &ExaminedProject) -> Option<Trap> {
     let images = examined.project.images.as_ref()?;
     let holds_pose = |view: &ViewIndex| {
-        let path = images.join(format!("{}.xmp", stem(examined.scene.name(*view))));
+        let image = images.path_of(examined.scene.name(*view));
+        let path = images.join(format!("{}.xmp", stem(image)));
         input::read_text(&path, FileKind::List)
             .is_ok_and(|text| text.contains("xcr:PosePrior") || text.contains("xcr:Position"))
     };
@@ -105,6 +109,12 @@ fn poses_beside(examined: &ExaminedProject) -> Option<Trap> {
         cure: "add xcr:InMeshing and xcr:InTexturing to those files by hand instead of copying ours".into(),
         views,
     })
+}
+
+/// Path of an image's file in the folder of images, beside which its side file lies.
+fn path_of<'a>(project: &'a Project, name: &'a str) -> &'a str {
+    let images = project.images.as_ref();
+    images.map_or(name, |images| images.path_of(name))
 }
 
 /// Returns the path without the extension.

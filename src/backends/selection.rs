@@ -1,6 +1,9 @@
 //! The input of a backend: the scene and the chosen view clusters in rank order.
 
-use std::{borrow::Cow, path::Path};
+use std::{
+    borrow::Cow,
+    path::{Component, Path, PathBuf},
+};
 
 use nalgebra::Vector3;
 
@@ -9,7 +12,7 @@ use crate::{
     base::shell::command_path,
     io::{
         paths,
-        project::{ImageFaults, ImageFolder, Project},
+        project::{ImageFaults, ImageFolder, Project, slashes},
     },
     model::{
         cluster::{MapScale, RankedCluster},
@@ -100,7 +103,7 @@ impl Selection<'_> {
         let needs = |what: String| BackendError::Needs {
             backend,
             what,
-            hint: self.project.where_images_belong(),
+            hint: cure_of_images(self.project, self.scene, backend, self.image_faults),
         };
         let Some(folder) = self.project.images.as_ref() else {
             let why = match &self.project.originals {
@@ -142,17 +145,27 @@ impl Selection<'_> {
                 }
                 (None, None) => {
                     let name = faults.missing.first().map(|view| self.scene.name(*view));
-                    let others =
-                        folder
-                            .first_image()
-                            .zip(name)
-                            .map_or_else(String::new, |(other, name)| {
-                                format!(", which has others ({other}; the model's is {name})")
-                            });
+                    let fits_two = name.is_some_and(|name| folder.candidates_for(name).is_some());
+                    let others = match folder.first_image().zip(name) {
+                        Some(_) if fits_two => " by its name".into(),
+                        Some((other, name)) => {
+                            format!(", which has others ({other}; the model's is {name})")
+                        }
+                        None => String::new(),
+                    };
                     needs(format!("the images, and none of them is in {at}{others}"))
                 }
             },
         )
+    }
+
+    /// Fails if none of the images in their folder can be used. Where there is no such folder, the
+    /// user may have them.
+    pub fn refuse_unusable_images(&self, backend: &'static str) -> Result<(), BackendError> {
+        match self.project.images {
+            Some(_) => self.images(backend).map(drop),
+            None => Ok(()),
+        }
     }
 
     /// Returns the folder of the images for a command that runs in the folder `from`; if unknown, a
@@ -167,6 +180,28 @@ impl Selection<'_> {
             Some(images) => command_path(&seen_from(images)),
             None => "\"${IMAGES:?folder of the images}\"".into(),
         }
+    }
+
+    /// Returns the paths of the files of some views, and for a command that runs in the folder
+    /// `from` the folder in which they are: that of the images, unless a file is outside of it.
+    pub fn files_in_commands(&self, views: &[ViewIndex], from: &Path) -> (Vec<String>, String) {
+        let names = || views.iter().map(|view| self.scene.name(*view));
+        let Some(images) = &self.project.images else {
+            let names = names().map(str::to_owned).collect();
+            return (names, self.images_in_commands(from));
+        };
+        let inside: Vec<&str> = names().map(|name| images.path_of(name)).collect();
+        if inside.iter().all(|path| is_below(path)) {
+            let inside = inside.into_iter().map(str::to_owned).collect();
+            return (inside, self.images_in_commands(from));
+        }
+        let files: Vec<PathBuf> = names()
+            .map(|name| paths::place_of_file(&images.file(name)))
+            .collect();
+        let mut above = paths::real(images);
+        while !files.iter().all(|file| file.starts_with(&above)) && above.pop() {}
+        let below = |file: &PathBuf| slashes(file.strip_prefix(&above).unwrap_or(file));
+        (files.iter().map(below).collect(), command_path(&above))
     }
 
     /// Returns the folder of the images if these are undistorted.
@@ -274,6 +309,43 @@ impl Selection<'_> {
             .map(|c| c.partners.len())
             .max()
             .unwrap_or(0)
+    }
+}
+
+/// The name of an image with the extension of its file, which programs choose a decoder by.
+pub fn name_of_kind(project: &Project, name: &str) -> String {
+    let images = project.images.as_ref();
+    images.map_or_else(|| name.into(), |images| images.name_of_kind(name))
+}
+
+/// Returns whether a path leads to a place below the folder that it is relative to.
+fn is_below(path: &str) -> bool {
+    let is_name = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+    Path::new(path).components().all(is_name)
+}
+
+/// Says what to do about the images of a project, of which a backend can use none.
+pub fn cure_of_images(
+    project: &Project,
+    scene: &Scene,
+    backend: &str,
+    faults: &ImageFaults,
+) -> String {
+    let of_kind = of_unread_kind(project, scene, backend).map(|(_, cure)| cure);
+    if let Some(cure) = of_kind.or(faults.cure()) {
+        return cure.into();
+    }
+    let images = project.images.as_ref();
+    let fits_two = |view: &ViewIndex| {
+        let name = scene.name(*view);
+        Some((name, images?.candidates_for(name)?))
+    };
+    match faults.missing.first().and_then(fits_two) {
+        Some((name, two)) => format!(
+            "two files fit {name} ({}): move those that are not the model's out of the folder",
+            two.join(" and ")
+        ),
+        None => project.where_images_belong(),
     }
 }
 

@@ -78,7 +78,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let views = listed_views(selection, options.refs);
     let tests = selection.kept_for_tests();
     let mut files = options.file_set(&BACKEND, selection);
-    let without_images = add_models(&mut files, selection, near.origin, &views, &tests)?;
+    add_models(&mut files, selection, near.origin, &views, &tests)?;
     let selection = &near.selection();
     let seeds = seeds(selection, &views);
     if !tests.is_empty() {
@@ -97,38 +97,25 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     if !tests.is_empty() {
         record.way += &format!(", and {} for tests", tests.len());
     }
-    if without_images.is_none() {
-        record.commands = commands(selection, &views, !tests.is_empty());
-    }
+    record.commands = commands(selection, &views, !tests.is_empty());
     record.not_honoured = not_honoured(!tests.is_empty());
     record.note_own_scale(selection);
     record.fusion = "none".into();
-    record.warnings.extend(without_images);
     record.warnings.extend(warnings(selection, &views));
     Ok(Export::new(files, record))
 }
 
-/// Adds the model of all images and, if some are kept for tests, that of the others. Returns a
-/// warning if the images themselves are not there.
+/// Adds the model of all images with them and, if some are kept for tests, that of the others.
 fn add_models(
     files: &mut FileSet,
     selection: &Selection,
     origin: Vector3<f64>,
     views: &[ViewIndex],
     tests: &[ViewIndex],
-) -> Result<Option<String>, BackendError> {
-    let (images, warning) = match selection.images(BACKEND.name) {
-        Ok(images) => (Some(images), None),
-        Err(BackendError::Needs { hint, .. }) => {
-            let why =
-                "the images are not there, so images/ is left out, and nothing can be trained yet";
-            let hint = format!("{why}: {hint}, or name their folder with --images, and plan again");
-            (None, Some(hint))
-        }
-        Err(error) => return Err(error),
-    };
+) -> Result<(), BackendError> {
+    let images = selection.images(BACKEND.name)?;
     let mut add = |tests, model, folder| {
-        let images = images.map(|images| (folder, images));
+        let images = Some((folder, images));
         let workspace = Workspace {
             views,
             tests,
@@ -142,7 +129,7 @@ fn add_models(
     if !tests.is_empty() {
         add(&[], "train/sparse/0", "train/images")?;
     }
-    Ok(warning)
+    Ok(())
 }
 
 fn not_honoured(has_tests: bool) -> Vec<String> {

@@ -92,10 +92,8 @@ pub fn next(
         (Some(run), _) => run,
         (None, Some(next)) => next.clone(),
         (None, None) if !has_images => {
-            let unread = of_unread_kind.map(|(_, cure)| cure);
-            let cure = unread.or(plan.stages.image_faults.cure());
-            let cure = cure.map(str::to_owned);
-            let cure = cure.unwrap_or_else(|| project.where_images_belong());
+            let (scene, faults) = (&plan.stages.scene, &plan.stages.image_faults);
+            let cure = backends::cure_of_images(project, scene, plan.stages.backend, faults);
             format!("{cure}, then {}", again(&root))
         }
         (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {

@@ -138,6 +138,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let selection = selection(plan, project, &clusters, &plan.stages.image_faults);
     let (exports, not_exported) = exports(&selection, &wanted(plan, project)?)?;
     let mut missing = not_exported.clone();
+    missing.extend(unfit_default(&selection, plan));
     let pair_files = backends::pair_files("the list of view clusters", &selection);
     let pair_files = pair_files.or_else(|error| match error {
         BackendError::Name { .. } => {
@@ -343,9 +344,7 @@ fn exports(
                 what,
                 hint,
             }) => {
-                missing.push(format!(
-                    "did not export to {backend}, which needs {what}: {hint}"
-                ));
+                missing.push(not_exported(backend, &what, &hint));
             }
             Err(
                 error @ (BackendError::OtherExport { .. }
@@ -359,6 +358,29 @@ fn exports(
         }
     }
     Ok((exports, missing))
+}
+
+/// Says what the default backend lacks of the images, which nobody has it exported to yet.
+fn unfit_default(selection: &Selection, plan: &Plan) -> Option<String> {
+    let is_named = !plan.stages.settings.backends.is_empty();
+    let backend = backends::by_name(plan.stages.backend).ok()?;
+    if is_named || selection.project.images.is_none() || (backend.serves)(selection.project) {
+        return None;
+    }
+    let images = match backend.takes_distorted {
+        true => selection.images(backend.name),
+        false => selection.undistorted_images(backend.name),
+    };
+    match images {
+        Err(BackendError::Needs { what, hint, .. }) => {
+            Some(not_exported(backend.name, &what, &hint))
+        }
+        _ => None,
+    }
+}
+
+fn not_exported(backend: &str, what: &str, hint: &str) -> String {
+    format!("did not export to {backend}, which needs {what}: {hint}")
 }
 
 /// Returns the backends in the settings, or else those that the project is set up for.

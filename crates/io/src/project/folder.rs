@@ -66,7 +66,12 @@ impl ImageFolder {
 
     /// Path of an image's file, whether it exists or not.
     pub fn file(&self, name: &str) -> PathBuf {
-        self.path.join(self.other_name(name).unwrap_or(name))
+        self.path.join(self.path_of(name))
+    }
+
+    /// Path of an image's file in the folder, whether it exists or not.
+    pub fn path_of<'a>(&'a self, name: &'a str) -> &'a str {
+        self.other_name(name).unwrap_or(name)
     }
 
     /// Path in the folder of an image that is there under another name.
