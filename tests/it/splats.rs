@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, fs, path::Path};
 
 use serde_json::Value;
 
-use super::valley::{printed, project, viewrank};
+use super::valley::{copy, fixture, printed, project, viewrank};
 
 /// Plans, and returns what was printed on stdout.
 fn plan(project: &Path, options: &[&str]) -> String {
@@ -270,9 +270,10 @@ fn test_images_of_the_model_are_kept_apart_unless_others_are_asked_for() {
     let model = folder.path().join("viewrank/splat");
     fs::remove_dir_all(model.join("train")).unwrap();
     let moved = tempfile::tempdir().unwrap();
-    for part in ["images", "transforms.json"] {
-        fs::rename(model.join(part), moved.path().join(part)).unwrap();
-    }
+    // The links there lead to the project.
+    copy(&fixture().join("images"), &moved.path().join("images"));
+    let name = "transforms.json";
+    fs::rename(model.join(name), moved.path().join(name)).unwrap();
     fs::create_dir_all(moved.path().join("sparse/0")).unwrap();
     let seeds = "sparse/0/points3D.ply";
     fs::rename(model.join(seeds), moved.path().join(seeds)).unwrap();
