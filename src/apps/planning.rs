@@ -41,9 +41,6 @@ pub fn undistorted_workspace(
     let Ok(workspace) = Project::open(&dense, None) else {
         return Ok(None);
     };
-    if backend.reads_colmap && !workspace.model.format.is_colmap() {
-        return Ok(None);
-    }
     let fits = |there: Scene| is_pinhole(&there) && is_of_same_images(&there, &scene);
     Ok(workspace.read_scene().is_ok_and(fits).then_some(workspace))
 }

@@ -199,16 +199,17 @@ fn without_images(
     missing: &[ViewIndex],
 ) -> Option<String> {
     let has_image = |view: ViewIndex| missing.binary_search(&view).is_err();
-    let lacks = |c: &RankedCluster| match backend.makes_maps() {
-        true => !c.views().all(has_image),
-        false => !has_image(c.key),
+    let lacks = |c: &RankedCluster| {
+        let needed = if backend.makes_maps() { usize::MAX } else { 1 };
+        !c.views().take(needed).all(has_image)
     };
-    let [what, so] = match backend.makes_maps() {
-        true => [
+    let [what, so] = if backend.makes_maps() {
+        [
             "view clusters that lack an image",
             "cannot be computed as planned",
-        ],
-        false => ["images that are not there", "cannot be taken"],
+        ]
+    } else {
+        ["images that are not there", "cannot be taken"]
     };
     let ranks = (1..)
         .zip(selection.clusters)

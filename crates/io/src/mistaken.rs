@@ -120,9 +120,10 @@ pub fn json_without_frames(path: &Path, fault: &Fault) -> Option<Mistaken> {
     let start = String::from_utf8_lossy(&start);
     let is_geojson = ["\"FeatureCollection\"", "\"Feature\"", "\"coordinates\""];
     Some(Mistaken {
-        what: match is_geojson.iter().any(|word| start.contains(word)) {
-            true => "GeoJSON, not the cameras of nerfstudio",
-            false => "JSON of another kind, without the frames of nerfstudio",
+        what: if is_geojson.iter().any(|word| start.contains(word)) {
+            "GeoJSON, not the cameras of nerfstudio"
+        } else {
+            "JSON of another kind, without the frames of nerfstudio"
         },
         cure: "give it another name, and put the transforms.json with the cameras in its place (a region is given by --region FILE)",
     })

@@ -156,11 +156,12 @@ pub(super) fn take_names_of_files(
     if let Some(images) = images {
         let search = ImageSearch::new(vec![images.to_path_buf()]);
         rename(model, |name| {
-            let has_file = images.join(name).is_file();
-            match has_file {
-                true if is_workspace => None,
-                true => from_folder(name, images),
-                false => name_here(name, images, &search),
+            if !images.join(name).is_file() {
+                name_here(name, images, &search)
+            } else if is_workspace {
+                None
+            } else {
+                from_folder(name, images)
             }
         });
     }

@@ -42,9 +42,10 @@ impl Chunk {
                 disabled.len()
             );
             let warning = ModelWarning::new(WarningKind::Format, text);
-            let warning = match foreign.model.images.is_empty() {
-                true => warning.with_cure("enable the cameras in Metashape, and export them again"),
-                false => warning,
+            let warning = if foreign.model.images.is_empty() {
+                warning.with_cure("enable the cameras in Metashape, and export them again")
+            } else {
+                warning
             };
             foreign.model.warnings.push(warning);
         }
