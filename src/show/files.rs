@@ -367,9 +367,10 @@ fn unfit_default(selection: &Selection, plan: &Plan) -> Option<String> {
     if is_named || selection.project.images.is_none() || (backend.serves)(selection.project) {
         return None;
     }
-    let images = match backend.takes_distorted {
-        true => selection.images(backend.name),
-        false => selection.undistorted_images(backend.name),
+    let images = if backend.takes_distorted {
+        selection.images(backend.name)
+    } else {
+        selection.undistorted_images(backend.name)
     };
     match images {
         Err(BackendError::Needs { what, hint, .. }) => {
