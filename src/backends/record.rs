@@ -137,7 +137,7 @@ impl ExportRecord {
             warnings: nothing_chosen(selection)
                 .into_iter()
                 .chain(faults.warnings(selection.project, selection.scene))
-                .chain(without_images(backend, selection, &faults.missing))
+                .chain(without_images(selection, &faults.missing))
                 .chain(masks(selection).filter(|_| !backend.takes_masks))
                 .chain(other_kind(backend, selection))
                 .chain(at_full_size(selection).filter(|_| !backend.mixes_sizes))
@@ -191,26 +191,10 @@ impl ExportRecord {
     }
 }
 
-/// Warns of view clusters that cannot be computed as planned because images are missing, or of such
-/// images; `missing` is ascending.
-fn without_images(
-    backend: &Backend,
-    selection: &Selection,
-    missing: &[ViewIndex],
-) -> Option<String> {
-    let has_image = |view: ViewIndex| missing.binary_search(&view).is_err();
-    let lacks = |c: &RankedCluster| {
-        let needed = if backend.makes_maps() { usize::MAX } else { 1 };
-        !c.views().take(needed).all(has_image)
-    };
-    let [what, so] = if backend.makes_maps() {
-        [
-            "view clusters that lack an image",
-            "cannot be computed as planned",
-        ]
-    } else {
-        ["images that are not there", "cannot be taken"]
-    };
+/// Warns of view clusters that cannot be computed as planned because images are missing; `missing`
+/// is ascending.
+fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String> {
+    let lacks = |c: &RankedCluster| c.views().any(|view| missing.binary_search(&view).is_ok());
     let ranks = (1..)
         .zip(selection.clusters)
         .filter(|(_, c)| lacks(c))
@@ -227,7 +211,8 @@ fn without_images(
     } else {
         ""
     };
-    (!ranks.is_empty()).then(|| format!("{what}, by rank: {some}{more}; they {so}"))
+    (!ranks.is_empty())
+        .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
 }
 
 /// Warns that masks are left to the user, if one of the views has a mask.

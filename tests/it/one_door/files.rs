@@ -194,20 +194,3 @@ fn what_the_default_program_lacks_is_said_at_the_first_plan() {
     );
     assert!(stdout.contains("Next: viewrank undistort"), "{stdout}");
 }
-
-#[test]
-fn images_for_splats_are_called_images() {
-    let folder = Folder::new();
-    folder
-        .colmap("sparse/0", &ColmapModel::from_scene(&scene()))
-        .pictures(&scene(), |name| format!("images/{name}"));
-    let (code, _, stderr) = folder.plan(&["--backend", "splat", "--target", "100%"]);
-    assert_eq!(code, 0, "{stderr}");
-    fs::remove_file(folder.at("images/view_4.png")).unwrap();
-    let (_, stdout, _) = said(&viewrank(&["export", folder.path().to_str().unwrap()]));
-    let said = stdout.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(
-        said.contains("images that are not there, by rank") && !said.contains("view cluster"),
-        "{stdout}"
-    );
-}
