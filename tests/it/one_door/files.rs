@@ -35,13 +35,13 @@ fn assert_listed(folder: &Folder) -> String {
 
 #[test]
 fn a_list_of_images_names_the_files_that_were_found() {
-    let cases: [(fn(usize) -> String, &str); 4] = [
-        (|n| format!("VIEW_{n}.PNG"), "images"),
-        (|n| format!("view_{n}.png"), "images/DCIM/100MEDIA"),
-        (|n| format!("view_{n}.jpg"), "images"),
-        (|n| format!("./may//view_{n}.png"), "images/may"),
-    ];
-    for (name, place) in cases {
+    for (pattern, place) in [
+        ("VIEW_#.PNG", "images"),
+        ("view_#.png", "images/DCIM/100MEDIA"),
+        ("view_#.jpg", "images"),
+        ("./may//view_#.png", "images/may"),
+    ] {
+        let name = |n: usize| pattern.replace('#', &n.to_string());
         let folder = Folder::new();
         folder
             .colmap("sparse/0", &renamed(name))
