@@ -228,6 +228,7 @@ fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
             clusters,
             share,
             has_region,
+            lacks_export: false,
             note,
         };
     }

@@ -224,18 +224,17 @@ impl PlanJob {
         for warning in written.warnings {
             warn!(project = %job.project.display(), "{warning}");
         }
-        if !written.missing.is_empty() {
-            let missing = written.missing.join("; ");
-            let reason = format!("the plan is complete, but {missing}");
-            return Err(Outcome::Failed { reason, hint: None });
-        }
+        let lacks_export = !written.missing.is_empty();
         Ok(Outcome::Planned {
             fingerprint,
             backend: plan.stages.backend.into(),
             clusters,
             share,
             has_region: settings.region.is_some(),
-            note: note
+            lacks_export,
+            note: lacks_export
+                .then(|| written.missing.join("; "))
+                .or(note)
                 .or_else(|| outdated_note(&plan.finished.outdated, "manifest.json"))
                 .or(replaced),
             anew: true,
@@ -532,6 +531,7 @@ fn planned_before(job: &Job, fingerprint: &Fingerprint, note: &Option<String>) -
         clusters: record.clusters,
         share: record.share,
         has_region: record.settings.region.is_some(),
+        lacks_export: false,
         note: note.clone(),
         anew: false,
         known,

@@ -44,6 +44,9 @@ pub enum Phase {
         /// True if only what is inside a region counts.
         #[serde(default, skip_serializing_if = "is_false")]
         has_region: bool,
+        /// True if there is no export for a backend that the settings name.
+        #[serde(default, skip_serializing_if = "is_false")]
+        lacks_export: bool,
         /// Remark about the result.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
@@ -156,6 +159,7 @@ impl fmt::Display for Phase {
                 share,
                 has_region,
                 note,
+                ..
             } => {
                 let chosen = chosen_for(backend, *clusters);
                 write!(f, "planned{}: {chosen}", of(backend))?;

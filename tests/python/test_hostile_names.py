@@ -62,7 +62,8 @@ class Model:
             done = subprocess.run([PROGRAM, "plan", project, *options], capture_output=True, text=True)
             if done.returncode == 0:
                 return project, refused
-            named = [name for name in self.names if f'"{name}"' in done.stderr or json.dumps(name) in done.stderr or name in done.stderr]
+            shown = {name: name.replace("\\", "/") for name in self.names}  # a separator of Windows
+            named = [name for name, said in shown.items() if json.dumps(said) in done.stderr or said in done.stderr]
             assert done.returncode == 1 and named and named[0] not in refused, done.stderr
             assert not (project / "viewrank/manifest.json").exists(), "nothing is written"
             refused.append(max(named, key=len))

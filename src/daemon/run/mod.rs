@@ -400,6 +400,11 @@ impl<'a> Daemon<'a> {
                 .filter(|t| wanted(&t.phase()))
                 .count()
         };
+        let has_failed = |p: &Phase| match p {
+            Phase::Planned { lacks_export, .. } => *lacks_export,
+            Phase::Failed { .. } => true,
+            _ => false,
+        };
         let planned = |p: &Phase| {
             matches!(
                 p,
@@ -409,7 +414,7 @@ impl<'a> Daemon<'a> {
         WatchSummary {
             projects: self.projects.len(),
             planned: count(planned),
-            failed: count(|p| matches!(p, Phase::Failed { .. })),
+            failed: count(has_failed),
             waiting: count(|p| matches!(p, Phase::Waiting { .. })),
         }
     }

@@ -32,6 +32,8 @@ pub enum Outcome {
         clusters: usize,
         share: f64,
         has_region: bool,
+        /// There is no export for a backend that the settings name.
+        lacks_export: bool,
         note: Option<String>,
         /// The plan is new.
         anew: bool,
@@ -330,6 +332,7 @@ impl TrackedProject {
                 clusters,
                 share,
                 has_region,
+                lacks_export,
                 note,
                 known,
                 ..
@@ -345,6 +348,7 @@ impl TrackedProject {
                         clusters,
                         share,
                         has_region,
+                        lacks_export,
                         note,
                     },
                 }

@@ -19,6 +19,7 @@ fn planned(text: &str) -> Outcome {
         clusters: 3,
         share: 0.9,
         has_region: false,
+        lacks_export: false,
         note: None,
         anew: true,
         known: None,
@@ -55,6 +56,7 @@ fn of_plan(has_region: bool) -> Phase {
         clusters: 3,
         share: 0.9,
         has_region,
+        lacks_export: false,
         note: None,
     }
 }

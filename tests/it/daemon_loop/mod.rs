@@ -73,6 +73,7 @@ impl Planner for Counter {
             clusters: 1,
             share: 1.0,
             has_region: false,
+            lacks_export: false,
             note: None,
             anew: true,
             known: None,
