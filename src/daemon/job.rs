@@ -519,12 +519,16 @@ fn refuse_large(job: &Job, model: &[PathBuf]) -> StepResult<()> {
 /// Returns the outcome of the last plan, if it was made of the same.
 fn planned_before(job: &Job, fingerprint: &Fingerprint, note: &Option<String>) -> Option<Outcome> {
     let record = PlannedFrom::read(job.project)?;
-    if record.fingerprint != *fingerprint || record.lacks_export {
+    if record.fingerprint != *fingerprint {
         return None;
     }
     // The last measurement holds until the next one.
     let known = Progress::read(job.project).filter(|progress| progress.done > 0);
     let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
+    // What was missing may be there now. Where there are depth maps, nobody waits for the export.
+    if record.lacks_export && known.is_none() {
+        return None;
+    }
     Some(Outcome::Planned {
         fingerprint: record.fingerprint,
         backend: record.backend,

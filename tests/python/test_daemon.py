@@ -602,7 +602,7 @@ def test_an_export_that_was_asked_for_and_is_missing_fails_until_it_is_there(sou
         once(root, config, expect=1)
         shown = subprocess.run([PROGRAM, "status", root], capture_output=True, text=True).stdout
         assert "did not export to openmvs" in " ".join(shown.split())
-    (root / "a/viewrank.toml").write_text('backends = ["realityscan"]\n')
+    (root / "a/viewrank.toml").write_text('backends = ["metashape"]\n')
     once(root, config, expect=0)
 
 
