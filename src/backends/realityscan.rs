@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, Selection, Trap, images::ANY_PROGRAM,
+    Honours, LastRun, Selection, Trap, images::ANY_PROGRAM, selection::is_below,
 };
 use crate::{
     base::input::{self, FileKind},
@@ -114,7 +114,9 @@ fn poses_beside(examined: &ExaminedProject) -> Option<Trap> {
 /// Path of an image's file in the folder of images, beside which its side file lies.
 fn path_of<'a>(project: &'a Project, name: &'a str) -> &'a str {
     let images = project.images.as_ref();
-    images.map_or(name, |images| images.path_of(name))
+    let path = images.map(|images| images.path_of(name));
+    // Side files cannot be written beside one outside of the folder.
+    path.filter(|path| is_below(path)).unwrap_or(name)
 }
 
 /// Returns the path without the extension.

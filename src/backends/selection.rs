@@ -319,9 +319,18 @@ pub fn name_of_kind(project: &Project, name: &str) -> String {
 }
 
 /// Returns whether a path leads to a place below the folder that it is relative to.
-fn is_below(path: &str) -> bool {
+pub fn is_below(path: &str) -> bool {
     let is_name = |part| matches!(part, Component::Normal(_) | Component::CurDir);
     Path::new(path).components().all(is_name)
+}
+
+/// Says what to do where the folder has images, but none that the model names.
+fn other_names(project: &Project, scene: &Scene, faults: &ImageFaults) -> Option<String> {
+    let there = project.images.as_ref()?.first_image()?;
+    let name = scene.name(*faults.missing.first()?);
+    Some(format!(
+        "name the folder of the model's images with --images, or rename these as the model has them ({name}, not {there})"
+    ))
 }
 
 /// Says what to do about the images of a project, of which a backend can use none.
@@ -345,7 +354,9 @@ pub fn cure_of_images(
             "two files fit {name} ({}): move those that are not the model's out of the folder",
             two.join(" and ")
         ),
-        None => project.where_images_belong(),
+        None => {
+            other_names(project, scene, faults).unwrap_or_else(|| project.where_images_belong())
+        }
     }
 }
 

@@ -141,6 +141,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     passes.describe(selection, &mut record);
     let mut files = match (&options.out, &selection.project.dense_workspace) {
         (None, Some(workspace)) => {
+            selection.refuse_unusable_images(BACKEND.name)?;
             record.warnings.extend(traps::rounded(selection.scene));
             FileSet::new(workspace, BACKEND.name)
         }

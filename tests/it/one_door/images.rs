@@ -270,7 +270,7 @@ fn names_that_are_no_plain_paths_can_be_exported() {
         let read = project.read_scene().unwrap();
         assert_eq!(project.image_faults(&read).missing, [], "{}", name(0));
         assert_eq!(read.unregistered, Vec::<String>::new(), "{}", name(0));
-        for backend in ["openmvs", "colmap", "sgm", "splat", "mvsnet"] {
+        for backend in ["openmvs", "colmap", "sgm", "splat", "realityscan"] {
             let out = folder.at(backend);
             let (code, _, stderr) =
                 folder.plan(&["--backend", backend, "--out", out.to_str().unwrap()]);

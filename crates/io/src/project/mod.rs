@@ -394,18 +394,18 @@ impl Project {
     }
 
     fn name_images(&self, model: &mut ColmapModel) -> Result<(), ProjectError> {
+        if let Some(names) = names::with_one_file(model, self.images.as_deref()) {
+            return Err(ProjectError::OneFile {
+                path: self.model.path.clone(),
+                names,
+            });
+        }
         let is_workspace = self.dense_workspace.is_some();
         match &self.images {
             Some(images) => images.name_images(model, is_workspace),
             None => drop(names::take_names_of_files(model, None, is_workspace)),
         }
-        match names::with_one_file(model, self.images.as_deref()) {
-            Some(names) => Err(ProjectError::OneFile {
-                path: self.model.path.clone(),
-                names,
-            }),
-            None => Ok(()),
-        }
+        Ok(())
     }
 
     /// Checks the image files of the scene; finds no faults without an image folder.

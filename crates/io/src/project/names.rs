@@ -210,7 +210,10 @@ pub(super) fn with_one_file(model: &ColmapModel, images: Option<&Path>) -> Optio
     let mut known: HashMap<String, &str> = HashMap::new();
     for image in &model.images {
         let name: &str = &image.name;
-        let of_plain = plain(name).unwrap_or_else(|| name.into());
+        let inside = images.and_then(|images| from_folder(name, images));
+        let of_plain = inside
+            .or_else(|| plain(name))
+            .unwrap_or_else(|| name.into());
         match known.insert(of_plain, name) {
             Some(other) if file(other) == file(name) => {
                 return Some([other, name].map(str::to_owned));
