@@ -387,7 +387,7 @@ def match(args):
 def kept_by_plan(workspace):
     """Key views whose depth maps the plan stands around: those of views that hardly moved since they were made are as good as new ones."""
     try:
-        is_export = (workspace.folder / "export.json").is_file()  # which lies beside the manifest
+        is_export = (workspace.folder / "export.json").is_file()  # the manifest is in the folder above
         folder = workspace.folder.absolute().parent if is_export else workspace.folder / "viewrank"
         manifest = json.loads(read_record(folder / "manifest.json"))
         return {cluster["key"] for cluster in manifest["clusters"] if cluster["finished"] and manifest["version"] == MANIFEST_VERSION}

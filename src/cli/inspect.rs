@@ -184,7 +184,7 @@ impl Inspection {
             ("observations", self.observations.to_string()),
             ("mean track length", number(self.mean_track_length, 2)),
         ];
-        // Of observations by projection there is none.
+        // Projected observations have no reprojection error.
         let error = self.mean_reprojection_error_px;
         rows.extend(error.map(|px| ("mean reprojection error", format!("{px:.4} px"))));
         rows.extend([

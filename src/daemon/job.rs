@@ -582,7 +582,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
     }
 }
 
-/// What there is to say of a plan that was written.
+/// Warnings of a plan that was written, and exports that it lacks.
 struct Written {
     warnings: Vec<String>,
     /// Why there is no export for some of the backends that the settings name.

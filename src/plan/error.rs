@@ -147,7 +147,7 @@ impl From<TableError> for PlanError {
     }
 }
 
-/// What the reader of a model said of it, behind what it lacks.
+/// Returns the reader's warnings, to follow the text of an error.
 fn because(why: &[ModelWarning]) -> String {
     why.iter().map(|why| format!("; {}", why.text)).collect()
 }

@@ -67,7 +67,7 @@ pub struct Run {
     of_script: OfScript,
 }
 
-/// What viewrank knows or checks by itself.
+/// Fields for the script alone, which viewrank has without the file.
 #[derive(Default, Serialize)]
 struct OfScript {
     options: Vec<&'static str>,

@@ -428,10 +428,14 @@ fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
         there.is_some_and(|there| are_among(&own, &there))
     };
     let fitting: Vec<PathBuf> = workspaces.into_iter().filter(has_the_images).collect();
-    // To look for files takes long in a large one.
-    let with_files = fitting.iter().filter(|_| fitting.len() > 1);
-    let with_files = with_files.into_iter().find(|folder| has_pictures(folder));
-    with_files.or(fitting.first()).cloned()
+    match &fitting[..] {
+        // Listing the files of a large workspace takes long.
+        [only] => Some(only.clone()),
+        several => {
+            let with_files = several.iter().find(|folder| has_pictures(folder));
+            with_files.or(several.first()).cloned()
+        }
+    }
 }
 
 /// Returns whether a workspace has its undistorted images.
