@@ -40,10 +40,15 @@ def of_set(folder):
     return [model for model in (folder / "sparse/0", folder / "distorted/sparse/0") if model.is_dir()]
 
 
+def plain(name):
+    """The name of an image as viewrank reads it: a path below the folder of the images."""
+    return "/".join(part for part in name.replace("\\", "/").split("/") if part not in ("", ".", ".."))
+
+
 def compare(read, folder):
     theirs = pycolmap.Reconstruction(folder)
     names, poses, observations, pixels = read(folder)
-    images = {image.name: image for image in theirs.images.values() if image.has_pose}
+    images = {plain(image.name): image for image in theirs.images.values() if image.has_pose}
     assert sorted(images, key=lambda name: name.encode()) == names
     assert len(observations) == theirs.compute_num_observations()
 
@@ -66,7 +71,7 @@ def compare(read, folder):
             measured = image.points2D[element.point2D_idx].xy
             undistorted = camera.model.name in ("PINHOLE", "SIMPLE_PINHOLE")
             row = (*measured, *projected), 1e-9 if undistorted else 1e-6
-            expected.setdefault((point_id, image.name), []).append(row)
+            expected.setdefault((point_id, plain(image.name)), []).append(row)
     assert found.keys() == expected.keys()
     for key, rows in expected.items():
         for mine, (theirs_row, tolerance) in zip(sorted(found[key]), sorted(rows), strict=True):
