@@ -21,13 +21,7 @@ for list in "$marks" stereo/patch-match.cfg stereo/viewrank/*.cfg; do
         wrong || path ~ /^\/|(^|\/|, )\.\.(\/|$)/ { exit 1 }' "$list" 2>/dev/null; } || refuse "$list"
 done
 # Another run.sh would remove maps that this one is writing. What COLMAP itself holds open keeps the lock as long as it computes.
-exec 9< stereo/viewrank
-status=0
-! command -v flock > /dev/null || flock -n 9 || status=$?
-if [ "$status" -eq 1 ]; then
-    echo "error: another run.sh computes here" >&2
-    exit 1
-fi
+alone stereo/viewrank
 # A map of COLMAP is whole when its size is what its head says: WIDTH&HEIGHT&CHANNELS& and as many floats.
 whole() {
     [ -f "$1" ] || return 1

@@ -33,11 +33,6 @@ impl ClusterScript {
         );
     }
 
-    /// Adds lines of sh verbatim.
-    pub fn line(&mut self, line: &str) {
-        self.0 += &format!("{line}\n");
-    }
-
     /// Returns the script, with the commands that fuse the results, each run if the previous one
     /// succeeds.
     pub fn finish(mut self, joining: &[String]) -> String {

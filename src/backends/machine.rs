@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use super::{BACKENDS, Backend, colmap, openmvs, sgm};
+use super::{BACKENDS, Backend, colmap, mve, openmvs, sgm};
 use crate::{base::platform, config::Settings, config::UnknownBackend, io::project::Project};
 
 /// How the backend came to be chosen.
@@ -131,6 +131,7 @@ pub fn can_match_here(backend: &Backend) -> bool {
     match backend.name {
         name if name == openmvs::BACKEND.name => densify().is_some(),
         name if name == colmap::BACKEND.name => colmap_with_gpu().is_some(),
+        name if name == mve::BACKEND.name => installed("DMRECON", "dmrecon").is_some(),
         name if name == sgm::BACKEND.name => import_error(&python()).is_none(),
         _ => false,
     }

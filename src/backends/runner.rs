@@ -105,6 +105,20 @@ pub struct TaskRunner {
     pub maps: Vec<Option<PathBuf>>,
 }
 
+/// Share of pixels with a depth below which a map counts as empty.
+pub const LEAST_FILLED: f64 = 0.01;
+
+/// Returns whether a map is of the shape of the planned size, pixels. It may be smaller: the images
+/// that are there may be smaller than those of the model that was planned.
+pub fn is_of_shape(made: [u32; 2], planned: [u32; 2]) -> bool {
+    let [[w, h], [width, height]] = [made, planned];
+    let [across, along] = [[w, height], [h, width]].map(|[a, b]| u64::from(a) * u64::from(b));
+    // Programs round either side otherwise.
+    across.abs_diff(along) <= u64::from(width.max(height))
+        && w <= width.saturating_add(1)
+        && h <= height.saturating_add(1)
+}
+
 /// An error as a reason.
 pub fn text(error: impl Display) -> String {
     error.to_string()

@@ -23,44 +23,6 @@ ESCAPE = "\x1b]0;owned\x07"
 # run_clusters.sh
 
 
-def a_view(mve):
-    """A kept result and the folder of its view, whose picture is a link."""
-    kept = sorted((mve.folder / "kept").iterdir())[0]
-    view = mve.folder / "views" / f"{kept.name.rsplit('-', 1)[0]}.mve"
-    picture = view / "undistorted.jpg"
-    assert picture.is_symlink()
-    return kept, view, picture
-
-
-@pytest.mark.parametrize("has_hard_links", [True, False])
-def test_mve_takes_only_maps_out_of_what_is_kept(work, has_hard_links):  # noqa: F811
-    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET, **({} if has_hard_links else {"ln": "#!/bin/sh\nexit 1\n"})})
-    assert mve.run()[0].returncode == 0
-    kept, view, picture = a_view(mve)
-    before = picture.read_bytes()
-    (kept / "undistorted.jpg").write_text("planted")
-    (kept / "meta.ini").write_text("planted")
-    done, calls = mve.run()
-    assert done.returncode == 0 and len(calls) == 1, done.stderr
-    assert picture.read_bytes() == before and picture.is_symlink() and "planted" not in (view / "meta.ini").read_text()
-    assert list(view.glob("depth-L*.mvei")) and not [path for path in view.iterdir() if len(path.name) == 6]
-
-
-def test_no_map_takes_the_place_of_another_file(work):  # noqa: F811
-    """Where a name is taken, even by a link that the export lists, the script ends."""
-    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
-    assert mve.run()[0].returncode == 0
-    kept, view, picture = a_view(mve)
-    (kept / "a-L0.jpg").write_text("planted")
-    user = picture.resolve()
-    before = user.read_bytes()
-    # As an image of that name would be linked; as it is withdrawn from the folder at first, the script makes the link anew in between.
-    script = mve.folder / "run.sh"
-    script.write_text(script.read_text().replace("for name in $results; do", f"ln -s '{user}' '{view}/a-L0.jpg'\nfor name in $results; do", 1))
-    done, _ = mve.run()
-    assert done.returncode == 1 and "a-L0.jpg" in done.stderr and user.read_bytes() == before
-
-
 @pytest.mark.parametrize("target", ["/", ".", "pipe"])
 def test_a_known_link_that_leads_to_no_file_is_refused(work, target, tmp_path):  # noqa: F811
     mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})

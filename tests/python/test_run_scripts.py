@@ -255,91 +255,88 @@ def test_gipuma_timestamp_folder(work):
 
 # MVE
 
-DMRECON = """#!PYTHON
-# Opens every view of the scene, as Scene::init_views, and leaves a map that names its image. FAIL: images that it fails at.
-import os, sys
+SCENE = """#!PYTHON
+# Opens every view of the scene that it is given, as Scene::init_views. FAIL: images that it fails at. MADE: JSON of what is made otherwise.
+import json, os, struct, sys
 from pathlib import Path
+otherwise = json.loads(os.environ.get("MADE", "{}"))
+scene = Path(sys.argv[SCENE])
+run = scene / "run.json"
+rows = {row["view"]: row for row in json.loads((run if run.exists() else scene / "../../run.json").read_text())["maps"]}
 views = {}
-for view in Path("views").iterdir():
+for view in sorted((scene / "views").glob("*.mve")):
     values = dict(line.split(" = ") for line in (view / "meta.ini").read_text().splitlines() if " = " in line)
     assert values["id"] not in views
     views[values["id"]] = view, values["name"]
-scale, key = (next(word[2:] for word in sys.argv if word.startswith(option)) for option in ("-s", "-m"))
-view, name = views[key]
-features = Path("synth_0.out").read_text().splitlines()[1]
-if name in os.environ.get("FAIL", "").split():
+option = lambda letter: next(word[2:] for word in sys.argv if word.startswith(letter))
+note = lambda *words: print(*words, file=open(os.environ.get("CALLS", scene / "calls.txt"), "a"))
+"""
+# The depths of a map are the id of its image.
+DMRECON = SCENE.replace("SCENE", "-1") + """
+features = (scene / "synth_0.out").read_text().splitlines()[1]
+view, name = views[option("-m")]
+if name in os.environ.get("FAIL", "").split() or not (view / "undistorted.jpg").exists():
     sys.exit(1)
-print(name, file=open("calls.txt", "a"))
-(view / f"depth-L{scale}.mvei").write_text(f"{name} {features}")
+note(name)
+width, height = otherwise.get("size", rows["views/" + view.name]["size"])
+depths = struct.pack("<f", otherwise.get("depth", int(view.stem[-8:])))
+made = b"\\x89MVE_IMAGE\\n" + struct.pack("<4i", width, height, 1, 9) + width * height * depths
+if "map" not in otherwise or otherwise["map"]:
+    (view / f"depth-L{option('-s')}.mvei").write_bytes(made[: otherwise.get("map")])
+(view / f"conf-L{option('-s')}.mvei").write_bytes(made)
 """
-SCENE2PSET = """#!PYTHON
-import sys
-from pathlib import Path
-scale = next(word[2:] for word in sys.argv if word.startswith("-F"))
-ids = next(word[2:] for word in sys.argv if word.startswith("-v")).split(",")
+SCENE2PSET = SCENE.replace("SCENE", "-2") + """
 joined = []
-for view in sorted(Path("views").iterdir()):
-    values = dict(line.split(" = ") for line in (view / "meta.ini").read_text().splitlines() if " = " in line)
-    map = view / f"depth-L{scale}.mvei"
-    if values["id"] in ids and map.exists():
-        assert map.read_text().split()[0] == values["name"], "the map of another image"
-        joined.append(values["name"])
-print("joined", *joined, file=open("calls.txt", "a"))
-Path(sys.argv[-1]).write_text("points")
+for id in option("-v").split(","):
+    view, name = views[id]
+    map = view / f"depth-L{option('-F')}.mvei"
+    if map.exists():
+        assert struct.unpack_from("<f", map.read_bytes(), 27) == (int(view.stem[-8:]),) and map.with_name(map.name.replace("depth", "conf")).exists()
+        joined.append(name)
+note("joined", *joined)
+if otherwise.get("fusion", 3) is not None:
+    Path(scene, sys.argv[-1]).open("x").write("ply\\nformat ascii 1.0\\nelement vertex %d\\nproperty float x\\nend_header\\n" % otherwise.get("fusion", 3))
 """
 
 
-def test_mve_maps_are_those_of_their_images(work):
-    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
+@pytest.fixture
+def mve(work):
+    return work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
 
-    def keys():
-        return [cluster["key"]["name"] for cluster in mve.clusters()]
 
-    def joined(calls):
-        return calls[-1].split()[1:]
+def key_names(export):
+    return [cluster["key"]["name"] for cluster in export.clusters()]
 
-    names = keys()
+
+def test_mve_tries_every_cluster_and_joins_what_there_is(mve):
+    names = key_names(mve)
     done, calls = mve.run(FAIL=names[0])
-    assert done.returncode == 1 and calls[:-1] == names[1:] and joined(calls) == sorted(names[1:]), "the others are tried, and joined"
+    assert done.returncode == 1 and calls == [*names[1:], " ".join(["joined", *names[1:]])] and "failed" in done.stderr
     done, calls = mve.run()
-    assert done.returncode == 0 and calls[:-1] == names[:1] and joined(calls) == sorted(names), done.stderr
+    assert done.returncode == 0 and calls == [names[0], " ".join(["joined", *names])], done.stderr
     mve.export(4, "--budget", "2")
     done, calls = mve.run()
-    assert done.returncode == 0 and calls[:-1] == [] and joined(calls) == sorted(names[:2]), done.stderr
+    assert done.returncode == 0 and calls == [" ".join(["joined", *names[:2]])], done.stderr
     mve.export(3)
-    done, calls = mve.run(FAIL=keys()[1])
-    assert joined(calls) == sorted(name for name in keys() if name != keys()[1]), "no map of other partners in its place"
-    assert mve.run()[1][:-1] == keys()[1:2]
+    names = key_names(mve)
+    done, calls = mve.run(FAIL=names[1])
+    assert calls[-1].split()[1:] == [name for name in names if name != names[1]], "no map of other partners in its place"
+    assert mve.run()[1][:-1] == names[1:2]
 
 
-def test_mve_maps_of_before_are_kept_until_others_are_made(work):
-    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
-
-    def keys():
-        return [cluster["key"]["name"] for cluster in mve.clusters()]
-
-    first = keys()
-    mve.run()
-    mve.export(3)
-    (failing, *_) = [key for key in keys() if key in first]
-    assert mve.run(FAIL=failing)[0].returncode == 1
-    mve.export(4)
-    done, calls = mve.run(FAIL=failing)
-    assert done.returncode == 0 and failing not in calls[:-1] and failing in calls[-1].split(), "its map of before came back"
-    mve.export(3)
-    assert failing in mve.run()[1][:-1]
-    planned = {f"view_{cluster['key']['image_id']:08}" for cluster in mve.clusters()}
-    there = {path.parent.stem for path in (mve.folder / "views").glob("*/depth-L*.mvei")}
-    assert there == planned, "those of views that are partners now are kept, and not beside the others"
-    mve.export(3, "--budget", "2")
-    assert mve.run()[0].returncode == 0 and len(list((mve.folder / "views").glob("*/depth-L*.mvei"))) == 2
-    mve.export(3)
+def test_mve_keeps_maps_that_nobody_marked_but_none_that_a_killed_run_left(mve):
+    names = key_names(mve)
+    mine, cut = (mve.folder / row["view"] / f"depth-L{row['level']}.mvei" for row in json.loads((mve.folder / "run.json").read_text())["maps"][:2])
+    marks = [line.split()[1] for line in (mve.folder / "run.sh").read_text().splitlines() if " bundles/" in line]
+    mine.write_bytes(b"of a user")
+    cut.write_bytes(b"cut off")
+    (mve.folder / "done").mkdir()
+    (mve.folder / "done" / marks[1]).write_text("unfinished\n")
     done, calls = mve.run()
-    assert done.returncode == 0 and len(calls) == 1, "those that no longer were in the plan came back"
+    assert calls == names[1:] and "1 depth maps were made otherwise" in done.stderr and mine.read_bytes() == b"of a user", done.stderr
 
 
-def test_mve_joins_the_maps_of_each_size(work):
-    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
+def test_mve_joins_the_maps_of_each_size(mve):
     mve.run()
     mve.export("sizes")
     done, calls = mve.run()
@@ -347,10 +344,10 @@ def test_mve_joins_the_maps_of_each_size(work):
     names = {cluster["key"]["target"]: cluster["key"]["name"] for cluster in mve.clusters()}
     halves = {names[target] for target in mve.halves()}
     assert [set(call.split()[1:]) for call in calls[-2:]] == [set(names.values()) - halves, halves], "each view has one map, of its size"
-    (mve.folder / "fused_half.ply").write_text("points")
+    assert (mve.folder / "fused_half.ply").exists()
     mve.export(4)
     assert mve.run()[0].returncode == 0
-    assert not (mve.folder / "fused_half.ply").exists() and (mve.folder / "kept/fused_half.ply").exists(), "no cloud of another plan beside the new one"
+    assert not (mve.folder / "fused_half.ply").exists(), "no cloud of another plan beside the new one"
 
 
 # What is called once per cluster

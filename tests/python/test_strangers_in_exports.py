@@ -42,7 +42,7 @@ CASES = {
     "colmap": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh"], ["stereo/viewrank/unfinished.ply", "stereo/viewrank/0001.cfg", "stereo/consistency_graphs/x"]),
     "gipuma": ({"gipuma": GIPUMA}, ["run.sh"], ["unfinished", "older", "results/2_0123456789abcdef_00000001"]),
     "mve": ({"dmrecon": DMRECON, "scene2pset": SCENE2PSET}, ["run.sh"],
-            ["unfinished", "kept", "synth_0.out", "unfinished.ply", "fused_half.ply", "kept/fused_half.ply", "views/view_00000099.mve", "older"]),
+            ["done", "done/0123456789abcdef", "synth_0.out", "unfinished.ply", "fused_half.ply", "views/view_00000099.mve"]),
     "sure": ({"sure": FAILING}, ["run.sh"], ["older", "projects/00000001-0123456789abcdef"]),
     "micmac": ({"mm3d": FAILING}, ["run.sh", "ORI"], ["Ori-viewrank"]),
     "openmvs": ({"densify": STAND_IN.format(python=sys.executable)}, ["run.py", "--densify", "densify"],

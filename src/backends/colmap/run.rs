@@ -15,7 +15,10 @@ use super::{
     marks::map_name,
 };
 use crate::{
-    backends::{Call, Product, runner::text},
+    backends::{
+        Call, Product,
+        runner::{is_of_shape, text},
+    },
     io::{
         depthmaps::colmap::whole_size,
         output::{Contents, FileSet},
@@ -165,20 +168,16 @@ pub fn finish(call: &Call) -> Result<(), String> {
     }
 }
 
-/// Fails unless a map is all there, and of the shape of this size. It may be smaller: the images of
-/// a workspace may be smaller than those of the model that was planned.
+/// Fails unless a map is all there, and of the shape of this size.
 fn check(path: &Path, channels: u32, what: &str, size: [u32; 2]) -> Result<(), String> {
     if !path.exists() {
         return Err(format!("COLMAP made no {what}"));
     }
     let made = whole_size(path, channels).map_err(text)?;
-    let [[w, h], [width, height]] = [made, size];
-    let [across, along] = [[w, height], [h, width]].map(|[a, b]| u64::from(a) * u64::from(b));
-    // Versions round either side otherwise.
-    let is_of_shape = across.abs_diff(along) <= u64::from(width.max(height));
-    if is_of_shape && w <= width.saturating_add(1) && h <= height.saturating_add(1) {
+    if is_of_shape(made, size) {
         return Ok(());
     }
+    let [[w, h], [width, height]] = [made, size];
     Err(format!(
         "the {what} has {w} x {h} pixels instead of {width} x {height}"
     ))

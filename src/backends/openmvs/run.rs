@@ -18,7 +18,11 @@ use super::{
     scene::{Builder, DepthRange},
 };
 use crate::{
-    backends::{Call, Product, Selection, clusters::task_marker, runner::text},
+    backends::{
+        Call, Product, Selection,
+        clusters::task_marker,
+        runner::{LEAST_FILLED, text},
+    },
     base::platform,
     io::{depthmaps::openmvs::WholeMap, output},
     model::{
@@ -27,8 +31,6 @@ use crate::{
     },
 };
 
-/// Share of pixels with a depth below which a map counts as empty.
-const LEAST_FILLED: f64 = 0.01;
 /// Bounds on the searched range over [`Row::depths`]: OpenMVS takes 0.9 and 1.1 times that.
 const RANGE: [f64; 2] = [0.8, 1.25];
 

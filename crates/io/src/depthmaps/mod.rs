@@ -6,7 +6,7 @@ mod dmb;
 mod exr;
 mod find;
 mod micmac;
-mod mvei;
+pub mod mve;
 mod npy;
 pub mod openmvs;
 mod pfm;
@@ -495,7 +495,7 @@ pub fn parse(
         DepthMapFormat::OpenMvs => openmvs::parse(bytes, bound, &mut ids),
         DepthMapFormat::Pfm => pfm::parse(bytes, bound),
         DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, bound),
-        DepthMapFormat::Mve => mvei::parse(bytes, bound),
+        DepthMapFormat::Mve => mve::parse(bytes, bound),
         DepthMapFormat::AliceVision => exr::parse(bytes, bound),
         DepthMapFormat::MicMac => micmac::parse(bytes, bound, beside),
         DepthMapFormat::Npy => npy::parse(bytes, bound),

@@ -1,22 +1,28 @@
 //! MVE's dmrecon (bf2279f, run). It reads no partner lists but selects by shared features,
 //! greedily, so each cluster gets a bundle in which only its partners share features with the key
-//! view. The views share one scene; `run.sh` installs one bundle after the other.
+//! view. The views share one scene, in which `run.sh` installs one bundle after the other; [`run`]
+//! makes a scene of links for each.
 //!
 //! With fewer partners than `local-neighbors` a map is empty, with exit code 0. Ids count from 0,
 //! key views first; existing maps are skipped; lists of views (`-l`) run in parallel, so each call
 //! has one (`-m`). `depth-L` maps hold the length of the ray. `scene2pset -F` takes the maps of one
 //! level, so two sizes make two clouds, of which `fssrecon` makes one surface.
 
+mod run;
+
+use std::path::PathBuf;
+
+use self::run::{RUN, Row, Run};
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
-    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, Trap,
-    clusters::{ClusterScript, recipe},
+    Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, TaskRunner, Trap,
+    clusters::{task_ids, task_marker},
     selection,
-    strangers::list_links,
+    strangers::{list_links, with_refusal},
 };
 use crate::{
-    base::shell::command_path,
-    io::project::Project,
+    base::{printable::to_json, shell::command_path},
+    io::{output::FileSet, project::Project},
     method::confidence::Photometric,
     model::{
         camera::Camera,
@@ -34,7 +40,7 @@ pub static BACKEND: Backend = Backend {
     aliases: &["dmrecon"],
     program: "MVE",
     last_run: LastRun::At {
-        date: "2026-11-25",
+        date: "2026-11-30",
         version: "bf2279f",
         what: "dmrecon, scene2pset, fssrecon",
     },
@@ -60,6 +66,7 @@ pub static BACKEND: Backend = Backend {
     },
     own_scale,
     mixes_sizes: true,
+    tasks: |selection, export| Some(tasks(selection, export)),
     traps,
     export,
     ..Backend::DEFAULT
@@ -69,6 +76,25 @@ pub static BACKEND: Backend = Backend {
 fn own_scale(camera: &Camera) -> f64 {
     let ratio = f64::from(camera.width) * f64::from(camera.height) / 1_500_000.0;
     (-ratio.log(4.0).ceil().max(0.0)).exp2()
+}
+
+fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
+    let root = &export.files.root;
+    let map = |(rank, cluster)| Some(root.join(row(selection, rank, cluster).map()));
+    let clouds = joining(selection);
+    TaskRunner {
+        program: "dmrecon",
+        variable: "DMRECON",
+        takes_python: false,
+        commands: run::commands,
+        is_whole: run::is_whole,
+        finish: run::finish,
+        own: "",
+        cloud: clouds
+            .first()
+            .map_or(PathBuf::new(), |(_, cloud)| root.join(cloud)),
+        maps: (1..).zip(selection.clusters).map(map).collect(),
+    }
 }
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {
@@ -87,32 +113,23 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let clusters = (1..).zip(selection.clusters);
+    // Their ids are of the plan, not of a scene that was moved.
+    let rows: Vec<Row> = clusters
+        .map(|(rank, cluster)| row(selection, rank, cluster))
+        .collect();
     let near = selection.near_origin();
     let selection = &near.selection();
-    let images = selection.undistorted_images(BACKEND.name)?;
+    let mut files = options.file_set(&BACKEND, selection);
     let views = selection.keys_first();
     let ids = selection.scene.places_of(views.iter().copied());
-    let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
-    let mut files = options.file_set(&BACKEND, selection);
-    for (i, &view) in views.iter().enumerate() {
-        let name = selection.scene.name(view);
-        let folder = format!("views/{}", folder(selection.scene, view));
-        files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
-        files.add(
-            format!(
-                "{folder}/undistorted.{}",
-                extension(selection.project, name)?
-            ),
-            images.link(name),
-        );
-    }
+    let pictures = add_views(selection, &views, &mut files)?;
     let points = selection.scene.view_points();
-    for (i, cluster) in selection.clusters.iter().enumerate() {
-        files.add_text(
-            format!("bundles/{:04}.out", i + 1),
-            bundle(selection.scene, &points, cluster, &ids, views.len()),
-        );
+    for (row, cluster) in rows.iter().zip(selection.clusters) {
+        let text = bundle(selection.scene, &points, cluster, &ids, views.len());
+        files.add_text(&*row.bundle, text);
     }
+    let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
     let mut record = ExportRecord::new(&BACKEND, selection, |v| id(v).to_string());
     record.moved(near.origin);
     record.runner = Some("run.sh".into());
@@ -122,112 +139,124 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record
         .not_honoured
         .push("that every partner is used: dmrecon chooses among them".into());
-    let script = runner(selection, &mut record);
-    files.add_script("run.sh", script);
+    files.add_script("run.sh", script(selection, &rows, &mut record));
+    let run = Run {
+        pictures,
+        maps: rows,
+    };
+    files.add_text(RUN, to_json(&run));
     list_links(&mut files);
     Ok(Export::new(files, record))
 }
 
-/// Returns `run.sh`, and adds to the record what it does.
-fn runner(selection: &Selection, record: &mut ExportRecord) -> String {
-    let choices: Vec<String> = selection
-        .clusters
-        .iter()
-        .map(|cluster| choice(selection, cluster))
-        .collect();
-    let result = |(cluster, choice): (&RankedCluster, &String)| {
-        let folder = folder(selection.scene, cluster.key);
-        format!(
-            "{}-{}",
-            folder.trim_end_matches(".mve"),
-            recipe(selection, cluster, choice)
-        )
-    };
-    let results: Vec<String> = selection
-        .clusters
-        .iter()
-        .zip(&choices)
-        .map(result)
-        .collect();
-    let mut script = ClusterScript::new(&results, RUNNER_HEAD);
-    for (i, (result, choice)) in results.iter().zip(&choices).enumerate() {
-        let bundle = format!("{:04}.out", i + 1);
-        // The id of a key view is its rank.
-        let options = format!("{choice} -m{i}");
-        script.cluster(
-            result,
-            &format!("[ -d kept/{result} ]"),
-            &[format!("map {result} {bundle} {options}")],
+/// Adds the folders of the views; returns the paths of their pictures.
+fn add_views(
+    selection: &Selection,
+    views: &[ViewIndex],
+    files: &mut FileSet,
+) -> Result<Vec<String>, BackendError> {
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let mut pictures = Vec::new();
+    for (id, &view) in views.iter().enumerate() {
+        let name = selection.scene.name(view);
+        let folder = folder(selection.scene, view);
+        files.add_text(
+            format!("{folder}/meta.ini"),
+            meta(selection.scene, view, id),
         );
-        record
-            .commands
-            .push(format!("cp bundles/{bundle} synth_0.out"));
+        let extension = extension(selection.project, name)?;
+        let picture = format!("{folder}/undistorted.{extension}");
+        files.add(&*picture, images.link(name));
+        pictures.push(picture);
+    }
+    Ok(pictures)
+}
+
+fn row(selection: &Selection, rank: usize, cluster: &RankedCluster) -> Row {
+    let partners = cluster.partners.len();
+    let level = selection.pyramid_level(cluster.scale);
+    let camera = selection.scene.camera_of(cluster.key);
+    let [id, _] = task_ids(&BACKEND, selection, cluster);
+    Row {
+        rank,
+        id,
+        view: folder(selection.scene, cluster.key),
+        bundle: format!("bundles/{rank:04}.out"),
+        scale: cluster.scale,
+        level,
+        options: vec![
+            format!("-s{level}"),
+            format!("--neighbors={partners}"),
+            format!("--local-neighbors={}", partners.min(LOCAL_NEIGHBOURS)),
+            // The id of a key view is its rank.
+            format!("-m{}", rank - 1),
+            "--progress=simple".into(),
+        ],
+        // MVE rounds up at each halving.
+        size: [camera.width, camera.height].map(|side| side.div_ceil(1 << level.min(31))),
+    }
+}
+
+/// Returns `run.sh`, and adds to the record what it does.
+fn script(selection: &Selection, rows: &[Row], record: &mut ExportRecord) -> String {
+    let mut maps = String::new();
+    for (row, cluster) in rows.iter().zip(selection.clusters) {
+        let marker = task_marker(selection.scene.name(cluster.key));
+        let (id, map, bundle) = (&row.id, row.map(), &row.bundle);
+        let options = row.options.join(" ");
+        maps += &format!("map {marker} {id} {map} {bundle} {options}\n");
+        record.commands.push(format!("cp {bundle} synth_0.out"));
         record.commands.push(format!("dmrecon {options} ."));
     }
-    let (points, clouds) = joining(selection);
+    let clouds = joining(selection);
+    let names: Vec<&str> = clouds.iter().map(|(_, cloud)| *cloud).collect();
     record.fusion = format!(
         "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon {} surface.ply makes the surface",
-        clouds.join(" ")
+        names.join(" ")
     );
-    for other in CLOUDS.iter().filter(|(_, cloud)| !clouds.contains(cloud)) {
-        script.line(&format!("[ ! -f {0} ] || mv -f {0} kept/", other.1));
+    let mut fusion = String::new();
+    for (_, cloud) in CLOUDS.iter().filter(|(_, cloud)| !names.contains(cloud)) {
+        fusion += &format!("tried rm -f {cloud}\n");
     }
-    record.commands.extend(points.iter().cloned());
-    let whole = |(command, cloud): (&String, &&str)| {
-        format!(
-            "rm -f unfinished.ply && {} && mv unfinished.ply {cloud}",
-            command.replace(cloud, "unfinished.ply")
-        )
-    };
-    let points: Vec<String> = points.iter().zip(&clouds).map(whole).collect();
-    script.finish(&points)
+    for (options, cloud) in &clouds {
+        let options = options.join(" ");
+        record
+            .commands
+            .push(format!("scene2pset {options} . {cloud}"));
+        fusion += &format!("join {cloud} {options}\n");
+    }
+    with_refusal(include_str!("../../../integrations/mve/run.sh"))
+        .replacen("@MAPS@\n", &maps, 1)
+        .replacen("@FUSION@\n", &fusion, 1)
 }
 
-/// Size and partners of a map, as options of dmrecon.
-fn choice(selection: &Selection, cluster: &RankedCluster) -> String {
-    let (partners, level) = (
-        cluster.partners.len(),
-        selection.pyramid_level(cluster.scale),
-    );
-    format!(
-        "-s{level} --neighbors={partners} --local-neighbors={}",
-        partners.min(LOCAL_NEIGHBOURS)
-    )
-}
-
-const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");
-
-/// The clouds of each size.
+/// The clouds of each size: `scene2pset` takes maps of one size, `fssrecon` any number of point
+/// sets, in which each point has its own scale.
 const CLOUDS: [(MapScale, &str); 2] = [
     (MapScale::Full, "fused.ply"),
     (MapScale::Half, "fused_half.ply"),
 ];
 
-/// Returns the commands that join the maps of each size, and the files that they make: `scene2pset`
-/// takes maps of one size, `fssrecon` any number of point sets, in which each point has its own
-/// scale.
-fn joining(selection: &Selection) -> (Vec<String>, Vec<&'static str>) {
+/// Returns the options of scene2pset for the maps of each size that the plan has, and the cloud
+/// that it makes.
+fn joining(selection: &Selection) -> Vec<([String; 2], &'static str)> {
     let of_size = |(scale, cloud): (MapScale, &'static str)| {
-        // The ids of the key views are their ranks. Without any, scene2pset would take all views.
-        let keys = (0..)
-            .zip(selection.clusters)
-            .filter(|(_, c)| c.scale == scale);
-        let keys: Vec<String> = keys.map(|(id, _): (usize, _)| id.to_string()).collect();
+        let clusters = (1..).zip(selection.clusters);
+        let mut ranks = clusters
+            .filter(|(_, c)| c.scale == scale)
+            .map(|(rank, _)| rank)
+            .peekable();
+        ranks.peek()?;
         let level = selection.pyramid_level(scale);
-        (!keys.is_empty()).then(|| {
-            (
-                format!("scene2pset -F{level} -v{} . {cloud}", keys.join(",")),
-                cloud,
-            )
-        })
+        Some((run::joined(ranks, level), cloud))
     };
-    CLOUDS.into_iter().filter_map(of_size).unzip()
+    CLOUDS.into_iter().filter_map(of_size).collect()
 }
 
 /// Folder of a view and its depth map, named by the id of the image, which is the same in each
 /// plan. MVE's own id, in `meta.ini`, counts from 0, since MVE refuses large ones.
 fn folder(scene: &Scene, view: ViewIndex) -> String {
-    format!("view_{:08}.mve", scene.view(view).image_id)
+    format!("views/view_{:08}.mve", scene.view(view).image_id)
 }
 
 /// MVE finds the decoder by the extension.

@@ -1,0 +1,65 @@
+//! MVE's `.mvei`: `\x89MVE_IMAGE\n`, then i32 width, height, channels, type (9: float32), then the
+//! values, row-major. dmrecon writes distances from the camera's centre.
+
+use std::{fs, path::Path};
+
+use viewrank_core::base::pixels::PixelBound;
+
+use super::{DepthMapError, DepthMapFormat, Parsed, Plane, floats, read, u32_at};
+use crate::input::{self, FileKind};
+
+const SIGNATURE: &[u8] = b"\x89MVE_IMAGE\n";
+const FLOAT: u32 = 9;
+/// Bytes before the values.
+const HEAD: usize = SIGNATURE.len() + 16;
+
+/// Width and height of a depth map that is all there.
+///
+/// # Errors
+/// [`DepthMapError::Format`] for another image, or one of another length than its head says.
+pub fn whole_size(path: &Path) -> Result<[u32; 2], DepthMapError> {
+    let start = input::read_start(path, FileKind::Picture, HEAD as u64);
+    let start = start.map_err(DepthMapError::io(path))?;
+    let there = fs::metadata(path).map_err(DepthMapError::io(path))?.len();
+    let size = head(&start).map_err(DepthMapError::format(path))?;
+    let needed = size
+        .map(u64::from)
+        .iter()
+        .product::<u64>()
+        .saturating_mul(4);
+    let needed = needed.saturating_add(HEAD as u64);
+    if there == needed && there > HEAD as u64 {
+        return Ok(size);
+    }
+    let [width, height] = size;
+    let what = format!("{width} x {height} pixels need {needed} bytes, {there} are there");
+    Err(DepthMapError::format(path)((HEAD, what)))
+}
+
+/// Share of the pixels of a whole map that have a depth.
+pub fn filled(path: &Path) -> Result<f64, DepthMapError> {
+    let pixels = whole_size(path)?.map(u64::from).iter().product();
+    let map = read(path, DepthMapFormat::Mve, PixelBound::new(pixels))?;
+    let filled = map.depth.iter().filter(|depth| **depth > 0.0).count();
+    Ok(filled as f64 / pixels as f64)
+}
+
+pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {
+    floats(bytes, HEAD, head(bytes)?, bound)
+}
+
+/// Returns width and height.
+fn head(bytes: &[u8]) -> Parsed<[u32; 2]> {
+    if !bytes.starts_with(SIGNATURE) {
+        return Err((0, "not an image of MVE, expected `\\x89MVE_IMAGE`".into()));
+    }
+    let at = |field: usize| u32_at(bytes, SIGNATURE.len() + 4 * field);
+    let (width, height, channels, kind) = (at(0)?, at(1)?, at(2)?, at(3)?);
+    if channels != 1 || kind != FLOAT {
+        let what = format!(
+            "{channels} channels of type {kind}, expected 1 channel of type {FLOAT} (float)"
+        );
+        return Err((SIGNATURE.len() + 8, what));
+    }
+    Ok([width, height])
+}
