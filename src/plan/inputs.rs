@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use super::{Matcher, PlanError, Timings, cached::Fingerprints, georeference, region};
 use crate::{
     base::{pixels::PixelBound, progress::Stage},
-    config::{ConfidenceSource, Settings, Share},
+    config::{Settings, Share},
     decision::DEFAULT_TARGET,
     io::{
         pictures::PictureFolders,
@@ -69,44 +69,25 @@ impl<'a> Inputs<'a> {
     ) -> Result<Self, PlanError> {
         let unfit = unfit(settings, matcher);
         let given = settings;
-        let source = settings
-            .confidence
-            .source
-            .in_force(project.images.is_some());
-        let (points, fingerprints, image_gsd, mut settings, place, region) =
-            timings.time(Stage::Read, || {
-                let (points, fingerprints) = rayon::join(
-                    || scene.view_points(),
-                    || Fingerprints::new(project, &scene),
-                );
-                let image_gsd = scene.median_gsd_of(&points);
-                let mut settings =
-                    in_force(project, settings, (&scene, image_gsd), matcher, source)?;
-                let place = georeference(project, &scene, &settings.frame);
-                // Neither, where the model's unit is some other length: a plan that is repeated with
-                // these settings must find it again.
-                settings.units = settings.units.or(match place.metres_per_unit() {
-                    Some(1.0) => Some(Units::Metric),
-                    Some(_) => None,
-                    None => Some(Units::Relative),
-                });
-                let region = shape(&place, &scene, &settings)?;
-                Ok::<_, PlanError>((points, fingerprints, image_gsd, settings, place, region))
-            })?;
-        refuse_other_images(project, &scene, &settings)?;
+        let Known {
+            points,
+            fingerprints,
+            image_gsd,
+            place,
+            region,
+            mut settings,
+        } = timings.time(Stage::Read, || {
+            Known::read(project, &scene, settings, matcher)
+        })?;
         let image_faults = project.image_faults(&scene);
-        let images = project.images.as_ref();
-        match images.and_then(|_| image_faults.usual_scale(&scene)) {
-            Some(images) => refuse_small_images(images, settings.image_scale())?,
-            None => refuse_large_cameras(&scene, settings.image_scale())?,
-        }
+        refuse_unfit_images(project, &scene, &settings, &image_faults)?;
         let most_pixels = match project.images {
             Some(_) => image_faults.most_pixels(&scene),
             None => 0,
         };
-        let numbers = &matcher.numbers;
-        let own = &settings.confidence;
-        let confidence = Confidence::new(source, own, &numbers.confidence, &numbers.photometric);
+        let (numbers, own) = (&matcher.numbers, &settings.confidence);
+        let confidence =
+            Confidence::new(own.source, own, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let without_image = image_faults.without_image(scene.views.len());
         if matcher.makes_maps {
@@ -166,6 +147,48 @@ impl<'a> Inputs<'a> {
     }
 }
 
+/// What is known of a scene before any image is opened.
+struct Known<'a> {
+    points: ViewPoints,
+    fingerprints: Fingerprints<'a>,
+    image_gsd: Option<f64>,
+    place: Georeference,
+    region: Option<RegionShape>,
+    /// In force.
+    settings: Settings,
+}
+
+impl<'a> Known<'a> {
+    fn read(
+        project: &'a Project,
+        scene: &Scene,
+        settings: &Settings,
+        matcher: &Matcher,
+    ) -> Result<Self, PlanError> {
+        let (points, fingerprints) =
+            rayon::join(|| scene.view_points(), || Fingerprints::new(project, scene));
+        let image_gsd = scene.median_gsd_of(&points);
+        let mut settings = in_force(project, settings, (scene, image_gsd), matcher)?;
+        let place = georeference(project, scene, &settings.frame);
+        // Neither, where the model's unit is some other length: a plan that is repeated with these
+        // settings must find it again.
+        settings.units = settings.units.or(match place.metres_per_unit() {
+            Some(1.0) => Some(Units::Metric),
+            Some(_) => None,
+            None => Some(Units::Relative),
+        });
+        let region = shape(&place, scene, &settings)?;
+        Ok(Self {
+            points,
+            fingerprints,
+            image_gsd,
+            place,
+            region,
+            settings,
+        })
+    }
+}
+
 /// Keys of the settings that mean nothing for the program: limits of maps where none are made, or
 /// tests where nothing is trained.
 fn unfit(settings: &Settings, matcher: &Matcher) -> Vec<&'static str> {
@@ -185,6 +208,20 @@ fn unfit(settings: &Settings, matcher: &Matcher) -> Vec<&'static str> {
     ];
     let unfit = keys.into_iter().filter(|(_, is_unfit)| *is_unfit);
     unfit.map(|(key, _)| key).collect()
+}
+
+fn refuse_unfit_images(
+    project: &Project,
+    scene: &Scene,
+    settings: &Settings,
+    faults: &ImageFaults,
+) -> Result<(), PlanError> {
+    refuse_other_images(project, scene, settings)?;
+    let images = project.images.as_ref();
+    match images.and_then(|_| faults.usual_scale(scene)) {
+        Some(images) => refuse_small_images(images, settings.image_scale()),
+        None => refuse_large_cameras(scene, settings.image_scale()),
+    }
 }
 
 /// Returns an error if the image folder that the user has set holds no image of the scene.
@@ -246,7 +283,6 @@ fn in_force(
     settings: &Settings,
     (scene, image_gsd): (&Scene, Option<f64>),
     matcher: &Matcher,
-    source: ConfidenceSource,
 ) -> Result<Settings, PlanError> {
     if scene.views.is_empty() {
         return Err(PlanError::NoViews {
@@ -273,6 +309,7 @@ fn in_force(
     all.partners.candidates = all.partners.candidates.max(all.partners.k);
     all.partners.gate = matcher.numbers.gate.with(&all.partners.gate).settings();
     all.ranking.support.get_or_insert(matcher.numbers.support);
+    let source = all.confidence.source.in_force(project.images.is_some());
     all.confidence.source = source;
     if all.partners.k == 1 {
         all.coverage.min_cameras = 2;

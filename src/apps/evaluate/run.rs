@@ -102,22 +102,7 @@ impl MeasuredClusters {
             .map(|folder| depthmaps::find(folder, scene)?.into_complete())
             .transpose()?;
         let report = matched::read_report(task.depth_maps, scene)?;
-        let mut found: Vec<FoundMap> = Vec::new();
-        let mut without_map = Vec::new();
-        for (rank, cluster) in (0..).zip(task.clusters) {
-            match map_of(&maps, cluster.key) {
-                Some(file) => found.push(FoundMap {
-                    cluster,
-                    file,
-                    rank,
-                }),
-                None => without_map.push(cluster.key),
-            }
-        }
-        if found.is_empty() {
-            return Err(EvaluateError::NoClusters(task.depth_maps.into()));
-        }
-        found.sort_by_key(|map| map.cluster.key);
+        let (found, without_map) = task.found(&maps)?;
         let tried = task.measure_all(&found, references.as_ref(), watcher)?;
         let (mut clusters, mut ranks, mut measured) = (Vec::new(), Vec::new(), Vec::new());
         let (mut broken, mut other_sizes) = (Vec::new(), Vec::new());
@@ -242,6 +227,29 @@ fn map_of(set: &DepthMapSet, view: ViewIndex) -> Option<&DepthMapFile> {
 }
 
 impl EvaluationInput<'_> {
+    /// Returns the clusters that have a map, sorted by key view, and the key views without one.
+    fn found<'a>(
+        &'a self,
+        maps: &'a DepthMapSet,
+    ) -> Result<(Vec<FoundMap<'a>>, Vec<ViewIndex>), EvaluateError> {
+        let (mut found, mut without_map) = (Vec::new(), Vec::new());
+        for (rank, cluster) in (0..).zip(self.clusters) {
+            match map_of(maps, cluster.key) {
+                Some(file) => found.push(FoundMap {
+                    cluster,
+                    file,
+                    rank,
+                }),
+                None => without_map.push(cluster.key),
+            }
+        }
+        if found.is_empty() {
+            return Err(EvaluateError::NoClusters(self.depth_maps.into()));
+        }
+        found.sort_by_key(|map| map.cluster.key);
+        Ok((found, without_map))
+    }
+
     /// Measures the maps; an inner error is of a map that cannot be read.
     fn measure_all(
         &self,
