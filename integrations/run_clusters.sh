@@ -50,30 +50,3 @@ only() {
         [ ! -e "older/$name" ] || move "older/$name" "$1/$name"
     done
 }
-# Some programs join all maps of a folder. The maps of all plans are in kept/NAME-RECIPE/; those of this plan are hard links (or copies) in the folder.
-#
-# Takes a map out of the folder: FILE NAME. One that is not in kept/ too is put aside.
-withdraw() {
-    for kept in kept/"$2"-*/"${1##*/}"; do
-        if cmp -s "$1" "$kept"; then
-            tried rm -f "$1"
-            return
-        fi
-    done
-    put_aside "$1"
-}
-# Links the maps of a key view into the folder: RESULT FOLDER. Of what is kept, only files named like a map, as `$map_names` says, and none onto what has
-# that name there, which may be a link to a picture.
-map_names='*'
-present() {
-    for kept in kept/"$1"/$map_names; do
-        [ -f "$kept" ] || continue
-        place="$2/${kept##*/}"
-        if [ -e "$place" ] || [ -L "$place" ]; then
-            refuse "$place"
-        fi
-        ln "$kept" "$place" 2>/dev/null && continue
-        # Not every file system has hard links.
-        draft=$(tried mktemp "$2/XXXXXX") && tried cp -p "$kept" "$draft" && tried mv -f "$draft" "$place" || exit 1
-    done
-}

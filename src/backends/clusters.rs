@@ -46,6 +46,23 @@ impl ClusterScript {
     }
 }
 
+/// Returns `run.sh` of a program whose tasks viewrank runs, too, which goes on from its maps:
+/// `integrations/run_maps.sh` is its head. `steps`: the functions `compute` and `join` of the
+/// program. `maps`: the key view's name, the content of the mark, the depth map, and the words for
+/// `compute`. `joining`: lines of sh that join the maps.
+pub fn map_script<'a>(
+    steps: &str,
+    maps: impl Iterator<Item = (&'a str, &'a str, String, String)>,
+    joining: &str,
+) -> String {
+    let line = |(key, id, map, words)| format!("map {} {id} {map} {words}\n", task_marker(key));
+    let maps: String = maps.map(line).collect();
+    strangers::with_refusal(include_str!("../../integrations/run_maps.sh"))
+        .replacen("@STEPS@\n", steps, 1)
+        .replacen("@MAPS@\n", &maps, 1)
+        .replacen("@JOINING@\n", joining, 1)
+}
+
 /// Returns the name of a key view as the name of a file, the mark of its finished depth map.
 pub fn task_marker(key: &str) -> String {
     hash([key])

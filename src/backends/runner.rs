@@ -9,9 +9,13 @@ use std::{
 
 use serde::de::DeserializeOwned;
 
-use crate::io::{
-    input::{self, FileKind},
-    output::{self, Contents, Disk},
+use crate::{
+    base::{pixels::PixelBound, platform},
+    io::{
+        depthmaps::{self, DepthMapError, DepthMapFormat},
+        input::{self, FileKind},
+        output::{self, Contents, Disk},
+    },
 };
 
 /// The result of a task.
@@ -56,6 +60,18 @@ impl<'a> Call<'a> {
         let again = |error: &dyn Display| format!("{}: {error}: export again", path.display());
         let bytes = input::read(&path, FileKind::Plan).map_err(|error| again(&error))?;
         serde_json::from_slice(&bytes).map_err(|error| again(&error))
+    }
+
+    /// The row of a task in a list of the export. `task`: rank and mark of a row; another plan may
+    /// have been exported meanwhile.
+    pub fn row_of<'r, Row>(
+        &self,
+        rank: usize,
+        rows: &'r [Row],
+        task: fn(&Row) -> (usize, &str),
+    ) -> Result<&'r Row, String> {
+        let row = rows.iter().find(|row| task(row) == (rank, self.id));
+        row.ok_or_else(|| format!("rank {rank} is of another plan than run.json: try again"))
     }
 
     /// Returns a link to a file of the export.
@@ -106,17 +122,64 @@ pub struct TaskRunner {
 }
 
 /// Share of pixels with a depth below which a map counts as empty.
-pub const LEAST_FILLED: f64 = 0.01;
+const LEAST_FILLED: f64 = 0.01;
+
+/// Fails unless most of a depth map that a program has made is not empty.
+pub fn refuse_empty(filled: f64) -> Result<(), String> {
+    if filled < LEAST_FILLED {
+        let percent = 100.0 * filled;
+        return Err(format!("only {percent:.1} % of the pixels have a depth"));
+    }
+    Ok(())
+}
+
+/// Fails unless a depth map that a program has made is all there, of the shape of this size, and
+/// not empty, as maps are whose partners do not suffice.
+pub fn refuse_unfit(path: &Path, format: DepthMapFormat, size: [u32; 2]) -> Result<(), String> {
+    if !path.exists() {
+        return Err("the program made no depth map".into());
+    }
+    let pixels = size.map(|side| u64::from(side) + 1).iter().product();
+    let map = depthmaps::read(path, format, PixelBound::new(pixels));
+    let map = map.map_err(|error| match error {
+        DepthMapError::Unfinished { .. } => "the program did not write all of the depth map".into(),
+        error => error.to_string(),
+    })?;
+    refuse_other_shape("depth map", [map.width, map.height], size)?;
+    refuse_empty(map.filled())
+}
+
+/// Fails unless a map is of the shape of the planned size, pixels.
+pub fn refuse_other_shape(what: &str, made: [u32; 2], planned: [u32; 2]) -> Result<(), String> {
+    if is_of_shape(made, planned) {
+        return Ok(());
+    }
+    let [[w, h], [width, height]] = [made, planned];
+    Err(format!(
+        "the {what} has {w} x {h} pixels instead of {width} x {height}"
+    ))
+}
 
 /// Returns whether a map is of the shape of the planned size, pixels. It may be smaller: the images
 /// that are there may be smaller than those of the model that was planned.
-pub fn is_of_shape(made: [u32; 2], planned: [u32; 2]) -> bool {
+fn is_of_shape(made: [u32; 2], planned: [u32; 2]) -> bool {
     let [[w, h], [width, height]] = [made, planned];
     let [across, along] = [[w, height], [h, width]].map(|[a, b]| u64::from(a) * u64::from(b));
     // Programs round either side otherwise.
     across.abs_diff(along) <= u64::from(width.max(height))
         && w <= width.saturating_add(1)
         && h <= height.saturating_add(1)
+}
+
+/// Finds another program of the same software: beside it, in the folders in which some build each,
+/// or on the PATH.
+pub fn program_beside(program: &Path, name: &str) -> Result<PathBuf, String> {
+    let folder = program.parent().unwrap_or(Path::new(""));
+    let near = [folder.join(name), folder.join("..").join(name).join(name)];
+    near.iter()
+        .find_map(|path| platform::located(path))
+        .or_else(|| platform::located(Path::new(name)))
+        .ok_or_else(|| format!("no program {name} in {} or on the PATH", folder.display()))
 }
 
 /// An error as a reason.

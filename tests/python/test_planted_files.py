@@ -263,7 +263,7 @@ def test_odd_records_end_the_run_with_one_error(exported, name, how):
 
 
 @pytest.mark.parametrize("how", ODD)
-@pytest.mark.parametrize("script, record", [("alicevision/finished.py", "keys.sfm"), ("sure/ground.py", "ori/a.ori"), ("metashape/depth_maps.py", "clusters.json")])
+@pytest.mark.parametrize("script, record", [("sure/ground.py", "ori/a.ori"), ("metashape/depth_maps.py", "clusters.json")])
 def test_odd_records_end_other_scripts_with_one_error(tmp_path, script, record, how):
     shutil.copy(ROOT / "integrations" / script, tmp_path / "script.py")
     (tmp_path / "modules").mkdir()
@@ -341,7 +341,7 @@ def test_planted_times_of_cameras_count_as_none(viewrank, plans, tmp_path):  # n
 # Names of folders
 
 
-@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
+@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
                                     "sure/ground.py", "sgm/sgm.py"])
 def test_no_message_of_a_script_has_escape_sequences(tmp_path, script):
     """Nor does a traceback; the folder is a stranger's."""
@@ -362,7 +362,7 @@ def ended_in_a_line(script, folder, words, **options):
     assert "Traceback" not in done.stderr and "Exception" not in done.stderr, done.stderr[-2000:]
 
 
-@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
+@pytest.mark.parametrize("script", ["openmvs/run.py", "openmvs/unscale.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py",
                                     "sure/ground.py", "sgm/sgm.py"])
 def test_no_script_ends_with_a_trace(tmp_path, script):
     """Whatever is in its files, however long its path is, and whoever reads what it says."""
@@ -386,7 +386,7 @@ def test_no_script_ends_with_a_trace(tmp_path, script):
     ended_in_a_line(script, tmp_path, [tmp_path / "a.ply", *WORDS.get(script, [])[1:]], preexec_fn=lambda: (os.chdir(gone), os.rmdir(gone)))
 
 
-@pytest.mark.parametrize("script", ["openmvs/run.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "sgm/sgm.py"])
+@pytest.mark.parametrize("script", ["openmvs/run.py", "mvsnet/finished.py", "realityscan/switch.py", "sgm/sgm.py"])
 def test_the_longest_path_is_no_trace(tmp_path, script):
     here = os.open(".", os.O_RDONLY)
     try:

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("without_pilot")
 
 PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
 INTEGRATIONS = Path(__file__).parents[2] / "integrations"
-SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "alicevision/finished.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py", "sure/ground.py"]
+SCRIPTS = ["openmvs/run.py", "openmvs/unscale.py", "mvsnet/finished.py", "realityscan/switch.py", "metashape/depth_maps.py", "sure/ground.py"]
 # These take their modules from their own folder.
 OF_A_FOLDER = ["sgm/sgm.py", "sgm/measure.py", "sgm/experiments.py"]
 
@@ -34,7 +34,7 @@ def test_planted_modules_are_not_imported(script, tmp_path):
         assert not trap.exists() and "has no attribute" not in done.stderr and "cannot import" not in done.stderr, done.stderr
 
 
-@pytest.mark.parametrize("backend", ["openmvs", "realityscan", "alicevision"])
+@pytest.mark.parametrize("backend", ["openmvs", "realityscan"])
 def test_commands_of_an_export_run_no_planted_start_file(backend, fixtures, tmp_path):
     """Python runs a sitecustomize.py of its path before the script, which cannot refuse it."""
     project, trap = tmp_path / "valley", tmp_path / "trapped"

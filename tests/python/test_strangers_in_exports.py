@@ -38,7 +38,7 @@ PMVS = "#!/bin/sh\necho points > models/option-viewrank.ply\n"
 CASES = {
     "acmm": ({"ACMM": ACMM}, ["run.sh"], ["ACMM", "ACMM/2333_00000000", "ACMM/2333_00000000/depths.dmb"]),
     "alicevision": ({f"aliceVision_{name}": ALICEVISION for name in ("depthMapEstimation", "depthMapFiltering", "meshing")}, ["run.sh"],
-                    ["unfinished", "unfinished/filtered", "older", "kept", "finished.sfm.part", "depthMaps", "filtered"]),
+                    ["done", "done/0123456789abcdef", "depthMaps", "dense.abc", "mesh.obj"]),
     "colmap": ({"colmap": COLMAP}, ["stereo/viewrank/run.sh"], ["stereo/viewrank/unfinished.ply", "stereo/viewrank/0001.cfg", "stereo/consistency_graphs/x"]),
     "gipuma": ({"gipuma": GIPUMA}, ["run.sh"], ["unfinished", "older", "results/2_0123456789abcdef_00000001"]),
     "mve": ({"dmrecon": DMRECON, "scene2pset": SCENE2PSET}, ["run.sh"],

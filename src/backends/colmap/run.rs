@@ -17,7 +17,7 @@ use super::{
 use crate::{
     backends::{
         Call, Product,
-        runner::{is_of_shape, text},
+        runner::{refuse_other_shape, text},
     },
     io::{
         depthmaps::colmap::whole_size,
@@ -58,18 +58,14 @@ pub struct Row {
 }
 
 impl Row {
+    /// Its rank, and the content of the mark of its map.
+    fn task(&self) -> (usize, &str) {
+        (self.rank, &self.id)
+    }
+
     fn path(&self, folder: &str) -> String {
         let name = map_name(&self.problem.reference, "photometric");
         format!("stereo/{folder}/{name}")
-    }
-}
-
-impl Run {
-    /// The row of a task: another plan may have been exported meanwhile.
-    fn row(&self, rank: usize, call: &Call) -> Result<&Row, String> {
-        let is_it = |row: &&Row| row.rank == rank && row.id == call.id;
-        let row = self.maps.iter().find(is_it);
-        row.ok_or_else(|| format!("rank {rank} is of another plan than run.json: try again"))
     }
 }
 
@@ -87,7 +83,9 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
         }
     }
     let (verb, options) = match call.product {
-        Product::Map(rank) => lay_out_map(run.row(rank, call)?, call, &mut files),
+        Product::Map(rank) => {
+            lay_out_map(call.row_of(rank, &run.maps, Row::task)?, call, &mut files)
+        }
         Product::Cloud => lay_out_fusion(&run, call, &mut files),
     };
     files.write(&call.disk()).map_err(text)?;
@@ -146,7 +144,7 @@ pub fn finish(call: &Call) -> Result<(), String> {
     match call.product {
         Product::Map(rank) => {
             let run: Run = call.read(RUN)?;
-            let row = run.row(rank, call)?;
+            let row = call.row_of(rank, &run.maps, Row::task)?;
             for (folder, channels, what) in KINDS {
                 check(&call.work.join(row.path(folder)), channels, what, row.size)?;
             }
@@ -174,13 +172,7 @@ fn check(path: &Path, channels: u32, what: &str, size: [u32; 2]) -> Result<(), S
         return Err(format!("COLMAP made no {what}"));
     }
     let made = whole_size(path, channels).map_err(text)?;
-    if is_of_shape(made, size) {
-        return Ok(());
-    }
-    let [[w, h], [width, height]] = [made, size];
-    Err(format!(
-        "the {what} has {w} x {h} pixels instead of {width} x {height}"
-    ))
+    refuse_other_shape(what, made, size)
 }
 
 /// Returns whether a depth map and its normal map are all there.

@@ -16,9 +16,9 @@ use self::run::{RUN, Row, Run};
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord,
     Honours, LastRun, PATCH_MATCH, PlanningNumbers, Selection, TaskRunner, Trap,
-    clusters::{task_ids, task_marker},
+    clusters::{map_script, task_ids},
     selection,
-    strangers::{list_links, with_refusal},
+    strangers::list_links,
 };
 use crate::{
     base::{printable::to_json, shell::command_path},
@@ -199,12 +199,8 @@ fn row(selection: &Selection, rank: usize, cluster: &RankedCluster) -> Row {
 
 /// Returns `run.sh`, and adds to the record what it does.
 fn script(selection: &Selection, rows: &[Row], record: &mut ExportRecord) -> String {
-    let mut maps = String::new();
-    for (row, cluster) in rows.iter().zip(selection.clusters) {
-        let marker = task_marker(selection.scene.name(cluster.key));
-        let (id, map, bundle) = (&row.id, row.map(), &row.bundle);
-        let options = row.options.join(" ");
-        maps += &format!("map {marker} {id} {map} {bundle} {options}\n");
+    for row in rows {
+        let (bundle, options) = (&row.bundle, row.options.join(" "));
         record.commands.push(format!("cp {bundle} synth_0.out"));
         record.commands.push(format!("dmrecon {options} ."));
     }
@@ -225,9 +221,13 @@ fn script(selection: &Selection, rows: &[Row], record: &mut ExportRecord) -> Str
             .push(format!("scene2pset {options} . {cloud}"));
         fusion += &format!("join {cloud} {options}\n");
     }
-    with_refusal(include_str!("../../../integrations/mve/run.sh"))
-        .replacen("@MAPS@\n", &maps, 1)
-        .replacen("@FUSION@\n", &fusion, 1)
+    let maps = rows.iter().zip(selection.clusters).map(|(row, cluster)| {
+        let key = selection.scene.name(cluster.key);
+        let words = format!("{} {}", row.bundle, row.options.join(" "));
+        (key, &*row.id, row.map(), words)
+    });
+    let steps = include_str!("../../../integrations/mve/run_steps.sh");
+    map_script(steps, maps, &fusion)
 }
 
 /// The clouds of each size: `scene2pset` takes maps of one size, `fssrecon` any number of point

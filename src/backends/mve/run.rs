@@ -4,12 +4,7 @@
 //! view's folder. So each map is made in a scene of its own, of links to the views, and moved to
 //! its place if it is whole. A cloud is made in such a scene too, with links to the finished maps.
 
-use std::{
-    collections::BTreeSet,
-    ffi::OsString,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeSet, ffi::OsString, fs, path::Path};
 
 use serde::{Deserialize, Serialize};
 
@@ -17,11 +12,10 @@ use super::CLOUDS;
 use crate::{
     backends::{
         Call, Product,
-        runner::{LEAST_FILLED, is_of_shape, text},
+        runner::{program_beside, refuse_unfit, text},
     },
-    base::platform,
     io::{
-        depthmaps::mve,
+        depthmaps::{DepthMapFormat, mve},
         output::{self, FileSet},
         ply,
     },
@@ -61,6 +55,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Its rank, and the content of the mark of its map.
+    fn task(&self) -> (usize, &str) {
+        (self.rank, &self.id)
+    }
+
     /// Path of the depth map.
     pub fn map(&self) -> String {
         format!("{}/depth-L{}.mvei", self.view, self.level)
@@ -85,13 +84,6 @@ impl Row {
 }
 
 impl Run {
-    /// The row of a task: another plan may have been exported meanwhile.
-    fn row(&self, rank: usize, call: &Call) -> Result<&Row, String> {
-        let is_it = |row: &&Row| row.rank == rank && row.id == call.id;
-        let row = self.maps.iter().find(is_it);
-        row.ok_or_else(|| format!("rank {rank} is of another plan than run.json: try again"))
-    }
-
     /// Rows of the finished maps of each size that has any, with the name of their cloud.
     fn finished(&self, call: &Call) -> Vec<(&'static str, Vec<&Row>)> {
         let ranks: BTreeSet<usize> = call.finished.iter().copied().collect();
@@ -117,7 +109,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     }
     let commands = match call.product {
         Product::Map(rank) => {
-            let row = run.row(rank, call)?;
+            let row = call.row_of(rank, &run.maps, Row::task)?;
             files.add(BUNDLE, call.link(&row.bundle));
             vec![command(call.program, &row.options, &[call.work])]
         }
@@ -128,7 +120,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
                     files.add(&*path, call.link(&path));
                 }
             }
-            let joining = scene2pset(call.program)?;
+            let joining = program_beside(call.program, "scene2pset")?;
             let join = |(cloud, rows): &(&str, Vec<&Row>)| {
                 let made = call.work.join(cloud);
                 let options = joined(rows.iter().map(|row| row.rank), rows[0].level);
@@ -156,26 +148,13 @@ pub fn joined(ranks: impl Iterator<Item = usize>, level: u32) -> [String; 2] {
     [format!("-F{level}"), format!("-v{}", ids.join(","))]
 }
 
-/// Finds scene2pset: beside dmrecon, in the folders in which MVE builds both, or on the PATH.
-fn scene2pset(dmrecon: &Path) -> Result<PathBuf, String> {
-    let folder = dmrecon.parent().unwrap_or(Path::new(""));
-    let near = ["scene2pset", "../scene2pset/scene2pset"].map(|path| folder.join(path));
-    near.iter()
-        .find_map(|path| platform::located(path))
-        .or_else(|| platform::located(Path::new("scene2pset")))
-        .ok_or_else(|| {
-            let folder = folder.display();
-            format!("no program scene2pset in {folder} or on the PATH, which joins the depth maps")
-        })
-}
-
 /// Checks what the programs have made, and puts it in its place.
 pub fn finish(call: &Call) -> Result<(), String> {
     match call.product {
         Product::Map(rank) => {
             let run: Run = call.read(RUN)?;
-            let row = run.row(rank, call)?;
-            check(&call.work.join(row.map()), row.size)?;
+            let row = call.row_of(rank, &run.maps, Row::task)?;
+            refuse_unfit(&call.work.join(row.map()), DepthMapFormat::Mve, row.size)?;
             let made = row.made(call.work);
             made.iter().try_for_each(|path| call.place(path))
         }
@@ -199,27 +178,6 @@ pub fn finish(call: &Call) -> Result<(), String> {
             Ok(())
         }
     }
-}
-
-/// Fails unless a map is all there, of the shape of this size, and not empty, as maps are whose
-/// partners do not suffice.
-fn check(path: &Path, size: [u32; 2]) -> Result<(), String> {
-    if !path.exists() {
-        return Err("dmrecon made no depth map".into());
-    }
-    let made = mve::whole_size(path).map_err(text)?;
-    if !is_of_shape(made, size) {
-        let [[w, h], [width, height]] = [made, size];
-        return Err(format!(
-            "the depth map has {w} x {h} pixels instead of {width} x {height}"
-        ));
-    }
-    let filled = mve::filled(path).map_err(text)?;
-    if filled < LEAST_FILLED {
-        let percent = 100.0 * filled;
-        return Err(format!("only {percent:.1} % of the pixels have a depth"));
-    }
-    Ok(())
 }
 
 /// Returns whether a depth map is all there.

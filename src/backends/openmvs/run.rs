@@ -21,7 +21,7 @@ use crate::{
     backends::{
         Call, Product, Selection,
         clusters::task_marker,
-        runner::{LEAST_FILLED, text},
+        runner::{refuse_empty, text},
     },
     base::platform,
     io::{depthmaps::openmvs::WholeMap, output},
@@ -103,6 +103,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Its rank, and the content of the mark of its map.
+    fn task(&self) -> (usize, &str) {
+        (self.rank, &self.ids_of_map[0])
+    }
+
     pub fn new(
         selection: &Selection,
         builder: &Builder,
@@ -164,13 +169,6 @@ impl Run {
         }
     }
 
-    /// The row of a task: another plan may have been exported meanwhile.
-    fn row(&self, rank: usize, call: &Call) -> Result<&Row, String> {
-        let is_it = |row: &&Row| row.rank == rank && row.ids_of_map[0] == call.id;
-        let row = self.clusters.iter().find(is_it);
-        row.ok_or_else(|| format!("rank {rank} is of another plan than run.json: try again"))
-    }
-
     /// Rows of the finished maps, with their indices.
     pub fn finished<'a>(&'a self, call: &'a Call) -> impl Iterator<Item = (usize, &'a Row)> {
         let ranks: BTreeSet<usize> = call.finished.iter().copied().collect();
@@ -210,7 +208,7 @@ pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     let help = help_of(call)?;
     let (mut command, of_task, agreeing, resolution) = match call.product {
         Product::Map(rank) => {
-            let row = run.row(rank, call)?;
+            let row = call.row_of(rank, &run.clusters, Row::task)?;
             let scene = call.workplace.join(row.scene());
             let command = command_on(call, &scene, "dense.mvs");
             (command, &OF_MAPS[..], run.maps_per_point, row.resolution)
@@ -265,7 +263,7 @@ pub fn finish(call: &Call) -> Result<(), String> {
     match call.product {
         Product::Map(rank) => {
             let run: Run = call.read("run.json")?;
-            let row = run.row(rank, call)?;
+            let row = call.row_of(rank, &run.clusters, Row::task)?;
             let kind = check(row, &call.work.join(&row.map))?;
             refuse_other_kinds(&run, row, call, kind)?;
             call.place(&row.map)
@@ -305,11 +303,7 @@ fn check(row: &Row, path: &Path) -> Result<&'static str, String> {
             "OpenMVS searched depths of {least} to {greatest}, but the sparse points have {nearest} to {farthest}"
         ));
     }
-    let filled = map.filled().map_err(text)?;
-    if filled < LEAST_FILLED {
-        let percent = 100.0 * filled;
-        return Err(format!("only {percent:.1} % of the pixels have a depth"));
-    }
+    refuse_empty(map.filled().map_err(text)?)?;
     Ok(map.kind())
 }
 

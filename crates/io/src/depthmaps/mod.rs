@@ -98,6 +98,12 @@ impl DepthMap {
         (z > 0.0).then(|| f64::from(z))
     }
 
+    /// Share of the pixels that have a depth.
+    pub fn filled(&self) -> f64 {
+        let filled = self.depth.iter().filter(|depth| **depth > 0.0).count();
+        filled as f64 / self.depth.len() as f64
+    }
+
     /// Size of a map pixel along x and y, in pixels of the camera's image.
     pub fn pixel_size(&self, camera: &Camera) -> (f64, f64) {
         (

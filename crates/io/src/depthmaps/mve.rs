@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 
 use viewrank_core::base::pixels::PixelBound;
 
-use super::{DepthMapError, DepthMapFormat, Parsed, Plane, floats, read, u32_at};
+use super::{DepthMapError, Parsed, Plane, floats, u32_at};
 use crate::input::{self, FileKind};
 
 const SIGNATURE: &[u8] = b"\x89MVE_IMAGE\n";
@@ -34,14 +34,6 @@ pub fn whole_size(path: &Path) -> Result<[u32; 2], DepthMapError> {
     let [width, height] = size;
     let what = format!("{width} x {height} pixels need {needed} bytes, {there} are there");
     Err(DepthMapError::format(path)((HEAD, what)))
-}
-
-/// Share of the pixels of a whole map that have a depth.
-pub fn filled(path: &Path) -> Result<f64, DepthMapError> {
-    let pixels = whole_size(path)?.map(u64::from).iter().product();
-    let map = read(path, DepthMapFormat::Mve, PixelBound::new(pixels))?;
-    let filled = map.depth.iter().filter(|depth| **depth > 0.0).count();
-    Ok(filled as f64 / pixels as f64)
 }
 
 pub(super) fn parse(bytes: &[u8], bound: PixelBound) -> Parsed<Plane> {

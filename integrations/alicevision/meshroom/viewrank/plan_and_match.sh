@@ -21,5 +21,5 @@ fi
 viewrank plan "$project" --backend alicevision -k "$partners" --target "$target%"
 viewrank report "$project" --quiet
 case $match in
-    [Tt]rue | 1) cd "$project/viewrank/alicevision" && exec ./run.sh ;;
+    [Tt]rue | 1) exec viewrank run "$project" --backend alicevision ;;
 esac

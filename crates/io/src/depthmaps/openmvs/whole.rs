@@ -111,9 +111,7 @@ impl WholeMap {
     /// Share of the pixels that have a depth.
     pub fn filled(&self) -> Result<f64, DepthMapError> {
         let bound = PixelBound::new(self.pixels());
-        let map = read(&self.path, DepthMapFormat::OpenMvs, bound)?;
-        let filled = map.depth.iter().filter(|depth| **depth > 0.0).count();
-        Ok(filled as f64 / self.pixels() as f64)
+        Ok(read(&self.path, DepthMapFormat::OpenMvs, bound)?.filled())
     }
 
     /// Returns the bytes of the map with each pixel repeated to a larger size, pixels. Its

@@ -1,0 +1,197 @@
+//! The tasks of an export: `run.json`, and how AliceVision computes and joins what it lists.
+//!
+//! A map is made in a folder of its own. Filtering takes counts that it finds in its output folder
+//! for its own, and opens the maps of all views of its scene: it gets an empty folder, and a scene
+//! of the key views that have a map.
+
+use std::{collections::BTreeSet, ffi::OsString, fs, path::Path};
+
+use serde::{Deserialize, Serialize};
+
+use super::sfm;
+use crate::{
+    backends::{
+        Call, Product,
+        runner::{program_beside, refuse_unfit, text, words},
+    },
+    io::{
+        depthmaps::DepthMapFormat,
+        input::{self, FileKind},
+        output::{Contents, FileSet},
+    },
+};
+
+pub const RUN: &str = "run.json";
+/// Scene of all key views.
+pub const KEYS: &str = "keys.sfm";
+/// Only key views have maps, and three of them rarely agree.
+pub const FILTERING: [&str; 4] = [
+    "--minNumOfConsistentCams",
+    "1",
+    "--minNumOfConsistentCamsWithLowSimilarity",
+    "2",
+];
+/// Folder of the depth maps.
+pub const MAPS: &str = "depthMaps";
+/// What the meshing makes.
+const MESH: &str = "mesh.obj";
+const CLOUD: &str = "dense.abc";
+
+/// Content of `run.json`.
+#[derive(Serialize, Deserialize)]
+pub struct Run {
+    /// The view clusters in rank order.
+    pub maps: Vec<Row>,
+}
+
+/// The depth map of a view cluster.
+#[derive(Serialize, Deserialize)]
+pub struct Row {
+    /// From 1.
+    pub rank: usize,
+    /// Content of its mark.
+    pub id: String,
+    /// Id of the key view's image.
+    pub view: u32,
+    /// Path of the scene file of the cluster.
+    pub scene: String,
+    /// Options of aliceVision_depthMapEstimation.
+    pub options: Vec<String>,
+    /// Width and height of the map, pixels.
+    pub size: [u32; 2],
+}
+
+impl Row {
+    /// Its rank, and the content of the mark of its map.
+    fn task(&self) -> (usize, &str) {
+        (self.rank, &self.id)
+    }
+
+    /// Path of the depth map.
+    pub fn map(&self) -> String {
+        format!("{MAPS}/{}_depthMap.exr", self.view)
+    }
+
+    /// Returns what was made for the view below a folder; the depth map is last, since it says that
+    /// all is there.
+    fn made(&self, folder: &Path) -> Vec<String> {
+        let of_view = format!("{}_", self.view);
+        let entries = fs::read_dir(folder.join(MAPS)).into_iter().flatten();
+        let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+        let map = self.map();
+        let others = names
+            .filter(|name| name.starts_with(&of_view) && name.ends_with(".exr"))
+            .map(|name| format!("{MAPS}/{name}"))
+            .filter(|path| *path != map);
+        let mut paths: Vec<String> = others.collect();
+        paths.sort();
+        paths.push(map);
+        paths
+    }
+}
+
+/// Makes the folder of a task, and returns the commands that do it there.
+pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
+    let run: Run = call.read(RUN)?;
+    let mut files = FileSet::new(call.work, "task");
+    let commands = match call.product {
+        Product::Map(rank) => {
+            let row = call.row_of(rank, &run.maps, Row::task)?;
+            files.add(MAPS, Contents::Folder);
+            let [scene, images] = [&*row.scene, "images"].map(|name| call.workplace.join(name));
+            let made = call.work.join(MAPS);
+            let mut command = words([
+                &call.program,
+                &"-i",
+                &scene,
+                &"--imagesFolder",
+                &images,
+                &"-o",
+                &made,
+            ]);
+            command.extend(row.options.iter().map(OsString::from));
+            vec![command]
+        }
+        Product::Cloud => {
+            let finished: BTreeSet<usize> = call.finished.iter().copied().collect();
+            let rows = run.maps.iter().filter(|row| finished.contains(&row.rank));
+            lay_out_joining(&rows.collect::<Vec<_>>(), call, &mut files)?;
+            joining(call)?
+        }
+    };
+    files.write(&call.disk()).map_err(text)?;
+    Ok(commands)
+}
+
+/// Adds the maps, and the scene of the views that have one, beside their images.
+fn lay_out_joining(rows: &[&Row], call: &Call, files: &mut FileSet) -> Result<(), String> {
+    for path in rows.iter().flat_map(|row| row.made(call.workplace)) {
+        files.add(&*path, call.link(&path));
+    }
+    let images = fs::read_dir(call.workplace.join("images")).map_err(text)?;
+    for name in images.filter_map(|entry| entry.ok()?.file_name().into_string().ok()) {
+        let path = format!("images/{name}");
+        files.add(&*path, call.link(&path));
+    }
+    let views: BTreeSet<String> = rows.iter().map(|row| row.view.to_string()).collect();
+    let path = call.workplace.join(KEYS);
+    let scene = input::read(&path, FileKind::State).map_err(text)?;
+    let scene = sfm::with_views(&scene, |id| views.contains(id));
+    let scene = scene.map_err(|error| format!("{}: {error}: export again", path.display()))?;
+    files.add_text(KEYS, scene);
+    files.add("filtered", Contents::Folder);
+    Ok(())
+}
+
+fn joining(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
+    let [filter, mesh] = ["aliceVision_depthMapFiltering", "aliceVision_meshing"]
+        .map(|name| program_beside(call.program, name));
+    let [scene, maps, filtered, cloud, surface] =
+        [KEYS, MAPS, "filtered", CLOUD, MESH].map(|name| call.work.join(name));
+    let mut filtering = words([
+        &filter?,
+        &"-i",
+        &scene,
+        &"--depthMapsFolder",
+        &maps,
+        &"-o",
+        &filtered,
+    ]);
+    filtering.extend(FILTERING.map(OsString::from));
+    let meshing = words([
+        &mesh?,
+        &"-i",
+        &scene,
+        &"--depthMapsFolder",
+        &filtered,
+        // `-o` is short for two options here.
+        &"--output",
+        &cloud,
+        &"--outputMesh",
+        &surface,
+    ]);
+    Ok(vec![filtering, meshing])
+}
+
+/// Checks what the programs have made, and puts it in its place.
+pub fn finish(call: &Call) -> Result<(), String> {
+    match call.product {
+        Product::Map(rank) => {
+            let run: Run = call.read(RUN)?;
+            let row = call.row_of(rank, &run.maps, Row::task)?;
+            let (map, format) = (call.work.join(row.map()), DepthMapFormat::AliceVision);
+            refuse_unfit(&map, format, row.size)?;
+            let made = row.made(call.work);
+            made.iter().try_for_each(|path| call.place(path))
+        }
+        Product::Cloud => {
+            for name in [MESH, CLOUD] {
+                if fs::metadata(call.work.join(name)).map_or(0, |made| made.len()) == 0 {
+                    return Err(format!("the meshing made no {name}"));
+                }
+            }
+            call.place(MESH)?;
+            call.place(CLOUD)
+        }
+    }
+}
