@@ -6,8 +6,8 @@ set -u
 @REFUSE_STRANGERS@
 # What a killed viewrank run left is in nobody's way.
 refuse_strangers links.txt . -path ./unfinished -prune -o
-own_files .
 alone .
+own_files .
 kept=0 failed=0
 tried mkdir -p done || exit 1
 fail() {
@@ -16,7 +16,7 @@ fail() {
 }
 # Puts a line into a new file: NAME LINE
 mark() {
-    tried rm -f "done/$1" && printf '%s\n' "$2" > "done/$1"
+    draft=$(tried mktemp done/XXXXXX) && printf '%s\n' "$2" > "$draft" && tried mv -f "$draft" "done/$1"
 }
 @STEPS@
 # Computes a depth map unless it is there: MARK ID MAP WORDS for `compute`. What a killed run has cut off is not.

@@ -48,6 +48,16 @@ pub struct Call<'a> {
     pub image_scale: f64,
 }
 
+impl TaskRunner {
+    /// The clouds that are there.
+    pub fn clouds_there(&self) -> impl Iterator<Item = &Path> {
+        self.clouds
+            .iter()
+            .map(PathBuf::as_path)
+            .filter(|cloud| cloud.is_file())
+    }
+}
+
 impl<'a> Call<'a> {
     /// The disk, for changes in the project alone.
     pub fn disk(&self) -> Disk<'a> {
@@ -115,8 +125,10 @@ pub struct TaskRunner {
     /// Folder of viewrank's own files in the export, with a `/` behind it unless it is the export
     /// itself: tasks work below it, and the marks of their maps are there.
     pub own: &'static str,
-    /// Cloud that the fusion writes.
-    pub cloud: PathBuf,
+    /// Clouds that the fusion writes; each may be missing if it has no depth map.
+    pub clouds: Vec<PathBuf>,
+    /// A depth map of full size takes the place of one of half the size.
+    pub sizes_share_a_file: bool,
     /// Depth map of each cluster, in rank order; `None` if it cannot be computed.
     pub maps: Vec<Option<PathBuf>>,
 }
@@ -124,7 +136,7 @@ pub struct TaskRunner {
 /// Share of pixels with a depth below which a map counts as empty.
 const LEAST_FILLED: f64 = 0.01;
 
-/// Fails unless most of a depth map that a program has made is not empty.
+/// Fails if next to no pixel of a depth map that a program has made has a depth.
 pub fn refuse_empty(filled: f64) -> Result<(), String> {
     if filled < LEAST_FILLED {
         let percent = 100.0 * filled;

@@ -51,8 +51,8 @@ pub struct Arguments {
     /// cut]
     #[arg(long, value_name = "P%")]
     target: Option<Share>,
-    /// The backend's program: sgm.py, DensifyPointCloud, colmap [default: $SGM, $DENSIFY, $COLMAP,
-    /// else from the PATH]
+    /// The backend's program: sgm.py, DensifyPointCloud, colmap, dmrecon, ... [default: $SGM,
+    /// $DENSIFY, $COLMAP, $DMRECON or $ALICEVISION, else from the PATH]
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
 

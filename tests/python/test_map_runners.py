@@ -88,7 +88,7 @@ def test_maps_one_by_one_and_a_cloud(site):
     for rank in (1, 2, 3):
         site.rank(rank)
     site.run("--fuse")
-    assert site.calls() == [*site.keys(), site.joined(1, 2, 3)] and len(site.maps()) == 6 and not site.left()
+    assert site.calls() == [*site.keys(), site.joined(1, 2, 3)] and all(site.map(rank).exists() for rank in (1, 2, 3)) and not site.left()
     assert site.cloud().read_text().startswith("p")
     for words in (["--rank", 1], ["--rank", 3], ["--fuse"]):
         assert "nothing to do" in site.run(*words).stderr
@@ -156,6 +156,12 @@ def test_each_size_has_a_cloud_of_mve(tmp_path, viewrank, plans):  # noqa: F811
     first = {level: next(row["rank"] for row in site.rows if row["level"] == level) for level in sorted(levels)}
     for rank in first.values():
         site.rank(rank)
+    picture = next(site.export.glob("views/*/undist-L*.png"))
+    picture.unlink()  # without it the cloud would have no colours
+    site.calls()
+    for rank in first.values():
+        site.rank(rank)
+    assert len(site.calls()) == 1 and picture.exists()
     site.run("--fuse")
     half = site.export / "fused_half.ply"
     assert site.calls()[-2:] == [site.joined(rank) for rank in first.values()] and site.cloud().exists() and half.exists()
@@ -164,6 +170,10 @@ def test_each_size_has_a_cloud_of_mve(tmp_path, viewrank, plans):  # noqa: F811
     site.rank(1)
     site.run("--fuse")
     assert site.cloud().exists() and not half.exists(), "no cloud of another plan beside the new one"
+    site.plan("-k", "3", "--scales", "1,0.5", "--budget", "40%", "--target", "100%", "--finished", site.project / "none")
+    site.calls()
+    site.rank(first[max(levels)])
+    assert site.calls(), "the map of half the size is of other partners, whatever was made at full size since"
 
 
 def test_maps_of_other_partners_are_made_anew_and_others_kept(site):
@@ -177,7 +187,17 @@ def test_maps_of_other_partners_are_made_anew_and_others_kept(site):
     for rank in (1, 2, 3):
         site.rank(rank)
     assert site.calls() == again
-    assert set(before) <= set(site.maps())
+    after, again = site.maps(), {site.map(rank).relative_to(site.export) for rank in (1, 2, 3)}
+    assert all(after[path] == content for path, content in before.items() if path not in again)
+
+
+def test_a_failed_task_leaves_what_viewrank_made_viewrank_s_own(site):
+    site.rank(1)
+    (site.project / "none").mkdir()
+    site.plan("-k", "3", "--budget", "3", "--finished", site.project / "none")
+    site.rank(1, expect=1, map=None)
+    site.rank(1)
+    assert not list(site.export.glob("**/*.before-viewrank"))
 
 
 def test_script_and_viewrank_know_each_other_s_maps(site):

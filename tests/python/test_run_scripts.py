@@ -4,6 +4,7 @@ import json
 import os
 import shlex
 import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -283,15 +284,17 @@ depths = struct.pack("<f", otherwise.get("depth", int(view.stem[-8:])))
 made = b"\\x89MVE_IMAGE\\n" + struct.pack("<4i", width, height, 1, 9) + width * height * depths
 if "map" not in otherwise or otherwise["map"]:
     (view / f"depth-L{option('-s')}.mvei").write_bytes(made[: otherwise.get("map")])
-(view / f"conf-L{option('-s')}.mvei").write_bytes(made)
+if option("-s") != "0":
+    (view / f"undist-L{option('-s')}.png").write_bytes(b"PNG")
 """
 SCENE2PSET = SCENE.replace("SCENE", "-2") + """
 joined = []
-for id in option("-v").split(","):
-    view, name = views[id]
-    map = view / f"depth-L{option('-F')}.mvei"
+level = option("-F")
+wanted = next((word[2:].split(",") for word in sys.argv if word.startswith("-v")), views)
+for view, name in (views[id] for id in sorted(wanted, key=int)):
+    map, picture = view / f"depth-L{level}.mvei", view / ("undistorted.jpg" if level == "0" else f"undist-L{level}.png")
     if map.exists():
-        assert struct.unpack_from("<f", map.read_bytes(), 27) == (int(view.stem[-8:]),) and map.with_name(map.name.replace("depth", "conf")).exists()
+        assert struct.unpack_from("<f", map.read_bytes(), 27) == (int(view.stem[-8:]),) and picture.exists()
         joined.append(name)
 note("joined", *joined)
 if otherwise.get("fusion", 3) is not None:
@@ -317,6 +320,8 @@ def test_mve_tries_every_cluster_and_joins_what_there_is(mve):
     mve.export(4, "--budget", "2")
     done, calls = mve.run()
     assert done.returncode == 0 and calls == [" ".join(["joined", *names[:2]])], done.stderr
+    mve.export(4)
+    assert mve.run()[1] == [" ".join(["joined", *names])], "maps of before came back"
     mve.export(3)
     names = key_names(mve)
     done, calls = mve.run(FAIL=names[1])
@@ -328,12 +333,24 @@ def test_mve_keeps_maps_that_nobody_marked_but_none_that_a_killed_run_left(mve):
     names = key_names(mve)
     mine, cut = (mve.folder / row["view"] / f"depth-L{row['level']}.mvei" for row in json.loads((mve.folder / "run.json").read_text())["maps"][:2])
     marks = [line.split()[1] for line in (mve.folder / "run.sh").read_text().splitlines() if " bundles/" in line]
-    mine.write_bytes(b"of a user")
+    (image_id,) = [int(path.parent.name[5:13]) for path in [mine]]
+    mine.write_bytes(b"\x89MVE_IMAGE\n" + struct.pack("<4if", 1, 1, 1, 9, image_id))
+    before = mine.read_bytes()
     cut.write_bytes(b"cut off")
     (mve.folder / "done").mkdir()
     (mve.folder / "done" / marks[1]).write_text("unfinished\n")
     done, calls = mve.run()
-    assert calls == names[1:] and "1 depth maps were made otherwise" in done.stderr and mine.read_bytes() == b"of a user", done.stderr
+    assert calls == [*names[1:], " ".join(["joined", *names])] and done.returncode == 0, done.stderr
+    assert "1 depth maps were made otherwise" in done.stderr and mine.read_bytes() == before
+
+
+def test_mve_marks_no_empty_map_and_keeps_the_cloud_of_before(mve):
+    mve.run()
+    before = (mve.folder / "fused.ply").read_bytes()
+    mve.export(3)
+    done, calls = mve.run(MADE='{"depth": 0, "fusion": 0}')
+    assert done.returncode == 1 and (mve.folder / "fused.ply").read_bytes() == before
+    assert set(mve.run()[1]) >= set(key_names(mve)), "none counts as made"
 
 
 def test_mve_joins_the_maps_of_each_size(mve):

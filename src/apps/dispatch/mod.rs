@@ -164,7 +164,12 @@ impl Dispatch {
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
-            let [id, id_at_full_size] = task_ids(backend, selection, cluster);
+            let [id, of_full_size] = task_ids(backend, selection, cluster);
+            let id_at_full_size = if runner.sizes_share_a_file {
+                of_full_size
+            } else {
+                id.clone()
+            };
             Some(Task {
                 rank: i + 1,
                 marker: task_marker(key),
@@ -396,7 +401,8 @@ impl Dispatch {
     /// Returns whether exactly the finished depth maps have been joined already.
     pub fn is_fused(&self) -> bool {
         let done = self.done_ids();
-        done.is_empty() || self.own_text("fused") == done && self.runner.cloud.is_file()
+        done.is_empty()
+            || self.own_text("fused") == done && self.runner.clouds_there().next().is_some()
     }
 
     /// Returns a line with the id of each finished task.
@@ -481,7 +487,7 @@ impl Hint for DispatchError {
     fn hint(&self) -> Option<Advice> {
         Some(match self {
             Self::NoTasks(name) => format!(
-                "run what `viewrank plan PROJECT --backend {name}` prints, or take --backend sgm, openmvs or colmap"
+                "run what `viewrank plan PROJECT --backend {name}` prints, or take --backend sgm, openmvs, colmap or mve"
             )
             .into(),
             Self::Program { program, .. } if program.is_dir() => {

@@ -77,7 +77,10 @@ impl Dispatch {
         }
         let (mark, disk) = (self.workplace.join(self.mark(task)), self.disk());
         let is_marked = mark.exists();
-        output::remove(&mark, &disk)?;
+        if is_marked {
+            // Of what is made from now on nobody knows yet; it is still viewrank's own.
+            output::replace(&mark, b"unfinished\n", &disk)?;
+        }
         let ended = self.run(Product::Map(task.rank), &task.id, is_marked, runner)?;
         if ended != TaskResult::Done {
             return Ok(ended);

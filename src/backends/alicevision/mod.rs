@@ -66,7 +66,8 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         is_whole: is_not_empty,
         finish: run::finish,
         own: "",
-        cloud: root.join("dense.abc"),
+        clouds: vec![root.join("dense.abc")],
+        sizes_share_a_file: true,
         maps: (1..).zip(selection.clusters).map(map).collect(),
     }
 }

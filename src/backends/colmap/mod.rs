@@ -123,7 +123,8 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         is_whole: run::is_whole,
         finish: run::finish,
         own: OWN,
-        cloud: export.files.root.join(FUSED),
+        clouds: vec![export.files.root.join(FUSED)],
+        sizes_share_a_file: true,
         maps: selection.clusters.iter().map(map).collect(),
     })
 }

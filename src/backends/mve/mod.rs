@@ -4,13 +4,11 @@
 //! makes a scene of links for each.
 //!
 //! With fewer partners than `local-neighbors` a map is empty, with exit code 0. Ids count from 0,
-//! key views first; existing maps are skipped; lists of views (`-l`) run in parallel, so each call
-//! has one (`-m`). `depth-L` maps hold the length of the ray. `scene2pset -F` takes the maps of one
+//! key views first; lists of views (`-l`) run in parallel and skip those that have a map, so each
+//! call has one view (`-m`). `depth-L` maps hold the length of the ray. `scene2pset -F` takes the maps of one
 //! level, so two sizes make two clouds, of which `fssrecon` makes one surface.
 
 mod run;
-
-use std::path::PathBuf;
 
 use self::run::{RUN, Row, Run};
 use super::{
@@ -21,7 +19,7 @@ use super::{
     strangers::list_links,
 };
 use crate::{
-    base::{printable::to_json, shell::command_path},
+    base::printable::to_json,
     io::{output::FileSet, project::Project},
     method::confidence::Photometric,
     model::{
@@ -80,8 +78,8 @@ fn own_scale(camera: &Camera) -> f64 {
 
 fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
     let root = &export.files.root;
-    let map = |(rank, cluster)| Some(root.join(row(selection, rank, cluster).map()));
-    let clouds = joining(selection);
+    let map = |(rank, cluster)| Some(root.join(row(selection, rank, cluster).ok()?.map()));
+    let clouds = joining(selection).into_iter();
     TaskRunner {
         program: "dmrecon",
         variable: "DMRECON",
@@ -90,40 +88,28 @@ fn tasks(selection: &Selection, export: &Export) -> TaskRunner {
         is_whole: run::is_whole,
         finish: run::finish,
         own: "",
-        cloud: clouds
-            .first()
-            .map_or(PathBuf::new(), |(_, cloud)| root.join(cloud)),
+        clouds: clouds.map(|(_, cloud)| root.join(cloud)).collect(),
+        sizes_share_a_file: false,
         maps: (1..).zip(selection.clusters).map(map).collect(),
     }
 }
 
 fn traps(examined: &ExaminedProject) -> Vec<Trap> {
-    let views = examined.project.root.join("views");
-    let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
-    let cure = format!(
-        "export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei",
-        command_path(&views)
-    );
-    let maps = examined.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
-    examined
-        .bad_names("mve-extension", |name| extension(examined.project, name))
-        .into_iter()
-        .chain(maps)
-        .collect()
+    let names = examined.bad_names("mve-extension", |name| extension(examined.project, name));
+    names.into_iter().collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     let clusters = (1..).zip(selection.clusters);
     // Their ids are of the plan, not of a scene that was moved.
-    let rows: Vec<Row> = clusters
-        .map(|(rank, cluster)| row(selection, rank, cluster))
-        .collect();
+    let rows = clusters.map(|(rank, cluster)| row(selection, rank, cluster));
+    let rows: Vec<Row> = rows.collect::<Result<_, _>>()?;
     let near = selection.near_origin();
     let selection = &near.selection();
     let mut files = options.file_set(&BACKEND, selection);
     let views = selection.keys_first();
     let ids = selection.scene.places_of(views.iter().copied());
-    let pictures = add_views(selection, &views, &mut files)?;
+    add_views(selection, &views, &mut files)?;
     let points = selection.scene.view_points();
     for (row, cluster) in rows.iter().zip(selection.clusters) {
         let text = bundle(selection.scene, &points, cluster, &ids, views.len());
@@ -140,8 +126,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         .not_honoured
         .push("that every partner is used: dmrecon chooses among them".into());
     files.add_script("run.sh", script(selection, &rows, &mut record));
+    let views = views.iter().map(|&view| folder(selection.scene, view));
     let run = Run {
-        pictures,
+        views: views.collect(),
         maps: rows,
     };
     files.add_text(RUN, to_json(&run));
@@ -149,38 +136,40 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export::new(files, record))
 }
 
-/// Adds the folders of the views; returns the paths of their pictures.
+/// Adds the folders of the views.
 fn add_views(
     selection: &Selection,
     views: &[ViewIndex],
     files: &mut FileSet,
-) -> Result<Vec<String>, BackendError> {
+) -> Result<(), BackendError> {
     let images = selection.undistorted_images(BACKEND.name)?;
-    let mut pictures = Vec::new();
     for (id, &view) in views.iter().enumerate() {
-        let name = selection.scene.name(view);
-        let folder = folder(selection.scene, view);
-        files.add_text(
-            format!("{folder}/meta.ini"),
-            meta(selection.scene, view, id),
-        );
-        let extension = extension(selection.project, name)?;
-        let picture = format!("{folder}/undistorted.{extension}");
-        files.add(&*picture, images.link(name));
-        pictures.push(picture);
+        let scene = selection.scene;
+        let name = format!("{}/meta.ini", folder(scene, view));
+        files.add_text(name, meta(scene, view, id));
+        files.add(picture(selection, view)?, images.link(scene.name(view)));
     }
-    Ok(pictures)
+    Ok(())
 }
 
-fn row(selection: &Selection, rank: usize, cluster: &RankedCluster) -> Row {
+/// Path of the picture of a view.
+fn picture(selection: &Selection, view: ViewIndex) -> Result<String, BackendError> {
+    let extension = extension(selection.project, selection.scene.name(view))?;
+    let folder = folder(selection.scene, view);
+    Ok(format!("{folder}/undistorted.{extension}"))
+}
+
+fn row(selection: &Selection, rank: usize, cluster: &RankedCluster) -> Result<Row, BackendError> {
     let partners = cluster.partners.len();
     let level = selection.pyramid_level(cluster.scale);
     let camera = selection.scene.camera_of(cluster.key);
     let [id, _] = task_ids(&BACKEND, selection, cluster);
-    Row {
+    let pictures = cluster.views().map(|view| picture(selection, view));
+    Ok(Row {
         rank,
         id,
         view: folder(selection.scene, cluster.key),
+        pictures: pictures.collect::<Result<_, _>>()?,
         bundle: format!("bundles/{rank:04}.out"),
         scale: cluster.scale,
         level,
@@ -194,7 +183,7 @@ fn row(selection: &Selection, rank: usize, cluster: &RankedCluster) -> Row {
         ],
         // MVE rounds up at each halving.
         size: [camera.width, camera.height].map(|side| side.div_ceil(1 << level.min(31))),
-    }
+    })
 }
 
 /// Returns `run.sh`, and adds to the record what it does.

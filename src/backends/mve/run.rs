@@ -1,10 +1,10 @@
 //! The tasks of an export: `run.json`, and how dmrecon and scene2pset compute what it lists.
 //!
-//! dmrecon ends with 0 for an empty map, passes over views that have one, and writes into the
-//! view's folder. So each map is made in a scene of its own, of links to the views, and moved to
-//! its place if it is whole. A cloud is made in such a scene too, with links to the finished maps.
+//! dmrecon ends with 0 for an empty map, and writes into the view's folder. So each map is made in a
+//! scene of its own, of links to the views of its cluster, and moved to its place if it is whole. A
+//! cloud is made in such a scene too, with links to the finished maps.
 
-use std::{collections::BTreeSet, ffi::OsString, fs, path::Path};
+use std::{collections::BTreeSet, ffi::OsString, path::Path};
 
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +12,7 @@ use super::CLOUDS;
 use crate::{
     backends::{
         Call, Product,
-        runner::{program_beside, refuse_unfit, text},
+        runner::{is_not_empty, program_beside, refuse_unfit, text},
     },
     io::{
         depthmaps::{DepthMapFormat, mve},
@@ -23,14 +23,16 @@ use crate::{
 };
 
 pub const RUN: &str = "run.json";
+/// Ids up to this one may be of any number of views (`scene.cc`).
+const MOST_IDS: usize = 5000;
 /// Where dmrecon looks for the features that views share.
 const BUNDLE: &str = "synth_0.out";
 
 /// Content of `run.json`.
 #[derive(Serialize, Deserialize)]
 pub struct Run {
-    /// Paths of the pictures of all views, each beside its `meta.ini`.
-    pub pictures: Vec<String>,
+    /// Folders of all views.
+    pub views: Vec<String>,
     /// The view clusters in rank order.
     pub maps: Vec<Row>,
 }
@@ -44,6 +46,8 @@ pub struct Row {
     pub id: String,
     /// Folder of the key view.
     pub view: String,
+    /// Paths of the pictures of key view and partners, each beside its `meta.ini`.
+    pub pictures: Vec<String>,
     pub bundle: String,
     pub scale: MapScale,
     /// Number of times that the images are halved.
@@ -65,34 +69,52 @@ impl Row {
         format!("{}/depth-L{}.mvei", self.view, self.level)
     }
 
-    /// Returns what dmrecon has written for the view below a folder; the depth map is last, since
-    /// it says that all is there.
-    fn made(&self, folder: &Path) -> Vec<String> {
-        let level = format!("-L{}.", self.level);
-        let entries = fs::read_dir(folder.join(&self.view)).into_iter().flatten();
-        let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
-        let map = self.map();
-        let others = names
-            .filter(|name| name.contains(&level))
-            .map(|name| format!("{}/{name}", self.view))
-            .filter(|path| *path != map);
-        let mut paths: Vec<String> = others.collect();
-        paths.sort();
-        paths.push(map);
-        paths
+    /// Path of the picture at the size of the map, which scene2pset takes colours from; `None` at
+    /// full size.
+    fn reduced_picture(&self) -> Option<String> {
+        (self.level > 0).then(|| format!("{}/undist-L{}.png", self.view, self.level))
+    }
+
+    /// What dmrecon writes of the view; the depth map is last, since it says that all is there.
+    fn made(&self) -> impl Iterator<Item = String> {
+        self.reduced_picture().into_iter().chain([self.map()])
     }
 }
 
 impl Run {
-    /// Rows of the finished maps of each size that has any, with the name of their cloud.
-    fn finished(&self, call: &Call) -> Vec<(&'static str, Vec<&Row>)> {
+    fn finished<'a>(&'a self, call: &'a Call) -> impl Iterator<Item = &'a Row> {
         let ranks: BTreeSet<usize> = call.finished.iter().copied().collect();
-        let rows_of = |(scale, cloud): (MapScale, &'static str)| {
-            let is_it = |row: &&Row| row.scale == scale && ranks.contains(&row.rank);
-            (cloud, self.maps.iter().filter(is_it).collect::<Vec<_>>())
-        };
-        let sizes = CLOUDS.into_iter().map(rows_of);
-        sizes.filter(|(_, rows)| !rows.is_empty()).collect()
+        self.maps
+            .iter()
+            .filter(move |row| ranks.contains(&row.rank))
+    }
+
+    /// The clouds of the finished maps, with the level of their maps.
+    fn clouds(&self, call: &Call) -> Vec<(&'static str, u32)> {
+        let level = |scale| self.finished(call).find(|row| row.scale == scale);
+        let clouds = CLOUDS.into_iter();
+        clouds
+            .filter_map(|(scale, cloud)| Some((cloud, level(scale)?.level)))
+            .collect()
+    }
+
+    /// Adds pictures with their views. MVE refuses ids that are large for the number of views.
+    fn add_views<'a>(
+        &self,
+        pictures: impl Iterator<Item = &'a String>,
+        call: &Call,
+        files: &mut FileSet,
+    ) {
+        let mut add = |path: String| files.add(&*path, call.link(&path));
+        for picture in pictures {
+            let folder = picture.rsplit_once('/').map_or("", |(folder, _)| folder);
+            add(format!("{folder}/meta.ini"));
+            add(picture.clone());
+        }
+        if self.views.len() > MOST_IDS {
+            let views = self.views.iter();
+            views.for_each(|view| add(format!("{view}/meta.ini")));
+        }
     }
 }
 
@@ -100,33 +122,26 @@ impl Run {
 pub fn commands(call: &Call) -> Result<Vec<Vec<OsString>>, String> {
     let run: Run = call.read(RUN)?;
     let mut files = FileSet::new(call.work, "scene");
-    // All views: MVE refuses ids that are large for their number.
-    for picture in &run.pictures {
-        let folder = picture.rsplit_once('/').map_or("", |(folder, _)| folder);
-        for path in [picture.clone(), format!("{folder}/meta.ini")] {
-            files.add(&*path, call.link(&path));
-        }
-    }
     let commands = match call.product {
         Product::Map(rank) => {
             let row = call.row_of(rank, &run.maps, Row::task)?;
+            run.add_views(row.pictures.iter(), call, &mut files);
             files.add(BUNDLE, call.link(&row.bundle));
             vec![command(call.program, &row.options, &[call.work])]
         }
         Product::Cloud => {
-            let clouds = run.finished(call);
-            for row in clouds.iter().flat_map(|(_, rows)| rows) {
-                for path in row.made(call.workplace) {
+            for row in run.finished(call) {
+                run.add_views(row.pictures.iter().take(1), call, &mut files);
+                for path in row.made() {
                     files.add(&*path, call.link(&path));
                 }
             }
             let joining = program_beside(call.program, "scene2pset")?;
-            let join = |(cloud, rows): &(&str, Vec<&Row>)| {
+            let join = |(cloud, level)| {
                 let made = call.work.join(cloud);
-                let options = joined(rows.iter().map(|row| row.rank), rows[0].level);
-                command(&joining, &options, &[call.work, &made])
+                command(&joining, &[format!("-F{level}")], &[call.work, &made])
             };
-            clouds.iter().map(join).collect()
+            run.clouds(call).into_iter().map(join).collect()
         }
     };
     files.write(&call.disk()).map_err(text)?;
@@ -142,7 +157,7 @@ fn command(program: &Path, options: &[String], paths: &[&Path]) -> Vec<OsString>
         .collect()
 }
 
-/// Options of scene2pset for the maps of these ranks. Without any it would take all views.
+/// Options of scene2pset for the maps of these ranks, in a scene of more.
 pub fn joined(ranks: impl Iterator<Item = usize>, level: u32) -> [String; 2] {
     let ids: Vec<String> = ranks.map(|rank| (rank - 1).to_string()).collect();
     [format!("-F{level}"), format!("-v{}", ids.join(","))]
@@ -155,12 +170,11 @@ pub fn finish(call: &Call) -> Result<(), String> {
             let run: Run = call.read(RUN)?;
             let row = call.row_of(rank, &run.maps, Row::task)?;
             refuse_unfit(&call.work.join(row.map()), DepthMapFormat::Mve, row.size)?;
-            let made = row.made(call.work);
-            made.iter().try_for_each(|path| call.place(path))
+            row.made().try_for_each(|path| call.place(&path))
         }
         Product::Cloud => {
             let run: Run = call.read(RUN)?;
-            let made = run.finished(call);
+            let made = run.clouds(call);
             for (cloud, _) in &made {
                 let points = ply::counts(&call.work.join(cloud)).map_or(0, |[points, _]| points);
                 if points == 0 {
@@ -180,7 +194,11 @@ pub fn finish(call: &Call) -> Result<(), String> {
     }
 }
 
-/// Returns whether a depth map is all there.
+/// Returns whether a depth map is all there, with the picture that it has its colours from.
 pub fn is_whole(map: &Path) -> bool {
-    mve::whole_size(map).is_ok()
+    let name = map.file_name().and_then(|name| name.to_str());
+    let level = name.and_then(|name| name.strip_prefix("depth-L")?.strip_suffix(".mvei"));
+    let has_picture =
+        |level| level == "0" || is_not_empty(&map.with_file_name(format!("undist-L{level}.png")));
+    mve::whole_size(map).is_ok() && level.is_some_and(has_picture)
 }

@@ -132,7 +132,8 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         is_whole: WholeMap::is_there,
         finish: run::finish,
         own: "",
-        cloud: export.files.root.join("fused.ply"),
+        clouds: vec![export.files.root.join("fused.ply")],
+        sizes_share_a_file: true,
         maps: selection.clusters.iter().map(map).collect(),
     })
 }

@@ -122,7 +122,8 @@ fn tasks(selection: &Selection, _: &Export) -> Option<TaskRunner> {
         is_whole: is_not_empty,
         finish: finishes_itself,
         own: "",
-        cloud: out.join("fused.ply"),
+        clouds: vec![out.join("fused.ply")],
+        sizes_share_a_file: true,
         maps: selection.clusters.iter().map(map).collect(),
     })
 }

@@ -84,7 +84,7 @@ pub struct Arguments {
     /// Folder to which the image names of the model are relative [default: where they are found]
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// The backend's program [default: $DENSIFY, $COLMAP, $SGM, else from the PATH]
+    /// The backend's program [default: $DENSIFY, $COLMAP, $DMRECON, $ALICEVISION or $SGM, else from the PATH]
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// Threads of the backend [default: all]

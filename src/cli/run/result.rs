@@ -1,6 +1,6 @@
 //! The summary at the end of `viewrank run`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -92,7 +92,7 @@ impl Work<'_> {
             target: self.target(),
             target_reached: ended == Ended::TargetReached,
             stopped: ended == Ended::Stopped,
-            cloud: Some(self.dispatch.runner().cloud.clone()).filter(|cloud| cloud.is_file()),
+            cloud: self.clouds().next().map(Path::to_path_buf),
             report: report.is_file().then_some(report),
         }
     }
@@ -115,13 +115,17 @@ impl Work<'_> {
         }
     }
 
+    fn clouds(&self) -> impl Iterator<Item = &Path> {
+        self.dispatch.runner().clouds_there()
+    }
+
     pub fn describe(&self, result: &RunSummary) -> Vec<String> {
         let (verdict, next) = self.verdict(result);
         let mut lines = vec![String::new()];
         lines.extend(wrapped("", &format!("{}; {verdict}.", result.in_words())));
         // On a line of its own, to be copied.
         lines.extend(next);
-        if let Some(cloud) = &result.cloud {
+        for cloud in self.clouds() {
             lines.push(format!("Point cloud: {}", shown_path(&from_here(cloud))));
         }
         if let Some(report) = &result.report {

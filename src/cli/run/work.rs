@@ -346,10 +346,12 @@ impl<'a> Work<'a> {
     /// Says once where the cloud so far is.
     fn announce_cloud(&mut self) {
         if !self.so_far.is_announced && !self.arguments.is_silent() {
-            let cloud = shown_path(&from_here(&self.dispatch.runner().cloud));
-            note(&format!(
-                "the cloud so far, updated from time to time: {cloud}"
-            ));
+            for cloud in self.dispatch.runner().clouds_there() {
+                let cloud = shown_path(&from_here(cloud));
+                note(&format!(
+                    "the cloud so far, updated from time to time: {cloud}"
+                ));
+            }
         }
         self.so_far.is_announced = true;
     }

@@ -256,11 +256,6 @@ fn finished_maps_of_another_plan() {
             "dense/stereo/depth_maps/a/n00.jpg.photometric.bin",
         ),
         ("openmvs", "openmvs-existing-dmap-kept", "depth0001.dmap"),
-        (
-            "mve",
-            "mve-existing-depth-skipped",
-            "views/view_0000.mve/depth-L0.mvei",
-        ),
     ] {
         assert!(
             traps(backend).iter().all(|finding| finding.check != trap),
