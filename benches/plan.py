@@ -7,12 +7,15 @@ Makes the models (benches/aerial; needs numpy), those of more than 10,000 views 
 that is kept between runs, plans each without images, and prints a table: wall time per view by stage, peak memory and its forecast, tiles of the
 surface, tables on disk. A plan that does not fit --max-memory has a line that says so.
 
+--pictures PROJECT plans copies of a project beside each other, with its images, as many as have at most so many views.
+
 --serial plans each once more with one thread, and prints by stage how much of its work only one thread can do: all of it if two threads take as long
 as one, nothing if they take half as long. Candidates are found while the surface is built, so surface, visibility and partners count as one.
 """
 import argparse
 import json
 import os
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -32,7 +35,7 @@ def main():
     print(f"{'views':>7} {'points':>9} {'wall s':>8} {'ms/view':>8} {'read':>6} {'surface':>8} {'visible':>8} "
           f"{'partners':>9} {'ranking':>8} {'peak MB':>8} {'forecast':>8} {'tiles':>5} {'disk MB':>8} {'key views':>10}")
     for views in arguments.views:
-        model = make(arguments, views)
+        views, model = copied(arguments, views) if arguments.pictures else (views, make(arguments, views))
         summary, usage = plan(arguments, model, arguments.threads)
         row(views, summary, usage)
         if arguments.serial and summary is not None:
@@ -43,6 +46,7 @@ def parse():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--views", type=int, nargs="+", default=[300, 1200, 5000, 10000])
     parser.add_argument("--points-per-view", type=int, default=POINTS_PER_VIEW)
+    parser.add_argument("--pictures", type=Path, metavar="PROJECT", help="plan copies of this project, with its images (sparse/0 in binary, images)")
     parser.add_argument("--max-memory", help="as that of viewrank plan")
     parser.add_argument("-k", default="5")
     parser.add_argument("--threads", default="2")
@@ -62,6 +66,22 @@ def make(arguments, views):
     elif not (folder / "points3D.bin").exists():
         aerial.model.make(folder, views, points)
     return folder
+
+
+def copied(arguments, views):
+    """Number of views, and folder, of copies of a project, whose images are links."""
+    project = arguments.pictures.resolve()
+    (own,) = struct.unpack_from("<Q", (project / "sparse/0/images.bin").read_bytes())
+    copies = views // own
+    folder = arguments.models / f"{project.name}-{copies}"
+    if not (folder / "sparse/0/points3D.bin").exists():
+        survey.beside_each_other(project / "sparse/0", folder / "sparse/0", copies)
+    (folder / "images").mkdir(exist_ok=True)
+    for copy in range(copies):
+        for image in (project / "images").iterdir():
+            link = folder / "images" / f"copy{copy}_{image.name}"
+            link.is_symlink() or link.symlink_to(image)
+    return copies * own, folder
 
 
 def plan(arguments, model, threads):
