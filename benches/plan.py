@@ -87,6 +87,8 @@ def copied(arguments, views):
 def plan(arguments, model, threads):
     """The summary of the plan, and the usage of the process."""
     command = [arguments.program, "plan", model, "-k", arguments.k, "--threads", threads]
+    # With pictures, places count as the program fuses them.
+    command += ["--backend", "openmvs"] if arguments.pictures else []
     command += ["--max-memory", arguments.max_memory] if arguments.max_memory else []
     process = subprocess.Popen([*command, "--quiet", "--dry-run", "--format", "json"], stdout=subprocess.PIPE)
     answer = process.stdout.read()
