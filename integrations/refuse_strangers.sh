@@ -45,13 +45,13 @@ refuse_long() {
         exit 1
     }
 }
-# Refuses to start while another script works in the folder; what a program holds open keeps the lock as long as that computes: FOLDER
+# Refuses to start while another script, or viewrank run, works in the folder; what a program holds open keeps the lock as long as that computes: FOLDER
 alone() {
     exec 9< "$1"
     status=0
     ! command -v flock > /dev/null || flock -n 9 || status=$?
     if [ "$status" -eq 1 ]; then
-        echo "error: another run.sh computes here" >&2
+        echo "error: another run.sh or viewrank run computes here" >&2
         exit 1
     fi
 }

@@ -1,5 +1,6 @@
 """Depth maps of MVE and AliceVision by `viewrank run`, with stubs of their programs: each is made in a folder of its own, and takes its place when it is what the plan asked for."""
 
+import fcntl
 import json
 import os
 import subprocess
@@ -213,6 +214,22 @@ def test_script_and_viewrank_know_each_other_s_maps(site):
         assert "nothing to do" in site.rank(rank).stderr
     site.run("--fuse")
     assert len(site.calls()) == 1
+
+
+def test_script_and_viewrank_do_not_compute_at_the_same_time(site):
+    folder = os.open(site.export, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_SH)  # as viewrank run
+    done = site.script()
+    assert done.returncode == 1 and "viewrank run computes here" in done.stderr and not site.calls()
+    site.rank(1)
+    fcntl.flock(folder, fcntl.LOCK_EX)  # as the script
+    command = [site.viewrank.program, "run", site.project, "--backend", site.backend, "--program", site.program, "--rank", "2"]
+    with subprocess.Popen(command, env={**os.environ, "CALLS": str(site.home / "calls")}, stderr=subprocess.PIPE, text=True) as waiting:
+        assert any("waiting for another process" in line for line in waiting.stderr)
+        assert len(site.calls()) == 1
+        os.close(folder)
+        assert "done" in waiting.stderr.read()
+    assert waiting.returncode == 0 and len(site.calls()) == 1
 
 
 def test_what_a_stranger_left_where_a_map_is_made_is_not_followed(site, tmp_path):

@@ -182,7 +182,7 @@ def test_maps_of_a_run_that_outlasts_its_plan_are_known(colmap):
 def test_two_runs_do_not_compute_at_once(colmap):
     done, calls = colmap.run(script=RUN, DURING=f"! env -u DURING '{colmap.folder}/{RUN}' 2>said.txt")
     assert done.returncode == 0 and maps_made(calls) == colmap.targets()
-    assert (colmap.folder / "said.txt").read_text() == "error: another run.sh computes here\n"
+    assert (colmap.folder / "said.txt").read_text() == "error: another run.sh or viewrank run computes here\n"
 
 
 def test_maps_that_a_killed_run_cut_off_are_made_anew(colmap):

@@ -72,6 +72,9 @@ impl Dispatch {
         let Some(_lock) = self.lock(&format!("locks/{}", task.marker), runner)? else {
             return Ok(TaskResult::Stopped);
         };
+        let Some(_no_script) = self.without_script(runner)? else {
+            return Ok(TaskResult::Stopped);
+        };
         if self.is_done(task) {
             return Ok(TaskResult::Idle);
         }
@@ -103,15 +106,36 @@ impl Dispatch {
     ) -> Result<Option<Lock<impl Sized + use<>>>, DispatchError> {
         output::make_folder(&self.folder.join("locks"), &self.disk())?;
         let path = format!("viewrank/dispatch/{}/{name}", self.backend);
-        let lock = match Folder::open(&self.project)?.lock_file(&path) {
-            Ok(lock) => lock,
+        match Folder::open(&self.project)?.lock_file(&path) {
+            Ok(lock) => self.held(lock, File::try_lock, runner),
             // Another user's, in a project that several use.
-            Err(OutputError::Denied { .. }) => return Ok(Some(Lock(None))),
-            Err(error) => return Err(error.into()),
-        };
+            Err(OutputError::Denied { .. }) => Ok(Some(Lock(None))),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Waits until the script of the export computes nothing, and keeps it from starting: it locks
+    /// the folder of its marks. `None` if stopped before.
+    fn without_script(
+        &self,
+        runner: &Runner,
+    ) -> Result<Option<Lock<impl Sized + use<>>>, DispatchError> {
+        // Windows opens no folders, and has no sh.
+        match File::open(self.workplace.join(self.runner.own)) {
+            Ok(folder) => self.held(folder, File::try_lock_shared, runner),
+            Err(_) => Ok(Some(Lock(None))),
+        }
+    }
+
+    fn held(
+        &self,
+        lock: File,
+        attempt: fn(&File) -> Result<(), TryLockError>,
+        runner: &Runner,
+    ) -> Result<Option<Lock<impl Sized + use<>>>, DispatchError> {
         let mut has_waited = false;
         // On a file system without locks, the work goes ahead unlocked.
-        while matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
+        while matches!(attempt(&lock), Err(TryLockError::WouldBlock)) {
             if runner.stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
@@ -133,6 +157,9 @@ impl Dispatch {
             return Ok(TaskResult::Idle);
         }
         let Some(_lock) = self.lock("fused.lock", runner)? else {
+            return Ok(TaskResult::Stopped);
+        };
+        let Some(_no_script) = self.without_script(runner)? else {
             return Ok(TaskResult::Stopped);
         };
         if self.is_fused() {
