@@ -1,41 +1,41 @@
 //! Observations that a model lacks, by projection: of points without tracks, of the points of a PLY
 //! file beside a model that has cameras only, and of tracks whose images list no 2D points.
 
+mod blocks;
+
 use std::{borrow::Cow, collections::HashMap};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
 use viewrank_core::{
     base::median::upper_median,
-    model::{
-        camera::Camera,
-        scene::{Pose, WarningKind},
-    },
+    model::{camera::Camera, scene::WarningKind},
 };
 
+use self::blocks::{Blocks, Cone};
 use super::{
     Place,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement},
 };
 
 /// Largest number of points used from a cloud without tracks, and largest number of observations
-/// made from them.
+/// made from them: each takes 60 bytes until the scene is made.
 const CLOUD_POINTS: usize = 1 << 20;
-const CLOUD_OBSERVATIONS: usize = 20_000_000;
-/// Largest number that is made where a sample promised fewer.
-const MOST_OBSERVATIONS: usize = CLOUD_OBSERVATIONS / 2 * 3;
-/// Largest number of projections of points into images, of which a small file may ask for billions.
-const PROJECTIONS: usize = 1 << 30;
+const MOST_OBSERVATIONS: usize = 10_000_000;
+/// Largest number of points in images that are looked at, of which a small file may ask for
+/// billions; projections, and points whose block is looked at.
+const PROJECTIONS: usize = 1 << 26;
+const LOOKED_AT: usize = 1 << 31;
 /// Number of points sampled to estimate how many views a point projects into, and largest number of
 /// their projections.
 const CLOUD_SAMPLE: usize = 1 << 12;
-const SAMPLE_PROJECTIONS: usize = 1 << 26;
-/// Projections that are made at a time: all may be observations.
-const PROJECTIONS_AT_ONCE: usize = 1 << 22;
+const SAMPLE_PROJECTIONS: usize = 1 << 24;
+/// Observations that may be made at a time, beyond the most.
+const AT_ONCE: usize = 1 << 22;
 
 /// Poses and cameras of the images of a model, by position; `None` if the model lacks one.
 struct Projection<'a> {
-    views: Vec<Option<(Pose, &'a Camera)>>,
+    views: Vec<Option<Cone<'a>>>,
 }
 
 impl<'a> Projection<'a> {
@@ -43,31 +43,24 @@ impl<'a> Projection<'a> {
         let cameras: HashMap<u32, &Camera> = model.cameras.iter().map(|c| (c.id, c)).collect();
         let view = |image: &ColmapImage| {
             let camera = cameras.get(&image.camera_id)?;
-            Some((image.cam_from_world.pose().ok()?, *camera))
+            Some(Cone::new(image.cam_from_world.pose().ok()?, camera))
         };
         Self {
-            views: model.images.iter().map(view).collect(),
+            views: model.images.par_iter().map(view).collect(),
         }
     }
 
     /// The pixel of a point in an image, inside or not.
     fn pixel(&self, image: usize, x: &Point3<f64>) -> Option<[f64; 2]> {
-        let (pose, camera) = self.views[image].as_ref()?;
+        let Cone { pose, camera, .. } = self.views[image].as_ref()?;
         let pixel = camera.project_beyond_field(&pose.camera_from_world(x))?;
         Some(pixel.into())
     }
 
-    /// The images into which a point projects, and where.
-    fn seen_by(&self, x: &Point3<f64>) -> Vec<(usize, [f64; 2])> {
-        let pixel = |(pose, camera): &(Pose, &Camera)| {
-            camera
-                .project(&pose.camera_from_world(x))
-                .filter(|pixel| camera.contains(pixel))
-        };
-        let views = self.views.iter().enumerate();
-        views
-            .filter_map(|(n, view)| view.as_ref().and_then(pixel).map(|p| (n, [p.x, p.y])))
-            .collect()
+    /// Number of images into which a point projects.
+    fn seen_by(&self, x: &Point3<f64>) -> usize {
+        let views = self.views.iter().flatten();
+        views.filter(|view| view.pixel(x).is_some()).count()
     }
 }
 
@@ -75,10 +68,12 @@ impl<'a> Projection<'a> {
 pub fn views_per_point(model: &ColmapModel, points: &[Point3<f64>]) -> f64 {
     let projection = Projection::new(model);
     let most = SAMPLE_PROJECTIONS / model.images.len().max(1);
-    let sample = thinned(points.len(), CLOUD_SAMPLE.min(most).max(1));
+    let mut sample: Vec<u32> = Vec::new();
+    let share = CLOUD_SAMPLE.min(most).max(1) as f64 / points.len() as f64;
+    sample.extend((0..points.len() as u32).filter(|&point| is_kept(point, share)));
     let seen = sample
         .par_iter()
-        .map(|&p| projection.seen_by(&points[p]).len());
+        .map(|&p| projection.seen_by(&points[p as usize]));
     seen.sum::<usize>() as f64 / sample.len().max(1) as f64
 }
 
@@ -109,75 +104,130 @@ fn middle(places: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
 
 /// Adds points without tracks to a model that has none.
 pub fn add_cloud(model: &mut ColmapModel, points: &[Point3<f64>]) {
-    let used = used(model, points);
-    let point = |(n, &p): (usize, &usize)| ColmapPoint {
-        id: n as u64 + 1,
-        xyz: points[p].into(),
+    let observed = observed(model, points, MOST_OBSERVATIONS);
+    let point = |(id, &p): (u64, &u32)| ColmapPoint {
+        id,
+        xyz: points[p as usize].into(),
         colour: [255; 3],
         error: -1.0,
         track: Cow::Borrowed(&[]),
         at: Place::File,
     };
-    model.points = used.iter().enumerate().map(point).collect();
-    observe(
-        model,
-        "the points of the PLY file have no tracks",
-        points.len(),
-        MOST_OBSERVATIONS,
-    );
+    model.points = (1..).zip(&observed.points).map(point).collect();
+    let why = "the points of the PLY file have no tracks";
+    observed.attach(model, why, points.len());
 }
 
-/// Indices of the points that are used of a cloud: of very many some, the same at each reading.
-fn used(model: &ColmapModel, points: &[Point3<f64>]) -> Vec<usize> {
-    let most = most_points(model.images.len(), views_per_point(model, points));
-    thinned(points.len(), most)
+/// What the views of a model show of a cloud without tracks: every point that projects into a view;
+/// hidden ones count, too.
+struct Observed {
+    /// Indices of the points that are used, ascending: of very many some, the same at each reading.
+    points: Vec<u32>,
+    /// For each image the points that it shows, ascending, as positions in `points`.
+    by_image: Vec<Vec<Point2d>>,
 }
 
-/// Largest number of points used from a cloud that this number of views shows.
-fn most_points(views: usize, views_per_point: f64) -> usize {
-    let by_projections = PROJECTIONS / views.max(1);
-    let by_observations = CLOUD_OBSERVATIONS / (views_per_point as usize).max(1);
-    CLOUD_POINTS.min(by_projections).min(by_observations)
-}
-
-/// Gives all points the tracks of the images into which they project; hidden ones count, too.
-/// Those beyond `most` observations are left out: the sample of [`used`] may have missed where
-/// points are. `why`: begins the warning; `all`: points of the cloud that these were chosen from.
-fn observe(model: &mut ColmapModel, why: &str, all: usize, most: usize) {
-    let mut points = std::mem::take(&mut model.points);
-    let mut observed = vec![Vec::new(); model.images.len()];
-    let (mut observations, mut done) = (0, 0);
+/// Projects a cloud into the views. Points are left out until observations are no more than `most`.
+fn observed(model: &ColmapModel, cloud: &[Point3<f64>], most: usize) -> Observed {
     let projection = Projection::new(model);
-    for points in points.chunks_mut((PROJECTIONS_AT_ONCE / model.images.len().max(1)).max(1)) {
-        if observations > most {
-            break;
+    let (mut points, mut share) = chosen(&projection, cloud);
+    let mut blocks = Blocks::new(cloud, points.clone());
+    let (mut by_image, mut observations) = (Vec::new(), 0);
+    let mut views = &projection.views[..];
+    while !views.is_empty() {
+        let at_once = (AT_ONCE / points.len().max(1)).clamp(1, views.len());
+        let (now, later) = views.split_at(at_once);
+        views = later;
+        let shown = now.par_iter().map(|view| {
+            let view = view.as_ref();
+            view.map_or(Vec::new(), |view| shown(view, &blocks, cloud))
+        });
+        by_image.extend(shown.collect::<Vec<_>>());
+        let new = &by_image[by_image.len() - at_once..];
+        observations += new.iter().map(Vec::len).sum::<usize>();
+        while observations > most && points.len() > 1 {
+            share /= 2.0;
+            points.retain(|&point| is_kept(point, share));
+            by_image.par_iter_mut().for_each(|points2d| {
+                points2d.retain(|point2d| is_kept(index(point2d), share));
+                points2d.shrink_to_fit();
+            });
+            observations = by_image.iter().map(Vec::len).sum();
+            blocks = Blocks::new(cloud, points.clone());
         }
-        let tracks = points.par_iter();
-        let tracks: Vec<Vec<(usize, [f64; 2])>> = tracks
-            .map(|point| projection.seen_by(&point.xyz.into()))
-            .collect();
-        for (point, track) in points.iter_mut().zip(tracks) {
-            observations += track.len();
-            let element = |(image, pixel): (usize, [f64; 2])| {
-                let points2d: &mut Vec<Point2d> = &mut observed[image];
-                points2d.push(Point2d::new(pixel, Some(point.id)));
-                TrackElement::new(model.images[image].id, points2d.len() as u32 - 1)
-            };
-            point.track = Cow::Owned(track.into_iter().map(element).collect());
+    }
+    Observed { points, by_image }
+}
+
+/// Chooses points so that few enough are looked at in all views; also returns their share.
+fn chosen(projection: &Projection, cloud: &[Point3<f64>]) -> (Vec<u32>, f64) {
+    let of_share = |share: f64| {
+        let points = 0..cloud.len() as u32;
+        points.filter(|&point| is_kept(point, share)).collect()
+    };
+    let most = CLOUD_POINTS.min(LOOKED_AT / projection.views.len().max(1));
+    let share = (most as f64 / cloud.len() as f64).min(1.0);
+    let points: Vec<u32> = of_share(share);
+    let blocks = Blocks::new(cloud, points.clone());
+    let views = projection.views.par_iter().flatten();
+    let candidates: usize = views.map(|view| blocks.count(view)).sum();
+    if candidates <= PROJECTIONS {
+        return (points, share);
+    }
+    let share = share * PROJECTIONS as f64 / candidates as f64;
+    (of_share(share), share)
+}
+
+/// The points of the blocks that a view shows, by index.
+fn shown(view: &Cone, blocks: &Blocks, cloud: &[Point3<f64>]) -> Vec<Point2d> {
+    let pixels = blocks.candidates(view).filter_map(|point| {
+        let pixel = view.pixel(&cloud[point as usize])?;
+        Some(Point2d::new(pixel, Some(point.into())))
+    });
+    let mut points2d: Vec<Point2d> = pixels.collect();
+    points2d.sort_unstable_by_key(index);
+    points2d.shrink_to_fit();
+    points2d
+}
+
+/// The index of the point that [`shown`] noted.
+fn index(point2d: &Point2d) -> u32 {
+    point2d.point().map_or(u32::MAX, |point| point as u32)
+}
+
+impl Observed {
+    /// Gives the points that are used, which are now those of the model, their tracks. `why`: begins
+    /// the warning; `all`: points of the cloud.
+    fn attach(mut self, model: &mut ColmapModel, why: &str, all: usize) {
+        let places: HashMap<u32, usize> = self.points.iter().copied().zip(0..).collect();
+        let mut lengths = vec![0; self.points.len()];
+        for points2d in &mut self.by_image {
+            for point2d in points2d {
+                let place = places[&index(point2d)];
+                lengths[place] += 1;
+                *point2d = Point2d::new(point2d.pixel(), Some(place as u64));
+            }
         }
-        done += points.len();
-    }
-    points.truncate(done);
-    model.points = points;
-    for (image, points2d) in model.images.iter_mut().zip(observed) {
-        image.points2d = Cow::Owned(points2d);
-    }
-    let text = format!("{why}: every view into which a point projects counts as observing it");
-    model.warn(WarningKind::Projected, text);
-    let used = model.points.len();
-    if used < all {
-        let text = format!("the cloud has {all} points, of which a random {used} are used");
-        model.warn(WarningKind::Format, text);
+        let mut tracks: Vec<Vec<TrackElement>> =
+            lengths.into_iter().map(Vec::with_capacity).collect();
+        for (image, mut points2d) in model.images.iter_mut().zip(self.by_image) {
+            for (number, point2d) in (0..).zip(&mut points2d) {
+                let place = index(point2d) as usize;
+                tracks[place].push(TrackElement::new(image.id, number));
+                *point2d = Point2d::new(point2d.pixel(), Some(model.points[place].id));
+            }
+            image.points2d = Cow::Owned(points2d);
+        }
+        for (point, track) in model.points.iter_mut().zip(tracks) {
+            point.track = Cow::Owned(track);
+        }
+        let text = format!("{why}: every view into which a point projects counts as observing it");
+        model.warn(WarningKind::Projected, text);
+        let used = model.points.len();
+        if used < all {
+            let text = format!("the cloud has {all} points, of which a random {used} are used");
+            model.warn(WarningKind::Format, text);
+        }
     }
 }
 
@@ -196,13 +246,14 @@ pub fn complete(model: &mut ColmapModel) {
             "the points have no tracks"
         };
         let positions: Vec<Point3<f64>> = model.points.iter().map(|p| p.xyz.into()).collect();
-        let used = used(model, &positions);
+        let observed = observed(model, &positions, MOST_OBSERVATIONS);
         let mut points: Vec<Option<ColmapPoint>> = std::mem::take(&mut model.points)
             .into_iter()
             .map(Some)
             .collect();
-        model.points = used.iter().filter_map(|&p| points[p].take()).collect();
-        observe(model, why, positions.len(), MOST_OBSERVATIONS);
+        let used = observed.points.iter();
+        model.points = used.filter_map(|&p| points[p as usize].take()).collect();
+        observed.attach(model, why, positions.len());
     }
 }
 
@@ -296,22 +347,16 @@ fn follow_lists(model: &mut ColmapModel) {
     model.warn(WarningKind::Damaged, text);
 }
 
-/// Chooses about `most` of a number of points by a hash of their index: with a fixed stride, only
-/// some lines of a grid would remain.
-fn thinned(all: usize, most: usize) -> Vec<usize> {
+/// Returns whether a point is of a share of them, by a hash of its index: with a fixed stride, only
+/// some lines of a grid would remain. The points of a smaller share are among those of a larger one.
+fn is_kept(point: u32, share: f64) -> bool {
     // SplitMix64.
-    let hash = |n: usize| {
-        let z = (n as u64)
-            .wrapping_add(1)
-            .wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    };
-    let limit = most as f64 / all as f64 * u64::MAX as f64;
-    (0..all)
-        .filter(|&n| all <= most || (hash(n) as f64) < limit)
-        .collect()
+    let z = (u64::from(point))
+        .wrapping_add(1)
+        .wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    share >= 1.0 || ((z ^ (z >> 31)) as f64) < share * u64::MAX as f64
 }
 
 #[cfg(test)]
@@ -321,49 +366,85 @@ mod tests {
     use super::*;
     use crate::formats::{colmap::StoredPose, foreign::ForeignModel};
 
-    #[test]
-    fn a_cloud_of_few_views_is_used_whole_and_one_of_very_many_in_part() {
-        assert_eq!(most_points(500, 12.5), CLOUD_POINTS);
-        assert_eq!(most_points(500, 100.0), 200_000);
-        assert!(200_000 * most_points(200_000, 0.0) <= PROJECTIONS);
-    }
-
-    #[test]
-    fn points_beyond_the_most_observations_are_left_out() {
+    /// Images beside each other that look along z, and points at a distance of one.
+    fn model(images: u32, points: usize) -> ColmapModel<'static> {
         let mut foreign = ForeignModel::default();
-        let camera = Camera::new(
-            1,
-            CameraModel::SimplePinhole,
-            100,
-            100,
-            vec![90.0, 50.0, 50.0],
-        );
+        let model = CameraModel::SimplePinhole;
+        let camera = Camera::new(1, model, 100, 100, vec![90.0, 50.0, 50.0]);
         foreign.model.cameras.push(camera.unwrap());
-        let pose = || StoredPose {
-            quaternion: [1.0, 0.0, 0.0, 0.0],
-            translation: [0.0; 3],
-        };
-        for id in 1..=1000 {
-            foreign.add_image(id, format!("{id}.jpg"), 1, pose(), Place::File);
+        for id in 1..=images {
+            let pose = StoredPose {
+                quaternion: [1.0, 0.0, 0.0, 0.0],
+                translation: [1e-6 * f64::from(id), 0.0, 0.0],
+            };
+            foreign.add_image(id, format!("{id}.jpg"), 1, pose, Place::File);
         }
         let mut model = foreign.model;
-        // More than are looked at together.
-        let points = vec![Point3::new(0.0, 0.0, 1.0); 9000];
         let point = |n: usize| ColmapPoint {
-            id: n as u64 + 1,
-            xyz: points[n].into(),
+            id: 7 * n as u64 + 1,
+            xyz: [1e-5 * n as f64, 0.0, 1.0],
             colour: [255; 3],
             error: -1.0,
             track: Cow::Borrowed(&[]),
             at: Place::File,
         };
-        model.points = (0..9000).map(point).collect();
-        observe(&mut model, "they have no tracks", 9000, 5_000_000);
-        let used = model.points.len();
-        assert!((5000..9000).contains(&used), "{used}");
-        assert!(model.points.iter().all(|point| point.track.len() == 1000));
-        let of_image = |image: &ColmapImage| image.points2d.len();
-        assert!(model.images.iter().all(|image| of_image(image) == used));
-        assert_eq!(model.warnings.len(), 2);
+        model.points = (0..points).map(point).collect();
+        model
+    }
+
+    fn positions(model: &ColmapModel) -> Vec<Point3<f64>> {
+        model.points.iter().map(|p| p.xyz.into()).collect()
+    }
+
+    #[test]
+    fn points_without_tracks_are_observed_where_they_project() {
+        let mut model = model(100, 900);
+        complete(&mut model);
+        assert_eq!(model.points.len(), 900);
+        for (n, point) in model.points.iter().enumerate() {
+            assert_eq!(point.id, 7 * n as u64 + 1);
+            let images = point.track.iter().map(TrackElement::image);
+            assert!(images.eq(1..=100));
+            let seen = model.images[0].points2d[point.track[0].index() as usize];
+            assert_eq!(seen.point(), Some(point.id));
+            let x = 50.0 + 90.0 * (1e-5 * n as f64 + 1e-6);
+            assert!((seen.pixel()[0] - x).abs() < 1e-9);
+        }
+        assert_eq!(model.warnings.len(), 1);
+    }
+
+    #[test]
+    fn of_points_with_too_many_observations_some_are_used() {
+        let model = model(1000, 9000);
+        let observed = observed(&model, &positions(&model), 5_000_000);
+        let used = observed.points.len();
+        assert!((2500..=5000).contains(&used), "{used}");
+        assert!(observed.by_image.iter().all(|image| image.len() == used));
+    }
+
+    #[test]
+    fn of_points_that_no_image_shows_few_are_projected() {
+        // Each is within the cone of each image, and outside of the image.
+        let mut model = model(20_000, 9000);
+        model.cameras[0] = Camera::new(
+            1,
+            CameraModel::SimplePinhole,
+            1000,
+            1,
+            vec![90.0, 50.0, 0.5],
+        )
+        .unwrap();
+        let above = |point: &ColmapPoint| Point3::new(point.xyz[0], 1.0, 1.0);
+        let points: Vec<Point3<f64>> = model.points.iter().map(above).collect();
+        let projection = Projection::new(&model);
+        let (used, _) = chosen(&projection, &points);
+        assert!(
+            (1000..PROJECTIONS / 15_000).contains(&used.len()),
+            "{}",
+            used.len()
+        );
+        // And all where blocks are behind the images.
+        let behind: Vec<Point3<f64>> = points.iter().map(|p| Point3::new(p.x, p.y, -p.z)).collect();
+        assert_eq!(chosen(&projection, &behind).0.len(), 9000);
     }
 }
