@@ -31,13 +31,60 @@ pub const TIFF_OF_JPEGS: &str = "JPEG compression: convert it to a JPEG, a PNG o
 const BESIDE: u64 = 64 << 20;
 const BESIDE_PER_BYTE: u64 = 32;
 
-/// Waits until no other picture that shrinks more than photographs do is being decoded: a few
-/// megabytes may hold planes of half a gigabyte each. The holder must not wait for other threads.
-pub fn turn(bytes: &[u8]) -> Option<MutexGuard<'static, ()>> {
-    static TURN: Mutex<()> = Mutex::new(());
-    let decoded = header(Cursor::new(bytes)).ok()?.total_bytes();
-    let is_plane = decoded > BESIDE.max(BESIDE_PER_BYTE.saturating_mul(bytes.len() as u64));
-    is_plane.then(|| TURN.lock().unwrap_or_else(PoisonError::into_inner))
+/// The bytes of a picture, of whose parts none is costly.
+#[derive(Clone, Copy)]
+pub struct Checked<'a>(&'a [u8]);
+
+impl<'a> Checked<'a> {
+    pub fn new(bytes: &'a [u8]) -> Result<Self, CostlyJpeg> {
+        if image::guess_format(bytes).ok() == Some(ImageFormat::Jpeg) {
+            refuse_costly(bytes)?;
+        }
+        Ok(Self(bytes))
+    }
+
+    pub fn bytes(self) -> &'a [u8] {
+        self.0
+    }
+
+    fn decoder(self) -> ImageResult<impl ImageDecoder + 'a> {
+        decoder(ImageReader::new(Cursor::new(self.0)).with_guessed_format()?)
+    }
+
+    /// Width and height by the header.
+    pub fn size(self) -> ImageResult<[u32; 2]> {
+        let (width, height) = self.decoder()?.dimensions();
+        Ok([width, height])
+    }
+
+    /// Waits until no other picture that shrinks more than photographs do is being decoded: a few
+    /// megabytes may hold planes of half a gigabyte each. The holder must not wait for other
+    /// threads.
+    pub fn turn(self) -> Option<MutexGuard<'static, ()>> {
+        static TURN: Mutex<()> = Mutex::new(());
+        let decoded = self.decoder().ok()?.total_bytes();
+        let is_plane = decoded > BESIDE.max(BESIDE_PER_BYTE.saturating_mul(self.0.len() as u64));
+        is_plane.then(|| TURN.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Opens an image of no more pixels than the bound, to be decoded.
+    pub fn open<E>(self, bound: PixelBound) -> Result<impl ImageDecoder + 'a, E>
+    where
+        E: From<image::ImageError> + From<TooManyPixels>,
+    {
+        refuse_tiff_of_jpegs(self.0)?;
+        let mut decoder = self.decoder()?;
+        let (width, height) = decoder.dimensions();
+        bound.admit(width, height)?;
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(most_decoded_bytes(self.0.len() as u64));
+        limits.reserve(decoder.total_bytes())?;
+        decoder.set_limits(limits)?;
+        // Decoders abort where there is no memory.
+        let room = Vec::<u8>::new().try_reserve_exact(decoder.total_bytes() as usize);
+        room.map_err(|error| image::ImageError::IoError(error.into()))?;
+        Ok(decoder)
+    }
 }
 
 /// Reads the header of an image, from its start.
@@ -53,6 +100,12 @@ pub fn header<'a>(file: impl BufRead + Seek + 'a) -> ImageResult<impl ImageDecod
         file.rewind()?;
         reader = ImageReader::with_format(file, ImageFormat::Jpeg);
     }
+    decoder(reader)
+}
+
+fn decoder<'a>(
+    mut reader: ImageReader<impl BufRead + Seek + 'a>,
+) -> ImageResult<impl ImageDecoder + 'a> {
     let mut limits = Limits::default();
     limits.max_alloc = Some(METADATA_BYTES);
     reader.limits(limits);
@@ -83,28 +136,6 @@ fn refuse_tiff_of_jpegs(bytes: &[u8]) -> ImageResult<()> {
     let kind = UnsupportedErrorKind::GenericFeature(TIFF_OF_JPEGS.into());
     let error = UnsupportedError::from_format_and_kind(ImageFormat::Tiff.into(), kind);
     Err(ImageError::Unsupported(error))
-}
-
-/// Opens an image of no more pixels than the bound, to be decoded.
-pub fn open<'a, E>(bytes: &'a [u8], bound: PixelBound) -> Result<impl ImageDecoder + 'a, E>
-where
-    E: From<image::ImageError> + From<TooManyPixels> + From<CostlyJpeg>,
-{
-    refuse_tiff_of_jpegs(bytes)?;
-    if image::guess_format(bytes).ok() == Some(ImageFormat::Jpeg) {
-        refuse_costly(bytes)?;
-    }
-    let mut decoder = header(Cursor::new(bytes))?;
-    let (width, height) = decoder.dimensions();
-    bound.admit(width, height)?;
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(most_decoded_bytes(bytes.len() as u64));
-    limits.reserve(decoder.total_bytes())?;
-    decoder.set_limits(limits)?;
-    // Decoders abort where there is no memory.
-    let room = Vec::<u8>::new().try_reserve_exact(decoder.total_bytes() as usize);
-    room.map_err(|error| image::ImageError::IoError(error.into()))?;
-    Ok(decoder)
 }
 
 /// Width and height by the header of an image; `None` if it isn't one.

@@ -15,7 +15,7 @@ use crate::{
     io::{
         image::{FilterType, resized},
         jpeg::CostlyJpeg,
-        picture,
+        picture::Checked,
     },
     model::camera::{Camera, CameraError},
 };
@@ -51,14 +51,15 @@ pub fn undistort(
 ) -> Result<Vec<u8>, UndistortImageError> {
     let format =
         ImageFormat::from_path(Path::new(name)).map_err(|_| UndistortImageError::Format)?;
-    let (width, height) = picture::header(Cursor::new(bytes))?.dimensions();
-    if [width, height] != [source.width, source.height] {
+    let picture = Checked::new(bytes)?;
+    let found = picture.size()?;
+    if found != [source.width, source.height] {
         return Err(UndistortImageError::Size {
-            found: [width, height],
+            found,
             camera: [source.width, source.height],
         });
     }
-    let mut decoder = picture::open::<UndistortImageError>(bytes, PixelBound::LARGEST)?;
+    let mut decoder = picture.open::<UndistortImageError>(PixelBound::LARGEST)?;
     let (exif, profile) = (
         decoder.exif_metadata().ok().flatten(),
         decoder.icc_profile().ok().flatten(),

@@ -13,8 +13,9 @@ use std::{
 
 use crate::{
     input::{self, FileKind},
-    jpeg::{CostlyJpeg, refuse_costly},
-    mistaken, picture,
+    jpeg::CostlyJpeg,
+    mistaken,
+    picture::{self, Checked},
     project::Unread,
 };
 use image::{
@@ -132,13 +133,14 @@ impl Image {
         wanted: impl Fn([u32; 2]) -> [u32; 2],
     ) -> Result<Self, ImageError> {
         let bound = bound.of_photograph(bytes.len() as u64);
-        let _turn = picture::turn(bytes);
+        let picture = Checked::new(bytes)?;
+        let _turn = picture.turn();
         if image::guess_format(bytes).map_err(|_| unknown(bytes))? == ImageFormat::Jpeg {
-            let image = jpeg(bytes, bound, &wanted)?;
+            let image = jpeg(picture, bound, &wanted)?;
             let [width, height] = wanted(image.full);
             return Ok(image.shrunk(width, height));
         }
-        let image = open(bytes, bound)?;
+        let image = open(picture, bound)?;
         let full = [image.width(), image.height()];
         let to = wanted(full);
         // Grey levels become colours when they are few.
@@ -165,11 +167,12 @@ impl Image {
         wanted: impl Fn([u32; 2]) -> [u32; 2],
     ) -> Result<(GreyImage, [u32; 2]), ImageError> {
         let bound = bound.of_photograph(bytes.len() as u64);
-        let _turn = picture::turn(bytes);
+        let picture = Checked::new(bytes)?;
+        let _turn = picture.turn();
         let (pixels, full) = match image::guess_format(bytes).map_err(|_| unknown(bytes))? {
-            ImageFormat::Jpeg => jpeg_grey(bytes, bound)?,
+            ImageFormat::Jpeg => jpeg_grey(picture, bound)?,
             _ => {
-                let image = open(bytes, bound)?.into_luma8();
+                let image = open(picture, bound)?.into_luma8();
                 let full = [image.width(), image.height()];
                 (image.into_raw(), full)
             }
@@ -215,12 +218,11 @@ pub struct GreyImage {
 }
 
 /// Decodes to grey levels, with the slower decoder if the faster one fails.
-fn jpeg_grey(bytes: &[u8], bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
-    refuse_costly(bytes)?;
-    if let Some(stored) = stored_luma(bytes, bound) {
+fn jpeg_grey(picture: Checked, bound: PixelBound) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
+    if let Some(stored) = stored_luma(picture.bytes(), bound) {
         return Ok(stored);
     }
-    let Image { rgb, full, .. } = jpeg(bytes, bound, &|full| full)?;
+    let Image { rgb, full, .. } = jpeg(picture, bound, &|full| full)?;
     let luma = |p: &[u8]| {
         ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8
     };
@@ -259,11 +261,11 @@ pub fn drawn_size(full: [u32; 2]) -> [u32; 2] {
 
 /// Decodes at the smallest of 1/8, 1/4, 1/2 and 1 that is not below the wanted size.
 fn jpeg(
-    bytes: &[u8],
+    picture: Checked,
     bound: PixelBound,
     wanted: &impl Fn([u32; 2]) -> [u32; 2],
 ) -> Result<Image, ImageError> {
-    refuse_costly(bytes)?;
+    let bytes = picture.bytes();
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_max_decoding_buffer_size(most_decoded_bytes(bytes.len() as u64) as usize);
     decoder.read_info()?;
@@ -306,16 +308,16 @@ fn product(a: u8, b: u8) -> u8 {
     (u16::from(a) * u16::from(b) / 255) as u8
 }
 
-fn open(bytes: &[u8], bound: PixelBound) -> Result<DynamicImage, ImageError> {
-    Ok(DynamicImage::from_decoder(picture::open::<ImageError>(
-        bytes, bound,
-    )?)?)
+fn open(picture: Checked, bound: PixelBound) -> Result<DynamicImage, ImageError> {
+    let decoder = picture.open::<ImageError>(bound)?;
+    Ok(DynamicImage::from_decoder(decoder)?)
 }
 
 /// Decodes a mask: black pixels must not be used.
 pub fn mask(bytes: &[u8], bound: PixelBound) -> Result<Mask, ImageError> {
-    let _turn = picture::turn(bytes);
-    let image = open(bytes, bound)?;
+    let picture = Checked::new(bytes)?;
+    let _turn = picture.turn();
+    let image = open(picture, bound)?;
     let (width, height) = (image.width(), image.height());
     let usable = match image {
         DynamicImage::ImageLuma8(pixels) => pixels.iter().map(|&grey| grey > 0).collect(),
