@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{
     baselines::{self, Order},
-    cells::{CellSource, CellsEvaluation, CountedCells, Incidence},
+    cells::{CellSource, CellsEvaluation, Incidence},
     clouds::CloudComparison,
     curve::{ReachCurve, SHARES},
     half_size::HalfSize,
@@ -262,8 +262,7 @@ impl Evaluation {
         let cells = measure.judged_cells(model, run, watcher)?;
         // The maps of the table are in the run's order.
         let order: Vec<u32> = (0..run.order.len() as u32).collect();
-        let [all, agreeing] =
-            CountedCells::BOTH.map(|counted| measure.cells.0.curve(&order, counted));
+        let [all, agreeing] = measure.cells.0.curves(&order);
         let by_triangle = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let predicted = match measure.pilot {
             Some(pilot) => curve_by_places(run, pilot),

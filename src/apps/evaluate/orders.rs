@@ -162,10 +162,8 @@ pub fn farthest_view(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
             let added = (centre - centres[next]).norm();
             *own = if is_first { added } else { own.min(added) };
         }
+        distance[next] = -1.0;
         order.push(next as u32);
-        order
-            .iter()
-            .for_each(|&taken| distance[taken as usize] = -1.0);
     }
     order
 }

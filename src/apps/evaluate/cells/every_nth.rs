@@ -7,24 +7,46 @@ use super::incidence::{CountedCells, Incidence};
 
 /// Most choices that are looked at; shares of others are interpolated.
 const MOST_CHOICES: usize = 1 << 11;
+/// Bound on the words of bits that are looked at: of a table of very many entries, fewer choices
+/// are looked at.
+const MOST_WORK: usize = 1 << 29;
+/// Words for the cells of a row, in those for one of its maps.
+const SUM: usize = 16;
 const BITS: usize = u64::BITS as usize;
 
-/// Returns the shares of the cells that choices of 0, 1, ... of these maps cover; a larger choice
-/// may cover less. `offset`: start, in parts of the step between two.
-pub fn shares(table: &Incidence, counted: CountedCells, by_name: &[u32], offset: f64) -> Vec<f64> {
-    let numbers = numbers(by_name.len(), MOST_CHOICES);
+/// Returns the shares of the cells that choices of 0, 1, ... of these maps cover, of all cells and
+/// of those where three maps agree; a larger choice may cover less. `offset`: start, in parts of
+/// the step between two.
+pub fn shares(table: &Incidence, by_name: &[u32], offset: f64) -> [Vec<f64>; 2] {
+    let numbers = numbers(by_name.len(), most_choices(table));
     let choices = Choices::new(table.names().len(), by_name, &numbers, offset);
-    let covered = choices.covered(table, counted);
-    let total = table.total(counted).max(1.0);
-    let share = |number: usize| {
-        let next = numbers.partition_point(|&other| other < number);
-        let last = next.saturating_sub(1);
-        let step = (numbers[next] - numbers[last]).max(1);
-        let part = (number - numbers[last]) as f64 / step as f64;
-        let [from, to] = [last, next].map(|choice| covered[choice] as f64);
-        (from + part * (to - from)) / total
-    };
-    (0..=by_name.len()).map(share).collect()
+    let covered = choices.covered(table);
+    CountedCells::BOTH.map(|counted| {
+        let total = table.total(counted).max(1.0);
+        let share = |number: usize| {
+            let next = numbers.partition_point(|&other| other < number);
+            let last = next.saturating_sub(1);
+            let step = (numbers[next] - numbers[last]).max(1);
+            let part = (number - numbers[last]) as f64 / step as f64;
+            let [from, to] = [last, next].map(|choice| covered[counted as usize][choice] as f64);
+            (from + part * (to - from)) / total
+        };
+        (0..=by_name.len()).map(share).collect()
+    })
+}
+
+/// The largest number of choices for which the work is bounded, at least those of one word.
+fn most_choices(table: &Incidence) -> usize {
+    let digits = digits(table.support()) + 1;
+    let of_word = table.entries() * digits + SUM * table.rows() as usize;
+    let words = MOST_WORK / of_word.max(1);
+    // The choice of no map is one more.
+    words.saturating_mul(BITS).clamp(BITS, MOST_CHOICES) - 1
+}
+
+/// Binary digits of the numbers below this.
+fn digits(support: u32) -> usize {
+    support.max(1).next_power_of_two().trailing_zeros() as usize
 }
 
 /// Numbers of maps from 0 on, evenly spread where there are more than `most`.
@@ -62,55 +84,70 @@ impl Choices {
         }
     }
 
-    /// Returns the number of cells that each choice covers.
-    fn covered(&self, table: &Incidence, counted: CountedCells) -> Vec<u64> {
-        let mut sums = Sums::new(self.words);
+    /// Returns the number of cells that each choice covers: of all, and where three maps agree.
+    fn covered(&self, table: &Incidence) -> [Vec<u64>; 2] {
+        let mut sums = [Sums::new(self.words), Sums::new(self.words)];
         let mut with = WithMaps::new(table.support(), self.words);
         for row in 0..table.rows() {
-            let cells = table.cells(row, counted);
-            if cells > 0 {
-                let of_map = |&map: &u32| &self.with_map[map as usize * self.words..][..self.words];
-                let all = with.with_all_of(table.maps_of(row).iter().map(of_map));
-                sums.add(all, cells);
+            let of_map = |&map: &u32| &self.with_map[map as usize * self.words..][..self.words];
+            let enough = with.enough_of(table.maps_of(row).iter().map(of_map));
+            for (sums, counted) in sums.iter_mut().zip(CountedCells::BOTH) {
+                sums.add(enough, table.cells(row, counted));
             }
         }
-        (0..self.choices).map(|choice| sums.of(choice)).collect()
+        sums.map(|sums| (0..self.choices).map(|choice| sums.of(choice)).collect())
     }
 }
 
-/// The choices with at least 1, 2, ... maps of a row.
-struct WithMaps(Vec<Vec<u64>>);
+/// Counts for each choice its maps of a row. Each binary digit is a set of choices; counts start so
+/// that enough of the maps carry beyond the last digit.
+struct WithMaps {
+    /// From the lowest on.
+    digits: Vec<Vec<u64>>,
+    start: usize,
+    carry: Vec<u64>,
+    enough: Vec<u64>,
+}
 
 impl WithMaps {
     fn new(support: u32, words: usize) -> Self {
-        Self(vec![vec![0; words]; support.max(1) as usize])
+        let digits = digits(support);
+        Self {
+            digits: vec![vec![0; words]; digits],
+            start: (1 << digits) - support.max(1) as usize,
+            carry: vec![0; words],
+            enough: vec![0; words],
+        }
     }
 
     /// Returns the choices that are in enough of these sets.
-    fn with_all_of<'a>(&mut self, sets: impl Iterator<Item = &'a [u64]>) -> &[u64] {
-        self.0.iter_mut().for_each(|with| with.fill(0));
-        let most = self.0.len() - 1;
+    fn enough_of<'a>(&mut self, sets: impl Iterator<Item = &'a [u64]>) -> &[u64] {
+        for (place, digit) in self.digits.iter_mut().enumerate() {
+            let is_set = self.start >> place & 1 == 1;
+            digit.fill(if is_set { u64::MAX } else { 0 });
+        }
+        self.enough.fill(0);
         // Choices of many maps soon have enough of them: the words up to here have not.
-        let mut open = self.0[most].len();
+        let mut open = self.enough.len();
         for set in sets {
-            for at_least in (1..=most).rev() {
-                let (fewer, more) = self.0.split_at_mut(at_least);
-                let words = more[0][..open].iter_mut().zip(&fewer[at_least - 1]);
-                for ((more, fewer), set) in words.zip(set) {
-                    *more |= fewer & set;
+            let carry = &mut self.carry[..open];
+            carry.copy_from_slice(&set[..open]);
+            for digit in &mut self.digits {
+                for (digit, carry) in digit.iter_mut().zip(&mut *carry) {
+                    (*digit, *carry) = (*digit ^ *carry, *digit & *carry);
                 }
             }
-            for (one, set) in self.0[0][..open].iter_mut().zip(set) {
-                *one |= set;
+            for (enough, carry) in self.enough.iter_mut().zip(carry) {
+                *enough |= *carry;
             }
-            while open > 0 && self.0[most][open - 1] == u64::MAX {
+            while open > 0 && self.enough[open - 1] == u64::MAX {
                 open -= 1;
             }
             if open == 0 {
                 break;
             }
         }
-        &self.0[most]
+        &self.enough
     }
 }
 
@@ -179,20 +216,34 @@ mod tests {
     #[test]
     fn all_choices_together_cover_what_each_covers() {
         let by_name: Vec<u32> = (0..149).collect();
-        for (support, offset) in [(1, 0.0), (2, 0.5), (3, 0.0)] {
+        for (support, offset) in [(1, 0.0), (2, 0.5), (3, 0.0), (4, 0.5), (5, 0.0)] {
             let table = table(support);
-            for counted in CountedCells::BOTH {
+            let shares = shares(&table, &by_name, offset);
+            for (shares, counted) in shares.iter().zip(CountedCells::BOTH) {
                 let share = |number: usize| {
                     let step = 149.0 / number as f64;
                     let place = |i: usize| ((i as f64 + offset) * step) as u32;
                     table.covered(&(0..number).map(place).collect::<Vec<_>>(), counted)
                 };
                 let each: Vec<f64> = (0..=149).map(share).collect();
-                assert_eq!(shares(&table, counted, &by_name, offset), each);
+                assert_eq!(*shares, each);
             }
         }
-        let none = shares(&table(2), CountedCells::All, &[], 0.0);
-        assert_eq!(none, [0.0]);
+        assert_eq!(shares(&table(2), &[], 0.0), [[0.0]; 2]);
+    }
+
+    #[test]
+    fn of_a_table_of_very_many_entries_fewer_choices_are_looked_at() {
+        assert_eq!(most_choices(&table(2)), MOST_CHOICES - 1);
+        let row = |_| Row {
+            maps: (0..150).collect(),
+            cells: 1,
+            agreeing: 0,
+        };
+        let names = (0..150).map(|map| format!("{map:03}")).collect();
+        let table = Incidence::new(names, (0..20_000).map(row).collect(), 100);
+        let choices = most_choices(&table);
+        assert!((BITS - 1..MOST_CHOICES - 1).contains(&choices), "{choices}");
     }
 
     #[test]

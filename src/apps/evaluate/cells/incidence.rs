@@ -92,7 +92,7 @@ pub struct Row {
     pub agreeing: u32,
 }
 
-/// Which cells count.
+/// Which cells count: their place among the numbers of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CountedCells {
     /// All cells of the cloud that a user sees.
@@ -104,11 +104,8 @@ pub enum CountedCells {
 impl CountedCells {
     pub const BOTH: [Self; 2] = [Self::All, Self::Agreeing];
 
-    fn of(self, [cells, agreeing]: [u32; 2]) -> u32 {
-        match self {
-            Self::All => cells,
-            Self::Agreeing => agreeing,
-        }
+    fn of(self, cells: [u32; 2]) -> u32 {
+        cells[self as usize]
     }
 }
 
@@ -186,6 +183,11 @@ impl Incidence {
         counted.of(self.cells[row as usize])
     }
 
+    /// Number of maps of all rows together.
+    pub(super) fn entries(&self) -> usize {
+        self.maps_of.numbers.len()
+    }
+
     /// Returns the rows in which a map takes part.
     pub(super) fn rows_of(&self, map: u32) -> &[u32] {
         self.rows_of.of(map)
@@ -205,21 +207,34 @@ impl Incidence {
             .collect()
     }
 
-    /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...
-    pub fn curve(&self, order: &[u32], counted: CountedCells) -> Vec<f64> {
-        let total = self.total(counted).max(1.0);
-        let (mut covered, mut taken) = (0.0, vec![0u32; self.cells.len()]);
-        let mut curve = vec![0.0];
-        for &map in order {
-            for &row in self.rows_of(map) {
-                taken[row as usize] += 1;
-                if taken[row as usize] == self.support {
-                    covered += f64::from(self.cells(row, counted));
+    /// Returns the share of the cells that the first i maps of an order cover, for i = 0, 1, ...: of
+    /// all cells, and of those where three maps agree.
+    pub fn curves(&self, order: &[u32]) -> [Vec<f64>; 2] {
+        let mut number_of = vec![u32::MAX; self.names.len()];
+        for (number, &map) in (1..).zip(order) {
+            number_of[map as usize] = number;
+        }
+        let mut added = vec![[0_u64; 2]; order.len() + 1];
+        let last = self.support.max(1) as usize - 1;
+        let mut numbers = Vec::new();
+        for (maps, cells) in self.maps_of.iter().zip(&self.cells) {
+            if maps.len() > last {
+                numbers.clear();
+                numbers.extend(maps.iter().map(|&map| number_of[map as usize]));
+                let (_, &mut number, _) = numbers.select_nth_unstable(last);
+                if let Some(added) = added.get_mut(number as usize) {
+                    (0..2).for_each(|i| added[i] += u64::from(cells[i]));
                 }
             }
-            curve.push(covered / total);
         }
-        curve
+        CountedCells::BOTH.map(|counted| {
+            let total = self.total(counted).max(1.0);
+            let sums = added.iter().scan(0, |covered, added| {
+                *covered += added[counted as usize];
+                Some(*covered as f64 / total)
+            });
+            sums.collect()
+        })
     }
 
     /// Returns the share of the cells that these maps cover.
@@ -427,9 +442,13 @@ mod tests {
     fn a_cell_is_covered_by_as_many_of_its_maps_as_fusion_wants() {
         let table = table();
         assert_eq!(
-            table.curve(&[2, 1, 0, 3], CountedCells::All),
-            [0.0, 0.0, 0.5, 0.9, 0.9]
+            table.curves(&[2, 1, 0, 3]),
+            [[0.0, 0.0, 0.5, 0.9, 0.9], [0.0, 0.0, 1.0, 1.0, 1.0]]
         );
+        assert_eq!(table.curves(&[]), [[0.0]; 2]);
+        let covered = |number: usize| table.covered(&[5, 3, 1, 0][..number], CountedCells::All);
+        let [all, _] = table.curves(&[5, 3, 1, 0]);
+        assert_eq!(all, [0, 1, 2, 3, 4].map(covered));
         assert_eq!(table.covered(&[0, 2], CountedCells::Agreeing), 1.0);
         assert_eq!(table.usable(), [0, 1, 2, 3, 5]);
     }

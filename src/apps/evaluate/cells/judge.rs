@@ -74,16 +74,24 @@ impl CellsEvaluation {
             .map(|&map| (&*table.names()[map as usize], map));
         let of_name: HashMap<&str, u32> = named.collect();
         let map = |cluster: &&ViewCluster| of_name.get(scene.name(cluster.key)).copied();
-        let named = clusters
-            .iter()
-            .map(|(name, clusters)| (*name, clusters.iter().filter_map(map).collect::<Vec<u32>>()));
-        let named: Vec<_> = named.collect();
-        let orders = |counted| CellOrders::new(table, counted, &named);
+        let of_names = clusters.iter().map(|(name, clusters)| {
+            let order: Vec<u32> = clusters.iter().filter_map(map).collect();
+            (*name, table.curves(&order))
+        });
+        let mut curves: Vec<(&str, [Vec<f64>; 2])> = of_names.collect();
+        curves.push(("every n-th", every_nth(table, &usable)));
+        curves.push(("random", random(table, &usable)));
+        let [all, agreeing] = CountedCells::BOTH.map(|counted| {
+            let of_kind = |(name, kinds): &(&'static str, [Vec<f64>; 2])| {
+                (*name, kinds[counted as usize].clone())
+            };
+            CellOrders::new(table, counted, curves.iter().map(of_kind).collect())
+        });
         Self {
             source,
             maps: usable.len(),
-            all: orders(CountedCells::All),
-            agreeing: orders(CountedCells::Agreeing),
+            all,
+            agreeing,
         }
     }
 
@@ -97,23 +105,23 @@ impl CellsEvaluation {
 }
 
 impl CellOrders {
-    fn new(table: &Incidence, counted: CountedCells, named: &[(&'static str, Vec<u32>)]) -> Self {
+    /// Judges these curves, of which every n-th is the last but one, and the oracle.
+    fn new(
+        table: &Incidence,
+        counted: CountedCells,
+        mut curves: Vec<(&'static str, Vec<f64>)>,
+    ) -> Self {
         let usable = table.usable();
-        let of = |order: &Vec<u32>| table.curve(order, counted);
-        let random: Vec<_> = (0..RANDOM_SEEDS)
-            .map(|seed| orders::random(usable.len(), seed))
-            .map(|order| of(&order.iter().map(|&i| usable[i as usize]).collect()))
-            .collect();
-        let mut by_name = usable.clone();
-        by_name.sort_by_key(|&map| &table.names()[map as usize]);
-        let spread = OFFSETS.map(|offset| every_nth::shares(table, counted, &by_name, offset));
+        let spread = curves.len() - 2;
         let best = oracle::orders(table, counted);
-        let mut curves: Vec<(&str, Vec<f64>)> = named
-            .iter()
-            .map(|(name, order)| (*name, of(order)))
-            .collect();
-        curves.push(("every n-th", mean(&spread)));
-        curves.push(("random", mean(&random)));
+        let of = |order: &Vec<u32>| {
+            let [all, agreeing] = table.curves(order);
+            if counted == CountedCells::All {
+                all
+            } else {
+                agreeing
+            }
+        };
         let greedy: Vec<Vec<f64>> = best.iter().map(of).collect();
         let mut oracle = highest(&greedy);
         for number in TENTHS.map(|tenth| at(tenth, usable.len())) {
@@ -133,7 +141,7 @@ impl CellOrders {
             })
         };
         let (first, last) = (
-            at_tenths(&curves[named.len()].1),
+            at_tenths(&curves[spread].1),
             at_tenths(&curves[curves.len() - 1].1),
         );
         let judged = |(name, curve): (&'static str, Vec<f64>)| {
@@ -162,6 +170,22 @@ impl CellOrders {
     }
 }
 
+/// The curves of choices that are evenly spread over the names of the maps.
+fn every_nth(table: &Incidence, usable: &[u32]) -> [Vec<f64>; 2] {
+    let mut by_name = usable.to_vec();
+    by_name.sort_by_key(|&map| &table.names()[map as usize]);
+    mean(OFFSETS.map(|offset| every_nth::shares(table, &by_name, offset)))
+}
+
+/// The curves of random orders.
+fn random(table: &Incidence, usable: &[u32]) -> [Vec<f64>; 2] {
+    let curves = (0..RANDOM_SEEDS).map(|seed| {
+        let order = orders::random(usable.len(), seed).into_iter();
+        table.curves(&order.map(|i| usable[i as usize]).collect::<Vec<_>>())
+    });
+    mean(curves)
+}
+
 /// Number of maps at a share of them; fusion needs two.
 pub(super) fn at(tenth: f64, maps: usize) -> usize {
     ((tenth * maps as f64).round() as usize).max(2).min(maps)
@@ -172,11 +196,19 @@ fn least(curve: &[f64], share: f64) -> Option<usize> {
     curve.iter().position(|&covered| covered >= share - 1e-9)
 }
 
-fn mean(curves: &[Vec<f64>]) -> Vec<f64> {
-    let sum = |i: usize| curves.iter().map(|curve| curve[i]).sum::<f64>();
-    (0..curves[0].len())
-        .map(|i| sum(i) / curves.len() as f64)
-        .collect()
+/// The means of both kinds of curves.
+fn mean(curves: impl IntoIterator<Item = [Vec<f64>; 2]>) -> [Vec<f64>; 2] {
+    let (mut number, mut sums) = (0.0, [Vec::new(), Vec::new()]);
+    for curves in curves {
+        number += 1.0;
+        for (sums, curve) in sums.iter_mut().zip(curves) {
+            sums.resize(curve.len(), 0.0);
+            sums.iter_mut()
+                .zip(curve)
+                .for_each(|(sum, share)| *sum += share);
+        }
+    }
+    sums.map(|sums: Vec<f64>| sums.into_iter().map(|sum| sum / number).collect())
 }
 
 fn highest(curves: &[Vec<f64>]) -> Vec<f64> {
@@ -199,8 +231,15 @@ mod tests {
         };
         let names = (0..10).map(|name| name.to_string()).collect();
         let table = Incidence::new(names, (0..5).map(row).collect(), 2);
-        let ours = vec![("ours", vec![1, 6, 0, 5, 2, 7, 3, 8, 4, 9])];
-        let judged = CellOrders::new(&table, CountedCells::All, &ours);
+        let usable = table.usable();
+        let ours = table.curves(&[1, 6, 0, 5, 2, 7, 3, 8, 4, 9]);
+        let curves = [
+            ("ours", ours),
+            ("every n-th", every_nth(&table, &usable)),
+            ("random", random(&table, &usable)),
+        ];
+        let curves = curves.map(|(name, [all, _])| (name, all)).to_vec();
+        let judged = CellOrders::new(&table, CountedCells::All, curves);
         let [ours, spread, .., oracle] = &judged.orders[..] else {
             unreachable!()
         };

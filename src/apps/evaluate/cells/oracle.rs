@@ -10,10 +10,12 @@ const WHOLE: u64 = 15;
 /// Credits for a cell with all but one of the maps that it needs: no single one is best everywhere.
 const CREDITS: [u64; 2] = [WHOLE / 5, WHOLE / 3];
 
-/// Bound on the exchanges of single maps: their number times the entries of the table.
-const MOST_STEPS: usize = 1_000_000_000;
-/// Bound on the rows that they change.
-const MOST_ROWS: usize = 8_000_000;
+/// Bound on the rows and maps that a greedy order looks at; of ordinary tables it is a hundredth.
+const MOST_GREEDY: usize = 1 << 29;
+/// Bound on those that the exchanges of single maps look at.
+const MOST_EXCHANGED: usize = 1 << 25;
+/// Maps whose largest gain is kept.
+const BLOCK: usize = 256;
 
 /// Returns greedy orders by the real cells, one for each credit.
 pub fn orders(table: &Incidence, counted: CountedCells) -> Vec<Vec<u32>> {
@@ -32,13 +34,18 @@ fn greedy(table: &Incidence, counted: CountedCells, credit: u64) -> Vec<u32> {
         Some(1) => credit,
         _ => 0,
     };
-    let mut choice = Choice::new(table, counted, added);
-    let (mut left, mut order) = (table.usable(), Vec::new());
-    while let Some(map) = choice.best(&left) {
-        left.retain(|&other| other != map);
+    let mut choice = Choice::new(table, counted, added, &[]);
+    let mut order = Vec::new();
+    while choice.work < MOST_GREEDY
+        && let Some(map) = choice.best()
+    {
         choice.set(map, true);
         order.push(map);
     }
+    let mut left = table.usable();
+    left.retain(|&map| !choice.has[map as usize]);
+    left.sort_by_key(|&map| Reverse(choice.gains[map as usize]));
+    order.extend(left);
     order
 }
 
@@ -56,20 +63,15 @@ pub fn best_of(
 }
 
 fn exchanged(table: &Incidence, counted: CountedCells, mut chosen: Vec<u32>) -> f64 {
-    let usable = table.usable();
-    let entries: usize = usable.iter().map(|&map| table.rows_of(map).len()).sum();
     let support = table.support();
-    let mut choice = Choice::new(table, counted, |taken| u64::from(taken + 1 == support));
-    chosen.iter().for_each(|&map| choice.set(map, true));
+    let added = |taken| u64::from(taken + 1 == support);
+    let mut choice = Choice::new(table, counted, added, &chosen);
     let (mut place, mut unchanged) = (0, 0);
     // A map is taken away and another added.
-    let rows = 2 * entries / usable.len().max(1);
-    let mut left = (MOST_STEPS / entries.max(1)).min(MOST_ROWS / rows.max(1));
-    while unchanged < chosen.len() && left > 0 {
-        left -= 1;
+    while unchanged < chosen.len() && choice.work < MOST_EXCHANGED {
         let out = chosen[place];
         choice.set(out, false);
-        let best = choice.best(&usable).unwrap_or(out);
+        let best = choice.best().unwrap_or(out);
         let is_better = choice.gains[best as usize] > choice.gains[out as usize];
         chosen[place] = if is_better { best } else { out };
         choice.set(chosen[place], true);
@@ -86,59 +88,177 @@ struct Choice<'a, F> {
     counted: CountedCells,
     /// Gain from one more map in a cell that this number of chosen maps show.
     added: F,
+    /// Chosen maps, and those that are in no cell.
     has: Vec<bool>,
     /// For each row, the number of chosen maps.
     taken: Vec<u32>,
     /// For each map, in the unit of `added`.
     gains: Vec<u64>,
+    blocks: Vec<Block>,
+    /// Number of rows and maps looked at.
+    work: usize,
+}
+
+/// Some maps in a row.
+#[derive(Clone, Copy)]
+struct Block {
+    /// No gain of those not chosen is larger; `None` if all are chosen.
+    bound: Option<u64>,
+    /// False if a gain has become smaller, or a map was chosen.
+    is_exact: bool,
 }
 
 impl<'a, F: Fn(u32) -> u64> Choice<'a, F> {
-    /// Starts without any map.
-    fn new(table: &'a Incidence, counted: CountedCells, added: F) -> Self {
-        let of_row = |&row: &u32| added(0) * u64::from(table.cells(row, counted));
-        let gain = |map: u32| table.rows_of(map).iter().map(of_row).sum();
+    fn new(table: &'a Incidence, counted: CountedCells, added: F, chosen: &[u32]) -> Self {
+        let maps = 0..table.names().len() as u32;
+        let mut has = vec![false; maps.len()];
+        chosen.iter().for_each(|&map| has[map as usize] = true);
+        let is_chosen = |map: &&u32| has[**map as usize];
+        let mut gains = vec![0; maps.len()];
+        let taken = (0..table.rows()).map(|row| {
+            let maps = table.maps_of(row);
+            let taken = maps.iter().filter(is_chosen).count() as u32;
+            let gain = added(taken) * u64::from(table.cells(row, counted));
+            if gain > 0 {
+                maps.iter().for_each(|&map| gains[map as usize] += gain);
+            }
+            taken
+        });
+        let taken = taken.collect();
+        maps.filter(|&map| table.rows_of(map).is_empty())
+            .for_each(|map| has[map as usize] = true);
+        let unknown = Block {
+            bound: Some(u64::MAX),
+            is_exact: false,
+        };
         Self {
-            has: vec![false; table.names().len()],
-            taken: vec![0; table.rows() as usize],
-            gains: (0..table.names().len() as u32).map(gain).collect(),
+            blocks: vec![unknown; has.len().div_ceil(BLOCK)],
             table,
             counted,
             added,
+            has,
+            taken,
+            gains,
+            work: 0,
         }
     }
 
     /// Adds a map, or takes it away.
     fn set(&mut self, map: u32, is_chosen: bool) {
         self.has[map as usize] = is_chosen;
-        for &row in self.table.rows_of(map) {
+        self.changed(map);
+        let table = self.table;
+        for &row in table.rows_of(map) {
+            self.work += 1;
             let taken = &mut self.taken[row as usize];
             let before = (self.added)(*taken);
             *taken = if is_chosen { *taken + 1 } else { *taken - 1 };
             let now = (self.added)(*taken);
             if now != before {
-                let cells = u64::from(self.table.cells(row, self.counted));
-                let gains = &mut self.gains;
-                self.table.maps_of(row).iter().for_each(|&map| {
-                    let gain = &mut gains[map as usize];
+                let cells = u64::from(table.cells(row, self.counted));
+                self.work += table.maps_of(row).len();
+                for &map in table.maps_of(row) {
+                    let gain = &mut self.gains[map as usize];
                     *gain = *gain + now * cells - before * cells;
-                });
+                    self.changed(map);
+                }
             }
         }
     }
 
-    /// Returns the one of these maps that adds most, of those that are not chosen; ties by index.
-    fn best(&self, maps: &[u32]) -> Option<u32> {
-        let others = maps.iter().copied();
-        let others = others.filter(|&map| !self.has[map as usize]);
-        others.max_by_key(|&map| (self.gains[map as usize], Reverse(map)))
+    /// Notes a new gain or choice of a map.
+    fn changed(&mut self, map: u32) {
+        let map = map as usize;
+        let block = &mut self.blocks[map / BLOCK];
+        block.is_exact = false;
+        if !self.has[map] {
+            block.bound = block.bound.max(Some(self.gains[map]));
+        }
+    }
+
+    /// Returns the map that adds most, of those that are not chosen; ties by index.
+    fn best(&mut self) -> Option<u32> {
+        self.work += self.blocks.len();
+        let (mut most, mut found) = (None, 0);
+        for (place, block) in self.blocks.iter_mut().enumerate() {
+            if block.bound > most && !block.is_exact {
+                self.work += BLOCK;
+                let maps = place * BLOCK..self.gains.len().min((place + 1) * BLOCK);
+                let others = maps.filter(|&map| !self.has[map]);
+                block.bound = others.map(|map| self.gains[map]).max();
+                block.is_exact = true;
+            }
+            if block.bound > most {
+                (most, found) = (block.bound, place);
+            }
+        }
+        let mut maps = found * BLOCK..self.gains.len();
+        let is_best = |&map: &usize| !self.has[map] && Some(self.gains[map]) == most;
+        maps.find(is_best).map(|map| map as u32)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::apps::evaluate::cells::incidence::Row;
+    use crate::apps::evaluate::{cells::incidence::Row, orders::random};
+
+    /// The table of random rows of several blocks of maps.
+    fn table() -> Incidence {
+        let row = |seed: u32| {
+            let mut maps = random(3 * BLOCK - 9, seed.into());
+            maps.truncate(2 + seed as usize % 7);
+            maps.sort_unstable();
+            Row {
+                maps,
+                cells: seed % 5,
+                agreeing: 0,
+            }
+        };
+        let names = (0..3 * BLOCK).map(|name| name.to_string()).collect();
+        Incidence::new(names, (0..900).map(row).collect(), 2)
+    }
+
+    #[test]
+    fn the_best_map_is_the_first_of_those_that_add_most() {
+        let table = table();
+        let added = |taken: u32| [5, 10, 0][taken.min(2) as usize];
+        let mut choice = Choice::new(&table, CountedCells::All, added, &[]);
+        let (usable, mut order) = (table.usable(), Vec::new());
+        for turn in 0..usable.len() {
+            let others = usable.iter().filter(|map| !choice.has[**map as usize]);
+            let best = others.max_by_key(|map| (choice.gains[**map as usize], Reverse(**map)));
+            let found = choice.best();
+            assert_eq!(found.as_ref(), best, "{turn}");
+            choice.set(found.unwrap(), true);
+            order.extend(found);
+            // Gains become larger again, too.
+            choice.set(order[turn / 2], false);
+            choice.set(order[turn / 2], true);
+            let anew = Choice::new(&table, CountedCells::All, added, &order);
+            assert_eq!((&choice.gains, &choice.taken), (&anew.gains, &anew.taken));
+        }
+        assert_eq!(choice.best(), None);
+    }
+
+    #[test]
+    fn very_many_maps_are_ordered_without_a_look_at_each_pair_of_them() {
+        let maps = 60_000;
+        let row = |map: u32| Row {
+            maps: vec![map, map + 1],
+            cells: 1 + map % 7,
+            agreeing: 0,
+        };
+        let names = (0..maps).map(|name| name.to_string()).collect();
+        let table = Incidence::new(names, (0..maps - 1).map(row).collect(), 2);
+        let added = |taken: u32| [5, 10, 0][taken.min(2) as usize];
+        let mut choice = Choice::new(&table, CountedCells::All, added, &[]);
+        while let Some(map) = choice.best() {
+            choice.set(map, true);
+        }
+        let pairs = (maps as usize).pow(2) / 2;
+        assert!(choice.work < pairs / 20, "{}", choice.work);
+    }
 
     #[test]
     fn an_exchange_finds_what_greedy_misses() {
