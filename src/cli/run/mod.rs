@@ -138,9 +138,20 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let is_distorted = scene
         .view_indices()
         .any(|view| !scene.camera_of(view).is_pinhole());
+    let is_to_undistort = is_distorted && !backend.takes_distorted;
+    let workspace = if is_to_undistort {
+        foreign_workspace(&project, backend)?
+    } else {
+        None
+    };
+    // The images that are matched must be there, those that they were made from need not.
+    let (matched, scene) = match &workspace {
+        Some(workspace) => (workspace, workspace.read_scene()?),
+        None => (&project, scene),
+    };
     // Ctrl-C also ends the programs that are asked what they can do.
     let stopped = || Failure::stopped("before planning", arguments.go_on());
-    ready::check(backend, &project, scene, arguments.program.as_deref()).map_err(|failure| {
+    ready::check(backend, matched, scene, arguments.program.as_deref()).map_err(|failure| {
         if stop.load(Ordering::Relaxed) {
             stopped()
         } else {
@@ -148,10 +159,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     })?;
     Dispatch::refuse_if_at_work(&project)?;
-    let root = if is_distorted && !backend.takes_distorted {
-        undistorted_project(arguments, project, backend)?
-    } else {
-        project.root
+    let root = match workspace {
+        Some(workspace) => workspace.root,
+        None if is_to_undistort => undistorted_project(arguments, project, backend)?,
+        None => project.root,
     };
     let is_own = root == own;
     let mut planned = options_of_maps(&root);
@@ -276,34 +287,39 @@ fn refuse_images(
     }
 }
 
-/// Finds the workspace of undistorted images of another program, else undistorts the images, which
-/// writes a COLMAP model; returns their project.
+/// Finds the workspace of undistorted images that another program has made. Viewrank's own may be of
+/// earlier images.
+fn foreign_workspace(project: &Project, backend: &Backend) -> Result<Option<Project>, Failure> {
+    if project.has_undistorted_workspace() {
+        return Ok(None);
+    }
+    let workspace = planning::undistorted_workspace(project, backend)?;
+    if let Some(workspace) = &workspace {
+        note_workspace(backend, &workspace.root);
+        Dispatch::refuse_if_at_work(workspace)?;
+    }
+    Ok(workspace)
+}
+
+fn note_workspace(backend: &Backend, workspace: &Path) {
+    note(&format!(
+        "{} needs undistorted images: {}",
+        backend.name,
+        workspace.display()
+    ));
+}
+
+/// Undistorts the images, which writes a COLMAP model; returns the folder of their project.
 fn undistorted_project(
     arguments: &Arguments,
     project: Project,
     backend: &Backend,
 ) -> Result<PathBuf, Failure> {
-    // Its own may be of earlier images.
-    if !project.has_undistorted_workspace()
-        && let Some(workspace) = planning::undistorted_workspace(&project, backend)?
-    {
-        note(&format!(
-            "{} needs undistorted images: {}",
-            backend.name,
-            workspace.root.display()
-        ));
-        Dispatch::refuse_if_at_work(&workspace)?;
-        return Ok(workspace.root);
-    }
     let dense = project.root.join("dense");
     if let Ok(earlier) = Project::open(&dense, None) {
         Dispatch::refuse_if_at_work(&earlier)?;
     }
-    note(&format!(
-        "{} needs undistorted images: {}",
-        backend.name,
-        dense.display()
-    ));
+    note_workspace(backend, &dense);
     let options = UndistortOptions::default();
     undistorted(&project, &options, &dense, arguments.is_silent())?;
     Ok(dense)

@@ -4,7 +4,7 @@
 use super::*;
 
 /// The model of a camera with lens distortion.
-fn distorted() -> ColmapModel<'static> {
+pub fn distorted() -> ColmapModel<'static> {
     let mut model = ColmapModel::from_scene(&scene());
     let params = vec![85.0, 50.0, 37.5, 0.001];
     model.cameras[0] = Camera::new(1, CameraModel::SimpleRadial, 100, 75, params).unwrap();
@@ -19,7 +19,7 @@ fn moved() -> ColmapModel<'static> {
 }
 
 /// A workspace of undistorted images.
-fn workspace<'a>(folder: &'a Folder, place: &str, model: &ColmapModel) -> &'a Folder {
+pub fn workspace<'a>(folder: &'a Folder, place: &str, model: &ColmapModel) -> &'a Folder {
     folder
         .colmap(&format!("{place}/sparse"), model)
         .pictures(&scene(), |name| format!("{place}/images/{name}"))
@@ -274,4 +274,35 @@ fn images_that_opensfm_has_undistorted_are_planned() {
     );
     let (code, stdout, stderr) = folder.plan(&["--backend", "odm"]);
     assert_eq!(code, 1, "{stdout}{stderr}");
+}
+
+#[test]
+fn images_that_opensfm_has_undistorted_are_enough_for_a_run() {
+    let folder = Folder::new();
+    let scene = scene();
+    folder
+        .write("opensfm/reconstruction.json", opensfm(&scene, -0.03, ""))
+        .write(
+            "opensfm/undistorted/reconstruction.json",
+            opensfm(&scene, 0.0, ".tif"),
+        )
+        .pictures(&scene, |name| {
+            format!("opensfm/undistorted/images/{name}.tif")
+        });
+    let root = folder.path().to_str().unwrap();
+    // A program that makes no depth map.
+    let program = env!("CARGO_BIN_EXE_viewrank");
+    let options = [
+        "--backend",
+        "openmvs",
+        "--program",
+        program,
+        "--budget",
+        "1",
+    ];
+    let (code, _, stderr) = said(&viewrank(&[&["run", root][..], &options].concat()));
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("made no depth map"), "{stderr}");
+    let planned = folder.at("opensfm/undistorted/viewrank/manifest.json");
+    assert!(planned.is_file(), "{stderr}");
 }
