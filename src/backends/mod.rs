@@ -5,6 +5,8 @@
 //! a [`Selection`] into the files that make the program compute the chosen view clusters. It
 //! returns the files; [`crate::io::output`] writes them.
 
+use std::path::Path;
+
 use serde::Serialize;
 
 use crate::{
@@ -83,6 +85,9 @@ pub static BACKENDS: &[&Backend] = &[
     &images::BACKEND,
 ];
 
+/// Whether the depth map at a path was made for the exported plan.
+pub type KnownMaps = Box<dyn Fn(&Path) -> bool + Send + Sync>;
+
 /// An MVS program: its name, what it honours of a plan, the numbers it is planned with, and its
 /// files.
 pub struct Backend {
@@ -115,6 +120,9 @@ pub struct Backend {
     /// Runner for the tasks of a queue, for exports with the default options; `None` if the program
     /// can only run as a whole.
     pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
+    /// Looks at the folder of its depth maps; returns whether one below was made for the plan that was
+    /// exported there. Where only exports write, all are.
+    pub known_maps: fn(&Path) -> KnownMaps,
     /// Faults of a project that break the backend with any plan, besides distorted cameras.
     pub traps: fn(&ExaminedProject) -> Vec<Trap>,
     export: fn(&Selection, &ExportOptions) -> Result<Export, BackendError>,
@@ -145,6 +153,7 @@ impl Backend {
         serves: |_| false,
         mixes_sizes: false,
         tasks: |_, _| None,
+        known_maps: |_| Box::new(|_| true),
         traps: |_| Vec::new(),
         export: |_, _| {
             Err(BackendError::Needs {

@@ -56,13 +56,13 @@ impl ExaminedProject<'_> {
     }
 
     /// Finds finished depth maps below a folder, which the program keeps regardless of their
-    /// origin.
+    /// origin. `is_map`: of a file name and its path.
     pub(super) fn finished_maps(
         &self,
         trap: &'static str,
         folder: &Path,
         depth: usize,
-        is_map: impl Fn(&str) -> bool,
+        is_map: impl Fn(&str, &Path) -> bool,
         cure: String,
     ) -> Option<Trap> {
         let files = WalkDir::new(folder)
@@ -70,7 +70,10 @@ impl ExaminedProject<'_> {
             .into_iter()
             .filter_map(Result::ok);
         let maps = files
-            .filter(|entry| entry.file_name().to_str().is_some_and(&is_map))
+            .filter(|entry| {
+                let name = entry.file_name().to_str();
+                name.is_some_and(|name| is_map(name, entry.path()))
+            })
             .count();
         (maps > 0).then(|| Trap {
             name: trap,

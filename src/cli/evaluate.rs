@@ -14,7 +14,7 @@ use crate::{
             MeasuredClusters, MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
             other_sizes_in_words,
         },
-        replan,
+        replan::{self, known_maps},
         report::{folders_of_maps, own_folder_of_maps},
     },
     base::{printable::to_json, shell::shown_path},
@@ -141,8 +141,8 @@ fn record(
     let Some(own) = own.filter(|_| !is_other && arguments.out.is_none()) else {
         return;
     };
-    let counts = |path: &Path| path.starts_with(&own);
-    if let Outcome::Failed { reason, .. } = follow(&project.home, &counts, progress) {
+    let known = known_maps(plan.stages.backend, &own);
+    if let Outcome::Failed { reason, .. } = follow(&project.home, &known, progress) {
         warn(&format!("status is not told what was measured: {reason}"));
     }
 }

@@ -9,10 +9,10 @@ use crate::{apps::planning, show::files::files_of_same_model};
 use crate::{
     apps::{
         dispatch::Dispatch,
-        replan::{EarlierPlan, MapFolder, replan},
+        replan::{EarlierPlan, MapFolder, known_maps, replan},
         report::{DepthMapFolders, own_folder_of_maps},
     },
-    backends::{self, Backend, Choice},
+    backends::{self, Backend, Choice, KnownMaps},
     base::{
         error::{Advice, Hint},
         progress::{Stage, Watcher},
@@ -245,11 +245,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         output::recover(&project.home, &project.disk())?;
     }
     let finished = match &arguments.finished {
-        Some(folder) => Some((folder.clone(), earlier(&project)?)),
+        // Whoever names a folder vouches for its maps.
+        Some(folder) => Some((folder.clone(), earlier(&project)?, None)),
         None => own_maps(&plan, &project),
     };
-    if let Some((folder, earlier)) = finished {
-        plan = around_finished(plan, &folder, &earlier, &progress)?;
+    if let Some((folder, earlier, known)) = finished {
+        plan = around_finished(plan, &folder, &earlier, known, &progress)?;
     }
     let files = files_of_same_model(&plan, &project)
         .inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
@@ -356,9 +357,9 @@ fn kept_test_every(home: &Path, settings: &Settings) -> Option<u32> {
 }
 
 /// Returns the folder of the depth maps that were made for the plan that this one replaces, with that
-/// plan: without it, nobody would know their partners, or that their views have moved. Warns of maps
+/// plan and what tells them from others there: without it, nobody would know their partners, or that their views have moved. Warns of maps
 /// whose plan is lost.
-fn own_maps(plan: &Plan, project: &Project) -> Option<(PathBuf, EarlierPlan)> {
+fn own_maps(plan: &Plan, project: &Project) -> Option<(PathBuf, EarlierPlan, Option<KnownMaps>)> {
     let is_same = planned_backend(project).is_some_and(|name| name == plan.stages.backend);
     let folder = own_folder_of_maps(plan, project).filter(|folder| folder.is_dir())?;
     if !(plan.stages.makes_maps && is_same) {
@@ -366,7 +367,10 @@ fn own_maps(plan: &Plan, project: &Project) -> Option<(PathBuf, EarlierPlan)> {
     }
     let lost = match depthmaps::find(&folder, &plan.stages.scene) {
         Ok(_) => match earlier(project) {
-            Ok(earlier) => return Some((folder, earlier)),
+            Ok(earlier) => {
+                let known = known_maps(plan.stages.backend, &folder);
+                return Some((folder, earlier, Some(known)));
+            }
             Err(error) => error.to_string(),
         },
         Err(DepthMapError::None(_)) => return None,
@@ -383,11 +387,13 @@ fn around_finished(
     plan: Plan,
     folder: &Path,
     earlier: &EarlierPlan,
+    known: Option<KnownMaps>,
     progress: &ProgressDisplay,
 ) -> Result<Plan, Failure> {
     let maps = MapFolder {
         folder,
         ready: &|_| true,
+        known: &|map| known.as_ref().is_none_or(|known| known(map)),
     };
     let (plan, ..) = replan(plan, earlier, &maps, progress)?;
     if plan.decision.finished == 0 {

@@ -2,12 +2,14 @@
 
 use std::{
     collections::BTreeSet,
+    io::ErrorKind,
     path::{Path, PathBuf},
     thread,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use crate::{
+    apps::replan::{EarlierPlan, MapFolder, known_maps},
     backends,
     base::{
         error::{Advice, Hint, shortened},
@@ -24,8 +26,9 @@ use crate::{
         depthmaps::{self, DepthMapError, DepthMapFile},
         project::Project,
     },
+    model::scene::Scene,
     show::{
-        manifest::{self, PlannedMaps, open_planned_workspace, planned_maps, planned_workspace},
+        manifest::{self, PlannedMaps, planned_maps, planned_workspace},
         share::area_of_all,
     },
 };
@@ -85,34 +88,32 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Prints the state of a project by its own files.
 fn print_unwatched(project: PathBuf, is_json: bool) -> Result<(), Failure> {
-    let workspace = || {
-        let project = Project::open(&project, None).ok()?;
-        Progress::read(&planned_workspace(&project)?)
+    let Some(plan) = planned_maps(&project) else {
+        return Err(NoStatus::NoPlan(project).into());
     };
-    let progress = Progress::read(&project).or_else(workspace);
-    let progress = progress.filter(|_| !follow::is_of_earlier_plan(&project));
-    match (progress, planned_maps(&project)) {
-        (Some(progress), Some(plan)) => {
-            let maps = maps_of(&project, &plan.backend);
-            let gone = maps.as_ref().map_or(0, |maps| number_gone(maps, &progress));
-            let later = number_later(&maps.unwrap_or_default(), &progress);
-            let progress = without_gone(progress, gone);
-            if is_json {
-                let phase = progress.phase().of_plan_for(&plan.backend);
-                print_json(&alone(&project, later_than(phase, later)))
-            } else {
-                print(unwatched(&progress, &plan, later))
-            }
-        }
-        (None, Some(plan)) => {
-            let maps = maps_of(&project, &plan.backend).map_or(0, |maps| maps.len());
-            if is_json {
-                print_json(&alone(&project, unmeasured(&plan, maps)))
-            } else {
-                print([planned_in_words(&plan, maps)])
-            }
-        }
-        (_, None) => Err(NoStatus::NoPlan(project).into()),
+    let opened = Project::open(&project, None).ok();
+    let workspace = opened.and_then(|opened| planned_workspace(&opened));
+    let home = workspace.unwrap_or_else(|| project.clone());
+    let progress = Progress::read(&home).filter(|_| !follow::is_of_earlier_plan(&home));
+    let there = MapsThere::look(&home, &plan.backend);
+    let others = there.as_ref().and_then(|there| there.others.clone());
+    let maps = there.map(|there| there.counted);
+    let Some(progress) = progress else {
+        let maps = maps.map_or(0, |maps| maps.len());
+        return if is_json {
+            print_json(&alone(&project, unmeasured(&plan, maps, others)))
+        } else {
+            print([planned_in_words(&plan, maps)].into_iter().chain(others))
+        };
+    };
+    let gone = maps.as_ref().map_or(0, |maps| number_gone(maps, &progress));
+    let later = number_later(&maps.unwrap_or_default(), &progress);
+    let progress = with_note(without_gone(progress, gone), others);
+    if is_json {
+        let phase = progress.phase().of_plan_for(&plan.backend);
+        print_json(&alone(&project, later_than(phase, later)))
+    } else {
+        print(unwatched(&progress, &plan, later))
     }
 }
 
@@ -162,21 +163,65 @@ impl Hint for NoStatus {
     }
 }
 
-/// Returns the views of the project of which the plan's program has made depth maps; `None` where
-/// its folder cannot be listed.
-fn maps_of(project: &Path, backend: &str) -> Option<Vec<String>> {
-    let project = Project::open(project, None).ok()?;
-    let workspace = open_planned_workspace(&project);
-    let project = workspace.as_ref().unwrap_or(&project);
-    let folder = project.folder_of_maps(backend)?;
-    let scene = project.read_scene().ok()?;
-    let maps = match depthmaps::list(&folder, &scene) {
-        Ok(listed) => listed.maps,
-        Err(DepthMapError::None(_)) => Vec::new(),
-        Err(_) => return None,
-    };
-    let name = |map: &DepthMapFile| scene.name(map.view).to_owned();
-    Some(maps.iter().map(name).collect())
+/// The depth maps in a project with a plan.
+struct MapsThere {
+    /// Views of which the plan's program has made one for it.
+    counted: Vec<String>,
+    /// Says of the others that they do not count.
+    others: Option<String>,
+}
+
+impl MapsThere {
+    /// `None` where the folder of the program's maps cannot be listed.
+    fn look(home: &Path, backend: &str) -> Option<Self> {
+        let project = Project::open(home, None).ok()?;
+        let folder = project.folder_of_maps(backend)?;
+        let scene = project.read_scene().ok()?;
+        let found = in_folder(&folder, &scene)?;
+        let earlier = EarlierPlan::read(&project).ok();
+        let maps = MapFolder {
+            folder: &folder,
+            ready: &|_| true,
+            known: &known_maps(backend, &folder),
+        };
+        let counts = |map: &&DepthMapFile| {
+            let key = scene.name(map.view);
+            let earlier = earlier.as_ref();
+            earlier.is_some_and(|earlier| maps.counts(key, &map.path, earlier))
+        };
+        let (counted, unknown): (Vec<_>, Vec<_>) = found.iter().partition(counts);
+        let unknown = (
+            unknown.len(),
+            &folder,
+            "nobody knows what they were made from (viewrank run makes anew what it needs)",
+        );
+        let folders = depthmaps::folders(home);
+        let elsewhere = folders.iter().filter(|other| **other != folder);
+        let elsewhere = elsewhere.map(|other| {
+            let maps = in_folder(other, &scene).unwrap_or_default();
+            (maps.len(), other, "another program has made them")
+        });
+        let mut others = [unknown].into_iter().chain(elsewhere);
+        let others = others.find(|(n, ..)| *n > 0).map(|(n, folder, why)| {
+            let folder = shown_path(folder);
+            format!("{n} depth maps in {folder} do not count for this plan for {backend}: {why}.")
+        });
+        let name = |map: &DepthMapFile| scene.name(map.view).to_owned();
+        Some(Self {
+            counted: counted.into_iter().map(name).collect(),
+            others,
+        })
+    }
+}
+
+fn in_folder(folder: &Path, scene: &Scene) -> Option<Vec<DepthMapFile>> {
+    match depthmaps::list(folder, scene) {
+        Ok(listed) => Some(listed.maps),
+        Err(DepthMapError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
+            Some(Vec::new())
+        }
+        Err(_) => None,
+    }
 }
 
 /// Number of depth maps that the last measurement did not see. Of those that it saw but could not
@@ -197,6 +242,12 @@ fn number_gone(maps: &[String], progress: &Progress) -> usize {
     measured.filter(|view| !there.contains(view)).count()
 }
 
+fn with_note(mut progress: Progress, further: Option<String>) -> Progress {
+    let notes: Vec<String> = progress.note.into_iter().chain(further).collect();
+    progress.note = (!notes.is_empty()).then(|| notes.join("; "));
+    progress
+}
+
 /// Returns the progress without the measured maps that are no longer there.
 fn without_gone(mut progress: Progress, gone: usize) -> Progress {
     if gone > 0 {
@@ -204,8 +255,7 @@ fn without_gone(mut progress: Progress, gone: usize) -> Progress {
             1 => "1 measured depth map is gone: viewrank run makes it again.".into(),
             n => format!("{n} measured depth maps are gone: viewrank run makes them again."),
         };
-        let notes: Vec<String> = progress.note.into_iter().chain([said]).collect();
-        progress.note = Some(notes.join("; "));
+        progress = with_note(progress, Some(said));
         progress.target_reached = false;
     }
     progress
@@ -219,9 +269,8 @@ fn later_than(mut phase: Phase, later: usize) -> Phase {
 }
 
 /// The phase of a project whose depth maps, if any, were not measured.
-fn unmeasured(plan: &PlannedMaps, maps: usize) -> Phase {
+fn unmeasured(plan: &PlannedMaps, maps: usize, note: Option<String>) -> Phase {
     let (clusters, share, has_region) = (plan.clusters, plan.share, plan.has_region);
-    let note = None;
     if maps == 0 {
         return Phase::Planned {
             backend: plan.backend.clone(),

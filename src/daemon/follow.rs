@@ -24,8 +24,9 @@ use crate::{
     },
     base::{bounded, error::Hint, input::FileKind, progress::Watcher},
     io::{
-        depthmaps::{self, DepthMapError},
+        depthmaps::{self, DepthMapError, DepthMapFile},
         output::{self, Disk, OutputError},
+        project::Project,
     },
     method::ranking,
     model::{cluster::MapScale, scene::ViewIndex},
@@ -108,6 +109,11 @@ impl Progress {
     /// Reads the last progress of a project; `None` where there is none or it is unreadable.
     pub fn read(root: &Path) -> Option<Self> {
         serde_json::from_slice(&output::read_own(root, PROGRESS_FILE, FileKind::Record).ok()?).ok()
+    }
+
+    /// Returns whether no depth map was found that is one of the plan.
+    pub(super) fn is_of_no_maps(&self) -> bool {
+        self.finished.is_empty() && self.outdated.is_empty() && self.note.is_none()
     }
 
     /// Keeps `announced` from the last progress if the target is the same and still reached.
@@ -199,32 +205,41 @@ pub fn modified(file: &Path) -> Option<SystemTime> {
     file.metadata().ok()?.modified().ok()
 }
 
-/// Measures those of the present depth maps that count, and writes `progress.json`;
-/// [`Outcome::Abandoned`] where there are none.
-pub fn follow(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher) -> Outcome {
-    follow_now(root, counts, watcher).unwrap_or_else(|ended| ended)
+/// Measures those of the present depth maps that are known to be made for the plan, and writes
+/// `progress.json`; [`Outcome::Abandoned`] where there are none.
+pub fn follow(
+    root: &Path,
+    known: &(dyn Fn(&Path) -> bool + Sync),
+    watcher: &dyn Watcher,
+) -> Outcome {
+    follow_now(root, known, watcher).unwrap_or_else(|ended| ended)
 }
 
 fn follow_now(
     root: &Path,
-    counts: &dyn Fn(&Path) -> bool,
+    known: &(dyn Fn(&Path) -> bool + Sync),
     watcher: &dyn Watcher,
 ) -> Result<Outcome, Outcome> {
     let within = [root.to_path_buf()];
     let disk = Disk::REAL.within(&within);
     output::recover(root, &disk).map_err(failed)?;
-    let mut files = map_files_inside(root).map_err(failed)?;
-    files.retain(|path, _| counts(path));
-    let Some(folder) = fullest_folder(root, &files) else {
+    let files = map_files_inside(root).map_err(failed)?;
+    if files.is_empty() {
+        return Ok(Outcome::Abandoned);
+    }
+    let (project, plan) = replan::repeat(root, watcher).map_err(failed)?;
+    let Some(folder) = own_folder(&project, plan.stages.backend, &files) else {
         return Ok(Outcome::Abandoned);
     };
-    let (project, plan) = replan::repeat(root, watcher).map_err(failed)?;
     let earlier = EarlierPlan::read(&project).map_err(failed)?;
     let following = FollowJob {
         plan,
         earlier: &earlier,
-        folder: &folder,
-        files: &files,
+        maps: MapFolder {
+            folder: &folder,
+            ready: &|map| files.contains_key(map),
+            known,
+        },
         replan: false,
     };
     let mut progress = following.measure(watcher).map_err(failed)?.1;
@@ -243,16 +258,14 @@ pub(super) fn failed(error: impl Hint) -> Outcome {
     }
 }
 
-/// Returns the folder with most of these depth maps, the first of equals.
-pub(super) fn fullest_folder(root: &Path, files: &MapFiles) -> Option<PathBuf> {
-    let count = |folder: &PathBuf| files.keys().filter(|file| file.starts_with(folder)).count();
-    let counted = depthmaps::default_folders(root)
-        .into_iter()
-        .map(|folder| (count(&folder), folder))
-        .filter(|(n, _)| *n > 0);
-    counted
-        .reduce(|best, next| if next.0 > best.0 { next } else { best })
-        .map(|(_, folder)| folder)
+/// Returns the folder of the program's depth maps, if some of these are in it: those of another program
+/// are none of its plan.
+pub(super) fn own_folder(project: &Project, backend: &str, files: &MapFiles) -> Option<PathBuf> {
+    let folder = project.folder_of_maps(backend)?;
+    files
+        .keys()
+        .any(|file| file.starts_with(&folder))
+        .then_some(folder)
 }
 
 /// A plan and the present depth maps.
@@ -260,8 +273,7 @@ pub(super) struct FollowJob<'a> {
     /// The plan by prediction alone.
     pub plan: Plan,
     pub earlier: &'a EarlierPlan,
-    pub folder: &'a Path,
-    pub files: &'a MapFiles,
+    pub maps: MapFolder<'a>,
     /// Rank the rest of the list again.
     pub replan: bool,
 }
@@ -281,11 +293,7 @@ impl FollowJob<'_> {
         let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
         let wanted = self.plan.stages.settings.cut.target;
         let target = wanted.map_or(self.plan.decision.cut.share, |share| share.0);
-        let maps = MapFolder {
-            folder: self.folder,
-            ready: &|path| self.files.contains_key(path),
-        };
-        let (plan, measured) = replan(self.plan, self.earlier, &maps, watcher)?;
+        let (plan, measured) = replan(self.plan, self.earlier, &self.maps, watcher)?;
         let (order, cut) = if self.replan {
             let order = plan.decision.ranking.maps().collect();
             (order, plan.decision.cut.clusters)
@@ -296,7 +304,7 @@ impl FollowJob<'_> {
         let so_far = measured.map(|measured| measured.progress);
         let forecast = TargetForecast::new(&plan, &order, cut, target, so_far.unwrap_or_default());
         let seconds_per_pair =
-            measured.and_then(|of| seconds_per_pair(&plan, &of.run, self.folder));
+            measured.and_then(|of| seconds_per_pair(&plan, &of.run, self.maps.folder));
         let progress = forecast.progress(&plan, seconds_per_pair);
         Ok((plan, progress))
     }
@@ -311,11 +319,12 @@ impl FollowJob<'_> {
             ..
         } = &self.plan;
         let (scene, settings) = (&stages.scene, &stages.settings);
-        let maps = depthmaps::list(self.folder, scene)?.maps;
-        let ready: Vec<_> = maps
-            .iter()
-            .filter(|map| self.files.contains_key(&map.path))
-            .collect();
+        let maps = depthmaps::list(self.maps.folder, scene)?.maps;
+        let counts = |map: &&DepthMapFile| {
+            let key = scene.name(map.view);
+            self.maps.counts(key, &map.path, self.earlier)
+        };
+        let ready: Vec<_> = maps.iter().filter(counts).collect();
         let of_undistorted = ready.iter().filter(|map| !map.format.takes_distorted());
         let Some(distorted) = of_undistorted
             .map(|map| scene.camera_of(map.view))

@@ -49,15 +49,10 @@ impl<'a> Foreground<'a> {
         &self.root
     }
 
-    /// Plans the project, around the depth maps of these files, if there are any.
-    pub fn plan(
-        &self,
-        when: PlanWhen,
-        counts: &dyn Fn(&Path) -> bool,
-        progress: &(dyn Fn(&str, u8) + Sync),
-    ) -> Outcome {
+    /// Plans the project, around the depth maps of its plan, if there are any.
+    pub fn plan(&self, when: PlanWhen, progress: &(dyn Fn(&str, u8) + Sync)) -> Outcome {
         let plan = |planner: &PlanJob, job: &Job| planner.plan_if(when, job);
-        self.job(progress, counts, plan)
+        self.job(progress, &|_| true, plan)
     }
 
     /// Measures those of the present depth maps that count, and writes `progress.json`.

@@ -17,9 +17,9 @@ use tracing::{info, warn};
 use super::{
     Job, Planner,
     discover::may_enter,
-    follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
+    follow::{FollowJob, Progress, failed, outdated_note, own_folder, progress_file},
     kept::PlanCache,
-    maps::{MapFiles, map_files, map_files_inside},
+    maps::{map_files, map_files_inside},
     phase::chosen_for,
     planned_from::{PlannedFrom, RECORD},
     platform, queue,
@@ -31,7 +31,7 @@ use crate::{
     apps::{
         dispatch::Dispatch,
         planning,
-        replan::{self, EarlierPlan, MapFolder, RepeatError, ReplanError, replan},
+        replan::{self, EarlierPlan, MapFolder, RepeatError, ReplanError, known_maps, replan},
     },
     backends,
     base::{
@@ -46,7 +46,7 @@ use crate::{
     plan::{EmptyPlan, Plan, PlanError, metres_per_unit},
     show::{
         files,
-        manifest::{RecordedPlan, WrittenPlanError, warnings_with},
+        manifest::{RecordedPlan, WrittenPlanError, planned_backend, warnings_with},
     },
 };
 
@@ -165,7 +165,7 @@ impl PlanJob {
         let progress = progress_file(job.project);
         let had_maps = progress.is_file()
             || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
-        if !had_maps || !self.map_files(job)?.is_empty() {
+        if !had_maps || self.has_maps(job)? {
             return self.plan_input(when, job, is_by_hand, &disk);
         }
         // The depth maps are gone: nothing is finished or reached any more. The progress is removed
@@ -257,29 +257,36 @@ impl PlanJob {
             .map_err(unreadable)
     }
 
-    fn map_files(&self, job: &Job) -> StepResult<MapFiles> {
+    /// Returns whether there are depth maps of the plan's program, also such as have not settled yet.
+    fn has_maps(&self, job: &Job) -> StepResult<bool> {
         let found = if self.options.is_run {
             map_files_inside(job.project)
         } else {
             map_files(job.project, job.follow_links)
         };
-        found.map_err(failed)
+        let files = found.map_err(failed)?;
+        let project = Project::open(job.project, None).map_err(incomplete)?;
+        let planned = planned_backend(&project);
+        Ok(planned.map_or(!files.is_empty(), |backend| {
+            own_folder(&project, &backend, &files).is_some()
+        }))
     }
 
     fn try_follow(&self, job: &Job) -> StepResult<Outcome> {
         let within = self.within(job.project)?;
         let disk = Disk::REAL.within(&within);
         output::recover(job.project, &disk).map_err(failed)?;
-        let Some(folder) = fullest_folder(job.project, job.maps) else {
-            // Present maps may not have settled yet.
-            let none = self.map_files(job)?.is_empty();
-            let gone = none && progress_file(job.project).is_file();
-            return if gone {
+        let none = || {
+            let gone = !self.has_maps(job)? && progress_file(job.project).is_file();
+            if gone {
                 self.try_plan(PlanWhen::Outdated, job)
             } else {
                 Err(Outcome::Abandoned)
-            };
+            }
         };
+        if job.maps.is_empty() {
+            return none();
+        }
         let record = match PlannedFrom::read(job.project) {
             Some(record) => record,
             // The plan is gone, or was replaced by hand.
@@ -288,18 +295,29 @@ impl PlanJob {
                 PlannedFrom::read(job.project).ok_or(planned)?
             }
         };
+        let opened = Project::open(job.project, None).map_err(incomplete)?;
+        let Some(folder) = own_folder(&opened, &record.backend, job.maps) else {
+            return none();
+        };
         let watcher = JobWatcher::new(job);
         let (project, plan) = self.plan_again(job.project, &record.fingerprint, &watcher)?;
         let earlier = EarlierPlan::read(&project).map_err(failed)?;
-        let files = job.maps;
+        // A run has chosen those of its own tasks.
+        let known = (!self.options.is_run).then(|| known_maps(&record.backend, &folder));
         let following = FollowJob {
             plan,
             earlier: &earlier,
-            folder: &folder,
-            files,
+            maps: MapFolder {
+                folder: &folder,
+                ready: &|map| job.maps.contains_key(map),
+                known: &|map| known.as_ref().is_none_or(|known| known(map)),
+            },
             replan: self.options.replan,
         };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
+        if progress.is_of_no_maps() && !progress_file(job.project).is_file() {
+            return Err(Outcome::Abandoned);
+        }
         if self.options.replan {
             write(
                 &plan,
@@ -558,7 +576,8 @@ fn wait_for(mut command: Child, project: &Path) {
 /// Returns the plan around the finished depth maps of its predecessor (method 5.4), if there are
 /// any.
 fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan> {
-    let Some(folder) = fullest_folder(job.project, job.maps) else {
+    let backend = plan.stages.backend;
+    let Some(folder) = own_folder(project, backend, job.maps) else {
         return Ok(plan);
     };
     let earlier = match EarlierPlan::read(project) {
@@ -570,9 +589,13 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan>
         // Without an earlier plan the partners of the maps are unknown.
         Err(_) => return Ok(plan),
     };
+    if earlier.backend != backend {
+        return Ok(plan);
+    }
     let maps = MapFolder {
         folder: &folder,
         ready: &|path| job.maps.contains_key(path),
+        known: &known_maps(backend, &folder),
     };
     match replan(plan, &earlier, &maps, &JobWatcher::new(job)) {
         Ok((plan, _)) => Ok(plan),

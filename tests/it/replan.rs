@@ -104,6 +104,7 @@ impl Planned {
         let maps = MapFolder {
             folder: &self.maps(),
             ready: &|_| true,
+            known: &|_| true,
         };
         let plan = plan_of(self.folder.path());
         replan(

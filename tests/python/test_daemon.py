@@ -670,13 +670,19 @@ def test_the_status_is_shown_as_it_changes_and_when_the_daemon_is_gone(root, con
 def test_maps_of_undistorted_images_are_counted_where_the_model_is_distorted(root, config):
     project = root / "p"
     SMALL_MODEL(project / "sparse/0", 0)
+    dense = project / "dense"
+    shutil.copytree(project / "sparse/0", dense / "sparse")
     (project / "sparse/0/cameras.txt").write_text("1 OPENCV 400 300 320 320 200 150 0.01 0 0 0\n")
+    (dense / "stereo").mkdir()
+    (project / "viewrank.toml").write_text('backends = ["colmap"]\n')
     with Daemon(root, config, settle="100ms") as daemon:
         daemon.wait_planned("p")
         keys = [line.split("\t")[0] for line in (project / "viewrank/clusters.txt").read_text().splitlines()]
-        maps = project / "dense/stereo/depth_maps"
-        maps.mkdir(parents=True)
-        (maps / f"{keys[0]}.geometric.bin").write_bytes(b"2&2&1&" + bytes(16))
+        mark, made_from, name = (dense / "stereo/viewrank/marks.tsv").read_text().splitlines()[0].split("\t")
+        assert name == f"{keys[0]}.photometric.bin"
+        (dense / "stereo/viewrank/done").mkdir()
+        (dense / "stereo/viewrank/done" / mark).write_text(made_from + "\n")
+        (dense / "stereo/depth_maps" / name).write_bytes(b"2&2&1&" + bytes(16))
         daemon.wait(lambda: daemon.status("p").get("done") == 1, "the map to be counted")
         assert daemon.status("p")["note"].startswith("counted, not measured")
         assert progress(project)["share"] is None and progress(project)["finished"] == keys[:1]
@@ -688,6 +694,7 @@ def test_micmacs_maps_are_measured_where_the_model_is_distorted_once_they_are_ma
     project = root / "p"
     SMALL_MODEL(project / "sparse/0", 0)
     (project / "sparse/0/cameras.txt").write_text("1 OPENCV 400 300 320 320 200 150 0.01 0 0 0\n")
+    (project / "viewrank.toml").write_text('backends = ["micmac"]\n')
     with Daemon(root, config, settle="100ms") as daemon:
         daemon.wait_planned("p")
         key = (project / "viewrank/clusters.txt").read_text().split("\t")[0]

@@ -20,6 +20,7 @@ use crate::{
         EvaluateError, EvaluationInput, MapSize, MeasuredClusters, MeasuredProgress,
         other_sizes_in_words,
     },
+    backends::{KnownMaps, by_name},
     base::{
         bounded::Names,
         error::{Advice, Hint},
@@ -46,8 +47,12 @@ use crate::{
 /// The plan that finished depth maps were made for.
 #[derive(Debug)]
 pub struct EarlierPlan {
+    /// Name of the backend that it was made for.
+    pub backend: String,
     /// Key view, partners and size, by name, best first.
     clusters: Vec<(String, Names, MapScale)>,
+    /// Key views whose depth maps it counts as finished.
+    finished: BTreeSet<String>,
     cut: usize,
     outdated: Vec<OutdatedMap>,
     views: PlannedViews,
@@ -64,13 +69,17 @@ impl EarlierPlan {
             path,
             what: error.to_string(),
         })?;
+        let finished = recorded.clusters.iter().filter(|c| c.finished);
+        let finished = finished.map(|c| c.key.clone()).collect();
         let clusters = recorded
             .clusters
             .into_iter()
             .map(|c| (c.key, c.partners, c.scale))
             .collect();
         Ok(Self {
+            backend: recorded.backend,
             clusters,
+            finished,
             cut: recorded.cut.clusters,
             outdated: recorded.outdated,
             views,
@@ -121,6 +130,24 @@ pub struct MapFolder<'a> {
     pub folder: &'a Path,
     /// Returns whether the file is completely written.
     pub ready: &'a (dyn Fn(&Path) -> bool + Sync),
+    /// Returns whether the map was made for the earlier plan. One that this counts as finished is taken
+    /// anyhow.
+    pub known: &'a (dyn Fn(&Path) -> bool + Sync),
+}
+
+impl MapFolder<'_> {
+    /// Returns whether the depth map of a key view counts for the earlier plan.
+    pub fn counts(&self, key: &str, map: &Path, earlier: &EarlierPlan) -> bool {
+        (self.ready)(map) && ((self.known)(map) || earlier.finished.contains(key))
+    }
+}
+
+/// Returns what tells the depth maps of a plan for this program from others in their folder.
+pub fn known_maps(backend: &str, folder: &Path) -> KnownMaps {
+    match by_name(backend) {
+        Ok(backend) => (backend.known_maps)(folder),
+        Err(_) => Box::new(|_| true),
+    }
 }
 
 /// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are
@@ -346,7 +373,7 @@ fn look(
         watcher.check()?;
         let file = file_of
             .get(key.as_str())
-            .filter(|file| (maps.ready)(&file.path));
+            .filter(|file| maps.counts(key, &file.path, earlier));
         Ok(file.map(|file| {
             MapCheck {
                 plan,

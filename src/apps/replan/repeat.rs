@@ -16,10 +16,10 @@ use crate::{
     show::manifest::{RecordedPlan, WrittenPlanError, warnings_with},
 };
 
-/// Repeats the plan of the project's `viewrank/manifest.json`, by prediction alone (finished depth
+/// Repeats the plan of the folder's own `viewrank/manifest.json`, by prediction alone (finished depth
 /// maps are ignored).
 pub fn repeat(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), RepeatError> {
-    let (project, plan, _) = predicted(root, watcher)?;
+    let (project, plan, _) = predicted(RecordedPlan::open_here(root)?, watcher)?;
     Ok((project, plan))
 }
 
@@ -31,7 +31,7 @@ pub fn as_written(
     root: &Path,
     watcher: &dyn Watcher,
 ) -> Result<(Project, Plan, Vec<ExportRecord>), RepeatError> {
-    let (project, plan, recorded) = predicted(root, watcher)?;
+    let (project, plan, recorded) = predicted(RecordedPlan::open(root)?, watcher)?;
     let plan = if recorded.finished() > 0 {
         with_ranking(plan, &recorded, watcher)?
     } else {
@@ -120,10 +120,9 @@ fn recorded_ranking(
 }
 
 fn predicted(
-    root: &Path,
+    (project, recorded): (Project, RecordedPlan),
     watcher: &dyn Watcher,
 ) -> Result<(Project, Plan, RecordedPlan), RepeatError> {
-    let (project, recorded) = RecordedPlan::open(root)?;
     let mut settings = recorded.settings.clone();
     if settings.backends.is_empty() {
         settings.backends.push(recorded.backend.clone());

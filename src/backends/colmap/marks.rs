@@ -3,10 +3,23 @@
 //!
 //! COLMAP skips a problem when its files exist, even if they were made with other partners. So the
 //! script notes what each map that isn't there will be made from when it starts COLMAP, and names
-//! one that was made from something else.
+//! one that was made from something else. A map without its mark does not count for the plan: the
+//! workspace is the user's, who may have run COLMAP there himself.
 
-use super::cfg::Problem;
-use crate::backends::clusters::{hash, task_marker};
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+};
+
+use super::{MARKS, OWN, cfg::Problem};
+use crate::{
+    backends::{
+        KnownMaps,
+        clusters::{hash, task_marker},
+    },
+    base::input::FileKind,
+    io::output,
+};
 
 /// A depth map of the lists, with its mark.
 pub struct ListedMap {
@@ -45,4 +58,35 @@ pub fn to_tsv(maps: &[ListedMap]) -> String {
 /// Returns the path of a map under `stereo/depth_maps` and `stereo/normal_maps`.
 pub fn map_name(image: &str, kind: &str) -> String {
     format!("{image}.{kind}.bin")
+}
+
+/// Returns whether a map below `stereo/depth_maps` has the mark of what the list there says that it
+/// is made from.
+pub fn known(depth_maps: &Path) -> KnownMaps {
+    let Some(workspace) = depth_maps.ancestors().nth(2).map(Path::to_path_buf) else {
+        return Box::new(|_| false);
+    };
+    let list = output::read_own(&workspace, MARKS, FileKind::Plan).unwrap_or_default();
+    let listed = from_tsv(&String::from_utf8_lossy(&list), depth_maps);
+    Box::new(move |map| {
+        let Some([mark, id]) = listed.get(map) else {
+            return false;
+        };
+        let made_from =
+            output::read_own(&workspace, &format!("{OWN}done/{mark}"), FileKind::Record);
+        made_from.is_ok_and(|made_from| made_from.trim_ascii() == id.as_bytes())
+    })
+}
+
+/// Returns mark and content by the path of the map. A mark is a hash: no path in the list leads
+/// elsewhere.
+fn from_tsv(list: &str, depth_maps: &Path) -> HashMap<PathBuf, [String; 2]> {
+    let is_hash = |mark: &&str| mark.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let entry = |line: &str| {
+        let mut cells = line.splitn(3, '\t');
+        let mark = cells.next().filter(is_hash)?;
+        let (id, map) = (cells.next()?, cells.next()?);
+        Some((depth_maps.join(map), [mark, id].map(str::to_owned)))
+    };
+    list.lines().filter_map(entry).collect()
 }

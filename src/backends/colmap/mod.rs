@@ -98,6 +98,7 @@ pub static BACKEND: Backend = Backend {
         is_itself || project.undistorted_workspace().is_some()
     },
     tasks,
+    known_maps: marks::known,
     traps,
     export,
     ..Backend::DEFAULT

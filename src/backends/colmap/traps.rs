@@ -1,6 +1,6 @@
 //! Faults of a project that break COLMAP.
 
-use super::{MARKS, cfg, widths};
+use super::{cfg, marks, widths};
 use crate::{
     backends::{ExaminedProject, Trap, selection},
     base::shell::command_path,
@@ -28,21 +28,18 @@ pub fn all(examined: &ExaminedProject) -> Vec<Trap> {
         .collect()
 }
 
-/// Finds maps without marks.
+/// Finds maps that do not count for the exported plan.
 fn finished_maps(examined: &ExaminedProject) -> Option<Trap> {
-    let workspace = examined
-        .project
-        .dense_workspace
-        .as_ref()
-        .filter(|folder| !folder.join(MARKS).exists())?;
-    let cure = "viewrank run makes those anew that its plan needs".into();
+    let workspace = examined.project.dense_workspace.as_ref()?;
+    let cure = "they do not count: viewrank run makes those anew that its plan needs; where they are of the last plan, viewrank plan --finished says so";
     let folder = workspace.join("stereo/depth_maps");
+    let known = marks::known(&folder);
     examined.finished_maps(
         "colmap-stale-maps-skipped",
         &folder,
         8,
-        |name| name.ends_with(".bin"),
-        cure,
+        |name, map| name.ends_with(".bin") && !known(map),
+        cure.into(),
     )
 }
 

@@ -5,8 +5,8 @@
 //!
 //! With fewer partners than `local-neighbors` a map is empty, with exit code 0. Ids count from 0,
 //! key views first; lists of views (`-l`) run in parallel and skip those that have a map, so each
-//! call has one view (`-m`). `depth-L` maps hold the length of the ray. `scene2pset -F` takes the maps of one
-//! level, so two sizes make two clouds, of which `fssrecon` makes one surface.
+//! call has one view (`-m`). `depth-L` maps hold the length of the ray. `scene2pset -F` takes the
+//! maps of one level, so two sizes make two clouds, of which `fssrecon` makes one surface.
 
 mod run;
 

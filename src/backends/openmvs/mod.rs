@@ -7,7 +7,7 @@
 //! key views. [`run`] does all that and checks each map, since DensifyPointCloud exits with 0 even
 //! on failure; `run.py` is what remains of it where there is no viewrank.
 
-use std::{collections::BTreeMap, fs};
+use std::{collections::BTreeMap, fs, path::Path};
 
 use self::{
     run::{Row, Run},
@@ -166,7 +166,7 @@ fn traps(examined: &ExaminedProject) -> Vec<Trap> {
 });
     let folder = &examined.project.root;
     let cure = format!("remove them: rm {}/depth*.dmap", command_path(folder));
-    let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
+    let is_map = |name: &str, _: &Path| name.starts_with("depth") && name.ends_with(".dmap");
     let maps = examined.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
     trap.into_iter().chain(named).chain(maps).collect()
 }

@@ -23,7 +23,7 @@ use crate::{
         summary::duration, terminal::complain, warn,
     },
     daemon::{PlanWhen, follow, foreground::Foreground, phase::Phase, state::Outcome},
-    io::{paths::from_here, project::Project},
+    io::paths::from_here,
     model::cluster::MapScale,
     show::{
         manifest::{WrittenPlan, warnings_with},
@@ -111,10 +111,7 @@ impl<'a> Work<'a> {
         when: PlanWhen,
     ) -> Result<Self, Failure> {
         let lines = Lines::new(arguments.is_silent());
-        // Depth maps of another backend aren't part of this plan.
-        let own = Project::open(foreground.root(), None)?.folder_of_maps(backend.name);
-        let is_own = |path: &Path| own.as_ref().is_some_and(|own| path.starts_with(own));
-        match foreground.plan(when, &is_own, &|stage, percent| lines.stage(stage, percent)) {
+        match foreground.plan(when, &|stage, percent| lines.stage(stage, percent)) {
             Outcome::Planned { note, .. } => note.iter().for_each(|text| warn(text)),
             other => return Err(failure(other, stop, arguments.go_on())),
         }

@@ -253,12 +253,21 @@ pub fn planned_ground(project: &Project, settings: &Settings) -> Option<GroundSu
     ground.filter(|ground| ground.needed > 0)
 }
 
-/// Returns the project's workspace of undistorted images if it has a plan, and the project none.
+/// Returns the project's workspace of undistorted images if its plan is that of the project: the
+/// project has none itself, or one for a program that needs undistorted images, which computes in
+/// the workspace.
 pub fn planned_workspace(project: &Project) -> Option<PathBuf> {
     let dense = project.dense_workspace.clone();
     let dense = dense.or_else(|| project.undistorted_workspace());
     let dense = dense.filter(|dense| *dense != project.root && dense.join(FILE).is_file());
-    dense.filter(|_| !project.home.join(FILE).exists())
+    dense.filter(|_| !project.home.join(FILE).exists() || needs_undistorted_images(project))
+}
+
+/// Returns whether the plan of the project itself is for a program that cannot take its images.
+fn needs_undistorted_images(project: &Project) -> bool {
+    let takes_distorted = |backend: String| by_name(&backend).is_ok_and(|b| b.takes_distorted);
+    let own = planned_backend(project).filter(|_| !project.is_elsewhere());
+    own.is_some_and(|backend| !takes_distorted(backend)) && project.has_distorted_cameras()
 }
 
 /// Opens the [`planned_workspace`] of the project, if any.
@@ -349,9 +358,18 @@ impl RecordedPlan {
     /// Where the program needed undistorted images, the plan is in their workspace.
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
         let any_model = Project::open_or_planned(root, None)?;
-        if let Some(workspace) = planned_workspace(&any_model) {
-            return Self::open(&workspace);
+        match planned_workspace(&any_model) {
+            Some(workspace) => Self::open(&workspace),
+            None => Self::open_own(root, any_model),
         }
+    }
+
+    /// Reads the plan in the folder itself.
+    pub fn open_here(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
+        Self::open_own(root, Project::open_or_planned(root, None)?)
+    }
+
+    fn open_own(root: &Path, any_model: Project) -> Result<(Project, Self), WrittenPlanError> {
         let recorded = Self::read(&any_model)?;
         let planned = &recorded.input.model;
         let project = if any_model.model_path() == *planned {

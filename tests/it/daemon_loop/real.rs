@@ -213,6 +213,24 @@ fn maps_beyond_the_cut_are_counted_in_addition() {
     assert_eq!(progress["finished"], serde_json::json!([second]));
 }
 
+#[test]
+fn maps_of_another_program_than_the_plans_do_not_count() {
+    let real = Real::new(&town());
+    real.once(false);
+    real.put_map("sgm");
+    fs::write(
+        real.project.join("viewrank.toml"),
+        "backends = ['openmvs']\n",
+    )
+    .expect("a file");
+    // Also in the plan that takes the place of the other program's.
+    for _ in 0..2 {
+        let phase = real.once(true);
+        assert!(matches!(phase, Phase::Planned { .. }), "{phase}");
+        assert_eq!(real.finished(), 0);
+    }
+}
+
 /// Uses a link to itself, which even root can't read.
 #[test]
 fn unreadable_maps_are_not_taken_for_gone() {

@@ -1,6 +1,7 @@
 //! Projects as programs and people leave them: which model is taken, which images it finds, what is
 //! made of half a model, and what is said where nothing can be made of it.
 
+mod counted;
 mod files;
 mod images;
 mod models;

@@ -311,6 +311,15 @@ impl Project {
             .find(|place| discover::has_pictures(place))
     }
 
+    /// Returns whether the model has a camera with lens distortion; false where it cannot be read.
+    pub fn has_distorted_cameras(&self) -> bool {
+        if self.model.format.is_colmap() {
+            return files::is_distorted(&self.model) == Some(true);
+        }
+        let cameras = foreign::read(&self.root, &self.model).map(|(read, _)| read.model.cameras);
+        cameras.is_ok_and(|cameras| cameras.iter().any(|camera| !camera.is_pinhole()))
+    }
+
     /// Says where the images are to be put.
     pub fn where_images_belong(&self) -> String {
         let which = match &self.originals {

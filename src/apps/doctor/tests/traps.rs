@@ -267,11 +267,25 @@ fn finished_maps_of_another_plan() {
             "{backend}"
         );
     }
-    put("dense/stereo/viewrank/marks.tsv");
+    let write = |name: &str, text: &str| {
+        put(name);
+        fs::write(folder.path().join(name), text).unwrap();
+    };
+    write(
+        "dense/stereo/viewrank/marks.tsv",
+        "ab\tcd\ta/n00.jpg.photometric.bin\n",
+    );
+    assert!(
+        found(&traps("colmap"), "colmap-stale-maps-skipped")
+            .what
+            .starts_with("1 finished"),
+        "listed, but made otherwise"
+    );
+    write("dense/stereo/viewrank/done/ab", "cd\n");
     assert!(
         traps("colmap")
             .iter()
             .all(|finding| finding.check != "colmap-stale-maps-skipped"),
-        "their lists are known"
+        "made from the list"
     );
 }
